@@ -1,0 +1,55 @@
+# `make help` lists the targets. Everything runs in .venv, which the first target builds by itself.
+.DEFAULT_GOAL := help
+SHELL := /bin/bash
+PYTHON ?= python3
+BIN := .venv/bin
+export OMP_NUM_THREADS := 1
+export MKL_NUM_THREADS := 1
+export OPENBLAS_NUM_THREADS := 1
+
+.PHONY: help run test test-all lint smoke bench reproduce-table format clean
+
+help:  ## list the targets
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-16s %s\n", $$1, $$2}'
+
+.venv/.installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+run: .venv/.installed  ## train, map, prune and evaluate a depth-6 policy for Pendulum in minutes
+	$(BIN)/otr-run env=pendulum depth=6 budget=quick $(ARGS)
+
+test: .venv/.installed  ## the tests (under 8 minutes on 2 cores)
+	$(BIN)/python -m pytest -n 2 $(ARGS)
+
+test-all: .venv/.installed  ## the tests and the slow ones
+	$(BIN)/python -m pytest -n 2 -m "slow or not slow" $(ARGS)
+
+lint: .venv/.installed  ## ruff, mypy and the direction of imports
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: .venv/.installed  ## let ruff put the code in form
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+smoke: .venv/.installed  ## every environment and every experiment file, in seconds each
+	$(BIN)/python -m benchmarks.smoke
+
+bench: .venv/.installed  ## measure against numpy, torch and Stable-Baselines3; writes results/benchmarks
+	$(BIN)/python -m benchmarks $(ARGS)
+
+# EVALUATE=1 plays the episodes of the committed policies again and compares; TRAIN=1 trains everything from nothing.
+reproduce-table: .venv/.installed  ## the thesis's table from the runs under results (EVALUATE=1, TRAIN=1)
+ifdef TRAIN
+	$(BIN)/otr-run +experiment=table_4_1 results_dir=results/retrained $(ARGS)
+	$(BIN)/otr-tabulate table=4.1 results_dir=results/retrained
+else
+	$(BIN)/otr-tabulate table=4.1 $(if $(EVALUATE),evaluate=true) $(ARGS)
+endif
+
+clean:  ## remove the virtual environment and caches; results stay
+	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -1,0 +1,119 @@
+"""A tree as the nested if-then-else program in which the thesis prints its policies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from otr.arrays import FloatArray
+from otr.head import Argmax, ClipBox, Sign, TanhBox
+from otr.tree import ObliqueTree
+
+__all__ = ["affine_text", "to_text"]
+
+_INDENT = "    "
+
+
+def to_text(
+    tree: ObliqueTree,
+    *,
+    feature_names: Sequence[str] | None = None,
+    output_names: Sequence[str] | None = None,
+    precision: int = 4,
+) -> str:
+    """Return the program of `tree`, as in Orfanos 2023, Fig. 4.2.
+
+        if -2.2 - 3.8 x + 114.3 v <= 0 then
+            return -6.1
+        else
+            return -102.3 - 169.8 x + 5116.5 v
+
+    Several outputs take one line each, ``name = expression``. Coefficients that are zero are left out.
+
+    Args:
+        tree: any tree.
+        feature_names: d names; x0, x1, ... if None.
+        output_names: names of the outputs, y0, y1, ... if None; in a tree with labels, names of the labels.
+        precision: significant digits, at least 1; 17 loses nothing.
+
+    Raises:
+        ValueError: the wrong number of names, or precision < 1.
+    """
+    if precision < 1:
+        raise ValueError(f"precision is {precision}, expected at least 1 significant digit")
+    features = _names(feature_names, tree.n_inputs, "x", "feature_names")
+    n_answers = 2 if tree.labels is not None and isinstance(tree.head, Sign) else tree.n_outputs
+    answers = _names(output_names, n_answers, "" if tree.labels is not None else "y", "output_names")
+    lines: list[str] = []
+    # What is still to be written, last first: (indentation, a line) or (indentation, a reference to a child).
+    pending: list[tuple[int, str | int]] = [(0, 0 if tree.n_nodes else ~0)]
+    while pending:
+        indent, item = pending.pop()
+        if isinstance(item, str):
+            lines.append(_INDENT * indent + item)
+        elif item < 0:
+            lines += [_INDENT * indent + line for line in _leaf_lines(tree, ~item, features, answers, precision)]
+        else:
+            test = affine_text(tree.P[item], tree.v[item], features, precision)
+            lines.append(f"{_INDENT * indent}if {test} <= 0 then")
+            pending.append((indent + 1, int(tree.children_right[item])))
+            pending.append((indent, "else"))
+            pending.append((indent + 1, int(tree.children_left[item])))
+    return "\n".join(lines) + "\n"
+
+
+def affine_text(coefficients: FloatArray, offset: float, names: Sequence[str], precision: int) -> str:
+    """Return ``offset + coefficients @ names`` as text, constant first, zeros left out."""
+    terms = [] if offset == 0 else [(float(offset), "")]
+    terms += [(float(coefficients[i]), names[i]) for i in np.flatnonzero(coefficients)]
+    if not terms:
+        return "0"
+    text = ""
+    for position, (value, name) in enumerate(terms):
+        size = f"{abs(value):.{precision}g}"
+        word = name if name and size == "1" else f"{size} {name}".rstrip()
+        sign = ("-" if value < 0 else "") if position == 0 else (" - " if value < 0 else " + ")
+        text += sign + word
+    return text
+
+
+def _names(given: Sequence[str] | None, n: int, prefix: str, argument: str) -> list[str]:
+    if given is None:
+        return [f"{prefix}{i}" for i in range(n)]
+    if len(given) != n:
+        raise ValueError(f"{argument} has {len(given)} names, expected {n}")
+    return list(given)
+
+
+def _leaf_lines(
+    tree: ObliqueTree, leaf: int, features: Sequence[str], answers: Sequence[str], precision: int
+) -> list[str]:
+    """Return the lines that state a leaf's answer."""
+    if tree.labels is not None:
+        label = int(tree.labels[leaf])
+        return [f"return {answers[label] if 0 <= label < len(answers) else label}"]
+    values = [
+        affine_text(tree.M[leaf, output], tree.c[leaf, output], features, precision) for output in range(tree.n_outputs)
+    ]
+    if isinstance(tree.head, Sign):
+        return [f"return 1 if {values[0]} > 0 else 0"]
+    if isinstance(tree.head, Argmax):
+        assignments = [f"{name} = {value}" for name, value in zip(answers, values, strict=True)]
+        return [*assignments, f"return argmax({', '.join(answers)})"]
+    values = [_through_head(tree, output, value, precision) for output, value in enumerate(values)]
+    if tree.n_outputs == 1:
+        return [f"return {values[0]}"]
+    return [f"{name} = {value}" for name, value in zip(answers, values, strict=True)]
+
+
+def _through_head(tree: ObliqueTree, output: int, value: str, precision: int) -> str:
+    """Return the expression of one output with a box head around it."""
+    head = tree.head
+    if not isinstance(head, TanhBox | ClipBox):
+        return value
+    low, high = (float(np.broadcast_to(limit, (tree.n_outputs,))[output]) for limit in (head.low, head.high))
+    if isinstance(head, ClipBox):
+        return f"clip({value}, {low:.{precision}g}, {high:.{precision}g})"
+    half, middle = (high - low) / 2, (high + low) / 2
+    return affine_text(np.array([half]), middle, [f"tanh({value})"], precision)

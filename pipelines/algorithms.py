@@ -1,0 +1,116 @@
+"""Stable-Baselines3 models from our configuration: a small ReLU actor, critics of the usual size."""
+
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3 import DDPG, PPO, SAC, TD3
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, OrnsteinUhlenbeckActionNoise
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from pipelines.config import DdpgConfig, OffPolicyConfig, PpoConfig, RunConfig, SacConfig, Td3Config
+from pipelines.envs import flat_state_size, is_discrete, make_env
+from pipelines.errors import ConfigError
+from pipelines.training import learning_starts
+
+torch.set_num_threads(1)  # two threads make these small networks a hundred times slower
+torch.set_flush_denormal(True)  # decayed weights become denormal numbers, which are five times slower and worth nothing
+
+
+def build_model(config: RunConfig, seed: int) -> BaseAlgorithm:
+    """Return an untrained model on its own environments, reproducible from `seed`."""
+    algo = config.algo
+    env = build_env(config)
+    single = env.envs[0]
+    flat_state_size(single)
+    common: dict[str, Any] = {
+        "policy": "MlpPolicy",
+        "env": env,
+        "learning_rate": algo.learning_rate,
+        "batch_size": algo.batch_size,
+        "gamma": algo.gamma,
+        "policy_kwargs": policy_kwargs(config),
+        "seed": seed,
+        "device": "cpu",
+    }
+    if isinstance(algo, PpoConfig):
+        return PPO(
+            **common,
+            n_steps=algo.n_steps,
+            n_epochs=algo.n_epochs,
+            gae_lambda=algo.gae_lambda,
+            clip_range=algo.clip_range,
+            ent_coef=algo.ent_coef,
+            vf_coef=algo.vf_coef,
+            max_grad_norm=algo.max_grad_norm,
+        )
+    if is_discrete(single):
+        raise ConfigError(f"algo={algo.name} needs continuous actions; {config.env.id} has labels: use algo=ppo")
+    assert isinstance(algo, OffPolicyConfig)
+    return _off_policy_model(algo, common, config, int(np.prod(single.action_space.shape)))
+
+
+def build_env(config: RunConfig) -> DummyVecEnv:
+    """Return new training environments: one, or as many side by side as PPO is set to use."""
+    n_envs = config.algo.n_envs if isinstance(config.algo, PpoConfig) else 1
+    return DummyVecEnv([lambda: Monitor(make_env(config.env))] * n_envs)
+
+
+def policy_kwargs(config: RunConfig) -> dict[str, Any]:
+    """Return the network shapes: the actor's are `depth`, the critics' the algorithm's, activations (leaky) ReLU."""
+    critics = "vf" if isinstance(config.algo, PpoConfig) else "qf"
+    slope = config.actor.negative_slope
+
+    class Activation(torch.nn.LeakyReLU):
+        """Leaky ReLU with the run's slope; Stable-Baselines3 makes activations without arguments."""
+
+        def __init__(self) -> None:
+            super().__init__(negative_slope=slope)
+
+    kwargs: dict[str, Any] = {
+        "net_arch": {"pi": list(config.hidden_widths), critics: list(config.algo.critic)},
+        "activation_fn": Activation if slope > 0.0 else torch.nn.ReLU,
+    }
+    if config.algo.weight_decay > 0.0:
+        # Stable-Baselines3 gives PPO's Adam a larger epsilon, but only where no other argument is set.
+        epsilon = {"eps": 1e-5} if isinstance(config.algo, PpoConfig) else {}
+        kwargs["optimizer_kwargs"] = {"weight_decay": config.algo.weight_decay, **epsilon}
+    return kwargs
+
+
+def _off_policy_model(
+    algo: OffPolicyConfig, common: dict[str, Any], config: RunConfig, n_actions: int
+) -> BaseAlgorithm:
+    common |= {
+        "buffer_size": min(algo.buffer_size, config.train.steps + 1),
+        "learning_starts": learning_starts(config),
+        "tau": algo.tau,
+        "train_freq": algo.train_freq,
+        "gradient_steps": algo.gradient_steps,
+        "action_noise": _action_noise(algo, n_actions),
+    }
+    if isinstance(algo, SacConfig):
+        ent_coef = algo.ent_coef if algo.ent_coef.startswith("auto") else float(algo.ent_coef)
+        return SAC(**common, ent_coef=ent_coef)
+    if isinstance(algo, Td3Config):
+        return TD3(
+            **common,
+            policy_delay=algo.policy_delay,
+            target_policy_noise=algo.target_policy_noise,
+            target_noise_clip=algo.target_noise_clip,
+        )
+    assert isinstance(algo, DdpgConfig)
+    return DDPG(**common)
+
+
+def _action_noise(algo: OffPolicyConfig, n_actions: int) -> ActionNoise | None:
+    mean, std = np.zeros(n_actions), np.full(n_actions, algo.action_noise_std)
+    if algo.action_noise == "normal":
+        return NormalActionNoise(mean, std)
+    if algo.action_noise == "ornstein_uhlenbeck":
+        return OrnsteinUhlenbeckActionNoise(mean, std, dt=algo.action_noise_dt)
+    if algo.action_noise == "none":
+        return None
+    raise ConfigError(f"algo.action_noise={algo.action_noise}: use normal, ornstein_uhlenbeck or none")

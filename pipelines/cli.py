@@ -1,0 +1,333 @@
+"""The commands `otr-run`, `otr-plan` and `otr-tabulate`. The only module that knows Hydra and OmegaConf."""
+
+import argparse
+import difflib
+import os
+import shlex
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.config_store import ConfigStore
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from pipelines import config as schemas
+from pipelines.config import RunConfig, run_folder
+from pipelines.errors import ConfigError, PipelineError
+from pipelines.help import HELP
+from pipelines.plan import print_plan
+from pipelines.replay import replay
+from pipelines.run import Job, record_failure, run_job
+from pipelines.store import corrupt
+from pipelines.tabulate import write_table
+
+_PACKAGED = Path(__file__).parent / "conf"  # in a wheel; in a checkout conf/ is beside the packages
+CONF_DIR = _PACKAGED if _PACKAGED.is_dir() else Path(__file__).parent.parent / "conf"
+GROUPS = ("env", "algo", "method", "budget", "launcher", "experiment")
+NAMING_KEYS = ("env", "method", "depth", "budget", "seed")  # what a run's folder says in plain words
+SWEEP_VARIABLE = "OTR_SWEEP"  # names the sweep to its jobs, in whatever process a launcher starts them
+EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
+
+
+@dataclass(frozen=True)
+class TabulateConfig:
+    """What `otr-tabulate` takes."""
+
+    table: str
+    results_dir: str
+    evaluate: bool
+    n_workers: int | None
+    debug: bool
+
+
+def run() -> None:
+    """Entry point of `otr-run`."""
+    _main("otr-run", _run)
+
+
+def plan() -> None:
+    """Entry point of `otr-plan`."""
+    _main("otr-plan", _plan)
+
+
+def tabulate() -> None:
+    """Entry point of `otr-tabulate`."""
+    _main("otr-tabulate", _tabulate)
+
+
+def _main(program: str, command: Callable[[argparse.Namespace], int]) -> None:
+    """Run a command, turning every foreseen failure into one message on stderr and an exit code."""
+    parser = argparse.ArgumentParser(
+        program, description=HELP[program], formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("overrides", nargs="*", metavar="key=value")
+    if program != "otr-tabulate":
+        parser.add_argument(
+            "-m", "--multirun", action="store_true", help="sweep over comma lists, range() and choice()"
+        )
+        parser.add_argument("--cfg", action="store_true", help="print the resolved configuration and stop")
+    arguments = parser.parse_intermixed_args()
+    debug = "debug=true" in (word.lower() for word in arguments.overrides)
+    try:
+        _register_schemas()
+        code = command(arguments)
+    except KeyboardInterrupt:
+        print(f"\nstopped; what was finished is kept, and the same command goes on from it: {_command_line(program)}")
+        code = EXIT_INTERRUPTED
+    except (ConfigError, HydraException, OmegaConfBaseException) as error:
+        code = _complain(program, error, debug, EXIT_USAGE)
+    except Exception as error:  # the last resort of a command line: no traceback unless asked for
+        code = _complain(program, error, debug, EXIT_FAILED)
+    sys.exit(code)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    overrides = list(arguments.overrides)
+    is_sweep, _ = _sweep_parameters(overrides, arguments.multirun)
+    if arguments.cfg:
+        print(OmegaConf.to_yaml(_compose("run", overrides), resolve=True))
+        return 0
+    if is_sweep:
+        return _sweep(overrides)
+    job = _job(_compose("run", overrides), overrides)
+    try:
+        run_job(job)
+    except Exception as error:
+        print(f"traceback: {record_failure(job, error, _sweep_name())}", file=sys.stderr)
+        raise
+    return 0
+
+
+def _sweep(overrides: list[str]) -> int:
+    """Run every job of a sweep under Hydra's launcher; failing ones do not stop the others and are named at the end."""
+    os.environ[SWEEP_VARIABLE] = _sweep_name()
+    for job in _expand(overrides, multirun=True):
+        _compose("run", job)  # a mistake in the request is told before the first job starts
+    with _hydra():
+        hydra = GlobalHydra.instance().hydra
+        assert hydra is not None
+        returned = hydra.multirun("run", _sweep_task, [*overrides, "hydra.mode=MULTIRUN"])
+    outcomes = [result.return_value for batch in returned for result in batch]
+    failed = [outcome for outcome in outcomes if outcome["error"]]
+    print(f"\n{len(outcomes)} jobs: {len(outcomes) - len(failed)} done, {len(failed)} failed")
+    for outcome in failed:
+        print(f"  {outcome['folder']}: {outcome['error']}\n    traceback: {outcome['traceback']}")
+    return EXIT_FAILED if failed else 0
+
+
+def _sweep_task(cfg: DictConfig) -> dict[str, str | None]:
+    """Do one job of a sweep, in whatever process; report a failure instead of raising it."""
+    job = _job(cfg, list(HydraConfig.get().overrides.task))
+    try:
+        run_job(job)
+    except Exception as error:
+        path = record_failure(job, error, os.environ.get(SWEEP_VARIABLE, _sweep_name()))
+        message = _message(error)
+        print(f"{job.folder} failed: {message}", file=sys.stderr, flush=True)
+        return {"folder": job.folder, "error": message.splitlines()[0], "traceback": str(path)}
+    return {"folder": job.folder, "error": None, "traceback": None}
+
+
+def _plan(arguments: argparse.Namespace) -> int:
+    overrides = list(arguments.overrides)
+    jobs = [_job(_compose("run", job), job) for job in _expand(overrides, arguments.multirun)]
+    print_plan(jobs)
+    return 0
+
+
+def _tabulate(arguments: argparse.Namespace) -> int:
+    cfg = _to_object(_compose("tabulate", list(arguments.overrides)))
+    assert isinstance(cfg, TabulateConfig)
+    results_dir = Path(cfg.results_dir)
+    different = 0
+    if cfg.evaluate:
+        for run_dir in sorted(path.parent for path in results_dir.glob("runs/**/summary.json")):
+            different += replay(_load_config(run_dir, cfg.n_workers), run_dir)
+    for path in write_table(cfg.table, results_dir):
+        print(path)
+        if path.suffix == ".md":
+            print(f"\n{path.read_text(encoding='utf-8')}")
+    return EXIT_FAILED if different else 0
+
+
+def _job(cfg: DictConfig, overrides: Sequence[str]) -> Job:
+    config = _to_object(cfg)
+    assert isinstance(config, RunConfig)
+    named = [word for word in overrides if word.lstrip("+").split("=")[0] in NAMING_KEYS]
+    if not any(word.startswith("env=") for word in named):
+        named.append(f"env={config.env.name}")
+    baseline = _to_object(_compose("run", named))
+    assert isinstance(baseline, RunConfig)
+    words = [word for word in overrides if word.split("=")[0] not in ("stages", "hydra.mode")]
+    return Job(
+        config=config,
+        folder=run_folder(config, baseline),
+        config_yaml=OmegaConf.to_yaml(cfg, resolve=True),
+        command=shlex.join(["otr-run", *words]),
+    )
+
+
+def _load_config(run_dir: Path, n_workers: int | None) -> RunConfig:
+    """Return the configuration that a finished run was made with."""
+    try:
+        cfg = OmegaConf.load(run_dir / "config.yaml")
+        cfg.n_workers = n_workers
+        algorithm = OmegaConf.structured(schemas.ALGORITHMS[cfg.algo.name])
+        loaded = _to_object(OmegaConf.merge(OmegaConf.structured(RunConfig), {"algo": algorithm}, cfg))
+    except (OSError, KeyError, OmegaConfBaseException) as error:
+        raise corrupt(run_dir / "config.yaml", error) from error
+    assert isinstance(loaded, RunConfig)
+    return loaded
+
+
+def _to_object(cfg: Any) -> Any:
+    missing = OmegaConf.missing_keys(cfg)
+    if missing:
+        raise ConfigError(f"no value for {', '.join(sorted(missing))}")
+    return OmegaConf.to_object(cfg)
+
+
+def _expand(overrides: list[str], multirun: bool) -> list[list[str]]:
+    """Return the overrides of every job that the words ask for, as Hydra's sweeper would make them."""
+    is_sweep, parameters = _sweep_parameters(overrides, multirun)
+    if not is_sweep:
+        return [overrides]
+    parsed = OverridesParser.create().parse_overrides([*parameters, *overrides])
+    return [list(job) for job in BasicSweeper.split_arguments(parsed, None)[0]]
+
+
+def _sweep_parameters(overrides: list[str], multirun: bool) -> tuple[bool, list[str]]:
+    """Return whether the words ask for a sweep, and the sweep parameters that an experiment brings."""
+    parsed = OverridesParser.create().parse_overrides(overrides)
+    single = [word for word, override in zip(overrides, parsed, strict=True) if not override.is_sweep_override()]
+    swept = [override.get_key_element() for override in parsed if override.is_sweep_override()]
+    if swept and not multirun and not any(word.startswith("+experiment=") for word in overrides):
+        raise ConfigError(f"{', '.join(swept)}: several values make a sweep; add -m")
+    experiments = [word for word in single if word.lstrip("+").startswith("experiment=")]
+    if not experiments:
+        return multirun, []
+    for word in experiments:
+        _check_option("experiment", word.split("=", 1)[1])
+    with _hydra():
+        # An environment is needed to compose at all; which one does not matter to hydra.sweeper.
+        settings = compose("run", ["env=pendulum", *experiments], return_hydra_config=True).hydra
+    parameters = [f"{key}={value}" for key, value in (settings.sweeper.params or {}).items()]
+    return multirun or str(settings.mode).endswith("MULTIRUN"), parameters
+
+
+def _compose(name: str, overrides: Sequence[str]) -> DictConfig:
+    """Return the composed configuration; unknown names come back with the nearest known ones."""
+    for word in overrides:
+        key, _, value = word.lstrip("+").partition("=")
+        if key in GROUPS and name == "run":
+            _check_option(key, value)
+    if name == "run" and not any(word.lstrip("+").startswith("env=") for word in overrides):
+        raise ConfigError(f"which environment? Add env=NAME with one of: {', '.join(_options('env'))}")
+    with _hydra():
+        try:
+            return compose(name, list(overrides))
+        except HydraException as error:
+            raise ConfigError(_explain(name, error)) from error
+
+
+def _check_option(group: str, value: str) -> None:
+    options = _options(group)
+    if value not in (*options, "null"):
+        raise ConfigError(f"{group}={value}: there is no such {group}.{_did_you_mean(value, options)}")
+
+
+def _options(group: str) -> list[str]:
+    return sorted(path.stem for path in (CONF_DIR / group).glob("*.yaml"))
+
+
+def _explain(name: str, error: HydraException) -> str:
+    """Return Hydra's message without its advice on `+`, with the nearest known key."""
+    cause = error.__cause__
+    lines = [
+        line for line in str(cause or error).splitlines() if "object_type" not in line and "reference_type" not in line
+    ]
+    if "Could not override" in str(error):
+        key = str(error).split("'")[1]
+        base = ["env=pendulum"] if name == "run" else []
+        known = _leaves(OmegaConf.to_container(compose(name, base)))
+        lines = [f"there is no key {key!r}.{_did_you_mean(key, known)}"]
+    return "\n".join(line.strip() for line in lines if line.strip())
+
+
+def _leaves(value: Any, prefix: str = "") -> list[str]:
+    if not isinstance(value, dict):
+        return [prefix.rstrip(".")]
+    return [prefix.rstrip(".")] * bool(prefix) + [
+        leaf for key in value for leaf in _leaves(value[key], f"{prefix}{key}.")
+    ]
+
+
+def _did_you_mean(name: str, known: Sequence[str]) -> str:
+    near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    near += [key for key in known if key.split(".")[-1] == name and key not in near]
+    return f" Did you mean {' or '.join(near)}?" if near else f" There are: {', '.join(known)}"
+
+
+@contextmanager
+def _hydra() -> Iterator[None]:
+    """Make Hydra ready to compose from conf/, also inside a job that Hydra itself has started."""
+    instance = GlobalHydra.instance()
+    outer, instance.hydra = instance.hydra, None
+    try:
+        with initialize_config_dir(str(CONF_DIR.resolve()), job_name="otr", version_base="1.3"):
+            yield
+    finally:
+        GlobalHydra.instance().hydra = outer
+
+
+def _register_schemas() -> None:
+    store = ConfigStore.instance()
+    store.store("run_schema", _schema(RunConfig))
+    store.store("tabulate_schema", _schema(TabulateConfig))
+    store.store("env_schema", _schema(schemas.EnvConfig))
+    store.store("method_schema", _schema(schemas.MethodConfig))
+    store.store("budget_schema", _schema(schemas.BudgetConfig))
+    for name, algorithm in schemas.ALGORITHMS.items():
+        store.store(f"{name}_schema", _schema(algorithm), group="algo")
+
+
+def _schema(kind: type) -> DictConfig:
+    """Return a dataclass as a schema that can still be merged into: OmegaConf makes frozen ones read-only throughout."""
+    schema: DictConfig = OmegaConf.structured(kind)
+    for node in (schema, *(schema._get_node(key) for key in schema)):
+        if isinstance(node, DictConfig):
+            OmegaConf.set_readonly(node, None)
+    return schema
+
+
+def _sweep_name() -> str:
+    return time.strftime("%Y-%m-%d_%H-%M-%S")
+
+
+def _command_line(program: str) -> str:
+    return shlex.join([program, *sys.argv[1:]])
+
+
+def _complain(program: str, error: Exception, debug: bool, code: int) -> int:
+    if debug:
+        traceback.print_exception(error)
+    print(f"{program}: {_message(error)}", file=sys.stderr)
+    return code
+
+
+def _message(error: Exception) -> str:
+    """Return the message alone where it was written for people, with the error's kind where it was not."""
+    foreseen = isinstance(error, PipelineError | HydraException | OmegaConfBaseException)
+    return str(error) if foreseen or hasattr(error, "otr_message") else f"{type(error).__name__}: {error}"

@@ -1,0 +1,272 @@
+"""What a run is asked to do: frozen dataclasses, validated once, with the folder and the digest that name the run.
+
+Hydra composes these from `conf/` (see `pipelines/cli.py`); nothing here knows Hydra.
+"""
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
+
+from pipelines.errors import ConfigError
+from pipelines.methods import METHODS
+
+LARGEST_SEED = 2**32 - 1
+
+
+@dataclass(frozen=True)
+class EnvConfig:
+    """One environment: its gymnasium id and the names that programs print."""
+
+    name: str
+    task: str  # the row of the tables and of conf/budget; hopper_v5 has task hopper
+    id: str
+    kwargs: dict[str, Any] = field(default_factory=dict)
+    feature_names: list[str] = field(default_factory=list)
+    action_names: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class AlgoConfig:
+    """What every algorithm has. `critic` lists the widths of the critics' hidden layers, `weight_decay` is Adam's."""
+
+    name: str
+    learning_rate: float
+    batch_size: int
+    gamma: float
+    critic: list[int]
+    weight_decay: float
+
+
+@dataclass(frozen=True)
+class PpoConfig(AlgoConfig):
+    """Proximal policy optimisation, under Stable-Baselines3's names."""
+
+    n_envs: int
+    n_steps: int
+    n_epochs: int
+    gae_lambda: float
+    clip_range: float
+    ent_coef: float
+    vf_coef: float
+    max_grad_norm: float
+
+
+@dataclass(frozen=True)
+class OffPolicyConfig(AlgoConfig):
+    """What SAC, TD3 and DDPG share. `action_noise` is none, normal or ornstein_uhlenbeck."""
+
+    buffer_size: int
+    learning_starts: int
+    tau: float
+    train_freq: int
+    gradient_steps: int
+    action_noise: str
+    action_noise_std: float
+    action_noise_dt: float
+
+
+@dataclass(frozen=True)
+class SacConfig(OffPolicyConfig):
+    """Soft actor-critic. `ent_coef` is `auto`, or a number as a string for a fixed temperature."""
+
+    ent_coef: str
+
+
+@dataclass(frozen=True)
+class Td3Config(OffPolicyConfig):
+    """Twin delayed DDPG."""
+
+    policy_delay: int
+    target_policy_noise: float
+    target_noise_clip: float
+
+
+@dataclass(frozen=True)
+class DdpgConfig(OffPolicyConfig):
+    """Deep deterministic policy gradient."""
+
+
+ALGORITHMS: dict[str, type[AlgoConfig]] = {"ppo": PpoConfig, "sac": SacConfig, "td3": Td3Config, "ddpg": DdpgConfig}
+
+
+@dataclass(frozen=True)
+class ActorConfig:
+    """The actor beside its widths (`depth`): 0 is ReLU, above 0 leaky ReLU."""
+
+    negative_slope: float = 0.0
+
+
+@dataclass(frozen=True)
+class BudgetConfig:
+    """How much is spent. `steps` gives environment steps per task; the rest is the same for all tasks."""
+
+    name: str
+    steps: dict[str, int]
+    eval_interval_steps: int
+    n_selection_episodes: int
+    n_prune_episodes: int
+    n_evaluation_episodes: int
+    max_learning_starts: int
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Training: environment steps in all, steps between evaluations, episodes per evaluation."""
+
+    steps: int
+    eval_interval_steps: int
+    n_selection_episodes: int
+    max_learning_starts: int
+
+
+@dataclass(frozen=True)
+class MapConfig:
+    """Mapping: up to `max_leaves` the tree is written out, beyond it is held as activation patterns."""
+
+    max_leaves: int
+
+
+@dataclass(frozen=True)
+class PruneConfig:
+    """Pruning: the paths reached in `n_episodes` are kept; with `k` only the k most frequent of them."""
+
+    n_episodes: int
+    k: int | None
+
+
+@dataclass(frozen=True)
+class EvaluateConfig:
+    """Evaluation: episode i starts from `reset(seed=first_seed + i)`, for every method alike."""
+
+    n_episodes: int
+    first_seed: int
+
+
+@dataclass(frozen=True)
+class MethodConfig:
+    """The method's name; its stages are its row in `pipelines/methods.py`."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """One run. What is below `results_dir` changes how it is executed, never what comes out."""
+
+    env: EnvConfig
+    algo: AlgoConfig
+    method: MethodConfig
+    budget: BudgetConfig
+    depth: Any  # an int, or a list of ints: one hidden layer each
+    seed: int
+    actor: ActorConfig
+    train: TrainConfig
+    map: MapConfig
+    prune: PruneConfig
+    evaluate: EvaluateConfig
+    results_dir: str
+    stages: list[str] | None = None
+    n_workers: int | None = None
+    debug: bool = False
+
+    def __post_init__(self) -> None:
+        _check_depth(self.depth, self.method.name)
+        _check_stages(self.stages, self.method.name)
+        _check_numbers(self)
+
+    @property
+    def hidden_widths(self) -> tuple[int, ...]:
+        """Widths of the actor's hidden layers; empty for depth 0, the linear policy."""
+        widths = [self.depth] if isinstance(self.depth, int) else list(self.depth)
+        return tuple(width for width in widths if width > 0)
+
+    @property
+    def selected_stages(self) -> tuple[str, ...]:
+        """The stages to do, in the method's order."""
+        stages = METHODS[self.method.name]
+        return stages if self.stages is None else tuple(stage for stage in stages if stage in self.stages)
+
+
+EXECUTION_FIELDS = ("results_dir", "stages", "n_workers", "debug")
+
+
+def run_folder(config: RunConfig, baseline: RunConfig) -> str:
+    """Return the run's folder below `results_dir`: `runs/<env>/<method>/depth-<d>/<budget>/seed-<s>[~<digest>]`.
+
+    `baseline` is what the same env, method, depth, budget and seed give without any other override; whatever differs
+    from it goes into the digest, so that other settings never share a folder.
+    """
+    depth = "-".join(str(width) for width in config.hidden_widths) or "0"
+    differences = setting_differences(settings(config), settings(baseline))
+    suffix = f"~{digest(differences)[:8]}" if differences else ""
+    return f"runs/{config.env.name}/{config.method.name}/depth-{depth}/{config.budget.name}/seed-{config.seed}{suffix}"
+
+
+def settings(config: RunConfig) -> dict[str, Any]:
+    """Return the resolved settings that decide what comes out, as plain JSON-able data.
+
+    The budget's table of steps is left out but for its name: `train`, `prune` and `evaluate` hold what it gave.
+    """
+    plain = {key: value for key, value in asdict(config).items() if key not in EXECUTION_FIELDS}
+    plain["budget"] = config.budget.name
+    plain["depth"] = list(config.hidden_widths)
+    return plain
+
+
+def digest(value: Any) -> str:
+    """Return the sha256, in hex, of JSON-able data; key order does not matter."""
+    text = json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def setting_differences(new: dict[str, Any], old: dict[str, Any], prefix: str = "") -> dict[str, list[Any]]:
+    """Return {dotted key: [new, old]} for every leaf that differs; None stands for a key that is not there."""
+    found: dict[str, list[Any]] = {}
+    for key in sorted(new.keys() | old.keys()):
+        mine, other = new.get(key), old.get(key)
+        if isinstance(mine, dict) and isinstance(other, dict):
+            found |= setting_differences(mine, other, f"{prefix}{key}.")
+        elif mine != other:
+            found[f"{prefix}{key}"] = [mine, other]
+    return found
+
+
+def _check_depth(depth: Any, method: str) -> None:
+    widths = [depth] if isinstance(depth, int) else depth
+    integers = isinstance(widths, list) and widths and all(type(width) is int for width in widths)
+    if not integers or isinstance(depth, bool):
+        raise ConfigError(f"depth={depth!r}: give a number of hidden neurons (depth=6) or one per layer (depth=[8,8])")
+    if any(width < 0 for width in widths) or (len(widths) > 1 and 0 in widths):
+        raise ConfigError(f"depth={depth!r}: a layer cannot have {min(widths)} neurons; depth=0 is the linear policy")
+    if method == "linear" and depth != 0:
+        raise ConfigError(f"method=linear is the policy of depth 0, but depth={depth!r}; add depth=0")
+
+
+def _check_stages(stages: list[str] | None, method: str) -> None:
+    for stage in stages or ():
+        if stage not in METHODS[method]:
+            raise ConfigError(f"stages: method={method} has no stage {stage!r}; it has {', '.join(METHODS[method])}")
+
+
+def _check_numbers(config: RunConfig) -> None:
+    """Refuse numbers that no run can use, naming the key, the value and the least that will do."""
+    if not 0 <= config.seed <= LARGEST_SEED:
+        raise ConfigError(f"seed={config.seed} is not between 0 and {LARGEST_SEED}")
+    if not 0.0 <= config.actor.negative_slope < 1.0:
+        raise ConfigError(f"actor.negative_slope={config.actor.negative_slope} is not in [0, 1)")
+    least = {"train.steps": 1, "train.eval_interval_steps": 1, "train.n_selection_episodes": 1, "map.max_leaves": 1,
+             "prune.n_episodes": 1, "prune.k": 1, "evaluate.n_episodes": 1, "evaluate.first_seed": 0}  # fmt: skip
+    for key, minimum in least.items():
+        section, name = key.split(".")
+        value = getattr(getattr(config, section), name)
+        if value is not None and value < minimum:
+            raise ConfigError(f"{key}={value} is below {minimum}")
+    if config.n_workers is not None and config.n_workers < 1:
+        raise ConfigError(f"n_workers={config.n_workers} is below 1")
+    for item in fields(config.algo):
+        value = getattr(config.algo, item.name)
+        if item.name in ("learning_rate", "batch_size", "buffer_size", "n_envs", "n_steps", "n_epochs") and value <= 0:
+            raise ConfigError(f"algo.{item.name}={value} is not above 0")
+    if not 0.0 < config.algo.gamma <= 1.0:
+        raise ConfigError(f"algo.gamma={config.algo.gamma} is not in (0, 1]")

@@ -1,0 +1,56 @@
+"""The gymnasium environments, made the same way wherever a policy is trained, pruned or evaluated."""
+
+import warnings
+
+import gymnasium as gym
+import numpy as np
+
+from pipelines.config import EnvConfig
+from pipelines.errors import ConfigError
+
+
+def make_env(env: EnvConfig) -> gym.Env:
+    """Return a new environment with its time limit.
+
+    The environment checker is left out: it costs time at every step and checks the environments' authors, not us.
+    The thesis's tables use the MuJoCo environments' v4 on purpose, so gymnasium's notice of a newer one is silenced.
+    """
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*is out of date.*")
+        try:
+            return gym.make(env.id, disable_env_checker=True, **env.kwargs)
+        except (gym.error.Error, ImportError, TypeError) as error:
+            raise ConfigError(f"env.id={env.id} with {env.kwargs or 'no arguments'} cannot be made: {error}") from error
+
+
+def is_discrete(env: gym.Env) -> bool:
+    """Return whether actions are labels; refuse action spaces that are neither labels nor a box."""
+    if isinstance(env.action_space, gym.spaces.Discrete):
+        return True
+    if isinstance(env.action_space, gym.spaces.Box):
+        return False
+    raise ConfigError(f"{env.spec.id if env.spec else env}: actions {env.action_space} are neither Box nor Discrete")
+
+
+def feature_names(env: EnvConfig, n_inputs: int) -> list[str]:
+    """Return the names of the state's components, x0, x1, ... where the environment's file gives none."""
+    return _names(env.feature_names, n_inputs, "x", f"conf/env/{env.name}.yaml: feature_names")
+
+
+def action_names(env: EnvConfig, n_outputs: int) -> list[str]:
+    """Return the names of the action's components or labels, a0, a1, ... where the environment's file gives none."""
+    return _names(env.action_names, n_outputs, "a", f"conf/env/{env.name}.yaml: action_names")
+
+
+def _names(given: list[str], n: int, prefix: str, where: str) -> list[str]:
+    if given and len(given) != n:
+        raise ConfigError(f"{where} has {len(given)} names, the policy has {n}")
+    return list(given) or [f"{prefix}{i}" for i in range(n)]
+
+
+def flat_state_size(env: gym.Env) -> int:
+    """Return the length of the state vector; refuse observations that are not a flat box."""
+    space = env.observation_space
+    if not isinstance(space, gym.spaces.Box) or len(space.shape) != 1:
+        raise ConfigError(f"{env.spec.id if env.spec else env}: observations {space} are not a vector")
+    return int(np.prod(space.shape))

@@ -1,0 +1,21 @@
+"""Errors that a user can act on: the command line prints their message alone, without a traceback."""
+
+
+class PipelineError(Exception):
+    """Something in the run cannot go on; the message says what, where and what to do."""
+
+
+class ConfigError(PipelineError):
+    """The request itself is wrong (unknown name, wrong type, value out of range); exit code 2."""
+
+
+class MissingInputError(PipelineError):
+    """A stage's input is not there; the message names the command that makes it."""
+
+
+class OtherSettingsError(PipelineError):
+    """The folder holds the same run made with other settings, which are never overwritten."""
+
+
+class PolicyMismatchError(PipelineError):
+    """Two forms of one policy chose different actions on a state; the message shows the state."""

@@ -1,0 +1,43 @@
+"""The help texts of the commands."""
+
+_WORDS = """\
+words:
+  env=hopper            reacher walker2d hopper halfcheetah ant swimmer bipedalwalker pendulum mountaincar lunarlander;
+                        hopper_v5 and so on for gymnasium's newer MuJoCo environments
+  depth=6               hidden neurons of the actor, the depth of the tree; [8,8] for two layers, 0 for a linear policy
+  budget=quick          thesis (default; the thesis's own steps, hours), quick (minutes), smoke (seconds)
+  seed=0                of training and pruning; every method is evaluated on the same episodes
+  method=otr            otr, or linear (with depth=0)
+  algo=td3              ppo, sac, td3, ddpg; by default the thesis's for the environment
+  stages=[map,prune]    only these stages; a missing input names the command that makes it
+  results_dir=PATH      where artefacts go (default: results, or OTR_RESULTS_DIR)
+  algo.gamma=0.98       any key that --cfg shows; such a run gets a folder of its own
+  debug=true            show tracebacks"""
+
+HELP = {
+    "otr-run": f"""\
+Train a small ReLU actor, map it exactly to an oblique decision tree, prune the tree to what is reached, evaluate all of
+them on the same 100 episodes, and print the program and the numbers. What is done is skipped; what was stopped goes on.
+
+{_WORDS}
+
+examples:
+  otr-run env=pendulum depth=6 budget=quick
+  otr-run -m env=hopper,swimmer depth=6,32 "seed=range(0,10)" launcher=joblib
+  otr-run +experiment=table_4_1""",
+    "otr-plan": f"""\
+List what otr-run with the same words would do: run, resume or skip for every job, and the time that is left.
+
+{_WORDS}
+
+examples:
+  otr-plan +experiment=table_4_1
+  otr-plan -m env=pendulum depth=6,32 "seed=range(0,3)" budget=quick""",
+    "otr-tabulate": """\
+Write a table of the thesis, ours beside the published numbers, as Markdown, CSV and LaTeX under results/tables.
+
+words:
+  table=4.1             which table
+  evaluate=true         play the evaluation episodes of every run again first, and compare
+  results_dir=PATH      where the runs lie (default: results, or OTR_RESULTS_DIR)""",
+}

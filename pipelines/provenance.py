@@ -1,0 +1,39 @@
+"""Where an artefact comes from: versions, git revision and command. Recorded beside it, never part of its key."""
+
+import functools
+import platform
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+
+PACKAGES = ("otr", "torch", "stable-baselines3", "gymnasium", "mujoco", "box2d", "numpy", "scipy")
+
+
+@functools.cache
+def versions() -> dict[str, str]:
+    """Return the versions of Python and of each package that a result depends on; missing ones are left out."""
+    found = {"python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+@functools.cache
+def git_revision() -> str | None:
+    """Return the source's git revision, with `+changes` where the tree differs from it; None outside a checkout."""
+    folder = Path(__file__).parent
+    try:
+        command = ["git", "describe", "--always", "--abbrev=12", "--dirty=+changes", "--exclude=*"]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=10, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip() or None
+
+
+def command_line() -> str:
+    """Return the command that is running, with the program's name alone and no path."""
+    return " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])

@@ -1,0 +1,40 @@
+"""The thesis's published numbers (Orfanos 2023, Tables 4.1 and 4.2, text of chapter 4), as `published.csv` has them."""
+
+import csv
+import functools
+from dataclasses import dataclass
+from importlib import resources
+
+# On discrete actions the tree goes on, below the hidden neurons' tests, with one test less than there are leaf actions
+# to compare: the thesis's "depth-five" lander policy has 2 hidden neurons and 4 - 1 = 3 of these.
+N_OUTPUT_TESTS = {"lunarlander": 3}
+FROM_NETWORKS = ("otr", "linear")  # methods whose depth counts hidden neurons; the others' depth is the tree's own
+
+
+@dataclass(frozen=True)
+class Published:
+    """One published result; numbers keep the digits they were printed with, and "" stands for what was not given."""
+
+    mean: str
+    std: str
+    n_runs: str
+    pruned_depth: str
+
+
+@functools.cache
+def published() -> dict[tuple[str, str, str, str], Published]:
+    """Return every published result under (table, task, method, tree depth); table is 4.1, 4.2 or text."""
+    text = (resources.files("pipelines") / "published.csv").read_text(encoding="utf-8")
+    return {
+        (row["table"], row["task"], row["method"], row["tree_depth"]): Published(
+            row["mean"], row["std"], row["runs"], row["pruned_depth"]
+        )
+        for row in csv.DictReader(text.splitlines())
+    }
+
+
+def tree_depth(task: str, method: str, depth: str) -> str:
+    """Return the depth under which the thesis counts a run's tree; `depth` is the run's, as its folder has it (8-8)."""
+    if method not in FROM_NETWORKS:
+        return depth
+    return str(sum(int(width) for width in depth.split("-")) + N_OUTPUT_TESTS.get(task, 0))

@@ -1,0 +1,137 @@
+"""One run: its stages in order, its summary, and what is kept of a failure."""
+
+import shutil
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pipelines.config import RunConfig
+from pipelines.console import duration, show_result
+from pipelines.errors import PipelineError
+from pipelines.stage import StageResult, run_stage, stage_status
+from pipelines.stages import STAGES
+from pipelines.store import read_json, write_json, write_text
+from pipelines.training import estimated_bytes, estimated_seconds, trained_steps
+
+LONG_RUN_S = 60.0
+SUMMARY_SCHEMA = "otr/summary/1"
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run and where it lies.
+
+    Attributes:
+        config: what is asked.
+        folder: the run's folder, relative to `config.results_dir`.
+        config_yaml: the resolved configuration as text.
+        command: the command that does this run and all its stages.
+    """
+
+    config: RunConfig
+    folder: str
+    config_yaml: str
+    command: str
+
+    @property
+    def run_dir(self) -> Path:
+        """The run's folder."""
+        return Path(self.config.results_dir) / self.folder
+
+
+def run_job(job: Job) -> dict[str, Any] | None:
+    """Do what is not done of a run, print what came out, and return its summary; None where it stops before the end."""
+    try:
+        return _run_stages(job)
+    except OSError as error:
+        raise PipelineError(
+            f"{job.run_dir}: {error.strerror or error}{f' ({error.filename})' if error.filename else ''}\n"
+            "Free or choose another place with results_dir=PATH; finished stages and checkpoints are kept, and the same "
+            "command goes on from them."
+        ) from error
+
+
+def _run_stages(job: Job) -> dict[str, Any] | None:
+    config, run_dir = job.config, job.run_dir
+    print(f"{run_dir}", flush=True)
+    run_dir.mkdir(parents=True, exist_ok=True)
+    results: dict[str, StageResult] = {}
+    for name in config.selected_stages:
+        stage = STAGES[name]
+        if name == "train" and stage_status(stage, run_dir / name, config) == "missing":
+            _announce_training(config)
+        results[name] = run_stage(stage, run_dir, config, job.command)
+        if not (run_dir / "config.yaml").exists():
+            write_text(run_dir / "config.yaml", job.config_yaml)
+        print(_stage_line(name, results[name]), flush=True)
+    if "evaluate" not in results:
+        return None
+    summary = summarise(job)
+    write_json(run_dir / "summary.json", summary)
+    show_result(summary, run_dir)
+    return summary
+
+
+def summarise(job: Job) -> dict[str, Any]:
+    """Return a finished run's summary from its stages' reports."""
+    config, run_dir = job.config, job.run_dir
+    mapped, pruned, evaluated = (read_json(run_dir / name / "report.json") for name in ("map", "prune", "evaluate"))
+    manifests = {name: read_json(run_dir / name / "manifest.json") for name in ("train", "map", "prune", "evaluate")}
+    return {
+        "schema": SUMMARY_SCHEMA,
+        "env": config.env.name,
+        "task": config.env.task,
+        "env_id": config.env.id,
+        "method": config.method.name,
+        "depth": config.depth,
+        "budget": config.budget.name,
+        "trainer": "sb3",
+        "algorithm": config.algo.name,
+        "seed": config.seed,
+        "steps": config.train.steps,
+        **evaluated["policies"]["tree"],
+        "n_leaves": mapped["n_leaves"],
+        "pruned_leaves": pruned["n_leaves"],
+        "pruned_depth": pruned["pruned_depth"],
+        "patterns": pruned["patterns"],
+        "fidelity": evaluated["fidelity"],
+        "policies": evaluated["policies"],
+        "seconds": {name: manifest["seconds"] for name, manifest in manifests.items()},
+        "versions": manifests["evaluate"]["versions"],
+    }
+
+
+def record_failure(job: Job, error: BaseException, sweep: str) -> Path:
+    """Write a failed job's traceback to `results/failures/<sweep>/` and to the run's `error.log`; return the former."""
+    text = f"{job.command}\n\n{''.join(traceback.format_exception(error))}"
+    path = Path(job.config.results_dir) / "failures" / sweep / f"{job.folder.replace('/', '_')}.txt"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_text(path, text)
+    if job.run_dir.is_dir():
+        write_text(job.run_dir / "error.log", text)
+    return path
+
+
+def _announce_training(config: RunConfig) -> None:
+    """Print the likely time and disk of a long training, and refuse one that cannot fit on the disk."""
+    seconds, n_bytes = estimated_seconds(config), estimated_bytes(config)
+    folder = Path(config.results_dir)
+    free = shutil.disk_usage(folder).free
+    if n_bytes > free:
+        raise PipelineError(
+            f"{folder}: training needs about {n_bytes / 1e9:.1f} GB for checkpoints, {free / 1e9:.1f} GB are free\n"
+            "Choose another place with results_dir=PATH, or a smaller algo.buffer_size."
+        )
+    if seconds >= LONG_RUN_S:
+        left = config.train.steps - trained_steps(config)
+        print(
+            f"train: {left:,} steps of {config.algo.name.upper()}, about {duration(seconds)} on one core, "
+            f"up to {max(1, round(n_bytes / 1e6))} MB of checkpoints; Ctrl-C stops, the same command goes on",
+            flush=True,
+        )
+
+
+def _stage_line(name: str, result: StageResult) -> str:
+    how = f"done before, {duration(result.seconds)}" if result.skipped else duration(result.seconds)
+    return f"{name}: {how}"

@@ -1,0 +1,201 @@
+"""Stages: pure functions of inputs and settings whose results are kept, found again and never half written.
+
+A stage is keyed by the sha256 of its name, its version, its settings and its inputs' digests. `run_stage` skips what is
+done, waits where another process is at it, writes into a temporary folder, writes `manifest.json` last and renames.
+"""
+
+import hashlib
+import shutil
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock, Timeout
+
+from pipelines import provenance
+from pipelines.config import RunConfig, digest, setting_differences
+from pipelines.errors import MissingInputError, OtherSettingsError, PipelineError
+from pipelines.store import read_json, write_json
+
+MANIFEST = "manifest.json"
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One step of a method.
+
+    Attributes:
+        name: its folder's name.
+        version: raised when the same inputs and settings would give something else.
+        inputs: the stages whose folders it reads.
+        settings: picks, from the run's configuration, what decides the result; JSON-able.
+        run: `(inputs, config, out)` writes the result's files into the empty folder `out`.
+    """
+
+    name: str
+    version: int
+    inputs: tuple[str, ...]
+    settings: Callable[[RunConfig], dict[str, Any]]
+    run: Callable[[Mapping[str, Path], RunConfig, Path], None]
+
+
+@dataclass(frozen=True)
+class StageResult:
+    """Where a stage's files lie, whether they were there before, and the seconds that making them took."""
+
+    folder: Path
+    skipped: bool
+    seconds: float
+
+
+def run_stage(stage: Stage, run_dir: Path, config: RunConfig, rerun_command: str) -> StageResult:
+    """Bring a stage's folder up to date and return it.
+
+    Raises:
+        MissingInputError: an input stage has not been done; names the command that does it.
+        OtherSettingsError: the folder holds the result of other settings.
+        PipelineError: an input or the finished folder was damaged.
+    """
+    inputs = {name: _input_folder(run_dir, name, stage, rerun_command) for name in stage.inputs}
+    wanted = stage_key(stage, config, inputs)
+    folder = run_dir / stage.name
+    with _lock(run_dir, stage.name):
+        status = stage_status(stage, folder, config, wanted)
+        if status == "other settings":
+            raise _other_settings(stage, folder, config)
+        if status == "done":
+            manifest = verified_manifest(folder)
+            return StageResult(folder, skipped=True, seconds=manifest["seconds"])
+        twin = _twin(run_dir, stage.name, wanted)
+        if twin is not None:
+            _copy_twin(twin, folder)
+            return StageResult(folder, skipped=True, seconds=read_json(folder / MANIFEST)["seconds"])
+        return _make(stage, folder, config, inputs, wanted)
+
+
+def stage_key(stage: Stage, config: RunConfig, inputs: Mapping[str, Path]) -> str:
+    """Return the key of a stage's result: what it is made by, with and from."""
+    digests = {name: verified_manifest(folder)["output_digest"] for name, folder in inputs.items()}
+    return digest({"stage": stage.name, "version": stage.version, "settings": stage.settings(config), "in": digests})
+
+
+def stage_status(stage: Stage, folder: Path, config: RunConfig, wanted: str | None = None) -> str:
+    """Return `missing`, `done`, `stale` (inputs or code changed since) or `other settings`.
+
+    Without the `wanted` key only the settings are compared.
+    """
+    if not (folder / MANIFEST).exists():
+        return "missing"
+    manifest = read_json(folder / MANIFEST)
+    if manifest["settings"] != stage.settings(config):
+        return "other settings"
+    current = manifest["version"] == stage.version if wanted is None else manifest["key"] == wanted
+    return "done" if current else "stale"
+
+
+def verified_manifest(folder: Path) -> dict[str, Any]:
+    """Return a finished folder's manifest after comparing every file in it with its recorded sha256."""
+    manifest: dict[str, Any] = read_json(folder / MANIFEST)
+    for name, recorded in manifest["outputs"].items():
+        path = folder / name
+        found = file_digest(path) if path.is_file() else "no file"
+        if found != recorded:
+            raise PipelineError(
+                f"{path} is not what was written: its sha256 is {found[:12]}, the manifest has {recorded[:12]}\n"
+                f"Restore it, or delete the folder {folder} and run the same command again to make it."
+            )
+    return manifest
+
+
+def file_digest(path: Path) -> str:
+    """Return the sha256 of a file's bytes, in hex."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _make(stage: Stage, folder: Path, config: RunConfig, inputs: Mapping[str, Path], wanted: str) -> StageResult:
+    temporary = folder.with_name(f".{stage.name}.tmp")
+    shutil.rmtree(temporary, ignore_errors=True)
+    temporary.mkdir(parents=True)
+    start = time.monotonic()
+    try:
+        stage.run(inputs, config, temporary)
+        seconds = round(time.monotonic() - start, 3)
+        outputs = {path.name: file_digest(path) for path in sorted(temporary.iterdir())}
+        write_json(
+            temporary / MANIFEST,
+            {
+                "stage": stage.name,
+                "version": stage.version,
+                "key": wanted,
+                "settings": stage.settings(config),
+                "outputs": outputs,
+                "output_digest": digest(outputs),
+                "seconds": seconds,
+                "command": provenance.command_line(),
+                "git_revision": provenance.git_revision(),
+                "versions": provenance.versions(),
+            },
+        )
+        if folder.exists():  # stale: made by an older version of the stage or from inputs that have changed
+            shutil.rmtree(folder)
+        temporary.rename(folder)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return StageResult(folder, skipped=False, seconds=seconds)
+
+
+def _input_folder(run_dir: Path, name: str, stage: Stage, rerun_command: str) -> Path:
+    folder = run_dir / name
+    if not (folder / MANIFEST).exists():
+        raise MissingInputError(
+            f"stage {stage.name} needs stage {name}, and {folder} holds no finished result of it\nRun: {rerun_command}"
+        )
+    return folder
+
+
+def _other_settings(stage: Stage, folder: Path, config: RunConfig) -> OtherSettingsError:
+    old = read_json(folder / MANIFEST)["settings"]
+    changes = setting_differences(stage.settings(config), old)
+    lines = [f"  {key}: there {was!r}, asked for {now!r}" for key, (now, was) in changes.items()]
+    return OtherSettingsError(
+        "\n".join([f"{folder} was made with other settings, which are never overwritten:", *lines])
+        + "\nGive the change on the command line (it gets a folder of its own), set results_dir=..., or delete the folder."
+    )
+
+
+def _twin(run_dir: Path, name: str, wanted: str) -> Path | None:
+    """Return the folder of a sibling run (same place, other overrides) that already holds this very result."""
+    for manifest in sorted(run_dir.parent.glob(f"*/{name}/{MANIFEST}")):
+        if read_json(manifest)["key"] == wanted:
+            return manifest.parent
+    return None
+
+
+def _copy_twin(twin: Path, folder: Path) -> None:
+    verified_manifest(twin)
+    temporary = folder.with_name(f".{folder.name}.tmp")
+    shutil.rmtree(temporary, ignore_errors=True)
+    shutil.copytree(twin, temporary)
+    if folder.exists():
+        shutil.rmtree(folder)
+    temporary.rename(folder)
+
+
+@contextmanager
+def _lock(run_dir: Path, name: str) -> Iterator[None]:
+    """Hold the stage's lock; say so once where another process has it, then wait for that process."""
+    run_dir.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(run_dir / f".{name}.lock")
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        print(f"{run_dir}: another process is at stage {name}; waiting for it", flush=True)
+        lock.acquire()
+    try:
+        yield
+    finally:
+        lock.release()

@@ -1,0 +1,102 @@
+"""Reading and writing artefacts: atomic text and JSON, actors as safetensors beside JSON. No pickle anywhere."""
+
+import csv
+import json
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save_file
+
+import otr
+from otr.head import head_from_dict
+from pipelines.errors import PipelineError
+
+ACTOR_SCHEMA = "otr/actor/1"
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write `text` so that a reader sees the old file or the new one, never a part."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary.write_text(text, encoding="utf-8")
+    temporary.replace(path)
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write JSON-able data, indented and with its keys in the order given, atomically."""
+    write_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
+
+
+def read_json(path: Path) -> Any:
+    """Return what a JSON file holds; a missing or broken file is an error that names it."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise corrupt(path, error) from error
+
+
+def write_csv(path: Path, rows: Iterable[Mapping[str, Any]], columns: Iterable[str]) -> None:
+    """Write rows under the named columns, atomically; floats keep every digit (shortest exact form)."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, fieldnames=list(columns), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    temporary.replace(path)
+
+
+def read_csv(path: Path) -> list[dict[str, str]]:
+    """Return a CSV file's rows as text; a missing file is an error that names it."""
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            return list(csv.DictReader(file))
+    except (OSError, csv.Error, UnicodeDecodeError) as error:
+        raise corrupt(path, error) from error
+
+
+def save_actor(network: otr.ReluNetwork, folder: Path) -> None:
+    """Write `actor.safetensors` (float64 weights and biases) and `actor.json` (slope, dense links, head)."""
+    tensors: dict[str, np.ndarray] = {}
+    for layer, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
+        tensors[f"weight_{layer}"] = np.ascontiguousarray(weight)
+        tensors[f"bias_{layer}"] = np.ascontiguousarray(bias)
+    save_file(tensors, folder / "actor.safetensors")
+    write_json(
+        folder / "actor.json",
+        {
+            "schema": ACTOR_SCHEMA,
+            "n_layers": len(network.weights),
+            "hidden_widths": [int(width) for width in network.hidden_widths],
+            "negative_slope": network.negative_slope,
+            "dense": network.dense,
+            "head": network.head.to_dict(),
+        },
+    )
+
+
+def load_actor(folder: Path) -> otr.ReluNetwork:
+    """Return the network that `save_actor` wrote; a truncated or foreign file is an error that names it."""
+    about = read_json(folder / "actor.json")
+    try:
+        if about["schema"] != ACTOR_SCHEMA:
+            raise ValueError(f"schema {about['schema']!r} where {ACTOR_SCHEMA!r} was expected")
+        tensors = load_file(folder / "actor.safetensors")
+        layers = range(about["n_layers"])
+        return otr.ReluNetwork(
+            [tensors[f"weight_{layer}"] for layer in layers],
+            [tensors[f"bias_{layer}"] for layer in layers],
+            negative_slope=about["negative_slope"],
+            dense=about["dense"],
+            head=head_from_dict(about["head"]),
+        )
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError, otr.OtrError) as error:
+        raise corrupt(folder / "actor.safetensors", error) from error
+
+
+def corrupt(path: Path, error: Exception) -> PipelineError:
+    """Return the error for an artefact that cannot be read, with the way out."""
+    what = "is not there" if isinstance(error, FileNotFoundError) else f"cannot be read: {error}"
+    return PipelineError(f"{path} {what}\nDelete the folder {path.parent} and run the same command again to make it.")

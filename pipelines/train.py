@@ -1,0 +1,132 @@
+"""Stage train: a small ReLU actor by Stable-Baselines3, in segments, with the best of its evaluations kept.
+
+A segment is the steps between two evaluations (PPO: rounded up to whole rollouts). It starts with new environments and
+random streams of its own, so what it does depends on the checkpoint before it alone: a killed and resumed run equals an
+uninterrupted one bit for bit.
+"""
+
+import shutil
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from filelock import FileLock
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.logger import Logger
+
+import otr
+from pipelines.algorithms import build_env, build_model
+from pipelines.checkpoint import History, load_checkpoint, save_checkpoint
+from pipelines.config import RunConfig
+from pipelines.errors import PolicyMismatchError
+from pipelines.policies import answers_agree
+from pipelines.progress import TrainingProgress
+from pipelines.rollout import Rollout, rollout
+from pipelines.seeding import episode_seeds, stream_seed
+from pipelines.store import save_actor, write_csv
+from pipelines.training import checkpoint_folder, segment_steps
+
+TOLERANCE = 1e-5  # between the float64 network and Stable-Baselines3's float32 one, relative to the pre-head outputs
+EVALUATION_COLUMNS = ("steps", "return_mean", "return_std", "n_episodes", "best")
+PROGRESS_COLUMNS = ("steps", "seconds", "steps_per_s", "n_episodes", "episode_return_mean", "episode_length_mean")
+
+
+def train(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
+    """Train, and write the best actor, `evaluations.csv` and `progress.csv` into `out`.
+
+    Raises:
+        PolicyMismatchError: the exported network and Stable-Baselines3's policy disagree on a visited state.
+        KeyboardInterrupt: Ctrl-C; the checkpoint of the last whole segment stays.
+    """
+    checkpoints = checkpoint_folder(config)
+    checkpoints.mkdir(parents=True, exist_ok=True)
+    with FileLock(checkpoints / ".lock"):
+        history = _train_segments(config, checkpoints)
+        assert history.best is not None
+        save_actor(history.best, out)
+        write_csv(out / "evaluations.csv", history.evaluations, EVALUATION_COLUMNS)
+        write_csv(out / "progress.csv", history.progress, PROGRESS_COLUMNS)
+        shutil.rmtree(checkpoints)
+
+
+def _train_segments(config: RunConfig, checkpoints: Path) -> History:
+    model = build_model(config, stream_seed(config.seed, "train"))
+    history = load_checkpoint(checkpoints, model)
+    n_steps = config.train.steps
+    with TrainingProgress(n_steps, model.num_timesteps) as progress:
+        while model.num_timesteps < n_steps:
+            start = model.num_timesteps
+            progress_row = _train_segment(model, config, history.n_segments, progress)
+            network, played = _evaluate(model, config)
+            history.n_segments += 1
+            history.progress.append(progress_row)
+            history.evaluations.append(_evaluation_row(model, played, history))
+            if history.evaluations[-1]["best"]:
+                history.best = network
+            save_checkpoint(checkpoints, model, history, start)
+            progress.segment_done(progress_row, history.evaluations[-1])
+    return history
+
+
+def _train_segment(model: BaseAlgorithm, config: RunConfig, segment: int, progress: TrainingProgress) -> dict[str, Any]:
+    """Train for one segment and return its row of `progress.csv`."""
+    start = model.num_timesteps
+    n_steps = min(segment_steps(config), config.train.steps - start)
+    model.set_logger(Logger(folder=None, output_formats=[]))  # its default leaves a temporary folder every segment
+    model.set_env(build_env(config), force_reset=True)
+    model.set_random_seed(stream_seed(config.seed, "train", segment))
+    began = time.monotonic()
+    model.learn(n_steps, callback=progress.callback, log_interval=None, reset_num_timesteps=False)  # type: ignore[arg-type]
+    seconds = time.monotonic() - began
+    assert model.env is not None
+    returns = np.concatenate([*model.env.env_method("get_episode_rewards"), []])
+    lengths = np.concatenate([*model.env.env_method("get_episode_lengths"), []])
+    model.env.close()
+    return {
+        "steps": model.num_timesteps,
+        "seconds": round(seconds, 3),
+        "steps_per_s": round((model.num_timesteps - start) / seconds, 1),
+        "n_episodes": len(returns),
+        "episode_return_mean": float(returns.mean()) if len(returns) else None,
+        "episode_length_mean": float(lengths.mean()) if len(lengths) else None,
+    }
+
+
+def _evaluate(model: BaseAlgorithm, config: RunConfig) -> tuple[otr.ReluNetwork, Rollout]:
+    """Play the selection episodes with the exported network, and compare it with the model on every state visited."""
+    network = otr.from_sb3(model)
+    seeds = episode_seeds(config.seed, "selection", config.train.n_selection_episodes)
+    played = rollout(network.predict, config.env, seeds, keep_states=True, n_workers=1)
+    compare_with_model(network, model, played.states)
+    return network, played
+
+
+def compare_with_model(network: otr.ReluNetwork, model: BaseAlgorithm, states: np.ndarray) -> None:
+    """Raise PolicyMismatchError where network and model disagree by more than TOLERANCE on a state.
+
+    Both are given the state as the model sees it, rounded to float32.
+    """
+    seen = states.astype(np.float32)
+    ours, outputs = network.predict(seen), network.forward(seen)
+    theirs, _ = model.predict(seen.astype(states.dtype), deterministic=True)
+    wrong = ~answers_agree(ours, theirs, outputs, TOLERANCE)
+    if wrong.any():
+        i = int(np.flatnonzero(wrong)[0])
+        raise PolicyMismatchError(
+            f"the exported network is not the trained policy: in state {states[i].tolist()} the network does "
+            f"{ours[i].tolist()}, Stable-Baselines3's predict {theirs[i].tolist()}"
+        )
+
+
+def _evaluation_row(model: BaseAlgorithm, played: Rollout, history: History) -> dict[str, Any]:
+    mean = float(played.returns.mean())
+    best = all(mean > row["return_mean"] for row in history.evaluations)
+    return {
+        "steps": model.num_timesteps,
+        "return_mean": mean,
+        "return_std": float(played.returns.std()),
+        "n_episodes": len(played.returns),
+        "best": best,
+    }

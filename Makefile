@@ -37,7 +37,11 @@ format: .venv/.installed  ## let ruff put the code in form
 	$(BIN)/ruff format .
 
 smoke: .venv/.installed  ## every environment and every experiment file, in seconds each
-	$(BIN)/python -m benchmarks.smoke
+	rm -rf results/smoke
+	for file in conf/experiment/*.yaml; do \
+	    $(BIN)/otr-run +experiment=$$(basename $$file .yaml) budget=smoke seed=0 launcher=joblib results_dir=results/smoke \
+	    || exit 1; done
+	$(BIN)/otr-tabulate table=4.1 results_dir=results/smoke > /dev/null
 
 bench: .venv/.installed  ## measure against numpy, torch and Stable-Baselines3; writes results/benchmarks
 	$(BIN)/python -m benchmarks $(ARGS)

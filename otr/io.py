@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import tempfile
+import uuid
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -51,7 +51,7 @@ def save(tree: ObliqueTree | PatternTree, path: str | os.PathLike[str]) -> Path:
     description["sha256"] = _digest(description, arrays)
     text = json.dumps(description, indent=2, sort_keys=True) + "\n"
     # np.savez stamps every member with the same date, so its bytes depend on the arrays alone.
-    _write_atomically(npz_path, lambda file: np.savez(file, **arrays))
+    _write_atomically(npz_path, lambda file: np.savez(file, allow_pickle=False, **arrays))
     _write_atomically(json_path, lambda file: file.write(text.encode()))
     return json_path
 
@@ -169,7 +169,7 @@ def _read_arrays(path: Path) -> Arrays:
             return {name: archive[name] for name in archive.files}
     except FileNotFoundError as error:
         raise ArtefactError(f"{path} does not exist, though its JSON file does; restore it or save again") from error
-    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, EOFError, AttributeError, NotImplementedError, zipfile.BadZipFile) as error:
         raise ArtefactError(
             f"{path} cannot be read ({error}); it is cut off or changed: save the tree again"
         ) from error
@@ -177,15 +177,11 @@ def _read_arrays(path: Path) -> Arrays:
 
 def _write_atomically(path: Path, write: Callable[[IO[bytes]], Any]) -> None:
     """Write a file under a temporary name in the same folder, then rename it."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".tmp")
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
     try:
-        with os.fdopen(handle, "wb") as file:
+        with temporary.open("xb") as file:
             write(file)
-        # mkstemp makes files private; give this one the permissions that open() would have.
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
-        os.replace(temporary, path)
+        temporary.replace(path)
     except BaseException:
-        Path(temporary).unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
         raise

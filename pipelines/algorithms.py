@@ -1,5 +1,6 @@
 """Stable-Baselines3 models from our configuration: a small ReLU actor, critics of the usual size."""
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -62,16 +63,9 @@ def policy_kwargs(config: RunConfig) -> dict[str, Any]:
     """Return the network shapes: the actor's are `depth`, the critics' the algorithm's, activations (leaky) ReLU."""
     critics = "vf" if isinstance(config.algo, PpoConfig) else "qf"
     slope = config.actor.negative_slope
-
-    class Activation(torch.nn.LeakyReLU):
-        """Leaky ReLU with the run's slope; Stable-Baselines3 makes activations without arguments."""
-
-        def __init__(self) -> None:
-            super().__init__(negative_slope=slope)
-
     kwargs: dict[str, Any] = {
         "net_arch": {"pi": list(config.hidden_widths), critics: list(config.algo.critic)},
-        "activation_fn": Activation if slope > 0.0 else torch.nn.ReLU,
+        "activation_fn": functools.partial(torch.nn.LeakyReLU, slope) if slope > 0.0 else torch.nn.ReLU,
     }
     if config.algo.weight_decay > 0.0:
         # Stable-Baselines3 gives PPO's Adam a larger epsilon, but only where no other argument is set.

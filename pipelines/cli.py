@@ -19,6 +19,7 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -183,10 +184,10 @@ def _load_config(run_dir: Path, n_workers: int | None) -> RunConfig:
     """Return the configuration that a finished run was made with."""
     try:
         cfg = OmegaConf.load(run_dir / "config.yaml")
-        cfg.n_workers = n_workers
-        algorithm = OmegaConf.structured(schemas.ALGORITHMS[cfg.algo.name])
-        loaded = _to_object(OmegaConf.merge(OmegaConf.structured(RunConfig), {"algo": algorithm}, cfg))
-    except (OSError, KeyError, OmegaConfBaseException) as error:
+        schema = _schema(RunConfig)
+        schema.algo = _schema(schemas.ALGORITHMS[cfg.algo.name])
+        loaded = _to_object(OmegaConf.merge(schema, cfg, {"n_workers": n_workers}))
+    except (OSError, KeyError, OmegaConfBaseException, ConfigError) as error:
         raise corrupt(run_dir / "config.yaml", error) from error
     assert isinstance(loaded, RunConfig)
     return loaded
@@ -204,13 +205,13 @@ def _expand(overrides: list[str], multirun: bool) -> list[list[str]]:
     is_sweep, parameters = _sweep_parameters(overrides, multirun)
     if not is_sweep:
         return [overrides]
-    parsed = OverridesParser.create().parse_overrides([*parameters, *overrides])
+    parsed = [_parse(word) for word in (*parameters, *overrides)]
     return [list(job) for job in BasicSweeper.split_arguments(parsed, None)[0]]
 
 
 def _sweep_parameters(overrides: list[str], multirun: bool) -> tuple[bool, list[str]]:
     """Return whether the words ask for a sweep, and the sweep parameters that an experiment brings."""
-    parsed = OverridesParser.create().parse_overrides(overrides)
+    parsed = [_parse(word) for word in overrides]
     single = [word for word, override in zip(overrides, parsed, strict=True) if not override.is_sweep_override()]
     swept = [override.get_key_element() for override in parsed if override.is_sweep_override()]
     if swept and not multirun and not any(word.startswith("+experiment=") for word in overrides):
@@ -225,6 +226,13 @@ def _sweep_parameters(overrides: list[str], multirun: bool) -> tuple[bool, list[
         settings = compose("run", ["env=pendulum", *experiments], return_hydra_config=True).hydra
     parameters = [f"{key}={value}" for key, value in (settings.sweeper.params or {}).items()]
     return multirun or str(settings.mode).endswith("MULTIRUN"), parameters
+
+
+def _parse(word: str) -> Override:
+    try:
+        return OverridesParser.create().parse_override(word)
+    except HydraException as error:
+        raise ConfigError(f"{word} is no key=value: {str(error).splitlines()[0]}") from error
 
 
 def _compose(name: str, overrides: Sequence[str]) -> DictConfig:

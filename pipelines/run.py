@@ -47,8 +47,8 @@ def run_job(job: Job) -> dict[str, Any] | None:
     except OSError as error:
         raise PipelineError(
             f"{job.run_dir}: {error.strerror or error}{f' ({error.filename})' if error.filename else ''}\n"
-            "Free or choose another place with results_dir=PATH; finished stages and checkpoints are kept, and the same "
-            "command goes on from them."
+            "Make room there or choose another place with results_dir=PATH; finished stages and checkpoints are kept, "
+            "and the same command goes on from them."
         ) from error
 
 
@@ -102,15 +102,22 @@ def summarise(job: Job) -> dict[str, Any]:
     }
 
 
-def record_failure(job: Job, error: BaseException, sweep: str) -> Path:
-    """Write a failed job's traceback to `results/failures/<sweep>/` and to the run's `error.log`; return the former."""
+def record_failure(job: Job, error: BaseException, sweep: str) -> str:
+    """Write a failed job's traceback to `results/failures/<sweep>/` and to the run's `error.log`.
+
+    Returns:
+        The former's path, or why it could not be written.
+    """
     text = f"{job.command}\n\n{''.join(traceback.format_exception(error))}"
     path = Path(job.config.results_dir) / "failures" / sweep / f"{job.folder.replace('/', '_')}.txt"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, text)
-    if job.run_dir.is_dir():
-        write_text(job.run_dir / "error.log", text)
-    return path
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_text(path, text)
+        if job.run_dir.is_dir():
+            write_text(job.run_dir / "error.log", text)
+    except OSError as reason:
+        return f"not written ({reason.strerror}); debug=true shows it"
+    return str(path)
 
 
 def _announce_training(config: RunConfig) -> None:

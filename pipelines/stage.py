@@ -160,10 +160,10 @@ def _input_folder(run_dir: Path, name: str, stage: Stage, rerun_command: str) ->
 def _other_settings(stage: Stage, folder: Path, config: RunConfig) -> OtherSettingsError:
     old = read_json(folder / MANIFEST)["settings"]
     changes = setting_differences(stage.settings(config), old)
-    lines = [f"  {key}: there {was!r}, asked for {now!r}" for key, (now, was) in changes.items()]
+    lines = [f"  {key}: there was {was!r}, asked for {now!r}" for key, (now, was) in changes.items()]
     return OtherSettingsError(
         "\n".join([f"{folder} was made with other settings, which are never overwritten:", *lines])
-        + "\nGive the change on the command line (it gets a folder of its own), set results_dir=..., or delete the folder."
+        + "\nGive the change on the command line (it gets a folder of its own), set results_dir=PATH, or delete the folder."
     )
 
 

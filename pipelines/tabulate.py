@@ -195,9 +195,9 @@ def _depth_text(depth: Any) -> str:
 
 
 def _finite(value: Any, name: str) -> float:
-    if not math.isfinite(number := float(value)):
-        raise ValueError(f"{name} is {value}")
-    return number
+    if not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError(f"{name} is {value!r} where a number was expected")
+    return float(value)
 
 
 # --- cells --------------------------------------------------------------------------------------------------------

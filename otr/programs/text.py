@@ -66,7 +66,7 @@ def to_text(
 def affine_text(coefficients: FloatArray, offset: float, names: Sequence[str], precision: int) -> str:
     """Return ``offset + coefficients @ names`` as text, constant first, zeros left out."""
     terms = [] if offset == 0 else [(float(offset), "")]
-    terms += [(float(coefficients[i]), names[i]) for i in np.flatnonzero(coefficients)]
+    terms += [(float(coefficients[i]), names[i]) for i in np.flatnonzero(coefficients).tolist()]
     if not terms:
         return "0"
     text = ""

@@ -18,7 +18,7 @@ from pipelines.tabulate import CSV_COLUMNS, bootstrap_interval, write_table
 QUICK = {0: 100.0, 1: 130.0, 2: 160.0}  # mean 130, standard deviation 30 with n - 1
 
 
-def write_run(results_dir: Path, run: str, return_mean: float, **changes: Any) -> Path:
+def write_run(results_dir: Path, run: str, return_mean: float, /, **changes: Any) -> Path:
     """Write the summary of `run`, its folder below `runs`; `changes` replace what the folder tells. Return the file."""
     env, method, depth, budget, seed = run.split("/")
     widths = [int(width) for width in depth.removeprefix("depth-").split("-")]
@@ -107,7 +107,7 @@ def test_csv_has_the_thesis_rows_and_columns_in_order(tmp_path: Path) -> None:
         ("linear", "0"), ("viper", "6"), ("lm-viper", "6"), ("ndps", "6"), ("pi-prl", "6"), ("otr", "6"), ("otr", "32"),
     ]  # fmt: skip
     assert len(rows) == 8 * 7 + 2
-    assert all((row["n_runs"], row["mean"], row["budget"], row["note"]) == ("0", "", "", "not run") for row in rows)
+    assert all((row["n_runs"], row["mean"], row["budget"], row["note"][:7]) == ("0", "", "", "not run") for row in rows)
     assert all((row["published_mean"] == "") == (row["method"] == "linear") for row in rows)
 
 
@@ -197,7 +197,7 @@ def test_runs_beyond_the_table_are_listed_against_the_text(tmp_path: Path) -> No
         ("lunarlander", "otr", "5", "250.0", "", ""),
     ]
     assert rows[3]["note"].startswith("published as a tree of depth 5")
-    assert markdown_lines(tmp_path, "MountainCar")[0][:5] == ["MountainCar", "OTR", "1", "93.0 (1 run, quick)", "92.8"]
+    assert markdown_lines(tmp_path, "MountainCar")[-1][:5] == ["MountainCar", "OTR", "1", "93.0 (1 run, quick)", "92.8"]
 
 
 # --- text ---------------------------------------------------------------------------------------------------------
@@ -282,8 +282,8 @@ def test_unknown_table_lists_those_there_are(tmp_path: Path) -> None:
     ("changes", "message"),
     [
         ({"schema": "otr/summary/9"}, "schema 'otr/summary/9' where 'otr/summary/1' was expected"),
-        ({"return_mean": float("nan")}, "return_mean is nan"),
-        ({"return_mean": None}, "float"),
+        ({"return_mean": float("nan")}, "return_mean is nan where a number was expected"),
+        ({"return_mean": None}, "return_mean is None where a number was expected"),
         ({"versions": {}}, "it has no 'gymnasium'"),
         ({"seed": 1}, "it describes the run hopper/otr/depth-6/quick/seed-1, not the one whose folder it is in"),
         ({"method": "viper"}, "it describes the run hopper/viper/depth-6/quick/seed-0"),

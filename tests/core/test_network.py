@@ -1,0 +1,117 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import otr
+from tests.core.strategies import Case, cases, make_network, worked_network
+
+X = np.array([0.5, -0.5])
+
+
+def test_worked_example() -> None:
+    net = worked_network()
+    np.testing.assert_allclose(net.weights[0] @ X + net.biases[0], [-1.35, -0.30, 1.75])
+    assert net.patterns(X).tolist() == [False, False, True]
+    np.testing.assert_allclose(net.forward(X), [3.5])
+    assert (net.n_inputs, net.n_outputs, net.n_hidden, net.hidden_widths) == (2, 1, 3, (3,))
+
+
+@given(cases())
+def test_forward_follows_the_definition(case: Case) -> None:
+    net = case.network
+    for x, y in zip(case.states[:5], net.forward(case.states), strict=False):
+        activations: list[np.ndarray] = []
+        for layer, (W, b) in enumerate(zip(net.weights, net.biases, strict=True)):
+            read = [x]
+            if layer:
+                read = {
+                    False: activations[-1:],
+                    "input": [*activations[-1:], x],
+                    "all": [*activations, x],
+                }[net.dense]
+            z = W @ np.concatenate(read) + b
+            activations.append(np.where(z > 0, z, net.negative_slope * z))
+        np.testing.assert_allclose(y, z, rtol=1e-9, atol=1e-9)
+
+
+@given(cases())
+def test_one_state_equals_its_row_of_a_batch(case: Case) -> None:
+    net, x = case.network, case.states[0]
+    np.testing.assert_allclose(net.predict(x), net.predict(case.states)[0], rtol=1e-9, atol=1e-9)
+    assert net.forward(x).shape == (net.n_outputs,)
+    assert net.patterns(x).shape == (net.n_hidden,)
+
+
+@given(cases())
+def test_unit_form_is_the_network(case: Case) -> None:
+    net, units = case.network, case.network.unit_form()
+    n = net.n_hidden
+    for x in case.states[:5]:
+        a = np.zeros(n)
+        for unit in range(n):
+            z = units.links[unit] @ a + units.inputs[unit] @ x + units.offsets[unit]
+            a[unit] = z if z > 0 else net.negative_slope * z
+        y = units.links[n:] @ a + units.inputs[n:] @ x + units.offsets[n:]
+        np.testing.assert_allclose(y, net.forward(x), rtol=1e-9, atol=1e-9)
+    assert not np.triu(units.links).any()
+
+
+@given(cases(), st.integers(0, 1000))
+def test_fold_input_normalisation(case: Case, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    d = case.network.n_inputs
+    mean, scale = rng.normal(size=d), rng.uniform(0.5, 2, d)
+    folded = case.network.fold_input_normalisation(mean, scale)
+    expected = case.network.forward((case.states - mean) / scale)
+    np.testing.assert_allclose(folded.forward(case.states), expected, rtol=1e-8, atol=1e-8)
+
+
+def test_the_network_owns_its_arrays() -> None:
+    W = np.ones((1, 2))
+    net = otr.ReluNetwork([W], [[0.0]])
+    W[0, 0] = 5.0
+    assert net.weights[0][0, 0] == 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        net.weights[0][0, 0] = 2.0
+
+
+def test_forward_does_not_change_the_states() -> None:
+    net = make_network(np.random.default_rng(0), (4, 3), dense="all", negative_slope=0.1)
+    states = np.ones((5, 3))
+    net.predict(states)
+    assert (states == 1).all()
+
+
+@pytest.mark.parametrize(
+    ("weights", "biases", "options", "message"),
+    [
+        ([[[1.0, np.nan]]], [[0.0]], {}, "layer 0 of 1: a weight or bias is not finite"),
+        ([[[1.0]], [[1.0]]], [[0.0], [np.inf]], {}, "layer 1 of 2: a weight or bias is not finite"),
+        ([[[1.0]], [[1.0, 2.0]]], [[0.0], [0.0]], {}, "layer 1 of 2: weight has 2 columns, the layer reads 1"),
+        ([[[1.0]], [[1.0]]], [[0.0], [0.0]], {"dense": "input"}, "1 columns, the layer reads 2"),
+        ([[[1.0]]], [[0.0, 1.0]], {}, r"shape \(1, 1\) and bias \(2,\)"),
+        ([[1.0]], [[0.0]], {}, "expected \\(n_out, n_in\\)"),
+        ([[[1.0]]], [], {}, "1 weight matrices and 0 bias vectors"),
+        ([], [], {}, "at least one"),
+        ([[[1.0]]], [[0.0]], {"negative_slope": 1.0}, "0 <= negative_slope < 1"),
+        ([[[1.0]]], [[0.0]], {"negative_slope": -0.1}, "0 <= negative_slope < 1"),
+        ([[[1.0]]], [[0.0]], {"negative_slope": float("nan")}, "0 <= negative_slope < 1"),
+        ([[[1.0]]], [[0.0]], {"dense": "some"}, "dense is 'some'"),
+    ],
+)
+def test_bad_networks_are_refused(weights: list, biases: list, options: dict, message: str) -> None:
+    with pytest.raises(otr.InvalidNetworkError, match=message):
+        otr.ReluNetwork(weights, biases, **options)
+
+
+@pytest.mark.parametrize(("mean", "scale"), [(0.0, 0.0), (np.nan, 1.0), ([0.0], [1.0]), (0.0, np.inf)])
+def test_bad_normalisation_is_refused(mean: object, scale: object) -> None:
+    with pytest.raises(otr.InvalidNetworkError, match="scale"):
+        worked_network().fold_input_normalisation(mean, scale)
+
+
+def test_states_of_the_wrong_width_are_refused() -> None:
+    for call in (worked_network().forward, otr.map_network(worked_network()).predict):
+        with pytest.raises(ValueError, match=r"shape \(4, 3\), expected \(n, 2\)"):
+            call(np.ones((4, 3)))

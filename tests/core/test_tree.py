@@ -1,0 +1,170 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import otr
+from otr import leaves, routing
+from tests.core.strategies import Case, cases, make_network
+
+
+def small_tree(**changes: object) -> otr.ObliqueTree:
+    """x <= 0: leaf 0; else y <= 1: leaf 1, else leaf 2."""
+    arrays: dict = {
+        "children_left": [~0, ~1],
+        "children_right": [1, ~2],
+        "P": [[1.0, 0.0], [0.0, 1.0]],
+        "v": [0.0, -1.0],
+        "M": np.zeros((3, 1, 2)),
+        "c": [[10.0], [20.0], [30.0]],
+    }
+    arrays.update(changes)
+    return otr.ObliqueTree(**arrays)
+
+
+def random_tree(rng: np.random.Generator, n_leaves: int, d: int, o: int, n_tests: int) -> otr.ObliqueTree:
+    """A tree of random shape whose nodes draw from `n_tests` distinct tests in no order."""
+    n_nodes = n_leaves - 1
+    left, right = np.empty(n_nodes, dtype=int), np.empty(n_nodes, dtype=int)
+    free: list[tuple[np.ndarray, int]] = []
+    for node in range(n_nodes):
+        if node:
+            side, parent = free.pop(rng.integers(len(free)))
+            side[parent] = node
+        free += [(left, node), (right, node)]
+    for leaf, (side, parent) in enumerate(free):
+        side[parent] = ~leaf
+    test = rng.integers(n_tests, size=n_nodes)
+    P, v = rng.normal(size=(n_tests, d)), rng.normal(size=n_tests) / 2
+    return otr.ObliqueTree(
+        left, right, P[test], v[test], rng.normal(size=(n_leaves, o, d)), rng.normal(size=(n_leaves, o))
+    )
+
+
+def naive_walk(tree: otr.ObliqueTree, x: np.ndarray) -> tuple[int, list[int]]:
+    reference, path = (0, []) if tree.n_nodes else (~0, [])
+    while reference >= 0:
+        path.append(reference)
+        side = tree.children_left if tree.P[reference] @ x + tree.v[reference] <= 0 else tree.children_right
+        reference = int(side[reference])
+    return ~reference, path
+
+
+def assert_routes_like_the_naive_walk(tree: otr.ObliqueTree, X: np.ndarray) -> None:
+    walks = [naive_walk(tree, x) for x in X]
+    expected = [leaf for leaf, _ in walks]
+    assert tree.apply(X).tolist() == expected
+    assert [int(tree.apply(x)) for x in X] == expected
+    paths = tree.decision_path(X)
+    assert paths.shape == (len(X), tree.n_nodes)
+    assert [paths.indices[a:b].tolist() for a, b in zip(paths.indptr, paths.indptr[1:], strict=False)] == [
+        path for _, path in walks
+    ]
+    outputs = np.array([tree.M[leaf] @ x + tree.c[leaf] for leaf, x in zip(expected, X, strict=True)])
+    np.testing.assert_allclose(tree.forward(X), outputs, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose([tree.forward(x) for x in X], outputs, rtol=1e-9, atol=1e-9)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.integers(1, 5), st.integers(1, 3), st.integers(1, 30))
+def test_any_tree_routes_like_the_naive_walk(seed: int, n_leaves: int, d: int, o: int, n_tests: int) -> None:
+    rng = np.random.default_rng(seed)
+    assert_routes_like_the_naive_walk(random_tree(rng, n_leaves, d, o, n_tests), rng.normal(size=(30, d)))
+
+
+@given(cases())
+def test_a_mapped_tree_routes_like_the_naive_walk(case: Case) -> None:
+    tree = otr.map_network(case.network)
+    X = case.states if case.exact else case.states[:40]
+    assert_routes_like_the_naive_walk(tree, X)
+
+
+@pytest.mark.parametrize("max_shared_tests", [512, 0], ids=["shared", "gathered"])
+@pytest.mark.parametrize("max_table_entries", [2**20, 0], ids=["tables", "levels"])
+@pytest.mark.parametrize("max_shared_single", [128, 0], ids=["at once", "one by one"])
+def test_every_way_of_routing_agrees(
+    monkeypatch: pytest.MonkeyPatch, max_shared_tests: int, max_table_entries: int, max_shared_single: int
+) -> None:
+    monkeypatch.setattr(routing, "_MAX_SHARED_TESTS", max_shared_tests)
+    monkeypatch.setattr(routing, "_MAX_TABLE_ENTRIES", max_table_entries)
+    monkeypatch.setattr(routing, "_MAX_SHARED_TESTS_SINGLE", max_shared_single)
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(200, 3))
+    for widths in ((11,), (3, 4), (2, 2, 2)):
+        tree = otr.map_network(make_network(rng, widths))
+        assert_routes_like_the_naive_walk(tree, X)
+
+
+@pytest.mark.parametrize(
+    "limits", [(10**9, 0), (0, 0), (0, 10**9)], ids=["all leaves at once", "sorted by leaf", "gathered"]
+)
+def test_every_way_of_evaluating_leaves_agrees(monkeypatch: pytest.MonkeyPatch, limits: tuple[int, int]) -> None:
+    monkeypatch.setattr(leaves, "_ALL_LEAVES_MAX_OUTPUTS", limits[0])
+    monkeypatch.setattr(leaves, "_MIN_STATES_PER_LEAF", limits[1])
+    monkeypatch.setattr(leaves, "_CHUNK_BYTES", 2**10)
+    rng = np.random.default_rng(0)
+    tree = random_tree(rng, 30, 4, 2, 12)
+    assert_routes_like_the_naive_walk(tree, rng.normal(size=(500, 4)))
+
+
+def test_empty_batches() -> None:
+    for tree in (small_tree(), otr.map_network(make_network(np.random.default_rng(0), (8,), n_inputs=2))):
+        assert tree.predict(np.empty((0, 2))).shape == (0, 1)
+        assert tree.apply(np.empty((0, 2))).shape == (0,)
+        assert tree.decision_path(np.empty((0, 2))).shape == (0, tree.n_nodes)
+
+
+def test_a_chain_deeper_than_the_recursion_limit() -> None:
+    n = 3000
+    tree = otr.ObliqueTree(
+        ~np.arange(n),
+        np.append(np.arange(1, n), ~n),
+        np.ones((n, 1)),
+        -np.arange(n, dtype=float),
+        np.zeros((n + 1, 1, 1)),
+        np.arange(n + 1.0)[:, None],
+    )
+    assert tree.depth == n
+    X = np.array([[-0.5], [0.0], [0.5], [1.0], [2998.5], [5000.0]])
+    assert tree.predict(X).ravel().tolist() == [0, 0, 1, 1, 2999, 3000]
+    assert otr.to_text(tree).count("if ") == n
+
+
+def test_labels_answer_and_outputs_stay() -> None:
+    tree = small_tree(labels=[7, 8, 9])
+    X = np.array([[-1.0, 0.0], [1.0, 1.0], [1.0, 2.0]])
+    assert tree.predict(X).tolist() == [7, 8, 9]
+    assert tree.predict(X[2]) == 9
+    assert tree.forward(X).ravel().tolist() == [10, 20, 30]
+
+
+def test_float32_and_lists_are_accepted() -> None:
+    assert small_tree().predict(np.array([1, 2], dtype=np.float32)).tolist() == [30.0]
+    assert small_tree().predict([[1, 2]]).tolist() == [[30.0]]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"children_right": [1, ~1]}, "leaf 1 has 2 parents|leaf 2 has 0 parents"),
+        ({"children_right": [0, ~2]}, "node 0 has the child 0"),
+        ({"children_right": [2, ~2]}, "outside -3 .. 1"),
+        ({"children_left": [~3, ~1]}, "outside -3 .. 1"),
+        ({"children_left": [1, ~1]}, "node 1 has 2 parents|leaf 0 has 0 parents"),
+        ({"v": [0.0, np.nan]}, "v holds a number that is not finite"),
+        ({"M": np.full((3, 1, 2), np.inf)}, "M holds"),
+        ({"c": np.zeros((3, 2))}, r"c has shape \(3, 2\), expected \(3, 1\)"),
+        ({"P": np.zeros((2, 3))}, r"P has shape \(2, 3\), expected \(2, 2\)"),
+        ({"P": np.zeros(2)}, "1, 1, 3 axes"),
+        ({"labels": [1]}, r"labels has shape \(1,\)"),
+        ({"M": np.zeros((0, 1, 2))}, "expected"),
+        ({"M": np.zeros((3, 0, 2)), "c": np.zeros((3, 0))}, "at least one"),
+    ],
+)
+def test_broken_trees_are_refused(changes: dict, message: str) -> None:
+    with pytest.raises(otr.InvalidTreeError, match=message):
+        small_tree(**changes)
+
+
+def test_the_arrays_are_read_only() -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        small_tree().P[0, 0] = 2.0

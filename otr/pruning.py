@@ -30,7 +30,7 @@ def prune_unreached(tree: ObliqueTree | PatternTree, X: ArrayLike) -> ObliqueTre
         if not tree.is_restricted:
             return _tree_of_reached_paths(tree, states)
         tree = tree.to_tree()
-    return keep_leaves(tree, np.bincount(tree.apply(states), minlength=tree.n_leaves) > 0)
+    return _tree_of_reached_leaves(tree, states)
 
 
 def prune_to_k(tree: ObliqueTree | PatternTree, X: ArrayLike, k: int) -> ObliqueTree:
@@ -101,13 +101,48 @@ def most_frequent(counts: IntArray, k: int) -> BoolArray:
     return keep & (counts > 0)
 
 
-def _tree_of_reached_paths(tree: PatternTree, X: FloatArray) -> ObliqueTree:
-    """Return the tree of the paths of X, such that every state of X ends in its own leaf.
+# A state on a test's boundary, to within rounding, may be sent one way by the full tree, or by the network's own
+# arithmetic, and the other way by the pruned tree, which evaluates fewer tests at once and so sums in another order. If
+# the path on that side had been pruned, the state would end in a leaf that is not its own. So both functions below
+# give such a state the path on the side that the pruned tree sends it to, and prune again, until all states have
+# settled; in a mapped network the two paths have the same value on the boundary between them.
 
-    The network's arithmetic and a test written in the inputs round differently, so a state on a test's boundary may
-    be sent the other way than its activation pattern says. Both ways give the same value there, so such a state's
-    path is turned to the side that the test takes; a few rounds settle all of them.
-    """
+
+def _tree_of_reached_leaves(tree: ObliqueTree, X: FloatArray) -> ObliqueTree:
+    """Return the tree of the leaves that X reaches, such that every state of X ends in its own leaf."""
+    leaves = tree.apply(X)
+    for _ in range(tree.depth + 1):
+        keep = np.bincount(leaves, minlength=tree.n_leaves) > 0
+        pruned = keep_leaves(tree, keep)
+        reached = np.flatnonzero(keep)[pruned.apply(X)]
+        astray = np.flatnonzero(reached != leaves)
+        if not astray.size:
+            break
+        for row in astray:
+            leaves[row] = _leaf_across(tree, X[row], int(leaves[row]), int(reached[row]))
+    return pruned
+
+
+def _leaf_across(tree: ObliqueTree, x: FloatArray, leaf: int, reached: int) -> int:
+    """Return the leaf of x if, at the node where the paths to `leaf` and `reached` part, it is sent to the latter."""
+    parent = {int(tree.children_left[node]): node for node in range(tree.n_nodes)}
+    parent |= {int(tree.children_right[node]): node for node in range(tree.n_nodes)}
+    to_leaf, to_reached = ([~end] for end in (leaf, reached))
+    for path in (to_leaf, to_reached):
+        while path[-1] in parent:
+            path.append(parent[path[-1]])
+    while to_leaf[-1] == to_reached[-1]:
+        to_leaf.pop()
+        to_reached.pop()
+    side = to_reached[-1]
+    while side >= 0:
+        children = tree.children_left if tree.P[side] @ x + tree.v[side] <= 0 else tree.children_right
+        side = int(children[side])
+    return ~side
+
+
+def _tree_of_reached_paths(tree: PatternTree, X: FloatArray) -> ObliqueTree:
+    """Return the tree of the paths of X, such that every state of X ends in its own leaf."""
     paths = tree.paths(X)
     for _ in range(paths.shape[1] + 1):
         kept = PatternTree(tree.network).observe_paths(paths).observed()

@@ -61,16 +61,18 @@ class Router:
         for start in range(0, len(X), chunk):
             rows = slice(start, start + chunk)
             if not shared:
-                leaves[rows] = self._walk(X[rows], None)[0]
+                leaves[rows] = self._walk(X[rows], None)
             elif self._tables is not None:
                 leaves[rows] = self._read_tables(self._outcomes(X[rows]))
             else:
-                leaves[rows] = self._walk(X[rows], self._outcomes(X[rows]))[0]
+                leaves[rows] = self._walk(X[rows], self._outcomes(X[rows]))
         return leaves
 
     def paths_of(self, X: FloatArray) -> tuple[IntArray, IntArray]:
         """Return pairs (row of X, test node on its path), sorted by row, then by node."""
-        _, rows, nodes = self._walk(X, None)
+        visited = [(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))]
+        self._walk(X, None, visited)
+        rows, nodes = (np.concatenate(parts) for parts in zip(*visited, strict=True))
         order = np.argsort(rows, kind="stable")
         return rows[order], nodes[order]
 
@@ -82,17 +84,16 @@ class Router:
         products = X @ self._tests.T
         return products > self._thresholds
 
-    def _walk(self, X: FloatArray, outcomes: BoolArray | None) -> tuple[IntArray, IntArray, IntArray]:
-        """Walk level by level; return the leaves (n,) and all pairs (row, node) in the order visited."""
-        n = len(X)
-        leaves = np.zeros(n, dtype=np.int64)
-        rows, nodes = np.arange(n), np.zeros(n, dtype=np.int64)
-        if not len(self._v):
-            return leaves, rows[:0], nodes[:0]
-        visited_rows, visited_nodes = [], []
+    def _walk(
+        self, X: FloatArray, outcomes: BoolArray | None, visited: list[tuple[IntArray, IntArray]] | None = None
+    ) -> IntArray:
+        """Return the leaves (n,), found level by level; add each level's rows and nodes to `visited`."""
+        leaves = np.zeros(len(X), dtype=np.int64)
+        rows = np.arange(len(X) if len(self._v) else 0)
+        nodes = np.zeros(len(rows), dtype=np.int64)
         while rows.size:
-            visited_rows.append(rows)
-            visited_nodes.append(nodes)
+            if visited is not None:
+                visited.append((rows, nodes))
             if outcomes is None:
                 products = np.einsum("ij,ij->i", X[rows], self._P[nodes])
                 go_right = products > -self._v[nodes]
@@ -102,7 +103,7 @@ class Router:
             at_leaf = nodes < 0
             leaves[rows[at_leaf]] = ~nodes[at_leaf]
             rows, nodes = rows[~at_leaf], nodes[~at_leaf]
-        return leaves, np.concatenate(visited_rows), np.concatenate(visited_nodes)
+        return leaves
 
     def _read_tables(self, outcomes: BoolArray) -> IntArray:
         """Return the leaves (n,) by reading the outcomes a byte at a time; `_tables` explains the states."""
@@ -120,7 +121,9 @@ class Router:
         keyed = np.column_stack((self._P, self._v)) + 0.0  # adding 0.0 makes -0.0 equal to 0.0 in its bytes too
         rows = keyed.view(np.dtype((np.void, keyed.dtype.itemsize * keyed.shape[1]))).ravel()
         _, first, test_of_node = np.unique(rows, return_index=True, return_inverse=True)
-        rank = _topological_rank(len(first), test_of_node, self._left, self._right)
+        rank = None
+        if len(first) <= _MAX_SHARED_TESTS:  # beyond, there will be no tables to order them for
+            rank = _topological_rank(len(first), test_of_node, self._left, self._right)
         if rank is not None:
             first, test_of_node = first[np.argsort(rank)], rank[test_of_node]
         # Whole bytes of tests; the tests added are zero, and no node refers to them.
@@ -198,7 +201,7 @@ def _topological_rank(n_tests: int, test_of_node: IntArray, left: IntArray, righ
     edges = np.unique(np.concatenate(above) * n_tests + np.concatenate(below))
     above_test, below_test = edges // n_tests, edges % n_tests
     rank = np.zeros(n_tests, dtype=np.int64)
-    for _ in range(n_tests + 1):
+    for _ in range(n_tests + 1):  # a longer chain of tests than this repeats one
         raised = rank.copy()
         np.maximum.at(raised, below_test, rank[above_test] + 1)
         if np.array_equal(raised, rank):

@@ -50,6 +50,7 @@ def build_model(config: RunConfig, seed: int) -> BaseAlgorithm:
     if is_discrete(single):
         raise ConfigError(f"algo={algo.name} needs continuous actions; {config.env.id} has labels: use algo=ppo")
     assert isinstance(algo, OffPolicyConfig)
+    assert single.action_space.shape is not None
     return _off_policy_model(algo, common, config, int(np.prod(single.action_space.shape)))
 
 

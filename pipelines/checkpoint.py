@@ -5,6 +5,8 @@ counters, the history and the best actor so far. The replay buffer is a log: eac
 written once and never changed, so saving costs what a segment collected and not what the buffer holds.
 """
 
+import io
+import itertools
 import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -47,7 +49,10 @@ def save_checkpoint(folder: Path, model: BaseAlgorithm, history: History, replay
     temporary = folder / "next"
     shutil.rmtree(temporary, ignore_errors=True)
     temporary.mkdir()
-    torch.save({"parameters": model.get_parameters(), "tensors": _loose_tensors(model)}, temporary / "model.pt")
+    # Through a buffer: torch reports a full disk as an internal failure of its own, a file as what it is.
+    buffer = io.BytesIO()
+    torch.save({"parameters": model.get_parameters(), "tensors": _loose_tensors(model)}, buffer)
+    (temporary / "model.pt").write_bytes(buffer.getvalue())
     counters = {name: int(getattr(model, name)) for name in COUNTERS if hasattr(model, name)}
     write_json(
         temporary / "history.json",
@@ -103,7 +108,7 @@ def _write_replay(folder: Path, model: OffPolicyAlgorithm, start: int, segment: 
         np.savez(file, end=end, **{name: getattr(buffer, name)[rows] for name in REPLAY_ARRAYS})
     temporary.rename(folder / f"replay-{segment:06d}-{end:012d}.npz")
     logs = sorted(folder.glob("replay-*.npz"))
-    for log, following in zip(logs, logs[1:], strict=False):
+    for log, following in itertools.pairwise(logs):
         # A log is spent once the one after it was already that far behind; one more than needed is kept, because the
         # checkpoint that the logs must match is replaced only after this.
         if end - _end(log) > buffer.buffer_size and end - _end(following) > buffer.buffer_size:

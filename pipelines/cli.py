@@ -312,7 +312,7 @@ def _register_schemas() -> None:
 
 
 def _schema(kind: type) -> DictConfig:
-    """Return a dataclass as a schema that can still be merged into: OmegaConf makes frozen ones read-only throughout."""
+    """Return a dataclass as a schema to merge into: OmegaConf makes frozen ones read-only, which is undone here."""
     schema: DictConfig = OmegaConf.structured(kind)
     for node in (schema, *(schema._get_node(key) for key in schema)):
         if isinstance(node, DictConfig):

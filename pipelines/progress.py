@@ -15,7 +15,7 @@ REFRESH_S = 0.25
 
 
 class TrainingProgress:
-    """Shows one training run; a context manager. `callback` is handed to the model's `learn`, None without a terminal."""
+    """Shows one training run; a context manager. `callback` is for the model's `learn`, None without a terminal."""
 
     def __init__(self, n_steps: int, done_steps: int) -> None:
         self.n_steps = n_steps

@@ -1,7 +1,7 @@
 """Episodes of a deterministic policy, many at a time: one batched prediction a step, several processes if wanted.
 
-Episode i starts from `reset(seed=seeds[i])` and depends on nothing else, so the order, the number of environments side by
-side and the number of processes change the time alone, not the result.
+Episode i starts from `reset(seed=seeds[i])` and depends on nothing else, so the order, the number of environments side
+by side and the number of processes change the time alone, not the result.
 """
 
 import multiprocessing
@@ -9,6 +9,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -109,11 +110,11 @@ def _play(policy: Policy, env_config: EnvConfig, seeds: list[int], keep_states: 
     return Rollout(np.array(seeds), returns, lengths, terminated, truncated, np.array(kept))
 
 
-def _action_converter(env: gym.Env) -> Callable[[np.ndarray], list]:
+def _action_converter(env: gym.Env) -> Callable[[np.ndarray], list[Any]]:
     """Return the function from a batch of answers to what `env.step` takes, one element an environment.
 
-    Continuous actions are rounded to the action space's own type (float32), as a trained policy's are: policies that are
-    equal up to the last bits of float64 then play the same episode.
+    Continuous actions are rounded to the action space's own type (float32), as a trained policy's are: policies that
+    are equal up to the last bits of float64 then play the same episode.
     """
     if is_discrete(env):
         return lambda answers: answers.tolist()
@@ -136,5 +137,11 @@ def _interleave(parts: list[Rollout]) -> Rollout:
         if len(part.states):
             pieces[worker :: len(parts)] = np.split(part.states, np.cumsum(part.lengths)[:-1])
     states = np.concatenate(pieces) if len(parts[0].states) else np.empty((0, 0))
-    names = ("seeds", "returns", "lengths", "terminated", "truncated")
-    return Rollout(*(merged(name) for name in names), states=states)
+    return Rollout(
+        seeds=merged("seeds"),
+        returns=merged("returns"),
+        lengths=merged("lengths"),
+        terminated=merged("terminated"),
+        truncated=merged("truncated"),
+        states=states,
+    )

@@ -163,7 +163,8 @@ def _other_settings(stage: Stage, folder: Path, config: RunConfig) -> OtherSetti
     lines = [f"  {key}: there was {was!r}, asked for {now!r}" for key, (now, was) in changes.items()]
     return OtherSettingsError(
         "\n".join([f"{folder} was made with other settings, which are never overwritten:", *lines])
-        + "\nGive the change on the command line (it gets a folder of its own), set results_dir=PATH, or delete the folder."
+        + "\nGive the change on the command line (it gets a folder of its own), set results_dir=PATH, "
+        "or delete the folder."
     )
 
 

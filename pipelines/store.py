@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 from safetensors import SafetensorError
-from safetensors.numpy import load_file, save_file
+from safetensors.numpy import load_file
+from safetensors.numpy import save as safetensors_bytes
 
 import otr
 from otr.head import head_from_dict
@@ -63,7 +64,7 @@ def save_actor(network: otr.ReluNetwork, folder: Path) -> None:
     for layer, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
         tensors[f"weight_{layer}"] = np.ascontiguousarray(weight)
         tensors[f"bias_{layer}"] = np.ascontiguousarray(bias)
-    save_file(tensors, folder / "actor.safetensors")
+    (folder / "actor.safetensors").write_bytes(safetensors_bytes(tensors))
     write_json(
         folder / "actor.json",
         {

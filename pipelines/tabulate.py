@@ -209,7 +209,7 @@ def make_cell(table: str, task: str, method: str, depth: str, runs: dict[tuple[s
     for run in runs.get((task, method, depth), []):
         sources[run.budget, run.trainer].append(run)
     order = sorted(sources, key=source_order)
-    chosen = tuple(sorted(sources[order[0]], key=lambda run: run.seed)) if order else ()
+    chosen = tuple(sources[order[0]]) if order else ()
     key = (table, task, method, depth if table == "4.1" else tree_depth(task, method, depth))
     cell = Cell(table, task, method, depth, chosen, published().get(key))
     return replace(cell, notes=(*_notes(cell, key[-1]), *(f"also run: {_runs(sources[other])}" for other in order[1:])))

@@ -123,6 +123,8 @@ def test_pruned_depth_is_averaged_over_runs_and_set_beside_the_published(tmp_pat
     write_run(tmp_path, "hopper/otr/depth-32/quick/seed-1", 104.0, pruned_depth=9.0)
     assert csv_cells(tmp_path)["4.1", "hopper", "otr", "32"]["note"] == "pruned depth 8.5 (published 9.6)"
     assert markdown_lines(tmp_path, "Hopper")[0][-1] == "102.0 ± 2.8 [8.5] (2 runs, quick)"
+    write_run(tmp_path, "hopper/otr/depth-32/quick/seed-2", 102.0, pruned_depth=None)
+    assert markdown_lines(tmp_path, "Hopper")[0][-1] == "102.0 ± 2.0 (3 runs, quick)"
 
 
 # --- which runs count ---------------------------------------------------------------------------------------------
@@ -236,8 +238,8 @@ def test_provenance_tells_what_was_run(tmp_path: Path) -> None:
 
 
 def test_same_runs_give_the_same_bytes(tmp_path: Path) -> None:
-    for name, seeds in (("a", (0, 1, 2, 10)), ("b", (10, 2, 1, 0))):
-        write_runs(tmp_path / name, "hopper/otr/depth-6/quick", {seed: 0.1 * seed for seed in seeds})
+    for name, seeds in (("a", range(12)), ("b", reversed(range(12)))):  # written in another order
+        write_runs(tmp_path / name, "hopper/otr/depth-6/quick", {seed: 1.1**seed for seed in seeds})
     first, second = ([path.read_bytes() for path in write_table("4.1", tmp_path / name)] for name in "ab")
     assert first == second
     assert first == [path.read_bytes() for path in write_table("4.1", tmp_path / "a")]

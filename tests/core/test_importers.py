@@ -1,0 +1,321 @@
+import io
+import json
+import pickle
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from sklearn.neural_network import MLPClassifier, MLPRegressor
+from stable_baselines3 import A2C, DDPG, DQN, PPO, SAC, TD3
+from torch import nn
+
+import otr
+
+torch.set_num_threads(1)
+
+
+class FourActions(gym.Env):
+    """Four discrete actions, three inputs."""
+
+    observation_space = gym.spaces.Box(-1, 1, (3,))
+    action_space = gym.spaces.Discrete(4)
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple:
+        return np.zeros(3, np.float32), {}
+
+    def step(self, action: int) -> tuple:
+        return np.zeros(3, np.float32), 0.0, True, False, {}
+
+
+class WideBox(FourActions):
+    """Three continuous actions in an uneven box."""
+
+    action_space = gym.spaces.Box(np.float32([-0.4, -1, 0.1]), np.float32([0.4, 2, 1 / 3]))
+
+
+class TwoDiscrete(FourActions):
+    action_space = gym.spaces.MultiDiscrete([2, 3])
+
+
+class Image(FourActions):
+    observation_space = gym.spaces.Box(0, 255, (36, 36, 3), np.uint8)
+
+
+OFF_POLICY = [(SAC, {"qf": [8]}), (TD3, {"qf": [8]}), (DDPG, {"qf": [8]})]
+ON_POLICY = [(PPO, {"vf": [8]}), (A2C, {"vf": [8]})]
+
+
+def build(
+    algorithm: type, env: object, critic: dict, widths: list[int], activation: object = nn.ReLU, **options: object
+):
+    kwargs = {"net_arch": {"pi": widths, **critic}, "activation_fn": activation, **options.pop("policy_kwargs", {})}
+    if algorithm in (SAC, TD3, DDPG):
+        options.setdefault("buffer_size", 10)
+    return algorithm("MlpPolicy", env, policy_kwargs=kwargs, seed=0, device="cpu", **options)
+
+
+def assert_predicts_as(model: object, network: otr.ReluNetwork, *, scale: float = 3.0) -> None:
+    X = (np.random.default_rng(0).normal(size=(200, network.n_inputs)) * scale).astype(np.float32)
+    answers, expected = network.predict(X), model.predict(X, deterministic=True)[0]
+    if answers.dtype.kind == "i":
+        np.testing.assert_array_equal(answers, expected)
+    else:
+        np.testing.assert_allclose(answers, expected.reshape(answers.shape), atol=1e-6)
+
+
+@pytest.mark.parametrize("widths", [[], [6], [5, 4, 3]], ids=["linear", "one", "three"])
+@pytest.mark.parametrize(("algorithm", "critic"), OFF_POLICY + ON_POLICY)
+def test_continuous_actors(tmp_path: Path, algorithm: type, critic: dict, widths: list[int]) -> None:
+    for env in ("Pendulum-v1", WideBox()):
+        model = build(algorithm, env, critic, widths)
+        model.save(tmp_path / "model")
+        for network in (
+            otr.from_sb3(model),
+            otr.from_sb3(tmp_path / "model"),
+            otr.from_sb3(str(tmp_path / "model.zip")),
+        ):
+            assert network.hidden_widths == tuple(widths)
+            assert_predicts_as(model, network)
+            assert_predicts_as(model, otr.map_network(network))
+
+
+@pytest.mark.parametrize("env", ["CartPole-v1", FourActions()], ids=["two actions", "four actions"])
+@pytest.mark.parametrize("widths", [[], [6], [5, 4]])
+def test_discrete_actors(tmp_path: Path, env: object, widths: list[int]) -> None:
+    model = build(PPO, env, {"vf": [8]}, widths)
+    with torch.no_grad():  # SB3 starts this layer near zero, where float32 makes ties
+        model.policy.action_net.weight.normal_()
+    model.save(tmp_path / "model")
+    for network in (otr.from_sb3(model), otr.from_sb3(tmp_path / "model")):
+        assert isinstance(network.head, otr.Argmax)
+        assert_predicts_as(model, network)
+
+
+def test_leaky_relu(tmp_path: Path) -> None:
+    model = build(SAC, "Pendulum-v1", {"qf": [8]}, [6, 5], nn.LeakyReLU)
+    model.save(tmp_path / "model")
+    for network in (otr.from_sb3(model), otr.from_sb3(tmp_path / "model")):
+        assert network.negative_slope == 0.01
+        assert_predicts_as(model, network)
+    with pytest.raises(otr.InvalidNetworkError, match=r"negative_slope is 0\.2"):
+        otr.from_sb3(tmp_path / "model", negative_slope=0.2)
+    with pytest.raises(otr.InvalidNetworkError, match=r"negative_slope is 0\.2"):
+        otr.from_sb3(model, negative_slope=0.2)
+
+
+def test_action_limits_can_be_given(tmp_path: Path) -> None:
+    model = build(SAC, "Pendulum-v1", {"qf": [8]}, [3])
+    model.save(tmp_path / "model")
+    for source in (model, tmp_path / "model"):
+        assert otr.from_sb3(source, action_low=[-5.0], action_high=[5.0]).head == otr.TanhBox([-5.0], [5.0])
+
+
+def test_policies_that_are_no_relu_network_are_refused(tmp_path: Path) -> None:
+    pi, qf = {"vf": [8]}, {"qf": [8]}
+    refused = [
+        (build(PPO, "Pendulum-v1", pi, [4], nn.Tanh), "activation_fn=nn.ReLU"),
+        (PPO("MlpPolicy", "Pendulum-v1", device="cpu"), "activation_fn=nn.ReLU"),
+        (build(SAC, "Pendulum-v1", qf, [4], nn.ELU), "Linear, ReLU and LeakyReLU|activation_fn=nn.ReLU"),
+        (build(PPO, "Pendulum-v1", pi, [4], use_sde=True), "gSDE"),
+        (build(SAC, "Pendulum-v1", qf, [4], use_sde=True), "gSDE"),
+        (build(PPO, TwoDiscrete(), pi, [4]), "only Box and Discrete"),
+        (PPO("CnnPolicy", Image(), device="cpu"), "CnnPolicy|feature extractor"),
+        (DQN("MlpPolicy", "CartPole-v1", buffer_size=10, device="cpu"), "DQN|tensor"),
+    ]
+    for model, message in refused:
+        with pytest.raises(otr.InvalidNetworkError, match=message):
+            otr.from_sb3(model)
+        model.save(tmp_path / "model")
+        with pytest.raises(otr.InvalidNetworkError, match=message):
+            otr.from_sb3(tmp_path / "model")
+
+
+def test_things_that_are_no_model_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(otr.InvalidNetworkError, match="got int"):
+        otr.from_sb3(3)
+    with pytest.raises(otr.ArtefactError, match="does not exist"):
+        otr.from_sb3(tmp_path / "none")
+    (tmp_path / "text.zip").write_text("no archive")
+    with pytest.raises(otr.ArtefactError, match="cannot be read"):
+        otr.from_sb3(tmp_path / "text")
+    with zipfile.ZipFile(tmp_path / "other.zip", "w") as archive:
+        archive.writestr("data", "{}")
+    with pytest.raises(otr.ArtefactError, match="no saved Stable-Baselines3 model"):
+        otr.from_sb3(tmp_path / "other")
+
+
+def test_a_truncated_model_is_refused(tmp_path: Path) -> None:
+    build(SAC, "Pendulum-v1", {"qf": [8]}, [3]).save(tmp_path / "model")
+    whole = (tmp_path / "model.zip").read_bytes()
+    for share in (0.0, 0.3, 0.6, 0.99):
+        (tmp_path / "cut.zip").write_bytes(whole[: int(share * len(whole))])
+        with pytest.raises(otr.ArtefactError):
+            otr.from_sb3(tmp_path / "cut")
+
+
+class _Bomb:
+    """Unpickling this writes the sentinel file."""
+
+    def __init__(self, sentinel: Path) -> None:
+        self.sentinel = sentinel
+
+    def __reduce__(self) -> tuple:
+        return Path.touch, (self.sentinel,)
+
+
+def rewrite(source: Path, target: Path, members: dict[str, bytes]) -> None:
+    with zipfile.ZipFile(source) as old, zipfile.ZipFile(target, "w") as new:
+        for name in old.namelist():
+            new.writestr(name, members.get(name, old.read(name)))
+
+
+def test_code_in_a_model_file_is_not_run(tmp_path: Path) -> None:
+    import base64
+
+    sentinel = tmp_path / "sentinel"
+    bomb = pickle.dumps(_Bomb(sentinel))
+    pickle.loads(bomb)
+    assert sentinel.exists(), "the bomb works"
+    sentinel.unlink()
+
+    model = build(SAC, "Pendulum-v1", {"qf": [8]}, [6])
+    model.save(tmp_path / "model")
+    with zipfile.ZipFile(tmp_path / "model.zip") as archive:
+        data = json.loads(archive.read("data"))
+    for value in data.values():
+        if isinstance(value, dict) and ":serialized:" in value:
+            value[":serialized:"] = base64.b64encode(bomb).decode()
+    members = {"data": json.dumps(data).encode(), "pytorch_variables.pth": bomb, "actor.optimizer.pth": bomb}
+    rewrite(tmp_path / "model.zip", tmp_path / "crafted.zip", members)
+    assert_predicts_as(model, otr.from_sb3(tmp_path / "crafted"))
+    assert not sentinel.exists()
+
+    saved = io.BytesIO()
+    torch.save({"actor.mu.weight": _Bomb(sentinel)}, saved)
+    for policy in (bomb, saved.getvalue()):
+        rewrite(tmp_path / "model.zip", tmp_path / "crafted.zip", {"policy.pth": policy})
+        with pytest.raises(otr.ArtefactError, match="holds more than tensors"):
+            otr.from_sb3(tmp_path / "crafted")
+    assert not sentinel.exists()
+
+
+def test_what_a_file_does_not_tell_is_asked_for(tmp_path: Path) -> None:
+    build(SAC, "Pendulum-v1", {"qf": [8]}, [6]).save(tmp_path / "model")
+    with zipfile.ZipFile(tmp_path / "model.zip") as archive:
+        data = json.loads(archive.read("data"))
+    space, kwargs = data["action_space"], data["policy_kwargs"]
+    changes = [
+        ({"action_space": {**space, "low": "[-2. ... -2.]"}}, "give action_low="),
+        ({"action_space": {**space, "high": None}}, "give action_high="),
+        ({"policy_kwargs": {**kwargs, "activation_fn": "functools.partial(LeakyReLU, 0.2)"}}, "give negative_slope="),
+        ({"policy_class": {"__module__": "__main__"}}, "from '__main__'"),
+    ]
+    for change, message in changes:
+        rewrite(tmp_path / "model.zip", tmp_path / "odd.zip", {"data": json.dumps({**data, **change}).encode()})
+        with pytest.raises(otr.InvalidNetworkError, match=message):
+            otr.from_sb3(tmp_path / "odd")
+    leaky = {**data, **changes[2][0]}
+    rewrite(tmp_path / "model.zip", tmp_path / "odd.zip", {"data": json.dumps(leaky).encode()})
+    assert otr.from_sb3(tmp_path / "odd", negative_slope=0.2).negative_slope == 0.2
+
+
+def test_reading_a_file_does_not_need_stable_baselines3(tmp_path: Path) -> None:
+    build(SAC, "Pendulum-v1", {"qf": [8]}, [6]).save(tmp_path / "model")
+    code = (
+        "import sys; sys.modules['stable_baselines3'] = None\n"
+        f"import otr; print(otr.from_sb3({str(tmp_path / 'model')!r}).n_hidden)"
+    )
+    out = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert out.stdout.strip() == "6"
+
+
+def torch_answers(module: nn.Module, X: np.ndarray) -> np.ndarray:
+    with torch.no_grad():
+        return module.double().eval()(torch.from_numpy(X)).numpy()
+
+
+def test_torch_sequentials() -> None:
+    torch.manual_seed(0)
+    X = np.random.default_rng(0).normal(size=(50, 3))
+    modules = [
+        nn.Sequential(nn.Linear(3, 2)),
+        nn.Linear(3, 2),
+        nn.Sequential(nn.Flatten(), nn.Linear(3, 4), nn.ReLU(), nn.Dropout(0.5), nn.Linear(4, 2), nn.Identity()),
+        nn.Sequential(nn.Sequential(nn.Linear(3, 4, bias=False), nn.LeakyReLU(0.2)), nn.Linear(4, 2), nn.Tanh()),
+        nn.Sequential(nn.Linear(3, 4), nn.Linear(4, 5), nn.ReLU(), nn.Linear(5, 5), nn.Linear(5, 1)),
+        nn.Sequential(nn.Linear(3, 4), nn.ReLU()),
+    ]
+    for module in modules:
+        network = otr.from_torch(module)
+        np.testing.assert_allclose(network.predict(X), torch_answers(module, X), atol=1e-9)
+        np.testing.assert_allclose(otr.map_network(network).predict(X), torch_answers(module, X), atol=1e-9)
+
+
+def test_torch_classifiers() -> None:
+    torch.manual_seed(0)
+    X = np.random.default_rng(0).normal(size=(50, 3))
+    binary = nn.Sequential(nn.Linear(3, 4), nn.ReLU(), nn.Linear(4, 1), nn.Sigmoid())
+    labels = otr.from_torch(binary, head=otr.Sign()).predict(X)
+    np.testing.assert_array_equal(labels, torch_answers(binary, X)[:, 0] > 0.5)
+    several = nn.Sequential(nn.Linear(3, 4), nn.ReLU(), nn.Linear(4, 3), nn.Softmax(dim=1))
+    labels = otr.from_torch(several, head=otr.Argmax()).predict(X)
+    np.testing.assert_array_equal(labels, torch_answers(several, X).argmax(axis=1))
+
+
+@pytest.mark.parametrize(
+    ("module", "message"),
+    [
+        (nn.Sequential(nn.Linear(3, 4), nn.GELU(), nn.Linear(4, 1)), r"module\[1\] is GELU"),
+        (nn.Sequential(nn.Sequential(nn.Linear(3, 4), nn.Tanh()), nn.Linear(4, 1)), r"module\[0\]\[1\] is Tanh.*ReLU"),
+        (nn.Sequential(nn.Linear(3, 1), nn.Sigmoid()), "head=otr.Sign"),
+        (nn.Sequential(nn.Linear(3, 2), nn.Softmax(dim=1)), "head=otr.Argmax"),
+        (nn.Sequential(nn.ReLU(), nn.Linear(3, 2)), "follows no Linear"),
+        (nn.Sequential(), "no Linear layer"),
+        (
+            nn.Sequential(nn.Linear(3, 2), nn.ReLU(), nn.Linear(2, 2), nn.LeakyReLU(0.1), nn.Linear(2, 1)),
+            r"slopes \[0\.0, 0\.1\]",
+        ),
+        (nn.Sequential(nn.Linear(3, 2), nn.BatchNorm1d(2), nn.ReLU(), nn.Linear(2, 1)), r"module\[1\] is BatchNorm1d"),
+    ],
+)
+def test_torch_modules_that_are_refused(module: nn.Module, message: str) -> None:
+    with pytest.raises(otr.InvalidNetworkError, match=message):
+        otr.from_torch(module)
+
+
+@pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")
+def test_sklearn() -> None:
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(120, 4))
+    score = X @ rng.normal(size=4)
+    options = {"max_iter": 20, "random_state": 0}
+    for widths, activation in (((5,), "relu"), ((4, 3), "relu"), ((4, 3), "identity")):
+        binary = MLPClassifier(widths, activation=activation, **options).fit(X, np.where(score > 0, "yes", "no"))
+        network = otr.from_sklearn(binary)
+        np.testing.assert_array_equal(binary.classes_[network.predict(X)], binary.predict(X))
+        several = MLPClassifier(widths, activation=activation, **options).fit(X, np.digitize(score, [-1, 1]))
+        network = otr.from_sklearn(several)
+        np.testing.assert_array_equal(several.classes_[otr.map_network(network).predict(X)], several.predict(X))
+        assert network.n_hidden == (0 if activation == "identity" else sum(widths))
+        for target in (score, np.stack((score, -score), axis=1)):
+            regressor = MLPRegressor(widths, activation=activation, **options).fit(X, target)
+            expected = regressor.predict(X).reshape(len(X), -1)
+            np.testing.assert_allclose(otr.from_sklearn(regressor).predict(X), expected, atol=1e-9)
+
+
+@pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")
+def test_sklearn_models_that_are_refused() -> None:
+    X = np.random.default_rng(0).normal(size=(30, 2))
+    with pytest.raises(otr.InvalidNetworkError, match="call fit first"):
+        otr.from_sklearn(MLPClassifier())
+    with pytest.raises(otr.InvalidNetworkError, match="activation is 'tanh'"):
+        otr.from_sklearn(MLPRegressor((2,), activation="tanh", max_iter=2).fit(X, X[:, 0]))
+    with pytest.raises(otr.InvalidNetworkError, match="one classifier for each label"):
+        otr.from_sklearn(MLPClassifier((2,), max_iter=2).fit(X, X > 0))
+    with pytest.raises(otr.InvalidNetworkError, match="squared_error"):
+        otr.from_sklearn(MLPRegressor((2,), loss="poisson", max_iter=2).fit(X, np.abs(X[:, 0])))

@@ -1,0 +1,23 @@
+import subprocess
+import sys
+
+import otr
+
+
+def test_importing_the_library_imports_neither_torch_nor_sklearn() -> None:
+    code = (
+        "import sys, otr\n"
+        "heavy = {'torch', 'sklearn', 'stable_baselines3', 'gymnasium', 'pandas'} & set(sys.modules)\n"
+        "assert not heavy, heavy"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_everything_exported_exists() -> None:
+    for name in otr.__all__:
+        assert getattr(otr, name).__doc__
+
+
+def test_errors_share_a_base() -> None:
+    for error in (otr.ArtefactError, otr.InvalidNetworkError, otr.InvalidTreeError, otr.TreeTooLargeError):
+        assert issubclass(error, otr.OtrError)

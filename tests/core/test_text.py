@@ -1,0 +1,86 @@
+import numpy as np
+import pytest
+
+import otr
+from otr.programs.text import affine_text
+from tests.core.strategies import make_network
+from tests.core.test_tree import small_tree
+
+# Orfanos 2023, Fig. 4.2: mountain car, position x and velocity v.
+MOUNTAIN_CAR = """\
+if -2.2 - 3.8 x + 114.3 v <= 0 then
+    return -6.1
+else
+    return -102.3 - 169.8 x + 5116.5 v
+"""
+
+
+def mountain_car(head: otr.Head | None = None) -> otr.ObliqueTree:
+    return otr.ObliqueTree(
+        [~0], [~1], [[-3.8, 114.3]], [-2.2], [[[0.0, 0.0]], [[-169.8, 5116.5]]], [[-6.1], [-102.3]], head=head
+    )
+
+
+def test_the_program_of_the_thesis() -> None:
+    assert otr.to_text(mountain_car(), feature_names=["x", "v"], precision=5) == MOUNTAIN_CAR
+
+
+def test_heads_are_shown() -> None:
+    def last_line(head: otr.Head) -> str:
+        return otr.to_text(mountain_car(head), feature_names=["x", "v"], precision=5).splitlines()[1].strip()
+
+    assert last_line(otr.ClipBox(-1, 1)) == "return clip(-6.1, -1, 1)"
+    assert last_line(otr.TanhBox(-1, 1)) == "return tanh(-6.1)"
+    assert last_line(otr.TanhBox(-2, 2)) == "return 2 tanh(-6.1)"
+    assert last_line(otr.TanhBox(0, 1)) == "return 0.5 + 0.5 tanh(-6.1)"
+    assert last_line(otr.Sign()) == "return 1 if -6.1 > 0 else 0"
+
+
+def test_several_outputs_and_nesting() -> None:
+    tree = small_tree(M=np.zeros((3, 2, 2)), c=np.arange(6.0).reshape(3, 2), head=otr.ClipBox([0.0, 1.0], [2.0, 3.0]))
+    assert otr.to_text(tree, output_names=["left", "right"]) == (
+        "if x0 <= 0 then\n"
+        "    left = clip(0, 0, 2)\n"
+        "    right = clip(1, 1, 3)\n"
+        "else\n"
+        "    if -1 + x1 <= 0 then\n"
+        "        left = clip(2, 0, 2)\n"
+        "        right = clip(3, 1, 3)\n"
+        "    else\n"
+        "        left = clip(4, 0, 2)\n"
+        "        right = clip(5, 1, 3)\n"
+    )
+
+
+def test_labels() -> None:
+    tree = otr.map_network(make_network(np.random.default_rng(0), (), n_outputs=2, head="argmax"))
+    assert otr.to_text(tree).splitlines()[1::2] == ["    return 0", "    return 1"]
+    assert otr.to_text(tree, output_names=["coast", "fire"]).splitlines()[3] == "    return fire"
+    sign = otr.map_network(make_network(np.random.default_rng(0), (), head="sign"))
+    assert otr.to_text(sign, output_names=["no", "yes"]).splitlines()[3] == "    return yes"
+
+
+def test_argmax_without_labels() -> None:
+    tree = otr.ObliqueTree([], [], np.zeros((0, 1)), [], [[[1.0], [-2.0]]], [[0.0, 3.0]], head=otr.Argmax())
+    assert otr.to_text(tree) == "y0 = x0\ny1 = 3 - 2 x0\nreturn argmax(y0, y1)\n"
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "offset", "text"),
+    [
+        ([0.0, 0.0], 0.0, "0"),
+        ([0.0, 0.0], -1.0, "-1"),
+        ([1.0, -1.0], 0.0, "a - b"),
+        ([-1.0, 0.0], 0.0, "-a"),
+        ([0.00001234567, 1.00001], 2.0, "2 + 1.235e-05 a + b"),
+    ],
+)
+def test_affine_text(coefficients: list[float], offset: float, text: str) -> None:
+    assert affine_text(np.array(coefficients), offset, ["a", "b"], 4) == text
+
+
+def test_bad_arguments_are_refused() -> None:
+    with pytest.raises(ValueError, match="feature_names has 1 names, expected 2"):
+        otr.to_text(mountain_car(), feature_names=["x"])
+    with pytest.raises(ValueError, match="precision is 0"):
+        otr.to_text(mountain_car(), precision=0)

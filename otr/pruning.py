@@ -118,19 +118,26 @@ def _tree_of_reached_leaves(tree: ObliqueTree, X: FloatArray) -> ObliqueTree:
         astray = np.flatnonzero(reached != leaves)
         if not astray.size:
             break
+        parents = _parents(tree)
         for row in astray:
-            leaves[row] = _leaf_across(tree, X[row], int(leaves[row]), int(reached[row]))
+            leaves[row] = _leaf_across(tree, parents, X[row], int(leaves[row]), int(reached[row]))
     return pruned
 
 
-def _leaf_across(tree: ObliqueTree, x: FloatArray, leaf: int, reached: int) -> int:
+def _parents(tree: ObliqueTree) -> IntArray:
+    """Return each node's and leaf's parent, indexed by reference: a leaf's, being negative, count from the end."""
+    parents = np.zeros(tree.n_nodes + tree.n_leaves, dtype=np.int64)
+    for children in (tree.children_left, tree.children_right):
+        parents[children] = np.arange(tree.n_nodes)
+    return parents
+
+
+def _leaf_across(tree: ObliqueTree, parents: IntArray, x: FloatArray, leaf: int, reached: int) -> int:
     """Return the leaf of x if, at the node where the paths to `leaf` and `reached` part, it is sent to the latter."""
-    parent = {int(tree.children_left[node]): node for node in range(tree.n_nodes)}
-    parent |= {int(tree.children_right[node]): node for node in range(tree.n_nodes)}
     to_leaf, to_reached = ([~end] for end in (leaf, reached))
     for path in (to_leaf, to_reached):
-        while path[-1] in parent:
-            path.append(parent[path[-1]])
+        while path[-1] != 0:
+            path.append(int(parents[path[-1]]))
     while to_leaf[-1] == to_reached[-1]:
         to_leaf.pop()
         to_reached.pop()

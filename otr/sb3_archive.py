@@ -85,6 +85,8 @@ def _read_members(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
 
 def _refuse_other_policies(tensors: dict[str, FloatArray], data: dict[str, Any], parts: tuple[str, ...]) -> None:
     """Raise InvalidNetworkError unless the policy is an MlpPolicy on a vector, as far as the file tells."""
+    if data.get("use_sde"):
+        raise InvalidNetworkError("the model uses gSDE; train with use_sde=False")
     others = sorted(name for name in tensors if not name.startswith(parts))
     if others:
         raise InvalidNetworkError(
@@ -94,8 +96,6 @@ def _refuse_other_policies(tensors: dict[str, FloatArray], data: dict[str, Any],
     module = _readable(data, "policy_class").get("__module__", "")
     if not re.fullmatch(r"stable_baselines3\.(common|sac|td3)\.policies", str(module)):
         raise InvalidNetworkError(f"the policy's class is from {module!r}; train with Stable-Baselines3's 'MlpPolicy'")
-    if data.get("use_sde"):
-        raise InvalidNetworkError("the model uses gSDE; train with use_sde=False")
     extractor = str(_readable(data, "policy_kwargs").get("features_extractor_class", "FlattenExtractor"))
     if "stable_baselines3.common.torch_layers.FlattenExtractor" not in extractor and extractor != "FlattenExtractor":
         raise InvalidNetworkError(f"the policy has the feature extractor {extractor}; leave it at FlattenExtractor")

@@ -6,7 +6,6 @@ written once and never changed, so saving costs what a segment collected and not
 """
 
 import io
-import itertools
 import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -107,11 +106,9 @@ def _write_replay(folder: Path, model: OffPolicyAlgorithm, start: int, segment: 
     with temporary.open("wb") as file:
         np.savez(file, end=end, **{name: getattr(buffer, name)[rows] for name in REPLAY_ARRAYS})
     temporary.rename(folder / f"replay-{segment:06d}-{end:012d}.npz")
-    logs = sorted(folder.glob("replay-*.npz"))
-    for log, following in itertools.pairwise(logs):
-        # A log is spent once the one after it was already that far behind; one more than needed is kept, because the
-        # checkpoint that the logs must match is replaced only after this.
-        if end - _end(log) > buffer.buffer_size and end - _end(following) > buffer.buffer_size:
+    for log in folder.glob("replay-*.npz"):
+        # Until the new checkpoint is in its place a kill falls back to the one at `start`, which needs its own buffer.
+        if int(log.stem.split("-")[2]) <= start - buffer.buffer_size:
             log.unlink()
 
 
@@ -130,7 +127,3 @@ def _read_replay(folder: Path, model: OffPolicyAlgorithm, n_segments: int) -> No
                 getattr(buffer, name)[rows] = saved[name]
     buffer.pos = model.num_timesteps % buffer.buffer_size
     buffer.full = model.num_timesteps >= buffer.buffer_size
-
-
-def _end(log: Path) -> int:
-    return int(log.stem.split("-")[2])

@@ -37,7 +37,6 @@ from pipelines.tabulate import write_table
 _PACKAGED = Path(__file__).parent / "conf"  # in a wheel; in a checkout conf/ is beside the packages
 CONF_DIR = _PACKAGED if _PACKAGED.is_dir() else Path(__file__).parent.parent / "conf"
 GROUPS = ("env", "algo", "method", "budget", "launcher", "experiment")
-NAMING_KEYS = ("env", "method", "depth", "budget", "seed")  # what a run's folder says in plain words
 SWEEP_VARIABLE = "OTR_SWEEP"  # names the sweep to its jobs, in whatever process a launcher starts them
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
 
@@ -166,9 +165,13 @@ def _tabulate(arguments: argparse.Namespace) -> int:
 def _job(cfg: DictConfig, overrides: Sequence[str]) -> Job:
     config = _to_object(cfg)
     assert isinstance(config, RunConfig)
-    named = [word for word in overrides if word.lstrip("+").split("=")[0] in NAMING_KEYS]
-    if not any(word.startswith("env=") for word in named):
-        named.append(f"env={config.env.name}")
+    named = [
+        f"env={config.env.name}",
+        f"method={config.method.name}",
+        f"budget={config.budget.name}",
+        f"depth={config.depth}",
+        f"seed={config.seed}",
+    ]
     baseline = _to_object(_compose("run", named))
     assert isinstance(baseline, RunConfig)
     words = [word for word in overrides if word.split("=")[0] not in ("stages", "hydra.mode")]

@@ -295,15 +295,19 @@ def test_sklearn() -> None:
     score = X @ rng.normal(size=4)
     options = {"max_iter": 20, "random_state": 0}
     for widths, activation in (((5,), "relu"), ((4, 3), "relu"), ((4, 3), "identity")):
-        binary = MLPClassifier(widths, activation=activation, **options).fit(X, np.where(score > 0, "yes", "no"))
+        binary = MLPClassifier(hidden_layer_sizes=widths, activation=activation, **options).fit(
+            X, np.where(score > 0, "yes", "no")
+        )
         network = otr.from_sklearn(binary)
         np.testing.assert_array_equal(binary.classes_[network.predict(X)], binary.predict(X))
-        several = MLPClassifier(widths, activation=activation, **options).fit(X, np.digitize(score, [-1, 1]))
+        several = MLPClassifier(hidden_layer_sizes=widths, activation=activation, **options).fit(
+            X, np.digitize(score, [-1, 1])
+        )
         network = otr.from_sklearn(several)
         np.testing.assert_array_equal(several.classes_[otr.map_network(network).predict(X)], several.predict(X))
         assert network.n_hidden == (0 if activation == "identity" else sum(widths))
         for target in (score, np.stack((score, -score), axis=1)):
-            regressor = MLPRegressor(widths, activation=activation, **options).fit(X, target)
+            regressor = MLPRegressor(hidden_layer_sizes=widths, activation=activation, **options).fit(X, target)
             expected = regressor.predict(X).reshape(len(X), -1)
             np.testing.assert_allclose(otr.from_sklearn(regressor).predict(X), expected, atol=1e-9)
 
@@ -314,8 +318,8 @@ def test_sklearn_models_that_are_refused() -> None:
     with pytest.raises(otr.InvalidNetworkError, match="call fit first"):
         otr.from_sklearn(MLPClassifier())
     with pytest.raises(otr.InvalidNetworkError, match="activation is 'tanh'"):
-        otr.from_sklearn(MLPRegressor((2,), activation="tanh", max_iter=2).fit(X, X[:, 0]))
+        otr.from_sklearn(MLPRegressor(hidden_layer_sizes=(2,), activation="tanh", max_iter=2).fit(X, X[:, 0]))
     with pytest.raises(otr.InvalidNetworkError, match="one classifier for each label"):
-        otr.from_sklearn(MLPClassifier((2,), max_iter=2).fit(X, X > 0))
+        otr.from_sklearn(MLPClassifier(hidden_layer_sizes=(2,), max_iter=2).fit(X, X > 0))
     with pytest.raises(otr.InvalidNetworkError, match="squared_error"):
-        otr.from_sklearn(MLPRegressor((2,), loss="poisson", max_iter=2).fit(X, np.abs(X[:, 0])))
+        otr.from_sklearn(MLPRegressor(hidden_layer_sizes=(2,), loss="poisson", max_iter=2).fit(X, np.abs(X[:, 0])))

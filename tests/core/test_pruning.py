@@ -74,6 +74,17 @@ def test_worked_example_pruned_to_one_leaf_and_to_k() -> None:
     assert otr.prune_to_k(tree, X, 99).n_leaves == 3
 
 
+def test_a_state_on_a_boundary_ends_in_its_own_leaf(monkeypatch: pytest.MonkeyPatch) -> None:
+    net = otr.ReluNetwork([np.eye(2), [[1.0, 10.0]]], [np.zeros(2), [0.0]])
+    tree = otr.map_network(net)
+    X = np.array([[0.0, 1.0], [1.0, -1.0], [-1.0, -1.0]])
+    assert tree.apply(X).tolist() == [1, 2, 0]
+    # As if rounding in the full tree sent the first state, which lies on the root's boundary, to the right. Leaves 0,
+    # 2 and 3 would be kept, and the first state, sent left by the pruned tree, would end in leaf 0.
+    monkeypatch.setattr(tree, "apply", lambda _: np.array([3, 2, 0]))
+    np.testing.assert_array_equal(otr.prune_unreached(tree, X).predict(X), net.predict(X))
+
+
 def test_a_restricted_pattern_tree_prunes_as_its_tree_does() -> None:
     X = np.random.default_rng(0).normal(size=(100, 2))
     kept = otr.PatternTree(worked_network()).observe(X).keep(4)

@@ -184,6 +184,9 @@ def test_experiment_brings_its_own_sweep(tmp_path):
     done = otr_command("otr-plan", "+experiment=table_4_1", cwd=tmp_path)
     assert "160 jobs: 0 to skip, 160 left" in done.stdout, done.stderr
     assert done.stdout.count("runs/hopper/otr/depth-32/thesis/seed-") == 10
+    done = otr_command("otr-plan", "+experiment=smoke", cwd=tmp_path)
+    assert "runs/hopper/otr/depth-6/smoke/seed-0 " in done.stdout
+    assert "10 jobs: 0 to skip, 10 left" in done.stdout
 
 
 def test_ctrl_c_stops_cleanly_and_goes_on(tmp_path):

@@ -115,5 +115,5 @@ def test_actor_round_trips_and_damage_is_told(tmp_path):
     with pytest.raises(PipelineError, match="Delete the folder"):
         load_actor(tmp_path)
     path.unlink()
-    with pytest.raises(PipelineError, match="actor.safetensors"):
+    with pytest.raises(PipelineError, match=r"actor\.safetensors"):
         load_actor(tmp_path)

@@ -13,7 +13,8 @@ import pytest
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.published import Published, published, tree_depth
 from pipelines.store import read_csv
-from pipelines.tabulate import CSV_COLUMNS, bootstrap_interval, write_table
+from pipelines.table_cells import CSV_COLUMNS, bootstrap_interval
+from pipelines.tabulate import write_table
 
 QUICK = {0: 100.0, 1: 130.0, 2: 160.0}  # mean 130, standard deviation 30 with n - 1
 

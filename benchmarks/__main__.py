@@ -1,0 +1,106 @@
+"""Run benchmarks, print how they stand to their targets, and write results/benchmarks/<name>.json.
+
+    python -m benchmarks                      all of them, about 20 minutes
+    python -m benchmarks mapping prediction   the named ones
+    python -m benchmarks --quick              smaller ones, about 2 minutes; written to results/benchmarks/quick
+
+The exit code is 1 where a target is missed.
+"""
+
+import argparse
+import difflib
+import importlib
+import os
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.measure import Entry
+from pipelines.console import duration
+from pipelines.provenance import git_revision, versions
+from pipelines.store import write_json
+
+NAMES = ("mapping", "prediction", "evaluation", "training")
+SCHEMA = "otr/benchmark/1"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run what the command line asks for and return the exit code."""
+    parser = argparse.ArgumentParser(
+        "benchmarks", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("names", nargs="*", metavar="name", help=f"{', '.join(NAMES)}; none for all")
+    parser.add_argument("--quick", action="store_true", help="fewer sizes, rounds and episodes")
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    asked = parser.parse_args(words)
+    for name in asked.names:
+        if name not in NAMES:
+            parser.error(_unknown(name))
+    results = Path(os.environ.get("OTR_RESULTS_DIR", "results"))
+    folder = results / "benchmarks" / "quick" if asked.quick else results / "benchmarks"
+    folder.mkdir(parents=True, exist_ok=True)
+    entries: list[Entry] = []
+    for name in asked.names or NAMES:
+        began = time.monotonic()
+        print(f"{name}: measuring", flush=True)
+        measured = importlib.import_module(f"benchmarks.{name}").measure(asked.quick)
+        write_json(folder / f"{name}.json", document(name, measured, ["python", "-m", "benchmarks", *words]))
+        print(f"{name}: {duration(time.monotonic() - began)}, {folder / name}.json", flush=True)
+        entries += measured
+    show(entries)
+    missed = [entry.name for entry in entries if entry.met is False]
+    print(f"missed: {'; '.join(missed)}" if missed else "every target is met")
+    return 1 if missed else 0
+
+
+def document(name: str, entries: Sequence[Entry], command: Sequence[str]) -> dict[str, Any]:
+    """Return what a benchmark's JSON file holds."""
+    return {
+        "schema": SCHEMA,
+        "benchmark": name,
+        "command": " ".join(command),
+        "git_revision": git_revision(),
+        "versions": versions(),
+        "machine": {"n_cores": os.cpu_count(), "load_average": round(os.getloadavg()[0], 2)},
+        "entries": [entry.to_dict() for entry in entries],
+    }
+
+
+def show(entries: Sequence[Entry]) -> None:
+    """Print the measurements as a table."""
+    table = Table("measured", "ours", "peer's", "unit", "peer", "ratio", "target", "")
+    for column in (1, 2, 5):
+        table.columns[column].justify = "right"
+    for entry in entries:
+        table.add_row(
+            entry.name,
+            _number(entry.value),
+            _number(entry.peer_value),
+            entry.unit,
+            entry.peer or "",
+            _number(entry.ratio),
+            entry.target or "",
+            {True: "met", False: "[bold red]missed[/]", None: ""}[entry.met],
+        )
+    Console(highlight=False, width=None if sys.stdout.isatty() else 180).print(table)
+
+
+def _number(value: float | None) -> str:
+    if value is None:
+        return ""
+    return f"{value:,.0f}" if value >= 1000 else f"{value:.3g}"
+
+
+def _unknown(name: str) -> str:
+    near = difflib.get_close_matches(name, NAMES, n=1, cutoff=0.5)
+    hint = f"did you mean {near[0]}?" if near else f"there are: {', '.join(NAMES)}"
+    return f"there is no benchmark {name!r}; {hint}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

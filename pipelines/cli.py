@@ -129,6 +129,8 @@ def _sweep(overrides: list[str]) -> int:
 
 def _sweep_task(cfg: DictConfig) -> dict[str, str | None]:
     """Do one job of a sweep, in whatever process; report a failure instead of raising it."""
+    if cfg.n_workers is None and HydraConfig.get().runtime.choices["hydra/launcher"] != "basic":
+        cfg.n_workers = 1  # several jobs run at a time already
     job = _job(cfg, list(HydraConfig.get().overrides.task))
     try:
         run_job(job)

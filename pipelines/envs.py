@@ -18,9 +18,25 @@ def make_env(env: EnvConfig) -> gym.Env:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*is out of date.*")
         try:
+            if "mujoco" in str(gym.spec(env.id).entry_point):
+                _hear_mujoco_warnings()
             return gym.make(env.id, disable_env_checker=True, **env.kwargs)
         except (gym.error.Error, ImportError, TypeError) as error:
             raise ConfigError(f"env.id={env.id} with {env.kwargs or 'no arguments'} cannot be made: {error}") from error
+
+
+def _hear_mujoco_warnings() -> None:
+    """Take MuJoCo's warnings as Python's; by default it prints them, and leaves a MUJOCO_LOG.TXT where we stand.
+
+    Those of models that use deprecated attributes concern gymnasium's authors and come once per environment.
+    """
+    import mujoco
+
+    def warn(text: str) -> None:
+        if "deprecated" not in text:
+            warnings.warn(f"MuJoCo: {text}", RuntimeWarning, stacklevel=2)
+
+    mujoco.set_mju_user_warning(warn)
 
 
 def is_discrete(env: gym.Env) -> bool:

@@ -6,6 +6,7 @@ by side and the number of processes change the time alone, not the result.
 
 import multiprocessing
 import os
+import signal
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -57,9 +58,14 @@ def rollout(
         return _play(policy, env, list(seeds), keep_states)
     context = multiprocessing.get_context("spawn")
     parts = [list(seeds[worker::n_workers]) for worker in range(n_workers)]
-    with ProcessPoolExecutor(n_workers, mp_context=context) as pool:
-        futures = [pool.submit(_play, policy, env, part, keep_states) for part in parts]
-        return _interleave([future.result() for future in futures])
+    with ProcessPoolExecutor(n_workers, context, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
+        try:
+            futures = [pool.submit(_play, policy, env, part, keep_states) for part in parts]
+            return _interleave([future.result() for future in futures])
+        except BaseException:  # Ctrl-C reaches this process alone; do not wait for episodes nobody wants
+            for process in multiprocessing.active_children():
+                process.terminate()
+            raise
 
 
 def available_cores() -> int:

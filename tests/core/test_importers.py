@@ -174,6 +174,7 @@ def rewrite(source: Path, target: Path, members: dict[str, bytes]) -> None:
             new.writestr(name, members.get(name, old.read(name)))
 
 
+@pytest.mark.filterwarnings("ignore:Detected pickle protocol")
 def test_code_in_a_model_file_is_not_run(tmp_path: Path) -> None:
     import base64
 

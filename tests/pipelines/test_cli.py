@@ -165,6 +165,17 @@ def test_results_folder_that_cannot_be_written(tmp_path):
     assert "results_dir=PATH" in done.stderr and "Traceback" not in done.stderr
 
 
+def test_full_disk_is_told_and_the_same_command_goes_on(tmp_path):
+    program = Path(sys.executable).with_name("otr-run")
+    limited = f"ulimit -f 8; exec {program} {' '.join(SMOKE)}"  # no file above 8 KiB: the replay log does not fit
+    done = subprocess.run(["bash", "-c", limited], cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 1
+    assert "Make room there or choose another place" in done.stderr and "Traceback" not in done.stderr
+    assert not (tmp_path / RUN / "train").exists()
+    assert otr_command("otr-run", *SMOKE, cwd=tmp_path).returncode == 0
+    assert (tmp_path / RUN / "summary.json").exists()
+
+
 @pytest.mark.parametrize("launcher", ["basic", "joblib"])
 def test_failing_job_does_not_stop_a_sweep(tmp_path, launcher):
     (tmp_path / "results/runs/pendulum/otr/depth-2/smoke").mkdir(parents=True)

@@ -1,8 +1,8 @@
 """Run benchmarks, print how they stand to their targets, and write results/benchmarks/<name>.json.
 
-    python -m benchmarks                      all of them, about 20 minutes
+    python -m benchmarks                      all of them, about 15 minutes
     python -m benchmarks mapping prediction   the named ones
-    python -m benchmarks --quick              smaller ones, about 2 minutes; written to results/benchmarks/quick
+    python -m benchmarks --quick              smaller ones, about a minute; written to results/benchmarks/quick
 
 The exit code is 1 where a target is missed.
 """

@@ -19,7 +19,7 @@ class Entry:
         value, unit: ours.
         peer, peer_value: whom it is compared with, in the same unit; None where there is none.
         target: "ratio <= 1.5", "value >= 10" and so on; None for a measurement that only informs.
-        clock: "process" (CPU time, which other programs on the machine disturb little), "wall", or None without a clock.
+        clock: "process" (CPU time, which other programs disturb little), "wall", or None where no time is measured.
     """
 
     name: str
@@ -67,7 +67,7 @@ class Entry:
             raise ValueError(f"{self.name}: the target is {self.target!r}, expected 'value|ratio <=|>= number'")
         measured = self.value if words[0] == "value" else self.ratio
         if measured is None:
-            raise ValueError(f"{self.name}: the target is {self.target!r}, but there is no peer's value to compare with")
+            raise ValueError(f"{self.name}: the target is {self.target!r}, but there is no peer_value to compare with")
         return measured, words[1], float(words[2])
 
 

@@ -3,6 +3,8 @@
 Its environments are ours, `Hopper-v4` without gymnasium's checker, so that a difference is not one of settings.
 """
 
+from collections.abc import Sequence
+
 import torch
 from stable_baselines3 import SAC
 from stable_baselines3.common.monitor import Monitor
@@ -27,9 +29,13 @@ def sac_with_actor(network: otr.ReluNetwork) -> SAC:
         device="cpu",
         seed=0,
     )
-    layers = (model.actor.latent_pi[0], model.actor.mu)
+    copy_layers((model.actor.latent_pi[0], model.actor.mu), network)
+    return model
+
+
+def copy_layers(layers: Sequence[torch.nn.Linear], network: otr.ReluNetwork) -> None:
+    """Write the network's weights and biases into torch's layers."""
     with torch.no_grad():
         for layer, W, b in zip(layers, network.weights, network.biases, strict=True):
             layer.weight.copy_(torch.tensor(W))
             layer.bias.copy_(torch.tensor(b))
-    return model

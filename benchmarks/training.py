@@ -1,9 +1,9 @@
 """Training: steps a second of our segmented trainer against a plain Stable-Baselines3 script with the same settings.
 
-Ours is what `otr-run` does between two evaluations, which are left out: a segment (new environments, reseeding, `learn`)
-and the checkpoint after it. The peer calls `learn` once for each stretch of the same length. Measured: SAC on Hopper, two
-segments of 1,500 steps after 200 random ones, and PPO on Swimmer, three of 10,240 steps, with the settings in conf/algo.
-The two take turns segment by segment, several times over; of each segment the fastest round counts.
+Ours is what `otr-run` does between two evaluations, which are left out: a segment (new environments, reseeding,
+`learn`) and the checkpoint after it. The peer calls `learn` once for each stretch of the same length. Measured: SAC on
+Hopper, two segments of 1,500 steps after 200 random ones, and PPO on Swimmer, three of 10,240 steps, with the settings
+in conf/algo. The two take turns segment by segment, several times over; of each segment the fastest round counts.
 
 Target: at least 0.97 of the peer's steps per second of CPU time.
 """
@@ -80,11 +80,8 @@ def take_turns(config: RunConfig, rounds: int) -> tuple[float, float]:
             assert n_steps[0] == n_steps[1], f"ours did {n_steps[0]} steps, the peer {n_steps[1]}"
         for side in (0, 1):
             seconds[side].append(spent[side])
-        rates = [n_steps[side] / sum(spent[side]) for side in (0, 1)]
-        print(
-            f"training: {config.algo.name} round {i + 1} of {rounds}: {rates[0]:,.0f} steps/s, the peer {rates[1]:,.0f}",
-            flush=True,
-        )
+        rates = " against ".join(f"{n_steps[side] / sum(spent[side]):,.0f}" for side in (0, 1))
+        print(f"training: {config.algo.name} round {i + 1} of {rounds} done, {rates} steps/s", flush=True)
     ours, theirs = (n_steps[side] / float(np.min(seconds[side], axis=0).sum()) for side in (0, 1))
     return ours, theirs
 
@@ -111,7 +108,7 @@ def plain_trainer(config: RunConfig) -> tuple[BaseAlgorithm, Segment]:
     common |= {"seed": 0, "device": "cpu"}
     model: BaseAlgorithm
     if isinstance(algo, SacConfig):
-        (n_actions,) = env.action_space.shape
+        n_actions = len(env.action_space.low)
         model = SAC(
             "MlpPolicy",
             env,

@@ -3,6 +3,7 @@
 import functools
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import torch
 from stable_baselines3 import DDPG, PPO, SAC, TD3
@@ -12,7 +13,7 @@ from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, Ornst
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from pipelines.config import DdpgConfig, OffPolicyConfig, PpoConfig, RunConfig, SacConfig, Td3Config
-from pipelines.envs import flat_state_size, is_discrete, make_env
+from pipelines.envs import flat_state_size, is_discrete, make_env, state_box
 from pipelines.errors import ConfigError
 from pipelines.training import learning_starts
 
@@ -57,7 +58,15 @@ def build_model(config: RunConfig, seed: int) -> BaseAlgorithm:
 def build_env(config: RunConfig) -> DummyVecEnv:
     """Return new training environments: one, or as many side by side as PPO is set to use."""
     n_envs = config.algo.n_envs if isinstance(config.algo, PpoConfig) else 1
-    return DummyVecEnv([lambda: Monitor(make_env(config.env))] * n_envs)
+
+    def make() -> gym.Env:
+        env = make_env(config.env)
+        if config.actor.rescale_inputs:
+            state_box(env)  # refuses what has no bounds
+            env = gym.wrappers.RescaleObservation(env, np.float32(-1.0), np.float32(1.0))
+        return Monitor(env)
+
+    return DummyVecEnv([make] * n_envs)
 
 
 def policy_kwargs(config: RunConfig) -> dict[str, Any]:

@@ -92,9 +92,16 @@ ALGORITHMS: dict[str, type[AlgoConfig]] = {"ppo": PpoConfig, "sac": SacConfig, "
 
 @dataclass(frozen=True)
 class ActorConfig:
-    """The actor beside its widths (`depth`): 0 is ReLU, above 0 leaky ReLU."""
+    """The actor beside its widths (`depth`).
+
+    Attributes:
+        negative_slope: 0 is ReLU, above 0 leaky ReLU.
+        rescale_inputs: train on states rescaled from the environment's box to [-1, 1]; the rescaling is affine and is
+            folded into the first layer afterwards, so the program reads the environment's own states.
+    """
 
     negative_slope: float = 0.0
+    rescale_inputs: bool = False
 
 
 @dataclass(frozen=True)
@@ -188,6 +195,9 @@ class RunConfig:
         return stages if self.stages is None else tuple(stage for stage in stages if stage in self.stages)
 
 
+# Settings younger than committed results, with the value that means "as before": keyed only where they differ from it.
+YOUNGER_SETTINGS = {("actor", "rescale_inputs"): False}
+
 EXECUTION_FIELDS = ("results_dir", "stages", "n_workers", "debug")
 
 
@@ -211,6 +221,9 @@ def settings(config: RunConfig) -> dict[str, Any]:
     plain = {key: value for key, value in asdict(config).items() if key not in EXECUTION_FIELDS}
     plain["budget"] = config.budget.name
     plain["depth"] = list(config.hidden_widths)
+    for (section, name), as_before in YOUNGER_SETTINGS.items():
+        if plain[section][name] == as_before:
+            del plain[section][name]
     return plain
 
 

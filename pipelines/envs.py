@@ -64,6 +64,15 @@ def _names(given: list[str], n: int, prefix: str, where: str) -> list[str]:
     return list(given) or [f"{prefix}{i}" for i in range(n)]
 
 
+def state_box(env: gym.Env) -> tuple[np.ndarray, np.ndarray]:
+    """Return middle and half width of the box of states, (d,) each; refuse a box without bounds."""
+    space = env.observation_space
+    if not isinstance(space, gym.spaces.Box) or not space.is_bounded():
+        raise ConfigError(f"actor.rescale_inputs=true: the states of {env.spec.id if env.spec else env} have no bounds")
+    low, high = space.low.astype(np.float64), space.high.astype(np.float64)
+    return (low + high) / 2, (high - low) / 2
+
+
 def flat_state_size(env: gym.Env) -> int:
     """Return the length of the state vector; refuse observations that are not a flat box."""
     space = env.observation_space

@@ -11,7 +11,7 @@ from pipelines.console import duration, show_result
 from pipelines.errors import PipelineError
 from pipelines.stage import StageResult, run_stage, stage_status
 from pipelines.stages import STAGES
-from pipelines.store import read_json, write_json, write_text
+from pipelines.store import read_csv, read_json, write_json, write_text
 from pipelines.training import estimated_bytes, estimated_seconds, trained_steps
 
 LONG_RUN_S = 60.0
@@ -78,6 +78,8 @@ def summarise(job: Job) -> dict[str, Any]:
     config, run_dir = job.config, job.run_dir
     mapped, pruned, evaluated = (read_json(run_dir / name / "report.json") for name in ("map", "prune", "evaluate"))
     manifests = {name: read_json(run_dir / name / "manifest.json") for name in ("train", "map", "prune", "evaluate")}
+    # The manifest knows the last process alone; a resumed training spent the sum of its segments.
+    trained_s = round(sum(float(row["seconds"]) for row in read_csv(run_dir / "train" / "progress.csv")), 3)
     return {
         "schema": SUMMARY_SCHEMA,
         "env": config.env.name,
@@ -97,7 +99,7 @@ def summarise(job: Job) -> dict[str, Any]:
         "patterns": pruned["patterns"],
         "fidelity": evaluated["fidelity"],
         "policies": evaluated["policies"],
-        "seconds": {name: manifest["seconds"] for name, manifest in manifests.items()},
+        "seconds": {name: manifest["seconds"] for name, manifest in manifests.items()} | {"train": trained_s},
         "versions": manifests["evaluate"]["versions"],
     }
 

@@ -20,6 +20,7 @@ import otr
 from pipelines.algorithms import build_env, build_model
 from pipelines.checkpoint import History, load_checkpoint, save_checkpoint
 from pipelines.config import RunConfig
+from pipelines.envs import make_env, state_box
 from pipelines.errors import PolicyMismatchError
 from pipelines.policies import answers_agree
 from pipelines.progress import TrainingProgress
@@ -96,10 +97,14 @@ def _train_segment(model: BaseAlgorithm, config: RunConfig, segment: int, progre
 
 def _evaluate(model: BaseAlgorithm, config: RunConfig) -> tuple[otr.ReluNetwork, Rollout]:
     """Play the selection episodes with the exported network, and compare it with the model on every state visited."""
-    network = otr.from_sb3(model)
+    network = trained = otr.from_sb3(model)
+    middle, half_width = np.zeros(1), np.ones(1)
+    if config.actor.rescale_inputs:
+        middle, half_width = state_box(make_env(config.env))
+        network = trained.fold_input_normalisation(middle, half_width)
     seeds = episode_seeds(config.seed, "selection", config.train.n_selection_episodes)
     played = rollout(network.predict, config.env, seeds, keep_states=True, n_workers=1)
-    compare_with_model(network, model, played.states)
+    compare_with_model(trained, model, (played.states - middle) / half_width)
     return network, played
 
 
@@ -110,7 +115,7 @@ def compare_with_model(network: otr.ReluNetwork, model: BaseAlgorithm, states: n
     """
     seen = states.astype(np.float32)
     ours, outputs = network.predict(seen), network.forward(seen)
-    theirs, _ = model.predict(seen.astype(states.dtype), deterministic=True)
+    theirs, _ = model.predict(seen, deterministic=True)
     wrong = ~answers_agree(ours, theirs, outputs, TOLERANCE)
     if wrong.any():
         i = int(np.flatnonzero(wrong)[0])

@@ -1,7 +1,5 @@
 """Environments as their files describe them."""
 
-import os
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -29,7 +27,7 @@ def test_names_fit_the_environment(path, tmp_path, monkeypatch, capfd):
     state, _ = env.reset(seed=1)
     assert np.isfinite(state).all()
     printed = capfd.readouterr()
-    assert printed.err == "" and os.listdir(tmp_path) == []
+    assert printed.err == "" and list(tmp_path.iterdir()) == []
 
 
 def test_unknown_environment_is_named():

@@ -13,10 +13,12 @@ from pipelines import checkpoint as checkpoint_module
 from pipelines import train as train_module
 from pipelines.algorithms import build_model
 from pipelines.config import ActorConfig, DdpgConfig, Td3Config, TrainConfig
-from pipelines.errors import PolicyMismatchError
+from pipelines.errors import ConfigError, PolicyMismatchError
+from pipelines.rollout import rollout
+from pipelines.seeding import episode_seeds
 from pipelines.store import load_actor, read_csv
-from pipelines.training import checkpoint_folder, estimated_bytes, segment_steps, trained_steps
-from tests.pipelines.conftest import LANDER, PPO, SAC
+from pipelines.training import checkpoint_folder, estimated_bytes, segment_steps, train_settings, trained_steps
+from tests.pipelines.conftest import HOPPER, LANDER, PPO, SAC
 
 DDPG = DdpgConfig("ddpg", 1e-3, 32, 0.99, [16], 0.0, 150, 50, 0.005, 1, 1, "ornstein_uhlenbeck", 0.5, 0.3)
 TD3 = Td3Config("td3", 1e-3, 32, 0.99, [16], 0.0, 1000, 50, 0.005, 1, 1, "normal", 0.1, 0.01, 2, 0.2, 0.5)
@@ -95,9 +97,6 @@ def test_best_evaluation_s_actor_is_kept(tiny, tmp_path):
     best = [float(row["return_mean"]) for row in rows if row["best"] == "True"]
     assert len(rows) == 4  # 384 steps a segment: whole rollouts of 2 x 64
     assert best[-1] == max(returns)
-    from pipelines.rollout import rollout
-    from pipelines.seeding import episode_seeds
-
     network = load_actor(tmp_path)
     again = rollout(network.predict, config.env, episode_seeds(0, "selection", 2), n_workers=1)
     assert again.returns.mean() == max(returns)
@@ -112,8 +111,6 @@ def test_actor_has_the_shape_asked_for(tiny, tmp_path, depth, slope):
 
 
 def test_labels_are_trained_with_ppo_only(tiny, tmp_path):
-    from pipelines.errors import ConfigError
-
     train_module.train({}, tiny(env=LANDER, algo=PPO), tmp_path)
     assert load_actor(tmp_path).head == otr.Argmax()
     with pytest.raises(ConfigError, match="use algo=ppo"):
@@ -140,3 +137,23 @@ def test_segments_of_ppo_are_whole_rollouts(tiny):
 def test_disk_estimate_counts_the_replay_buffer(tiny):
     # a Pendulum transition: two float32 states of 3, one float32 action, reward, done, timeout
     assert estimated_bytes(tiny(train=TrainConfig(1000, 100, 2, 0))) == 1000 * (2 * 12 + 4 + 12)
+
+
+def test_rescaled_inputs_are_folded_into_the_program(tiny, tmp_path):
+    config = tiny(actor=ActorConfig(0.0, rescale_inputs=True))
+    train_module.train({}, config, tmp_path)
+    network = load_actor(tmp_path)
+    seeds = episode_seeds(0, "selection", 2)
+    again = rollout(network.predict, config.env, seeds, n_workers=1)  # on the environment's own states
+    returns = [float(row["return_mean"]) for row in read_csv(tmp_path / "evaluations.csv")]
+    assert again.returns.mean() == max(returns)
+
+
+def test_states_without_bounds_cannot_be_rescaled(tiny):
+    with pytest.raises(ConfigError, match="have no bounds"):
+        build_model(tiny(env=HOPPER, actor=ActorConfig(0.0, rescale_inputs=True)), 0)
+
+
+def test_younger_settings_leave_earlier_results_valid(tiny):
+    assert "rescale_inputs" not in train_settings(tiny())["actor"]
+    assert train_settings(tiny(actor=ActorConfig(0.0, rescale_inputs=True)))["actor"]["rescale_inputs"] is True

@@ -1,0 +1,116 @@
+"""Benchmarks: the form of what they write, and the helpers that measure; how fast anything is stays untested here."""
+
+import json
+from itertools import count
+
+import numpy as np
+import pytest
+
+import otr
+from benchmarks import mapping
+from benchmarks.__main__ import NAMES, document, main
+from benchmarks.evaluation import STANDING_GAINS, STANDING_OFFSETS, standing_policy
+from benchmarks.mapping import copying_tree, random_network
+from benchmarks.measure import Entry, alternate, peak_bytes
+
+ENTRY_KEYS = {"name", "value", "unit", "peer", "peer_value", "ratio", "target", "met", "clock"}
+
+
+def test_a_benchmark_writes_its_measurements_with_versions_and_command(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("OTR_RESULTS_DIR", str(tmp_path))
+    monkeypatch.setattr(mapping, "measure", lambda quick: [Entry("a tree", 3.0, "s", "a peer", 2.0, "ratio <= 1.2")])
+    assert main(["mapping", "--quick"]) == 1
+    written = json.loads((tmp_path / "benchmarks" / "quick" / "mapping.json").read_text())
+    assert written["command"] == "python -m benchmarks mapping --quick"
+    assert written["versions"]["numpy"] == np.__version__
+    (entry,) = written["entries"]
+    assert set(entry) == ENTRY_KEYS
+    assert (entry["value"], entry["peer_value"], entry["ratio"], entry["met"]) == (3.0, 2.0, 1.5, False)
+    assert "missed: a tree" in capsys.readouterr().out
+
+
+def test_an_unknown_name_gets_a_suggestion(capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main(["maping"])
+    assert stopped.value.code == 2
+    assert "did you mean mapping?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("target", "met"),
+    [("ratio >= 2", True), ("ratio >= 2.1", False), ("value <= 10", True), ("value <= 9", False), (None, None)],
+)
+def test_a_target_is_met_by_ratio_or_by_value(target, met):
+    assert Entry("speed", 10.0, "steps/s", "peer", 5.0, target).met is met
+
+
+@pytest.mark.parametrize("target", ["ratio >= 2", "speed >= 2", "value > 2", "value"])
+def test_a_target_that_cannot_be_judged_is_refused(target):
+    with pytest.raises(ValueError, match="the target is"):
+        Entry("speed", 10.0, "steps/s", target=target)
+
+
+def test_functions_take_turns_and_the_least_round_counts():
+    calls = []
+    ticks = count()
+    # Each reading of this clock is one second on, plus ten for every call of "slow" in the first round.
+    extra = {"slow": iter([10.0, 0.0])}
+    lost = [0.0]
+
+    def slow():
+        calls.append("slow")
+        lost[0] += next(extra["slow"])
+
+    def fast():
+        calls.append("fast")
+
+    assert alternate(slow, fast, rounds=2, clock=lambda: next(ticks) + lost[0]) == [1.0, 1.0]
+    assert calls == ["slow", "fast", "slow", "fast"]
+
+
+def test_repeated_calls_are_timed_together():
+    ticks = iter([0.0, 6.0])
+    assert alternate(lambda: None, rounds=1, repeats=3, clock=lambda: next(ticks)) == [2.0]
+
+
+def test_peak_memory_counts_what_was_let_go_again():
+    def hold_a_megabyte_twice():
+        first = np.ones(2**17)
+        return first + 1.0
+
+    assert 2 * 2**20 <= peak_bytes(hold_a_megabyte_twice) < 2.1 * 2**20
+
+
+@pytest.mark.parametrize("widths", [(3, 5, 2), (3, 2, 3, 2)])
+def test_the_naive_peer_computes_the_network(widths):
+    generator = np.random.default_rng(0)
+    network = random_network(widths, generator)
+    tree = copying_tree(list(network.weights), list(network.biases))
+    for x in generator.normal(size=(20, 3)):
+        node = tree
+        while len(node) == 3:
+            (P, v), left, right = node
+            node = left if P @ x + v <= 0 else right
+        M, c = node
+        np.testing.assert_allclose(M @ x + c, network.forward(x), atol=1e-12)
+
+
+def test_the_standing_policy_is_its_gains():
+    x = np.linspace(-1.0, 1.0, 11)
+    expected = np.tanh(np.array(STANDING_GAINS) @ x + np.array(STANDING_OFFSETS))
+    network = standing_policy()
+    assert network.hidden_widths == (6,)
+    np.testing.assert_allclose(network.predict(x), expected, atol=1e-12)
+    np.testing.assert_allclose(otr.map_network(network).predict(x), expected, atol=1e-12)
+
+
+def test_every_benchmark_can_be_imported_and_says_its_target():
+    for name in NAMES:
+        module = __import__(f"benchmarks.{name}", fromlist=["measure"])
+        assert callable(module.measure)
+        assert "Target" in module.__doc__
+
+
+def test_numbers_are_written_with_four_digits():
+    entry = document("mapping", [Entry("time", 0.123456789, "s")], ["python"])["entries"][0]
+    assert (entry["value"], entry["peer_value"], entry["ratio"], entry["met"]) == (0.1235, None, None, None)

@@ -4,7 +4,7 @@
     python -m benchmarks mapping prediction   the named ones
     python -m benchmarks --quick              smaller ones, about a minute; written to results/benchmarks/quick
 
-The exit code is 1 where a target is missed.
+A target that is missed is named at the end.
 """
 
 import argparse
@@ -26,7 +26,6 @@ from pipelines.provenance import git_revision, versions
 from pipelines.store import write_json
 
 NAMES = ("mapping", "prediction", "evaluation", "training")
-SCHEMA = "otr/benchmark/1"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -49,26 +48,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
         began = time.monotonic()
         print(f"{name}: measuring", flush=True)
         measured = importlib.import_module(f"benchmarks.{name}").measure(asked.quick)
-        write_json(folder / f"{name}.json", document(name, measured, ["python", "-m", "benchmarks", *words]))
+        write_json(folder / f"{name}.json", document(measured, ["python", "-m", "benchmarks", *words]))
         print(f"{name}: {duration(time.monotonic() - began)}, {folder / name}.json", flush=True)
         entries += measured
     show(entries)
     missed = [entry.name for entry in entries if entry.met is False]
     print(f"missed: {'; '.join(missed)}" if missed else "every target is met")
-    return 1 if missed else 0
+    return 0  # a busy machine misses a target, too: a miss is told, and is no failure
 
 
-def document(name: str, entries: Sequence[Entry], command: Sequence[str]) -> dict[str, Any]:
-    """Return what a benchmark's JSON file holds."""
-    return {
-        "schema": SCHEMA,
-        "benchmark": name,
+def document(entries: Sequence[Entry], command: Sequence[str]) -> list[dict[str, Any]]:
+    """Return what a benchmark's JSON file holds: a list of measurements, each with where it comes from."""
+    origin = {
         "command": " ".join(command),
         "git_revision": git_revision(),
         "versions": versions(),
         "machine": {"n_cores": os.cpu_count(), "load_average": round(os.getloadavg()[0], 2)},
-        "entries": [entry.to_dict() for entry in entries],
     }
+    return [entry.to_dict() | origin for entry in entries]
 
 
 def show(entries: Sequence[Entry]) -> None:

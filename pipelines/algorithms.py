@@ -62,7 +62,7 @@ def build_env(config: RunConfig) -> DummyVecEnv:
     def make() -> gym.Env:
         env = make_env(config.env)
         if config.actor.rescale_inputs:
-            state_box(env)  # refuses what has no bounds
+            state_box(config.env)  # refuses what has no bounds
             env = gym.wrappers.RescaleObservation(env, np.float32(-1.0), np.float32(1.0))
         return Monitor(env)
 

@@ -2,8 +2,10 @@
 
 import argparse
 import difflib
+import io
 import os
 import shlex
+import signal
 import sys
 import time
 import traceback
@@ -24,6 +26,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from otr import OtrError
 from pipelines import config as schemas
 from pipelines.config import RunConfig, run_folder
 from pipelines.errors import ConfigError, PipelineError
@@ -38,7 +41,7 @@ _PACKAGED = Path(__file__).parent / "conf"  # in a wheel; in a checkout conf/ is
 CONF_DIR = _PACKAGED if _PACKAGED.is_dir() else Path(__file__).parent.parent / "conf"
 GROUPS = ("env", "algo", "method", "budget", "launcher", "experiment")
 SWEEP_VARIABLE = "OTR_SWEEP"  # names the sweep to its jobs, in whatever process a launcher starts them
-EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
+EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE, EXIT_TERMINATED = 1, 2, 130, 141, 143
 
 
 @dataclass(frozen=True)
@@ -80,12 +83,19 @@ def _main(program: str, command: Callable[[argparse.Namespace], int]) -> None:
         parser.add_argument("--cfg", action="store_true", help="print the resolved configuration and stop")
     arguments = parser.parse_intermixed_args()
     debug = "debug=true" in (word.lower() for word in arguments.overrides)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(EXIT_TERMINATED))  # so that workers are ended, too
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     try:
         _register_schemas()
         code = command(arguments)
     except KeyboardInterrupt:
         print(f"\nstopped; what was finished is kept, and the same command goes on from it: {_command_line(program)}")
         code = EXIT_INTERRUPTED
+    except BrokenPipeError:  # the reader of a pipe has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = EXIT_BROKEN_PIPE
     except (ConfigError, HydraException, OmegaConfBaseException) as error:
         code = _complain(program, error, debug, EXIT_USAGE)
     except Exception as error:  # the last resort of a command line: no traceback unless asked for
@@ -97,13 +107,15 @@ def _run(arguments: argparse.Namespace) -> int:
     overrides = list(arguments.overrides)
     is_sweep, _ = _sweep_parameters(overrides, arguments.multirun)
     if arguments.cfg:
-        print(OmegaConf.to_yaml(_compose("run", overrides), resolve=True))
+        print(OmegaConf.to_yaml(_compose("run", _expand(overrides, arguments.multirun)[0]), resolve=True))
         return 0
     if is_sweep:
         return _sweep(overrides)
     job = _job(_compose("run", overrides), overrides)
     try:
         run_job(job)
+    except (PipelineError, BrokenPipeError):
+        raise
     except Exception as error:
         print(f"traceback: {record_failure(job, error, _sweep_name())}", file=sys.stderr)
         raise
@@ -113,8 +125,7 @@ def _run(arguments: argparse.Namespace) -> int:
 def _sweep(overrides: list[str]) -> int:
     """Run every job of a sweep under Hydra's launcher; failing ones do not stop the others and are named at the end."""
     os.environ[SWEEP_VARIABLE] = _sweep_name()
-    for job in _expand(overrides, multirun=True):
-        _compose("run", job)  # a mistake in the request is told before the first job starts
+    _check_jobs(_expand(overrides, multirun=True))
     with _hydra():
         hydra = GlobalHydra.instance().hydra
         assert hydra is not None
@@ -127,10 +138,21 @@ def _sweep(overrides: list[str]) -> int:
     return EXIT_FAILED if failed else 0
 
 
+def _check_jobs(jobs: list[list[str]]) -> None:
+    """Tell a mistake in the request before the first job starts; of many seeds, each is looked at once."""
+    seen: set[tuple[str, ...]] = set()
+    for job in jobs:
+        parts = {tuple(word for word in job if word.startswith("seed=")), tuple(w for w in job if w[:5] != "seed=")}
+        if not parts <= seen:
+            _to_object(_compose("run", job))
+            seen |= parts
+
+
 def _sweep_task(cfg: DictConfig) -> dict[str, str | None]:
     """Do one job of a sweep, in whatever process; report a failure instead of raising it."""
-    if cfg.n_workers is None and HydraConfig.get().runtime.choices["hydra/launcher"] != "basic":
-        cfg.n_workers = 1  # several jobs run at a time already
+    if HydraConfig.get().runtime.choices["hydra/launcher"] != "basic":
+        cfg.side_by_side = True
+        cfg.n_workers = cfg.n_workers or 1  # several jobs run at a time already
     job = _job(cfg, list(HydraConfig.get().overrides.task))
     try:
         run_job(job)
@@ -153,6 +175,8 @@ def _tabulate(arguments: argparse.Namespace) -> int:
     cfg = _to_object(_compose("tabulate", list(arguments.overrides)))
     assert isinstance(cfg, TabulateConfig)
     results_dir = Path(cfg.results_dir)
+    if not (results_dir / "runs").is_dir():
+        raise ConfigError(f"results_dir={cfg.results_dir}: there is no folder {results_dir / 'runs'} with runs")
     different = 0
     if cfg.evaluate:
         for run_dir in sorted(path.parent for path in results_dir.glob("runs/**/summary.json")):
@@ -221,6 +245,8 @@ def _sweep_parameters(overrides: list[str], multirun: bool) -> tuple[bool, list[
     swept = [override.get_key_element() for override in parsed if override.is_sweep_override()]
     if swept and not multirun and not any(word.startswith("+experiment=") for word in overrides):
         raise ConfigError(f"{', '.join(swept)}: several values make a sweep; add -m")
+    if any(key.lstrip("+") == "experiment" for key in swept):
+        raise ConfigError("experiment: one at a time; start a command for each")
     experiments = [word for word in single if word.lstrip("+").startswith("experiment=")]
     if not experiments:
         return multirun, []
@@ -243,7 +269,10 @@ def _parse(word: str) -> Override:
 def _compose(name: str, overrides: Sequence[str]) -> DictConfig:
     """Return the composed configuration; unknown names come back with the nearest known ones."""
     for word in overrides:
+        _parse(word)
         key, _, value = word.lstrip("+").partition("=")
+        if word.startswith("+") and not key.startswith(("experiment", "env.kwargs.", "hydra.")):
+            raise ConfigError(f"{word}: new keys cannot be added; leave out the +")
         if key in GROUPS and name == "run":
             _check_option(key, value)
     if name == "run" and not any(word.lstrip("+").startswith("env=") for word in overrides):
@@ -268,15 +297,21 @@ def _options(group: str) -> list[str]:
 def _explain(name: str, error: HydraException) -> str:
     """Return Hydra's message without its advice on `+`, with the nearest known key."""
     cause = error.__cause__
-    lines = [
-        line for line in str(cause or error).splitlines() if "object_type" not in line and "reference_type" not in line
-    ]
+    lines = str(cause or error).splitlines()
     if "Could not override" in str(error):
         key = str(error).split("'")[1]
         base = ["env=pendulum"] if name == "run" else []
         known = _leaves(OmegaConf.to_container(compose(name, base)))
         lines = [f"there is no key {key!r}.{_did_you_mean(key, known)}"]
-    return "\n".join(line.strip() for line in lines if line.strip())
+    return _readable("\n".join(lines))
+
+
+def _readable(message: str) -> str:
+    """Return OmegaConf's message in one line that begins with the key."""
+    lines = [line.strip() for line in message.splitlines() if line.strip() and "_type=" not in line]
+    keys = [line.removeprefix("full_key: ") for line in lines if line.startswith("full_key: ")]
+    rest = "\n".join(line for line in lines if not line.startswith("full_key: "))
+    return f"{keys[0]}: {rest}" if keys else rest
 
 
 def _leaves(value: Any, prefix: str = "") -> list[str]:
@@ -342,5 +377,7 @@ def _complain(program: str, error: Exception, debug: bool, code: int) -> int:
 
 def _message(error: Exception) -> str:
     """Return the message alone where it was written for people, with the error's kind where it was not."""
-    foreseen = isinstance(error, PipelineError | HydraException | OmegaConfBaseException)
-    return str(error) if foreseen or hasattr(error, "otr_message") else f"{type(error).__name__}: {error}"
+    foreseen = isinstance(error, PipelineError | HydraException | OtrError)
+    if isinstance(error, OmegaConfBaseException):
+        return _readable(str(error))
+    return str(error) if foreseen else f"{type(error).__name__}: {error}"

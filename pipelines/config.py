@@ -5,7 +5,9 @@ Hydra composes these from `conf/` (see `pipelines/cli.py`); nothing here knows H
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, field, fields
+import math
+import re
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from pipelines.errors import ConfigError
@@ -175,6 +177,7 @@ class RunConfig:
     results_dir: str
     stages: list[str] | None = None
     n_workers: int | None = None
+    side_by_side: bool = False  # other jobs share the terminal
     debug: bool = False
 
     def __post_init__(self) -> None:
@@ -198,7 +201,7 @@ class RunConfig:
 # Settings younger than committed results, with the value that means "as before": keyed only where they differ from it.
 YOUNGER_SETTINGS = {("actor", "rescale_inputs"): False}
 
-EXECUTION_FIELDS = ("results_dir", "stages", "n_workers", "debug")
+EXECUTION_FIELDS = ("results_dir", "stages", "n_workers", "side_by_side", "debug")
 
 
 def run_folder(config: RunConfig, baseline: RunConfig) -> str:
@@ -262,24 +265,55 @@ def _check_stages(stages: list[str] | None, method: str) -> None:
             raise ConfigError(f"stages: method={method} has no stage {stage!r}; it has {', '.join(METHODS[method])}")
 
 
+RANGES: dict[str, tuple[float, float]] = {  # key: least and greatest value; keys of other algorithms are passed over
+    "seed": (0, LARGEST_SEED),
+    "n_workers": (1, math.inf),
+    "actor.negative_slope": (0, math.nextafter(1, 0)),
+    "train.steps": (1, math.inf),
+    "train.eval_interval_steps": (1, math.inf),
+    "train.n_selection_episodes": (1, math.inf),
+    "train.max_learning_starts": (0, math.inf),
+    "map.max_leaves": (1, math.inf),
+    "prune.n_episodes": (1, math.inf),
+    "prune.k": (1, math.inf),
+    "evaluate.n_episodes": (1, math.inf),
+    "evaluate.first_seed": (0, LARGEST_SEED),
+    "algo.learning_rate": (1e-12, 10),
+    "algo.batch_size": (1, math.inf),
+    "algo.gamma": (0, 1),
+    "algo.weight_decay": (0, 10),
+    "algo.n_envs": (1, 4096),
+    "algo.n_steps": (2, math.inf),
+    "algo.n_epochs": (1, math.inf),
+    "algo.gae_lambda": (0, 1),
+    "algo.clip_range": (1e-6, 10),
+    "algo.vf_coef": (0, math.inf),
+    "algo.max_grad_norm": (1e-12, math.inf),
+    "algo.buffer_size": (1, math.inf),
+    "algo.learning_starts": (0, math.inf),
+    "algo.tau": (1e-12, 1),
+    "algo.train_freq": (1, math.inf),
+    "algo.gradient_steps": (1, math.inf),
+    "algo.action_noise_std": (0, math.inf),
+    "algo.action_noise_dt": (1e-12, math.inf),
+    "algo.policy_delay": (1, math.inf),
+}
+ACTION_NOISES = ("none", "normal", "ornstein_uhlenbeck")
+
+
 def _check_numbers(config: RunConfig) -> None:
-    """Refuse numbers that no run can use, naming the key, the value and the least that will do."""
-    if not 0 <= config.seed <= LARGEST_SEED:
-        raise ConfigError(f"seed={config.seed} is not between 0 and {LARGEST_SEED}")
-    if not 0.0 <= config.actor.negative_slope < 1.0:
-        raise ConfigError(f"actor.negative_slope={config.actor.negative_slope} is not in [0, 1)")
-    least = {"train.steps": 1, "train.eval_interval_steps": 1, "train.n_selection_episodes": 1, "map.max_leaves": 1,
-             "prune.n_episodes": 1, "prune.k": 1, "evaluate.n_episodes": 1, "evaluate.first_seed": 0}  # fmt: skip
-    for key, minimum in least.items():
-        section, name = key.split(".")
-        value = getattr(getattr(config, section), name)
-        if value is not None and value < minimum:
-            raise ConfigError(f"{key}={value} is below {minimum}")
-    if config.n_workers is not None and config.n_workers < 1:
-        raise ConfigError(f"n_workers={config.n_workers} is below 1")
-    for item in fields(config.algo):
-        value = getattr(config.algo, item.name)
-        if item.name in ("learning_rate", "batch_size", "buffer_size", "n_envs", "n_steps", "n_epochs") and value <= 0:
-            raise ConfigError(f"algo.{item.name}={value} is not above 0")
-    if not 0.0 < config.algo.gamma <= 1.0:
-        raise ConfigError(f"algo.gamma={config.algo.gamma} is not in (0, 1]")
+    """Refuse values that no run can use, naming the key, the value and what it may be."""
+    for key, (least, greatest) in RANGES.items():
+        value: Any = config
+        for name in key.split("."):
+            value = getattr(value, name, None)
+        if value is not None and not least <= value <= greatest:
+            raise ConfigError(f"{key}={value} is not between {least:g} and {greatest:g}")
+    if any(width < 1 for width in config.algo.critic):
+        raise ConfigError(f"algo.critic={config.algo.critic}: every layer needs at least 1 neuron")
+    if isinstance(config.algo, OffPolicyConfig) and config.algo.action_noise not in ACTION_NOISES:
+        raise ConfigError(f"algo.action_noise={config.algo.action_noise}: use one of {', '.join(ACTION_NOISES)}")
+    if isinstance(config.algo, SacConfig) and not re.fullmatch(r"auto|[0-9.]+(e-?[0-9]+)?", config.algo.ent_coef):
+        raise ConfigError(f"algo.ent_coef={config.algo.ent_coef}: use auto, or a number for a fixed temperature")
+    if not config.results_dir:
+        raise ConfigError("results_dir is empty; give a folder, or leave it out (and OTR_RESULTS_DIR unset)")

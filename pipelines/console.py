@@ -13,16 +13,23 @@ def show_result(summary: dict[str, Any], run_dir: Path) -> None:
     """Print the run's returns, sizes and times, where its artefacts lie, and its program when that is short."""
     console = Console(highlight=False, soft_wrap=True)
     program = run_dir / "prune" / "program.txt"
-    if program.exists() and (text := program.read_text()).count("\n") <= SHORT_PROGRAM:
+    if program.exists() and (text := program.read_text(encoding="utf-8")).count("\n") <= SHORT_PROGRAM:
         console.print(f"\n{text}", markup=False)
     console.print(_table(summary))
     seconds = ", ".join(f"{stage} {duration(spent)}" for stage, spent in summary["seconds"].items())
+    plural = "" if summary["patterns"] == 1 else "s"
     console.print(
-        f"{summary['patterns']} activation patterns reached, estimated pruned depth {summary['pruned_depth']:.1f}; "
-        f"the pruned tree acts as the network in {100 * summary['fidelity']:.2f} % of the states"
+        f"{summary['patterns']} activation pattern{plural} reached, estimated pruned depth "
+        f"{summary['pruned_depth']:.1f}; the pruned tree acts as the network in "
+        f"{100 * summary['fidelity']:.2f} % of the states"
     )
-    console.print(f"seconds: {seconds}", markup=False)
+    console.print(f"time: {seconds}", markup=False)
     console.print(f"artefacts: {run_dir}", markup=False)
+
+
+def _leaves(n_leaves: int) -> str:
+    """Return a number of leaves as people read it: 64, or 2^32."""
+    return f"{n_leaves:,}" if n_leaves <= 2**20 else f"2^{n_leaves.bit_length() - 1}"
 
 
 def duration(seconds: float) -> str:
@@ -46,9 +53,9 @@ def _table(summary: dict[str, Any]) -> Table:
     table.add_column("policy")
     table.add_column(f"return over {episodes} episodes", justify="right")
     table.add_column("leaves", justify="right")
-    leaves = {"network": "", "tree": f"{summary['n_leaves']:,}", "pruned_tree": f"{summary['pruned_leaves']:,}"}
+    leaves = {"network": "", "tree": _leaves(summary["n_leaves"]), "pruned_tree": f"{summary['pruned_leaves']:,}"}
     for name, moments in summary["policies"].items():
         table.add_row(
-            name.replace("_", " "), f"{moments['return_mean']:.1f} ± {moments['return_std']:.1f}", leaves[name]
+            name.replace("_", " "), f"{moments['return_mean']:z.1f} ± {moments['return_std']:.1f}", leaves[name]
         )
     return table

@@ -1,5 +1,7 @@
 """The gymnasium environments, made the same way wherever a policy is trained, pruned or evaluated."""
 
+import functools
+import json
 import warnings
 
 import gymnasium as gym
@@ -64,12 +66,21 @@ def _names(given: list[str], n: int, prefix: str, where: str) -> list[str]:
     return list(given) or [f"{prefix}{i}" for i in range(n)]
 
 
-def state_box(env: gym.Env) -> tuple[np.ndarray, np.ndarray]:
-    """Return middle and half width of the box of states, (d,) each; refuse a box without bounds."""
+@functools.cache
+def _state_limits(env_id: str, kwargs: str) -> tuple[np.ndarray, np.ndarray] | None:
+    env = make_env(EnvConfig(env_id, env_id, env_id, json.loads(kwargs)))
     space = env.observation_space
-    if not isinstance(space, gym.spaces.Box) or not space.is_bounded():
-        raise ConfigError(f"actor.rescale_inputs=true: the states of {env.spec.id if env.spec else env} have no bounds")
-    low, high = space.low.astype(np.float64), space.high.astype(np.float64)
+    env.close()
+    bounded = isinstance(space, gym.spaces.Box) and space.is_bounded()
+    return (space.low.astype(np.float64), space.high.astype(np.float64)) if bounded else None  # type: ignore[attr-defined]
+
+
+def state_box(env: EnvConfig) -> tuple[np.ndarray, np.ndarray]:
+    """Return middle and half width of the box of states, (d,) each; refuse states without bounds."""
+    limits = _state_limits(env.id, json.dumps(env.kwargs, sort_keys=True))
+    if limits is None:
+        raise ConfigError(f"actor.rescale_inputs=true: the states of {env.id} have no bounds")
+    low, high = limits
     return (low + high) / 2, (high - low) / 2
 
 

@@ -3,17 +3,26 @@
 import numpy as np
 
 
-def answers_agree(ours: np.ndarray, theirs: np.ndarray, outputs: np.ndarray, tolerance: float) -> np.ndarray:
+def answers_agree(
+    ours: np.ndarray,
+    theirs: np.ndarray,
+    outputs: np.ndarray,
+    tolerance: float,
+    slack: np.ndarray | float = 0.0,
+) -> np.ndarray:
     """Return (n,) bool: do two forms of a policy do the same in each state?
 
     Args:
-        ours, theirs: actions (n, a) or labels (n,).
-        outputs: (n, o) affine outputs before the head, the scale that rounding is relative to. Labels may differ only
-            where the two best outputs tie within `tolerance` of that scale.
+        ours, theirs: actions (n, a), which agree where every component differs by at most `tolerance` times the larger
+            of 1 and its size; or labels (n,), which may differ only where the two best outputs tie.
+        outputs: (n, o) affine outputs before the head, for the ties.
         tolerance: relative.
+        slack: what is allowed beyond that, (n, o) or one number.
     """
-    allowed = tolerance * np.maximum(1.0, np.abs(outputs).max(axis=1))
     if ours.ndim == 1:
         two_best = np.sort(outputs, axis=1)[:, -2:]
-        return np.asarray((ours == theirs) | (two_best[:, -1] - two_best[:, 0] <= allowed))
-    return np.asarray(np.abs(ours - theirs).max(axis=1) <= allowed)
+        scale = np.maximum(1.0, np.abs(two_best).max(axis=1))
+        tied = two_best[:, -1] - two_best[:, 0] <= tolerance * scale + np.max(slack, axis=-1)
+        return np.asarray((ours == theirs) | tied)
+    allowed = tolerance * np.maximum(1.0, np.abs(theirs)) + slack
+    return np.asarray((np.abs(ours - theirs) <= allowed).all(axis=1))

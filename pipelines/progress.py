@@ -9,23 +9,31 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from stable_baselines3.common.callbacks import BaseCallback
 
+from pipelines.config import RunConfig
 from pipelines.console import duration
+from pipelines.training import STEPS_PER_S, learning_starts
 
 REFRESH_S = 0.25
 
 
 class TrainingProgress:
-    """Shows one training run; a context manager. `callback` is for the model's `learn`, None without a terminal."""
+    """Shows one training run; a context manager.
 
-    def __init__(self, n_steps: int, done_steps: int) -> None:
-        self.n_steps = n_steps
-        self._resumed_at = done_steps
-        self._bar = _bar() if sys.stdout.isatty() else None
-        self._task = self._bar.add_task("train", total=n_steps, completed=done_steps, note="") if self._bar else None
+    `callback` is for the model's `learn`, None without a terminal. Jobs side by side share a terminal: they get lines
+    that begin with the job's name instead of a bar.
+    """
+
+    def __init__(self, config: RunConfig, done_steps: int) -> None:
+        self.n_steps = config.train.steps
+        self._prefix = f"{config.env.name} depth {config.depth} seed {config.seed}: " if config.side_by_side else ""
+        self._first_learning_step = max(done_steps, learning_starts(config))
+        self._steps, self._seconds = 0, 0.0  # of whole segments that learn all the way
+        self._expected_rate = STEPS_PER_S[config.algo.name]
+        self._bar = _bar() if sys.stdout.isatty() and not config.side_by_side else None
+        self._task = self._bar.add_task("train", total=self.n_steps, completed=done_steps) if self._bar else None
         self.callback = _Refresh(self) if self._bar else None
-        self._seconds = 0.0
         if done_steps:
-            self._say(f"train: going on from step {done_steps:,} of {n_steps:,}")
+            self._say(f"going on from step {done_steps:,} of {self.n_steps:,}")
 
     def __enter__(self) -> "TrainingProgress":
         if self._bar:
@@ -41,24 +49,26 @@ class TrainingProgress:
         if self._bar and self._task is not None:
             self._bar.update(self._task, completed=min(step, self.n_steps))
 
-    def segment_done(self, progress: dict[str, Any], evaluation: dict[str, Any]) -> None:
-        """Show a segment's speed and evaluation."""
-        self._seconds += progress["seconds"]
-        steps, rate = progress["steps"], progress["steps_per_s"]
-        average = (steps - self._resumed_at) / self._seconds
-        left_s = max(0, self.n_steps - steps) / average
+    def segment_done(self, start: int, progress: dict[str, Any], evaluation: dict[str, Any]) -> None:
+        """Show the speed and the evaluation of the segment that began at step `start`, and the time left."""
+        steps = progress["steps"]
+        if start >= self._first_learning_step:
+            self._steps += steps - start
+            self._seconds += progress["seconds"]
+        rate = self._steps / self._seconds if self._steps else self._expected_rate
+        left = duration(max(0, self.n_steps - steps) / rate)
         mark = " (best so far)" if evaluation["best"] else ""
-        note = f"return {evaluation['return_mean']:.1f}{mark}"
-        if self._bar and self._task is not None:
-            self._bar.update(self._task, completed=min(steps, self.n_steps), note=f"{rate:,.0f} steps/s  {note}")
-        else:
-            self._say(f"train: step {steps:,}/{self.n_steps:,}  {rate:,.0f} steps/s  {duration(left_s)} left  {note}")
+        self.at_step(steps)
+        self._say(
+            f"step {steps:,}/{self.n_steps:,}  {progress['steps_per_s']:,.0f} steps/s  {left} left  "
+            f"return {evaluation['return_mean']:.1f}{mark}"
+        )
 
     def _say(self, line: str) -> None:
         if self._bar:
-            self._bar.console.print(line, highlight=False)
+            self._bar.console.print(f"train: {line}", highlight=False)
         else:
-            print(line, flush=True)
+            print(f"{self._prefix}train: {line}", flush=True)
 
 
 def _bar() -> Progress:
@@ -67,7 +77,6 @@ def _bar() -> Progress:
         BarColumn(),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}"),
         console=Console(highlight=False),
         transient=True,
     )

@@ -58,11 +58,16 @@ def rollout(
         return _play(policy, env, list(seeds), keep_states)
     context = multiprocessing.get_context("spawn")
     parts = [list(seeds[worker::n_workers]) for worker in range(n_workers)]
-    with ProcessPoolExecutor(n_workers, context, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
+    with ProcessPoolExecutor(n_workers, context) as pool:
         try:
-            futures = [pool.submit(_play, policy, env, part, keep_states) for part in parts]
+            # Workers inherit the mask: Ctrl-C reaches this process alone, which ends them.
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            try:
+                futures = [pool.submit(_play, policy, env, part, keep_states) for part in parts]
+            finally:
+                signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
             return _interleave([future.result() for future in futures])
-        except BaseException:  # Ctrl-C reaches this process alone; do not wait for episodes nobody wants
+        except BaseException:  # do not wait for episodes that nobody wants any more
             for process in multiprocessing.active_children():
                 process.terminate()
             raise

@@ -1,5 +1,6 @@
 """One run: its stages in order, its summary, and what is kept of a failure."""
 
+import errno
 import shutil
 import traceback
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from pipelines.errors import PipelineError
 from pipelines.stage import StageResult, run_stage, stage_status
 from pipelines.stages import STAGES
 from pipelines.store import read_csv, read_json, write_json, write_text
-from pipelines.training import estimated_bytes, estimated_seconds, trained_steps
+from pipelines.training import checkpoint_folder, estimated_bytes, estimated_seconds, trained_steps
 
 LONG_RUN_S = 60.0
 SUMMARY_SCHEMA = "otr/summary/1"
@@ -44,11 +45,15 @@ def run_job(job: Job) -> dict[str, Any] | None:
     """Do what is not done of a run, print what came out, and return its summary; None where it stops before the end."""
     try:
         return _run_stages(job)
+    except BrokenPipeError:
+        raise
     except OSError as error:
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+        remedy = "Make room there or choose" if full else "Choose"
         raise PipelineError(
             f"{job.run_dir}: {error.strerror or error}{f' ({error.filename})' if error.filename else ''}\n"
-            "Make room there or choose another place with results_dir=PATH; finished stages and checkpoints are kept, "
-            "and the same command goes on from them."
+            f"{remedy} another place with results_dir=PATH; finished stages and checkpoints are kept, and the same "
+            "command goes on from them."
         ) from error
 
 
@@ -62,6 +67,8 @@ def _run_stages(job: Job) -> dict[str, Any] | None:
         if name == "train" and stage_status(stage, run_dir / name, config) == "missing":
             _announce_training(config)
         results[name] = run_stage(stage, run_dir, config, job.command)
+        if name == "train":  # only now that the result is in its place
+            shutil.rmtree(checkpoint_folder(config), ignore_errors=True)
         if not (run_dir / "config.yaml").exists():
             write_text(run_dir / "config.yaml", job.config_yaml)
         print(_stage_line(name, results[name]), flush=True)
@@ -69,6 +76,7 @@ def _run_stages(job: Job) -> dict[str, Any] | None:
         return None
     summary = summarise(job)
     write_json(run_dir / "summary.json", summary)
+    (run_dir / "error.log").unlink(missing_ok=True)
     show_result(summary, run_dir)
     return summary
 
@@ -78,8 +86,9 @@ def summarise(job: Job) -> dict[str, Any]:
     config, run_dir = job.config, job.run_dir
     mapped, pruned, evaluated = (read_json(run_dir / name / "report.json") for name in ("map", "prune", "evaluate"))
     manifests = {name: read_json(run_dir / name / "manifest.json") for name in ("train", "map", "prune", "evaluate")}
-    # The manifest knows the last process alone; a resumed training spent the sum of its segments.
-    trained_s = round(sum(float(row["seconds"]) for row in read_csv(run_dir / "train" / "progress.csv")), 3)
+    # The manifest knows the last process alone; a resumed training spent the sum of its segments at least.
+    segments_s = sum(float(row["seconds"]) for row in read_csv(run_dir / "train" / "progress.csv"))
+    trained_s = round(max(segments_s, manifests["train"]["seconds"]), 3)
     return {
         "schema": SUMMARY_SCHEMA,
         "env": config.env.name,
@@ -124,16 +133,16 @@ def record_failure(job: Job, error: BaseException, sweep: str) -> str:
 
 def _announce_training(config: RunConfig) -> None:
     """Print the likely time and disk of a long training, and refuse one that cannot fit on the disk."""
-    seconds, n_bytes = estimated_seconds(config), estimated_bytes(config)
+    left = max(0, config.train.steps - trained_steps(config))
+    seconds, n_bytes = estimated_seconds(config), estimated_bytes(config) * left // config.train.steps
     folder = Path(config.results_dir)
     free = shutil.disk_usage(folder).free
     if n_bytes > free:
         raise PipelineError(
-            f"{folder}: training needs about {n_bytes / 1e9:.1f} GB for checkpoints, {free / 1e9:.1f} GB are free\n"
+            f"{folder}: training needs about {n_bytes / 1e6:,.0f} MB for checkpoints, {free / 1e6:,.0f} MB are free\n"
             "Choose another place with results_dir=PATH, or a smaller algo.buffer_size."
         )
     if seconds >= LONG_RUN_S:
-        left = config.train.steps - trained_steps(config)
         print(
             f"train: {left:,} steps of {config.algo.name.upper()}, about {duration(seconds)} on one core, "
             f"up to {max(1, round(n_bytes / 1e6))} MB of checkpoints; Ctrl-C stops, the same command goes on",

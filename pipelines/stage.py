@@ -8,7 +8,7 @@ import hashlib
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,10 @@ from filelock import FileLock, Timeout
 from pipelines import provenance
 from pipelines.config import RunConfig, digest, setting_differences
 from pipelines.errors import MissingInputError, OtherSettingsError, PipelineError
-from pipelines.store import read_json, write_json
+from pipelines.store import corrupt, read_json, write_json
 
 MANIFEST = "manifest.json"
+MANIFEST_FIELDS = {"stage", "version", "key", "settings", "outputs", "output_digest", "seconds"}
 
 
 @dataclass(frozen=True)
@@ -62,18 +63,21 @@ def run_stage(stage: Stage, run_dir: Path, config: RunConfig, rerun_command: str
     inputs = {name: _input_folder(run_dir, name, stage, rerun_command) for name in stage.inputs}
     wanted = stage_key(stage, config, inputs)
     folder = run_dir / stage.name
-    with _lock(run_dir, stage.name):
+    with _lock(run_dir / f".{stage.name}.lock", f"{run_dir}: another process is at stage {stage.name}"):
         status = stage_status(stage, folder, config, wanted)
         if status == "other settings":
             raise _other_settings(stage, folder, config)
         if status == "done":
             manifest = verified_manifest(folder)
             return StageResult(folder, skipped=True, seconds=manifest["seconds"])
-        twin = _twin(run_dir, stage.name, wanted)
-        if twin is not None:
-            _copy_twin(twin, folder)
-            return StageResult(folder, skipped=True, seconds=read_json(folder / MANIFEST)["seconds"])
-        return _make(stage, folder, config, inputs, wanted)
+        # Runs that differ in later stages alone share this result: one of them makes it, the others take it over.
+        locks = Path(config.results_dir) / "locks"
+        with _lock(locks / f"{stage.name}-{wanted[:16]}.lock", f"another run is making the {stage.name} of {run_dir}"):
+            twin = _twin(run_dir, stage.name, wanted)
+            if twin is not None:
+                _copy_twin(twin, folder)
+                return StageResult(folder, skipped=True, seconds=read_manifest(folder)["seconds"])
+            return _make(stage, folder, config, inputs, wanted)
 
 
 def stage_key(stage: Stage, config: RunConfig, inputs: Mapping[str, Path]) -> str:
@@ -89,7 +93,7 @@ def stage_status(stage: Stage, folder: Path, config: RunConfig, wanted: str | No
     """
     if not (folder / MANIFEST).exists():
         return "missing"
-    manifest = read_json(folder / MANIFEST)
+    manifest = read_manifest(folder)
     if manifest["settings"] != stage.settings(config):
         return "other settings"
     current = manifest["version"] == stage.version if wanted is None else manifest["key"] == wanted
@@ -98,7 +102,7 @@ def stage_status(stage: Stage, folder: Path, config: RunConfig, wanted: str | No
 
 def verified_manifest(folder: Path) -> dict[str, Any]:
     """Return a finished folder's manifest after comparing every file in it with its recorded sha256."""
-    manifest: dict[str, Any] = read_json(folder / MANIFEST)
+    manifest = read_manifest(folder)
     for name, recorded in manifest["outputs"].items():
         path = folder / name
         found = file_digest(path) if path.is_file() else "no file"
@@ -107,6 +111,15 @@ def verified_manifest(folder: Path) -> dict[str, Any]:
                 f"{path} is not what was written: its sha256 is {found[:12]}, the manifest has {recorded[:12]}\n"
                 f"Restore it, or delete the folder {folder} and run the same command again to make it."
             )
+    return manifest
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """Return a finished folder's manifest; one that is broken or lacks a field is an error that names it."""
+    manifest: dict[str, Any] = read_json(folder / MANIFEST)
+    missing = MANIFEST_FIELDS - manifest.keys() if isinstance(manifest, dict) else MANIFEST_FIELDS
+    if missing:
+        raise corrupt(folder / MANIFEST, ValueError(f"it has no {', '.join(sorted(missing))}"))
     return manifest
 
 
@@ -158,7 +171,7 @@ def _input_folder(run_dir: Path, name: str, stage: Stage, rerun_command: str) ->
 
 
 def _other_settings(stage: Stage, folder: Path, config: RunConfig) -> OtherSettingsError:
-    old = read_json(folder / MANIFEST)["settings"]
+    old = read_manifest(folder)["settings"]
     changes = setting_differences(stage.settings(config), old)
     lines = [f"  {key}: there was {was!r}, asked for {now!r}" for key, (now, was) in changes.items()]
     return OtherSettingsError(
@@ -171,8 +184,9 @@ def _other_settings(stage: Stage, folder: Path, config: RunConfig) -> OtherSetti
 def _twin(run_dir: Path, name: str, wanted: str) -> Path | None:
     """Return the folder of a sibling run (same place, other overrides) that already holds this very result."""
     for manifest in sorted(run_dir.parent.glob(f"*/{name}/{MANIFEST}")):
-        if read_json(manifest)["key"] == wanted:
-            return manifest.parent
+        with suppress(PipelineError):  # a damaged sibling is its own run's trouble
+            if read_manifest(manifest.parent)["key"] == wanted:
+                return manifest.parent
     return None
 
 
@@ -187,14 +201,14 @@ def _copy_twin(twin: Path, folder: Path) -> None:
 
 
 @contextmanager
-def _lock(run_dir: Path, name: str) -> Iterator[None]:
-    """Hold the stage's lock; say so once where another process has it, then wait for that process."""
-    run_dir.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(run_dir / f".{name}.lock")
+def _lock(path: Path, busy: str) -> Iterator[None]:
+    """Hold a lock file; say so once where another process has it, then wait for that process."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(path)
     try:
         lock.acquire(timeout=0)
     except Timeout:
-        print(f"{run_dir}: another process is at stage {name}; waiting for it", flush=True)
+        print(f"{busy}; waiting for it", flush=True)
         lock.acquire()
     try:
         yield

@@ -97,7 +97,14 @@ def load_actor(folder: Path) -> otr.ReluNetwork:
         raise corrupt(folder / "actor.safetensors", error) from error
 
 
+REWRITTEN = ("summary.json", "config.yaml")  # made anew by the run's command, from the finished stages
+
+
 def corrupt(path: Path, error: Exception) -> PipelineError:
     """Return the error for an artefact that cannot be read, with the way out."""
+    if path.name in REWRITTEN:
+        remedy = f"Delete {path} and run the run's command again to make it; nothing is trained anew."
+    else:
+        remedy = f"Restore it, or delete the folder {path.parent} and run the same command again to make it."
     what = "is not there" if isinstance(error, FileNotFoundError) else f"cannot be read: {error}"
-    return PipelineError(f"{path} {what}\nDelete the folder {path.parent} and run the same command again to make it.")
+    return PipelineError(f"{path} {what}\n{remedy}")

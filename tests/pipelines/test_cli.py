@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -129,6 +130,11 @@ def test_replay_finds_an_episode_that_was_changed(finished, tmp_path):
         (("env=lunarlander", "algo=sac", "budget=smoke"), 2, "use algo=ppo"),
         (("+experiment=table_4_2x",), 2, "there is no such experiment"),
         (("env=pendulum", "depth=["), 2, "depth=["),
+        (("-m", "env=pendulum", "depth=2,-1", "budget=smoke"), 2, "depth=-1"),
+        (("-m", "env=pendulum", "+experiment=smoke,table_4_1"), 2, "experiment: one at a time"),
+        (("env=pendulum", "+foo=1"), 2, "leave out the +"),
+        (("env=pendulum", "results_dir="), 2, "results_dir is empty"),
+        (("env=pendulum", "train.steps=1e6"), 2, "train.steps: "),
     ],
 )
 def test_bad_requests_are_one_clear_message(tmp_path, words, code, told):
@@ -136,6 +142,7 @@ def test_bad_requests_are_one_clear_message(tmp_path, words, code, told):
     assert done.returncode == code, done.stderr
     assert told in done.stderr
     assert "Traceback" not in done.stderr + done.stdout
+    assert [path for path in tmp_path.rglob("runs/**/*") if path.is_file() and path.suffix != ".lock"] == []
 
 
 def test_debug_shows_the_traceback(tmp_path):
@@ -189,6 +196,56 @@ def test_failing_job_does_not_stop_a_sweep(tmp_path, launcher):
     assert (tmp_path / "results/runs/pendulum/otr/depth-1/smoke/seed-0/summary.json").exists()
     (failure,) = (tmp_path / "results/failures").rglob("*.txt")
     assert "Traceback" in failure.read_text() and "depth=2" in failure.read_text()
+
+
+def test_jobs_that_share_a_training_train_once(tmp_path):
+    words = ("env=pendulum", "depth=3", "budget=smoke", "evaluate.n_episodes=2,3")
+    done = otr_command("otr-run", "-m", *words, "launcher=joblib", "hydra.launcher.n_jobs=2", cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "2 jobs: 2 done, 0 failed" in done.stdout
+    actors = [path.read_bytes() for path in (tmp_path / "results/runs").rglob("actor.safetensors")]
+    assert len(actors) == 2 and len(set(actors)) == 1
+    assert done.stdout.count("step 300/300") == 1
+    assert "pendulum depth 3 seed 0: train: step 300/300" in done.stdout
+
+
+def running_in_group(group):
+    """Return the command lines of the processes of a group that are neither gone nor waiting to be reaped."""
+    lines = subprocess.run(["ps", "-eo", "pgid,stat,args"], capture_output=True, text=True, check=True).stdout
+    rows = [line.split(maxsplit=2) for line in lines.splitlines()[1:]]
+    return [row[2] for row in rows if row[0] == str(group) and not row[1].startswith("Z")]
+
+
+def test_stopped_while_workers_play(tmp_path):
+    words = ("env=halfcheetah", "depth=2", "budget=smoke", "prune.n_episodes=400", "n_workers=2")
+    command = [str(Path(sys.executable).with_name("otr-run")), *words]
+    with subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
+    ) as process:
+        for line in process.stdout:
+            if line.startswith("map:"):
+                break
+        time.sleep(3)
+        os.killpg(process.pid, signal.SIGINT)
+        printed, _ = process.communicate(timeout=60)
+    assert process.returncode == 130, printed
+    assert "the same command goes on" in printed and "Traceback" not in printed
+    deadline = time.monotonic() + 20
+    while (left := running_in_group(process.pid)) and time.monotonic() < deadline:
+        time.sleep(0.2)
+    assert left == []
+
+
+def test_table_without_runs_is_refused(tmp_path):
+    done = otr_command("otr-tabulate", "table=4.1", "results_dir=nope", cwd=tmp_path)
+    assert done.returncode == 2 and "there is no folder nope/runs" in done.stderr
+
+
+def test_a_reader_that_has_seen_enough(tmp_path):
+    program = Path(sys.executable).with_name("otr-run")
+    line = f"{program} {' '.join(SMOKE)} | head -1; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", line], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stderr) == (141, "")
 
 
 def test_experiment_brings_its_own_sweep(tmp_path):

@@ -4,8 +4,17 @@ import dataclasses
 
 import pytest
 
-from pipelines.config import EnvConfig, EvaluateConfig, PruneConfig, run_folder, setting_differences, settings
+from pipelines.config import (
+    ActorConfig,
+    EnvConfig,
+    EvaluateConfig,
+    PruneConfig,
+    run_folder,
+    setting_differences,
+    settings,
+)
 from pipelines.errors import ConfigError
+from tests.pipelines.conftest import PPO, SAC
 
 
 def test_folder_names_env_method_depth_budget_and_seed(tiny):
@@ -56,6 +65,15 @@ def test_depth_zero_is_the_linear_policy(tiny):
         ({"prune": PruneConfig(0, None)}, "prune.n_episodes=0"),
         ({"prune": PruneConfig(2, 0)}, "prune.k=0"),
         ({"n_workers": 0}, "n_workers=0"),
+        ({"results_dir": ""}, "results_dir is empty"),
+        ({"algo": dataclasses.replace(SAC, learning_rate=float("nan"))}, "algo.learning_rate=nan"),
+        ({"algo": dataclasses.replace(SAC, train_freq=0)}, "algo.train_freq=0"),
+        ({"algo": dataclasses.replace(SAC, tau=5.0)}, "algo.tau=5.0"),
+        ({"algo": dataclasses.replace(SAC, critic=[0])}, "algo.critic"),
+        ({"algo": dataclasses.replace(SAC, ent_coef="foo")}, "algo.ent_coef=foo"),
+        ({"algo": dataclasses.replace(SAC, action_noise="foo")}, "algo.action_noise=foo"),
+        ({"algo": dataclasses.replace(PPO, n_steps=1)}, "algo.n_steps=1"),
+        ({"actor": ActorConfig(1.0)}, "actor.negative_slope=1.0"),
     ],
 )
 def test_values_out_of_range_are_named(tiny, changes, words):

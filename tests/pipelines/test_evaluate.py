@@ -95,11 +95,9 @@ def test_moments_of_known_returns(tiny):
 
 
 def test_agreement_is_relative_and_forgives_ties_of_labels():
-    outputs = np.array([[1000.0], [1.0]])
-    assert answers_agree(np.array([[1.0], [1.0]]), np.array([[1.0005], [1.0005]]), outputs, 1e-6).tolist() == [
-        True,
-        False,
-    ]
+    outputs = np.array([[0.5, 2500.0], [0.5, 2500.0]])
+    ours, theirs = np.array([[0.5, 1000.0], [0.5, 1000.0]]), np.array([[0.5, 1000.0005], [0.502, 1000.0]])
+    assert answers_agree(ours, theirs, outputs, 1e-6).tolist() == [True, False]
     logits = np.array([[1.0, 1.0 + 1e-9], [1.0, 2.0]])
     assert answers_agree(np.array([0, 0]), np.array([1, 1]), logits, 1e-6).tolist() == [True, False]
 
@@ -112,7 +110,7 @@ def test_actor_round_trips_and_damage_is_told(tmp_path):
     np.testing.assert_array_equal(again.predict(states), network.predict(states))
     path = tmp_path / "actor.safetensors"
     path.write_bytes(path.read_bytes()[:-4])
-    with pytest.raises(PipelineError, match="Delete the folder"):
+    with pytest.raises(PipelineError, match="delete the folder"):
         load_actor(tmp_path)
     path.unlink()
     with pytest.raises(PipelineError, match=r"actor\.safetensors"):

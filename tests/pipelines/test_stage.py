@@ -76,8 +76,13 @@ def test_tampered_output_is_refused(tiny, tmp_path):
 def test_truncated_manifest_is_a_clear_error(tiny, tmp_path):
     run_stage(FIRST, tmp_path / "run", tiny(), "")
     (tmp_path / "run/first/manifest.json").write_text('{"stage": ')
-    with pytest.raises(PipelineError, match="Delete the folder"):
+    with pytest.raises(PipelineError, match="delete the folder"):
         run_stage(FIRST, tmp_path / "run", tiny(), "")
+    (tmp_path / "run/first/manifest.json").write_text("{}")
+    with pytest.raises(PipelineError, match="it has no key"):
+        run_stage(FIRST, tmp_path / "run", tiny(), "")
+    (tmp_path / "run2").mkdir()
+    assert not run_stage(FIRST, tmp_path / "run2", tiny(), "").skipped  # a damaged sibling stops nobody else
 
 
 def test_failing_stage_leaves_nothing(tiny, tmp_path):

@@ -13,11 +13,13 @@ from pipelines import checkpoint as checkpoint_module
 from pipelines import train as train_module
 from pipelines.algorithms import build_model
 from pipelines.config import ActorConfig, DdpgConfig, Td3Config, TrainConfig
-from pipelines.errors import ConfigError, PolicyMismatchError
+from pipelines.errors import ConfigError, PipelineError, PolicyMismatchError
 from pipelines.rollout import rollout
 from pipelines.seeding import episode_seeds
+from pipelines.stage import run_stage
+from pipelines.stages import STAGES
 from pipelines.store import load_actor, read_csv
-from pipelines.training import checkpoint_folder, estimated_bytes, segment_steps, train_settings, trained_steps
+from pipelines.training import estimated_bytes, segment_steps, train_settings, trained_steps
 from tests.pipelines.conftest import HOPPER, LANDER, PPO, SAC
 
 DDPG = DdpgConfig("ddpg", 1e-3, 32, 0.99, [16], 0.0, 150, 50, 0.005, 1, 1, "ornstein_uhlenbeck", 0.5, 0.3)
@@ -76,7 +78,6 @@ def test_killed_and_resumed_equals_uninterrupted(tiny, tmp_path, algorithm, wher
     train_module.train({}, killed, outs[1])
     for name in ("actor.safetensors", "actor.json", "evaluations.csv"):
         assert (outs[0] / name).read_bytes() == (outs[1] / name).read_bytes(), name
-    assert not checkpoint_folder(killed).exists()
 
 
 def test_seed_decides_the_actor(tiny, tmp_path):
@@ -121,12 +122,12 @@ def test_network_that_is_not_the_policy_is_caught(tiny):
     model = build_model(tiny(), 0)
     network = otr.from_sb3(model)
     states = np.random.default_rng(0).normal(size=(50, 3))
-    train_module.compare_with_model(network, model, states)
+    train_module.compare_with_model(network, model, states, states)
     weights = [weight.copy() for weight in network.weights]
     weights[-1][0, 0] += 1e-3
     other = otr.ReluNetwork(weights, network.biases, head=network.head)
     with pytest.raises(PolicyMismatchError, match="in state"):
-        train_module.compare_with_model(other, model, states)
+        train_module.compare_with_model(other, model, states, states)
 
 
 def test_segments_of_ppo_are_whole_rollouts(tiny):
@@ -157,3 +158,27 @@ def test_states_without_bounds_cannot_be_rescaled(tiny):
 def test_younger_settings_leave_earlier_results_valid(tiny):
     assert "rescale_inputs" not in train_settings(tiny())["actor"]
     assert train_settings(tiny(actor=ActorConfig(0.0, rescale_inputs=True)))["actor"]["rescale_inputs"] is True
+
+
+def test_training_that_cannot_be_put_in_its_place_is_not_lost(tiny, tmp_path, monkeypatch):
+    def stop():
+        raise KeyboardInterrupt
+
+    config, stage = tiny(), STAGES["train"]
+    with monkeypatch.context() as patch:
+        patch.setattr("pipelines.provenance.git_revision", stop)
+        with pytest.raises(KeyboardInterrupt):
+            run_stage(stage, tmp_path / "run", config, "")
+    assert trained_steps(config) == 300
+    monkeypatch.setattr(train_module, "_train_segment", stop)  # nothing is left to train
+    assert not run_stage(stage, tmp_path / "run", config, "").skipped
+
+
+def test_training_that_diverged_says_so(tiny):
+    import torch
+
+    model = build_model(tiny(), 0)
+    with torch.no_grad():
+        model.policy.actor.mu.weight.fill_(float("nan"))
+    with pytest.raises(PipelineError, match=r"smaller algo\.learning_rate"):
+        train_module._evaluate(model, tiny())

@@ -17,8 +17,9 @@ help:  ## list the targets
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@
 
+# Below results/local, because the repository brings the finished run of the same command.
 run: .venv/.installed  ## train, map, prune and evaluate a depth-6 policy for Pendulum in minutes
-	$(BIN)/otr-run env=pendulum depth=6 budget=quick $(ARGS)
+	$(BIN)/otr-run env=pendulum depth=6 budget=quick results_dir=results/local $(ARGS)
 
 test: .venv/.installed  ## the tests (under 8 minutes on 2 cores)
 	$(BIN)/python -m pytest -n 2 $(ARGS)
@@ -49,8 +50,8 @@ bench: .venv/.installed  ## measure against numpy, torch and Stable-Baselines3; 
 # EVALUATE=1 plays the episodes of the committed policies again and compares; TRAIN=1 trains everything from nothing.
 reproduce-table: .venv/.installed  ## the thesis's table from the runs under results (EVALUATE=1, TRAIN=1)
 ifdef TRAIN
-	$(BIN)/otr-run +experiment=table_4_1 results_dir=results/retrained $(ARGS)
-	$(BIN)/otr-tabulate table=4.1 results_dir=results/retrained
+	$(BIN)/otr-run +experiment=table_4_1 results_dir=results/local $(ARGS)
+	$(BIN)/otr-tabulate table=4.1 results_dir=results/local
 else
 	$(BIN)/otr-tabulate table=4.1 $(if $(EVALUATE),evaluate=true) $(ARGS)
 endif

@@ -89,7 +89,7 @@ def take_turns(config: RunConfig, rounds: int) -> tuple[float, float]:
 def our_trainer(config: RunConfig, folder: Path) -> tuple[BaseAlgorithm, Segment]:
     """Return the model that our trainer trains, and the function that trains it for one segment more."""
     model, history = build_model(config, seed=0), History()
-    progress = TrainingProgress(config.train.steps, 0)
+    progress = TrainingProgress(config, 0)
 
     def train_segment() -> None:
         start = model.num_timesteps

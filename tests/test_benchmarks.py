@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import otr
-from benchmarks import mapping
+from benchmarks import mapping, training
 from benchmarks.__main__ import NAMES, document, main
 from benchmarks.evaluation import STANDING_GAINS, STANDING_OFFSETS, standing_policy
 from benchmarks.mapping import copying_tree, random_network
@@ -114,3 +114,11 @@ def test_every_benchmark_can_be_imported_and_says_its_target():
 def test_numbers_are_written_with_four_digits():
     entry = document([Entry("time", 0.123456789, "s")], ["python"])[0]
     assert (entry["value"], entry["peer_value"], entry["ratio"], entry["met"]) == (0.1235, None, None, None)
+
+
+def test_both_trainers_train_the_same_number_of_steps(tmp_path):
+    config = training.run_config("hopper", 60, 30, 20)
+    for model, train_segment in (training.our_trainer(config, tmp_path), training.plain_trainer(config)):
+        train_segment()
+        train_segment()
+        assert model.num_timesteps == 60

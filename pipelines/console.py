@@ -13,7 +13,9 @@ def show_result(summary: dict[str, Any], run_dir: Path) -> None:
     """Print the run's returns, sizes and times, where its artefacts lie, and its program when that is short."""
     console = Console(highlight=False, soft_wrap=True)
     program = run_dir / "prune" / "program.txt"
-    if program.exists() and (text := program.read_text(encoding="utf-8")).count("\n") <= SHORT_PROGRAM:
+    text = program.read_text(encoding="utf-8") if program.exists() else ""
+    n_lines = text.count("\n")
+    if 0 < n_lines <= SHORT_PROGRAM:
         console.print(f"\n{text}", markup=False)
     console.print(_table(summary))
     seconds = ", ".join(f"{stage} {duration(spent)}" for stage, spent in summary["seconds"].items())
@@ -24,6 +26,8 @@ def show_result(summary: dict[str, Any], run_dir: Path) -> None:
         f"{100 * summary['fidelity']:.2f} % of the states"
     )
     console.print(f"time: {seconds}", markup=False)
+    if n_lines > SHORT_PROGRAM:
+        console.print(f"program: {n_lines} lines, {program}", markup=False)
     console.print(f"artefacts: {run_dir}", markup=False)
 
 

@@ -1,0 +1,48 @@
+"""Slower checks of what people take away: committed policies play again as recorded, the wheel works on its own."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+pytestmark = pytest.mark.slow
+
+
+def test_committed_policies_play_the_recorded_episodes(tmp_path):
+    program = Path(sys.executable).with_name("otr-tabulate")
+    command = [str(program), "table=4.1", "evaluate=true", f"results_dir={ROOT / 'results'}"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=1200)
+    n_runs = len(list((ROOT / "results" / "runs").glob("**/summary.json")))
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.count("100 episodes played again, as recorded") == 3 * n_runs
+
+
+def test_wheel_brings_its_configuration(tmp_path):
+    subprocess.run(
+        [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", str(tmp_path), str(ROOT)],
+        check=True,
+        timeout=600,
+    )
+    (wheel,) = tmp_path.glob("otr-*.whl")
+    site = tmp_path / "site"
+    subprocess.run(
+        [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(site), str(wheel)],
+        check=True,
+        timeout=600,
+    )
+    code = (
+        "import sys, pipelines.cli as cli; sys.argv = ['otr-run', 'env=pendulum', 'depth=2', 'budget=smoke', "
+        f"'n_workers=1']; assert cli.CONF_DIR.is_relative_to({str(site)!r}), cli.CONF_DIR; cli.run()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env={"PYTHONPATH": str(site), "PATH": "/usr/bin:/bin"},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "results/runs/pendulum/otr/depth-2/smoke/seed-0/summary.json").exists()

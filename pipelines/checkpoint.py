@@ -118,8 +118,7 @@ def _read_replay(folder: Path, model: OffPolicyAlgorithm, n_segments: int) -> No
     assert buffer is not None
     for log in sorted(folder.glob("replay-*.npz")):
         if int(log.stem.split("-")[1]) > n_segments:
-            log.unlink()  # written just before the kill, by a segment that has no checkpoint
-            continue
+            continue  # written just before the kill, by a segment that has no checkpoint; it will be written again
         with np.load(log, allow_pickle=False) as saved:
             end = int(saved["end"])
             rows = np.arange(end - len(saved["rewards"]), end) % buffer.buffer_size

@@ -159,6 +159,8 @@ def _sweep_task(cfg: DictConfig) -> dict[str, str | None]:
     except Exception as error:
         path = record_failure(job, error, os.environ.get(SWEEP_VARIABLE, _sweep_name()))
         message = _message(error)
+        if job.config.debug:
+            traceback.print_exception(error)
         print(f"{job.folder} failed: {message}", file=sys.stderr, flush=True)
         return {"folder": job.folder, "error": message.splitlines()[0], "traceback": str(path)}
     return {"folder": job.folder, "error": None, "traceback": None}

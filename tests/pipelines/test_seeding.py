@@ -1,6 +1,6 @@
 """Named streams: distinct, reproducible, and never the reported episodes."""
 
-from pipelines.seeding import FIRST_STREAM_SEED, episode_seeds, evaluation_seeds, stream_seed
+from pipelines.seeding import episode_seeds, evaluation_seeds, stream_seed
 
 
 def test_streams_and_segments_differ_and_repeat():
@@ -16,6 +16,6 @@ def test_no_choice_is_made_on_reported_episodes():
     assert reported == set(range(1000, 1100))
     for seed in range(20):
         selection, prune = episode_seeds(seed, "selection", 10), episode_seeds(seed, "prune", 100)
-        assert min(selection + prune) >= FIRST_STREAM_SEED
+        assert min(selection + prune) >= 2**20
         assert not (set(selection) & set(prune)) and not (reported & set(selection + prune))
         assert len(set(selection)) == 10

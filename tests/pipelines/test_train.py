@@ -56,6 +56,7 @@ def train_until_killed(config, out, where):
     ("algorithm", "where"),
     [
         ("sac", "before saving"),
+        ("sac", "after saving"),
         ("sac", "between replay and model"),
         ("ddpg", "after saving"),
         ("td3", "between replay and model"),
@@ -91,15 +92,14 @@ def test_seed_decides_the_actor(tiny, tmp_path):
 
 
 def test_best_evaluation_s_actor_is_kept(tiny, tmp_path):
-    config = tiny(algo=PPO, train=TrainConfig(1500, 300, 2, 0))
+    config = tiny(algo=PPO, seed=5, train=TrainConfig(1500, 300, 2, 0))
     train_module.train({}, config, tmp_path)
     rows = read_csv(tmp_path / "evaluations.csv")
     returns = [float(row["return_mean"]) for row in rows]
-    best = [float(row["return_mean"]) for row in rows if row["best"] == "True"]
     assert len(rows) == 4  # 384 steps a segment: whole rollouts of 2 x 64
-    assert best[-1] == max(returns)
-    network = load_actor(tmp_path)
-    again = rollout(network.predict, config.env, episode_seeds(0, "selection", 2), n_workers=1)
+    assert max(returns) > returns[-1] + 1.0  # or the test could not tell the best actor from the last
+    assert [row["best"] for row in rows].count("True") == 1
+    again = rollout(load_actor(tmp_path).predict, config.env, episode_seeds(5, "selection", 2), n_workers=1)
     assert again.returns.mean() == max(returns)
 
 

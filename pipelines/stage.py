@@ -134,6 +134,11 @@ def _make(stage: Stage, folder: Path, config: RunConfig, inputs: Mapping[str, Pa
     shutil.rmtree(temporary, ignore_errors=True)
     temporary.mkdir(parents=True)
     start = time.monotonic()
+    origin = {  # of the code that is running, so asked before a run of hours and not after it
+        "command": provenance.command_line(),
+        "git_revision": provenance.git_revision(),
+        "versions": provenance.versions(),
+    }
     try:
         stage.run(inputs, config, temporary)
         seconds = round(time.monotonic() - start, 3)
@@ -148,9 +153,7 @@ def _make(stage: Stage, folder: Path, config: RunConfig, inputs: Mapping[str, Pa
                 "outputs": outputs,
                 "output_digest": digest(outputs),
                 "seconds": seconds,
-                "command": provenance.command_line(),
-                "git_revision": provenance.git_revision(),
-                "versions": provenance.versions(),
+                **origin,
             },
         )
         if folder.exists():  # stale: made by an older version of the stage or from inputs that have changed

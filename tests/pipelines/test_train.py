@@ -161,12 +161,12 @@ def test_younger_settings_leave_earlier_results_valid(tiny):
 
 
 def test_training_that_cannot_be_put_in_its_place_is_not_lost(tiny, tmp_path, monkeypatch):
-    def stop():
+    def stop(*_):
         raise KeyboardInterrupt
 
     config, stage = tiny(), STAGES["train"]
     with monkeypatch.context() as patch:
-        patch.setattr("pipelines.provenance.git_revision", stop)
+        patch.setattr("pipelines.stage.file_digest", stop)
         with pytest.raises(KeyboardInterrupt):
             run_stage(stage, tmp_path / "run", config, "")
     assert trained_steps(config) == 300

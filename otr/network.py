@@ -68,6 +68,8 @@ class ReluNetwork:
             raise InvalidNetworkError(f"negative_slope is {negative_slope}, expected 0 <= negative_slope < 1")
         self.dense: Dense = "all" if dense is True else dense
         self.negative_slope = float(negative_slope)
+        if head is not None and not isinstance(head, Head):
+            raise InvalidNetworkError(f"head is {head!r}, expected an instance such as otr.TanhBox(low, high)")
         self.head: Head = Identity() if head is None else head
         self.weights, self.biases = _checked_layers(weights, biases, self.dense)
         self.head.check(self.n_outputs)
@@ -195,8 +197,8 @@ def _checked_layers(
         raise InvalidNetworkError(
             f"{len(weights)} weight matrices and {len(biases)} bias vectors; give one of each per layer, at least one"
         )
-    Ws = tuple(read_only(np.array(W, dtype=np.float64)) for W in weights)
-    bs = tuple(read_only(np.array(b, dtype=np.float64)) for b in biases)
+    Ws = tuple(_numbers(W, f"the weight of layer {layer}") for layer, W in enumerate(weights))
+    bs = tuple(_numbers(b, f"the bias of layer {layer}") for layer, b in enumerate(biases))
     widths: list[int] = []
     for layer, (W, b) in enumerate(zip(Ws, bs, strict=True)):
         where = f"layer {layer} of {len(Ws)}"
@@ -213,6 +215,17 @@ def _checked_layers(
             raise InvalidNetworkError(f"{where}: a weight or bias is not finite (NaN or infinite)")
         widths.append(len(b))
     return Ws, bs
+
+
+def _numbers(values: ArrayLike, what: str) -> FloatArray:
+    """Return a read-only float64 copy, or raise InvalidNetworkError naming what is no array of real numbers."""
+    try:
+        given = np.asarray(values)
+        if given.dtype.kind not in "fiub":
+            raise TypeError(f"its type is {given.dtype}")
+        return read_only(np.array(given, dtype=np.float64))
+    except (TypeError, ValueError) as error:
+        raise InvalidNetworkError(f"{what} is no array of real numbers: {error}") from error
 
 
 def _columns_read(widths: Sequence[int], n_inputs: int, dense: Dense) -> int:

@@ -38,8 +38,11 @@ def to_text(
         precision: significant digits, at least 1; 17 loses nothing.
 
     Raises:
+        TypeError: `tree` is no ObliqueTree.
         ValueError: the wrong number of names, or precision < 1.
     """
+    if not isinstance(tree, ObliqueTree):
+        raise TypeError(f"tree is a {type(tree).__name__}, expected an ObliqueTree; a PatternTree has to_tree()")
     if precision < 1:
         raise ValueError(f"precision is {precision}, expected at least 1 significant digit")
     features = _names(feature_names, tree.n_inputs, "x", "feature_names")

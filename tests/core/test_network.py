@@ -98,6 +98,11 @@ def test_forward_does_not_change_the_states() -> None:
         ([[[1.0]]], [[0.0]], {"negative_slope": -0.1}, "0 <= negative_slope < 1"),
         ([[[1.0]]], [[0.0]], {"negative_slope": float("nan")}, "0 <= negative_slope < 1"),
         ([[[1.0]]], [[0.0]], {"dense": "some"}, "dense is 'some'"),
+        ([[[1.0, 2.0], [3.0]]], [[0.0, 0.0]], {}, "the weight of layer 0 is no array of real numbers"),
+        ([[[1.0]]], [["a"]], {}, "the bias of layer 0 is no array of real numbers"),
+        ([[[1.0j]]], [[0.0]], {}, "the weight of layer 0 is no array of real numbers: its type is complex128"),
+        ([[[1.0]]], [[0.0]], {"head": "tanh"}, "head is 'tanh'"),
+        ([[[1.0]]], [[0.0]], {"head": otr.Sign}, "expected an instance"),
     ],
 )
 def test_bad_networks_are_refused(weights: list, biases: list, options: dict, message: str) -> None:

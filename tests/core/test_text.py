@@ -84,3 +84,9 @@ def test_bad_arguments_are_refused() -> None:
         otr.to_text(mountain_car(), feature_names=["x"])
     with pytest.raises(ValueError, match="precision is 0"):
         otr.to_text(mountain_car(), precision=0)
+
+
+def test_a_pattern_tree_is_refused_with_the_way_out() -> None:
+    network = otr.ReluNetwork([[[1.0]], [[1.0]]], [[0.0], [0.0]])
+    with pytest.raises(TypeError, match=r"PatternTree has to_tree\(\)"):
+        otr.to_text(otr.PatternTree(network))  # type: ignore[arg-type]

@@ -18,7 +18,7 @@ from pipelines.errors import ConfigError
 from pipelines.training import learning_starts
 
 torch.set_num_threads(1)  # two threads make these small networks a hundred times slower
-torch.set_flush_denormal(True)  # decayed weights become denormal numbers, which are five times slower and worth nothing
+torch.set_flush_denormal(True)  # decayed weights become denormal numbers, which are many times slower and worth nothing
 
 
 def build_model(config: RunConfig, seed: int) -> BaseAlgorithm:

@@ -13,7 +13,7 @@ from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, Ornst
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from pipelines.config import DdpgConfig, OffPolicyConfig, PpoConfig, RunConfig, SacConfig, Td3Config
-from pipelines.envs import flat_state_size, is_discrete, make_env, state_box
+from pipelines.envs import flat_state_size, is_discrete, make_training_env
 from pipelines.errors import ConfigError
 from pipelines.training import learning_starts
 
@@ -60,11 +60,7 @@ def build_env(config: RunConfig) -> DummyVecEnv:
     n_envs = config.algo.n_envs if isinstance(config.algo, PpoConfig) else 1
 
     def make() -> gym.Env:
-        env = make_env(config.env)
-        if config.actor.rescale_inputs:
-            state_box(config.env)  # refuses what has no bounds
-            env = gym.wrappers.RescaleObservation(env, np.float32(-1.0), np.float32(1.0))
-        return Monitor(env)
+        return Monitor(make_training_env(config.env, rescale_inputs=config.actor.rescale_inputs))
 
     return DummyVecEnv([make] * n_envs)
 

@@ -27,6 +27,15 @@ def make_env(env: EnvConfig) -> gym.Env:
             raise ConfigError(f"env.id={env.id} with {env.kwargs or 'no arguments'} cannot be made: {error}") from error
 
 
+def make_training_env(env: EnvConfig, *, rescale_inputs: bool) -> gym.Env:
+    """Return a new environment as training sees it: its states rescaled from its box to [-1, 1], where that is set."""
+    made = make_env(env)
+    if not rescale_inputs:
+        return made
+    state_box(env)  # refuses what has no bounds
+    return gym.wrappers.RescaleObservation(made, np.float32(-1.0), np.float32(1.0))
+
+
 def _hear_mujoco_warnings() -> None:
     """Take MuJoCo's warnings as Python's; by default it prints them, and leaves a MUJOCO_LOG.TXT where we stand.
 

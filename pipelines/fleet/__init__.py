@@ -1,0 +1,1 @@
+"""The fleet: many runs of one environment trained as one batched program."""

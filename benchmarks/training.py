@@ -24,10 +24,11 @@ from torch import nn
 from benchmarks.measure import Entry
 from pipelines import cli
 from pipelines.algorithms import build_model
-from pipelines.checkpoint import History, save_checkpoint
+from pipelines.checkpoint import History
 from pipelines.config import PpoConfig, RunConfig, SacConfig
 from pipelines.envs import make_env
 from pipelines.progress import TrainingProgress
+from pipelines.sb3_checkpoint import save_checkpoint
 from pipelines.train import _train_segment
 
 Segment = Callable[[], Any]

@@ -1,26 +1,23 @@
 """Checkpoints of a training run: whole segments, so that a killed run goes on bit for bit as if it had not been.
 
-A checkpoint is the model's parameters and optimiser states (read with `weights_only`, so nothing in it can run), its
-counters, the history and the best actor so far. The replay buffer is a log: each segment's transitions are one file,
-written once and never changed, so saving costs what a segment collected and not what the buffer holds.
+A checkpoint is a folder `segment-<n>` with the learner's state, its counters, the history and the best actor so far. It
+is written beside the last one and renamed, then the last one is removed. What the trainers put in it is their own
+(`pipelines/sb3_checkpoint.py`, `pipelines/fleet/checkpoint.py`).
 """
 
-import io
 import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 import otr
-from pipelines.store import load_actor, read_json, save_actor, write_json
+from pipelines.rollout import Rollout
+from pipelines.store import load_actor, read_json, save_actor, write_csv, write_json
 
-COUNTERS = ("num_timesteps", "_n_updates", "_episode_num")
-REPLAY_ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+EVALUATION_COLUMNS = ("steps", "return_mean", "return_std", "n_episodes", "best")
+PROGRESS_COLUMNS = ("steps", "seconds", "steps_per_s", "n_episodes", "episode_return_mean", "episode_length_mean")
 
 
 @dataclass
@@ -32,27 +29,57 @@ class History:
     evaluations: list[dict[str, Any]] = field(default_factory=list)
     best: otr.ReluNetwork | None = None
 
+    def segment_done(self, progress_row: dict[str, Any], network: otr.ReluNetwork, played: Rollout) -> None:
+        """Add a segment, and keep its network where it did better than all before."""
+        mean = float(played.returns.mean())
+        best = all(mean > row["return_mean"] for row in self.evaluations)
+        self.n_segments += 1
+        self.progress.append(progress_row)
+        self.evaluations.append(
+            {
+                "steps": progress_row["steps"],
+                "return_mean": mean,
+                "return_std": float(played.returns.std()),
+                "n_episodes": len(played.returns),
+                "best": best,
+            }
+        )
+        if best:
+            self.best = network
 
-def save_checkpoint(folder: Path, model: BaseAlgorithm, history: History, replay_start: int) -> None:
+    def write(self, out: Path) -> None:
+        """Write a finished run's best actor, `evaluations.csv` and `progress.csv`."""
+        assert self.best is not None
+        save_actor(self.best, out)
+        write_csv(out / "evaluations.csv", self.evaluations, EVALUATION_COLUMNS)
+        write_csv(out / "progress.csv", self.progress, PROGRESS_COLUMNS)
+
+
+def progress_row(steps: int, start: int, seconds: float, returns: np.ndarray, lengths: np.ndarray) -> dict[str, Any]:
+    """Return the row of `progress.csv` of a segment that began at step `start`, from its finished episodes."""
+    return {
+        "steps": steps,
+        "seconds": round(seconds, 3),
+        "steps_per_s": round((steps - start) / seconds, 1),
+        "n_episodes": len(returns),
+        "episode_return_mean": float(returns.mean()) if len(returns) else None,
+        "episode_length_mean": float(lengths.mean()) if len(lengths) else None,
+    }
+
+
+def write_segment(folder: Path, history: History, counters: dict[str, int], state: tuple[str, bytes]) -> None:
     """Write the checkpoint of a segment's end beside the last one, then make it the current one.
 
     Args:
         folder: the run's checkpoint folder.
-        model: the model after the segment.
         history: the history, the segment included.
-        replay_start: transitions collected before the segment began.
+        counters: what the trainer counts; `num_timesteps` among them.
+        state: name and content of the file that holds the learner's state.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    if isinstance(model, OffPolicyAlgorithm):
-        _write_replay(folder, model, replay_start, history.n_segments)
     temporary = folder / "next"
     shutil.rmtree(temporary, ignore_errors=True)
-    temporary.mkdir()
-    # Through a buffer: torch reports a full disk as an internal failure of its own, a file as what it is.
-    buffer = io.BytesIO()
-    torch.save({"parameters": model.get_parameters(), "tensors": _loose_tensors(model)}, buffer)
-    (temporary / "model.pt").write_bytes(buffer.getvalue())
-    counters = {name: int(getattr(model, name)) for name in COUNTERS if hasattr(model, name)}
+    temporary.mkdir(parents=True)
+    (temporary / state[0]).write_bytes(state[1])
     write_json(
         temporary / "history.json",
         {
@@ -71,58 +98,13 @@ def save_checkpoint(folder: Path, model: BaseAlgorithm, history: History, replay
             shutil.rmtree(old)
 
 
-def load_checkpoint(folder: Path, model: BaseAlgorithm) -> History:
-    """Bring `model` to the last whole segment in `folder` and return the history; an empty one where there is none."""
-    segments = sorted(folder.glob("segment-*"))
-    if not segments:
-        return History()
-    current = segments[-1]
-    saved = torch.load(current / "model.pt", weights_only=True)
-    model.set_parameters(saved["parameters"], exact_match=True)
-    for name, tensor in saved["tensors"].items():
-        getattr(model, name).data.copy_(tensor)
-    about = read_json(current / "history.json")
-    for name, value in about["counters"].items():
-        setattr(model, name, value)
-    if isinstance(model, OffPolicyAlgorithm):
-        _read_replay(folder, model, about["n_segments"])
-    best = load_actor(current) if (current / "actor.json").exists() else None
-    return History(about["n_segments"], about["progress"], about["evaluations"], best)
+def last_segment(folder: Path) -> Path | None:
+    """Return the folder of the last whole segment; None before the first."""
+    return max(folder.glob("segment-*"), default=None)
 
 
-def _loose_tensors(model: BaseAlgorithm) -> dict[str, torch.Tensor]:
-    """Return the tensors that belong to the model but to none of its modules, such as SAC's log temperature."""
-    _, names = model._get_torch_save_params()
-    return {name: getattr(model, name).detach() for name in names}
-
-
-def _write_replay(folder: Path, model: OffPolicyAlgorithm, start: int, segment: int) -> None:
-    """Log the transitions `start` to now, and drop the logs that the buffer no longer holds."""
-    buffer = model.replay_buffer
-    assert buffer is not None
-    end = model.num_timesteps
-    rows = np.arange(max(start, end - buffer.buffer_size), end) % buffer.buffer_size
-    temporary = folder / "replay.tmp"
-    with temporary.open("wb") as file:
-        np.savez(file, end=end, **{name: getattr(buffer, name)[rows] for name in REPLAY_ARRAYS})
-    temporary.rename(folder / f"replay-{segment:06d}-{end:012d}.npz")
-    for log in folder.glob("replay-*.npz"):
-        # Until the new checkpoint is in its place a kill falls back to the one at `start`, which needs its own buffer.
-        if int(log.stem.split("-")[2]) <= start - buffer.buffer_size:
-            log.unlink()
-
-
-def _read_replay(folder: Path, model: OffPolicyAlgorithm, n_segments: int) -> None:
-    """Fill the model's replay buffer from the logs of the first `n_segments` segments."""
-    buffer = model.replay_buffer
-    assert buffer is not None
-    for log in sorted(folder.glob("replay-*.npz")):
-        if int(log.stem.split("-")[1]) > n_segments:
-            continue  # written just before the kill, by a segment that has no checkpoint; it will be written again
-        with np.load(log, allow_pickle=False) as saved:
-            end = int(saved["end"])
-            rows = np.arange(end - len(saved["rewards"]), end) % buffer.buffer_size
-            for name in REPLAY_ARRAYS:
-                getattr(buffer, name)[rows] = saved[name]
-    buffer.pos = model.num_timesteps % buffer.buffer_size
-    buffer.full = model.num_timesteps >= buffer.buffer_size
+def read_segment(segment: Path) -> tuple[History, dict[str, int]]:
+    """Return a checkpoint's history and counters."""
+    about = read_json(segment / "history.json")
+    best = load_actor(segment) if (segment / "actor.json").exists() else None
+    return History(about["n_segments"], about["progress"], about["evaluations"], best), about["counters"]

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 import otr
-from pipelines import checkpoint as checkpoint_module
+from pipelines import sb3_checkpoint as checkpoint_module
 from pipelines import train as train_module
 from pipelines.algorithms import build_model
 from pipelines.config import ActorConfig, DdpgConfig, Td3Config, TrainConfig
 from pipelines.errors import ConfigError, PipelineError, PolicyMismatchError
 from pipelines.rollout import rollout
 from pipelines.seeding import episode_seeds
+from pipelines.selection import compare_with_trained
 from pipelines.stage import run_stage
 from pipelines.stages import STAGES
 from pipelines.store import load_actor, read_csv
@@ -122,12 +123,16 @@ def test_network_that_is_not_the_policy_is_caught(tiny):
     model = build_model(tiny(), 0)
     network = otr.from_sb3(model)
     states = np.random.default_rng(0).normal(size=(50, 3))
-    train_module.compare_with_model(network, model, states, states)
+
+    def trained(seen: np.ndarray) -> np.ndarray:
+        return model.predict(seen, deterministic=True)[0]
+
+    compare_with_trained(network, trained, states, tiny())
     weights = [weight.copy() for weight in network.weights]
     weights[-1][0, 0] += 1e-3
     other = otr.ReluNetwork(weights, network.biases, head=network.head)
     with pytest.raises(PolicyMismatchError, match="in state"):
-        train_module.compare_with_model(other, model, states, states)
+        compare_with_trained(other, trained, states, tiny())
 
 
 def test_segments_of_ppo_are_whole_rollouts(tiny):

@@ -39,7 +39,7 @@ from pipelines.tabulate import write_table
 
 _PACKAGED = Path(__file__).parent / "conf"  # in a wheel; in a checkout conf/ is beside the packages
 CONF_DIR = _PACKAGED if _PACKAGED.is_dir() else Path(__file__).parent.parent / "conf"
-GROUPS = ("env", "algo", "method", "budget", "launcher", "experiment")
+GROUPS = ("env", "algo", "method", "trainer", "budget", "launcher", "experiment")
 SWEEP_VARIABLE = "OTR_SWEEP"  # names the sweep to its jobs, in whatever process a launcher starts them
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE, EXIT_TERMINATED = 1, 2, 130, 141, 143
 
@@ -197,6 +197,7 @@ def _job(cfg: DictConfig, overrides: Sequence[str]) -> Job:
         f"env={config.env.name}",
         f"method={config.method.name}",
         f"budget={config.budget.name}",
+        f"trainer={config.trainer.name}",
         f"depth={config.depth}",
         f"seed={config.seed}",
     ]
@@ -217,6 +218,8 @@ def _load_config(run_dir: Path, n_workers: int | None) -> RunConfig:
         cfg = OmegaConf.load(run_dir / "config.yaml")
         schema = _schema(RunConfig)
         schema.algo = _schema(schemas.ALGORITHMS[cfg.algo.name])
+        if "trainer" in cfg:  # there was one trainer only before
+            schema.trainer = _schema(schemas.FleetConfig if "n_envs" in cfg.trainer else schemas.TrainerConfig)
         loaded = _to_object(OmegaConf.merge(schema, cfg, {"n_workers": n_workers}))
     except (OSError, KeyError, OmegaConfBaseException, ConfigError) as error:
         raise corrupt(run_dir / "config.yaml", error) from error
@@ -351,6 +354,8 @@ def _register_schemas() -> None:
     store.store("budget_schema", _schema(schemas.BudgetConfig))
     for name, algorithm in schemas.ALGORITHMS.items():
         store.store(f"{name}_schema", _schema(algorithm), group="algo")
+    for name, trainer in schemas.TRAINERS.items():
+        store.store(f"{name}_schema", _schema(trainer), group="trainer")
 
 
 def _schema(kind: type) -> DictConfig:

@@ -160,6 +160,35 @@ class MethodConfig:
 
 
 @dataclass(frozen=True)
+class TrainerConfig:
+    """Who trains: `sb3`, Stable-Baselines3, one run at a time."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class FleetConfig(TrainerConfig):
+    """Many runs of SAC trained as one (`pipelines/fleet`). Other algorithms are Stable-Baselines3's all the same.
+
+    Attributes:
+        n_envs: environments a run; as many updates follow each step of all of them.
+        precision: fp32, or bf16 for the products between wide layers.
+        environments: gymnasium, or envpool (an extra).
+        device: cpu or cuda, which changes nothing but the rounding.
+        runs_per_process: runs that are trained as one at most; how they are grouped changes no run on the CPU.
+    """
+
+    n_envs: int
+    precision: str
+    environments: str
+    device: str
+    runs_per_process: int
+
+
+TRAINERS: dict[str, type[TrainerConfig]] = {"sb3": TrainerConfig, "fleet": FleetConfig}
+
+
+@dataclass(frozen=True)
 class RunConfig:
     """One run. What is below `results_dir` changes how it is executed, never what comes out."""
 
@@ -175,6 +204,7 @@ class RunConfig:
     prune: PruneConfig
     evaluate: EvaluateConfig
     results_dir: str
+    trainer: TrainerConfig = field(default_factory=lambda: TrainerConfig("sb3"))
     stages: list[str] | None = None
     n_workers: int | None = None
     side_by_side: bool = False  # other jobs share the terminal
@@ -192,6 +222,21 @@ class RunConfig:
         return tuple(width for width in widths if width > 0)
 
     @property
+    def fleet(self) -> FleetConfig | None:
+        """The fleet's settings where a fleet trains this run; None where Stable-Baselines3 does."""
+        return self.trainer if isinstance(self.trainer, FleetConfig) and isinstance(self.algo, SacConfig) else None
+
+    @property
+    def trainer_name(self) -> str:
+        """Who trains this run: `sb3`, or the fleet's name."""
+        return self.fleet.name if self.fleet else "sb3"
+
+    @property
+    def budget_level(self) -> str:
+        """The budget's name in the run's folder, with the trainer's where that is not Stable-Baselines3."""
+        return f"{self.budget.name}-{self.fleet.name}" if self.fleet else self.budget.name
+
+    @property
     def selected_stages(self) -> tuple[str, ...]:
         """The stages to do, in the method's order."""
         stages = METHODS[self.method.name]
@@ -202,6 +247,7 @@ class RunConfig:
 YOUNGER_SETTINGS = {("actor", "rescale_inputs"): False}
 
 EXECUTION_FIELDS = ("results_dir", "stages", "n_workers", "side_by_side", "debug")
+FLEET_EXECUTION_FIELDS = ("name", "device", "runs_per_process")
 
 
 def run_folder(config: RunConfig, baseline: RunConfig) -> str:
@@ -213,7 +259,7 @@ def run_folder(config: RunConfig, baseline: RunConfig) -> str:
     depth = "-".join(str(width) for width in config.hidden_widths) or "0"
     differences = setting_differences(settings(config), settings(baseline))
     suffix = f"~{digest(differences)[:8]}" if differences else ""
-    return f"runs/{config.env.name}/{config.method.name}/depth-{depth}/{config.budget.name}/seed-{config.seed}{suffix}"
+    return f"runs/{config.env.name}/{config.method.name}/depth-{depth}/{config.budget_level}/seed-{config.seed}{suffix}"
 
 
 def settings(config: RunConfig) -> dict[str, Any]:
@@ -224,6 +270,9 @@ def settings(config: RunConfig) -> dict[str, Any]:
     plain = {key: value for key, value in asdict(config).items() if key not in EXECUTION_FIELDS}
     plain["budget"] = config.budget.name
     plain["depth"] = list(config.hidden_widths)
+    trainer = plain.pop("trainer")
+    if config.fleet:
+        plain["trainer"] = {key: value for key, value in trainer.items() if key not in FLEET_EXECUTION_FIELDS}
     for (section, name), as_before in YOUNGER_SETTINGS.items():
         if plain[section][name] == as_before:
             del plain[section][name]
@@ -297,8 +346,15 @@ RANGES: dict[str, tuple[float, float]] = {  # key: least and greatest value; key
     "algo.action_noise_std": (0, math.inf),
     "algo.action_noise_dt": (1e-12, math.inf),
     "algo.policy_delay": (1, math.inf),
+    "trainer.n_envs": (1, 4096),
+    "trainer.runs_per_process": (1, 4096),
 }
 ACTION_NOISES = ("none", "normal", "ornstein_uhlenbeck")
+FLEET_CHOICES = {
+    "precision": ("fp32", "bf16"),
+    "environments": ("gymnasium", "envpool"),
+    "device": ("cpu", "cuda"),
+}
 
 
 def _check_numbers(config: RunConfig) -> None:
@@ -315,5 +371,21 @@ def _check_numbers(config: RunConfig) -> None:
         raise ConfigError(f"algo.action_noise={config.algo.action_noise}: use one of {', '.join(ACTION_NOISES)}")
     if isinstance(config.algo, SacConfig) and not re.fullmatch(r"auto|[0-9.]+(e-?[0-9]+)?", config.algo.ent_coef):
         raise ConfigError(f"algo.ent_coef={config.algo.ent_coef}: use auto, or a number for a fixed temperature")
+    if config.fleet:
+        _check_fleet(config.fleet, config.algo)
     if not config.results_dir:
         raise ConfigError("results_dir is empty; give a folder, or leave it out (and OTR_RESULTS_DIR unset)")
+
+
+def _check_fleet(fleet: FleetConfig, algo: AlgoConfig) -> None:
+    for key, choices in FLEET_CHOICES.items():
+        if getattr(fleet, key) not in choices:
+            raise ConfigError(f"trainer.{key}={getattr(fleet, key)}: use one of {', '.join(choices)}")
+    assert isinstance(algo, SacConfig)
+    if (algo.train_freq, algo.gradient_steps) != (1, 1):
+        raise ConfigError(
+            f"trainer={fleet.name} does one update for each environment step, but algo.train_freq={algo.train_freq} "
+            f"and algo.gradient_steps={algo.gradient_steps}; leave both at 1, or use trainer=sb3"
+        )
+    if algo.action_noise == "ornstein_uhlenbeck":
+        raise ConfigError(f"trainer={fleet.name} has no ornstein_uhlenbeck noise; use algo.action_noise=normal")

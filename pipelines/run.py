@@ -3,6 +3,7 @@
 import errno
 import shutil
 import traceback
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 from pipelines.config import RunConfig
 from pipelines.console import duration, show_result
 from pipelines.errors import PipelineError
-from pipelines.stage import StageResult, run_stage, stage_status
+from pipelines.stage import StageResult, run_stage, run_stage_together, stage_status
 from pipelines.stages import STAGES
 from pipelines.store import read_csv, read_json, write_json, write_text
 from pipelines.training import checkpoint_folder, estimated_bytes, estimated_seconds, trained_steps
@@ -57,6 +58,23 @@ def run_job(job: Job) -> dict[str, Any] | None:
         ) from error
 
 
+def train_together(jobs: Sequence[Job]) -> list[Exception | None]:
+    """Train the runs of a fleet as one, as far as they need it; `run_job` then finds each one's training done.
+
+    Returns:
+        For each job why its training failed, or None.
+    """
+    from pipelines.fleet.train import train_fleet  # imports torch
+
+    missing = [job for job in jobs if stage_status(STAGES["train"], job.run_dir / "train", job.config) == "missing"]
+    if missing:
+        for job in missing:
+            print(f"{job.run_dir}", flush=True)
+            job.run_dir.mkdir(parents=True, exist_ok=True)
+        _announce_training([job.config for job in missing])
+    return run_stage_together(STAGES["train"], [(job.run_dir, job.config) for job in jobs], train_fleet)
+
+
 def _run_stages(job: Job) -> dict[str, Any] | None:
     config, run_dir = job.config, job.run_dir
     print(f"{run_dir}", flush=True)
@@ -65,7 +83,7 @@ def _run_stages(job: Job) -> dict[str, Any] | None:
     for name in config.selected_stages:
         stage = STAGES[name]
         if name == "train" and stage_status(stage, run_dir / name, config) == "missing":
-            _announce_training(config)
+            _announce_training([config])
         results[name] = run_stage(stage, run_dir, config, job.command)
         if name == "train":  # only now that the result is in its place
             shutil.rmtree(checkpoint_folder(config), ignore_errors=True)
@@ -97,7 +115,7 @@ def summarise(job: Job) -> dict[str, Any]:
         "method": config.method.name,
         "depth": config.depth,
         "budget": config.budget.name,
-        "trainer": "sb3",
+        "trainer": config.trainer_name,
         "algorithm": config.algo.name,
         "seed": config.seed,
         "steps": config.train.steps,
@@ -131,10 +149,12 @@ def record_failure(job: Job, error: BaseException, sweep: str) -> str:
     return str(path)
 
 
-def _announce_training(config: RunConfig) -> None:
-    """Print the likely time and disk of a long training, and refuse one that cannot fit on the disk."""
-    left = max(0, config.train.steps - trained_steps(config))
-    seconds, n_bytes = estimated_seconds(config), estimated_bytes(config) * left // config.train.steps
+def _announce_training(configs: Sequence[RunConfig]) -> None:
+    """Print the likely time and disk of a long training, of one run or a fleet; refuse what cannot fit on the disk."""
+    config = configs[0]
+    left = [max(0, each.train.steps - trained_steps(each)) for each in configs]
+    seconds = sum(estimated_seconds(each) for each in configs)
+    n_bytes = sum(estimated_bytes(each) * n // each.train.steps for each, n in zip(configs, left, strict=True))
     folder = Path(config.results_dir)
     free = shutil.disk_usage(folder).free
     if n_bytes > free:
@@ -143,8 +163,10 @@ def _announce_training(config: RunConfig) -> None:
             "Choose another place with results_dir=PATH, or a smaller algo.buffer_size."
         )
     if seconds >= LONG_RUN_S:
+        runs = f"{len(configs)} runs as one, " if len(configs) > 1 else ""
+        where = "on one GPU" if config.fleet and config.fleet.device == "cuda" else "on one core"
         print(
-            f"train: {left:,} steps of {config.algo.name.upper()}, about {duration(seconds)} on one core, "
+            f"train: {runs}{sum(left):,} steps of {config.algo.name.upper()}, about {duration(seconds)} {where}, "
             f"up to {max(1, round(n_bytes / 1e6))} MB of checkpoints; Ctrl-C stops, the same command goes on",
             flush=True,
         )

@@ -7,8 +7,8 @@ done, waits where another process is at it, writes into a temporary folder, writ
 import hashlib
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -71,13 +71,54 @@ def run_stage(stage: Stage, run_dir: Path, config: RunConfig, rerun_command: str
             manifest = verified_manifest(folder)
             return StageResult(folder, skipped=True, seconds=manifest["seconds"])
         # Runs that differ in later stages alone share this result: one of them makes it, the others take it over.
-        locks = Path(config.results_dir) / "locks"
-        with _lock(locks / f"{stage.name}-{wanted[:16]}.lock", f"another run is making the {stage.name} of {run_dir}"):
+        with _lock(_result_lock(config, stage, wanted), f"another run is making the {stage.name} of {run_dir}"):
             twin = _twin(run_dir, stage.name, wanted)
             if twin is not None:
                 _copy_twin(twin, folder)
                 return StageResult(folder, skipped=True, seconds=read_manifest(folder)["seconds"])
             return _make(stage, folder, config, inputs, wanted)
+
+
+def run_stage_together(
+    stage: Stage,
+    requests: Sequence[tuple[Path, RunConfig]],
+    run: Callable[[Sequence[RunConfig], Sequence[Path]], Sequence[Exception | None]],
+) -> list[Exception | None]:
+    """Make the results of a stage without inputs for several runs in one go, where nothing is in the way.
+
+    Runs that have theirs, that another process is at, or whose result another run holds are left for `run_stage`, which
+    knows what to do. What one run fails at does not touch the others.
+
+    Args:
+        stage: the stage.
+        requests: run folder and configuration of each run.
+        run: `(configs, outs)` writes each run's files into its folder and returns what it failed with, if it did.
+
+    Returns:
+        For each request what it failed with, or None.
+    """
+    errors: list[Exception | None] = [None] * len(requests)
+    with ExitStack() as stack:
+        chosen: list[tuple[int, Path, str]] = []
+        for i, (run_dir, config) in enumerate(requests):
+            folder, wanted = run_dir / stage.name, stage_key(stage, config, {})
+            lock = stack.enter_context(_try_lock(run_dir / f".{stage.name}.lock"))
+            if not lock or stage_status(stage, folder, config, wanted) in ("done", "other settings"):
+                continue
+            is_first = stack.enter_context(_try_lock(_result_lock(config, stage, wanted)))
+            if is_first and _twin(run_dir, stage.name, wanted) is None:
+                chosen.append((i, folder, wanted))
+        if not chosen:
+            return errors
+        origin, start = _origin(), time.monotonic()
+        folders = [stack.enter_context(_unfinished(folder)) for _, folder, _ in chosen]
+        failures = run([requests[i][1] for i, _, _ in chosen], folders)
+        share = round((time.monotonic() - start) / len(chosen), 3)
+        for (i, folder, wanted), temporary, failure in zip(chosen, folders, failures, strict=True):
+            errors[i] = failure
+            if failure is None:
+                _finish(stage, folder, temporary, requests[i][1], wanted, share, origin)
+    return errors
 
 
 def stage_key(stage: Stage, config: RunConfig, inputs: Mapping[str, Path]) -> str:
@@ -130,38 +171,57 @@ def file_digest(path: Path) -> str:
 
 
 def _make(stage: Stage, folder: Path, config: RunConfig, inputs: Mapping[str, Path], wanted: str) -> StageResult:
-    temporary = folder.with_name(f".{stage.name}.tmp")
+    with _unfinished(folder) as temporary:
+        start = time.monotonic()
+        origin = _origin()
+        stage.run(inputs, config, temporary)
+        seconds = round(time.monotonic() - start, 3)
+        _finish(stage, folder, temporary, config, wanted, seconds, origin)
+    return StageResult(folder, skipped=False, seconds=seconds)
+
+
+@contextmanager
+def _unfinished(folder: Path) -> Iterator[Path]:
+    """Give an empty folder beside `folder` to write a result into; whatever is still there afterwards is removed."""
+    temporary = folder.with_name(f".{folder.name}.tmp")
     shutil.rmtree(temporary, ignore_errors=True)
     temporary.mkdir(parents=True)
-    start = time.monotonic()
-    origin = {  # of the code that is running, so asked before a run of hours and not after it
+    try:
+        yield temporary
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _origin() -> dict[str, Any]:
+    """Return who makes a result: of the code that is running, so asked before a run of hours and not after it."""
+    return {
         "command": provenance.command_line(),
         "git_revision": provenance.git_revision(),
         "versions": provenance.versions(),
     }
-    try:
-        stage.run(inputs, config, temporary)
-        seconds = round(time.monotonic() - start, 3)
-        outputs = {path.name: file_digest(path) for path in sorted(temporary.iterdir())}
-        write_json(
-            temporary / MANIFEST,
-            {
-                "stage": stage.name,
-                "version": stage.version,
-                "key": wanted,
-                "settings": stage.settings(config),
-                "outputs": outputs,
-                "output_digest": digest(outputs),
-                "seconds": seconds,
-                **origin,
-            },
-        )
-        if folder.exists():  # stale: made by an older version of the stage or from inputs that have changed
-            shutil.rmtree(folder)
-        temporary.rename(folder)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-    return StageResult(folder, skipped=False, seconds=seconds)
+
+
+def _finish(
+    stage: Stage, folder: Path, temporary: Path, config: RunConfig, wanted: str, seconds: float, origin: dict[str, Any]
+) -> None:
+    """Write the manifest of a result and put the result in its place."""
+    outputs = {path.name: file_digest(path) for path in sorted(temporary.iterdir())}
+    write_json(
+        temporary / MANIFEST,
+        {
+            "stage": stage.name,
+            "version": stage.version,
+            "key": wanted,
+            "settings": stage.settings(config),
+            "outputs": outputs,
+            "output_digest": digest(outputs),
+            "seconds": seconds,
+            **origin,
+        },
+    )
+    if folder.exists():  # stale: made by an older version of the stage or from inputs that have changed
+        shutil.rmtree(folder)
+    temporary.rename(folder)
 
 
 def _input_folder(run_dir: Path, name: str, stage: Stage, rerun_command: str) -> Path:
@@ -201,6 +261,27 @@ def _copy_twin(twin: Path, folder: Path) -> None:
     if folder.exists():
         shutil.rmtree(folder)
     temporary.rename(folder)
+
+
+def _result_lock(config: RunConfig, stage: Stage, wanted: str) -> Path:
+    """Return the lock of a result, whichever run makes it."""
+    return Path(config.results_dir) / "locks" / f"{stage.name}-{wanted[:16]}.lock"
+
+
+@contextmanager
+def _try_lock(path: Path) -> Iterator[bool]:
+    """Hold a lock file where it is free, and tell whether it was."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(path)
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        yield False
+        return
+    try:
+        yield True
+    finally:
+        lock.release()
 
 
 @contextmanager

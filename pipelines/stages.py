@@ -15,10 +15,11 @@ from pipelines.training import TRAIN_VERSION, train_settings
 
 
 def _train(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
-    from pipelines.train import (
-        train,
-    )  # torch and Stable-Baselines3 take seconds to import; the other stages need neither
-
+    # torch and Stable-Baselines3 take seconds to import; the other stages need neither.
+    if config.fleet:
+        from pipelines.fleet.train import train
+    else:
+        from pipelines.train import train
     train(inputs, config, out)
 
 

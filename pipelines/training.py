@@ -14,9 +14,11 @@ from pipelines.envs import make_env
 from pipelines.store import read_json
 
 TRAIN_VERSION = 1
+FLEET_VERSION = 1  # of the fleet trainer alone; part of its runs' settings
 
 # Environment steps per second on one core of a 2020s server, evaluations included, measured in training each.
 STEPS_PER_S = {"sac": 145.0, "td3": 240.0, "ddpg": 300.0, "ppo": 1_700.0}
+FLEET_STEPS_PER_S = {"cpu": 400.0, "cuda": 40_000.0}  # the latter is a guess: not measured yet
 RANDOM_STEPS_PER_S = 5_000.0  # off-policy steps before learning starts
 
 
@@ -25,6 +27,8 @@ def train_settings(config: RunConfig) -> dict[str, Any]:
     everything = settings(config)
     env = {key: everything["env"][key] for key in ("id", "kwargs")}
     kept = {key: everything[key] for key in ("algo", "actor", "train", "seed")}
+    if config.fleet:
+        kept["trainer"] = {**everything["trainer"], "version": FLEET_VERSION}
     return {"env": env, "hidden_widths": everything["depth"], **kept}
 
 
@@ -40,11 +44,14 @@ def trained_steps(config: RunConfig) -> int:
 
 
 def segment_steps(config: RunConfig) -> int:
-    """Return the environment steps between two evaluations; PPO's are rounded up to whole rollouts."""
+    """Return the environment steps between two evaluations; PPO's are rounded up to whole rollouts,
+    a fleet's to whole steps of its environments."""
     interval = min(config.train.eval_interval_steps, config.train.steps)
     if isinstance(config.algo, PpoConfig):
         per_rollout = config.algo.n_steps * config.algo.n_envs
         return math.ceil(interval / per_rollout) * per_rollout
+    if config.fleet:
+        return math.ceil(interval / config.fleet.n_envs) * config.fleet.n_envs
     return interval
 
 
@@ -52,7 +59,12 @@ def estimated_seconds(config: RunConfig) -> float:
     """Return the likely time of what is left to train, in seconds on one core."""
     done, steps = trained_steps(config), config.train.steps
     random_steps = max(0, learning_starts(config) - done)
-    return random_steps / RANDOM_STEPS_PER_S + max(0, steps - done - random_steps) / STEPS_PER_S[config.algo.name]
+    return random_steps / RANDOM_STEPS_PER_S + max(0, steps - done - random_steps) / training_rate(config)
+
+
+def training_rate(config: RunConfig) -> float:
+    """Return the likely environment steps per second on one core, of a run or of all runs of a fleet together."""
+    return FLEET_STEPS_PER_S[config.fleet.device] if config.fleet else STEPS_PER_S[config.algo.name]
 
 
 def estimated_bytes(config: RunConfig) -> int:

@@ -1,1 +1,1 @@
-"""The fleet: many runs of one environment trained as one batched program."""
+"""Many runs of soft actor-critic trained as one: stacked networks, batched products, and every run on its own."""

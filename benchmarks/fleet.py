@@ -1,0 +1,203 @@
+"""The fleet trainer on one core: environment steps a second against Stable-Baselines3, SBX and the arithmetic floor.
+
+Everything is the real thing: Hopper, an actor of 6 neurons, critics [256, 256], batches of 100 (conf/algo/sac.yaml),
+physics, replay and updates included, evaluations and checkpoints left out on all sides. Ten runs train as the product
+would train them, in fleets of `runs_per_process`. The peers train one run. All take turns, round after round, and of
+each the fastest round counts.
+
+The floor is the time of the float32 matrix products alone that an update needs, batched over five runs in the shapes
+that occur, without a single addition, activation, transition or environment step.
+
+SBX (Stable-Baselines3 in JAX) needs packages of its own: it is measured where OTR_SBX_PYTHON names the python of an
+environment that has `sbx-rl`, `gymnasium[mujoco]` and nothing of ours; `benchmarks/sbx_peer.py` runs there.
+"""
+
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from benchmarks.measure import Entry, alternate
+from benchmarks.training import plain_trainer
+from pipelines import cli
+from pipelines.config import RunConfig
+from pipelines.fleet.groups import fleets
+from pipelines.fleet.progress import FleetProgress
+from pipelines.fleet.run import FleetRun
+from pipelines.fleet.sac import FleetSac, Minibatch, RunSettings, Shapes
+from pipelines.fleet.train import FleetTrainer, Task
+
+N_RUNS = 10
+N_RANDOM = 100
+CPU = torch.device("cpu")
+PEER_STEPS_AHEAD = 300  # SBX compiles in its first steps
+
+
+def measure(quick: bool) -> list[Entry]:
+    """Return the entries; quick trains shorter segments, twice instead of five times."""
+    rounds, n_steps = (2, 150) if quick else (5, 600)
+    sbx = os.environ.get("OTR_SBX_PYTHON")
+    sides: dict[str, Callable[[], float]] = {
+        "sb3": peer_rate("sb3", n_steps),
+        "fp32": fleet_rate("fp32", n_steps),
+        "bf16": fleet_rate("bf16", n_steps),
+    }
+    if sbx:
+        sides["sbx"] = lambda: sbx_rate(sbx, 5 * n_steps)
+    best = dict.fromkeys(sides, 0.0)
+    floor = float("inf")
+    for i in range(rounds):
+        for name, side in sides.items():
+            best[name] = max(best[name], side())
+        floor = min(floor, floor_seconds())
+        rates = ", ".join(f"{name} {rate:,.0f}" for name, rate in best.items())
+        print(f"fleet: round {i + 1} of {rounds}, steps/s: {rates}; floor {1 / floor:,.0f} updates/s", flush=True)
+    ours = f"Hopper, {N_RUNS} runs on one core"
+    sb3, unit = "Stable-Baselines3 SAC, one run", "steps/s"
+    entries = [
+        Entry(f"{ours}, fp32", best["fp32"], unit, sb3, best["sb3"], "ratio >= 2.2"),
+        Entry(
+            f"{ours}, fp32, of the arithmetic floor",
+            best["fp32"],
+            unit,
+            "its products alone",
+            1 / floor,
+            "ratio >= 0.6",
+        ),
+        Entry(f"{ours}, bf16", best["bf16"], unit, sb3, best["sb3"], "ratio >= 3"),
+    ]
+    if sbx:
+        entries.insert(1, Entry(f"{ours}, fp32", best["fp32"], unit, "SBX SAC, one run", best["sbx"], "ratio >= 1"))
+    return entries + learner_entries(quick)
+
+
+def run_config(precision: str, seed: int, n_steps: int) -> RunConfig:
+    """Return the configuration of `otr-run env=hopper depth=6 trainer=fleet` with these steps a segment."""
+    cli._register_schemas()
+    words = ["env=hopper", "depth=6", "trainer=fleet", f"trainer.precision={precision}", f"seed={seed}"]
+    words += [f"train.max_learning_starts={N_RANDOM}", f"train.eval_interval_steps={n_steps}"]
+    config = cli._to_object(cli._compose("run", words))
+    assert isinstance(config, RunConfig)
+    return config
+
+
+def fleet_rate(precision: str, n_steps: int) -> Callable[[], float]:
+    """Return a function that trains all runs for a segment more and returns environment steps per CPU-second."""
+    folder = tempfile.TemporaryDirectory()
+    configs = [
+        dataclasses.replace(run_config(precision, seed, n_steps), results_dir=folder.name) for seed in range(N_RUNS)
+    ]
+    task = Task.of(configs[0])
+    trainers = [FleetTrainer(task, [FleetRun(configs[i], task.layout) for i in part]) for part in fleets(configs)]
+    quiet = [FleetProgress(trainer.runs) for trainer in trainers]
+
+    def rate() -> float:
+        assert folder
+        seconds, n_trained = 0.0, 0
+        for trainer, progress in zip(trainers, quiet, strict=True):
+            began = time.process_time()
+            end = trainer.train_segment(progress).end
+            seconds += time.process_time() - began
+            for run in trainer.runs:
+                n_trained += end - run.n_steps
+                run.n_steps = end
+        return n_trained / seconds
+
+    rate()  # the random steps are in this one
+    return rate
+
+
+def peer_rate(name: str, n_steps: int) -> Callable[[], float]:
+    """Return the same for a plain Stable-Baselines3 script."""
+    assert name == "sb3"
+    config = run_config("fp32", 0, n_steps)
+    model, train_segment = plain_trainer(config)
+
+    def rate() -> float:
+        start, began = model.num_timesteps, time.process_time()
+        train_segment()
+        return (model.num_timesteps - start) / (time.process_time() - began)
+
+    rate()
+    return rate
+
+
+def sbx_rate(python: str, n_steps: int) -> float:
+    """Return SBX's environment steps per CPU-second in a process of its own."""
+    algo: Any = run_config("fp32", 0, n_steps).algo
+    settings = {name: getattr(algo, name) for name in ("learning_rate", "batch_size", "gamma", "tau", "critic")}
+    settings |= {"n_steps": n_steps, "n_random": N_RANDOM, "n_ahead": PEER_STEPS_AHEAD}
+    script = Path(__file__).with_name("sbx_peer.py")
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    answer = subprocess.run(
+        [python, str(script), json.dumps(settings)], env=environment, capture_output=True, text=True, check=False
+    )
+    if answer.returncode:
+        sys.stderr.write(answer.stderr)
+        raise RuntimeError("SBX could not be measured; unset OTR_SBX_PYTHON to leave it out")
+    return float(answer.stdout.split()[-1])
+
+
+def floor_seconds(n_runs: int = 5, repeats: int = 20) -> float:
+    """Return the CPU-seconds a run of an update's matrix products: three forward passes, two backward."""
+    n, rows, d_in, width = 2 * n_runs, 100, 14, 256
+    x, h = torch.randn(n, rows, d_in), torch.randn(n, rows, width)
+    W1, W2, W3 = torch.randn(n, width, d_in), torch.randn(n, width, width), torch.randn(n, 1, width)
+    out1, out2, out3 = torch.empty(n, rows, width), torch.empty(n, rows, width), torch.empty(n, rows, 1)
+    gradients = [torch.empty_like(weight) for weight in (W1, W2, W3)]
+
+    def products() -> None:
+        for _ in range(3):  # targets; critics on the batch; critics on the policy's actions
+            torch.bmm(x, W1.transpose(1, 2), out=out1)
+            torch.bmm(h, W2.transpose(1, 2), out=out2)
+            torch.bmm(h, W3.transpose(1, 2), out=out3)
+        for inputs, delta, gradient in ((x, out1, gradients[0]), (h, out2, gradients[1]), (h, out3, gradients[2])):
+            torch.bmm(delta.transpose(1, 2), inputs, out=gradient)
+        for _ in range(2):  # back through the critics, for themselves and for the actions
+            torch.bmm(out3, W3, out=out2)
+            torch.bmm(out2, W2, out=out1)
+        torch.bmm(out1, W1[:, :, 11:])
+
+    products()
+    return min(alternate(products, rounds=5, repeats=repeats)) / n_runs
+
+
+def learner_entries(quick: bool) -> list[Entry]:
+    """Return updates a second of the learner alone, by how many runs share a process and by the actor's shape."""
+    rounds, n_updates = (2, 20) if quick else (5, 60)
+    kinds: dict[str, Callable[[], None]] = {}
+    n_of: dict[str, int] = {}
+    for n_runs, actor in ((1, (6,)), (2, (6,)), (5, (6,)), (10, (6,)), (20, (6,)), (5, (32,)), (5, (256, 256))):
+        name = f"learner alone, {n_runs} runs a process, actor {list(actor)}"
+        kinds[name], n_of[name] = learner(n_runs, actor), n_runs
+    seconds = alternate(*kinds.values(), rounds=rounds, repeats=n_updates)
+    return [Entry(name, n_of[name] / each, "updates/s") for name, each in zip(kinds, seconds, strict=True)]
+
+
+def learner(n_runs: int, actor: tuple[int, ...]) -> Callable[[], None]:
+    """Return a function that does one update of each of `n_runs` runs."""
+    fleet = FleetSac(Shapes(11, 3, actor, (256, 256), 100), [RunSettings(1e-3, 0.99)] * n_runs, CPU)
+    for run in range(n_runs):
+        fleet.initialise(run, torch.Generator().manual_seed(run))
+    batch = Minibatch(
+        torch.randn(n_runs, 100, 11),
+        torch.rand(n_runs, 100, 3) * 2 - 1,
+        torch.randn(n_runs, 100),
+        torch.randn(n_runs, 100, 11),
+        torch.ones(n_runs, 100),
+    )
+    noise = torch.randn(n_runs, 200, 3)
+
+    def update() -> None:
+        fleet.update(batch, noise)
+
+    update()
+    return update

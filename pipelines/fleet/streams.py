@@ -1,0 +1,65 @@
+"""The random numbers of a fleet: a generator for each run, drawn some steps ahead, so that no run disturbs another."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+DRAWS_AHEAD = 32  # updates: enough to make the calls cheap, little enough to stay in the cache
+
+
+@dataclass
+class Draws:
+    """Random numbers for N vector steps of R runs with E environments and E updates of B transitions each.
+
+    Attributes:
+        policy: (R, N, E, n_actions), standard normal, of the stochastic policy.
+        exploration: (R, N, E, n_actions), standard normal, added to actions after scaling.
+        actions: (R, N, E, n_actions), uniform in [-1, 1), before learning starts.
+        updates: (R, N, E, 2 B, n_actions), standard normal, of an update's actions.
+        fractions: (R, N, E, B), uniform in [0, 1), float64, choose an update's transitions.
+    """
+
+    policy: Tensor
+    exploration: Tensor
+    actions: Tensor
+    updates: Tensor
+    fractions: Tensor
+
+
+class Streams:
+    """The generators of R runs; what run r draws depends on its own seed alone.
+
+    Args:
+        seeds: one a run.
+        n_envs: E.
+        batch_size: B.
+        n_actions: of the environment.
+        device: where numbers are drawn and wanted.
+    """
+
+    def __init__(
+        self, seeds: Sequence[int], n_envs: int, batch_size: int, n_actions: int, device: torch.device
+    ) -> None:
+        self._generators = [torch.Generator(device).manual_seed(seed) for seed in seeds]
+        self._n_envs, self._batch_size, self._n_actions, self._device = n_envs, batch_size, n_actions, device
+        self.n_steps_ahead = max(1, DRAWS_AHEAD // n_envs)
+
+    def draw(self) -> Draws:
+        """Return the numbers for the next `n_steps_ahead` vector steps."""
+        n, e, b, a = self.n_steps_ahead, self._n_envs, self._batch_size, self._n_actions
+
+        def each(method: str, *shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
+            whole = torch.empty(len(self._generators), *shape, device=self._device, dtype=dtype)
+            for part, generator in zip(whole, self._generators, strict=True):
+                getattr(part, method)(generator=generator)
+            return whole
+
+        return Draws(
+            policy=each("normal_", n, e, a),
+            exploration=each("normal_", n, e, a),
+            actions=each("uniform_", n, e, a).mul_(2).sub_(1),
+            updates=each("normal_", n, e, 2 * b, a),
+            fractions=each("uniform_", n, e, b, dtype=torch.float64),
+        )

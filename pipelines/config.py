@@ -179,6 +179,9 @@ class RunConfig:
     n_workers: int | None = None
     side_by_side: bool = False  # other jobs share the terminal
     debug: bool = False
+    tracking: str = "none"  # where runs are also logged: none, tensorboard, mlflow
+    # The run's folder below results_dir, which the command line works out from all of the above.
+    folder: str = field(default="", metadata={"omegaconf_ignore": True})
 
     def __post_init__(self) -> None:
         _check_depth(self.depth, self.method.name)
@@ -201,7 +204,7 @@ class RunConfig:
 # Settings younger than committed results, with the value that means "as before": keyed only where they differ from it.
 YOUNGER_SETTINGS = {("actor", "rescale_inputs"): False}
 
-EXECUTION_FIELDS = ("results_dir", "stages", "n_workers", "side_by_side", "debug")
+EXECUTION_FIELDS = ("results_dir", "stages", "n_workers", "side_by_side", "debug", "tracking", "folder")
 
 
 def run_folder(config: RunConfig, baseline: RunConfig) -> str:
@@ -298,6 +301,7 @@ RANGES: dict[str, tuple[float, float]] = {  # key: least and greatest value; key
     "algo.action_noise_dt": (1e-12, math.inf),
     "algo.policy_delay": (1, math.inf),
 }
+TRACKERS = ("none", "tensorboard", "mlflow")
 ACTION_NOISES = ("none", "normal", "ornstein_uhlenbeck")
 
 
@@ -315,5 +319,7 @@ def _check_numbers(config: RunConfig) -> None:
         raise ConfigError(f"algo.action_noise={config.algo.action_noise}: use one of {', '.join(ACTION_NOISES)}")
     if isinstance(config.algo, SacConfig) and not re.fullmatch(r"auto|[0-9.]+(e-?[0-9]+)?", config.algo.ent_coef):
         raise ConfigError(f"algo.ent_coef={config.algo.ent_coef}: use auto, or a number for a fixed temperature")
+    if config.tracking not in TRACKERS:
+        raise ConfigError(f"tracking={config.tracking}: use one of {', '.join(TRACKERS)}")
     if not config.results_dir:
         raise ConfigError("results_dir is empty; give a folder, or leave it out (and OTR_RESULTS_DIR unset)")

@@ -13,6 +13,7 @@ from pipelines.errors import PipelineError
 from pipelines.stage import StageResult, run_stage, stage_status
 from pipelines.stages import STAGES
 from pipelines.store import read_csv, read_json, write_json, write_text
+from pipelines.tracking import open_tracker
 from pipelines.training import checkpoint_folder, estimated_bytes, estimated_seconds, trained_steps
 
 LONG_RUN_S = 60.0
@@ -78,6 +79,7 @@ def _run_stages(job: Job) -> dict[str, Any] | None:
     write_json(run_dir / "summary.json", summary)
     (run_dir / "error.log").unlink(missing_ok=True)
     show_result(summary, run_dir)
+    open_tracker(config).finish(summary, run_dir)
     return summary
 
 

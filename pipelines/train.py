@@ -25,6 +25,7 @@ from pipelines.progress import TrainingProgress
 from pipelines.rollout import Rollout, rollout
 from pipelines.seeding import episode_seeds, stream_seed
 from pipelines.store import save_actor, write_csv
+from pipelines.tracking import open_tracker
 from pipelines.training import checkpoint_folder, segment_steps
 
 TOLERANCE = 1e-5  # between the float64 network and Stable-Baselines3's float32 one, relative
@@ -55,6 +56,9 @@ def _train_segments(config: RunConfig, checkpoints: Path) -> History:
     model = build_model(config, stream_seed(config.seed, "train"))
     history = load_checkpoint(checkpoints, model)
     n_steps = config.train.steps
+    tracker = open_tracker(config)
+    for rows in zip(history.progress, history.evaluations, strict=True):
+        tracker.segment_done(*rows)  # a kill may have come between a checkpoint and its log
     with TrainingProgress(config, model.num_timesteps) as progress:
         while model.num_timesteps < n_steps:
             start = model.num_timesteps
@@ -67,6 +71,7 @@ def _train_segments(config: RunConfig, checkpoints: Path) -> History:
                 history.best = network
             save_checkpoint(checkpoints, model, history, start)
             progress.segment_done(start, progress_row, history.evaluations[-1])
+            tracker.segment_done(progress_row, history.evaluations[-1])
     return history
 
 

@@ -5,7 +5,6 @@ Knows nothing of Hydra: `pipelines/cli.py` turns words into jobs and gives the f
 
 import shlex
 from collections.abc import Callable, Sequence
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -19,6 +18,10 @@ from pipelines.store import read_json, write_text
 from pipelines.tracking import open_tracker
 
 FUTILE_ROUNDS = 3  # rounds in a row that lose a worker and finish no job, before a sweep gives up
+LOST_WORKERS = {  # what joblib, submitit and Ray raise where a process or node doing a job has died
+    "BrokenProcessPool", "UncompletedJobError", "NodeDiedError", "ObjectLostError", "OutOfMemoryError",
+    "WorkerCrashedError",
+}  # fmt: skip
 EXTRAS = {  # launcher: the module that it needs and the extra that brings it
     "submitit_local": ("submitit", "slurm"),
     "slurm": ("submitit", "slurm"),
@@ -85,9 +88,8 @@ def run_sweep(jobs: Sequence[Job], launch: Callable[[Sequence[int]], list[Outcom
 
 
 def is_lost_worker(error: Exception) -> bool:
-    """Return whether a launcher's error means that a process doing a job has died: jobs themselves never raise."""
-    launcher = type(error).__module__.split(".")[0]
-    return isinstance(error, BrokenProcessPool) or launcher in ("submitit", "ray")
+    """Return whether a launcher's error means that a process doing a job has died; by name, as plugins are extras."""
+    return any(kind.__name__ in LOST_WORKERS for kind in type(error).__mro__)
 
 
 def is_done(job: Job) -> bool:
@@ -141,11 +143,13 @@ def quoted(value: str) -> str:
 
 def how_to_use(path: Path, n_jobs: int) -> str:
     """Return how a file of jobs is run on one machine and on Slurm."""
+    if not n_jobs:
+        return f"{path}: no job is left"
     file = shlex.quote(str(path))
+    wrapped = shlex.quote(f'sh -c "$(sed -n ${{SLURM_ARRAY_TASK_ID}}p {file})"')
     return (
         f"{path}: {n_jobs} commands. Eight at a time on this machine:\n"
         f"  tr '\\n' '\\0' < {file} | xargs -0 -P 8 -n 1 sh -c\n"
         "or on Slurm:\n"
-        f"  sbatch --array=1-{n_jobs} --cpus-per-task=1 --mem=4G --time=1-0 "
-        f"--wrap 'sh -c \"$(sed -n ${{SLURM_ARRAY_TASK_ID}}p {path})\"'"
+        f"  sbatch --array=1-{n_jobs} --cpus-per-task=1 --mem=4G --time=1-0 --wrap {wrapped}"
     )

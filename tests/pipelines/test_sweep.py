@@ -170,9 +170,10 @@ def test_jobs_file_does_the_jobs_that_are_left(tmp_path):
     assert [shlex.split(line)[:5] for line in lines] == [
         ["otr-run", "env=pendulum", f"depth={depth}", "budget=smoke", "stages=[train]"] for depth in (1, 2)
     ]
+    (use,) = (line.strip() for line in planned.stdout.splitlines() if "xargs" in line)
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
-    for line in lines[:1]:
-        subprocess.run(["sh", "-c", line], cwd=tmp_path, env={**os.environ, "PATH": path}, check=True, timeout=120)
+    (tmp_path / "jobs.txt").write_text(f"{lines[0]}\n")
+    subprocess.run(["sh", "-c", use], cwd=tmp_path, env={**os.environ, "PATH": path}, check=True, timeout=120)
     assert (results / "runs/pendulum/otr/depth-1/smoke/seed-0/train/manifest.json").exists()
     otr_command("otr-plan", *words, "--jobs", "jobs.txt", cwd=tmp_path, OTR_RESULTS_DIR=str(results))
     assert (tmp_path / "jobs.txt").read_text().splitlines() == lines[1:]

@@ -12,7 +12,7 @@ import pytest
 from tests.pipelines.sweeps import STAGES, THREE, children, digests, start, times_made, wait_for
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("ray==2.60.0", "hydra-ray-launcher==1.2.2")
+PACKAGES = ("ray==2.60.0", "hydra-ray-launcher==1.2.2", "joblib<1.6")  # what otr[ray] comes to
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes under /proc"),
@@ -32,13 +32,13 @@ cluster.shutdown()
 
 @pytest.fixture
 def python(tmp_path):
-    """The Python of an environment with Ray and its cloudpickle; everything else comes from ours."""
+    """The Python of an environment with Ray and the older cloudpickle and joblib that its plugin wants; everything else comes from ours."""
     folder = tmp_path / "venv"
     subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True, timeout=300)
     python = folder / "bin" / "python"
     constraints = tmp_path / "constraints.txt"
-    lines = (ROOT / "constraints.txt").read_text().splitlines()
-    constraints.write_text("\n".join(line for line in lines if not line.startswith("cloudpickle==")))
+    pins = (ROOT / "constraints.txt").read_text().splitlines()
+    constraints.write_text("\n".join(pin for pin in pins if not pin.startswith(("cloudpickle==", "joblib=="))))
     install = [str(python), "-m", "pip", "install", "--quiet", "-c", str(constraints), *PACKAGES]
     subprocess.run(install, check=True, timeout=1200)
     (site,) = folder.glob("lib/python*/site-packages")

@@ -32,7 +32,7 @@ cluster.shutdown()
 
 @pytest.fixture
 def python(tmp_path):
-    """The Python of an environment with Ray and the older cloudpickle and joblib that its plugin wants; everything else comes from ours."""
+    """The Python of an environment with Ray and the packages that its plugin wants; the rest comes from ours."""
     folder = tmp_path / "venv"
     subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True, timeout=300)
     python = folder / "bin" / "python"

@@ -1,8 +1,11 @@
 """The commands `otr-run`, `otr-plan` and `otr-tabulate`. The only module that knows Hydra and OmegaConf."""
 
 import argparse
+import dataclasses
 import difflib
+import functools
 import io
+import itertools
 import os
 import shlex
 import signal
@@ -16,13 +19,16 @@ from pathlib import Path
 from typing import Any
 
 from hydra import compose, initialize_config_dir
+from hydra._internal.callbacks import Callbacks
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
+from hydra.core.plugins import Plugins
 from hydra.errors import HydraException
+from hydra.types import HydraContext, RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -30,17 +36,28 @@ from otr import OtrError
 from pipelines import config as schemas
 from pipelines.config import RunConfig, run_folder
 from pipelines.errors import ConfigError, PipelineError
+from pipelines.fleet.groups import fleets
 from pipelines.help import HELP
 from pipelines.plan import print_plan
 from pipelines.replay import replay
-from pipelines.run import Job, record_failure, run_job
+from pipelines.run import Job, record_failure, run_job, run_jobs
 from pipelines.store import corrupt
+from pipelines.sweep import (
+    Outcome,
+    check_launcher,
+    how_to_use,
+    is_sweep_word,
+    quoted,
+    run_sweep,
+    side_by_side,
+    write_jobs,
+)
 from pipelines.tabulate import write_table
+from pipelines.tracking import check_tracking
 
 _PACKAGED = Path(__file__).parent / "conf"  # in a wheel; in a checkout conf/ is beside the packages
 CONF_DIR = _PACKAGED if _PACKAGED.is_dir() else Path(__file__).parent.parent / "conf"
 GROUPS = ("env", "algo", "method", "trainer", "budget", "launcher", "experiment")
-SWEEP_VARIABLE = "OTR_SWEEP"  # names the sweep to its jobs, in whatever process a launcher starts them
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE, EXIT_TERMINATED = 1, 2, 130, 141, 143
 
 
@@ -81,6 +98,10 @@ def _main(program: str, command: Callable[[argparse.Namespace], int]) -> None:
             "-m", "--multirun", action="store_true", help="sweep over comma lists, range() and choice()"
         )
         parser.add_argument("--cfg", action="store_true", help="print the resolved configuration and stop")
+    if program == "otr-plan":
+        parser.add_argument(
+            "--jobs", type=Path, metavar="FILE", help="also write one command a line, for xargs or sbatch --array"
+        )
     arguments = parser.parse_intermixed_args()
     debug = "debug=true" in (word.lower() for word in arguments.overrides)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(EXIT_TERMINATED))  # so that workers are ended, too
@@ -112,6 +133,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if is_sweep:
         return _sweep(overrides)
     job = _job(_compose("run", overrides), overrides)
+    check_tracking(job.config)
     try:
         run_job(job)
     except (PipelineError, BrokenPipeError):
@@ -123,53 +145,83 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _sweep(overrides: list[str]) -> int:
-    """Run every job of a sweep under Hydra's launcher; failing ones do not stop the others and are named at the end."""
-    os.environ[SWEEP_VARIABLE] = _sweep_name()
-    _check_jobs(_expand(overrides, multirun=True))
-    with _hydra():
-        hydra = GlobalHydra.instance().hydra
-        assert hydra is not None
-        returned = hydra.multirun("run", _sweep_task, [*overrides, "hydra.mode=MULTIRUN"])
-    outcomes = [result.return_value for batch in returned for result in batch]
-    failed = [outcome for outcome in outcomes if outcome["error"]]
+    """Do every job of a sweep; failing ones do not stop the others and are named at the end."""
+    words = _expand(overrides, multirun=True)
+    if not words:
+        raise ConfigError("these words make no job; look for an empty range()")
+    jobs = _jobs(words)
+    check_tracking(jobs[0].config)
+    name = _sweep_name()
+    own = [[word for word in job if not is_sweep_word(word) or word.startswith("launcher=")] for job in words]
+    outcomes = run_sweep(jobs, lambda left: _launch(name, overrides, [jobs[i] for i in left], [own[i] for i in left]))
+    failed = [outcome for outcome in outcomes if outcome.error]
     print(f"\n{len(outcomes)} jobs: {len(outcomes) - len(failed)} done, {len(failed)} failed")
     for outcome in failed:
-        print(f"  {outcome['folder']}: {outcome['error']}\n    traceback: {outcome['traceback']}")
+        print(f"  {outcome.folder}: {outcome.error}")
+        if outcome.traceback:
+            print(f"    traceback: {outcome.traceback}")
     return EXIT_FAILED if failed else 0
 
 
-def _check_jobs(jobs: list[list[str]]) -> None:
-    """Tell a mistake in the request before the first job starts; of many seeds, each is looked at once."""
-    seen: set[tuple[str, ...]] = set()
-    for job in jobs:
-        parts = {tuple(word for word in job if word.startswith("seed=")), tuple(w for w in job if w[:5] != "seed=")}
-        if not parts <= seen:
-            _to_object(_compose("run", job))
-            seen |= parts
+def _launch(name: str, overrides: list[str], jobs: Sequence[Job], words: Sequence[list[str]]) -> list[Outcome]:
+    """Do jobs, each with its own words, under the launcher that the overrides ask for; those of a fleet go together."""
+    groups = fleets([job.config for job in jobs])
+    task = _SweepTask(name, str(Path.cwd()), [[words[i] for i in group] for group in groups])
+    # Absolute, because Hydra makes this folder in whatever folder a launcher starts the job.
+    sweep_dir = quoted(str(Path(jobs[0].config.results_dir).absolute() / "sweeps"))
+    asked = [*overrides, "hydra.mode=MULTIRUN", f"hydra.sweep.dir={sweep_dir}"]
+    with _hydra():
+        hydra = GlobalHydra.instance().hydra
+        assert hydra is not None
+        cfg = hydra.compose_config("run", asked, run_mode=RunMode.MULTIRUN)
+        context = HydraContext(config_loader=hydra.config_loader, callbacks=Callbacks(cfg))
+        launcher = Plugins.instance().instantiate_launcher(context, task, cfg)
+        first_words = [words[group[0]] for group in groups]
+        returned = [result.return_value for result in launcher.launch(first_words, initial_job_idx=0)]
+    outcomes = dict(zip(itertools.chain(*groups), itertools.chain(*returned), strict=True))
+    return [outcomes[i] for i in range(len(jobs))]
 
 
-def _sweep_task(cfg: DictConfig) -> dict[str, str | None]:
-    """Do one job of a sweep, in whatever process; report a failure instead of raising it."""
-    if HydraConfig.get().runtime.choices["hydra/launcher"] != "basic":
-        cfg.side_by_side = True
-        cfg.n_workers = cfg.n_workers or 1  # several jobs run at a time already
-    job = _job(cfg, list(HydraConfig.get().overrides.task))
-    try:
-        run_job(job)
-    except Exception as error:
-        path = record_failure(job, error, os.environ.get(SWEEP_VARIABLE, _sweep_name()))
+@dataclass(frozen=True)
+class _SweepTask:
+    """Does one group of a sweep's jobs in whatever process a launcher starts; reports failures instead of raising them.
+
+    Attributes:
+        sweep: names the folder of the sweep's failures.
+        cwd: where the command was given, which relative paths start from.
+        groups: the words of every job, group by group; a launcher is given the first of each.
+    """
+
+    sweep: str
+    cwd: str
+    groups: list[list[list[str]]]
+
+    def __call__(self, cfg: DictConfig) -> list[Outcome]:
+        os.chdir(self.cwd)
+        first = list(HydraConfig.get().overrides.task)
+        jobs = _jobs(next(group for group in self.groups if group[0] == first))
+        if HydraConfig.get().runtime.choices["hydra/launcher"] != "basic":
+            jobs = [side_by_side(job) for job in jobs]
+        return [self._outcome(job, error) for job, error in zip(jobs, run_jobs(jobs), strict=True)]
+
+    def _outcome(self, job: Job, error: Exception | None) -> Outcome:
+        if error is None:
+            return Outcome(job.folder)
+        path = record_failure(job, error, self.sweep)
         message = _message(error)
         if job.config.debug:
             traceback.print_exception(error)
         print(f"{job.folder} failed: {message}", file=sys.stderr, flush=True)
-        return {"folder": job.folder, "error": message.splitlines()[0], "traceback": str(path)}
-    return {"folder": job.folder, "error": None, "traceback": None}
+        return Outcome(job.folder, message.splitlines()[0], path)
 
 
 def _plan(arguments: argparse.Namespace) -> int:
-    overrides = list(arguments.overrides)
-    jobs = [_job(_compose("run", job), job) for job in _expand(overrides, arguments.multirun)]
+    words = _expand(list(arguments.overrides), arguments.multirun)
+    jobs = _jobs(words)
     print_plan(jobs)
+    if arguments.jobs:
+        n_jobs = write_jobs(arguments.jobs, jobs, words)
+        print(f"\n{how_to_use(arguments.jobs, n_jobs)}")
     return 0
 
 
@@ -190,26 +242,42 @@ def _tabulate(arguments: argparse.Namespace) -> int:
     return EXIT_FAILED if different else 0
 
 
+def _jobs(words: Sequence[list[str]]) -> list[Job]:
+    """Return the jobs with these overrides; those that differ in their seed alone are composed once."""
+    composed: dict[tuple[str, ...], DictConfig] = {}
+    jobs = []
+    for job in words:
+        seeds = [word for word in job if word.startswith("seed=")]
+        rest = tuple(word for word in job if word not in seeds)
+        if len(seeds) == 1 and rest in composed:
+            composed[rest].seed = _parse(seeds[0]).value()
+        else:
+            composed[rest] = _compose("run", job)
+        jobs.append(_job(composed[rest], job))
+    return jobs
+
+
 def _job(cfg: DictConfig, overrides: Sequence[str]) -> Job:
     config = _to_object(cfg)
     assert isinstance(config, RunConfig)
-    named = [
-        f"env={config.env.name}",
-        f"method={config.method.name}",
-        f"budget={config.budget.name}",
-        f"trainer={config.trainer.name}",
-        f"depth={config.depth}",
-        f"seed={config.seed}",
-    ]
-    baseline = _to_object(_compose("run", named))
-    assert isinstance(baseline, RunConfig)
+    names = {"env": config.env, "method": config.method, "budget": config.budget, "trainer": config.trainer}
+    named = [f"{group}={chosen.name}" for group, chosen in names.items()]
+    folder = run_folder(config, dataclasses.replace(_baseline(*named, f"depth={config.depth}"), seed=config.seed))
     words = [word for word in overrides if word.split("=")[0] not in ("stages", "hydra.mode")]
     return Job(
-        config=config,
-        folder=run_folder(config, baseline),
+        config=dataclasses.replace(config, folder=folder),
+        folder=folder,
         config_yaml=OmegaConf.to_yaml(cfg, resolve=True),
         command=shlex.join(["otr-run", *words]),
     )
+
+
+@functools.cache
+def _baseline(*words: str) -> RunConfig:
+    """Return what these words give without any other override."""
+    config = _to_object(_compose("run", words))
+    assert isinstance(config, RunConfig)
+    return config
 
 
 def _load_config(run_dir: Path, n_workers: int | None) -> RunConfig:
@@ -280,6 +348,8 @@ def _compose(name: str, overrides: Sequence[str]) -> DictConfig:
             raise ConfigError(f"{word}: new keys cannot be added; leave out the +")
         if key in GROUPS and name == "run":
             _check_option(key, value)
+        if key == "launcher":
+            check_launcher(value)
     if name == "run" and not any(word.lstrip("+").startswith("env=") for word in overrides):
         raise ConfigError(f"which environment? Add env=NAME with one of: {', '.join(_options('env'))}")
     with _hydra():

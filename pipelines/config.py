@@ -209,6 +209,9 @@ class RunConfig:
     n_workers: int | None = None
     side_by_side: bool = False  # other jobs share the terminal
     debug: bool = False
+    tracking: str = "none"  # where runs are also logged: none, tensorboard, mlflow
+    # The run's folder below results_dir, which the command line works out from all of the above.
+    folder: str = field(default="", metadata={"omegaconf_ignore": True})
 
     def __post_init__(self) -> None:
         _check_depth(self.depth, self.method.name)
@@ -246,7 +249,7 @@ class RunConfig:
 # Settings younger than committed results, with the value that means "as before": keyed only where they differ from it.
 YOUNGER_SETTINGS = {("actor", "rescale_inputs"): False}
 
-EXECUTION_FIELDS = ("results_dir", "stages", "n_workers", "side_by_side", "debug")
+EXECUTION_FIELDS = ("results_dir", "stages", "n_workers", "side_by_side", "debug", "tracking", "folder")
 FLEET_EXECUTION_FIELDS = ("name", "device", "runs_per_process")
 
 
@@ -349,6 +352,7 @@ RANGES: dict[str, tuple[float, float]] = {  # key: least and greatest value; key
     "trainer.n_envs": (1, 4096),
     "trainer.runs_per_process": (1, 4096),
 }
+TRACKERS = ("none", "tensorboard", "mlflow")
 ACTION_NOISES = ("none", "normal", "ornstein_uhlenbeck")
 FLEET_CHOICES = {
     "precision": ("fp32", "bf16"),
@@ -373,6 +377,8 @@ def _check_numbers(config: RunConfig) -> None:
         raise ConfigError(f"algo.ent_coef={config.algo.ent_coef}: use auto, or a number for a fixed temperature")
     if config.fleet:
         _check_fleet(config.fleet, config.algo)
+    if config.tracking not in TRACKERS:
+        raise ConfigError(f"tracking={config.tracking}: use one of {', '.join(TRACKERS)}")
     if not config.results_dir:
         raise ConfigError("results_dir is empty; give a folder, or leave it out (and OTR_RESULTS_DIR unset)")
 

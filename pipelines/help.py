@@ -11,6 +11,8 @@ words:
   algo=td3              ppo, sac, td3, ddpg; by default the thesis's for the environment
   stages=[map,prune]    only these stages; a missing input names the command that makes it
   results_dir=PATH      where artefacts go (default: results, or OTR_RESULTS_DIR)
+  launcher=joblib       how a sweep's jobs run: basic (one by one), joblib, slurm, submitit_local, ray
+  tracking=mlflow       show runs as they go: none, tensorboard, mlflow
   algo.gamma=0.98       any key that --cfg shows; such a run gets a folder of its own
   debug=true            show tracebacks"""
 
@@ -26,13 +28,15 @@ examples:
   otr-run -m env=hopper,swimmer depth=6,32 "seed=range(0,10)" launcher=joblib
   otr-run +experiment=table_4_1""",
     "otr-plan": f"""\
-List what otr-run with the same words would do: run, resume or skip for every job, and the time that is left.
+List what otr-run with the same words would do: run, resume or skip for every job, and the time that is left. With
+--jobs FILE also write the command of every job that is not done, one a line, for xargs or sbatch --array.
 
 {_WORDS}
 
 examples:
   otr-plan +experiment=table_4_1
-  otr-plan -m env=pendulum depth=6,32 "seed=range(0,3)" budget=quick""",
+  otr-plan -m env=pendulum depth=6,32 "seed=range(0,3)" budget=quick
+  otr-plan +experiment=table_4_1 --jobs jobs.txt""",
     "otr-tabulate": """\
 Write a table of the thesis, ours beside the published numbers, as Markdown, CSV and LaTeX under results/tables.
 

@@ -14,6 +14,7 @@ from pipelines.errors import PipelineError
 from pipelines.stage import StageResult, run_stage, run_stage_together, stage_status
 from pipelines.stages import STAGES
 from pipelines.store import read_csv, read_json, write_json, write_text
+from pipelines.tracking import open_tracker
 from pipelines.training import checkpoint_folder, estimated_bytes, estimated_seconds, trained_steps
 
 LONG_RUN_S = 60.0
@@ -58,19 +59,33 @@ def run_job(job: Job) -> dict[str, Any] | None:
         ) from error
 
 
-def train_together(jobs: Sequence[Job]) -> list[Exception | None]:
-    """Train the runs of a fleet as one, as far as they need it; `run_job` then finds each one's training done.
+def run_jobs(jobs: Sequence[Job]) -> list[Exception | None]:
+    """Do jobs one after the other, those of one fleet after training them as one; return what each failed with."""
+    together = len(jobs) > 1 and all("train" in job.config.selected_stages for job in jobs)
+    try:
+        errors = _train_together(jobs) if together else [None] * len(jobs)
+    except Exception as error:  # of the whole fleet, such as a full disk
+        return [error] * len(jobs)
+    return [error or _failure(job) for job, error in zip(jobs, errors, strict=True)]
 
-    Returns:
-        For each job why its training failed, or None.
-    """
+
+def _failure(job: Job) -> Exception | None:
+    try:
+        run_job(job)
+    except Exception as error:
+        return error
+    return None
+
+
+def _train_together(jobs: Sequence[Job]) -> list[Exception | None]:
+    """Train the runs of a fleet as one, as far as they need it; `run_job` then finds each one's training done."""
     from pipelines.fleet.train import train_fleet  # imports torch
 
     missing = [job for job in jobs if stage_status(STAGES["train"], job.run_dir / "train", job.config) == "missing"]
+    for job in missing:
+        print(f"{job.run_dir}", flush=True)
+        job.run_dir.mkdir(parents=True, exist_ok=True)
     if missing:
-        for job in missing:
-            print(f"{job.run_dir}", flush=True)
-            job.run_dir.mkdir(parents=True, exist_ok=True)
         _announce_training([job.config for job in missing])
     return run_stage_together(STAGES["train"], [(job.run_dir, job.config) for job in jobs], train_fleet)
 
@@ -96,6 +111,7 @@ def _run_stages(job: Job) -> dict[str, Any] | None:
     write_json(run_dir / "summary.json", summary)
     (run_dir / "error.log").unlink(missing_ok=True)
     show_result(summary, run_dir)
+    open_tracker(config).finish(summary, run_dir)
     return summary
 
 

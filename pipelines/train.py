@@ -23,6 +23,7 @@ from pipelines.rollout import Rollout
 from pipelines.sb3_checkpoint import load_checkpoint, save_checkpoint
 from pipelines.seeding import stream_seed
 from pipelines.selection import compare_with_trained, diverged, play_selection_episodes
+from pipelines.tracking import open_tracker
 from pipelines.training import checkpoint_folder, segment_steps
 
 
@@ -45,6 +46,9 @@ def _train_segments(config: RunConfig, checkpoints: Path) -> History:
     model = build_model(config, stream_seed(config.seed, "train"))
     history = load_checkpoint(checkpoints, model)
     n_steps = config.train.steps
+    tracker = open_tracker(config)
+    for rows in zip(history.progress, history.evaluations, strict=True):
+        tracker.segment_done(*rows)  # a kill may have come between a checkpoint and its log
     with TrainingProgress(config, model.num_timesteps) as progress:
         while model.num_timesteps < n_steps:
             start = model.num_timesteps
@@ -52,6 +56,7 @@ def _train_segments(config: RunConfig, checkpoints: Path) -> History:
             history.segment_done(row, *_evaluate(model, config))
             save_checkpoint(checkpoints, model, history, start)
             progress.segment_done(start, row, history.evaluations[-1])
+            tracker.segment_done(row, history.evaluations[-1])
     return history
 
 

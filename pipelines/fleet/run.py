@@ -11,6 +11,7 @@ from pipelines.config import RunConfig, SacConfig
 from pipelines.fleet.replay import RowLayout, open_rows
 from pipelines.fleet.sac import RunSettings
 from pipelines.seeding import stream
+from pipelines.tracking import open_tracker
 from pipelines.training import checkpoint_folder, segment_steps
 
 STATE_FILE = "learner.safetensors"
@@ -38,6 +39,9 @@ class FleetRun:
             self.history, counters = read_segment(segment)
             self.n_steps, self.n_updates = counters["num_timesteps"], counters["n_updates"]
             self.tensors = load_file(segment / STATE_FILE)
+        self.tracker = open_tracker(config)
+        for rows in zip(self.history.progress, self.history.evaluations, strict=True):
+            self.tracker.segment_done(*rows)  # a kill may have come between a checkpoint and its log
         self.rows = open_rows(self.folder / "replay.bin", self._capacity, layout)
 
     @property

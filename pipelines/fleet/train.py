@@ -109,6 +109,7 @@ def _segment(trainer: "FleetTrainer", play: PlayAll, progress: FleetProgress) ->
         row = progress_row(collected.end, start, share, returns, lengths)
         run.history.segment_done(row, network, episodes)
         run.save()
+        run.tracker.segment_done(row, run.history.evaluations[-1])
     progress.segment_done(trainer.runs, start, trained_s)
 
 

@@ -1,0 +1,64 @@
+"""Helpers of the tests of sweeps: start one, wait for it, count what it made."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+THREE = ("-m", "env=pendulum", "depth=1,2,3", "budget=smoke")
+STAGES = ("train", "map", "prune", "evaluate")
+TIMED = ("progress.csv",)  # holds seconds
+
+
+def digests(results):
+    """Return {run/stage/file: sha256} of what every finished stage below `results` left, but for what is timed."""
+    found = {}
+    for manifest in sorted(results.glob("runs/**/manifest.json")):
+        for name, digest in json.loads(manifest.read_text())["outputs"].items():
+            if name not in TIMED and name != "report.json":
+                found[str(manifest.relative_to(results).with_name(name))] = digest
+    return found
+
+
+def times_made(printed):
+    """Return {stage: how often it was made} as the jobs of one or several sweeps printed it."""
+    return {stage: len(re.findall(rf"^{stage}: [\d.]+ (s|min)$", printed, re.MULTILINE)) for stage in STAGES}
+
+
+def start(*words, cwd, python=sys.executable, **environment):
+    """Start otr-run, of another environment where its Python is given; the caller waits for it."""
+    code = "import sys; sys.argv[0] = 'otr-run'; from pipelines.cli import run; run()"
+    return subprocess.Popen(
+        [python, "-c", code, *words],
+        cwd=cwd,
+        env={**os.environ, **environment},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+
+
+def wait_for(found, seconds=120):
+    """Return what `found` returns as soon as it is something."""
+    deadline = time.monotonic() + seconds
+    while not (value := found()):
+        assert time.monotonic() < deadline, "nothing came"
+        time.sleep(0.05)
+    return value
+
+
+def children(pid, word=""):
+    """Return the ids of the child processes whose command line has a word in it (Linux)."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            fits = word in path.read_text()
+            parent = int(path.with_name("stat").read_text().rsplit(")", 1)[1].split()[1])
+        except OSError:
+            continue
+        if fits and parent == pid:
+            found.append(int(path.parent.name))
+    return found

@@ -8,6 +8,8 @@ each the fastest round counts.
 The floor is the time of the float32 matrix products alone that an update needs, batched over five runs in the shapes
 that occur, without a single addition, activation, transition or environment step.
 
+Targets: 2.2 times the peer and 0.6 of the floor in float32, 3 times the peer with bfloat16 products, ahead of SBX.
+
 SBX (Stable-Baselines3 in JAX) needs packages of its own: it is measured where OTR_SBX_PYTHON names the python of an
 environment that has `sbx-rl`, `gymnasium[mujoco]` and nothing of ours; `benchmarks/sbx_peer.py` runs there.
 """

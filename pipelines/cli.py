@@ -260,8 +260,12 @@ def _jobs(words: Sequence[list[str]]) -> list[Job]:
 def _job(cfg: DictConfig, overrides: Sequence[str]) -> Job:
     config = _to_object(cfg)
     assert isinstance(config, RunConfig)
-    names = {"env": config.env, "method": config.method, "budget": config.budget, "trainer": config.trainer}
-    named = [f"{group}={chosen.name}" for group, chosen in names.items()]
+    named = [
+        f"env={config.env.name}",
+        f"method={config.method.name}",
+        f"budget={config.budget.name}",
+        f"trainer={config.trainer.name}",
+    ]
     folder = run_folder(config, dataclasses.replace(_baseline(*named, f"depth={config.depth}"), seed=config.seed))
     words = [word for word in overrides if word.split("=")[0] not in ("stages", "hydra.mode")]
     return Job(

@@ -17,6 +17,11 @@ help:  ## list the targets
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@
 
+# EnvPool is 300 MB to fetch and 740 MB on disk, with the assets of environments that are not ours; `make test` skips it.
+.venv/.fleet: .venv/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev,fleet]'
+	@touch $@
+
 # Below results/local, because the repository brings the finished run of the same command.
 run: .venv/.installed  ## train, map, prune and evaluate a depth-6 policy for Pendulum in minutes
 	$(BIN)/otr-run env=pendulum depth=6 budget=quick results_dir=results/local $(ARGS)
@@ -24,7 +29,7 @@ run: .venv/.installed  ## train, map, prune and evaluate a depth-6 policy for Pe
 test: .venv/.installed  ## the tests (under 8 minutes on 2 cores)
 	$(BIN)/python -m pytest -n 2 $(ARGS)
 
-test-all: .venv/.installed  ## the tests and the slow ones
+test-all: .venv/.fleet  ## the tests, the slow ones and those of EnvPool
 	$(BIN)/python -m pytest -n 2 -m "slow or not slow" $(ARGS)
 
 lint: .venv/.installed  ## ruff, mypy and the direction of imports

@@ -17,9 +17,10 @@ help:  ## list the targets
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@
 
-# The tests of tracking=mlflow alone need it, and it is large.
-.venv/.installed-mlflow: .venv/.installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev,mlflow]'
+# MLflow and EnvPool: large, and wanted by the tests of tracking=mlflow and trainer.environments=envpool alone (EnvPool is
+# 300 MB to fetch and 740 MB on disk, with the assets of environments that are not ours).
+.venv/.installed-all: .venv/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev,mlflow,fleet]'
 	@touch $@
 
 # Below results/local, because the repository brings the finished run of the same command.
@@ -29,7 +30,7 @@ run: .venv/.installed  ## train, map, prune and evaluate a depth-6 policy for Pe
 test: .venv/.installed  ## the tests (under 8 minutes on 2 cores)
 	$(BIN)/python -m pytest -n 2 $(ARGS)
 
-test-all: .venv/.installed-mlflow  ## the tests and the slow ones
+test-all: .venv/.installed-all  ## the tests and the slow ones
 	$(BIN)/python -m pytest -n 2 -m "slow or not slow" $(ARGS)
 
 lint: .venv/.installed  ## ruff, mypy and the direction of imports

@@ -36,7 +36,7 @@ class EnvPoolVectorEnv(VectorEnv):
         self._n_steps = np.zeros(n_envs, dtype=np.int64)  # of the episodes under way
 
     def reset(self, seeds: Sequence[int]) -> np.ndarray:
-        """Start anew in a new pool: EnvPool takes seeds only when one is made (16 ms for ten hoppers)."""
+        """Start anew in a new pool: EnvPool takes seeds only when one is made (about 20 ms for ten hoppers)."""
         check_seeds(seeds, self.n_envs)
         self._pool = make_pool(self._id, seeds, self._n_threads)
         self._n_steps[:] = 0

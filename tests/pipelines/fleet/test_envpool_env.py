@@ -198,6 +198,7 @@ def test_time_limit_is_gymnasiums(env_id):
     flags = []
     for backend in ("gymnasium", "envpool"):
         envs = make_vector_env(one, 2, backend=backend)
+        play(envs, [5, 6], actions[:3])  # a new start counts from 0 again
         _, steps = play(envs, [1, 2], actions)
         flags.append(np.flatnonzero(steps.truncated.all(axis=1)).tolist())
         assert steps.truncated.any(axis=1).tolist() == steps.truncated.all(axis=1).tolist()

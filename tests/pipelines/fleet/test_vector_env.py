@@ -196,7 +196,10 @@ def test_processes_end_with_the_one_that_started_them(end):
         workers = [int(pid) for pid in parent.stdout.readline().split()]
         if end == "killed":
             parent.kill()
-        printed = parent.communicate(timeout=30)  # ends when every process that may print has ended
+        try:
+            printed = parent.communicate(timeout=30)  # ends when every process that may print has ended
+        finally:
+            parent.kill()
     assert printed == ("", "")
     assert len(workers) == 2
     for _ in range(100):

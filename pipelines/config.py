@@ -173,7 +173,7 @@ class FleetConfig(TrainerConfig):
     Attributes:
         n_envs: environments a run; as many updates follow each step of all of them.
         precision: fp32, or bf16 for the products between wide layers.
-        environments: gymnasium, or envpool (an extra).
+        environments: gymnasium, or envpool (an extra) for the environments that it computes as gymnasium does.
         device: cpu or cuda, which changes nothing but the rounding.
         runs_per_process: runs that are trained as one at most; how they are grouped changes no run on the CPU.
     """

@@ -21,9 +21,10 @@ from torch import Tensor
 
 import otr
 from pipelines.checkpoint import progress_row
-from pipelines.config import FleetConfig, RunConfig
+from pipelines.config import EnvConfig, FleetConfig, RunConfig
 from pipelines.envs import flat_state_size, is_discrete, make_env
 from pipelines.errors import ConfigError
+from pipelines.fleet.envpool_env import EQUAL_IDS
 from pipelines.fleet.progress import FleetProgress
 from pipelines.fleet.replay import FleetReplay, RowLayout
 from pipelines.fleet.run import FleetRun
@@ -229,7 +230,7 @@ class FleetTrainer:
         env = make_vector_env(
             config.env,
             n_runs * n_envs,
-            backend=self._fleet.environments,
+            backend=backend(config.env, self._fleet),
             n_workers=n_workers,
             rescale_inputs=config.actor.rescale_inputs,
         )
@@ -310,6 +311,11 @@ class _Episodes:
             self.returns[i // self._n_envs].append(float(self._return[i]))
             self.lengths[i // self._n_envs].append(int(self._length[i]))
             self._return[i], self._length[i] = 0.0, 0
+
+
+def backend(env: EnvConfig, fleet: FleetConfig) -> str:
+    """Return who steps an environment: EnvPool where it is asked for and computes what gymnasium does."""
+    return fleet.environments if env.id in EQUAL_IDS else "gymnasium"
 
 
 @contextmanager

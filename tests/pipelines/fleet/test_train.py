@@ -17,7 +17,7 @@ from pipelines.fleet import train as fleet_module
 from pipelines.fleet.groups import fleets, group_key
 from pipelines.fleet.progress import FleetProgress
 from pipelines.fleet.run import FleetRun
-from pipelines.fleet.train import FleetTrainer, Task, train, train_fleet
+from pipelines.fleet.train import FleetTrainer, Task, backend, train, train_fleet
 from pipelines.store import load_actor, read_csv
 from pipelines.training import checkpoint_folder, train_settings, trained_steps
 from tests.pipelines.conftest import HOPPER, LANDER, PPO, SAC
@@ -270,6 +270,13 @@ def test_trainer_is_part_of_the_key_and_of_the_folder(fleet_run, tiny):
 def test_what_a_fleet_cannot_do_is_refused(fleet_run, changes, message):
     with pytest.raises(ConfigError, match=message):
         fleet_run(**changes)
+
+
+def test_envpool_steps_what_it_computes_as_gymnasium_does():
+    pooled = dataclasses.replace(FLEET, environments="envpool")
+    ant = dataclasses.replace(HOPPER, id="Ant-v4")
+    assert [backend(env, pooled) for env in (HOPPER, ant, LANDER)] == ["envpool", "gymnasium", "gymnasium"]
+    assert backend(HOPPER, FLEET) == "gymnasium"
 
 
 def test_no_gpu_and_labels_are_refused_before_anything_runs(fleet_run, tmp_path):

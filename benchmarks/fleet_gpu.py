@@ -24,6 +24,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -163,11 +164,12 @@ def segment_entries(n_runs: int, n_envs: int, device: str, environments: str, se
             ]
             task = Task.of(configs[0])
             trainer = FleetTrainer(task, [FleetRun(config, task.layout) for config in configs])
-            began = time.perf_counter()
-            trainer.train_segment(FleetProgress(trainer.runs))
-            if device == "cuda":
-                torch.cuda.synchronize()
-            return time.perf_counter() - began
+            with closing(trainer):
+                began = time.perf_counter()
+                trainer.train_segment(FleetProgress(trainer.runs))
+                if device == "cuda":
+                    torch.cuda.synchronize()
+                return time.perf_counter() - began
 
         probe = trained_s(n_random + 8 * n_envs, n_random)
         n_steps = max(16 * n_envs, int(seconds / max(probe, 1e-3) * (n_random + 8 * n_envs)))

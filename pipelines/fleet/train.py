@@ -10,7 +10,7 @@ import multiprocessing
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -73,18 +73,22 @@ def train_fleet(configs: Sequence[RunConfig], outs: Sequence[Path]) -> list[Exce
         raise ConfigError("trainer.device=cuda: torch sees no GPU here; use trainer.device=cpu")
     task = Task.of(configs[0])
     runs = [FleetRun(config, task.layout) for config in configs]
-    trainer: FleetTrainer | None = None
     with FleetProgress(runs) as progress, _player(fleet) as play:
-        while active := [run for run in runs if run.error is None and not run.is_finished]:
-            least = min(run.history.n_segments for run in active)
-            cohort = [run for run in active if run.history.n_segments == least]
-            if trainer is None or trainer.runs != cohort:
-                trainer = FleetTrainer(task, cohort)
-            _segment(trainer, play, progress)
+        while cohort := _cohort(runs):
+            with closing(FleetTrainer(task, cohort)) as trainer:
+                while _cohort(runs) == cohort:
+                    _segment(trainer, play, progress)
     for run, out in zip(runs, outs, strict=True):
         if run.error is None:
             run.history.write(out)
     return [run.error for run in runs]
+
+
+def _cohort(runs: Sequence[FleetRun]) -> list[FleetRun]:
+    """Return the runs that are to go on now: of those not finished and not given up, the ones furthest behind."""
+    active = [run for run in runs if run.error is None and not run.is_finished]
+    least = min((run.history.n_segments for run in active), default=0)
+    return [run for run in active if run.history.n_segments == least]
 
 
 def _segment(trainer: "FleetTrainer", play: PlayAll, progress: FleetProgress) -> None:
@@ -150,7 +154,7 @@ class Collected:
 
 
 class FleetTrainer:
-    """A cohort of runs at the same step, stacked: trains a segment at a time.
+    """A cohort of runs at the same step, stacked: trains a segment at a time, until it is closed.
 
     Args:
         task: of all of them.
@@ -185,9 +189,20 @@ class FleetTrainer:
                 self._learner.initialise(r, run.initial_generator())
         self._replay = FleetReplay([run.rows for run in runs], layout, runs[0].buffer_size, self._device)
         self._updates = Updates(self._learner, self._replay)
+        self._env = make_vector_env(  # each segment starts it anew
+            config.env,
+            len(runs) * config.fleet.n_envs,
+            backend=backend(config.env, config.fleet),
+            n_workers=1 if self._device.type == "cpu" else available_cores(),
+            rescale_inputs=config.actor.rescale_inputs,
+        )
         self._noise_std = torch.tensor(
             [run.algo.action_noise_std * (run.algo.action_noise == "normal") for run in runs], device=self._device
         ).view(-1, 1, 1)
+
+    def close(self) -> None:
+        """End the environments."""
+        self._env.close()
 
     @property
     def n_updates(self) -> int:
@@ -226,39 +241,28 @@ class FleetTrainer:
             [own[0] for own in seeds], n_envs, self.runs[0].algo.batch_size, layout.n_actions, self._device
         )
         first_update = learning_starts(config)
-        n_workers = 1 if self._device.type == "cpu" else available_cores()
-        env = make_vector_env(
-            config.env,
-            n_runs * n_envs,
-            backend=backend(config.env, self._fleet),
-            n_workers=n_workers,
-            rescale_inputs=config.actor.rescale_inputs,
-        )
         episodes = _Episodes(n_runs, n_envs)
-        try:
-            states = self._to_device(env.reset([seed for own in seeds for seed in own[1:]]))
-            for t in range(n_vector_steps):
-                ahead = t % streams.n_steps_ahead
-                done = start + t * n_envs  # transitions of each run before this step
-                sampled_to = done if self._overlap else done + n_envs
-                if ahead == 0:
-                    draws = streams.draw()
-                    counts = sampled_to + n_envs * torch.arange(streams.n_steps_ahead, device=self._device)
-                    positions = self._replay.positions(draws.fractions, counts)
-                scaled = self._act(states, draws, ahead, random=done < first_update)
-                env.send(self._env_actions(scaled))
-                if self._overlap and done > first_update:
-                    self._updates(positions[:, ahead], draws.updates[:, ahead])
-                step = env.receive()
-                parts = [states, scaled, *self._outcome(step)]
-                self._replay.add(done, torch.cat(parts, dim=2))
-                if not self._overlap and done + n_envs > first_update:
-                    self._updates(positions[:, ahead], draws.updates[:, ahead])
-                states = self._to_device(step.states)
-                episodes.add(step)
-                progress.at_step(n_runs * (t + 1) * n_envs)
-        finally:
-            env.close()
+        states = self._to_device(self._env.reset([seed for own in seeds for seed in own[1:]]))
+        for t in range(n_vector_steps):
+            ahead = t % streams.n_steps_ahead
+            done = start + t * n_envs  # transitions of each run before this step
+            sampled_to = done if self._overlap else done + n_envs
+            if ahead == 0:
+                draws = streams.draw()
+                counts = sampled_to + n_envs * torch.arange(streams.n_steps_ahead, device=self._device)
+                positions = self._replay.positions(draws.fractions, counts)
+            scaled = self._act(states, draws, ahead, random=done < first_update)
+            self._env.send(self._env_actions(scaled))
+            if self._overlap and done > first_update:
+                self._updates(positions[:, ahead], draws.updates[:, ahead])
+            step = self._env.receive()
+            parts = [states, scaled, *self._outcome(step)]
+            self._replay.add(done, torch.cat(parts, dim=2))
+            if not self._overlap and done + n_envs > first_update:
+                self._updates(positions[:, ahead], draws.updates[:, ahead])
+            states = self._to_device(step.states)
+            episodes.add(step)
+            progress.at_step(n_runs * (t + 1) * n_envs)
         end = start + n_vector_steps * n_envs
         self._replay.save(start, end)
         return Collected(end, episodes.returns, episodes.lengths)

@@ -47,6 +47,9 @@ from pipelines.tracking import check_tracking
 _PACKAGED = Path(__file__).parent / "conf"  # in a wheel; in a checkout conf/ is beside the packages
 CONF_DIR = _PACKAGED if _PACKAGED.is_dir() else Path(__file__).parent.parent / "conf"
 GROUPS = ("env", "algo", "method", "budget", "launcher", "experiment")
+# What a job's settings depend on outside of its words; a cluster's processes have not inherited it. No secrets here:
+# launchers write tasks to disk.
+CARRIED_VARIABLES = ("OTR_RESULTS_DIR", "MLFLOW_TRACKING_URI", "MLFLOW_EXPERIMENT_NAME")
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE, EXIT_TERMINATED = 1, 2, 130, 141, 143
 
 
@@ -140,7 +143,7 @@ def _sweep(overrides: list[str]) -> int:
         raise ConfigError("these words make no job; look for an empty range()")
     jobs = _jobs(words)
     check_tracking(jobs[0].config)
-    task = _SweepTask(_sweep_name(), str(Path.cwd()))
+    task = _SweepTask(_sweep_name(), str(Path.cwd()), {name: os.environ.get(name) for name in CARRIED_VARIABLES})
     own = [[word for word in job if not is_sweep_word(word) or word.startswith("launcher=")] for job in words]
     outcomes = run_sweep(jobs, lambda left: _launch(task, overrides, jobs[0].config, [own[i] for i in left]))
     failed = [outcome for outcome in outcomes if outcome.error]
@@ -162,6 +165,8 @@ def _launch(task: "_SweepTask", overrides: list[str], config: RunConfig, jobs: S
         assert hydra is not None
         cfg = hydra.compose_config("run", words, run_mode=RunMode.MULTIRUN)
         context = HydraContext(config_loader=hydra.config_loader, callbacks=Callbacks(cfg))
+        if "submitit_folder" in cfg.hydra.launcher:
+            print(f"{len(jobs)} jobs handed over; what they print: {config.results_dir}/sweeps/.submitit", flush=True)
         launcher = Plugins.instance().instantiate_launcher(context, task, cfg)
         return [result.return_value for result in launcher.launch(jobs, initial_job_idx=0)]
 
@@ -173,13 +178,19 @@ class _SweepTask:
     Attributes:
         sweep: names the folder of the sweep's failures.
         cwd: where the command was given, which relative paths start from.
+        environment: the variables there that settings depend on; None where one is not set.
     """
 
     sweep: str
     cwd: str
+    environment: dict[str, str | None]
 
     def __call__(self, cfg: DictConfig) -> Outcome:
         os.chdir(self.cwd)
+        for name, value in self.environment.items():
+            os.environ.pop(name, None)
+            if value is not None:
+                os.environ[name] = value
         if HydraConfig.get().runtime.choices["hydra/launcher"] != "basic":
             cfg.side_by_side = True
             cfg.n_workers = cfg.n_workers or 1  # several jobs run at a time already

@@ -58,6 +58,9 @@ from pipelines.tracking import check_tracking
 _PACKAGED = Path(__file__).parent / "conf"  # in a wheel; in a checkout conf/ is beside the packages
 CONF_DIR = _PACKAGED if _PACKAGED.is_dir() else Path(__file__).parent.parent / "conf"
 GROUPS = ("env", "algo", "method", "trainer", "budget", "launcher", "experiment")
+# What a job's settings depend on outside of its words; a cluster's processes have not inherited it. No secrets here:
+# launchers write tasks to disk.
+CARRIED_VARIABLES = ("OTR_RESULTS_DIR", "MLFLOW_TRACKING_URI", "MLFLOW_EXPERIMENT_NAME")
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE, EXIT_TERMINATED = 1, 2, 130, 141, 143
 
 
@@ -166,7 +169,8 @@ def _sweep(overrides: list[str]) -> int:
 def _launch(name: str, overrides: list[str], jobs: Sequence[Job], words: Sequence[list[str]]) -> list[Outcome]:
     """Do jobs, each with its own words, under the launcher that the overrides ask for; those of a fleet go together."""
     groups = fleets([job.config for job in jobs])
-    task = _SweepTask(name, str(Path.cwd()), [[words[i] for i in group] for group in groups])
+    carried = {variable: os.environ.get(variable) for variable in CARRIED_VARIABLES}
+    task = _SweepTask(name, str(Path.cwd()), carried, [[words[i] for i in group] for group in groups])
     # Absolute, because Hydra makes this folder in whatever folder a launcher starts the job.
     sweep_dir = quoted(str(Path(jobs[0].config.results_dir).absolute() / "sweeps"))
     asked = [*overrides, "hydra.mode=MULTIRUN", f"hydra.sweep.dir={sweep_dir}"]
@@ -175,6 +179,11 @@ def _launch(name: str, overrides: list[str], jobs: Sequence[Job], words: Sequenc
         assert hydra is not None
         cfg = hydra.compose_config("run", asked, run_mode=RunMode.MULTIRUN)
         context = HydraContext(config_loader=hydra.config_loader, callbacks=Callbacks(cfg))
+        if "submitit_folder" in cfg.hydra.launcher:
+            print(
+                f"{len(jobs)} jobs handed over; what they print: {jobs[0].config.results_dir}/sweeps/.submitit",
+                flush=True,
+            )
         launcher = Plugins.instance().instantiate_launcher(context, task, cfg)
         first_words = [words[group[0]] for group in groups]
         returned = [result.return_value for result in launcher.launch(first_words, initial_job_idx=0)]
@@ -189,15 +198,21 @@ class _SweepTask:
     Attributes:
         sweep: names the folder of the sweep's failures.
         cwd: where the command was given, which relative paths start from.
+        environment: the variables there that settings depend on; None where one is not set.
         groups: the words of every job, group by group; a launcher is given the first of each.
     """
 
     sweep: str
     cwd: str
+    environment: dict[str, str | None]
     groups: list[list[list[str]]]
 
     def __call__(self, cfg: DictConfig) -> list[Outcome]:
         os.chdir(self.cwd)
+        for name, value in self.environment.items():
+            os.environ.pop(name, None)
+            if value is not None:
+                os.environ[name] = value
         first = list(HydraConfig.get().overrides.task)
         jobs = _jobs(next(group for group in self.groups if group[0] == first))
         if HydraConfig.get().runtime.choices["hydra/launcher"] != "basic":

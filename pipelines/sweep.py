@@ -5,6 +5,7 @@ Knows nothing of Hydra: `pipelines/cli.py` turns words into jobs and gives the f
 
 import dataclasses
 import itertools
+import re
 import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -166,7 +167,7 @@ def is_sweep_word(word: str) -> bool:
 def quoted(value: str) -> str:
     """Return a string as the value of a Hydra override."""
     escaped = value.replace("\\", "\\\\").replace("'", "\\'")
-    return value if value and all(c.isalnum() or c in "/._-~" for c in value) else f"'{escaped}'"
+    return value if re.fullmatch("[A-Za-z0-9/._-]+", value) else f"'{escaped}'"
 
 
 def how_to_use(path: Path, n_jobs: int) -> str:

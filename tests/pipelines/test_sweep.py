@@ -187,7 +187,10 @@ def test_a_jobs_command_is_for_one_job_among_others(tiny):
     )
 
 
-@pytest.mark.parametrize(("text", "value"), [("a/b_c-1.2", "a/b_c-1.2"), ("a b", "'a b'"), ("it's", r"'it\'s'")])
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [("a/b_c-1.2", "a/b_c-1.2"), ("a b", "'a b'"), ("it's", r"'it\'s'"), ("dépôt", "'dépôt'")],
+)
 def test_values_are_quoted_for_hydra(text, value):
     assert quoted(text) == value
 
@@ -225,6 +228,7 @@ folder=$(sed -n 's/.*--output=\\(.*\\)\\/%A_%a\\/.*/\\1/p' "$1")
   export SLURM_PROCID=0 SLURM_LOCALID=0 SLURM_ARRAY_JOB_ID=12
   for i in 0 1; do
     while [ ! -e "$folder/12_$i/12_${i}_submitted.pkl" ]; do sleep 0.1; done
+    unset OTR_RESULTS_DIR
     (cd / && SLURM_JOB_ID=12_$i SLURM_ARRAY_TASK_ID=$i sh -c "$command" > "$FAKE_SLURM/log_$i" 2>&1)
   done
 ) > "$FAKE_SLURM/tasks" 2>&1 &
@@ -244,10 +248,12 @@ def test_slurm_is_handed_one_array(one_by_one, tmp_path):
     done = otr_command(
         "otr-run", "-m", "env=pendulum", "depth=1,2", "budget=smoke", "launcher=slurm", "hydra.launcher.partition=cpu",
         cwd=tmp_path, PATH=f"{tmp_path / 'bin'}:{os.environ['PATH']}", FAKE_SLURM=str(tmp_path),
+        OTR_RESULTS_DIR="elsewhere",
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     text = (tmp_path / "sbatch.txt").read_text()
-    text = re.sub(r"(%t_log.err) .*", r"\1 PYTHON", text).replace(str(tmp_path / "results/sweeps/.submitit"), "FOLDER")
+    text = re.sub(r"(%t_log.err) .*", r"\1 PYTHON", text)
+    text = text.replace(str(tmp_path / "elsewhere/sweeps/.submitit"), "FOLDER")
     assert text == SBATCH
     expected = {name: digest for name, digest in one_by_one.items() if "depth-3" not in name}
-    assert digests(tmp_path / "results") == expected
+    assert digests(tmp_path / "elsewhere") == expected

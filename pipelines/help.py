@@ -8,6 +8,7 @@ words:
   budget=quick          thesis (default; the thesis's own steps, hours), quick (minutes), smoke (seconds)
   seed=0                of training and pruning; every method is evaluated on the same episodes
   method=otr            otr, or linear (with depth=0)
+  trainer=fleet         train a sweep's runs of SAC together, some three times as fast; sb3 (default) is the reference
   algo=td3              ppo, sac, td3, ddpg; by default the thesis's for the environment
   stages=[map,prune]    only these stages; a missing input names the command that makes it
   results_dir=PATH      where artefacts go (default: results, or OTR_RESULTS_DIR)

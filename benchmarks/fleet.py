@@ -44,8 +44,8 @@ PEER_STEPS_AHEAD = 300  # SBX compiles in its first steps
 
 
 def measure(quick: bool) -> list[Entry]:
-    """Return the entries; quick trains shorter segments, twice instead of five times."""
-    rounds, n_steps = (2, 150) if quick else (5, 600)
+    """Return the entries; quick trains shorter segments, twice instead of twelve times."""
+    rounds, n_steps = (2, 150) if quick else (12, 250)
     sbx = os.environ.get("OTR_SBX_PYTHON")
     sides: dict[str, Callable[[], float]] = {
         "sb3": peer_rate("sb3", n_steps),
@@ -148,28 +148,28 @@ def sbx_rate(python: str, n_steps: int) -> float:
     return float(answer.stdout.split()[-1])
 
 
-def floor_seconds(n_runs: int = 5, repeats: int = 20) -> float:
+def floor_seconds(n_runs: int = 5, repeats: int = 100) -> float:
     """Return the CPU-seconds a run of an update's matrix products: three forward passes, two backward."""
     n, rows, d_in, width = 2 * n_runs, 100, 14, 256
     x, h = torch.randn(n, rows, d_in), torch.randn(n, rows, width)
-    W1, W2, W3 = torch.randn(n, width, d_in), torch.randn(n, width, width), torch.randn(n, 1, width)
+    W1, W2, W3 = torch.randn(n, d_in, width), torch.randn(n, width, width), torch.randn(n, width, 1)
     out1, out2, out3 = torch.empty(n, rows, width), torch.empty(n, rows, width), torch.empty(n, rows, 1)
     gradients = [torch.empty_like(weight) for weight in (W1, W2, W3)]
 
     def products() -> None:
         for _ in range(3):  # targets; critics on the batch; critics on the policy's actions
-            torch.bmm(x, W1.transpose(1, 2), out=out1)
-            torch.bmm(h, W2.transpose(1, 2), out=out2)
-            torch.bmm(h, W3.transpose(1, 2), out=out3)
+            torch.bmm(x, W1, out=out1)
+            torch.bmm(h, W2, out=out2)
+            torch.bmm(h, W3, out=out3)
         for inputs, delta, gradient in ((x, out1, gradients[0]), (h, out2, gradients[1]), (h, out3, gradients[2])):
-            torch.bmm(delta.transpose(1, 2), inputs, out=gradient)
+            torch.bmm(inputs.transpose(1, 2), delta, out=gradient)
         for _ in range(2):  # back through the critics, for themselves and for the actions
-            torch.bmm(out3, W3, out=out2)
-            torch.bmm(out2, W2, out=out1)
-        torch.bmm(out1, W1[:, :, 11:])
+            torch.bmm(out3, W3.transpose(1, 2), out=out2)
+            torch.bmm(out2, W2.transpose(1, 2), out=out1)
+        torch.bmm(out1, W1[:, 11:].transpose(1, 2))
 
     products()
-    return min(alternate(products, rounds=5, repeats=repeats)) / n_runs
+    return min(alternate(products, rounds=1, repeats=repeats)) / n_runs
 
 
 def learner_entries(quick: bool) -> list[Entry]:

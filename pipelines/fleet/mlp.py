@@ -25,7 +25,7 @@ class Layers:
 
     Attributes:
         flat: (padded,), every weight, then every bias, layer by layer and within a layer network by network.
-        weights: (n, w[i+1], w[i]) each.
+        weights: (n, w[i], w[i+1]) each: inputs times weights, which the products are faster with than transposed.
         biases: (n, 1, w[i+1]) each.
         factors: the weights as they enter products: the weights themselves, or their bfloat16 copies.
     """
@@ -50,7 +50,7 @@ def new_layers(n: int, widths: Sequence[int], device: torch.device, precision: s
     total = sum(sizes) + sum(bias_sizes)
     flat = torch.zeros(math.ceil(total / FLAT_MULTIPLE) * FLAT_MULTIPLE, device=device)
     parts = iter(torch.split(flat[:total], [*sizes, *bias_sizes]))
-    weights = [next(parts).view(n, w_out, w_in) for w_in, w_out in shapes]
+    weights = [next(parts).view(n, w_in, w_out) for w_in, w_out in shapes]
     biases = [next(parts).view(n, 1, w_out) for _, w_out in shapes]
     factors = [
         torch.zeros_like(weight, dtype=torch.bfloat16) if precision == "bf16" and is_wide(weight) else weight
@@ -81,7 +81,7 @@ class StackedMlp:
         self.n_rows = n_rows
         self._slope = negative_slope
         self._back_rows = slice(n_rows if n_back_rows is None else n_back_rows)
-        widths = [weight.shape[1] for weight in layers.weights]
+        widths = [weight.shape[2] for weight in layers.weights]
         # What a layer gives out has the type of what the next one multiplies.
         types = [factor.dtype for factor in layers.factors[1:]] + [torch.float32]
         self._outputs = [
@@ -108,12 +108,9 @@ class StackedMlp:
         last = len(self._outputs) - 1
         for i, (factor, bias, output) in enumerate(zip(layers.factors, layers.biases, self._outputs, strict=True)):
             scratch = self._scratch[i]
-            if factor.dtype == torch.float32 and scratch is None:
-                torch.baddbmm(bias, x, factor.transpose(1, 2), out=output)
-            else:
-                product = output if scratch is None else scratch
-                torch.bmm(x, factor.transpose(1, 2), out=product)
-                torch.add(product, bias, out=output)
+            product = output if scratch is None else scratch
+            torch.bmm(x, factor, out=product)
+            torch.add(product, bias, out=output)
             if i < last:
                 self._activate(output)
             x = output
@@ -148,18 +145,18 @@ class StackedMlp:
             if gradients is not None:
                 scratch = self._weight_scratch[i]
                 if scratch is None:
-                    torch.bmm(delta.transpose(1, 2), x, out=gradients.weights[i])
+                    torch.bmm(x.transpose(1, 2), delta, out=gradients.weights[i])
                 else:
-                    torch.bmm(delta.transpose(1, 2), x, out=scratch)
+                    torch.bmm(x.transpose(1, 2), delta, out=scratch)
                     gradients.weights[i].copy_(scratch)
                 torch.sum(delta, 1, keepdim=True, dtype=torch.float32, out=gradients.biases[i])
             if i == 0:
-                return None if inputs_from is None else torch.bmm(delta, factor[:, :, inputs_from:])
+                return None if inputs_from is None else torch.bmm(delta, factor[:, inputs_from:].transpose(1, 2))
             below = self._deltas[i - 1]
             if below.dtype == factor.dtype:
-                torch.bmm(delta, factor, out=below)
+                torch.bmm(delta, factor.transpose(1, 2), out=below)
             else:
-                below.copy_(torch.bmm(delta, factor))
+                below.copy_(torch.bmm(delta, factor.transpose(1, 2)))
             self._activate_backward(below, x)
             delta = below
         raise AssertionError("a network has layers")

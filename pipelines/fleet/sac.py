@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pipelines.fleet.adam import new_adam, stack_tensors
+from pipelines.fleet.adam import AdamGroup, stack_tensors
 from pipelines.fleet.mlp import Layers, StackedMlp, new_layers
 
 LOG_STD_MIN, LOG_STD_MAX = -20.0, 2.0
@@ -95,7 +95,7 @@ class FleetSac:
         self.temperature_moments = [torch.zeros(n, device=device) for _ in range(2)]
         self._n_updates_before = n_updates
         self._temperature_gradient = torch.zeros(n, device=device)
-        self._adams: tuple[torch.optim.Adam, torch.optim.Adam] | None = None
+        self._groups: tuple[list[AdamGroup], list[AdamGroup]] | None = None
 
         self._actor_pass = StackedMlp(self.actor, 2 * rows, shapes.negative_slope, n_back_rows=rows)
         self._critic_pass = StackedMlp(self.critics, rows, shapes.negative_slope)
@@ -143,7 +143,7 @@ class FleetSac:
         for name in ("actor", "critics"):
             layers = self.actor if name == "actor" else self.critics
             for layer, weight in enumerate(layers.weights):
-                limit = 1 / math.sqrt(weight.shape[2])
+                limit = 1 / math.sqrt(weight.shape[1])
                 for kind in ("weight", "bias"):
                     view = tensors[f"{name}.{kind}{layer}"]
                     view.copy_((2 * torch.rand(view.shape, generator=generator) - 1) * limit)
@@ -163,9 +163,7 @@ class FleetSac:
     @property
     def n_updates(self) -> int:
         """Updates done, those of earlier learners included."""
-        if self._adams is None:
-            return self._n_updates_before
-        return int(next(iter(self._adams[0].state.values()))["step"])
+        return self._n_updates_before if self._groups is None else int(self._groups[0][0].steps[0])
 
     def refresh(self) -> None:
         """Take over parameters that were written from outside."""
@@ -229,8 +227,9 @@ class FleetSac:
         torch.sub(self._values(self.critics, self._critic_inputs), goal.unsqueeze(1), out=self._d_critics)
         self._d_critics.div_(rows)
         self._back(self._critic_inputs, self.critic_gradients, None)
-        critic_adam, actor_adam = self._optimisers()
-        critic_adam.step()
+        critic_adam, actor_adam = self._adam()
+        for group in critic_adam:
+            group.step()
         self.critics.refresh()
 
         # Actor and temperature, against the critics just updated.
@@ -246,29 +245,33 @@ class FleetSac:
         target_entropy = -float(shapes.n_actions)
         mean_log_probability = log_probability[:, :rows].mean(1)
         torch.mul(mean_log_probability + target_entropy, -self._automatic, out=self._temperature_gradient)
-        actor_adam.step()
+        for group in actor_adam:
+            group.step()
         self.targets.flat.lerp_(self.critics.flat, shapes.tau)
         self.targets.refresh()
 
-    def _optimisers(self) -> tuple[torch.optim.Adam, torch.optim.Adam]:
-        """Return Adam over the critics and Adam over actors and temperatures, made at the first update."""
-        if self._adams is None:
+    def _adam(self) -> tuple[list[AdamGroup], list[AdamGroup]]:
+        """Return Adam's groups of the critics, and those of actors and temperatures, made at the first update.
+
+        Runs that share learning rate and weight decay share a group of whole flat vectors.
+        """
+        if self._groups is None:
             alike = len({(run.learning_rate, run.weight_decay) for run in self.runs}) == 1
             critics = [self.critics, self.critic_gradients, *self.critic_moments]
             actors = [self.actor, self.actor_gradients, *self.actor_moments]
             temperatures = [self.log_temperature, self._temperature_gradient, *self.temperature_moments]
-            groups = []
+            self._groups = [], []
             for run, settings in enumerate(self.runs[:1] if alike else self.runs):
                 one = slice(None) if alike else slice(run, run + 1)
                 two = slice(None) if alike else slice(N_CRITICS * run, N_CRITICS * (run + 1))
-                lr, decay = settings.learning_rate, settings.weight_decay
-                groups.append((lr, decay, [stack_tensors(layers, two) for layers in critics]))
-                groups.append((lr, decay, [stack_tensors(layers, one) for layers in actors]))
-                groups.append((lr, 0.0, [[vector[one]] for vector in temperatures]))
-            of_critics, of_others = groups[::3], [group for i, group in enumerate(groups) if i % 3]
-            n_updates = self._n_updates_before
-            self._adams = new_adam(of_critics, n_updates), new_adam(of_others, n_updates)
-        return self._adams
+                rate, decay, n_updates = settings.learning_rate, settings.weight_decay, self._n_updates_before
+                of_critics = [stack_tensors(layers, two) for layers in critics]
+                of_actors = [stack_tensors(layers, one) for layers in actors]
+                of_temperatures = [[vector[one]] for vector in temperatures]
+                self._groups[0].append(AdamGroup.of(rate, decay, of_critics, n_updates))
+                self._groups[1].append(AdamGroup.of(rate, decay, of_actors, n_updates))
+                self._groups[1].append(AdamGroup.of(rate, 0.0, of_temperatures, n_updates))
+        return self._groups
 
     def _log_probability(self, raw_log_std: Tensor, noise: Tensor, slope: Tensor) -> Tensor:
         """Return log pi of the squashed actions, (R, 2 B)."""

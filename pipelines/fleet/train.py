@@ -217,7 +217,7 @@ class FleetTrainer:
         """Return a run's actor."""
         tensors, n_actions = self.runs[r].tensors, self._task.layout.n_actions
         n_layers = len(self._config.hidden_widths) + 1
-        weights = [tensors[f"actor.weight{i}"][0].double().numpy() for i in range(n_layers)]
+        weights = [tensors[f"actor.weight{i}"][0].T.double().numpy() for i in range(n_layers)]
         biases = [tensors[f"actor.bias{i}"][0, 0].double().numpy() for i in range(n_layers)]
         weights[-1], biases[-1] = weights[-1][:n_actions], biases[-1][:n_actions]  # the means
         slope, head = self._config.actor.negative_slope, otr.TanhBox(self._task.low, self._task.high)

@@ -71,14 +71,14 @@ def sb3_parameters(model: SAC) -> dict[str, Tensor]:
     policy = model.policy
     hidden = [layer for layer in policy.actor.latent_pi if isinstance(layer, torch.nn.Linear)]
     heads = [policy.actor.mu, policy.actor.log_std]
-    found = {f"actor.weight{i}": layer.weight for i, layer in enumerate(hidden)}
+    found = {f"actor.weight{i}": layer.weight.T for i, layer in enumerate(hidden)}
     found |= {f"actor.bias{i}": layer.bias for i, layer in enumerate(hidden)}
-    found[f"actor.weight{len(hidden)}"] = torch.cat([head.weight for head in heads])
+    found[f"actor.weight{len(hidden)}"] = torch.cat([head.weight for head in heads]).T
     found[f"actor.bias{len(hidden)}"] = torch.cat([head.bias for head in heads])
     for name, critic in (("critics", policy.critic), ("targets", policy.critic_target)):
         nets = [[layer for layer in net if isinstance(layer, torch.nn.Linear)] for net in critic.q_networks]
         for i in range(len(nets[0])):
-            found[f"{name}.weight{i}"] = torch.stack([net[i].weight for net in nets])
+            found[f"{name}.weight{i}"] = torch.stack([net[i].weight.T for net in nets])
             found[f"{name}.bias{i}"] = torch.stack([net[i].bias for net in nets]).unsqueeze(1)
     if model.ent_coef_optimizer is not None:
         found["log_temperature"] = model.log_ent_coef
@@ -201,7 +201,7 @@ def test_acting_is_the_actor_that_stable_baselines3_would_export() -> None:
     x = states[1].double()
     tensors = {name: tensor.double() for name, tensor in fleet.tensors(1).items()}
     for layer in range(3):
-        x = x @ tensors[f"actor.weight{layer}"][0].T + tensors[f"actor.bias{layer}"][0]
+        x = x @ tensors[f"actor.weight{layer}"][0] + tensors[f"actor.bias{layer}"][0]
         x = x.relu() if layer < 2 else x
     torch.testing.assert_close(fleet.act(states, None)[1].double(), x[:, :N_ACTIONS].tanh(), rtol=1e-5, atol=1e-6)
     noise = torch.full((2, 5, N_ACTIONS), 2.0)

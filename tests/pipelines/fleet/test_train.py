@@ -198,8 +198,8 @@ def test_first_actions_are_random_then_the_policys(fleet_run):
     assert abs(before.mean()) < 0.2 and before.std() == pytest.approx(1 / np.sqrt(3), abs=0.06)  # uniform in [-1, 1]
     # The first action of the policy comes before the first update: its distribution is the untrained actor's.
     state = torch.from_numpy(run.rows[100, :3].copy())
-    x = (state @ initial["actor.weight0"][0].T + initial["actor.bias0"][0, 0]).relu()
-    mean, log_std = x @ initial["actor.weight1"][0].T + initial["actor.bias1"][0, 0]
+    x = (state @ initial["actor.weight0"][0] + initial["actor.bias0"][0, 0]).relu()
+    mean, log_std = x @ initial["actor.weight1"][0] + initial["actor.bias1"][0, 0]
     assert abs(float(np.arctanh(run.rows[100, 3]) - mean)) < 4 * float(log_std.exp())
 
 

@@ -17,10 +17,10 @@ help:  ## list the targets
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@
 
-# MLflow and EnvPool: large, and wanted by the tests of tracking=mlflow and trainer.environments=envpool alone (EnvPool is
-# 300 MB to fetch and 740 MB on disk, with the assets of environments that are not ours).
+# MLflow, EnvPool and RDKit: large, and wanted by the tests of tracking=mlflow, trainer.environments=envpool and the
+# rebuilding of data sets alone (EnvPool is 300 MB to fetch and 740 MB on disk, with the assets of environments that are not ours).
 .venv/.installed-all: .venv/.installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev,mlflow,fleet]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev,mlflow,fleet,molecules]'
 	@touch $@
 
 # Below results/local, because the repository brings the finished run of the same command.

@@ -1,0 +1,126 @@
+"""The command `otr-data`: fetches data sets, compares them with their hashes and says what is there."""
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from pipelines.datasets.catalogue import EXAMPLES, MOLECULES, NAMES, files_of
+from pipelines.datasets.dataset import PARTS, Dataset
+from pipelines.datasets.download import given_folder, locate, own_folder
+from pipelines.datasets.load import check_name, load_dataset, rebuild_and_keep
+from pipelines.errors import ConfigError, PipelineError
+
+EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE = 1, 2, 130, 141
+HELP = """\
+Fetch the data sets of Table 4.2, compare every file with its hash, and print what is there. What is there already is
+read and compared again; nothing is fetched twice.
+
+names:
+  bace hiv sider tox21          fingerprints of molecules with the splits of LCN (Lee & Jaakkola, ICLR 2020)
+  pdbbind                       protein-ligand affinities, regression
+  breast_cancer digits diabetes come with scikit-learn, nothing to fetch"""
+EPILOG = """\
+where files lie:
+  $XDG_DATA_HOME/otr, or ~/.local/share/otr. OTR_DATA_DIR=FOLDER reads FOLDER/lcn/bace_split/train.fgp2048.csv (or
+  .csv.gz) and so on instead, and fetches nothing. A file that cannot be fetched is rebuilt from SMILES where RDKit is
+  installed (pip install 'otr[molecules]'; half a minute for hiv).
+
+examples:
+  otr-data bace hiv sider tox21 pdbbind
+  otr-data --list
+  OTR_DATA_DIR=iclr20-lcn/data otr-data bace"""
+
+
+def run() -> None:
+    """Entry point of `otr-data`."""
+    try:
+        code = main(sys.argv[1:])
+    except KeyboardInterrupt:
+        print("\nstopped; whole files are kept, and the same command goes on from there", file=sys.stderr)
+        code = EXIT_INTERRUPTED
+    except BrokenPipeError:  # the reader of a pipe has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = EXIT_BROKEN_PIPE
+    sys.exit(code)
+
+
+def main(words: Sequence[str]) -> int:
+    """Do what the words ask for and return the exit code; one data set's failure does not stop the others."""
+    parser = argparse.ArgumentParser(
+        "otr-data", description=HELP, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("names", nargs="*", metavar="NAME", help="data sets, as above")
+    parser.add_argument("--list", action="store_true", help="say which data sets are there; fetch nothing")
+    parser.add_argument(
+        "--rebuild", action="store_true", help="make the split files from SMILES, even if they are there"
+    )
+    arguments = parser.parse_args(words)
+    if not arguments.names and not arguments.list:
+        parser.error(f"name data sets ({' '.join(NAMES)}) or give --list")
+    try:
+        for name in arguments.names:
+            check_name(name)
+            if arguments.rebuild and name not in MOLECULES:
+                raise ConfigError(f"{name} cannot be rebuilt; these can: {', '.join(MOLECULES)}")
+        if arguments.list:
+            _list(arguments.names or NAMES)
+            return 0
+        return _fetch(arguments.names, arguments.rebuild)
+    except ConfigError as error:
+        print(f"otr-data: {error}", file=sys.stderr)
+        return EXIT_USAGE
+
+
+def _fetch(names: Sequence[str], anew: bool) -> int:
+    table = Table(caption="train/valid/test; shares are of the measured labels", caption_justify="left")
+    for heading in ("data set", "rows", "labels", "share of ones", "hash"):
+        table.add_column(heading, justify="left" if heading in ("data set", "hash") else "right", no_wrap=True)
+    places, failures = [], []
+    for name in dict.fromkeys(names):
+        try:
+            if anew:
+                rebuild_and_keep(MOLECULES[name])
+                print(f"{name}: rebuilt in {own_folder()}, byte for byte LCN's files", flush=True)
+            dataset = load_dataset(name)
+        except PipelineError as error:
+            failures.append(f"{name}: {error}")
+            continue
+        rows = "/".join(f"{len(dataset.part(part).X):,}" for part in PARTS)
+        table.add_row(name, rows, str(len(dataset.label_names)), _shares(dataset), "" if name in EXAMPLES else "ok")
+        places.append(f"{name}: {_place(name)}")
+    console = Console(highlight=False, soft_wrap=True)
+    if places:
+        console.print(table)
+        console.print("\n".join(places), markup=False)
+    for failure in failures:
+        print(f"otr-data: {failure}", file=sys.stderr)
+    return EXIT_FAILED if failures else 0
+
+
+def _list(names: Sequence[str]) -> None:
+    print(f"data folder: {given_folder() or own_folder()}")
+    for name in names:
+        n_there = sum(locate(file) is not None for file in files_of(name))
+        n_files = len(files_of(name))
+        print(f"  {name:<14} {_place(name) if n_there == n_files else f'{n_there} of {n_files} files here'}")
+
+
+def _place(name: str) -> str:
+    """Return the folders or the file that a data set is read from."""
+    if name in EXAMPLES:
+        return "comes with scikit-learn"
+    paths = [path for path in map(locate, files_of(name)) if path]
+    return ", ".join(dict.fromkeys(str(path.parent if name in MOLECULES else path) for path in paths))
+
+
+def _shares(dataset: Dataset) -> str:
+    """Return the share of ones among the measured labels of each part, where labels are 0 and 1."""
+    labels = [dataset.part(part).Y for part in PARTS]
+    if dataset.task == "regression" or max(np.nanmax(Y) for Y in labels) > 1:
+        return ""
+    return "/".join(f"{np.nanmean(Y):.4f}".lstrip("0") for Y in labels)

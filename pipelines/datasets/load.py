@@ -1,0 +1,73 @@
+"""`load_dataset`: the one way to a data set."""
+
+import difflib
+import sys
+
+from pipelines.datasets.catalogue import EXAMPLES, MOLECULES, NAMES, MoleculeSet
+from pipelines.datasets.dataset import Dataset, Part
+from pipelines.datasets.download import keep, locate, read
+from pipelines.datasets.examples import load_example
+from pipelines.datasets.molecules import FEATURE_NAMES, parse_split
+from pipelines.datasets.pdbbind import load_pdbbind
+from pipelines.datasets.rebuild import can_rebuild, rebuild
+from pipelines.errors import ConfigError, MissingInputError, PipelineError
+
+
+def load_dataset(name: str) -> Dataset:
+    """Return a data set, fetching it or rebuilding it from SMILES where it is not on this machine yet.
+
+    Args:
+        name: bace, hiv, sider, tox21 (fingerprints, uint8), pdbbind, breast_cancer, digits or diabetes (float32).
+
+    Raises:
+        ConfigError: there is no such data set.
+        MissingInputError: it is not here and could not be had; names addresses, hashes and where to put it.
+        PipelineError: a local file is damaged.
+    """
+    check_name(name)
+    if name in EXAMPLES:
+        return load_example(name)
+    if name == "pdbbind":
+        return load_pdbbind()
+    return _load_molecules(MOLECULES[name])
+
+
+def check_name(name: str) -> None:
+    """Raise a ConfigError with the nearest known name if there is no such data set."""
+    if name not in NAMES:
+        close = difflib.get_close_matches(name, NAMES, n=1, cutoff=0.5)
+        hint = f" Did you mean {close[0]}?" if close else ""
+        raise ConfigError(f"there is no data set {name!r}.{hint} There are: {', '.join(NAMES)}")
+
+
+def rebuild_and_keep(entry: MoleculeSet) -> dict[str, bytes]:
+    """Make a data set's split files from SMILES, keep them in the user's data folder and return their content."""
+    contents = rebuild(entry)
+    for part, file in entry.parts.items():
+        keep(file, contents[part])
+    return contents
+
+
+def _load_molecules(entry: MoleculeSet) -> Dataset:
+    parts, label_names = {}, {}
+    for part, content in _contents(entry).items():
+        label_names[part], X, Y = parse_split(content)
+        parts[part] = Part(X, Y)
+    return Dataset(entry.name, "classification", label_names["train"], FEATURE_NAMES, **parts)
+
+
+def _contents(entry: MoleculeSet) -> dict[str, bytes]:
+    try:
+        return {part: read(file) for part, file in entry.parts.items()}
+    except MissingInputError as error:
+        missing = [file for file in entry.parts.values() if locate(file) is None]
+        others = "".join(f"\nLikewise missing: {file.path} ({file.hashes})" for file in missing[1:])
+        if not can_rebuild():
+            raise MissingInputError(
+                f"{error}{others}\nOr pip install 'otr[molecules]' to make them from {entry.raw.addresses[0]}"
+            ) from error
+        print(f"{error}\nrebuilding {entry.name} from SMILES instead", file=sys.stderr, flush=True)
+        try:
+            return rebuild_and_keep(entry)
+        except PipelineError as second:
+            raise MissingInputError(f"{error}{others}\nNor can they be made from SMILES: {second}") from second

@@ -1,0 +1,93 @@
+"""LCN's split files made anew from SMILES, byte for byte, with RDKit (extra `molecules`).
+
+Morgan fingerprints of radius 2, 2,048 bits, no chirality. Today's RDKit perceives 77 molecules otherwise than that of
+2019 did (aromaticity of fused rings, hydrogens of two-coordinate iodine, some metals): `old_rdkit_rows.json` has their
+on-bits by row of the file of SMILES. Tried with RDKit 2024.9.6 and 2026.9.1.
+"""
+
+import csv
+import importlib.util
+import io
+import json
+from importlib import resources
+from typing import Any
+
+from pipelines.datasets.catalogue import MoleculeSet
+from pipelines.datasets.download import read
+from pipelines.datasets.molecules import N_BITS
+from pipelines.datasets.splits import random_split, scaffold_split
+from pipelines.errors import PipelineError
+
+
+def can_rebuild() -> bool:
+    """Return whether RDKit is installed."""
+    return importlib.util.find_spec("rdkit") is not None
+
+
+def rebuild(entry: MoleculeSet) -> dict[str, bytes]:
+    """Return the content of a data set's split files, made from SMILES and labels.
+
+    Raises:
+        MissingInputError: the file of SMILES is not here and could not be fetched.
+        PipelineError: RDKit is not installed, or what it gives differs from LCN's file.
+    """
+    if not can_rebuild():
+        raise PipelineError(f"rebuilding {entry.name} needs RDKit: pip install 'otr[molecules]'")
+    import rdkit
+
+    text = read(entry.raw).decode()
+    header = text.splitlines()[0]
+    rows = list(csv.reader(io.StringIO(text)))[1:]
+    fingerprints, scaffolds = _perceive([row[0] for row in rows], entry.split_rule == "scaffold")
+    for row, bits in _old_rows(entry.lcn_name).items():
+        fingerprints[int(row)] = "".join("1" if bit in bits else "0" for bit in range(N_BITS))
+    split = scaffold_split(scaffolds) if entry.split_rule == "scaffold" else random_split(len(rows))
+    contents = {}
+    for part, file in entry.parts.items():
+        lines = [header, *(",".join([fingerprints[row], *rows[row][1:]]) for row in split[part])]
+        contents[part] = ("\n".join(lines) + "\n").encode()
+        difference = file.difference(contents[part])
+        if difference:
+            raise PipelineError(
+                f"{file.path} as RDKit {rdkit.__version__} gives it is not LCN's: {difference}\n"
+                f"Try RDKit 2026.9.1, or fetch the file from {' or '.join(file.addresses)}."
+            )
+    return contents
+
+
+def _perceive(smiles: list[str], with_scaffolds: bool) -> tuple[list[str], list[str]]:
+    """Return each molecule's fingerprint as text and, if asked for, its Murcko scaffold without chirality."""
+    from rdkit import Chem, rdBase
+    from rdkit.Chem import rdFingerprintGenerator
+    from rdkit.Chem.Scaffolds import MurckoScaffold
+
+    generator = rdFingerprintGenerator.GetMorganGenerator(radius=2, fpSize=N_BITS)
+    fingerprints, scaffolds = [], []
+    with rdBase.BlockLogs():
+        for row, text in enumerate(smiles):
+            molecule = _molecule(text)
+            fingerprints.append(generator.GetFingerprint(molecule).ToBitString())
+            if with_scaffolds:
+                try:
+                    scaffold = MurckoScaffold.MurckoScaffoldSmiles(mol=molecule, includeChirality=False)
+                except (ValueError, RuntimeError, Chem.MolSanitizeException):
+                    scaffold = f"row {row}"  # a scaffold of its own
+                scaffolds.append(scaffold)
+    return fingerprints, scaffolds
+
+
+def _molecule(smiles: str) -> Any:
+    """Return the molecule; valences that RDKit has come to refuse (mostly of aluminium) are let through."""
+    from rdkit import Chem
+
+    molecule = Chem.MolFromSmiles(smiles)
+    if molecule is None:
+        molecule = Chem.MolFromSmiles(smiles, sanitize=False)
+        molecule.UpdatePropertyCache(strict=False)
+        Chem.SanitizeMol(molecule, Chem.SANITIZE_ALL ^ Chem.SANITIZE_PROPERTIES)
+    return molecule
+
+
+def _old_rows(lcn_name: str) -> dict[str, set[int]]:
+    text = resources.files("pipelines.datasets").joinpath("old_rdkit_rows.json").read_text(encoding="utf-8")
+    return {row: set(bits) for row, bits in json.loads(text).get(lcn_name, {}).items()}

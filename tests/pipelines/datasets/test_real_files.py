@@ -1,0 +1,51 @@
+"""LCN's own files, where they are at hand: sizes and shares as published with them, to four digits."""
+
+import numpy as np
+import pytest
+
+from pipelines.datasets import load_dataset
+
+SIZES = {
+    "bace": ((1210, 151, 152), 1, (0.4256, 0.5563, 0.6053), (0, 0, 0)),
+    "hiv": ((32901, 4113, 4113), 1, (0.0374, 0.0197, 0.0316), (0, 0, 0)),
+    "sider": ((1141, 143, 143), 27, (0.5671, 0.5646, 0.5742), (0, 0, 0)),
+    "tox21": ((6264, 784, 783), 12, (0.0743, 0.0727, 0.0850), (12832, 1584, 1610)),
+}
+
+
+@pytest.mark.parametrize("name", SIZES)
+def test_sizes_and_shares(real_data, name):
+    n_rows, n_labels, shares, n_missing = SIZES[name]
+    dataset = load_dataset(name)
+    parts = [dataset.train, dataset.valid, dataset.test]
+    assert tuple(part.X.shape for part in parts) == tuple((n, 2048) for n in n_rows)
+    assert tuple(part.Y.shape for part in parts) == tuple((n, n_labels) for n in n_rows)
+    assert tuple(round(float(np.nanmean(part.Y)), 4) for part in parts) == shares
+    assert tuple(int(np.isnan(part.Y).sum()) for part in parts) == n_missing
+    assert all(part.X.dtype == np.uint8 and part.X.max() == 1 for part in parts)
+    assert len(dataset.label_names) == n_labels and dataset.feature_names[-1] == "bit2047"
+
+
+def test_ones_of_hiv_names_of_sider_and_rows_of_tox21(real_data):
+    hiv = load_dataset("hiv")
+    assert [int(part.Y.sum()) for part in (hiv.train, hiv.valid, hiv.test)] == [1232, 81, 130]
+    sider = load_dataset("sider")
+    assert sider.label_names[10] == "Neoplasms benign, malignant and unspecified (incl cysts and polyps)"
+    tox21 = load_dataset("tox21")
+    n_measured = [len(tox21.labelled("train", label)[1]) for label in range(12)]
+    assert sum(n_measured) == 6264 * 12 - 12832
+    assert all(n < 6264 for n in n_measured)
+
+
+def test_fingerprints_are_those_of_the_text(real_data):
+    import gzip
+
+    path = real_data / "lcn" / "tox21_split" / "valid.fgp2048.csv"
+    text = (
+        path.read_text() if path.exists() else gzip.decompress(path.with_name(f"{path.name}.gz").read_bytes()).decode()
+    )
+    lines = [line.split(",") for line in text.splitlines()[1:]]
+    valid = load_dataset("tox21").valid
+    assert [[int(c) for c in line[0]] for line in lines[:50]] == valid.X[:50].tolist()
+    written = [["" if np.isnan(y) else str(int(y)) for y in row] for row in valid.Y]
+    assert written == [line[1:] for line in lines]

@@ -375,7 +375,7 @@ def _compose(name: str, overrides: Sequence[str]) -> DictConfig:
         try:
             return compose(name, list(overrides))
         except HydraException as error:
-            raise ConfigError(_explain(name, error)) from error
+            raise ConfigError(_explain(name, error, overrides)) from error
 
 
 def _check_option(group: str, value: str) -> None:
@@ -388,13 +388,13 @@ def _options(group: str) -> list[str]:
     return sorted(path.stem for path in (CONF_DIR / group).glob("*.yaml"))
 
 
-def _explain(name: str, error: HydraException) -> str:
+def _explain(name: str, error: HydraException, overrides: Sequence[str]) -> str:
     """Return Hydra's message without its advice on `+`, with the nearest known key."""
     cause = error.__cause__
     lines = str(cause or error).splitlines()
     if "Could not override" in str(error):
         key = str(error).split("'")[1]
-        base = ["env=pendulum"] if name == "run" else []
+        base = [word for word in overrides if word.split("=")[0] in ("env", "algo", "trainer")]
         known = _leaves(OmegaConf.to_container(compose(name, base)))
         lines = [f"there is no key {key!r}.{_did_you_mean(key, known)}"]
     return _readable("\n".join(lines))

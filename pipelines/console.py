@@ -49,9 +49,10 @@ def duration(seconds: float) -> str:
 
 def _table(summary: dict[str, Any]) -> Table:
     episodes = summary["n_episodes"]
+    trainer = "" if summary["trainer"] == "sb3" else f", {summary['trainer']}"
     title = (
         f"{summary['env']} ({summary['env_id']}), depth {summary['depth']}, {summary['algorithm'].upper()}, "
-        f"{summary['steps']:,} steps ({summary['budget']}), seed {summary['seed']}"
+        f"{summary['steps']:,} steps ({summary['budget']}{trainer}), seed {summary['seed']}"
     )
     table = Table(title=title, title_justify="left")
     table.add_column("policy")

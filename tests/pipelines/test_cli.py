@@ -136,6 +136,9 @@ def test_replay_finds_an_episode_that_was_changed(finished, tmp_path):
         (("env=pendulum", "+foo=1"), 2, "leave out the +"),
         (("env=pendulum", "results_dir="), 2, "results_dir is empty"),
         (("env=pendulum", "train.steps=1e6"), 2, "train.steps: "),
+        (("env=pendulum", "trainer=flet"), 2, "Did you mean fleet"),
+        (("env=pendulum", "trainer=fleet", "trainer.n_env=3"), 2, "Did you mean trainer.n_envs"),
+        (("env=pendulum", "trainer=fleet", "trainer.precision=fp8"), 2, "use one of fp32, bf16"),
     ],
 )
 def test_bad_requests_are_one_clear_message(tmp_path, words, code, told):

@@ -35,6 +35,12 @@ class Layers:
     biases: list[Tensor]
     factors: list[Tensor]
 
+    def only(self, network: int) -> "Layers":
+        """Return one network as a stack of its own, in the same memory; it has no flat vector."""
+        one = slice(network, network + 1)
+        parts = ([tensor[one] for tensor in tensors] for tensors in (self.weights, self.biases, self.factors))
+        return Layers(self.flat[:0], *parts)
+
     def refresh(self) -> None:
         """Bring the bfloat16 copies up to date; to be called after every change of the weights."""
         for factor, weight in zip(self.factors, self.weights, strict=True):

@@ -195,6 +195,12 @@ class FleetSac:
             return torch.tanh(mean)
         return torch.tanh(mean + log_std.clamp(LOG_STD_MIN, LOG_STD_MAX).exp() * noise)
 
+    def answers(self, run: int, states: Tensor) -> Tensor:
+        """Return one run's deterministic actions in [-1, 1], (n, n_actions), in states (n, n_inputs)."""
+        actor = self.actor.only(run)
+        outputs = StackedMlp(actor, len(states), self.shapes.negative_slope).forward(actor, states.unsqueeze(0))
+        return torch.tanh(outputs[0, :, : self.shapes.n_actions])
+
     # -- learning -------------------------------------------------------------------------------------------------
 
     @torch.no_grad()

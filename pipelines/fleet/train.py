@@ -23,7 +23,7 @@ import otr
 from pipelines.checkpoint import progress_row
 from pipelines.config import EnvConfig, FleetConfig, RunConfig
 from pipelines.envs import flat_state_size, is_discrete, make_env
-from pipelines.errors import ConfigError
+from pipelines.errors import ConfigError, PolicyMismatchError
 from pipelines.fleet.envpool_env import EQUAL_IDS
 from pipelines.fleet.progress import FleetProgress
 from pipelines.fleet.replay import FleetReplay, RowLayout
@@ -107,7 +107,12 @@ def _segment(trainer: "FleetTrainer", play: PlayAll, progress: FleetProgress) ->
     played = play(networks, [trainer.runs[r].config for r in going])
     for r, (network, episodes) in zip(going, played, strict=True):
         run = trainer.runs[r]
-        compare_with_trained(network, functools.partial(trainer.answers, r), episodes.states, run.config)
+        try:
+            compare_with_trained(network, functools.partial(trainer.answers, r), episodes.states, run.config)
+        except PolicyMismatchError as error:
+            run.error = error
+            progress.given_up(run)
+            continue
         # A run's seconds are its share of the fleet's, so that the runs' sum is what was spent.
         share = trained_s / len(trainer.runs)
         returns, lengths = np.array(collected.returns[r]), np.array(collected.lengths[r])
@@ -225,9 +230,8 @@ class FleetTrainer:
 
     def answers(self, r: int, states: np.ndarray) -> np.ndarray:
         """Return a run's own deterministic actions on states (n, d)."""
-        stacked = torch.zeros(len(self.runs), *states.shape, device=self._device)
-        stacked[r] = torch.from_numpy(states)
-        return self._unscale(self._learner.act(stacked, None)[r].cpu().numpy())
+        on_device = torch.from_numpy(states).to(self._device)
+        return self._unscale(self._learner.answers(r, on_device).cpu().numpy())
 
     @torch.no_grad()
     def train_segment(self, progress: FleetProgress) -> Collected:

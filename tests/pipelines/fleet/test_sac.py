@@ -203,7 +203,8 @@ def test_acting_is_the_actor_that_stable_baselines3_would_export() -> None:
     for layer in range(3):
         x = x @ tensors[f"actor.weight{layer}"][0] + tensors[f"actor.bias{layer}"][0]
         x = x.relu() if layer < 2 else x
-    torch.testing.assert_close(fleet.act(states, None)[1].double(), x[:, :N_ACTIONS].tanh(), rtol=1e-5, atol=1e-6)
+    for answers in (fleet.act(states, None)[1], fleet.answers(1, states[1])):
+        torch.testing.assert_close(answers.double(), x[:, :N_ACTIONS].tanh(), rtol=1e-5, atol=1e-6)
     noise = torch.full((2, 5, N_ACTIONS), 2.0)
     noisy = (x[:, :N_ACTIONS] + 2 * x[:, N_ACTIONS:].clamp(-20, 2).exp()).tanh()
     torch.testing.assert_close(fleet.act(states, noise)[1].double(), noisy, rtol=1e-5, atol=1e-6)

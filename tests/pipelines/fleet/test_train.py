@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+import otr
 from pipelines.config import FleetConfig, TrainConfig
 from pipelines.envs import make_env
 from pipelines.errors import ConfigError
@@ -151,6 +152,24 @@ def test_run_that_diverges_is_named_and_the_others_go_on(fleet_run, tmp_path, mo
     assert errors[1] is None and same(outs[1], expected[1])
     assert not list(outs[0].iterdir())
     assert "seed 0 given up, the others go on" in capsys.readouterr().out
+
+
+def test_actor_that_is_not_what_was_trained_is_given_up_alone(fleet_run, tmp_path, monkeypatch):
+    network = FleetTrainer.network
+
+    def other_network(trainer, r):
+        made = network(trainer, r)
+        if r > 0 or len(trainer.runs) < 2:
+            return made
+        return otr.ReluNetwork(made.weights, [*made.biases[:-1], made.biases[-1] + 0.01], head=made.head)
+
+    monkeypatch.setattr(FleetTrainer, "network", other_network)
+    outs = [tmp_path / "a", tmp_path / "b"]
+    for out in outs:
+        out.mkdir()
+    errors = train_fleet([fleet_run(seed=seed) for seed in (0, 1)], outs)
+    assert "is not the trained policy" in str(errors[0])
+    assert errors[1] is None and (outs[1] / "actor.json").exists() and not (outs[0] / "actor.json").exists()
 
 
 @pytest.mark.parametrize(("env", "n_envs"), [(HOPPER, 2), ("pendulum", 1)])

@@ -165,6 +165,19 @@ def make_cell(table: str, task: str, method: str, depth: str, runs: dict[tuple[s
     )
 
 
+def other_cells(shown: Cell, runs: dict[tuple[str, str, str], list[Run]]) -> list[Cell]:
+    """Return the runs of a cell's task, method and depth that other budgets or trainers made, a cell each."""
+    sources: dict[tuple[str, str], list[Run]] = defaultdict(list)
+    for run in runs.get((shown.task, shown.method, shown.depth), []):
+        sources[run.budget, run.trainer].append(run)
+    note = "beside the table's cell, by another budget or trainer"
+    return [
+        replace(shown, table="other", runs=tuple(sources[source]), notes=(note,))
+        for source in sorted(sources, key=source_order)
+        if source != shown.source
+    ]
+
+
 def source_order(source: tuple[str, str]) -> tuple[int, str, bool, str]:
     """Sort key of (budget, trainer): the thesis's own budget first, then BUDGET_ORDER, then by name; sb3 first."""
     budget, trainer = source

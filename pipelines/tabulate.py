@@ -24,6 +24,7 @@ from pipelines.table_cells import (
     beyond_order,
     csv_row,
     make_cell,
+    other_cells,
     read_runs,
     runs_text,
     source_order,
@@ -59,6 +60,7 @@ def write_table_4_1(results_dir: Path) -> list[Path]:
     rows = [[make_cell("4.1", task, *column, runs) for column in TABLE_COLUMNS] for task in TABLE_TASKS]
     shown = {(cell.task, cell.method, cell.depth) for row in rows for cell in row}
     beyond = [make_cell("text", *key, runs) for key in sorted({*runs, *TEXT_CELLS} - shown, key=beyond_order)]
+    beyond += [other for row in rows for cell in row for other in other_cells(cell, runs)]
     cells = [*(cell for row in rows for cell in row), *beyond]
 
     folder = results_dir / "tables"
@@ -93,7 +95,7 @@ def markdown(rows: Sequence[Sequence[Cell]], beyond: Sequence[Cell]) -> str:
         "## Where the numbers come from",
         _markdown_table(_provenance(cells)) if any(cell.runs for cell in cells) else "Nothing has been run yet.",
         "## Beyond the table",
-        "What the thesis reports in its text, and runs of other tasks, methods and depths.",
+        "What the thesis reports in its text, and runs of other tasks, methods, depths, budgets and trainers.",
         _markdown_table(others),
     ]
     return "\n\n".join(blocks) + "\n"

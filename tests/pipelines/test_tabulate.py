@@ -137,6 +137,11 @@ def test_the_thesis_budget_comes_first_and_is_never_mixed(tmp_path: Path) -> Non
     cell = hopper(tmp_path)
     assert (cell["mean"], cell["n_runs"], cell["budget"]) == ("3500.0", "1", "thesis")
     assert cell["note"] == "also run: 3 runs, quick"
+    other = csv_cells(tmp_path)["other", "hopper", "otr", "6"]
+    assert (other["n_runs"], other["budget"]) == ("3", "quick")
+    assert other["mean"] == "130.0"
+    shown, beyond = markdown_lines(tmp_path, "Hopper")[0], markdown_lines(tmp_path, "Hopper")[-1]
+    assert "3500.0 (1 run, thesis)" in shown and "(3 runs, quick)" in " ".join(beyond)
 
 
 def test_order_of_budgets(tmp_path: Path) -> None:

@@ -34,7 +34,7 @@ cluster.shutdown()
 def python(tmp_path):
     """The Python of an environment with Ray and the packages that its plugin wants; the rest comes from ours."""
     folder = tmp_path / "venv"
-    subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True, timeout=300)
+    subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True, timeout=900)
     python = folder / "bin" / "python"
     constraints = tmp_path / "constraints.txt"
     pins = (ROOT / "constraints.txt").read_text().splitlines()
@@ -63,11 +63,11 @@ def cluster(python, monkeypatch):
 def test_two_nodes_do_the_same_and_one_is_killed(python, cluster, tmp_path):
     address, raylet = cluster
     basic = start(*THREE, "results_dir=basic", cwd=tmp_path)
-    assert basic.wait(timeout=300) == 0
+    assert basic.wait(timeout=900) == 0
     expected = digests(tmp_path / "basic")
 
     sweep = start(*THREE, "launcher=ray", "results_dir=ray", cwd=tmp_path, python=python, RAY_ADDRESS=address)
-    printed, _ = sweep.communicate(timeout=300)
+    printed, _ = sweep.communicate(timeout=900)
     assert sweep.returncode == 0, printed
     assert "3 jobs: 3 done, 0 failed" in printed
     assert len(expected) == 36 and digests(tmp_path / "ray") == expected
@@ -81,7 +81,7 @@ def test_two_nodes_do_the_same_and_one_is_killed(python, cluster, tmp_path):
         assert len(victims) > 1
         for pid in victims:
             os.kill(pid, signal.SIGKILL)
-        printed, _ = sweep.communicate(timeout=300)
+        printed, _ = sweep.communicate(timeout=900)
     assert sweep.returncode == 0, printed
     assert "3 jobs: 3 done, 0 failed" in printed
     assert "train: going on from step" in printed

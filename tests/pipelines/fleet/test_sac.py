@@ -151,7 +151,7 @@ def test_fifty_updates_are_those_of_stable_baselines3(
 @pytest.mark.parametrize(("precision", "n_updates"), [("fp32", 1000), ("bf16", 200)])
 def test_a_run_of_a_fleet_is_the_run_alone_bit_for_bit(precision: str, n_updates: int) -> None:
     shapes = Shapes(N_INPUTS, N_ACTIONS, (6,), (256, 256), BATCH, precision=precision)
-    seeds = [5, 6, 7]
+    seeds = [5, 6]
     together = new_fleet(shapes, seeds)
     learn(together, seeds, n_updates)
     alone = new_fleet(shapes, [6])

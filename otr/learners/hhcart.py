@@ -12,7 +12,7 @@ from otr.arrays import BoolArray, FloatArray, IntArray
 from otr.learners.eigen import dominant_direction
 from otr.learners.estimator import TreeClassifier, TreeRegressor, class_tree, constant_tree
 from otr.learners.growth import Skeleton, Test, grow
-from otr.learners.splits import TIE, AxisSplit, best_split
+from otr.learners.splits import TIE, AxisSplit, best_bit_split, best_split
 from otr.tree import ObliqueTree
 
 __all__ = ["HHCARTClassifier", "HHCARTRegressor", "householder_normal"]
@@ -45,6 +45,7 @@ class _Grower:
         self._min_samples_split: int = options["min_samples_split"]
         self._n_jobs: int | None = options["n_jobs"]
         self._random_state = check_random_state(random_state)
+        self._are_bits = bool(((X == 0) | (X == 1)).all())
         self._noise = 1e-12 * float(np.square(Y).sum())
 
     def grow(self, max_depth: int | None) -> Skeleton:
@@ -75,14 +76,10 @@ class _Grower:
         return Test(P, -best.threshold)
 
     def _split(self, X: NDArray[Any], Y: FloatArray, normal: FloatArray | None) -> AxisSplit | None:
-        return best_split(
-            X,
-            Y,
-            normal=normal,
-            min_samples_leaf=self._min_samples_leaf,
-            random_state=self._random_state,
-            n_jobs=self._n_jobs,
-        )
+        options = {"min_samples_leaf": self._min_samples_leaf, "random_state": self._random_state}
+        if normal is None and self._are_bits:
+            return best_bit_split(X, Y, **options)
+        return best_split(X, Y, normal=normal, n_jobs=self._n_jobs, **options)
 
     def _normal(self, X: NDArray[Any], mask: BoolArray) -> FloatArray | None:
         n_members = int(mask.sum())
@@ -110,8 +107,9 @@ class HHCARTClassifier(TreeClassifier):
 
     Neither H nor a covariance nor X H is ever formed: eigenvectors come from Lanczos on an implicit operator
     (`dominant_direction`), and X H, a rank-one change of X, is made a block of columns at a time (`best_split`).
-    For n rows and K classes, a level of the tree costs O((K + 1) d n log n) for the sorts and O(s d n) for s, some
-    tens, Lanczos products; the memory beside X is one copy of the rows of a node, and a constant.
+    For n rows and K classes, a level of the tree costs O((K + 1) d n log n) for the sorts (K in place of K + 1 if all
+    inputs are 0 or 1) and O(s d n) for s, some tens, Lanczos products; the memory beside X is one copy of the rows of
+    a node, and a constant.
 
     The paper leaves open: ties between columns, drawn by `random_state`, and between reflections, where the plain
     axes come first and then the classes in their order; the eigenvector's sign, chosen so that its largest entry is

@@ -9,7 +9,7 @@ from sklearn.tree import DecisionTreeClassifier, DecisionTreeRegressor
 from otr.learners import CARTClassifier, HHCARTClassifier, HHCARTRegressor
 from otr.learners.eigen import dominant_direction
 from otr.learners.hhcart import householder_normal
-from otr.learners.splits import best_split
+from otr.learners.splits import best_bit_split, best_split
 from tests.learners.problems import halves, strips
 
 
@@ -85,6 +85,20 @@ def test_the_split_is_the_best_of_all(seed, n, n_values, min_leaf, reflected, on
     if split is not None:
         assert split.gain == pytest.approx(max(gains), rel=1e-9, abs=1e-9)
         assert gain(Z[:, split.column] <= split.threshold) == pytest.approx(split.gain, rel=1e-9, abs=1e-9)
+
+
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(2, 40), min_leaf=st.integers(1, 4), one_hot=st.booleans())
+def test_bits_need_no_sort(seed, n, min_leaf, one_hot):
+    rng = np.random.default_rng(seed)
+    X = (rng.random((n, 5)) < rng.random(5)).astype(np.float32)
+    Y = np.eye(3)[rng.integers(0, 3, n)] if one_hot else rng.normal(size=(n, 2))
+    fast, slow = (
+        search(X, Y, min_samples_leaf=min_leaf, random_state=random_state()) for search in (best_bit_split, best_split)
+    )
+    assert (fast is None) == (slow is None)
+    if fast is not None:
+        assert (fast.column, fast.threshold) == (slow.column, slow.threshold)
+        assert fast.gain == pytest.approx(slow.gain, rel=1e-9, abs=1e-9)
 
 
 def test_blocks_and_threads_change_nothing(monkeypatch):

@@ -17,6 +17,9 @@ __all__ = ["dominant_direction"]
 _MAX_GRAM = 128
 # Relative accuracy asked of Lanczos; a product in float32 gives no more.
 _TOLERANCE = 1e-5
+# A variance below this share of the squared mean is what the mean's rounding leaves of constant data.
+_ZERO = 1e-24
+_CHUNK_ENTRIES = 2**20
 
 
 def dominant_direction(X: NDArray[Any], random_state: np.random.RandomState) -> tuple[float, FloatArray]:
@@ -32,18 +35,23 @@ def dominant_direction(X: NDArray[Any], random_state: np.random.RandomState) -> 
     """
     n, d = X.shape
     mean = X.mean(axis=0, dtype=np.float64)
-    # Squares summed over everything: what an eigenvalue is compared with to call it zero.
-    spread = float(np.einsum("ij,ij->", X, X, dtype=np.float64)) / n
-    if spread - mean @ mean <= 1e-12 * spread:
+    zero = _ZERO * float(mean @ mean)
+    if _total_variance(X, mean) <= zero:
         return 0.0, np.eye(1, d)[0]
     if min(n, d) <= _MAX_GRAM:
         value, vector = _by_gram(np.asarray(X - mean, dtype=np.float64))
     else:
         value, vector = _by_lanczos(X, mean, random_state)
-    if value <= 1e-12 * spread:
+    if value <= zero:
         return 0.0, np.eye(1, d)[0]
     vector = vector / np.linalg.norm(vector) * np.sign(vector[np.abs(vector).argmax()])
     return value, vector
+
+
+def _total_variance(X: NDArray[Any], mean: FloatArray) -> float:
+    chunk = max(1, _CHUNK_ENTRIES // X.shape[1])
+    parts = (X[start : start + chunk] - mean for start in range(0, len(X), chunk))
+    return sum(float(np.square(part).sum()) for part in parts) / len(X)
 
 
 def _by_gram(centred: FloatArray) -> tuple[float, FloatArray]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_random_state
 
 from otr.arrays import FloatArray, IntArray
@@ -128,14 +128,16 @@ def _midpoint(column: FloatArray, n_left: int) -> float:
     return float(low + (high - low) / 2)
 
 
-def _best_split(X: FloatArray, Y: FloatArray, features: IntArray, options: Any) -> _ModelSplit | None:
+def _best_split(
+    X: FloatArray, Y: FloatArray, features: IntArray, options: LinearModelTreeRegressor
+) -> _ModelSplit | None:
     """Return the best split of a node's rows X (n, d), Y (n, o), or None if there is no threshold to try."""
-    n, m = len(X), options.min_samples_leaf
+    n, d, m = *X.shape, options.min_samples_leaf
     if n < 2 * m:
         return None
     X, Y = X - X.mean(axis=0), Y - Y.mean(axis=0)
     rows = np.concatenate((X, Y), axis=1)
-    parent = float(_objectives((rows.T @ rows)[None], np.zeros((1, rows.shape[1])), np.array([n]), X, options.alpha)[0])
+    parent = float(_objectives((rows.T @ rows)[None], np.zeros((1, rows.shape[1])), np.array([n]), d, options.alpha)[0])
     n_most = options.max_bins - 1
     best: tuple[float, int, int] | None = None
     for column in features.tolist():
@@ -146,7 +148,7 @@ def _best_split(X: FloatArray, Y: FloatArray, features: IntArray, options: Any) 
         tried = _spread(cuts, 0, n, n_most)
         if not len(tried):
             continue
-        objectives = _split_objectives(rows[order], tried, X.shape[1], options.alpha)
+        objectives = _split_objectives(rows[order], tried, d, options.alpha)
         at = int(objectives.argmin())
         if best is None or objectives[at] < best[0]:
             best = float(objectives[at]), column, int(tried[at])
@@ -162,7 +164,7 @@ def _best_split(X: FloatArray, Y: FloatArray, features: IntArray, options: Any) 
         if not len(between):
             return _ModelSplit(column, n_left, parent - objective)
         tried = _spread(between, low, high, n_most)
-        objectives = _split_objectives(rows[order], tried, X.shape[1], options.alpha)
+        objectives = _split_objectives(rows[order], tried, d, options.alpha)
         if objectives.min() < objective:
             tried = np.append(tried, n_left)
             objective, n_left = float(objectives.min()), int(tried[objectives.argmin()])
@@ -183,14 +185,13 @@ def _split_objectives(rows: FloatArray, cuts: IntArray, d: int, alpha: float) ->
     sums = np.cumsum([part.sum(axis=0) for part in parts], axis=0)
     n_left = cuts
     n_right = len(rows) - cuts
-    left = _objectives(grams[:-1], sums[:-1], n_left, rows[:, :d], alpha)
-    right = _objectives(grams[-1] - grams[:-1], sums[-1] - sums[:-1], n_right, rows[:, :d], alpha)
+    left = _objectives(grams[:-1], sums[:-1], n_left, d, alpha)
+    right = _objectives(grams[-1] - grams[:-1], sums[-1] - sums[:-1], n_right, d, alpha)
     return left + right
 
 
-def _objectives(grams: FloatArray, sums: FloatArray, counts: IntArray, X: NDArray[Any], alpha: float) -> FloatArray:
+def _objectives(grams: FloatArray, sums: FloatArray, counts: IntArray, d: int, alpha: float) -> FloatArray:
     """Return the least of |Y - X W - c|^2 + alpha |W|^2 from Gram matrices (k, d + o, d + o) and sums (k, d + o)."""
-    d = X.shape[1]
     scatter = grams - sums[:, :, None] * sums[:, None, :] / counts[:, None, None]
     xx, xy, yy = scatter[:, :d, :d], scatter[:, :d, d:], scatter[:, d:, d:]
     xx = xx + (alpha + _JITTER * counts)[:, None, None] * np.eye(d)

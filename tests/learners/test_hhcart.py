@@ -34,6 +34,13 @@ def test_the_direction_is_the_covariances_dominant_eigenvector(shape, dtype):
     assert q[np.abs(q).argmax()] > 0
 
 
+def test_the_direction_does_not_depend_on_the_mean():
+    X = np.random.default_rng(0).normal(size=(300, 3)) * [1.0, 5.0, 2.0]
+    centred, far = dominant_direction(X, random_state()), dominant_direction(X + 1e6, random_state())
+    assert far[0] == pytest.approx(centred[0], rel=1e-6)
+    np.testing.assert_allclose(far[1], centred[1], atol=1e-6)
+
+
 def test_no_direction_in_constant_data():
     assert dominant_direction(np.full((200, 200), 0.1), random_state())[0] == 0
     assert dominant_direction(np.full((3, 2), 0.1), random_state())[0] == 0

@@ -125,7 +125,8 @@ def _standard(values: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _midpoint(column: FloatArray, n_left: int) -> float:
     low, high = np.partition(column, (n_left - 1, n_left))[n_left - 1 : n_left + 1]
-    return float(low + (high - low) / 2)
+    middle = low + (high - low) / 2
+    return float(middle if middle < high else low)  # neighbouring floats have no middle
 
 
 def _best_split(

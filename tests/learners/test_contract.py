@@ -112,7 +112,7 @@ def test_one_class(cls):
     assert model.predict_proba(X[:2]).tolist() == [[1.0], [1.0]]
 
 
-@pytest.mark.parametrize("cls", [c for c in ESTIMATORS if c.__name__ != "LinearModelTreeRegressor"])
+@pytest.mark.parametrize("cls", ESTIMATORS)
 def test_one_constant_target_makes_one_leaf(cls):
     X, _ = problem(cls())
     assert cls(random_state=0).fit(X, np.ones(len(X), dtype=int)).tree_.n_leaves == 1

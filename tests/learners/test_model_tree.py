@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -5,7 +7,7 @@ from hypothesis import strategies as st
 from sklearn.linear_model import Ridge
 
 from otr.learners import CARTRegressor, LinearModelTreeRegressor
-from otr.learners.model_tree import _best_split
+from otr.learners.model_tree import _best_split, _midpoint
 
 
 def hinge(n, seed=0):
@@ -85,6 +87,13 @@ def test_leaves_are_large_enough_and_collinear_inputs_do_no_harm():
     assert np.bincount(model.apply(X)).min() >= 25
     assert np.abs(model.tree_.M).max() < 10
     assert model.score(X, y) > 0.99
+
+
+def test_neighbouring_floats_are_parted():
+    x = 1.0 + np.finfo(float).eps * np.arange(3)  # the middle of one pair is rounded up, that of the other down
+    for low, high in pairwise(x):
+        assert low < high
+        assert low <= _midpoint(np.array([high, low, high, low]), 2) < high
 
 
 def test_max_features_draws_by_random_state():

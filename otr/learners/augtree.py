@@ -1,0 +1,206 @@
+"""AugTree: axis-aligned trees on inputs and a network's hidden units, which are oblique trees on the inputs."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.neural_network import MLPClassifier, MLPRegressor
+from sklearn.tree import DecisionTreeClassifier, DecisionTreeRegressor
+from sklearn.utils.validation import check_random_state
+
+from otr.arrays import FloatArray
+from otr.importers import from_sklearn
+from otr.learners.cart import from_sklearn_tree
+from otr.learners.estimator import TreeClassifier, TreeRegressor
+from otr.learners.model_tree import LinearModelTreeRegressor
+from otr.network import ReluNetwork
+from otr.tree import ObliqueTree
+
+__all__ = ["AugTreeClassifier", "AugTreeRegressor", "on_inputs"]
+
+
+def on_inputs(tree: ObliqueTree, A: FloatArray, a: FloatArray) -> ObliqueTree:
+    """Return the tree that answers on x as `tree` does on the features A x + a.
+
+    ``P @ (A x + a) + v`` is ``(P A) @ x + (v + P @ a)``, and likewise in the leaves.
+
+    Args:
+        tree: a tree of m inputs.
+        A, a: (m, d) and (m,).
+    """
+    return ObliqueTree(
+        tree.children_left,
+        tree.children_right,
+        tree.P @ A,
+        tree.v + tree.P @ a,
+        tree.M @ A,
+        tree.c + tree.M @ a,
+        labels=tree.labels,
+        head=tree.head,
+    )
+
+
+class AugTreeClassifier(TreeClassifier):
+    """Neurally augmented decision tree (Orfanos 2023): CART on x~ = [x, z_1], z_1 = W_1 x + b_1 of a ReLU network.
+
+    A test ``z_1k <= t`` is the oblique test ``W_1[k] @ x + b_1[k] - t <= 0`` on x. Units of deeper layers are no
+    affine functions of x and are left out. The thesis's published code reads z_1 after the ReLU; its tests are those
+    here with t >= 0.
+
+    Cost: the network's training, if there is none yet, and CART's O((d + n_1) n log n) for each level.
+
+    Args:
+        network: the oracle; None to train scikit-learn's `MLPClassifier` on the same data (inputs divided by their
+            largest absolute value).
+        hidden_layer_sizes: widths of that network.
+        mlp_max_iter: epochs of its training at most.
+        include_inputs: False for the variant with features z_1 alone.
+        max_depth, min_samples_leaf, max_leaf_nodes: the tree's, as in scikit-learn.
+        random_state: the network's training, and splits of equal gain.
+
+    Attributes:
+        tree_: the `otr.ObliqueTree` on x; its labels are positions in `classes_`.
+        classes_: (n_classes,) the classes, sorted.
+        network_: the network whose first layer is read.
+    """
+
+    def __init__(
+        self,
+        *,
+        network: ReluNetwork | None = None,
+        hidden_layer_sizes: Sequence[int] = (8,),
+        mlp_max_iter: int = 200,
+        include_inputs: bool = True,
+        max_depth: int | None = None,
+        min_samples_leaf: int = 1,
+        max_leaf_nodes: int | None = None,
+        random_state: Any = None,
+    ) -> None:
+        self.network = network
+        self.hidden_layer_sizes = hidden_layer_sizes
+        self.mlp_max_iter = mlp_max_iter
+        self.include_inputs = include_inputs
+        self.max_depth = max_depth
+        self.min_samples_leaf = min_samples_leaf
+        self.max_leaf_nodes = max_leaf_nodes
+        self.random_state = random_state
+
+    def fit(self, X: ArrayLike, y: ArrayLike) -> AugTreeClassifier:
+        """Fit on X (n, d) and classes y (n,).
+
+        Raises:
+            ValueError: the network reads another number of inputs, or has no hidden layer.
+        """
+        X, labels = self._checked_fit(X, y)
+        random_state = check_random_state(self.random_state)
+        self.network_ = self.network
+        if self.network_ is None:
+            mlp = MLPClassifier(self.hidden_layer_sizes, max_iter=self.mlp_max_iter, random_state=random_state)
+            self.network_ = _trained(mlp, X, labels)
+        A, a = _augmentation(self.network_, X.shape[1], self.include_inputs)
+        cart = DecisionTreeClassifier(
+            max_depth=self.max_depth,
+            min_samples_leaf=self.min_samples_leaf,
+            max_leaf_nodes=self.max_leaf_nodes,
+            random_state=random_state,
+        )
+        self.tree_ = on_inputs(from_sklearn_tree(cart.fit(X @ A.T + a, labels)), A, a)
+        return self
+
+
+class AugTreeRegressor(TreeRegressor):
+    """Neurally augmented decision tree for regression: as `AugTreeClassifier`, with constant or linear leaves.
+
+    Linear leaves come from `LinearModelTreeRegressor` on x~ and are written in x; its cost is in its docstring, with
+    d + n_1 inputs.
+
+    Args:
+        leaves: "constant", or "linear" for the variant for continuous control.
+        min_samples_leaf: None for 1 with constant leaves, and with linear ones for the default of
+            `LinearModelTreeRegressor`.
+        network, hidden_layer_sizes, mlp_max_iter, include_inputs, max_depth, random_state: as in `AugTreeClassifier`,
+            with scikit-learn's `MLPRegressor` on standardised targets.
+
+    Attributes:
+        tree_: the `otr.ObliqueTree` on x.
+        network_: the network whose first layer is read.
+    """
+
+    def __init__(
+        self,
+        *,
+        network: ReluNetwork | None = None,
+        hidden_layer_sizes: Sequence[int] = (8,),
+        mlp_max_iter: int = 200,
+        include_inputs: bool = True,
+        leaves: Literal["constant", "linear"] = "constant",
+        max_depth: int | None = None,
+        min_samples_leaf: int | None = None,
+        random_state: Any = None,
+    ) -> None:
+        self.network = network
+        self.hidden_layer_sizes = hidden_layer_sizes
+        self.mlp_max_iter = mlp_max_iter
+        self.include_inputs = include_inputs
+        self.leaves = leaves
+        self.max_depth = max_depth
+        self.min_samples_leaf = min_samples_leaf
+        self.random_state = random_state
+
+    def fit(self, X: ArrayLike, y: ArrayLike) -> AugTreeRegressor:
+        """Fit on X (n, d) and targets y, (n,) or (n, o).
+
+        Raises:
+            ValueError: the network reads another number of inputs or has no hidden layer, or `leaves` is unknown.
+        """
+        if self.leaves not in ("constant", "linear"):
+            raise ValueError(f"leaves is {self.leaves!r}, expected 'constant' or 'linear'")
+        X, targets = self._checked_fit(X, y)
+        random_state = check_random_state(self.random_state)
+        self.network_ = self.network
+        if self.network_ is None:
+            scale = targets.std(axis=0)
+            Y = (targets - targets.mean(axis=0)) / np.where(scale > 0, scale, 1.0)
+            mlp = MLPRegressor(
+                hidden_layer_sizes=self.hidden_layer_sizes, max_iter=self.mlp_max_iter, random_state=random_state
+            )
+            self.network_ = _trained(mlp, X, Y if Y.shape[1] > 1 else Y[:, 0])
+        A, a = _augmentation(self.network_, X.shape[1], self.include_inputs)
+        options = {"max_depth": self.max_depth, "random_state": random_state}
+        if self.min_samples_leaf is not None:
+            options["min_samples_leaf"] = self.min_samples_leaf
+        features = X @ A.T + a
+        if self.leaves == "linear":
+            tree = LinearModelTreeRegressor(**options).fit(features, targets).tree_
+        else:
+            tree = from_sklearn_tree(DecisionTreeRegressor(**options).fit(features, targets))
+        self.tree_ = on_inputs(tree, A, a)
+        return self
+
+
+def _augmentation(network: ReluNetwork, n_inputs: int, include_inputs: bool) -> tuple[FloatArray, FloatArray]:
+    """Return A (m, d), a (m,) with x~ = A x + a."""
+    if network.n_inputs != n_inputs or network.n_hidden == 0:
+        raise ValueError(
+            f"the network reads {network.n_inputs} inputs and has {network.n_hidden} hidden neurons; "
+            f"expected {n_inputs} inputs, as X has, and at least one hidden neuron"
+        )
+    if not include_inputs:
+        return network.weights[0], network.biases[0]
+    A = np.concatenate((np.eye(n_inputs), network.weights[0]))
+    return A, np.concatenate((np.zeros(n_inputs), network.biases[0]))
+
+
+def _trained(mlp: MLPClassifier | MLPRegressor, X: NDArray[Any], y: NDArray[Any]) -> ReluNetwork:
+    """Return the network that `mlp` learns, on the inputs as they come."""
+    size = np.abs(X).max(axis=0).astype(np.float64)
+    size = np.where(size > 0, size, 1.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        mlp.fit(X / size, y)
+    return from_sklearn(mlp).fold_input_normalisation(0.0, size)

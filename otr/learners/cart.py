@@ -1,0 +1,132 @@
+"""CART: scikit-learn's axis-aligned trees, held as oblique trees whose normals are unit vectors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from sklearn.tree import BaseDecisionTree, DecisionTreeClassifier, DecisionTreeRegressor
+from sklearn.utils.validation import check_is_fitted, validate_data
+
+from otr.learners.estimator import TreeClassifier, TreeRegressor, class_tree, constant_tree
+from otr.tree import ObliqueTree
+
+__all__ = ["CARTClassifier", "CARTRegressor", "from_sklearn_tree"]
+
+
+def from_sklearn_tree(model: BaseDecisionTree) -> ObliqueTree:
+    """Return the tree of a fitted scikit-learn `DecisionTreeClassifier` or `DecisionTreeRegressor`.
+
+    ``x_f <= t`` becomes ``e_f @ x - t <= 0``. A classifier's leaf holds the class shares (scikit-learn's
+    `predict_proba`), and its label is a position in ``model.classes_``; a regressor's holds the values of its outputs.
+    scikit-learn rounds inputs to float32 before it tests them and the tree does not: the two answer alike wherever
+    that rounding crosses no threshold, so on everything that float32 can hold. Rules for missing values (NaN), which
+    no `ObliqueTree` takes, are left out.
+
+    Args:
+        model: the fitted tree; an `ExtraTree` is one, too.
+
+    Raises:
+        TypeError: not a decision tree of scikit-learn.
+        ValueError: a classifier of several outputs.
+        sklearn.exceptions.NotFittedError: not fitted.
+    """
+    if not isinstance(model, BaseDecisionTree):
+        raise TypeError(f"model is a {type(model).__name__}, expected a DecisionTreeClassifier or -Regressor")
+    check_is_fitted(model)
+    is_classifier = isinstance(model, DecisionTreeClassifier)
+    if is_classifier and model.n_outputs_ > 1:
+        raise ValueError(f"the classifier has {model.n_outputs_} outputs; fit and convert one tree for each")
+    source, n_inputs = model.tree_, int(model.n_features_in_)
+    is_leaf = source.children_left < 0
+    nodes, leaves = np.flatnonzero(~is_leaf), np.flatnonzero(is_leaf)
+    reference = np.empty(source.node_count, dtype=np.int64)
+    reference[nodes] = np.arange(len(nodes))
+    reference[leaves] = ~np.arange(len(leaves))
+    P = np.zeros((len(nodes), n_inputs))
+    P[np.arange(len(nodes)), source.feature[nodes]] = 1.0
+    values = source.value[leaves]  # (n_leaves, n_outputs, n_classes), the last being 1 in a regression tree
+    values = values[:, 0, :] if is_classifier else values[:, :, 0]
+    tree = constant_tree(
+        reference[source.children_left[nodes]],
+        reference[source.children_right[nodes]],
+        P,
+        -source.threshold[nodes],
+        values,
+        n_inputs=n_inputs,
+    )
+    return class_tree(tree, values) if is_classifier else tree
+
+
+class CARTClassifier(TreeClassifier):
+    """CART classifier (Breiman et al. 1984) by scikit-learn, Gini impurity.
+
+    Cost: O(d n log n) for each level of the tree.
+
+    Args:
+        max_depth, min_samples_leaf, max_leaf_nodes, ccp_alpha, random_state: as in scikit-learn's
+            `DecisionTreeClassifier`; `random_state` decides between splits of equal gain.
+
+    Attributes:
+        tree_: the `otr.ObliqueTree`; its labels are positions in `classes_`.
+        classes_: (n_classes,) the classes, sorted.
+    """
+
+    def __init__(
+        self,
+        *,
+        max_depth: int | None = None,
+        min_samples_leaf: int = 1,
+        max_leaf_nodes: int | None = None,
+        ccp_alpha: float = 0.0,
+        random_state: Any = None,
+    ) -> None:
+        self.max_depth = max_depth
+        self.min_samples_leaf = min_samples_leaf
+        self.max_leaf_nodes = max_leaf_nodes
+        self.ccp_alpha = ccp_alpha
+        self.random_state = random_state
+
+    def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> CARTClassifier:
+        """Fit on X (n, d) and classes y (n,); `sample_weight` (n,) counts a row as that many."""
+        X, y = validate_data(self, X, y)
+        model = DecisionTreeClassifier(**self.get_params()).fit(X, y, sample_weight)
+        self.classes_ = model.classes_
+        self.tree_ = from_sklearn_tree(model)
+        return self
+
+
+class CARTRegressor(TreeRegressor):
+    """CART regressor (Breiman et al. 1984) by scikit-learn, squared error, one or several targets.
+
+    Cost: O(d n log n) for each level of the tree.
+
+    Args:
+        max_depth, min_samples_leaf, max_leaf_nodes, ccp_alpha, random_state: as in scikit-learn's
+            `DecisionTreeRegressor`; `random_state` decides between splits of equal gain.
+
+    Attributes:
+        tree_: the `otr.ObliqueTree`.
+    """
+
+    def __init__(
+        self,
+        *,
+        max_depth: int | None = None,
+        min_samples_leaf: int = 1,
+        max_leaf_nodes: int | None = None,
+        ccp_alpha: float = 0.0,
+        random_state: Any = None,
+    ) -> None:
+        self.max_depth = max_depth
+        self.min_samples_leaf = min_samples_leaf
+        self.max_leaf_nodes = max_leaf_nodes
+        self.ccp_alpha = ccp_alpha
+        self.random_state = random_state
+
+    def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> CARTRegressor:
+        """Fit on X (n, d) and targets y, (n,) or (n, o); `sample_weight` (n,) counts a row as that many."""
+        X, targets = self._checked_fit(X, y)
+        self.tree_ = from_sklearn_tree(DecisionTreeRegressor(**self.get_params()).fit(X, targets, sample_weight))
+        return self

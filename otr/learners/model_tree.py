@@ -1,0 +1,210 @@
+"""Linear model trees: axis-aligned tests chosen for the linear models below them, one such model in every leaf."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from sklearn.utils.validation import check_random_state
+
+from otr.arrays import FloatArray, IntArray
+from otr.learners.estimator import TreeRegressor
+from otr.learners.growth import Test, grow
+from otr.tree import ObliqueTree
+
+__all__ = ["LinearModelTreeRegressor"]
+
+# A split has to lower the objective by this share of the targets' total sum of squares.
+_MIN_GAIN = 1e-9
+# Added to the Gram matrices, as a share of the rows: keeps them regular with alpha = 0 and collinear inputs.
+_JITTER = 1e-10
+
+
+class LinearModelTreeRegressor(TreeRegressor):
+    """CART-like tree with a ridge regression in every leaf, one or several targets.
+
+    A node is split at the axis-aligned test that minimises the two sides' ridge objectives
+    ``|Y - X W - c|^2 + alpha |W|^2`` together, with a model of all inputs on either side (as in M5 and its heirs, but
+    by exact search: the models of all candidates follow from cumulative sums). Inputs are standardised over the
+    training rows for the penalty; targets are weighted by 1 / variance where there are several. The penalty counts
+    on both sides, so a split has to earn it: a node whose best split does not lower the objective is a leaf.
+
+    Search: for each input, at most `max_bins` - 1 thresholds at quantiles of the node's rows, all of them where it has
+    fewer distinct values; then as many between the two neighbours of the best one, on its input, and so on until none
+    is left there. For a node with n rows, d inputs and o targets the Gram matrices cost
+    O(n d (d + o) f) for f inputs searched, the solutions O(max_bins d^2 (d + o) f); memory
+    O(n d + max_bins (d + o)^2). That is meant for states of control tasks, d up to about a hundred; with more,
+    `max_features` keeps f small.
+
+    Args:
+        max_depth: number of tests on a path at most; None for no limit; 0 for one ridge regression.
+        min_samples_leaf: rows in a leaf at least.
+        alpha: ridge penalty on the slopes, not the offset, for standardised inputs.
+        max_bins: see above, at least 4.
+        max_features: inputs searched at a node, drawn at random; None for all. Models always read all inputs.
+        random_state: the draws of `max_features`.
+
+    Attributes:
+        tree_: the `otr.ObliqueTree`, with affine leaves.
+    """
+
+    def __init__(
+        self,
+        *,
+        max_depth: int | None = 6,
+        min_samples_leaf: int = 10,
+        alpha: float = 0.1,
+        max_bins: int = 32,
+        max_features: int | None = None,
+        random_state: Any = None,
+    ) -> None:
+        self.max_depth = max_depth
+        self.min_samples_leaf = min_samples_leaf
+        self.alpha = alpha
+        self.max_bins = max_bins
+        self.max_features = max_features
+        self.random_state = random_state
+
+    def fit(self, X: ArrayLike, y: ArrayLike) -> LinearModelTreeRegressor:
+        """Fit on X (n, d) and targets y, (n,) or (n, o).
+
+        Raises:
+            ValueError: alpha < 0, max_bins < 4 or min_samples_leaf < 1.
+        """
+        if self.alpha < 0 or self.max_bins < 4 or self.min_samples_leaf < 1:
+            raise ValueError(
+                f"alpha={self.alpha}, max_bins={self.max_bins}, min_samples_leaf={self.min_samples_leaf}; "
+                "expected at least 0, 4 and 1"
+            )
+        X, targets = self._checked_fit(X, y)
+        X = X.astype(np.float64, copy=False)
+        x_mean, x_scale = _standard(X)
+        y_mean, y_scale = _standard(targets)
+        Z, Y = (X - x_mean) / x_scale, (targets - y_mean) / y_scale
+        random_state = check_random_state(self.random_state)
+        min_gain = _MIN_GAIN * float(np.square(Y).sum())
+
+        def find_test(rows: IntArray) -> Test | None:
+            features = np.arange(Z.shape[1])
+            if self.max_features is not None and self.max_features < len(features):
+                features = np.sort(random_state.choice(features, self.max_features, replace=False))
+            split = _best_split(Z[rows], Y[rows], features, self)
+            if split is None or split.gain <= min_gain:
+                return None
+            column = X[rows, split.column]
+            P = np.zeros(X.shape[1])
+            P[split.column] = 1.0
+            return Test(P, -_midpoint(column, split.n_left))
+
+        skeleton = grow(X, find_test, self.max_depth)
+        models = [_ridge(Z[rows], Y[rows], self.alpha) for rows in skeleton.leaf_rows]
+        slopes = np.array([W.T for W, _ in models]) * y_scale[:, None] / x_scale
+        offsets = np.array([c for _, c in models]) * y_scale + y_mean - slopes @ x_mean
+        self.tree_ = ObliqueTree(
+            skeleton.children_left, skeleton.children_right, skeleton.P, skeleton.v, slopes, offsets
+        )
+        return self
+
+
+@dataclass(frozen=True)
+class _ModelSplit:
+    """The `n_left` rows of smallest values in a column go left; `gain` is the fall of the objective."""
+
+    column: int
+    n_left: int
+    gain: float
+
+
+def _standard(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return mean and standard deviation of the columns, 1 where a column is constant."""
+    mean, scale = values.mean(axis=0), values.std(axis=0)
+    return mean, np.where(scale > 1e-12 * np.abs(values).max(axis=0), scale, 1.0)
+
+
+def _midpoint(column: FloatArray, n_left: int) -> float:
+    low, high = np.partition(column, (n_left - 1, n_left))[n_left - 1 : n_left + 1]
+    middle = low + (high - low) / 2
+    return float(middle if middle < high else low)  # neighbouring floats have no middle
+
+
+def _best_split(
+    X: FloatArray, Y: FloatArray, features: IntArray, options: LinearModelTreeRegressor
+) -> _ModelSplit | None:
+    """Return the best split of a node's rows X (n, d), Y (n, o), or None if there is no threshold to try."""
+    n, d, m = *X.shape, options.min_samples_leaf
+    if n < 2 * m:
+        return None
+    X, Y = X - X.mean(axis=0), Y - Y.mean(axis=0)
+    rows = np.concatenate((X, Y), axis=1)
+    parent = float(_objectives((rows.T @ rows)[None], np.zeros((1, rows.shape[1])), np.array([n]), d, options.alpha)[0])
+    n_most = options.max_bins - 1
+    best: tuple[float, int, int] | None = None
+    for column in features.tolist():
+        order = X[:, column].argsort(kind="stable")
+        values = X[order, column]
+        cuts = np.flatnonzero(values[1:] > values[:-1]) + 1
+        cuts = cuts[(cuts >= m) & (cuts <= n - m)]
+        tried = _spread(cuts, 0, n, n_most)
+        if not len(tried):
+            continue
+        objectives = _split_objectives(rows[order], tried, d, options.alpha)
+        at = int(objectives.argmin())
+        if best is None or objectives[at] < best[0]:
+            best = float(objectives[at]), column, int(tried[at])
+            finer = order, cuts, tried
+    if best is None:
+        return None
+    order, cuts, tried = finer
+    objective, column, n_left = best
+    low, high = 0, n
+    while True:
+        low, high = max(tried[tried < n_left], default=low), min(tried[tried > n_left], default=high)
+        between = cuts[(cuts > low) & (cuts < high) & (cuts != n_left)]
+        if not len(between):
+            return _ModelSplit(column, n_left, parent - objective)
+        tried = _spread(between, low, high, n_most)
+        objectives = _split_objectives(rows[order], tried, d, options.alpha)
+        if objectives.min() < objective:
+            tried = np.append(tried, n_left)
+            objective, n_left = float(objectives.min()), int(tried[objectives.argmin()])
+
+
+def _spread(cuts: IntArray, low: int, high: int, n_most: int) -> IntArray:
+    """Return at most `n_most` of the ascending `cuts`: all, or those next to evenly spaced positions."""
+    if len(cuts) <= n_most:
+        return cuts
+    wanted = np.linspace(low, high, n_most + 2)[1:-1]
+    return np.unique(cuts[np.searchsorted(cuts, wanted).clip(0, len(cuts) - 1)])
+
+
+def _split_objectives(rows: FloatArray, cuts: IntArray, d: int, alpha: float) -> FloatArray:
+    """Return, for each cut of the sorted rows (X, Y), the ridge objectives of the two sides, added."""
+    parts = np.split(rows, cuts)
+    grams = np.cumsum([part.T @ part for part in parts], axis=0)
+    sums = np.cumsum([part.sum(axis=0) for part in parts], axis=0)
+    n_left = cuts
+    n_right = len(rows) - cuts
+    left = _objectives(grams[:-1], sums[:-1], n_left, d, alpha)
+    right = _objectives(grams[-1] - grams[:-1], sums[-1] - sums[:-1], n_right, d, alpha)
+    return left + right
+
+
+def _objectives(grams: FloatArray, sums: FloatArray, counts: IntArray, d: int, alpha: float) -> FloatArray:
+    """Return the least of |Y - X W - c|^2 + alpha |W|^2 from Gram matrices (k, d + o, d + o) and sums (k, d + o)."""
+    scatter = grams - sums[:, :, None] * sums[:, None, :] / counts[:, None, None]
+    xx, xy, yy = scatter[:, :d, :d], scatter[:, :d, d:], scatter[:, d:, d:]
+    xx = xx + (alpha + _JITTER * counts)[:, None, None] * np.eye(d)
+    slopes = np.linalg.solve(xx, xy)
+    return np.asarray(np.trace(yy, axis1=1, axis2=2) - (xy * slopes).sum(axis=(1, 2)))
+
+
+def _ridge(X: FloatArray, Y: FloatArray, alpha: float) -> tuple[FloatArray, FloatArray]:
+    """Return W (d, o) and c (o,) of the ridge regression, of least norm where alpha = 0 leaves a choice."""
+    x_mean, y_mean = X.mean(axis=0), Y.mean(axis=0)
+    d = X.shape[1]
+    A = np.concatenate((X - x_mean, np.sqrt(alpha) * np.eye(d)))
+    B = np.concatenate((Y - y_mean, np.zeros((d, Y.shape[1]))))
+    W = np.linalg.lstsq(A, B, rcond=None)[0]
+    return W, y_mean - x_mean @ W

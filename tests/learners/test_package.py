@@ -1,0 +1,20 @@
+import subprocess
+import sys
+
+import pytest
+
+from otr import learners
+
+
+def test_importing_the_package_loads_no_learner():
+    code = "import otr.learners, sys; print([m for m in ('torch', 'sklearn') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_everything_exported_exists():
+    for name in learners.__all__:
+        assert getattr(learners, name).__doc__
+    assert set(learners.__all__) <= set(dir(learners))
+    with pytest.raises(AttributeError, match="no attribute 'CHART'"):
+        learners.CHART  # noqa: B018

@@ -1,0 +1,1 @@
+"""Trees from data, in scikit-learn's manner."""

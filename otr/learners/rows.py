@@ -111,8 +111,10 @@ class _SparseBatch:
         return _sum_rows(table, self._keys, self._starts).view(*self._shape)
 
     def transposed_times(self, deltas: Tensor) -> Tensor:
-        order = _argsort(self._inputs)
-        if self._shape[0] > 1:
+        if self._n_keys <= 2**16:
+            order = _argsort(self._keys)
+        else:  # by the smaller numbers first
+            order = _argsort(self._inputs)
             order = order[_argsort(self._groups[order])]
         ends = np.cumsum(np.bincount(self._keys, minlength=self._n_keys))
         flat = deltas.reshape(-1, deltas.shape[-1])

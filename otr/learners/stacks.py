@@ -20,6 +20,7 @@ from typing import Literal
 import numpy as np
 import torch
 from torch import Tensor
+from torch.optim.sgd import sgd
 
 from otr.arrays import FloatArray, IntArray
 from otr.errors import OtrError
@@ -189,14 +190,12 @@ def train_stack(
     """
     targets = torch.from_numpy(np.nan_to_num(Y.T).astype(np.float32))
     present = torch.from_numpy((~np.isnan(Y.T)).astype(np.float32))
-    optimiser = _sgd(stack, schedule)
+    optimiser = _NesterovSgd(stack, schedule)
     values = [parameter.values for parameter in stack.parameters]
     averages = [value.clone() for value in values] if schedule.averaging else values
     kept = _Kept(stack, len(streams), Y.shape[1])
     for epoch in range(1, schedule.epochs + 1):
         stack.start_epoch(epoch, schedule.epochs)
-        for group in optimiser.param_groups:
-            group["lr"] = schedule.rate(epoch)
         order = np.stack([stream.order.permutation(rows.n_rows) for stream in streams])
         for start in range(0, rows.n_rows, schedule.batch_size):
             chosen = order[:, start : start + schedule.batch_size]
@@ -208,7 +207,7 @@ def train_stack(
                 for parameter in stack.parameters:
                     if parameter.penalised and parameter.values.grad is not None:
                         parameter.values.grad.add_(parameter.values.sign(), alpha=schedule.l1)
-            optimiser.step()
+            optimiser.step(schedule.rate(epoch))
             if schedule.averaging:
                 torch._foreach_lerp_(averages, values, 1 - schedule.averaging)
         if validation is not None:
@@ -221,21 +220,36 @@ def train_stack(
     return fitted
 
 
-def _sgd(stack: Stack, schedule: Schedule) -> torch.optim.SGD:
-    groups = [
-        {
-            "params": [parameter.values for parameter in stack.parameters if parameter.penalised is penalised],
-            "weight_decay": schedule.l2 if penalised else 0.0,
+class _NesterovSgd:
+    """torch's SGD in its functional form: `torch.optim.SGD` loads the compiler, which takes seconds."""
+
+    def __init__(self, stack: Stack, schedule: Schedule) -> None:
+        self._momentum, self._l2 = schedule.momentum, schedule.l2
+        self._groups = {
+            penalised: [parameter.values for parameter in stack.parameters if parameter.penalised is penalised]
+            for penalised in (True, False)
         }
-        for penalised in (True, False)
-    ]
-    return torch.optim.SGD(
-        [group for group in groups if group["params"]],
-        lr=schedule.learning_rate,
-        momentum=schedule.momentum,
-        nesterov=schedule.momentum > 0,
-        fused=True,
-    )
+        self._buffers = {
+            penalised: [torch.zeros_like(value) if schedule.momentum else None for value in values]
+            for penalised, values in self._groups.items()
+        }
+
+    def step(self, rate: float) -> None:
+        for penalised, values in self._groups.items():
+            sgd(
+                values,
+                [value.grad for value in values],
+                self._buffers[penalised],
+                weight_decay=self._l2 if penalised else 0.0,
+                momentum=self._momentum,
+                lr=rate,
+                dampening=0.0,
+                nesterov=self._momentum > 0,
+                maximize=False,
+                has_sparse_grad=False,
+                foreach=False,
+                fused=True,
+            )
 
 
 class _Kept:

@@ -18,7 +18,7 @@ from otr.learners.rows import Rows, new_rows
 from otr.learners.stacks import Loss, Parameter, Schedule, SeedStreams, Stack, loss_derivatives, train_stack
 from otr.network import ReluNetwork
 
-__all__ = ["MlpSettings", "MlpStack", "TrainedNetworks", "train_many"]
+__all__ = ["MlpSettings", "MlpStack", "TrainedNetworks", "checked_rows", "train_many"]
 
 _CHUNK_BYTES = 2**21  # weights of the first layers that are trained together: they should stay in the cache
 
@@ -100,12 +100,7 @@ def train_many(
         DivergedError: weights are not finite at the end.
     """
     settings = MlpSettings() if settings is None else settings
-    rows, labels = _checked(X, Y, "X", "Y")
-    if (X_valid is None) != (Y_valid is None):
-        raise ValueError("only one of X_valid and Y_valid was given; give both, or none to keep the last epoch")
-    validation = None if X_valid is None or Y_valid is None else _checked(X_valid, Y_valid, "X_valid", "Y_valid")
-    if validation is not None and validation[1].shape[1] != labels.shape[1]:
-        raise ValueError(f"Y has {labels.shape[1]} labels and Y_valid {validation[1].shape[1]}")
+    rows, labels, validation = checked_rows(X, Y, X_valid, Y_valid)
     n_columns = sum(_widths_on_inputs(settings)) * labels.shape[1]
     n_together = max(1, _CHUNK_BYTES // (4 * rows.n_inputs * n_columns))
     networks: list[list[ReluNetwork]] = [[] for _ in range(labels.shape[1])]
@@ -119,6 +114,28 @@ def train_many(
         scores.append(fitted.scores)
         epochs.append(fitted.epochs)
     return TrainedNetworks(networks, np.concatenate(scores).T, np.concatenate(epochs).T)
+
+
+def checked_rows(
+    X: ArrayLike, Y: ArrayLike, X_valid: ArrayLike | None, Y_valid: ArrayLike | None
+) -> tuple[Rows, FloatArray, tuple[Rows, FloatArray] | None]:
+    """Return the training rows with their labels (n, L), and the same of the validation rows.
+
+    Raises:
+        ValueError: shapes do not agree, or only one of X_valid, Y_valid is given.
+    """
+    rows, labels = _checked(X, Y, "X", "Y")
+    if (X_valid is None) != (Y_valid is None):
+        raise ValueError("only one of X_valid and Y_valid was given; give both, or none to keep the last epoch")
+    if X_valid is None or Y_valid is None:
+        return rows, labels, None
+    validation = _checked(X_valid, Y_valid, "X_valid", "Y_valid")
+    if validation[1].shape[1] != labels.shape[1] or validation[0].n_inputs != rows.n_inputs:
+        raise ValueError(
+            f"X has {rows.n_inputs} inputs and Y {labels.shape[1]} labels, "
+            f"X_valid and Y_valid {validation[0].n_inputs} and {validation[1].shape[1]}"
+        )
+    return rows, labels, validation
 
 
 def _checked(X: ArrayLike, Y: ArrayLike, name_x: str, name_y: str) -> tuple[Rows, FloatArray]:

@@ -9,6 +9,7 @@ on which other columns stand beside it, not in the last bit.
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -32,6 +33,21 @@ class Batch(Protocol):
 
     def transposed_times(self, deltas: Tensor) -> Tensor:
         """Return the derivative by the table, (G * d, C), of derivatives (G, B, C) by what `times` returned."""
+        ...
+
+    def draw_masks(self, draws: list[np.random.Generator], dropout: float, n_masks: int) -> Tensor:
+        """Return 0 and 1, the latter with probability 1 - dropout, for every input of every row and of `n_masks`.
+
+        Group g draws from `draws[g]`. The layout is the batch's own; the masks are for the two methods below.
+        """
+        ...
+
+    def masked_times(self, table: Tensor, masks: Tensor) -> Tensor:
+        """Return `times` with column c's inputs multiplied with mask c % n_masks."""
+        ...
+
+    def transposed_masked_times(self, deltas: Tensor, masks: Tensor) -> Tensor:
+        """Return the derivative by the table of derivatives by what `masked_times` returned."""
         ...
 
 
@@ -111,14 +127,39 @@ class _SparseBatch:
         return _sum_rows(table, self._keys, self._starts).view(*self._shape)
 
     def transposed_times(self, deltas: Tensor) -> Tensor:
+        order, starts = self._by_key
+        return _sum_rows(deltas.reshape(-1, deltas.shape[-1]), self._bags[order], starts)
+
+    def draw_masks(self, draws: list[np.random.Generator], dropout: float, n_masks: int) -> Tensor:
+        n_entries = np.diff(self._starts[:: self._shape[1]])
+        kept = [draw.random((n, n_masks), dtype=np.float32) >= dropout for draw, n in zip(draws, n_entries, strict=True)]
+        return torch.from_numpy(np.concatenate(kept).astype(np.float32))
+
+    def masked_times(self, table: Tensor, masks: Tensor) -> Tensor:
+        terms = _masked(table[torch.from_numpy(self._keys)], masks)
+        return _sum_rows(terms, np.arange(len(self._keys)), self._starts).view(*self._shape)
+
+    def transposed_masked_times(self, deltas: Tensor, masks: Tensor) -> Tensor:
+        flat = deltas.reshape(-1, deltas.shape[-1])
+        order, starts = self._by_key
+        return _sum_rows(_masked(flat[torch.from_numpy(self._bags)], masks), order, starts)
+
+    @cached_property
+    def _by_key(self) -> tuple[IntArray, IntArray]:
+        """The entries in the order of the table's rows, and where each row's begin."""
         if self._n_keys <= 2**16:
             order = _argsort(self._keys)
         else:  # by the smaller numbers first
             order = _argsort(self._inputs)
             order = order[_argsort(self._groups[order])]
         ends = np.cumsum(np.bincount(self._keys, minlength=self._n_keys))
-        flat = deltas.reshape(-1, deltas.shape[-1])
-        return _sum_rows(flat, self._bags[order], np.concatenate(([0], ends)))
+        return order, np.concatenate(([0], ends))
+
+
+def _masked(terms: Tensor, masks: Tensor) -> Tensor:
+    """Multiply terms (entries, C) in place with masks (entries, n_masks), n_masks columns at a time; return them."""
+    terms.view(len(terms), -1, masks.shape[1]).mul_(masks[:, None])
+    return terms
 
 
 def _sum_rows(table: Tensor, rows: IntArray, starts: IntArray) -> Tensor:
@@ -169,3 +210,20 @@ class _DenseBatch:
 
     def transposed_times(self, deltas: Tensor) -> Tensor:
         return torch.bmm(self._X.transpose(1, 2), deltas).flatten(0, 1)
+
+    def draw_masks(self, draws: list[np.random.Generator], dropout: float, n_masks: int) -> Tensor:
+        shape = (n_masks, *self._X.shape[1:])
+        kept = [draw.random(shape, dtype=np.float32) >= dropout for draw in draws]
+        return torch.from_numpy(np.stack(kept).astype(np.float32))
+
+    def masked_times(self, table: Tensor, masks: Tensor) -> Tensor:
+        n_groups, n_masks = masks.shape[:2]
+        weights = table.view(n_groups, self._X.shape[2], -1, n_masks)
+        parts = [torch.bmm(self._X * masks[:, m], weights[..., m]) for m in range(n_masks)]
+        return torch.stack(parts, dim=-1).flatten(2)
+
+    def transposed_masked_times(self, deltas: Tensor, masks: Tensor) -> Tensor:
+        n_groups, n_masks = masks.shape[:2]
+        split = deltas.view(n_groups, self._X.shape[1], -1, n_masks)
+        parts = [torch.bmm((self._X * masks[:, m]).transpose(1, 2), split[..., m]) for m in range(n_masks)]
+        return torch.stack(parts, dim=-1).flatten(2).flatten(0, 1)

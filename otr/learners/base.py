@@ -17,7 +17,7 @@ from otr.pattern_tree import PatternTree
 from otr.pruning import prune_unreached
 from otr.tree import ObliqueTree
 
-__all__ = ["Problem", "TreeClassifier", "TreeLearner", "TreeRegressor", "seed_of"]
+__all__ = ["Problem", "TreeClassifier", "TreeLearner", "TreeRegressor", "only", "seed_of"]
 
 Validation = tuple[ArrayLike, ArrayLike] | None
 
@@ -82,7 +82,7 @@ class TreeLearner(BaseEstimator, ABC):  # type: ignore[misc]
     @property
     def tree_(self) -> ObliqueTree | PatternTree:
         """The tree of an estimator of one label."""
-        return _only(self.trees_, "tree")
+        return only(self.trees_, "tree")
 
     @abstractmethod
     def _fit_problem(self, problem: Problem) -> None:
@@ -253,7 +253,8 @@ def _columns(y: ArrayLike) -> FloatArray:
     return Y[:, None] if Y.ndim == 1 else Y
 
 
-def _only(things: list[Any], what: str) -> Any:
+def only(things: list[Any], what: str) -> Any:
+    """Return the one thing, or raise AttributeError that names the attribute with all of them."""
     if len(things) != 1:
         raise AttributeError(f"there are {len(things)} {what}s, one for each label; see {what}s_")
     return things[0]

@@ -21,7 +21,7 @@ from otr.head import Argmax, Head, Identity, Sign
 from otr.learners.batched_mlp import checked_rows
 from otr.learners.lcn_network import LcnNetwork
 from otr.learners.rows import Rows
-from otr.learners.stacks import Loss, Parameter, Schedule, SeedStreams, Stack, loss_derivatives, train_stack
+from otr.learners.stacks import Loss, Parameter, Schedule, SeedStreams, Stack, loss_derivatives, streams_of, train_stack
 
 __all__ = ["LcnSettings", "TrainedLcns", "train_many_lcns"]
 
@@ -92,13 +92,14 @@ def train_many_lcns(
     networks: list[list[LcnNetwork]] = [[] for _ in range(n_labels)]
     scores, epochs = [], []
     for start in range(0, len(seeds), n_together):
-        streams = [SeedStreams.of(seed) for seed in seeds[start : start + n_together]]
+        chunk = seeds[start : start + n_together]
+        streams = streams_of(chunk, n_labels)
         stack = LcnStack(rows.n_inputs, n_labels, settings, streams)
         fitted = train_stack(stack, rows, labels, streams, settings.schedule, validation)
         for label, of_label in enumerate(networks):
-            of_label += [stack.network(fitted.values, seed, label) for seed in range(len(streams))]
-        scores.append(fitted.scores)
-        epochs.append(fitted.epochs)
+            of_label += [stack.network(fitted.values, seed, label) for seed in range(len(chunk))]
+        scores.append(fitted.scores[: len(chunk)])
+        epochs.append(fitted.epochs[: len(chunk)])
     return TrainedLcns(networks, np.concatenate(scores).T, np.concatenate(epochs).T)
 
 
@@ -140,9 +141,7 @@ class LcnStack(Stack):
             if name == "table":
                 values = values.view(S * n_inputs, -1)
             penalised = name in ("table", "U", "G", "h", "V")
-            self.parameters.append(Parameter(values, full, label_axis + 1, penalised))
-        for parameter in self.parameters:
-            parameter.values.grad = torch.zeros_like(parameter.values)
+            self.parameters.append(Parameter(values, label_axis + 1, penalised, full))
 
     def start_epoch(self, epoch: int, n_epochs: int) -> None:
         """Anneal from softplus to ReLU."""
@@ -254,7 +253,7 @@ class LcnStack(Stack):
         gradients |= dict(zip(small, others, strict=True))
         gradients["U"] = gradients["U"].tril(-1)
         for name, parameter in zip(self._names, self.parameters, strict=True):
-            parameter.values.grad = gradients[name].view_as(parameter.values)
+            parameter.set_gradient(gradients[name])
 
     def network(self, values: Sequence[Tensor], seed: int, label: int) -> LcnNetwork:
         """Return one network of these values."""

@@ -15,7 +15,7 @@ from torch import Tensor
 from otr.arrays import FloatArray, IntArray
 from otr.head import Argmax, Head, Identity, Sign
 from otr.learners.rows import Rows, new_rows
-from otr.learners.stacks import Loss, Parameter, Schedule, SeedStreams, Stack, loss_derivatives, train_stack
+from otr.learners.stacks import Loss, Parameter, Schedule, SeedStreams, Stack, loss_derivatives, streams_of, train_stack
 from otr.network import ReluNetwork
 
 __all__ = ["MlpSettings", "MlpStack", "TrainedNetworks", "checked_rows", "train_many"]
@@ -106,13 +106,14 @@ def train_many(
     networks: list[list[ReluNetwork]] = [[] for _ in range(labels.shape[1])]
     scores, epochs = [], []
     for start in range(0, len(seeds), n_together):
-        streams = [SeedStreams.of(seed) for seed in seeds[start : start + n_together]]
+        chunk = seeds[start : start + n_together]
+        streams = streams_of(chunk, labels.shape[1])
         stack = MlpStack(rows.n_inputs, labels.shape[1], settings, streams)
         fitted = train_stack(stack, rows, labels, streams, settings.schedule, validation)
         for label, of_label in enumerate(networks):
-            of_label += [stack.network(fitted.values, seed, label) for seed in range(len(streams))]
-        scores.append(fitted.scores)
-        epochs.append(fitted.epochs)
+            of_label += [stack.network(fitted.values, seed, label) for seed in range(len(chunk))]
+        scores.append(fitted.scores[: len(chunk)])
+        epochs.append(fitted.epochs[: len(chunk)])
     return TrainedNetworks(networks, np.concatenate(scores).T, np.concatenate(epochs).T)
 
 
@@ -179,12 +180,10 @@ class MlpStack(Stack):
             links.append(link)
             biases.append(bias)
         self.parameters = [
-            Parameter(table.view(n_seeds * n_inputs, -1), (n_seeds, n_inputs, n_labels, total), 2, True),
-            *(Parameter(link, tuple(link.shape), 1, True) for link in links[1:]),
-            *(Parameter(bias, tuple(bias.shape), 1, False) for bias in biases),
+            Parameter(table.view(n_seeds * n_inputs, -1), 2, True, (n_seeds, n_inputs, n_labels, total)),
+            *(Parameter(link, 1, True) for link in links[1:]),
+            *(Parameter(bias, 1, False) for bias in biases),
         ]
-        for parameter in self.parameters:
-            parameter.values.grad = torch.zeros_like(parameter.values)
 
     def _n_linked(self, layer: int) -> int:
         """Return how many hidden neurons a layer reads."""
@@ -259,7 +258,7 @@ class MlpStack(Stack):
         on_inputs = self._backward(values, activations, masks, delta)
         if settings.input_dropout:
             on_inputs *= scale
-        values[0].grad = batch.transposed_times(on_inputs)
+        self.parameters[0].set_gradient(batch.transposed_times(on_inputs))
 
     def _hidden_masks(self, n_rows: int) -> list[Tensor] | None:
         p = self._settings.hidden_dropout
@@ -275,7 +274,8 @@ class MlpStack(Stack):
         self, values: Sequence[Tensor], activations: list[Tensor], masks: list[Tensor] | None, delta: Tensor
     ) -> Tensor:
         """Write the gradients of links and biases; return the derivatives by the products, (S, b, L * H)."""
-        _, links, biases = self._unpack(values)
+        _, links, _ = self._unpack(values)
+        _, link_gradients, bias_gradients = self._unpack([parameter.gradient for parameter in self.parameters])
         n_seeds, n_labels = self._shape
         n_rows = delta.shape[2]
         on_inputs = delta.new_empty(n_seeds, n_rows, n_labels, self._column_starts[-1])
@@ -287,15 +287,13 @@ class MlpStack(Stack):
             if layer < len(activations) - 1:
                 d = d * masks[layer] if masks is not None else d
                 d = torch.where(activations[layer] > 0, d, d * self._settings.negative_slope)
-            torch.sum(d, 2, keepdim=True, out=biases[layer].grad)
+            torch.sum(d, 2, keepdim=True, out=bias_gradients[layer])
             if layer < len(self._on_inputs):
                 on_inputs[..., self._columns(layer)] = d.transpose(1, 2)
             if layer > 0:
                 flat = d.reshape(-1, n_rows, self._widths[layer])
                 read = self._read(activations[:layer]).flatten(0, 1)
-                gradient = links[layer].grad
-                assert gradient is not None
-                torch.bmm(flat.transpose(1, 2), read, out=gradient.flatten(0, 1))
+                torch.bmm(flat.transpose(1, 2), read, out=link_gradients[layer].flatten(0, 1))
                 back = torch.bmm(flat, links[layer].flatten(0, 1)).view(n_seeds, n_labels, n_rows, -1)
                 first = 0 if self._settings.dense == "all" else layer - 1
                 for earlier, part in zip(

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from otr.learners.base import Problem, TreeClassifier, TreeLearner, TreeRegressor, _only, seed_of
+from otr.learners.base import Problem, TreeClassifier, TreeLearner, TreeRegressor, only, seed_of
 from otr.learners.batched_mlp import MlpSettings, train_many
 from otr.learners.stacks import Schedule
 from otr.mapping import map_network
@@ -67,7 +67,7 @@ class _OTRLearner(TreeLearner):
     @property
     def network_(self) -> ReluNetwork:
         """The network of an estimator of one label."""
-        network: ReluNetwork = _only(self.networks_, "network")
+        network: ReluNetwork = only(self.networks_, "network")
         return network
 
     def _fit_problem(self, problem: Problem) -> None:

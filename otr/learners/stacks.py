@@ -2,7 +2,8 @@
 
 A stack holds S x L models: S seeds, L labels. All models of a seed see the same mini-batches, so that their first layers
 are one product; everything random about a model (first weights, order, dropout) follows from its seed alone. A model
-is therefore the same whatever labels and seeds are trained with it.
+is therefore the same whatever labels and seeds are trained with it: to the last bit where the inputs are sparse (see
+`otr/learners/rows.py`), else up to rounding.
 
 A row whose label is missing has weight zero in that label's loss, and the others of the mini-batch share the weight:
 the loss of a step is the mean over the rows with a label, B times the share of labels in expectation. Against dropping
@@ -11,6 +12,7 @@ the rows label by label, which would give each label mini-batches of its own, on
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -28,6 +30,7 @@ from otr.learners.rows import Rows
 from otr.learners.scores import areas_under_curve, negative_losses
 
 __all__ = [
+    "PADDED_TO",
     "DivergedError",
     "Fitted",
     "Loss",
@@ -36,9 +39,11 @@ __all__ = [
     "SeedStreams",
     "Stack",
     "loss_derivatives",
+    "streams_of",
     "train_stack",
 ]
 
+PADDED_TO = 64
 Loss = Literal["logistic", "softmax", "squared"]
 
 
@@ -91,24 +96,59 @@ class SeedStreams:
         return cls(*(np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(3)))
 
 
-@dataclass(frozen=True)
+def streams_of(seeds: Sequence[int], n_labels: int) -> list[SeedStreams]:
+    """Return the streams of a stack's seeds; a stack of a single model gets it twice.
+
+    torch multiplies the matrices of a batch of one by another routine, which rounds otherwise.
+    """
+    return [SeedStreams.of(seed) for seed in [*seeds] * (2 if len(seeds) * n_labels == 1 else 1)]
+
+
 class Parameter:
-    """One tensor of all models of a stack.
+    """One tensor of all models of a stack, with its gradient.
+
+    Both lie in flat vectors that are padded: torch's vector loops compute the rest of a vector otherwise, in the last
+    bit, and a model's numbers are not to depend on where it lies.
 
     Attributes:
-        values: the tensor, with `grad` allocated.
+        flat, flat_gradient: the padded vectors.
         shape: a shape under which the first axis is the seed and axis `label_axis` the label.
         label_axis: see there.
         penalised: whether l1 and l2 apply.
     """
 
-    values: Tensor
-    shape: tuple[int, ...]
-    label_axis: int
-    penalised: bool
+    def __init__(self, values: Tensor, label_axis: int, penalised: bool, shape: Sequence[int] | None = None) -> None:
+        """Take over `values`, with the seed as first axis, unless `shape` says how to see them so."""
+        self.shape = tuple(values.shape if shape is None else shape)
+        self.label_axis, self.penalised = label_axis, penalised
+        self._size, self._own_shape = values.numel(), values.shape
+        self.flat = torch.zeros(math.ceil(self._size / PADDED_TO) * PADDED_TO)
+        self.values.copy_(values)
+        self.flat_gradient = torch.zeros_like(self.flat)
+
+    @property
+    def values(self) -> Tensor:
+        """The tensor, a view of `flat`."""
+        return self.view(self.flat)
+
+    @property
+    def gradient(self) -> Tensor:
+        """The loss's derivative by it, a view of `flat_gradient`, to be written to."""
+        return self.view(self.flat_gradient)
+
+    def set_gradient(self, gradient: Tensor) -> None:
+        """Take over a gradient; without a copy where nothing is to be padded."""
+        if self._size == len(self.flat) and gradient.is_contiguous():
+            self.flat_gradient = gradient.view(-1)
+        else:
+            self.gradient.copy_(gradient.reshape(self._own_shape))
+
+    def view(self, flat: Tensor) -> Tensor:
+        """Return a vector like `flat` as the tensor."""
+        return flat[: self._size].view(self._own_shape)
 
     def of_models(self, values: Tensor) -> Tensor:
-        """Return `values`, laid out as this parameter, as (S, L, ...)."""
+        """Return values of the tensor's shape as (S, L, ...)."""
         return values.view(self.shape).movedim(self.label_axis, 1)
 
 
@@ -123,11 +163,11 @@ class Stack(ABC):
 
     @abstractmethod
     def step_gradients(self, rows: Rows, chosen: IntArray, targets: Tensor, weights: Tensor) -> None:
-        """Write the loss's derivatives into the parameters' `grad`.
+        """Give the parameters the loss's derivatives.
 
         Args:
             rows: all rows.
-            chosen: (S, B), the rows of the mini-batch of each seed.
+            chosen: (S, B), the rows of the mini-batch of each seed; B is a multiple of `PADDED_TO`.
             targets, weights: (S, L, B), see `loss_derivatives`.
         """
 
@@ -186,60 +226,63 @@ def train_stack(
         validation: rows and their Y.
 
     Raises:
-        DivergedError: a model's parameters or outputs are not finite at the end.
+        DivergedError: a model's parameters are not finite at its best epoch.
     """
     targets = torch.from_numpy(np.nan_to_num(Y.T).astype(np.float32))
     present = torch.from_numpy((~np.isnan(Y.T)).astype(np.float32))
     optimiser = _NesterovSgd(stack, schedule)
-    values = [parameter.values for parameter in stack.parameters]
-    averages = [value.clone() for value in values] if schedule.averaging else values
+    flats = [parameter.flat for parameter in stack.parameters]
+    averages = [flat.clone() for flat in flats] if schedule.averaging else flats
+    scored = [parameter.view(flat) for parameter, flat in zip(stack.parameters, averages, strict=True)]
     kept = _Kept(stack, len(streams), Y.shape[1])
     for epoch in range(1, schedule.epochs + 1):
         stack.start_epoch(epoch, schedule.epochs)
         order = np.stack([stream.order.permutation(rows.n_rows) for stream in streams])
         for start in range(0, rows.n_rows, schedule.batch_size):
-            chosen = order[:, start : start + schedule.batch_size]
+            chosen, is_row = _padded(order[:, start : start + schedule.batch_size])
             picked = torch.from_numpy(chosen)
-            weights = present[:, picked].transpose(0, 1)
+            weights = present[:, picked].transpose(0, 1) * is_row
             weights = weights / weights.sum(2, keepdim=True).clamp_(min=1.0)
             stack.step_gradients(rows, chosen, targets[:, picked].transpose(0, 1), weights)
             if schedule.l1:
                 for parameter in stack.parameters:
-                    if parameter.penalised and parameter.values.grad is not None:
-                        parameter.values.grad.add_(parameter.values.sign(), alpha=schedule.l1)
+                    if parameter.penalised:
+                        parameter.flat_gradient.add_(parameter.flat.sign(), alpha=schedule.l1)
             optimiser.step(schedule.rate(epoch))
             if schedule.averaging:
-                torch._foreach_lerp_(averages, values, 1 - schedule.averaging)
+                torch._foreach_lerp_(averages, flats, 1 - schedule.averaging)
         if validation is not None:
-            outputs = stack.outputs(validation[0], averages).double().numpy()
-            kept.offer(epoch, averages, _validation_scores(stack.loss, outputs, validation[1]))
+            outputs = stack.outputs(validation[0], scored).double().numpy()
+            kept.offer(epoch, scored, _validation_scores(stack.loss, outputs, validation[1]))
         elif epoch == schedule.epochs:
-            kept.offer(epoch, averages, np.zeros((len(streams), Y.shape[1])))
+            kept.offer(epoch, scored, np.zeros((len(streams), Y.shape[1])))
     fitted = kept.fitted(validation is not None)
     _check_finite(stack, fitted)
     return fitted
+
+
+def _padded(chosen: IntArray) -> tuple[IntArray, Tensor]:
+    """Return the rows (S, B) with more of them up to a multiple of `PADDED_TO`, and 1 for a row, 0 for one too many."""
+    n_more = -chosen.shape[1] % PADDED_TO
+    is_row = torch.ones(chosen.shape[1] + n_more)
+    is_row[chosen.shape[1] :] = 0.0
+    return np.concatenate((chosen, np.repeat(chosen[:, :1], n_more, axis=1)), axis=1), is_row
 
 
 class _NesterovSgd:
     """torch's SGD in its functional form: `torch.optim.SGD` loads the compiler, which takes seconds."""
 
     def __init__(self, stack: Stack, schedule: Schedule) -> None:
-        self._momentum, self._l2 = schedule.momentum, schedule.l2
-        self._groups = {
-            penalised: [parameter.values for parameter in stack.parameters if parameter.penalised is penalised]
-            for penalised in (True, False)
-        }
-        self._buffers = {
-            penalised: [torch.zeros_like(value) if schedule.momentum else None for value in values]
-            for penalised, values in self._groups.items()
-        }
+        self._parameters, self._momentum, self._l2 = stack.parameters, schedule.momentum, schedule.l2
+        self._buffers = [torch.zeros_like(p.flat) if schedule.momentum else None for p in stack.parameters]
 
     def step(self, rate: float) -> None:
-        for penalised, values in self._groups.items():
+        for penalised in (True, False):
+            mine = [i for i, parameter in enumerate(self._parameters) if parameter.penalised is penalised]
             sgd(
-                values,
-                [value.grad for value in values],
-                self._buffers[penalised],
+                [self._parameters[i].flat for i in mine],
+                [self._parameters[i].flat_gradient for i in mine],
+                [self._buffers[i] for i in mine],
                 weight_decay=self._l2 if penalised else 0.0,
                 momentum=self._momentum,
                 lr=rate,

@@ -99,8 +99,8 @@ class SparseRows:
         counts = self._counts[rows.ravel()]
         ends = np.cumsum(counts)
         bags = np.repeat(np.arange(n_bags), counts)
-        shifts = self._starts[rows.ravel()] - (ends - counts)
-        inputs = self._inputs[np.arange(ends[-1]) + shifts[bags]]
+        shifts = np.repeat(self._starts[rows.ravel()] - (ends - counts), counts)
+        inputs = self._inputs[np.arange(ends[-1]) + shifts]
         if dropout:
             assert draws is not None
             per_group = np.diff(ends.reshape(n_groups, -1)[:, -1], prepend=0)
@@ -118,7 +118,8 @@ class _SparseBatch:
     def __init__(self, inputs: IntArray, bags: IntArray, counts: IntArray, n_groups: int, n_inputs: int) -> None:
         self._shape = (n_groups, len(counts) // n_groups, -1)
         self._n_keys = n_groups * n_inputs
-        groups = bags // self._shape[1]
+        per_group = counts.reshape(n_groups, -1).sum(axis=1)
+        groups = np.repeat(np.arange(n_groups), per_group)
         self._inputs, self._groups, self._bags = inputs, groups, bags
         self._keys = inputs + groups * n_inputs
         self._starts = np.concatenate(([0], np.cumsum(counts)))

@@ -82,7 +82,8 @@ class TreeLearner(BaseEstimator, ABC):  # type: ignore[misc]
     @property
     def tree_(self) -> ObliqueTree | PatternTree:
         """The tree of an estimator of one label."""
-        return only(self.trees_, "tree")
+        tree: ObliqueTree | PatternTree = only(self.trees_, "tree")
+        return tree
 
     @abstractmethod
     def _fit_problem(self, problem: Problem) -> None:
@@ -109,7 +110,7 @@ class TreeLearner(BaseEstimator, ABC):  # type: ignore[misc]
             raise ValueError(f"standardize is {self.standardize!r}, expected True, False or 'auto'")
         if self.standardize == "auto":
             return not bool(((X == 0) | (X == 1)).all())
-        return self.standardize
+        return self.standardize is True
 
     def _fit_checked(self, problem: Problem, validation: Validation, encoded_valid: FloatArray | None) -> None:
         if validation is not None:
@@ -145,24 +146,26 @@ class TreeClassifier(ClassifierMixin, TreeLearner):  # type: ignore[misc]
         """
         shape = np.asarray(y).shape
         multilabel = len(shape) == 2 and shape[1] > 1
+        rows: FloatArray
         if multilabel:
-            X = validate_data(self, X, dtype=np.float64)
+            rows = validate_data(self, X, dtype=np.float64)
             encode = self._encode_labels
-        else:
-            X, y = validate_data(self, X, y, dtype=np.float64)
-            y = column_or_1d(y, warn=True)
-            check_classification_targets(y)
-            self.classes_ = np.unique(y)
-            if len(self.classes_) < 2:
-                raise ValueError(f"y has the one class {self.classes_[0]!r}; a classifier needs at least two classes")
-            encode = self._encode_classes
-        Y = encode(y)
-        if multilabel:
+            Y = encode(y)
             self.classes_ = np.arange(Y.shape[1])
-        if len(Y) != len(X):
-            raise ValueError(f"X has {len(X)} rows and y {len(Y)}")
+        else:
+            rows, labels = validate_data(self, X, y, dtype=np.float64)
+            labels = column_or_1d(labels, warn=True)
+            check_classification_targets(labels)
+            self.classes_ = np.unique(labels)
+            if len(self.classes_) < 2:
+                only_class = self.classes_.tolist()[0]
+                raise ValueError(f"y has the one class {only_class!r}; a classifier needs at least two classes")
+            encode = self._encode_classes
+            Y = encode(labels)
+        if len(Y) != len(rows):
+            raise ValueError(f"X has {len(rows)} rows and y {len(Y)}")
         self.multilabel_ = multilabel
-        problem = Problem(X, Y, "softmax" if not multilabel and len(self.classes_) > 2 else "logistic")
+        problem = Problem(rows, Y, "softmax" if not multilabel and len(self.classes_) > 2 else "logistic")
         problem.n_classes = len(self.classes_)
         self._fit_checked(problem, validation, None if validation is None else encode(validation[1]))
         return self
@@ -178,8 +181,9 @@ class TreeClassifier(ClassifierMixin, TreeLearner):  # type: ignore[misc]
         labels = column_or_1d(y)
         unknown = np.setdiff1d(labels, self.classes_)
         if len(unknown):
-            raise ValueError(f"validation has the class {unknown[0]!r}, which y does not have")
-        return np.searchsorted(self.classes_, labels).astype(np.float64)[:, None]
+            raise ValueError(f"validation has the class {unknown[:1].tolist()[0]!r}, which y does not have")
+        numbers: FloatArray = np.searchsorted(self.classes_, labels).astype(np.float64)[:, None]
+        return numbers
 
     def decision_function(self, X: ArrayLike) -> FloatArray:
         """Return the leaves' outputs, logits: (n,) for two classes, (n, c) for c classes or labels."""
@@ -226,14 +230,14 @@ class TreeRegressor(RegressorMixin, TreeLearner):  # type: ignore[misc]
         Raises:
             ValueError: shapes do not agree.
         """
-        X, y = validate_data(self, X, y, dtype=np.float64, multi_output=True, y_numeric=True)
-        if np.ndim(y) == 2 and np.shape(y)[1] == 1:
-            y = column_or_1d(y, warn=True)
-        self.one_target_ = np.ndim(y) == 1
+        rows, targets = validate_data(self, X, y, dtype=np.float64, multi_output=True, y_numeric=True)
+        if targets.ndim == 2 and targets.shape[1] == 1:
+            targets = column_or_1d(targets, warn=True)
+        self.one_target_ = targets.ndim == 1
         encoded = None
         if validation is not None:
             encoded = check_array(validation[1], ensure_2d=False, dtype=np.float64, input_name="y of validation")
-        problem = Problem(X, _columns(y), "squared")
+        problem = Problem(rows, _columns(targets), "squared")
         self._fit_checked(problem, validation, None if encoded is None else _columns(encoded))
         return self
 

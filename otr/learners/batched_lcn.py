@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -52,7 +52,7 @@ class LcnSettings:
     loss: Loss = "logistic"
     n_classes: int = 2
     drop_connect: float = 0.0
-    schedule: Schedule = Schedule()
+    schedule: Schedule = field(default_factory=Schedule)
 
     @property
     def n_outputs(self) -> int:
@@ -126,7 +126,11 @@ class LcnStack(Stack):
             shapes |= {"V": (n_labels, o, q), "v": (n_labels, o)}
         neuron = 1 / np.sqrt(n_inputs + np.arange(M))  # torch's limit: neuron i reads the inputs and i neurons
         first = 1 / math.sqrt(M * (n_inputs + 1))
-        limits = {"table": neuron, "U": np.tril(neuron[:, None].repeat(M, 1), -1), "b": neuron}
+        limits: dict[str, float | FloatArray] = {
+            "table": neuron,
+            "U": np.tril(neuron[:, None].repeat(M, 1), -1),
+            "b": neuron,
+        }
         limits |= {"G": first, "h": first, "offset": first}
         limits |= {"V": 1 / math.sqrt(q), "v": 1 / math.sqrt(q)}
         self.parameters, self._names = [], list(shapes)
@@ -166,7 +170,7 @@ class LcnStack(Stack):
         A = self._pairs(named)
         products = torch.stack([rows.times(table) for table in named["table"].view(S, rows.n_inputs, -1)])
         products = products.view(S, -1, L, M).transpose(1, 2)
-        parts = [self._g(named, A, part, part, None, 1.0) for part in products.split(_EVALUATION_ROWS, dim=2)]
+        parts = [self._g(named, A, part, part, None, 1.0) for part in torch.split(products, _EVALUATION_ROWS, dim=2)]
         outputs = torch.cat(parts, dim=2)
         return outputs[..., 1:] - outputs[..., :1] if self.loss == "logistic" else outputs
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -45,7 +45,7 @@ class MlpSettings:
     n_classes: int = 2
     input_dropout: float = 0.0
     hidden_dropout: float = 0.0
-    schedule: Schedule = Schedule()
+    schedule: Schedule = field(default_factory=Schedule)
 
     @property
     def n_outputs(self) -> int:
@@ -297,7 +297,7 @@ class MlpStack(Stack):
                 back = torch.bmm(flat, links[layer].flatten(0, 1)).view(n_seeds, n_labels, n_rows, -1)
                 first = 0 if self._settings.dense == "all" else layer - 1
                 for earlier, part in zip(
-                    range(first, layer), back.split(self._widths[first:layer], dim=-1), strict=True
+                    range(first, layer), torch.split(back, self._widths[first:layer], dim=-1), strict=True
                 ):
                     so_far = by_activation[earlier]
                     by_activation[earlier] = part if so_far is None else so_far + part

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -46,7 +46,7 @@ class LcnNetwork:
     offset: FloatArray
     V: FloatArray | None = None
     v: FloatArray | None = None
-    head: Head = Identity()
+    head: Head = field(default_factory=Identity)
 
     def __post_init__(self) -> None:
         """Check the shapes.

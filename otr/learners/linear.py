@@ -52,9 +52,7 @@ class LinearTreeClassifier(TreeClassifier, _LinearLearner):
         n_iter_: iterations of the solver, the most of all labels.
     """
 
-    def __init__(
-        self, C: float = 0.1, *, max_iter: int = 1000, standardize: bool | Literal["auto"] = "auto"
-    ) -> None:
+    def __init__(self, C: float = 0.1, *, max_iter: int = 1000, standardize: bool | Literal["auto"] = "auto") -> None:
         self.C = C
         self.max_iter = max_iter
         self.standardize = standardize

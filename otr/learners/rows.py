@@ -1,4 +1,4 @@
-"""Products of a first layer with mini-batches of rows: sums of weight rows for binary inputs, matrix products otherwise.
+"""A first layer's products with rows: sums of weight rows for binary inputs, matrix products otherwise.
 
 Networks that read the same rows at the same time lie side by side in one table of weights, (d, C) with C the columns of
 all of them, and tables of different groups (seeds) lie below each other, (G * d, C). A binary row with k ones out of d
@@ -133,7 +133,9 @@ class _SparseBatch:
 
     def draw_masks(self, draws: list[np.random.Generator], dropout: float, n_masks: int) -> Tensor:
         n_entries = np.diff(self._starts[:: self._shape[1]])
-        kept = [draw.random((n, n_masks), dtype=np.float32) >= dropout for draw, n in zip(draws, n_entries, strict=True)]
+        kept = [
+            draw.random((n, n_masks), dtype=np.float32) >= dropout for draw, n in zip(draws, n_entries, strict=True)
+        ]
         return torch.from_numpy(np.concatenate(kept).astype(np.float32))
 
     def masked_times(self, table: Tensor, masks: Tensor) -> Tensor:

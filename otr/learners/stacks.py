@@ -1,13 +1,14 @@
 """Training of many small models at once by mini-batch SGD: the loop that multilayer perceptrons and LCNs share.
 
-A stack holds S x L models: S seeds, L labels. All models of a seed see the same mini-batches, so that their first layers
-are one product; everything random about a model (first weights, order, dropout) follows from its seed alone. A model
-is therefore the same whatever labels and seeds are trained with it: to the last bit where the inputs are sparse (see
-`otr/learners/rows.py`), else up to rounding.
+A stack holds S x L models: S seeds, L labels. All models of a seed see the same mini-batches, so that their first
+layers are one product; everything random about a model (first weights, order, dropout) follows from its seed alone. A
+model is therefore the same whatever labels and seeds are trained with it: to the last bit where the inputs are sparse
+(see `otr/learners/rows.py`), else up to rounding.
 
 A row whose label is missing has weight zero in that label's loss, and the others of the mini-batch share the weight:
 the loss of a step is the mean over the rows with a label, B times the share of labels in expectation. Against dropping
-the rows label by label, which would give each label mini-batches of its own, only the number of rows behind a step differs.
+the rows label by label, which would give each label mini-batches of its own, only the number of rows behind a step
+differs.
 """
 
 from __future__ import annotations
@@ -158,7 +159,7 @@ class Stack(ABC):
     loss: Loss
     parameters: list[Parameter]
 
-    def start_epoch(self, epoch: int, n_epochs: int) -> None:
+    def start_epoch(self, epoch: int, n_epochs: int) -> None:  # noqa: B027 - nothing to do in most stacks
         """Prepare for `epoch` of 1 .. n_epochs."""
 
     @abstractmethod
@@ -193,7 +194,7 @@ class Fitted:
 
 @contextmanager
 def _without_denormals() -> Iterator[None]:
-    """Let numbers below 1e-38 be zero: the momentum of a rare input gets there, where arithmetic is ten times slower."""
+    """Let numbers below 1e-38 be zero: a rare input's momentum gets there, where arithmetic is ten times slower."""
     before = not (torch.tensor([1e-39]) * 1.0).any()
     torch.set_flush_denormal(True)
     try:

@@ -17,7 +17,9 @@ def _equal(one, other) -> bool:
 
 
 @pytest.mark.parametrize("dense", [False, "input", "all"])
-@pytest.mark.parametrize(("loss", "hidden"), [("logistic", (5, 4, 3)), ("softmax", (5,)), ("squared", (4, 4)), ("logistic", ())])
+@pytest.mark.parametrize(
+    ("loss", "hidden"), [("logistic", (5, 4, 3)), ("softmax", (5,)), ("squared", (4, 4)), ("logistic", ())]
+)
 @pytest.mark.parametrize("sparse", [True, False])
 def test_gradients_equal_autograds(dense, loss, hidden, sparse):
     rng = np.random.default_rng(0)
@@ -42,7 +44,9 @@ def test_gradients_equal_autograds(dense, loss, hidden, sparse):
         y = stack._forward(values, torch.stack([x @ table for table in tables]), None)[-1][seed]
         t = targets[seed]
         if loss == "softmax":
-            losses = torch.nn.functional.cross_entropy(y.flatten(0, 1), t.long().flatten(), reduction="none").view(t.shape)
+            losses = torch.nn.functional.cross_entropy(y.flatten(0, 1), t.long().flatten(), reduction="none").view(
+                t.shape
+            )
         elif loss == "logistic":
             losses = torch.nn.functional.binary_cross_entropy_with_logits(y[..., 0], t, reduction="none")
         else:
@@ -99,10 +103,15 @@ def test_plain_torch_training_ends_in_the_same_network(fingerprints):
         np.testing.assert_allclose(network.forward(X), module(torch.tensor(X)).numpy(), atol=2e-5)
 
 
-@pytest.mark.parametrize("settings", [
-    MlpSettings(schedule=QUICK),
-    MlpSettings(hidden=(16,), dense="all", input_dropout=0.5, hidden_dropout=0.3, schedule=Schedule(epochs=4, averaging=0.9)),
-])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        MlpSettings(schedule=QUICK),
+        MlpSettings(
+            hidden=(16,), dense="all", input_dropout=0.5, hidden_dropout=0.3, schedule=Schedule(epochs=4, averaging=0.9)
+        ),
+    ],
+)
 def test_a_network_does_not_depend_on_its_company(fingerprints, settings):
     X, Y = fingerprints
     valid = {"X_valid": X[:100], "Y_valid": Y[:100]}
@@ -147,10 +156,12 @@ def test_soft_labels_and_label_smoothing_agree(fingerprints):
 
 def test_l1_makes_weights_small(fingerprints):
     X, Y = fingerprints
+
     def share(l1: float) -> float:
         schedule = Schedule(epochs=40, l1=l1, decay_every=15)
         network = train_many(X, Y[:, 0], [0], MlpSettings(hidden=(8,), schedule=schedule)).networks[0][0]
         return float((np.abs(network.weights[0]) < 1e-3).mean())
+
     assert share(0.0) < 0.05
     assert share(3e-3) > 0.5
 
@@ -169,7 +180,7 @@ def test_the_best_epoch_is_kept(fingerprints):
 def test_divergence_is_told():
     X = np.random.default_rng(0).normal(size=(100, 4)) * 1e3
     settings = MlpSettings(loss="squared", schedule=Schedule(epochs=5, learning_rate=10.0))
-    with pytest.raises(DivergedError, match="2 of 2 models.*label 0 of seed number 0; lower learning_rate"):
+    with pytest.raises(DivergedError, match=r"2 of 2 models.*label 0 of seed number 0; lower learning_rate"):
         train_many(X, X[:, :2], [0], settings)
 
 

@@ -1,6 +1,6 @@
 """Trees learned from data, under scikit-learn's contract; each learner's `tree_` is an `otr.ObliqueTree`.
 
-Classes are imported when they are first asked for, so that importing this package costs nothing.
+A learner's module, and with it scikit-learn or torch, is loaded when the learner is first asked for.
 """
 
 from __future__ import annotations
@@ -15,17 +15,23 @@ _MODULES = {
     "CARTRegressor": "cart",
     "HHCARTClassifier": "hhcart",
     "HHCARTRegressor": "hhcart",
+    "LCNClassifier": "lcn",
+    "LCNRegressor": "lcn",
     "LinearModelTreeRegressor": "model_tree",
+    "LinearTreeClassifier": "linear",
+    "LinearTreeRegressor": "linear",
+    "OTRClassifier": "otr_trees",
+    "OTRRegressor": "otr_trees",
     "TAOClassifier": "tao",
     "from_sklearn_tree": "cart",
 }
 
-__all__ = sorted(_MODULES)
+__all__ = list(_MODULES)
 
 
 def __getattr__(name: str) -> Any:
     if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it has {', '.join(_MODULES)}")
     return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
 
 

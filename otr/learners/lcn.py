@@ -1,0 +1,116 @@
+"""LCN: oblique trees with constant leaves from the derivatives of ReLU networks (Lee & Jaakkola, ICLR 2020)."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from otr.learners.base import Problem, TreeClassifier, TreeLearner, TreeRegressor, only, seed_of
+from otr.learners.batched_lcn import LcnSettings, train_many_lcns
+from otr.learners.lcn_network import LcnNetwork
+from otr.learners.stacks import Schedule
+
+__all__ = ["LCNClassifier", "LCNRegressor"]
+
+
+class _LCNLearner(TreeLearner):
+    networks_: list[LcnNetwork]
+
+    def __init__(
+        self,
+        depth: int = 6,
+        *,
+        hidden: int = 0,
+        drop_connect: float = 0.0,
+        epochs: int = 30,
+        batch_size: int = 64,
+        learning_rate: float = 0.1,
+        momentum: float = 0.9,
+        decay_every: int = 10,
+        standardize: bool | Literal["auto"] = "auto",
+        max_leaves: int = 2**12,
+        random_state: int | np.random.RandomState | None = None,
+    ) -> None:
+        self.depth = depth
+        self.hidden = hidden
+        self.drop_connect = drop_connect
+        self.epochs = epochs
+        self.batch_size = batch_size
+        self.learning_rate = learning_rate
+        self.momentum = momentum
+        self.decay_every = decay_every
+        self.standardize = standardize
+        self.max_leaves = max_leaves
+        self.random_state = random_state
+
+    @property
+    def network_(self) -> LcnNetwork:
+        """The network of an estimator of one label."""
+        network: LcnNetwork = only(self.networks_, "network")
+        return network
+
+    def _fit_problem(self, problem: Problem) -> None:
+        if self.depth < 1 or 2**self.depth > self.max_leaves:
+            raise ValueError(
+                f"depth is {self.depth}, a tree of 2**{self.depth} leaves; the limit max_leaves is {self.max_leaves}"
+            )
+        settings = LcnSettings(
+            depth=self.depth,
+            hidden=self.hidden,
+            loss=problem.loss,
+            n_classes=problem.n_classes,
+            drop_connect=self.drop_connect,
+            schedule=Schedule(
+                epochs=self.epochs,
+                batch_size=self.batch_size,
+                learning_rate=self.learning_rate,
+                momentum=self.momentum,
+                decay_every=self.decay_every,
+            ),
+        )
+        trained = train_many_lcns(
+            problem.X,
+            problem.Y,
+            [seed_of(self.random_state)],
+            settings,
+            X_valid=problem.X_valid,
+            Y_valid=problem.Y_valid,
+        )
+        self.networks_ = [
+            of_label[0].with_input_scaling(problem.mean, problem.scale).with_output_scaling(mean, scale)
+            for of_label, mean, scale in zip(trained.networks, problem.y_mean, problem.y_scale, strict=True)
+        ]
+        self.best_epochs_ = trained.epochs[:, 0]
+        self.validation_scores_ = trained.scores[:, 0]
+        self.trees_ = [network.to_tree(max_leaves=self.max_leaves) for network in self.networks_]
+
+
+_PARAMETERS = """
+
+    `tree_` has 2**depth leaves, each a constant, and computes what `network_` computes. To train many labels and seeds
+    together, use `otr.learners.batched_lcn.train_many_lcns`.
+
+    Args:
+        depth: neurons, one a layer.
+        hidden: width of the hidden layer of g; 0 for a linear g.
+        drop_connect: see `LcnSettings`.
+        epochs, batch_size, learning_rate, momentum, decay_every: see `Schedule`.
+        standardize: train on inputs shifted and scaled to mean 0 and deviation 1, which is folded into the network;
+            "auto": unless all are 0 and 1.
+        max_leaves: refuse to train for a larger tree.
+        random_state: an integer is the seed as in `train_many_lcns`.
+
+    Attributes:
+        networks_, network_: the trained networks, or the one.
+        trees_, tree_: the trees, or the one.
+        best_epochs_, validation_scores_: one entry a label.
+    """
+
+
+class LCNClassifier(TreeClassifier, _LCNLearner):
+    __doc__ = "Classifier of locally constant networks, as oblique trees with constant leaves." + _PARAMETERS
+
+
+class LCNRegressor(TreeRegressor, _LCNLearner):
+    __doc__ = "Regressor of locally constant networks, as oblique trees with constant leaves." + _PARAMETERS

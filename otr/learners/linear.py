@@ -1,0 +1,91 @@
+"""The tree of depth 0: linear models by scikit-learn, the row that every tree has to beat."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from sklearn.linear_model import LogisticRegression, Ridge
+
+from otr.arrays import FloatArray
+from otr.head import Argmax, Head, Identity, Sign
+from otr.learners.base import Problem, TreeClassifier, TreeLearner, TreeRegressor
+from otr.tree import ObliqueTree
+
+__all__ = ["LinearTreeClassifier", "LinearTreeRegressor", "linear_tree"]
+
+
+def linear_tree(coefficients: FloatArray, intercepts: FloatArray, head: Head) -> ObliqueTree:
+    """Return the tree of one leaf, ``coefficients @ x + intercepts``, (o, d) and (o,)."""
+    d = coefficients.shape[1]
+    none = np.zeros(0, dtype=np.int64)
+    return ObliqueTree(none, none, np.zeros((0, d)), np.zeros(0), coefficients[None], intercepts[None], head=head)
+
+
+class _LinearLearner(TreeLearner):
+    def _fit_problem(self, problem: Problem) -> None:
+        trees = []
+        for label, (y_mean, y_scale) in enumerate(zip(problem.y_mean, problem.y_scale, strict=True)):
+            present = ~np.isnan(problem.Y[:, label])
+            W, b, head = self._fit_linear(problem.X[present], problem.Y[present, label], problem.loss)
+            # Back to inputs and targets as they were before standardising.
+            W = W * y_scale / problem.scale
+            trees.append(linear_tree(W, b * y_scale + y_mean - W @ problem.mean, head))
+        self.trees_ = list(trees)
+
+    def _fit_linear(self, X: FloatArray, y: FloatArray, loss: str) -> tuple[FloatArray, FloatArray, Head]:
+        raise NotImplementedError
+
+
+class LinearTreeClassifier(TreeClassifier, _LinearLearner):
+    """Logistic regression with an L2 penalty, as a tree of depth 0.
+
+    `fit` takes validation rows as the other learners do, and has no use for them.
+
+    Args:
+        C: inverse strength of the penalty.
+        max_iter: of the solver.
+        standardize: fit on inputs shifted and scaled to mean 0 and deviation 1; "auto": unless all are 0 and 1.
+
+    Attributes:
+        trees_, tree_: the trees, one a label, or the one.
+        n_iter_: iterations of the solver, the most of all labels.
+    """
+
+    def __init__(self, C: float = 0.1, *, max_iter: int = 1000, standardize: bool | Literal["auto"] = "auto") -> None:
+        self.C = C
+        self.max_iter = max_iter
+        self.standardize = standardize
+
+    def _fit_problem(self, problem: Problem) -> None:
+        self.n_iter_ = 0
+        super()._fit_problem(problem)
+
+    def _fit_linear(self, X: FloatArray, y: FloatArray, loss: str) -> tuple[FloatArray, FloatArray, Head]:
+        if len(np.unique(y)) < 2:
+            raise ValueError("a label has one class only among its training rows; leave the label out")
+        model = LogisticRegression(C=self.C, max_iter=self.max_iter).fit(X, y)
+        self.n_iter_ = max(self.n_iter_, int(model.n_iter_.max()))
+        return model.coef_, model.intercept_, Sign() if loss == "logistic" else Argmax()
+
+
+class LinearTreeRegressor(TreeRegressor, _LinearLearner):
+    """Ridge regression, as a tree of depth 0.
+
+    `fit` takes validation rows as the other learners do, and has no use for them.
+
+    Args:
+        alpha: strength of the penalty, for standardised targets.
+        standardize: as in `LinearTreeClassifier`.
+
+    Attributes:
+        trees_, tree_: the trees, one a target, or the one.
+    """
+
+    def __init__(self, alpha: float = 1.0, *, standardize: bool | Literal["auto"] = "auto") -> None:
+        self.alpha = alpha
+        self.standardize = standardize
+
+    def _fit_linear(self, X: FloatArray, y: FloatArray, loss: str) -> tuple[FloatArray, FloatArray, Head]:
+        model = Ridge(alpha=self.alpha).fit(X, y)
+        return model.coef_[None], np.atleast_1d(model.intercept_), Identity()

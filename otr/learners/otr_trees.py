@@ -1,0 +1,156 @@
+"""OTR for data: ReLU networks trained by gradient descent and mapped to oblique trees exactly (Orfanos 2023)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from otr.learners.base import Problem, TreeClassifier, TreeLearner, TreeRegressor, only, seed_of
+from otr.learners.batched_mlp import MlpSettings, train_many
+from otr.learners.stacks import Schedule
+from otr.mapping import map_network
+from otr.network import ReluNetwork
+from otr.pattern_tree import PatternTree
+from otr.tree import ObliqueTree
+
+__all__ = ["OTRClassifier", "OTRRegressor", "tree_of"]
+
+
+def tree_of(network: ReluNetwork, max_leaves: int) -> ObliqueTree | PatternTree:
+    """Return the explicit tree where it has at most `max_leaves` leaves, else the same tree held as patterns."""
+    patterns = PatternTree(network)
+    return map_network(network, max_leaves=max_leaves) if patterns.n_paths <= max_leaves else patterns
+
+
+class _OTRLearner(TreeLearner):
+    networks_: list[ReluNetwork]
+
+    def __init__(
+        self,
+        hidden: Sequence[int] = (8, 8),
+        *,
+        dense: bool | Literal["input", "all"] = False,
+        negative_slope: float = 0.0,
+        input_dropout: float = 0.0,
+        hidden_dropout: float = 0.0,
+        l1: float = 0.0,
+        l2: float = 0.0,
+        averaging: float = 0.0,
+        epochs: int = 30,
+        batch_size: int = 64,
+        learning_rate: float = 0.1,
+        momentum: float = 0.9,
+        decay_every: int = 10,
+        standardize: bool | Literal["auto"] = "auto",
+        max_leaves: int = 1024,
+        random_state: int | np.random.RandomState | None = None,
+    ) -> None:
+        self.hidden = hidden
+        self.dense = dense
+        self.negative_slope = negative_slope
+        self.input_dropout = input_dropout
+        self.hidden_dropout = hidden_dropout
+        self.l1 = l1
+        self.l2 = l2
+        self.averaging = averaging
+        self.epochs = epochs
+        self.batch_size = batch_size
+        self.learning_rate = learning_rate
+        self.momentum = momentum
+        self.decay_every = decay_every
+        self.standardize = standardize
+        self.max_leaves = max_leaves
+        self.random_state = random_state
+
+    @property
+    def network_(self) -> ReluNetwork:
+        """The network of an estimator of one label."""
+        network: ReluNetwork = only(self.networks_, "network")
+        return network
+
+    def _fit_problem(self, problem: Problem) -> None:
+        settings = MlpSettings(
+            hidden=tuple(self.hidden),
+            dense="all" if self.dense is True else self.dense,
+            negative_slope=self.negative_slope,
+            loss=problem.loss,
+            n_classes=problem.n_classes,
+            input_dropout=self.input_dropout,
+            hidden_dropout=self.hidden_dropout,
+            schedule=Schedule(
+                epochs=self.epochs,
+                batch_size=self.batch_size,
+                learning_rate=self.learning_rate,
+                momentum=self.momentum,
+                decay_every=self.decay_every,
+                l1=self.l1,
+                l2=self.l2,
+                averaging=self.averaging,
+            ),
+        )
+        trained = train_many(
+            problem.X,
+            problem.Y,
+            [seed_of(self.random_state)],
+            settings,
+            X_valid=problem.X_valid,
+            Y_valid=problem.Y_valid,
+        )
+        self.networks_ = [
+            _with_targets(of_label[0].fold_input_normalisation(problem.mean, problem.scale), mean, scale)
+            for of_label, mean, scale in zip(trained.networks, problem.y_mean, problem.y_scale, strict=True)
+        ]
+        self.best_epochs_ = trained.epochs[:, 0]
+        self.validation_scores_ = trained.scores[:, 0]
+        self.trees_ = [tree_of(network, self.max_leaves) for network in self.networks_]
+
+
+def _with_targets(network: ReluNetwork, mean: float, scale: float) -> ReluNetwork:
+    """Return the network whose outputs are mean + scale times this one's."""
+    if mean == 0.0 and scale == 1.0:
+        return network
+    *weights, last = network.weights
+    *biases, last_bias = network.biases
+    return ReluNetwork(
+        [*weights, scale * last],
+        [*biases, scale * last_bias + mean],
+        negative_slope=network.negative_slope,
+        dense=network.dense,
+        head=network.head,
+    )
+
+
+_PARAMETERS = """
+
+    `tree_` is the explicit `ObliqueTree` where it has at most `max_leaves` leaves, else a `PatternTree`; both compute
+    what `network_` computes. For several labels at once there is a network and a tree for each, in `networks_` and
+    `trees_`. To train many labels and seeds together, use `otr.learners.batched_mlp.train_many`.
+
+    Args:
+        hidden: widths of the hidden layers.
+        dense, negative_slope: as in `ReluNetwork`.
+        input_dropout, hidden_dropout: share of the inputs, and of the hidden neurons, dropped in training.
+        l1, l2, averaging, epochs, batch_size, learning_rate, momentum, decay_every: see `Schedule`.
+        standardize: train on inputs shifted and scaled to mean 0 and deviation 1, which is folded into the network;
+            "auto": unless all are 0 and 1.
+        max_leaves: see above.
+        random_state: an integer is the seed as in `train_many`.
+
+    Attributes:
+        networks_, network_: the trained networks, or the one.
+        trees_, tree_: the trees, or the one.
+        best_epochs_, validation_scores_: one entry a label, see `train_many`.
+    """
+
+
+class OTRClassifier(TreeClassifier, _OTRLearner):
+    __doc__ = "Classifier of ReLU networks mapped to oblique trees exactly (Orfanos 2023, Table 4.2)." + _PARAMETERS
+
+
+class OTRRegressor(TreeRegressor, _OTRLearner):
+    __doc__ = (
+        "Regressor of ReLU networks mapped to oblique trees exactly; targets are standardised in training."
+        + _PARAMETERS
+    )

@@ -231,7 +231,7 @@ class MlpStack(Stack):
             if layer < len(biases) - 1:
                 z = torch.nn.functional.leaky_relu_(z, self._settings.negative_slope)
                 if masks is not None:
-                    z *= masks[layer]
+                    z = z * masks[layer]
             activations.append(z)
         return activations
 

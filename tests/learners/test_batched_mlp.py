@@ -56,6 +56,25 @@ def test_gradients_equal_autograds(dense, loss, hidden, sparse):
         torch.testing.assert_close(gradient, expected, rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.parametrize(("input_dropout", "hidden_dropout"), [(0.5, 0.0), (0.0, 0.5), (0.25, 0.25)])
+def test_gradients_equal_autograds_with_dropout(fingerprints, input_dropout, hidden_dropout):
+    """Against the stack's own forward pass, which is checked without dropout above."""
+    X, _ = fingerprints
+    settings = MlpSettings(dense="input", input_dropout=input_dropout, hidden_dropout=hidden_dropout)
+    stack, other = (MlpStack(120, 2, settings, [SeedStreams.of(seed) for seed in (0, 1)]) for _ in range(2))
+    chosen = np.stack([np.arange(64), np.arange(100, 164)])
+    targets, weights = torch.ones(2, 2, 64), torch.full((2, 2, 64), 1 / 64)
+    with torch.no_grad():
+        stack.step_gradients(new_rows(X), chosen, targets, weights)
+    values = [parameter.values.clone().requires_grad_() for parameter in other.parameters]
+    batch = new_rows(X).batch(chosen, input_dropout, [stream.dropout for stream in other._streams])
+    products = batch.times(values[0]) / (1 - input_dropout)
+    y = other._forward(values, products, other._hidden_masks(64))[-1][..., 0]
+    total = (weights * torch.nn.functional.binary_cross_entropy_with_logits(y, targets, reduction="none")).sum()
+    for parameter, expected in zip(stack.parameters, torch.autograd.grad(total, values), strict=True):
+        torch.testing.assert_close(parameter.gradient, expected, rtol=1e-4, atol=1e-6)
+
+
 @pytest.mark.parametrize("dense", [False, "input", "all"])
 def test_network_computes_what_the_stack_does(fingerprints, dense):
     X, _ = fingerprints

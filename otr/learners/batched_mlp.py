@@ -33,6 +33,8 @@ class MlpSettings:
         negative_slope: of the activation below zero.
         loss: "logistic" (labels 0 and 1, or probabilities), "softmax" (class numbers) or "squared".
         n_classes: outputs with the softmax loss.
+        shared: the labels of a seed share their hidden layers in training, which minimises the sum of their losses;
+            each label's network is the shared layers with its own output. Not with the softmax loss.
         input_dropout, hidden_dropout: share of inputs, and of hidden neurons, that a training row loses; the rest is
             scaled up, and after training nothing is dropped.
         schedule: see there.
@@ -43,9 +45,15 @@ class MlpSettings:
     negative_slope: float = 0.0
     loss: Loss = "logistic"
     n_classes: int = 2
+    shared: bool = False
     input_dropout: float = 0.0
     hidden_dropout: float = 0.0
     schedule: Schedule = field(default_factory=Schedule)
+
+    def __post_init__(self) -> None:
+        """Check what can be checked without data."""
+        if self.shared and self.loss == "softmax":
+            raise ValueError("shared is True and loss 'softmax'; hidden layers are shared by labels of one output each")
 
     @property
     def n_outputs(self) -> int:
@@ -83,7 +91,9 @@ def train_many(
     X_valid: ArrayLike | None = None,
     Y_valid: ArrayLike | None = None,
 ) -> TrainedNetworks:
-    """Train one network for every label and seed, all at once; what comes out is as if each were trained alone.
+    """Train one network for every label and seed, all at once.
+
+    What comes out is as if each were trained alone, unless labels share hidden layers or an epoch.
 
     Time grows with n * L * S; binary inputs with few ones cost what their ones cost. See `train_stack` for the
     validation score, and `otr/learners/stacks.py` for what the networks share.
@@ -101,13 +111,14 @@ def train_many(
     """
     settings = MlpSettings() if settings is None else settings
     rows, labels, validation = checked_rows(X, Y, X_valid, Y_valid)
-    n_columns = sum(_widths_on_inputs(settings)) * labels.shape[1]
+    n_models = 1 if settings.shared else labels.shape[1]
+    n_columns = sum(_widths_on_inputs(settings, labels.shape[1])) * n_models
     n_together = max(1, _CHUNK_BYTES // (4 * rows.n_inputs * n_columns))
     networks: list[list[ReluNetwork]] = [[] for _ in range(labels.shape[1])]
     scores, epochs = [], []
     for start in range(0, len(seeds), n_together):
         chunk = seeds[start : start + n_together]
-        streams = streams_of(chunk, labels.shape[1])
+        streams = streams_of(chunk, n_models)
         stack = MlpStack(rows.n_inputs, labels.shape[1], settings, streams)
         fitted = train_stack(stack, rows, labels, streams, settings.schedule, validation)
         for label, of_label in enumerate(networks):
@@ -147,9 +158,14 @@ def _checked(X: ArrayLike, Y: ArrayLike, name_x: str, name_y: str) -> tuple[Rows
     return new_rows(X), Y
 
 
-def _widths_on_inputs(settings: MlpSettings) -> list[int]:
+def _widths(settings: MlpSettings, n_labels: int) -> list[int]:
+    """Return the widths of the layers in training, the output layer last."""
+    return [*settings.hidden, n_labels if settings.shared else settings.n_outputs]
+
+
+def _widths_on_inputs(settings: MlpSettings, n_labels: int) -> list[int]:
     """Return the widths of the layers that read the inputs."""
-    widths = [*settings.hidden, settings.n_outputs]
+    widths = _widths(settings, n_labels)
     return widths if settings.dense else widths[:1]
 
 
@@ -159,9 +175,11 @@ class MlpStack(Stack):
     def __init__(self, n_inputs: int, n_labels: int, settings: MlpSettings, streams: Sequence[SeedStreams]) -> None:
         """Draw the first weights as torch's Linear does; the networks of a seed start alike."""
         self._settings, self._streams = settings, streams
-        self.loss = settings.loss
-        self._widths = [*settings.hidden, settings.n_outputs]
-        self._on_inputs = _widths_on_inputs(settings)
+        self.loss, self.shares_labels = settings.loss, settings.shared
+        self._widths = _widths(settings, n_labels)
+        self._on_inputs = _widths_on_inputs(settings, n_labels)
+        if settings.shared:
+            n_labels = 1  # one model with an output for each
         n_seeds, total = len(streams), sum(self._on_inputs)
         self._shape = (n_seeds, n_labels)
         self._column_starts = np.concatenate(([0], np.cumsum(self._on_inputs))).tolist()
@@ -204,7 +222,11 @@ class MlpStack(Stack):
         """Return the outputs (S, L, n, o), nothing dropped."""
         tables = values[0].view(self._shape[0], rows.n_inputs, -1)
         products = torch.stack([rows.times(table) for table in tables])
-        return self._forward(values, products, None)[-1]
+        return self._by_label(self._forward(values, products, None)[-1])
+
+    def _by_label(self, outputs: Tensor) -> Tensor:
+        """Turn outputs (S, 1, b, L) of shared layers into (S, L, b, 1), and back; others stay as they are."""
+        return outputs.transpose(1, 3).contiguous() if self._settings.shared else outputs
 
     def _forward(self, values: Sequence[Tensor], products: Tensor, masks: list[Tensor] | None) -> list[Tensor]:
         """Return every layer's activations, the outputs last, (S, L, b, width) each.
@@ -231,7 +253,7 @@ class MlpStack(Stack):
             if layer < len(biases) - 1:
                 z = torch.nn.functional.leaky_relu_(z, self._settings.negative_slope)
                 if masks is not None:
-                    z *= masks[layer]
+                    z = z * masks[layer]
             activations.append(z)
         return activations
 
@@ -254,7 +276,8 @@ class MlpStack(Stack):
         masks = self._hidden_masks(chosen.shape[1])
         activations = self._forward(values, products, masks)
         smoothing = settings.schedule.label_smoothing
-        delta = loss_derivatives(self.loss, activations[-1], targets, weights, smoothing)
+        delta = loss_derivatives(self.loss, self._by_label(activations[-1]), targets, weights, smoothing)
+        delta = self._by_label(delta)
         on_inputs = self._backward(values, activations, masks, delta)
         if settings.input_dropout:
             on_inputs *= scale
@@ -305,8 +328,9 @@ class MlpStack(Stack):
 
     def network(self, values: Sequence[Tensor], seed: int, label: int) -> ReluNetwork:
         """Return one network of these values."""
+        shared = self._settings.shared
         table, *others = (
-            parameter.of_models(value)[seed, label].double().numpy()
+            parameter.of_models(value)[seed, 0 if shared else label].double().numpy()
             for parameter, value in zip(self.parameters, values, strict=True)
         )
         links, biases = others[: len(self._widths) - 1], others[len(self._widths) - 1 :]
@@ -316,10 +340,13 @@ class MlpStack(Stack):
             if layer < len(self._on_inputs):
                 parts.append(table[:, self._columns(layer)].T)
             weights.append(np.concatenate(parts, axis=1))
+        biases = [bias[0] for bias in biases]
+        if shared:
+            weights[-1], biases[-1] = weights[-1][label : label + 1], biases[-1][label : label + 1]
         dense = self._settings.dense if self._settings.hidden else False
         return ReluNetwork(
             weights,
-            [bias[0] for bias in biases],
+            biases,
             negative_slope=self._settings.negative_slope,
             dense=dense,
             head=self._settings.head,

@@ -33,6 +33,7 @@ class _OTRLearner(TreeLearner):
         *,
         dense: bool | Literal["input", "all"] = False,
         negative_slope: float = 0.0,
+        shared: bool = False,
         input_dropout: float = 0.0,
         hidden_dropout: float = 0.0,
         l1: float = 0.0,
@@ -50,6 +51,7 @@ class _OTRLearner(TreeLearner):
         self.hidden = hidden
         self.dense = dense
         self.negative_slope = negative_slope
+        self.shared = shared
         self.input_dropout = input_dropout
         self.hidden_dropout = hidden_dropout
         self.l1 = l1
@@ -77,6 +79,7 @@ class _OTRLearner(TreeLearner):
             negative_slope=self.negative_slope,
             loss=problem.loss,
             n_classes=problem.n_classes,
+            shared=self.shared,
             input_dropout=self.input_dropout,
             hidden_dropout=self.hidden_dropout,
             schedule=Schedule(
@@ -131,6 +134,7 @@ _PARAMETERS = """
     Args:
         hidden: widths of the hidden layers.
         dense, negative_slope: as in `ReluNetwork`.
+        shared: labels or targets share their hidden layers in training, see `MlpSettings`.
         input_dropout, hidden_dropout: share of the inputs, and of the hidden neurons, dropped in training.
         l1, l2, averaging, epochs, batch_size, learning_rate, momentum, decay_every: see `Schedule`.
         standardize: train on inputs shifted and scaled to mean 0 and deviation 1, which is folded into the network;

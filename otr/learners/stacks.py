@@ -25,7 +25,7 @@ import torch
 from torch import Tensor
 from torch.optim.sgd import sgd
 
-from otr.arrays import FloatArray, IntArray
+from otr.arrays import BoolArray, FloatArray, IntArray
 from otr.errors import OtrError
 from otr.learners.rows import Rows
 from otr.learners.scores import areas_under_curve, negative_losses
@@ -65,6 +65,8 @@ class Schedule:
         averaging: decay of an exponential moving average of the weights, by step; 0 for none. The average is what is
             scored and kept.
         label_smoothing: share of the target that is spread over the classes.
+        common_epoch: keep one epoch for all labels of a seed, the best by the mean of their validation scores. A few
+            hundred validation rows choose an epoch badly; so they choose once, not once a label.
     """
 
     epochs: int = 30
@@ -77,6 +79,7 @@ class Schedule:
     l2: float = 0.0
     averaging: float = 0.0
     label_smoothing: float = 0.0
+    common_epoch: bool = False
 
     def rate(self, epoch: int) -> float:
         """Return the learning rate in `epoch`, counted from 1."""
@@ -154,10 +157,17 @@ class Parameter:
 
 
 class Stack(ABC):
-    """S x L models of one shape, with gradients written by hand."""
+    """S x L models of one shape, with gradients written by hand.
+
+    Attributes:
+        loss: of all models.
+        parameters: all there are; their label axis has one entry if labels share their parameters.
+        shares_labels: whether they do; then one epoch is kept for all labels of a seed.
+    """
 
     loss: Loss
     parameters: list[Parameter]
+    shares_labels: bool = False
 
     def start_epoch(self, epoch: int, n_epochs: int) -> None:  # noqa: B027 - nothing to do in most stacks
         """Prepare for `epoch` of 1 .. n_epochs."""
@@ -215,6 +225,8 @@ def train_stack(
 ) -> Fitted:
     """Train all models of a stack and keep each at its best epoch by validation score, the first of equals.
 
+    Labels whose validation rows are of one class do not take part in choosing a common epoch, where others do.
+
     The score is the area under the ROC curve for the logistic loss, or minus the loss where the validation rows of a
     label are of one class and for the other losses. Without validation rows the last epoch is kept.
 
@@ -235,7 +247,10 @@ def train_stack(
     flats = [parameter.flat for parameter in stack.parameters]
     averages = [flat.clone() for flat in flats] if schedule.averaging else flats
     scored = [parameter.view(flat) for parameter, flat in zip(stack.parameters, averages, strict=True)]
-    kept = _Kept(stack, len(streams), Y.shape[1])
+    voters = None
+    if validation is not None and (schedule.common_epoch or stack.shares_labels):
+        voters = _voters(stack.loss, validation[1])
+    kept = _Kept(stack, len(streams), Y.shape[1], voters)
     for epoch in range(1, schedule.epochs + 1):
         stack.start_epoch(epoch, schedule.epochs)
         order = np.stack([stream.order.permutation(rows.n_rows) for stream in streams])
@@ -299,20 +314,27 @@ class _NesterovSgd:
 class _Kept:
     """Every model's parameters at its best epoch so far."""
 
-    def __init__(self, stack: Stack, n_seeds: int, n_labels: int) -> None:
-        self._parameters = stack.parameters
+    def __init__(self, stack: Stack, n_seeds: int, n_labels: int, voters: BoolArray | None) -> None:
+        """Choose by the mean score of `voters` (L,), or label by label."""
+        self._parameters, self._voters = stack.parameters, voters
+        self._best = np.full((n_seeds, n_labels), -np.inf)
         self._values = [torch.zeros_like(parameter.values) for parameter in stack.parameters]
         self._scores = np.full((n_seeds, n_labels), -np.inf)
         self._epochs = np.zeros((n_seeds, n_labels), dtype=np.int64)
 
     def offer(self, epoch: int, values: Sequence[Tensor], scores: FloatArray) -> None:
-        better = (scores > self._scores) | (self._epochs == 0)
+        ranked = scores
+        if self._voters is not None:
+            ranked = np.broadcast_to(scores[:, self._voters].mean(axis=1, keepdims=True), scores.shape)
+        better = (ranked > self._best) | (self._epochs == 0)
+        self._best[better] = ranked[better]
         self._scores[better] = scores[better]
         self._epochs[better] = epoch
         chosen = torch.from_numpy(better)
         for parameter, mine, new in zip(self._parameters, self._values, values, strict=True):
-            mask = chosen.view(*chosen.shape, *[1] * (len(parameter.shape) - 2))
             mine, new = parameter.of_models(mine), parameter.of_models(new)
+            mask = chosen[:, : mine.shape[1]]
+            mask = mask.view(*mask.shape, *[1] * (mine.ndim - 2))
             mine.copy_(torch.where(mask, new, mine))
 
     def fitted(self, validated: bool) -> Fitted:
@@ -326,6 +348,15 @@ def _validation_scores(loss: Loss, outputs: FloatArray, Y: FloatArray) -> FloatA
         return losses
     areas = areas_under_curve(outputs[..., 0], Y.T)
     return np.where(np.isnan(areas), losses, areas)
+
+
+def _voters(loss: Loss, Y: FloatArray) -> BoolArray:
+    """Return which labels (L,) have a say in a common epoch: those with both classes, or all if there are none."""
+    if loss == "logistic":
+        both = (Y == 0).any(axis=0) & (Y == 1).any(axis=0)
+        if both.any():
+            return np.asarray(both)
+    return np.ones(Y.shape[1], dtype=np.bool_)
 
 
 def _check_finite(stack: Stack, fitted: Fitted) -> None:

@@ -6,6 +6,7 @@ import torch
 
 from otr.learners.batched_mlp import MlpSettings, MlpStack, train_many
 from otr.learners.rows import new_rows
+from otr.learners.scores import areas_under_curve
 from otr.learners.stacks import DivergedError, Schedule, SeedStreams
 
 QUICK = Schedule(epochs=4)
@@ -54,6 +55,25 @@ def test_gradients_equal_autograds(dense, loss, hidden, sparse):
         total = total + (losses * weights[seed]).sum()
     for expected, gradient in zip(torch.autograd.grad(total, values), gradients, strict=True):
         torch.testing.assert_close(gradient, expected, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize(("input_dropout", "hidden_dropout"), [(0.5, 0.0), (0.0, 0.5), (0.25, 0.25)])
+def test_gradients_equal_autograds_with_dropout(fingerprints, input_dropout, hidden_dropout):
+    """Against the stack's own forward pass, which is checked without dropout above."""
+    X, _ = fingerprints
+    settings = MlpSettings(dense="input", input_dropout=input_dropout, hidden_dropout=hidden_dropout)
+    stack, other = (MlpStack(120, 2, settings, [SeedStreams.of(seed) for seed in (0, 1)]) for _ in range(2))
+    chosen = np.stack([np.arange(64), np.arange(100, 164)])
+    targets, weights = torch.ones(2, 2, 64), torch.full((2, 2, 64), 1 / 64)
+    with torch.no_grad():
+        stack.step_gradients(new_rows(X), chosen, targets, weights)
+    values = [parameter.values.clone().requires_grad_() for parameter in other.parameters]
+    batch = new_rows(X).batch(chosen, input_dropout, [stream.dropout for stream in other._streams])
+    products = batch.times(values[0]) / (1 - input_dropout)
+    y = other._forward(values, products, other._hidden_masks(64))[-1][..., 0]
+    total = (weights * torch.nn.functional.binary_cross_entropy_with_logits(y, targets, reduction="none")).sum()
+    for parameter, expected in zip(stack.parameters, torch.autograd.grad(total, values), strict=True):
+        torch.testing.assert_close(parameter.gradient, expected, rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.parametrize("dense", [False, "input", "all"])
@@ -152,6 +172,57 @@ def test_soft_labels_and_label_smoothing_agree(fingerprints):
         np.testing.assert_allclose(
             smoothed.networks[label][0].forward(X), soft.networks[label][0].forward(X), atol=1e-5
         )
+
+
+@pytest.mark.parametrize("dense", [False, "all"])
+def test_shared_layers_are_a_network_with_an_output_for_each_label(fingerprints, dense):
+    """Against torch's autograd, with missing labels, and network by network."""
+    X, Y = fingerprints
+    settings = MlpSettings(hidden=(5, 4), dense=dense, shared=True)
+    stack = MlpStack(120, 3, settings, [SeedStreams.of(0), SeedStreams.of(1)])
+    rows, chosen = new_rows(X), np.stack([np.arange(64), np.arange(100, 164)])
+    targets = torch.tensor(np.nan_to_num(Y[chosen]), dtype=torch.float32).transpose(1, 2)
+    weights = torch.tensor(~np.isnan(Y[chosen]), dtype=torch.float32).transpose(1, 2) / 60
+    values = [parameter.values.clone().requires_grad_() for parameter in stack.parameters]
+    with torch.no_grad():
+        stack.step_gradients(rows, chosen, targets, weights)
+    y = stack._forward(values, rows.batch(chosen).times(values[0]), None)[-1][:, 0].transpose(1, 2)
+    total = (weights * torch.nn.functional.binary_cross_entropy_with_logits(y, targets, reduction="none")).sum()
+    for parameter, expected in zip(stack.parameters, torch.autograd.grad(total, values), strict=True):
+        torch.testing.assert_close(parameter.gradient, expected, rtol=1e-4, atol=1e-6)
+
+    schedule = Schedule(epochs=3, learning_rate=0.03)
+    settings = MlpSettings(hidden=(5, 4), dense=dense, shared=True, schedule=schedule)
+    result = train_many(X, Y, [0, 1], settings, X_valid=X[200:], Y_valid=Y[200:])
+    for seed in range(2):
+        networks = [of_label[seed] for of_label in result.networks]
+        assert len({int(epoch) for epoch in result.epochs[:, seed]}) == 1
+        for network in networks[1:]:
+            for one, other in zip(networks[0].weights[:2], network.weights[:2], strict=True):
+                np.testing.assert_array_equal(one, other)
+        scores = np.stack([network.forward(X[200:])[:, 0] for network in networks])
+        np.testing.assert_allclose(areas_under_curve(scores, Y[200:].T), result.scores[:, seed], atol=1e-3)
+    with pytest.raises(ValueError, match="shared is True and loss 'softmax'"):
+        MlpSettings(shared=True, loss="softmax")
+
+
+def test_a_common_epoch_is_the_best_on_average(fingerprints):
+    X, Y = fingerprints
+    Y_valid = Y[200:].copy()
+    Y_valid[:, 2] = 1.0  # of one class: has no say
+
+    def trained(epochs: int, common: bool):
+        settings = MlpSettings(schedule=Schedule(epochs=epochs, common_epoch=common))
+        return train_many(X[:200], Y[:200], [0], settings, X_valid=X[200:], Y_valid=Y_valid)
+
+    chosen = trained(6, True)
+    means = []
+    for epoch in range(1, 7):
+        last = train_many(X[:200], Y[:200], [0], MlpSettings(schedule=Schedule(epochs=epoch))).networks
+        scores = np.stack([of_label[0].forward(X[200:])[:, 0] for of_label in last])
+        means.append(areas_under_curve(scores, Y_valid.T)[:2].mean())
+    assert set(chosen.epochs.ravel()) == {int(np.argmax(means)) + 1}
+    assert len(set(trained(6, False).epochs.ravel())) > 1
 
 
 def test_l1_makes_weights_small(fingerprints):

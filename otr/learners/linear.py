@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Literal
 
 import numpy as np
@@ -33,8 +34,9 @@ class _LinearLearner(TreeLearner):
             trees.append(linear_tree(W, b * y_scale + y_mean - W @ problem.mean, head))
         self.trees_ = list(trees)
 
+    @abstractmethod
     def _fit_linear(self, X: FloatArray, y: FloatArray, loss: str) -> tuple[FloatArray, FloatArray, Head]:
-        raise NotImplementedError
+        """Return coefficients, intercepts and head of one label's linear model."""
 
 
 class LinearTreeClassifier(TreeClassifier, _LinearLearner):

@@ -18,7 +18,12 @@ def stream(seed: int, name: str, *index: int) -> np.random.SeedSequence:
 
 def stream_seed(seed: int, name: str, *index: int) -> int:
     """Return one integer seed of a stream, for libraries that take nothing else."""
-    return int(stream(seed, name, *index).generate_state(1, np.uint32)[0] >> 1)
+    return stream_seeds(1, seed, name, *index)[0]
+
+
+def stream_seeds(n: int, seed: int, name: str, *index: int) -> list[int]:
+    """Return n integer seeds of a stream; the first is `stream_seed`'s."""
+    return [int(word >> 1) for word in stream(seed, name, *index).generate_state(n, np.uint32)]
 
 
 def episode_seeds(seed: int, name: str, n_episodes: int) -> list[int]:

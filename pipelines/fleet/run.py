@@ -1,6 +1,5 @@
 """One run of a fleet: its history, what it has learnt, its replay file, and the checkpoint that holds all of it."""
 
-import numpy as np
 import torch
 from safetensors.torch import load_file
 from safetensors.torch import save as safetensors_bytes
@@ -10,7 +9,7 @@ from pipelines.checkpoint import History, last_segment, read_segment, write_segm
 from pipelines.config import RunConfig, SacConfig
 from pipelines.fleet.replay import RowLayout, open_rows
 from pipelines.fleet.sac import RunSettings
-from pipelines.seeding import stream
+from pipelines.seeding import stream_seed, stream_seeds
 from pipelines.tracking import open_tracker
 from pipelines.training import checkpoint_folder, segment_steps
 
@@ -74,13 +73,11 @@ class FleetRun:
 
     def seeds(self, n: int) -> list[int]:
         """Return n seeds of the stream of the segment to come."""
-        state = stream(self.config.seed, "train", self.history.n_segments).generate_state(n, np.uint32)
-        return [int(word >> 1) for word in state]
+        return stream_seeds(n, self.config.seed, "train", self.history.n_segments)
 
     def initial_generator(self) -> torch.Generator:
         """Return the generator of the networks' first weights."""
-        seed = int(stream(self.config.seed, "train").generate_state(1, np.uint32)[0] >> 1)
-        return torch.Generator().manual_seed(seed)
+        return torch.Generator().manual_seed(stream_seed(self.config.seed, "train"))
 
     def save(self) -> None:
         """Make this state the run's checkpoint; its rows of the replay file must be there."""

@@ -1,6 +1,6 @@
 """Run benchmarks, print how they stand to their targets, and write results/benchmarks/<name>.json.
 
-    python -m benchmarks                      all of them, about 15 minutes
+    python -m benchmarks                      all of them, about half an hour
     python -m benchmarks mapping prediction   the named ones
     python -m benchmarks --quick              smaller ones, about a minute; written to results/benchmarks/quick
 

@@ -83,12 +83,9 @@ def measure(quick: bool) -> list[Entry]:
 
 def run_config(precision: str, seed: int, n_steps: int) -> RunConfig:
     """Return the configuration of `otr-run env=hopper depth=6 trainer=fleet` with these steps a segment."""
-    cli._register_schemas()
     words = ["env=hopper", "depth=6", "trainer=fleet", f"trainer.precision={precision}", f"seed={seed}"]
     words += [f"train.max_learning_starts={N_RANDOM}", f"train.eval_interval_steps={n_steps}"]
-    config = cli._to_object(cli._compose("run", words))
-    assert isinstance(config, RunConfig)
-    return config
+    return cli.run_config(words)
 
 
 def fleet_rate(precision: str, n_steps: int) -> Callable[[], float]:

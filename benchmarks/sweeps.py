@@ -22,8 +22,8 @@ JOBS_ALONE = """
 import sys
 from pipelines import cli
 from pipelines.run import run_job
-cli._register_schemas()
-for job in cli._jobs(cli._expand(sys.argv[1:], multirun=True)):
+cli.register_schemas()
+for job in cli.RUN.jobs(cli.RUN.composer.expand(sys.argv[1:], multirun=True)):
     run_job(job)
 """
 

@@ -51,7 +51,6 @@ def measure(quick: bool) -> list[Entry]:
 
 def run_config(env: str, steps: int, segment_steps: int, n_random: int) -> RunConfig:
     """Return the configuration of `otr-run env=... depth=6` with these steps."""
-    cli._register_schemas()
     overrides = [
         f"env={env}",
         "depth=6",
@@ -59,9 +58,7 @@ def run_config(env: str, steps: int, segment_steps: int, n_random: int) -> RunCo
         f"train.eval_interval_steps={segment_steps}",
         f"train.max_learning_starts={n_random}",
     ]
-    config = cli._to_object(cli._compose("run", overrides))
-    assert isinstance(config, RunConfig)
-    return config
+    return cli.run_config(overrides)
 
 
 def take_turns(config: RunConfig, rounds: int) -> tuple[float, float]:

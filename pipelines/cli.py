@@ -1,8 +1,7 @@
-"""The commands `otr-run`, `otr-plan` and `otr-tabulate`. The only module that knows Hydra and OmegaConf."""
+"""The commands `otr-run`, `otr-plan`, `otr-fit` and `otr-tabulate`, and how Hydra's launchers start their jobs."""
 
 import argparse
 import dataclasses
-import difflib
 import functools
 import io
 import itertools
@@ -12,20 +11,14 @@ import signal
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hydra import compose, initialize_config_dir
 from hydra._internal.callbacks import Callbacks
-from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
-from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
 from hydra.core.plugins import Plugins
 from hydra.errors import HydraException
 from hydra.types import HydraContext, RunMode
@@ -34,33 +27,28 @@ from omegaconf.errors import OmegaConfBaseException
 
 from otr import OtrError
 from pipelines import config as schemas
+from pipelines.compose import Composer, parse, readable, schema_of, to_object
 from pipelines.config import RunConfig, run_folder
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.fleet.groups import fleets
 from pipelines.help import HELP
+from pipelines.job import Job, record_failure
 from pipelines.plan import print_plan
 from pipelines.replay import replay
-from pipelines.run import Job, record_failure, run_job, run_jobs
+from pipelines.run import RunJob, run_job, run_jobs
 from pipelines.store import corrupt
-from pipelines.sweep import (
-    Outcome,
-    check_launcher,
-    how_to_use,
-    is_sweep_word,
-    quoted,
-    run_sweep,
-    side_by_side,
-    write_jobs,
-)
+from pipelines.supervised.config import LEARNERS, FitConfig, fit_folder
+from pipelines.supervised.config import DataConfig as FitDataConfig
+from pipelines.supervised.run import FitJob, fit_groups, fit_job, fit_jobs
+from pipelines.sweep import Outcome, how_to_use, is_sweep_word, quoted, run_sweep, side_by_side, write_jobs
 from pipelines.tabulate import write_table
 from pipelines.tracking import check_tracking
 
-_PACKAGED = Path(__file__).parent / "conf"  # in a wheel; in a checkout conf/ is beside the packages
-CONF_DIR = _PACKAGED if _PACKAGED.is_dir() else Path(__file__).parent.parent / "conf"
-GROUPS = ("env", "algo", "method", "trainer", "budget", "launcher", "experiment")
 # What a job's settings depend on outside of its words; a cluster's processes have not inherited it. No secrets here:
 # launchers write tasks to disk.
-CARRIED_VARIABLES = ("OTR_RESULTS_DIR", "MLFLOW_TRACKING_URI", "MLFLOW_EXPERIMENT_NAME")
+CARRIED_VARIABLES = (
+    "OTR_RESULTS_DIR", "OTR_DATA_DIR", "XDG_DATA_HOME", "MLFLOW_TRACKING_URI", "MLFLOW_EXPERIMENT_NAME",
+)  # fmt: skip
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE, EXIT_TERMINATED = 1, 2, 130, 141, 143
 
 
@@ -75,14 +63,56 @@ class TabulateConfig:
     debug: bool
 
 
+@dataclass(frozen=True)
+class Workflow:
+    """What a command does with its words: how they are composed, and how the jobs that come out are done.
+
+    Attributes:
+        program: the command.
+        composer: composes the words.
+        job: from a composed configuration and its words to the job.
+        groups: positions of the jobs that are done in one process, group by group.
+        do: does one job.
+        do_group: does the jobs of a group and returns what each failed with.
+        check: raises where something that the jobs need is not installed.
+    """
+
+    program: str
+    composer: Composer
+    job: Callable[[DictConfig, Sequence[str]], Job]
+    groups: Callable[[Sequence[Any]], list[list[int]]]
+    do: Callable[[Any], Any]
+    do_group: Callable[[Sequence[Any]], list[Exception | None]]
+    check: Callable[[Any], None]
+
+    def jobs(self, words: Sequence[list[str]]) -> list[Job]:
+        """Return the jobs with these overrides; those that differ in their seed alone are composed once."""
+        composed: dict[tuple[str, ...], DictConfig] = {}
+        jobs = []
+        for job in words:
+            seeds = [word for word in job if word.startswith("seed=")]
+            rest = tuple(word for word in job if word not in seeds)
+            if len(seeds) == 1 and rest in composed:
+                composed[rest].seed = parse(seeds[0]).value()
+            else:
+                composed[rest] = self.composer.compose(job)
+            jobs.append(self.job(composed[rest], job))
+        return jobs
+
+
 def run() -> None:
     """Entry point of `otr-run`."""
-    _main("otr-run", _run)
+    _main("otr-run", lambda arguments: _do(RUN, arguments))
 
 
 def plan() -> None:
     """Entry point of `otr-plan`."""
     _main("otr-plan", _plan)
+
+
+def fit() -> None:
+    """Entry point of `otr-fit`."""
+    _main("otr-fit", lambda arguments: _do(FIT, arguments))
 
 
 def tabulate() -> None:
@@ -112,7 +142,7 @@ def _main(program: str, command: Callable[[argparse.Namespace], int]) -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
-        _register_schemas()
+        register_schemas()
         code = command(arguments)
     except KeyboardInterrupt:
         print(f"\nstopped; what was finished is kept, and the same command goes on from it: {_command_line(program)}")
@@ -127,18 +157,19 @@ def _main(program: str, command: Callable[[argparse.Namespace], int]) -> None:
     sys.exit(code)
 
 
-def _run(arguments: argparse.Namespace) -> int:
-    overrides = list(arguments.overrides)
-    is_sweep, _ = _sweep_parameters(overrides, arguments.multirun)
+def _do(workflow: Workflow, arguments: argparse.Namespace) -> int:
+    composer, overrides = workflow.composer, list(arguments.overrides)
+    is_sweep, _ = composer.sweep_parameters(overrides, arguments.multirun)
     if arguments.cfg:
-        print(OmegaConf.to_yaml(_compose("run", _expand(overrides, arguments.multirun)[0]), resolve=True))
+        first = composer.expand(overrides, arguments.multirun)[0]
+        print(OmegaConf.to_yaml(composer.compose(first), resolve=True))
         return 0
     if is_sweep:
-        return _sweep(overrides)
-    job = _job(_compose("run", overrides), overrides)
-    check_tracking(job.config)
+        return _sweep(workflow, overrides)
+    (job,) = workflow.jobs([overrides])
+    workflow.check(job.config)
     try:
-        run_job(job)
+        workflow.do(job)
     except (PipelineError, BrokenPipeError):
         raise
     except Exception as error:
@@ -147,16 +178,20 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _sweep(overrides: list[str]) -> int:
+def _sweep(workflow: Workflow, overrides: list[str]) -> int:
     """Do every job of a sweep; failing ones do not stop the others and are named at the end."""
-    words = _expand(overrides, multirun=True)
+    words = workflow.composer.expand(overrides, multirun=True)
     if not words:
         raise ConfigError("these words make no job; look for an empty range()")
-    jobs = _jobs(words)
-    check_tracking(jobs[0].config)
+    jobs = workflow.jobs(words)
+    workflow.check(jobs[0].config)
     name = _sweep_name()
     own = [[word for word in job if not is_sweep_word(word) or word.startswith("launcher=")] for job in words]
-    outcomes = run_sweep(jobs, lambda left: _launch(name, overrides, [jobs[i] for i in left], [own[i] for i in left]))
+
+    def launch(left: Sequence[int]) -> list[Outcome]:
+        return _launch(workflow, name, overrides, [jobs[i] for i in left], [own[i] for i in left])
+
+    outcomes = run_sweep(jobs, launch)
     failed = [outcome for outcome in outcomes if outcome.error]
     print(f"\n{len(outcomes)} jobs: {len(outcomes) - len(failed)} done, {len(failed)} failed")
     for outcome in failed:
@@ -166,18 +201,21 @@ def _sweep(overrides: list[str]) -> int:
     return EXIT_FAILED if failed else 0
 
 
-def _launch(name: str, overrides: list[str], jobs: Sequence[Job], words: Sequence[list[str]]) -> list[Outcome]:
-    """Do jobs, each with its own words, under the launcher that the overrides ask for; those of a fleet go together."""
-    groups = fleets([job.config for job in jobs])
+def _launch(
+    workflow: Workflow, name: str, overrides: list[str], jobs: Sequence[Job], words: Sequence[list[str]]
+) -> list[Outcome]:
+    """Do jobs, each with its own words, under the launcher that the overrides ask for, group by group."""
+    groups = workflow.groups([job.config for job in jobs])
     carried = {variable: os.environ.get(variable) for variable in CARRIED_VARIABLES}
-    task = _SweepTask(name, str(Path.cwd()), carried, [[words[i] for i in group] for group in groups])
+    grouped = [[words[i] for i in group] for group in groups]
+    task = _SweepTask(workflow.program, name, str(Path.cwd()), carried, grouped)
     # Absolute, because Hydra makes this folder in whatever folder a launcher starts the job.
     sweep_dir = quoted(str(Path(jobs[0].config.results_dir).absolute() / "sweeps"))
-    asked = [*overrides, "hydra.mode=MULTIRUN", f"hydra.sweep.dir={sweep_dir}"]
-    with _hydra():
+    asked = workflow.composer.sweep_words([*overrides, "hydra.mode=MULTIRUN", f"hydra.sweep.dir={sweep_dir}"])
+    with workflow.composer.hydra():
         hydra = GlobalHydra.instance().hydra
         assert hydra is not None
-        cfg = hydra.compose_config("run", asked, run_mode=RunMode.MULTIRUN)
+        cfg = hydra.compose_config(workflow.composer.name, asked, run_mode=RunMode.MULTIRUN)
         context = HydraContext(config_loader=hydra.config_loader, callbacks=Callbacks(cfg))
         if "submitit_folder" in cfg.hydra.launcher:
             print(
@@ -196,12 +234,14 @@ class _SweepTask:
     """Does one group of a sweep's jobs in whatever process a launcher starts; reports failures instead of raising them.
 
     Attributes:
+        program: names the workflow.
         sweep: names the folder of the sweep's failures.
         cwd: where the command was given, which relative paths start from.
         environment: the variables there that settings depend on; None where one is not set.
         groups: the words of every job, group by group; a launcher is given the first of each.
     """
 
+    program: str
     sweep: str
     cwd: str
     environment: dict[str, str | None]
@@ -214,10 +254,11 @@ class _SweepTask:
             if value is not None:
                 os.environ[name] = value
         first = list(HydraConfig.get().overrides.task)
-        jobs = _jobs(next(group for group in self.groups if group[0] == first))
+        workflow = {"otr-run": RUN, "otr-fit": FIT}[self.program]
+        jobs = workflow.jobs(next(group for group in self.groups if group[0] == first))
         if HydraConfig.get().runtime.choices["hydra/launcher"] != "basic":
             jobs = [side_by_side(job) for job in jobs]
-        return [self._outcome(job, error) for job, error in zip(jobs, run_jobs(jobs), strict=True)]
+        return [self._outcome(job, error) for job, error in zip(jobs, workflow.do_group(jobs), strict=True)]
 
     def _outcome(self, job: Job, error: Exception | None) -> Outcome:
         if error is None:
@@ -231,8 +272,8 @@ class _SweepTask:
 
 
 def _plan(arguments: argparse.Namespace) -> int:
-    words = _expand(list(arguments.overrides), arguments.multirun)
-    jobs = _jobs(words)
+    words = RUN.composer.expand(list(arguments.overrides), arguments.multirun)
+    jobs = [job for job in RUN.jobs(words) if isinstance(job, RunJob)]
     print_plan(jobs)
     if arguments.jobs:
         n_jobs = write_jobs(arguments.jobs, jobs, words)
@@ -241,14 +282,14 @@ def _plan(arguments: argparse.Namespace) -> int:
 
 
 def _tabulate(arguments: argparse.Namespace) -> int:
-    cfg = _to_object(_compose("tabulate", list(arguments.overrides)))
+    cfg = to_object(TABULATE.compose(list(arguments.overrides)))
     assert isinstance(cfg, TabulateConfig)
     results_dir = Path(cfg.results_dir)
     if not (results_dir / "runs").is_dir():
         raise ConfigError(f"results_dir={cfg.results_dir}: there is no folder {results_dir / 'runs'} with runs")
     different = 0
     if cfg.evaluate:
-        for run_dir in sorted(path.parent for path in results_dir.glob("runs/**/summary.json")):
+        for run_dir in sorted(path.parent for path in results_dir.glob("runs/*/*/depth-*/**/summary.json")):
             different += replay(_load_config(run_dir, cfg.n_workers), run_dir)
     for path in write_table(cfg.table, results_dir):
         print(path)
@@ -257,23 +298,13 @@ def _tabulate(arguments: argparse.Namespace) -> int:
     return EXIT_FAILED if different else 0
 
 
-def _jobs(words: Sequence[list[str]]) -> list[Job]:
-    """Return the jobs with these overrides; those that differ in their seed alone are composed once."""
-    composed: dict[tuple[str, ...], DictConfig] = {}
-    jobs = []
-    for job in words:
-        seeds = [word for word in job if word.startswith("seed=")]
-        rest = tuple(word for word in job if word not in seeds)
-        if len(seeds) == 1 and rest in composed:
-            composed[rest].seed = _parse(seeds[0]).value()
-        else:
-            composed[rest] = _compose("run", job)
-        jobs.append(_job(composed[rest], job))
-    return jobs
+def run_config(words: Sequence[str]) -> RunConfig:
+    """Return the configuration of `otr-run` with these words."""
+    return _run_config(tuple(words))
 
 
-def _job(cfg: DictConfig, overrides: Sequence[str]) -> Job:
-    config = _to_object(cfg)
+def _run_job(cfg: DictConfig, overrides: Sequence[str]) -> Job:
+    config = to_object(cfg)
     assert isinstance(config, RunConfig)
     named = [
         f"env={config.env.name}",
@@ -281,179 +312,112 @@ def _job(cfg: DictConfig, overrides: Sequence[str]) -> Job:
         f"budget={config.budget.name}",
         f"trainer={config.trainer.name}",
     ]
-    folder = run_folder(config, dataclasses.replace(_baseline(*named, f"depth={config.depth}"), seed=config.seed))
-    words = [word for word in overrides if word.split("=")[0] not in ("stages", "hydra.mode")]
-    return Job(
+    baseline = _run_config((*named, f"depth={config.depth}"))
+    folder = run_folder(config, dataclasses.replace(baseline, seed=config.seed))
+    return RunJob(
         config=dataclasses.replace(config, folder=folder),
         folder=folder,
         config_yaml=OmegaConf.to_yaml(cfg, resolve=True),
-        command=shlex.join(["otr-run", *words]),
+        command=_command_of("otr-run", overrides),
     )
 
 
 @functools.cache
-def _baseline(*words: str) -> RunConfig:
-    """Return what these words give without any other override."""
-    config = _to_object(_compose("run", words))
+def _run_config(words: tuple[str, ...]) -> RunConfig:
+    register_schemas()
+    config = to_object(RUN.composer.compose(words))
     assert isinstance(config, RunConfig)
     return config
+
+
+def _fit_job(cfg: DictConfig, overrides: Sequence[str]) -> Job:
+    config = to_object(cfg)
+    assert isinstance(config, FitConfig)
+    baseline = _fit_config((f"data={config.data.name}", f"method={config.method.name}"))
+    folder = fit_folder(config, dataclasses.replace(baseline, seed=config.seed))
+    return FitJob(
+        config=dataclasses.replace(config, folder=folder),
+        folder=folder,
+        config_yaml=OmegaConf.to_yaml(cfg, resolve=True),
+        command=_command_of("otr-fit", overrides),
+    )
+
+
+@functools.cache
+def _fit_config(words: tuple[str, ...]) -> FitConfig:
+    config = to_object(FIT.composer.compose(words))
+    assert isinstance(config, FitConfig)
+    return config
+
+
+def _command_of(program: str, overrides: Sequence[str]) -> str:
+    return shlex.join([program, *(word for word in overrides if word.split("=")[0] not in ("stages", "hydra.mode"))])
 
 
 def _load_config(run_dir: Path, n_workers: int | None) -> RunConfig:
     """Return the configuration that a finished run was made with."""
     try:
         cfg = OmegaConf.load(run_dir / "config.yaml")
-        schema = _schema(RunConfig)
-        schema.algo = _schema(schemas.ALGORITHMS[cfg.algo.name])
+        schema = schema_of(RunConfig)
+        schema.algo = schema_of(schemas.ALGORITHMS[cfg.algo.name])
         if "trainer" in cfg:  # there was one trainer only before
-            schema.trainer = _schema(schemas.FleetConfig if "n_envs" in cfg.trainer else schemas.TrainerConfig)
-        loaded = _to_object(OmegaConf.merge(schema, cfg, {"n_workers": n_workers}))
+            schema.trainer = schema_of(schemas.FleetConfig if "n_envs" in cfg.trainer else schemas.TrainerConfig)
+        loaded = to_object(OmegaConf.merge(schema, cfg, {"n_workers": n_workers}))
     except (OSError, KeyError, OmegaConfBaseException, ConfigError) as error:
         raise corrupt(run_dir / "config.yaml", error) from error
     assert isinstance(loaded, RunConfig)
     return loaded
 
 
-def _to_object(cfg: Any) -> Any:
-    missing = OmegaConf.missing_keys(cfg)
-    if missing:
-        raise ConfigError(f"no value for {', '.join(sorted(missing))}")
-    return OmegaConf.to_object(cfg)
+RUN = Workflow(
+    "otr-run",
+    Composer(
+        "run",
+        groups=("env", "algo", "method", "trainer", "budget", "launcher", "experiment"),
+        needs="env",
+        anything="pendulum",
+        schemas={
+            (None, "run_schema"): RunConfig,
+            (None, "env_schema"): schemas.EnvConfig,
+            (None, "method_schema"): schemas.MethodConfig,
+            (None, "budget_schema"): schemas.BudgetConfig,
+            **{("algo", f"{name}_schema"): algorithm for name, algorithm in schemas.ALGORITHMS.items()},
+            **{("trainer", f"{name}_schema"): trainer for name, trainer in schemas.TRAINERS.items()},
+        },
+    ),
+    job=_run_job,
+    groups=fleets,
+    do=run_job,
+    do_group=run_jobs,
+    check=check_tracking,
+)
+FIT = Workflow(
+    "otr-fit",
+    Composer(
+        "fit",
+        folder="fit",
+        groups=("data", "method", "launcher", "experiment"),
+        needs="data",
+        anything="bace",
+        schemas={
+            (None, "fit_schema"): FitConfig,
+            (None, "data_schema"): FitDataConfig,
+            **{("method", f"{name}_schema"): learner for name, learner in LEARNERS.items()},
+        },
+    ),
+    job=_fit_job,
+    groups=fit_groups,
+    do=fit_job,
+    do_group=fit_jobs,
+    check=lambda config: None,
+)
+TABULATE = Composer("tabulate", schemas={(None, "tabulate_schema"): TabulateConfig})
 
 
-def _expand(overrides: list[str], multirun: bool) -> list[list[str]]:
-    """Return the overrides of every job that the words ask for, as Hydra's sweeper would make them."""
-    is_sweep, parameters = _sweep_parameters(overrides, multirun)
-    if not is_sweep:
-        return [overrides]
-    parsed = [_parse(word) for word in (*parameters, *overrides)]
-    return [list(job) for job in BasicSweeper.split_arguments(parsed, None)[0]]
-
-
-def _sweep_parameters(overrides: list[str], multirun: bool) -> tuple[bool, list[str]]:
-    """Return whether the words ask for a sweep, and the sweep parameters that an experiment brings."""
-    parsed = [_parse(word) for word in overrides]
-    single = [word for word, override in zip(overrides, parsed, strict=True) if not override.is_sweep_override()]
-    swept = [override.get_key_element() for override in parsed if override.is_sweep_override()]
-    if swept and not multirun and not any(word.startswith("+experiment=") for word in overrides):
-        raise ConfigError(f"{', '.join(swept)}: several values make a sweep; add -m")
-    if any(key.lstrip("+") == "experiment" for key in swept):
-        raise ConfigError("experiment: one at a time; start a command for each")
-    experiments = [word for word in single if word.lstrip("+").startswith("experiment=")]
-    if not experiments:
-        return multirun, []
-    for word in experiments:
-        _check_option("experiment", word.split("=", 1)[1])
-    with _hydra():
-        # An environment is needed to compose at all; which one does not matter to hydra.sweeper.
-        settings = compose("run", ["env=pendulum", *experiments], return_hydra_config=True).hydra
-    parameters = [f"{key}={value}" for key, value in (settings.sweeper.params or {}).items()]
-    return multirun or str(settings.mode).endswith("MULTIRUN"), parameters
-
-
-def _parse(word: str) -> Override:
-    try:
-        return OverridesParser.create().parse_override(word)
-    except HydraException as error:
-        raise ConfigError(f"{word} is no key=value: {str(error).splitlines()[0]}") from error
-
-
-def _compose(name: str, overrides: Sequence[str]) -> DictConfig:
-    """Return the composed configuration; unknown names come back with the nearest known ones."""
-    for word in overrides:
-        _parse(word)
-        key, _, value = word.lstrip("+").partition("=")
-        if word.startswith("+") and not key.startswith(("experiment", "env.kwargs.", "hydra.")):
-            raise ConfigError(f"{word}: new keys cannot be added; leave out the +")
-        if key in GROUPS and name == "run":
-            _check_option(key, value)
-        if key == "launcher":
-            check_launcher(value)
-    if name == "run" and not any(word.lstrip("+").startswith("env=") for word in overrides):
-        raise ConfigError(f"which environment? Add env=NAME with one of: {', '.join(_options('env'))}")
-    with _hydra():
-        try:
-            return compose(name, list(overrides))
-        except HydraException as error:
-            raise ConfigError(_explain(name, error, overrides)) from error
-
-
-def _check_option(group: str, value: str) -> None:
-    options = _options(group)
-    if value not in (*options, "null"):
-        raise ConfigError(f"{group}={value}: there is no such {group}.{_did_you_mean(value, options)}")
-
-
-def _options(group: str) -> list[str]:
-    return sorted(path.stem for path in (CONF_DIR / group).glob("*.yaml"))
-
-
-def _explain(name: str, error: HydraException, overrides: Sequence[str]) -> str:
-    """Return Hydra's message without its advice on `+`, with the nearest known key."""
-    cause = error.__cause__
-    lines = str(cause or error).splitlines()
-    if "Could not override" in str(error):
-        key = str(error).split("'")[1]
-        base = [word for word in overrides if word.split("=")[0] in ("env", "algo", "trainer")]
-        known = _leaves(OmegaConf.to_container(compose(name, base)))
-        lines = [f"there is no key {key!r}.{_did_you_mean(key, known)}"]
-    return _readable("\n".join(lines))
-
-
-def _readable(message: str) -> str:
-    """Return OmegaConf's message in one line that begins with the key."""
-    lines = [line.strip() for line in message.splitlines() if line.strip() and "_type=" not in line]
-    keys = [line.removeprefix("full_key: ") for line in lines if line.startswith("full_key: ")]
-    rest = "\n".join(line for line in lines if not line.startswith("full_key: "))
-    return f"{keys[0]}: {rest}" if keys else rest
-
-
-def _leaves(value: Any, prefix: str = "") -> list[str]:
-    if not isinstance(value, dict):
-        return [prefix.rstrip(".")]
-    return [prefix.rstrip(".")] * bool(prefix) + [
-        leaf for key in value for leaf in _leaves(value[key], f"{prefix}{key}.")
-    ]
-
-
-def _did_you_mean(name: str, known: Sequence[str]) -> str:
-    near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
-    near += [key for key in known if key.split(".")[-1] == name and key not in near]
-    return f" Did you mean {' or '.join(near)}?" if near else f" There are: {', '.join(known)}"
-
-
-@contextmanager
-def _hydra() -> Iterator[None]:
-    """Make Hydra ready to compose from conf/, also inside a job that Hydra itself has started."""
-    instance = GlobalHydra.instance()
-    outer, instance.hydra = instance.hydra, None
-    try:
-        with initialize_config_dir(str(CONF_DIR.resolve()), job_name="otr", version_base="1.3"):
-            yield
-    finally:
-        GlobalHydra.instance().hydra = outer
-
-
-def _register_schemas() -> None:
-    store = ConfigStore.instance()
-    store.store("run_schema", _schema(RunConfig))
-    store.store("tabulate_schema", _schema(TabulateConfig))
-    store.store("env_schema", _schema(schemas.EnvConfig))
-    store.store("method_schema", _schema(schemas.MethodConfig))
-    store.store("budget_schema", _schema(schemas.BudgetConfig))
-    for name, algorithm in schemas.ALGORITHMS.items():
-        store.store(f"{name}_schema", _schema(algorithm), group="algo")
-    for name, trainer in schemas.TRAINERS.items():
-        store.store(f"{name}_schema", _schema(trainer), group="trainer")
-
-
-def _schema(kind: type) -> DictConfig:
-    """Return a dataclass as a schema to merge into: OmegaConf makes frozen ones read-only, which is undone here."""
-    schema: DictConfig = OmegaConf.structured(kind)
-    for node in (schema, *(schema._get_node(key) for key in schema)):
-        if isinstance(node, DictConfig):
-            OmegaConf.set_readonly(node, None)
-    return schema
+def register_schemas() -> None:
+    """Tell Hydra the dataclasses that the files in conf/ build on."""
+    for composer in (RUN.composer, FIT.composer, TABULATE):
+        composer.register()
 
 
 def _sweep_name() -> str:
@@ -475,5 +439,5 @@ def _message(error: Exception) -> str:
     """Return the message alone where it was written for people, with the error's kind where it was not."""
     foreseen = isinstance(error, PipelineError | HydraException | OtrError)
     if isinstance(error, OmegaConfBaseException):
-        return _readable(str(error))
+        return readable(str(error))
     return str(error) if foreseen else f"{type(error).__name__}: {error}"

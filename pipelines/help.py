@@ -38,11 +38,30 @@ examples:
   otr-plan +experiment=table_4_1
   otr-plan -m env=pendulum depth=6,32 "seed=range(0,3)" budget=quick
   otr-plan +experiment=table_4_1 --jobs jobs.txt""",
+    "otr-fit": """\
+Learn an oblique tree for every label of a data set, score it on the training, validation and test part, and count the
+leaves that the training rows reach. What a method tunes is tuned on the validation part. What is done is skipped.
+
+words:
+  data=bace             bace hiv sider tox21 pdbbind; breast_cancer digits diabetes need no files (see otr-data --help)
+  method=otr            otr, otr_tuned, lcn, hhcart, tao, tao_l1, cart, augtree, model_tree (regression), linear
+  seed=0                a sweep's seeds of one network are trained as one
+  method.hidden=[4]     any key that --cfg shows; such a fit gets a folder of its own
+  keep_trees=false      delete the trees once they are scored
+  stages=[tune,fit]     only these stages
+  results_dir=PATH      where artefacts go (default: results, or OTR_RESULTS_DIR)
+  launcher=joblib       how a sweep's jobs run: basic (one by one), joblib, slurm, submitit_local, ray
+  debug=true            show tracebacks
+
+examples:
+  otr-fit data=breast_cancer method=otr "method.hidden=[3]"
+  otr-fit -m data=bace,hiv method=otr "seed=range(0,10)"
+  otr-fit +experiment=table_4_2 launcher=joblib""",
     "otr-tabulate": """\
 Write a table of the thesis, ours beside the published numbers, as Markdown, CSV and LaTeX under results/tables.
 
 words:
-  table=4.1             which table
+  table=4.1             which table: 4.1 (control) or 4.2 (data)
   evaluate=true         play the evaluation episodes of every run again first, and compare
   results_dir=PATH      where the runs lie (default: results, or OTR_RESULTS_DIR)""",
 }

@@ -6,13 +6,13 @@ from rich.console import Console
 from rich.table import Table
 
 from pipelines.console import duration
-from pipelines.run import Job
+from pipelines.run import RunJob
 from pipelines.stage import stage_status
 from pipelines.stages import STAGES
 from pipelines.training import estimated_seconds, trained_steps
 
 
-def job_plan(job: Job) -> tuple[str, float]:
+def job_plan(job: RunJob) -> tuple[str, float]:
     """Return what is to be done for a job, in words, and the seconds of training it leaves."""
     config = job.config
     statuses = {name: stage_status(STAGES[name], job.run_dir / name, config) for name in config.selected_stages}
@@ -29,7 +29,7 @@ def job_plan(job: Job) -> tuple[str, float]:
     return (f"resume at step {done:,}" if done else "run"), seconds
 
 
-def print_plan(jobs: Sequence[Job]) -> None:
+def print_plan(jobs: Sequence[RunJob]) -> None:
     """Print one line a job and the sum."""
     table = Table("job", "plan", "time", box=None)
     total, n_skipped = 0.0, 0

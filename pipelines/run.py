@@ -1,17 +1,15 @@
-"""One run: its stages in order, its summary, and what is kept of a failure."""
+"""One run: its stages in order and its summary."""
 
-import errno
 import shutil
-import traceback
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from pipelines.config import RunConfig
 from pipelines.console import duration, show_result
 from pipelines.errors import PipelineError
-from pipelines.stage import StageResult, run_stage, run_stage_together, stage_status
+from pipelines.job import Job, disk_errors_explained
+from pipelines.stage import Stage, StageResult, run_stage, run_stage_together, stage_status
 from pipelines.stages import STAGES
 from pipelines.store import read_csv, read_json, write_json, write_text
 from pipelines.tracking import open_tracker
@@ -21,45 +19,32 @@ LONG_RUN_S = 60.0
 SUMMARY_SCHEMA = "otr/summary/1"
 
 
-@dataclass(frozen=True)
-class Job:
-    """A run and where it lies.
-
-    Attributes:
-        config: what is asked.
-        folder: the run's folder, relative to `config.results_dir`.
-        config_yaml: the resolved configuration as text.
-        command: the command that does this run and all its stages.
-    """
-
-    config: RunConfig
-    folder: str
-    config_yaml: str
-    command: str
+class RunJob(Job):
+    """A run: its configuration is a `RunConfig`."""
 
     @property
-    def run_dir(self) -> Path:
-        """The run's folder."""
-        return Path(self.config.results_dir) / self.folder
+    def stages(self) -> tuple[Stage, ...]:
+        """The stages that are asked for, in order."""
+        return tuple(STAGES[name] for name in self.config.selected_stages)
+
+    @property
+    def ends_with(self) -> str:
+        """The stage after which the run's summary is written."""
+        return "evaluate"
+
+    def found_done(self) -> None:
+        """Show the run to the tracker, which may be younger than the run."""
+        if self.ends_with in self.config.selected_stages:
+            open_tracker(self.config).finish(read_json(self.run_dir / "summary.json"), self.run_dir)
 
 
-def run_job(job: Job) -> dict[str, Any] | None:
+def run_job(job: RunJob) -> dict[str, Any] | None:
     """Do what is not done of a run, print what came out, and return its summary; None where it stops before the end."""
-    try:
+    with disk_errors_explained(job):
         return _run_stages(job)
-    except BrokenPipeError:
-        raise
-    except OSError as error:
-        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-        remedy = "Make room there or choose" if full else "Choose"
-        raise PipelineError(
-            f"{job.run_dir}: {error.strerror or error}{f' ({error.filename})' if error.filename else ''}\n"
-            f"{remedy} another place with results_dir=PATH; finished stages and checkpoints are kept, and the same "
-            "command goes on from them."
-        ) from error
 
 
-def run_jobs(jobs: Sequence[Job]) -> list[Exception | None]:
+def run_jobs(jobs: Sequence[RunJob]) -> list[Exception | None]:
     """Do jobs one after the other, those of one fleet after training them as one; return what each failed with."""
     together = len(jobs) > 1 and all("train" in job.config.selected_stages for job in jobs)
     try:
@@ -69,7 +54,7 @@ def run_jobs(jobs: Sequence[Job]) -> list[Exception | None]:
     return [error or _failure(job) for job, error in zip(jobs, errors, strict=True)]
 
 
-def _failure(job: Job) -> Exception | None:
+def _failure(job: RunJob) -> Exception | None:
     try:
         run_job(job)
     except Exception as error:
@@ -77,7 +62,7 @@ def _failure(job: Job) -> Exception | None:
     return None
 
 
-def _train_together(jobs: Sequence[Job]) -> list[Exception | None]:
+def _train_together(jobs: Sequence[RunJob]) -> list[Exception | None]:
     """Train the runs of a fleet as one, as far as they need it; `run_job` then finds each one's training done."""
     from pipelines.fleet.train import train_fleet  # imports torch
 
@@ -87,10 +72,16 @@ def _train_together(jobs: Sequence[Job]) -> list[Exception | None]:
         job.run_dir.mkdir(parents=True, exist_ok=True)
     if missing:
         _announce_training([job.config for job in missing])
-    return run_stage_together(STAGES["train"], [(job.run_dir, job.config) for job in jobs], train_fleet)
+
+    def train(
+        inputs: Sequence[Mapping[str, Path]], configs: Sequence[RunConfig], outs: Sequence[Path]
+    ) -> Sequence[Exception | None]:
+        return train_fleet(configs, outs)
+
+    return run_stage_together(STAGES["train"], [(job.run_dir, job.config) for job in jobs], train)
 
 
-def _run_stages(job: Job) -> dict[str, Any] | None:
+def _run_stages(job: RunJob) -> dict[str, Any] | None:
     config, run_dir = job.config, job.run_dir
     print(f"{run_dir}", flush=True)
     run_dir.mkdir(parents=True, exist_ok=True)
@@ -115,7 +106,7 @@ def _run_stages(job: Job) -> dict[str, Any] | None:
     return summary
 
 
-def summarise(job: Job) -> dict[str, Any]:
+def summarise(job: RunJob) -> dict[str, Any]:
     """Return a finished run's summary from its stages' reports."""
     config, run_dir = job.config, job.run_dir
     mapped, pruned, evaluated = (read_json(run_dir / name / "report.json") for name in ("map", "prune", "evaluate"))
@@ -145,24 +136,6 @@ def summarise(job: Job) -> dict[str, Any]:
         "seconds": {name: manifest["seconds"] for name, manifest in manifests.items()} | {"train": trained_s},
         "versions": manifests["evaluate"]["versions"],
     }
-
-
-def record_failure(job: Job, error: BaseException, sweep: str) -> str:
-    """Write a failed job's traceback to `results/failures/<sweep>/` and to the run's `error.log`.
-
-    Returns:
-        The former's path, or why it could not be written.
-    """
-    text = f"{job.command}\n\n{''.join(traceback.format_exception(error))}"
-    path = Path(job.config.results_dir) / "failures" / sweep / f"{job.folder.replace('/', '_')}.txt"
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_text(path, text)
-        if job.run_dir.is_dir():
-            write_text(job.run_dir / "error.log", text)
-    except OSError as reason:
-        return f"not written ({reason.strerror}); debug=true shows it"
-    return str(path)
 
 
 def _announce_training(configs: Sequence[RunConfig]) -> None:

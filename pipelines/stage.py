@@ -11,17 +11,28 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 from filelock import FileLock, Timeout
 
 from pipelines import provenance
-from pipelines.config import RunConfig, digest, setting_differences
+from pipelines.config import digest, setting_differences
 from pipelines.errors import MissingInputError, OtherSettingsError, PipelineError
 from pipelines.store import corrupt, read_json, write_json
 
 MANIFEST = "manifest.json"
 MANIFEST_FIELDS = {"stage", "version", "key", "settings", "outputs", "output_digest", "seconds"}
+
+
+class StageConfig(Protocol):
+    """What a stage's machinery reads of a configuration."""
+
+    @property
+    def results_dir(self) -> str:
+        """The folder below which all results lie."""
+
+
+C = TypeVar("C", bound=StageConfig)
 
 
 @dataclass(frozen=True)
@@ -34,13 +45,15 @@ class Stage:
         inputs: the stages whose folders it reads.
         settings: picks, from the run's configuration, what decides the result; JSON-able.
         run: `(inputs, config, out)` writes the result's files into the empty folder `out`.
+        is_transient: its result is large and serves the stages after it; it may be gone once these are done.
     """
 
     name: str
     version: int
     inputs: tuple[str, ...]
-    settings: Callable[[RunConfig], dict[str, Any]]
-    run: Callable[[Mapping[str, Path], RunConfig, Path], None]
+    settings: Callable[[Any], dict[str, Any]]
+    run: Callable[[Mapping[str, Path], Any, Path], None]
+    is_transient: bool = False
 
 
 @dataclass(frozen=True)
@@ -52,7 +65,7 @@ class StageResult:
     seconds: float
 
 
-def run_stage(stage: Stage, run_dir: Path, config: RunConfig, rerun_command: str) -> StageResult:
+def run_stage(stage: Stage, run_dir: Path, config: StageConfig, rerun_command: str) -> StageResult:
     """Bring a stage's folder up to date and return it.
 
     Raises:
@@ -81,18 +94,19 @@ def run_stage(stage: Stage, run_dir: Path, config: RunConfig, rerun_command: str
 
 def run_stage_together(
     stage: Stage,
-    requests: Sequence[tuple[Path, RunConfig]],
-    run: Callable[[Sequence[RunConfig], Sequence[Path]], Sequence[Exception | None]],
+    requests: Sequence[tuple[Path, C]],
+    run: Callable[[Sequence[Mapping[str, Path]], Sequence[C], Sequence[Path]], Sequence[Exception | None]],
 ) -> list[Exception | None]:
-    """Make the results of a stage without inputs for several runs in one go, where nothing is in the way.
+    """Make the results of a stage for several runs in one go, where nothing is in the way.
 
     Runs that have theirs, that another process is at, or whose result another run holds are left for `run_stage`, which
     knows what to do. What one run fails at does not touch the others.
 
     Args:
-        stage: the stage.
+        stage: the stage; what it reads is done in every run folder.
         requests: run folder and configuration of each run.
-        run: `(configs, outs)` writes each run's files into its folder and returns what it failed with, if it did.
+        run: `(inputs, configs, outs)` writes each run's files into its folder and returns what it failed with, if it
+            did.
 
     Returns:
         For each request what it failed with, or None.
@@ -100,8 +114,9 @@ def run_stage_together(
     errors: list[Exception | None] = [None] * len(requests)
     with ExitStack() as stack:
         chosen: list[tuple[int, Path, str]] = []
+        inputs = [{name: run_dir / name for name in stage.inputs} for run_dir, _ in requests]
         for i, (run_dir, config) in enumerate(requests):
-            folder, wanted = run_dir / stage.name, stage_key(stage, config, {})
+            folder, wanted = run_dir / stage.name, stage_key(stage, config, inputs[i])
             lock = stack.enter_context(_try_lock(run_dir / f".{stage.name}.lock"))
             if not lock or stage_status(stage, folder, config, wanted) in ("done", "other settings"):
                 continue
@@ -112,7 +127,7 @@ def run_stage_together(
             return errors
         origin, start = _origin(), time.monotonic()
         folders = [stack.enter_context(_unfinished(folder)) for _, folder, _ in chosen]
-        failures = run([requests[i][1] for i, _, _ in chosen], folders)
+        failures = run([inputs[i] for i, _, _ in chosen], [requests[i][1] for i, _, _ in chosen], folders)
         share = round((time.monotonic() - start) / len(chosen), 3)
         for (i, folder, wanted), temporary, failure in zip(chosen, folders, failures, strict=True):
             errors[i] = failure
@@ -121,13 +136,13 @@ def run_stage_together(
     return errors
 
 
-def stage_key(stage: Stage, config: RunConfig, inputs: Mapping[str, Path]) -> str:
+def stage_key(stage: Stage, config: StageConfig, inputs: Mapping[str, Path]) -> str:
     """Return the key of a stage's result: what it is made by, with and from."""
     digests = {name: verified_manifest(folder)["output_digest"] for name, folder in inputs.items()}
     return digest({"stage": stage.name, "version": stage.version, "settings": stage.settings(config), "in": digests})
 
 
-def stage_status(stage: Stage, folder: Path, config: RunConfig, wanted: str | None = None) -> str:
+def stage_status(stage: Stage, folder: Path, config: StageConfig, wanted: str | None = None) -> str:
     """Return `missing`, `done`, `stale` (inputs or code changed since) or `other settings`.
 
     Without the `wanted` key only the settings are compared.
@@ -170,7 +185,7 @@ def file_digest(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _make(stage: Stage, folder: Path, config: RunConfig, inputs: Mapping[str, Path], wanted: str) -> StageResult:
+def _make(stage: Stage, folder: Path, config: StageConfig, inputs: Mapping[str, Path], wanted: str) -> StageResult:
     with _unfinished(folder) as temporary:
         start = time.monotonic()
         origin = _origin()
@@ -202,7 +217,13 @@ def _origin() -> dict[str, Any]:
 
 
 def _finish(
-    stage: Stage, folder: Path, temporary: Path, config: RunConfig, wanted: str, seconds: float, origin: dict[str, Any]
+    stage: Stage,
+    folder: Path,
+    temporary: Path,
+    config: StageConfig,
+    wanted: str,
+    seconds: float,
+    origin: dict[str, Any],
 ) -> None:
     """Write the manifest of a result and put the result in its place."""
     outputs = {path.name: file_digest(path) for path in sorted(temporary.iterdir())}
@@ -233,7 +254,7 @@ def _input_folder(run_dir: Path, name: str, stage: Stage, rerun_command: str) ->
     return folder
 
 
-def _other_settings(stage: Stage, folder: Path, config: RunConfig) -> OtherSettingsError:
+def _other_settings(stage: Stage, folder: Path, config: StageConfig) -> OtherSettingsError:
     old = read_manifest(folder)["settings"]
     changes = setting_differences(stage.settings(config), old)
     lines = [f"  {key}: there was {was!r}, asked for {now!r}" for key, (now, was) in changes.items()]
@@ -263,7 +284,7 @@ def _copy_twin(twin: Path, folder: Path) -> None:
     temporary.rename(folder)
 
 
-def _result_lock(config: RunConfig, stage: Stage, wanted: str) -> Path:
+def _result_lock(config: StageConfig, stage: Stage, wanted: str) -> Path:
     """Return the lock of a result, whichever run makes it."""
     return Path(config.results_dir) / "locks" / f"{stage.name}-{wanted[:16]}.lock"
 

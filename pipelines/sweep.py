@@ -13,13 +13,11 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from pipelines.config import RunConfig
-from pipelines.errors import ConfigError, PipelineError
+from pipelines.errors import ConfigError
 from pipelines.fleet.groups import fleets
-from pipelines.run import Job
-from pipelines.stage import stage_key, stage_status
-from pipelines.stages import STAGES
-from pipelines.store import read_json, write_text
-from pipelines.tracking import open_tracker
+from pipelines.job import Job, is_done
+from pipelines.run import RunJob
+from pipelines.store import write_text
 
 FUTILE_ROUNDS = 3  # rounds in a row that lose a worker and finish no job, before a sweep gives up
 LOST_WORKERS = {  # what joblib, submitit and Ray raise where a process or node doing a job has died
@@ -66,8 +64,7 @@ def run_sweep(jobs: Sequence[Job], launch: Callable[[Sequence[int]], list[Outcom
     for i, job in enumerate(jobs):
         if is_done(job):
             print(f"{job.run_dir}: done before", flush=True)
-            if "evaluate" in job.config.selected_stages:
-                open_tracker(job.config).finish(read_json(job.run_dir / "summary.json"), job.run_dir)
+            job.found_done()
             outcomes[i] = Outcome(job.folder)
     left, n_futile = [i for i in range(len(jobs)) if i not in outcomes], 0
     while left:
@@ -102,23 +99,7 @@ def is_lost_worker(error: Exception) -> bool:
     return any(kind.__name__ in LOST_WORKERS for kind in type(error).__mro__)
 
 
-def is_done(job: Job) -> bool:
-    """Return whether nothing of a job is left to do, having compared every file with its recorded sha256."""
-    stages = [STAGES[name] for name in job.config.selected_stages]
-    try:
-        for stage in stages:
-            inputs = {name: job.run_dir / name for name in stage.inputs}
-            if stage_status(stage, job.run_dir / stage.name, job.config) != "done":
-                return False
-            wanted = stage_key(stage, job.config, inputs)
-            if stage_status(stage, job.run_dir / stage.name, job.config, wanted) != "done":
-                return False
-    except PipelineError:  # damaged: doing the job tells what is wrong
-        return False
-    return "evaluate" not in job.config.selected_stages or (job.run_dir / "summary.json").is_file()
-
-
-def write_jobs(path: Path, jobs: Sequence[Job], words: Sequence[Sequence[str]]) -> int:
+def write_jobs(path: Path, jobs: Sequence[RunJob], words: Sequence[Sequence[str]]) -> int:
     """Write one shell command a line for every job that is not done, in the jobs' order; return how many lines.
 
     Runs that a fleet trains together are one line where a sweep of their own gives just them, else a line each.

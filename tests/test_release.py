@@ -33,8 +33,9 @@ def test_wheel_brings_its_configuration(tmp_path):
         timeout=600,
     )
     code = (
-        "import sys, pipelines.cli as cli; sys.argv = ['otr-run', 'env=pendulum', 'depth=2', 'budget=smoke', "
-        f"'n_workers=1']; assert cli.CONF_DIR.is_relative_to({str(site)!r}), cli.CONF_DIR; cli.run()"
+        "import sys; from pipelines import cli, compose; "
+        "sys.argv = ['otr-run', 'env=pendulum', 'depth=2', 'budget=smoke', "
+        f"'n_workers=1']; assert compose.CONF_DIR.is_relative_to({str(site)!r}), compose.CONF_DIR; cli.run()"
     )
     done = subprocess.run(
         [sys.executable, "-c", code],

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
-from typing import Any, Literal
+from collections.abc import Sequence
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +19,7 @@ from otr.pattern_tree import PatternTree
 from otr.pruning import prune_unreached
 from otr.tree import ObliqueTree
 
-__all__ = ["Problem", "TreeClassifier", "TreeLearner", "TreeRegressor", "only", "seed_of"]
+__all__ = ["NetworkLearner", "Problem", "TreeClassifier", "TreeLearner", "TreeRegressor", "only", "seed_of"]
 
 Validation = tuple[ArrayLike, ArrayLike] | None
 
@@ -86,6 +88,10 @@ class TreeLearner(BaseEstimator, ABC):  # type: ignore[misc]
         return tree
 
     @abstractmethod
+    def _problem(self, X: ArrayLike, y: ArrayLike, validation: Validation) -> Problem:
+        """Return the problem after the checks at the door, and set what they find, such as `classes_`."""
+
+    @abstractmethod
     def _fit_problem(self, problem: Problem) -> None:
         """Set `trees_`, in terms of the inputs and targets as they were before standardising."""
 
@@ -112,7 +118,8 @@ class TreeLearner(BaseEstimator, ABC):  # type: ignore[misc]
             return not bool(((X == 0) | (X == 1)).all())
         return self.standardize is True
 
-    def _fit_checked(self, problem: Problem, validation: Validation, encoded_valid: FloatArray | None) -> None:
+    def _standardised(self, problem: Problem, validation: Validation, encoded_valid: FloatArray | None) -> Problem:
+        """Return the problem with its validation rows, inputs and targets shifted and scaled as is asked."""
         if validation is not None:
             problem.X_valid = validate_data(self, validation[0], dtype=np.float64, reset=False)
             problem.Y_valid = encoded_valid
@@ -122,7 +129,52 @@ class TreeLearner(BaseEstimator, ABC):  # type: ignore[misc]
             problem.standardise_inputs()
         if problem.loss == "squared":
             problem.standardise_targets()
-        self._fit_problem(problem)
+        return problem
+
+
+class NetworkLearner(TreeLearner):
+    """Base of the learners of networks, which many labels and seeds train together.
+
+    Attributes:
+        networks_, network_: the trained networks, or the one.
+        best_epochs_, validation_scores_: one entry a label, see `train_many`.
+    """
+
+    random_state: int | np.random.RandomState | None
+    networks_: list[Any]
+
+    @property
+    def network_(self) -> Any:
+        """The network of an estimator of one label."""
+        return only(self.networks_, "network")
+
+    def fit_seeds(
+        self, X: ArrayLike, y: ArrayLike, seeds: Sequence[int], *, validation: Validation = None
+    ) -> list[Self]:
+        """Return an estimator fitted with each seed as its `random_state`, all of them trained as one batched model.
+
+        Each comes out as `fit` alone would make it, up to rounding. Arguments and errors are those of `fit`.
+        """
+        problem = self._problem(X, y, validation)
+        trained = self._train(problem, seeds)
+        fitted = []
+        for position, seed in enumerate(seeds):
+            one = copy.copy(self)
+            one.random_state = seed
+            one._take(trained, position, problem)
+            fitted.append(one)
+        return fitted
+
+    def _fit_problem(self, problem: Problem) -> None:
+        self._take(self._train(problem, [seed_of(self.random_state)]), 0, problem)
+
+    @abstractmethod
+    def _train(self, problem: Problem, seeds: Sequence[int]) -> Any:
+        """Return the networks [label][seed] with scores and epochs, see `TrainedNetworks`."""
+
+    @abstractmethod
+    def _take(self, trained: Any, position: int, problem: Problem) -> None:
+        """Set the fitted attributes from the networks of the seed at this position."""
 
 
 class TreeClassifier(ClassifierMixin, TreeLearner):  # type: ignore[misc]
@@ -144,6 +196,10 @@ class TreeClassifier(ClassifierMixin, TreeLearner):  # type: ignore[misc]
         Raises:
             ValueError: y has one class only, or shapes do not agree.
         """
+        self._fit_problem(self._problem(X, y, validation))
+        return self
+
+    def _problem(self, X: ArrayLike, y: ArrayLike, validation: Validation) -> Problem:
         shape = np.asarray(y).shape
         multilabel = len(shape) == 2 and shape[1] > 1
         rows: FloatArray
@@ -167,8 +223,7 @@ class TreeClassifier(ClassifierMixin, TreeLearner):  # type: ignore[misc]
         self.multilabel_ = multilabel
         problem = Problem(rows, Y, "softmax" if not multilabel and len(self.classes_) > 2 else "logistic")
         problem.n_classes = len(self.classes_)
-        self._fit_checked(problem, validation, None if validation is None else encode(validation[1]))
-        return self
+        return self._standardised(problem, validation, None if validation is None else encode(validation[1]))
 
     def _encode_labels(self, y: ArrayLike) -> FloatArray:
         Y: FloatArray = check_array(y, dtype=np.float64, ensure_all_finite="allow-nan", input_name="y")
@@ -230,6 +285,10 @@ class TreeRegressor(RegressorMixin, TreeLearner):  # type: ignore[misc]
         Raises:
             ValueError: shapes do not agree.
         """
+        self._fit_problem(self._problem(X, y, validation))
+        return self
+
+    def _problem(self, X: ArrayLike, y: ArrayLike, validation: Validation) -> Problem:
         rows, targets = validate_data(self, X, y, dtype=np.float64, multi_output=True, y_numeric=True)
         if targets.ndim == 2 and targets.shape[1] == 1:
             targets = column_or_1d(targets, warn=True)
@@ -238,8 +297,7 @@ class TreeRegressor(RegressorMixin, TreeLearner):  # type: ignore[misc]
         if validation is not None:
             encoded = check_array(validation[1], ensure_2d=False, dtype=np.float64, input_name="y of validation")
         problem = Problem(rows, _columns(targets), "squared")
-        self._fit_checked(problem, validation, None if encoded is None else _columns(encoded))
-        return self
+        return self._standardised(problem, validation, None if encoded is None else _columns(encoded))
 
     def predict(self, X: ArrayLike) -> FloatArray:
         """Return the leaves' outputs: (n,), or (n, L) for several targets."""

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 
-from otr.learners.base import Problem, TreeClassifier, TreeLearner, TreeRegressor, only, seed_of
-from otr.learners.batched_lcn import LcnSettings, train_many_lcns
+from otr.learners.base import NetworkLearner, Problem, TreeClassifier, TreeRegressor
+from otr.learners.batched_lcn import LcnSettings, TrainedLcns, train_many_lcns
 from otr.learners.lcn_network import LcnNetwork
 from otr.learners.stacks import Schedule
 
 __all__ = ["LCNClassifier", "LCNRegressor"]
 
 
-class _LCNLearner(TreeLearner):
+class _LCNLearner(NetworkLearner):
     networks_: list[LcnNetwork]
 
     def __init__(
@@ -44,13 +45,7 @@ class _LCNLearner(TreeLearner):
         self.max_leaves = max_leaves
         self.random_state = random_state
 
-    @property
-    def network_(self) -> LcnNetwork:
-        """The network of an estimator of one label."""
-        network: LcnNetwork = only(self.networks_, "network")
-        return network
-
-    def _fit_problem(self, problem: Problem) -> None:
+    def _train(self, problem: Problem, seeds: Sequence[int]) -> TrainedLcns:
         if self.depth < 1 or 2**self.depth > self.max_leaves:
             raise ValueError(
                 f"depth is {self.depth}, a tree of 2**{self.depth} leaves; the limit max_leaves is {self.max_leaves}"
@@ -69,20 +64,15 @@ class _LCNLearner(TreeLearner):
                 decay_every=self.decay_every,
             ),
         )
-        trained = train_many_lcns(
-            problem.X,
-            problem.Y,
-            [seed_of(self.random_state)],
-            settings,
-            X_valid=problem.X_valid,
-            Y_valid=problem.Y_valid,
-        )
+        return train_many_lcns(problem.X, problem.Y, seeds, settings, X_valid=problem.X_valid, Y_valid=problem.Y_valid)
+
+    def _take(self, trained: TrainedLcns, position: int, problem: Problem) -> None:
         self.networks_ = [
-            of_label[0].with_input_scaling(problem.mean, problem.scale).with_output_scaling(mean, scale)
+            of_label[position].with_input_scaling(problem.mean, problem.scale).with_output_scaling(mean, scale)
             for of_label, mean, scale in zip(trained.networks, problem.y_mean, problem.y_scale, strict=True)
         ]
-        self.best_epochs_ = trained.epochs[:, 0]
-        self.validation_scores_ = trained.scores[:, 0]
+        self.best_epochs_ = trained.epochs[:, position]
+        self.validation_scores_ = trained.scores[:, position]
         self.trees_ = [network.to_tree(max_leaves=self.max_leaves) for network in self.networks_]
 
 

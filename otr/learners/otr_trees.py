@@ -7,8 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from otr.learners.base import Problem, TreeClassifier, TreeLearner, TreeRegressor, only, seed_of
-from otr.learners.batched_mlp import MlpSettings, train_many
+from otr.learners.base import NetworkLearner, Problem, TreeClassifier, TreeRegressor
+from otr.learners.batched_mlp import MlpSettings, TrainedNetworks, train_many
 from otr.learners.stacks import Schedule
 from otr.mapping import map_network
 from otr.network import ReluNetwork
@@ -24,7 +24,7 @@ def tree_of(network: ReluNetwork, max_leaves: int) -> ObliqueTree | PatternTree:
     return map_network(network, max_leaves=max_leaves) if patterns.n_paths <= max_leaves else patterns
 
 
-class _OTRLearner(TreeLearner):
+class _OTRLearner(NetworkLearner):
     networks_: list[ReluNetwork]
 
     def __init__(
@@ -39,6 +39,7 @@ class _OTRLearner(TreeLearner):
         l1: float = 0.0,
         l2: float = 0.0,
         averaging: float = 0.0,
+        common_epoch: bool = False,
         epochs: int = 30,
         batch_size: int = 64,
         learning_rate: float = 0.1,
@@ -57,6 +58,7 @@ class _OTRLearner(TreeLearner):
         self.l1 = l1
         self.l2 = l2
         self.averaging = averaging
+        self.common_epoch = common_epoch
         self.epochs = epochs
         self.batch_size = batch_size
         self.learning_rate = learning_rate
@@ -66,13 +68,7 @@ class _OTRLearner(TreeLearner):
         self.max_leaves = max_leaves
         self.random_state = random_state
 
-    @property
-    def network_(self) -> ReluNetwork:
-        """The network of an estimator of one label."""
-        network: ReluNetwork = only(self.networks_, "network")
-        return network
-
-    def _fit_problem(self, problem: Problem) -> None:
+    def _train(self, problem: Problem, seeds: Sequence[int]) -> TrainedNetworks:
         settings = MlpSettings(
             hidden=tuple(self.hidden),
             dense="all" if self.dense is True else self.dense,
@@ -91,22 +87,18 @@ class _OTRLearner(TreeLearner):
                 l1=self.l1,
                 l2=self.l2,
                 averaging=self.averaging,
+                common_epoch=self.common_epoch,
             ),
         )
-        trained = train_many(
-            problem.X,
-            problem.Y,
-            [seed_of(self.random_state)],
-            settings,
-            X_valid=problem.X_valid,
-            Y_valid=problem.Y_valid,
-        )
+        return train_many(problem.X, problem.Y, seeds, settings, X_valid=problem.X_valid, Y_valid=problem.Y_valid)
+
+    def _take(self, trained: TrainedNetworks, position: int, problem: Problem) -> None:
         self.networks_ = [
-            _with_targets(of_label[0].fold_input_normalisation(problem.mean, problem.scale), mean, scale)
+            _with_targets(of_label[position].fold_input_normalisation(problem.mean, problem.scale), mean, scale)
             for of_label, mean, scale in zip(trained.networks, problem.y_mean, problem.y_scale, strict=True)
         ]
-        self.best_epochs_ = trained.epochs[:, 0]
-        self.validation_scores_ = trained.scores[:, 0]
+        self.best_epochs_ = trained.epochs[:, position]
+        self.validation_scores_ = trained.scores[:, position]
         self.trees_ = [tree_of(network, self.max_leaves) for network in self.networks_]
 
 
@@ -136,7 +128,7 @@ _PARAMETERS = """
         dense, negative_slope: as in `ReluNetwork`.
         shared: labels or targets share their hidden layers in training, see `MlpSettings`.
         input_dropout, hidden_dropout: share of the inputs, and of the hidden neurons, dropped in training.
-        l1, l2, averaging, epochs, batch_size, learning_rate, momentum, decay_every: see `Schedule`.
+        l1, l2, averaging, common_epoch, epochs, batch_size, learning_rate, momentum, decay_every: see `Schedule`.
         standardize: train on inputs shifted and scaled to mean 0 and deviation 1, which is folded into the network;
             "auto": unless all are 0 and 1.
         max_leaves: see above.

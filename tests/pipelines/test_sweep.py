@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from pipelines.errors import ConfigError
-from pipelines.run import Job, run_job
+from pipelines.run import RunJob, run_job
 from pipelines.sweep import Outcome, check_launcher, is_done, job_command, quoted, run_sweep
 from tests.pipelines.conftest import otr_command
 from tests.pipelines.sweeps import STAGES, THREE, children, digests, start, times_made, wait_for
@@ -74,7 +74,7 @@ def test_sweep_goes_on_where_a_worker_is_killed(tmp_path):
 @pytest.fixture
 def jobs(tiny):
     """Three jobs that nobody has done."""
-    return [Job(tiny(seed=seed), f"runs/seed-{seed}", "", "") for seed in range(3)]
+    return [RunJob(tiny(seed=seed), f"runs/seed-{seed}", "", "") for seed in range(3)]
 
 
 @pytest.fixture
@@ -132,11 +132,11 @@ def test_done_jobs_are_not_launched(jobs, done, capsys):
 
 
 def test_a_job_is_done_when_every_file_is_as_it_was_written(tiny):
-    job = Job(tiny(), "runs/one", "", "")
+    job = RunJob(tiny(), "runs/one", "", "")
     assert not is_done(job)
     run_job(job)
     assert is_done(job)
-    assert not is_done(Job(tiny(seed=1), "runs/one", "", ""))
+    assert not is_done(RunJob(tiny(seed=1), "runs/one", "", ""))
     tree = job.run_dir / "prune" / "tree.npz"
     content = tree.read_bytes()
     tree.write_bytes(content[:-1])

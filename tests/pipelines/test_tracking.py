@@ -16,7 +16,7 @@ import pytest
 from pipelines import tracking
 from pipelines.config import EXECUTION_FIELDS, run_folder, settings
 from pipelines.errors import ConfigError
-from pipelines.run import Job, run_job
+from pipelines.run import RunJob, run_job
 from pipelines.store import read_csv
 from pipelines.tracking import check_tracking, open_tracker
 from tests.pipelines.sweeps import start, wait_for
@@ -66,7 +66,7 @@ def backend(monkeypatch):
 @pytest.fixture
 def tracked(tiny):
     """A job with tracking."""
-    return Job(tiny(tracking="tensorboard", folder=FOLDER), FOLDER, "", "")
+    return RunJob(tiny(tracking="tensorboard", folder=FOLDER), FOLDER, "", "")
 
 
 def test_run_is_logged_as_it_goes_and_once(backend, tracked):

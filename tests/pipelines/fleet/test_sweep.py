@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pipelines.run import Job, run_jobs
+from pipelines.run import RunJob, run_jobs
 from pipelines.stage import run_stage_together
 from pipelines.stages import STAGES
 from pipelines.store import read_json
@@ -86,7 +86,7 @@ def test_run_that_diverges_fails_alone(tmp_path):
 def job(config, tmp_path):
     """Return a job of a run that is made without the command line."""
     folder = f"runs/{config.env.name}/otr/depth-4/{config.budget_level}/seed-{config.seed}"
-    return Job(config, folder, "", "otr-run")
+    return RunJob(config, folder, "", "otr-run")
 
 
 def test_finished_and_busy_runs_are_left_out_of_a_fleet(tiny, tmp_path):
@@ -96,7 +96,7 @@ def test_finished_and_busy_runs_are_left_out_of_a_fleet(tiny, tmp_path):
     before = (jobs[0].run_dir / "train" / "manifest.json").read_bytes()
     trained: list[list[int]] = []
 
-    def recording(chosen, outs):
+    def recording(inputs, chosen, outs):
         trained.append([config.seed for config in chosen])
         for out in outs:
             (out / "actor.json").write_text("{}")

@@ -1,0 +1,204 @@
+"""Configurations from words: Hydra's composition and sweep syntax, with messages for people.
+
+Only this module and `pipelines/cli.py` know Hydra and OmegaConf.
+"""
+
+import dataclasses
+import difflib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.config_store import ConfigStore
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+
+from pipelines.errors import ConfigError
+from pipelines.sweep import check_launcher, quoted
+
+_PACKAGED = Path(__file__).parent / "conf"  # in a wheel; in a checkout conf/ is beside the packages
+CONF_DIR = _PACKAGED if _PACKAGED.is_dir() else Path(__file__).parent.parent / "conf"
+
+
+@dataclass(frozen=True)
+class Composer:
+    """What one command's words are composed from.
+
+    Attributes:
+        name: of the main configuration file.
+        folder: below conf/, where that file and the command's own groups lie; "" for conf/ itself. What is not there is
+            looked for in conf/.
+        groups: the groups whose options are checked.
+        needs: the group of which an option must be named; None if there is none.
+        anything: an option of that group, for where it does not matter which.
+        schemas: what is registered for the configuration files to build on: (group, name) to dataclass.
+    """
+
+    name: str
+    folder: str = ""
+    groups: tuple[str, ...] = ()
+    needs: str | None = None
+    anything: str = ""
+    schemas: dict[tuple[str | None, str], type] = dataclasses.field(default_factory=dict)
+
+    def register(self) -> None:
+        """Tell Hydra the schemas."""
+        store = ConfigStore.instance()
+        for (group, name), schema in self.schemas.items():
+            store.store(name, schema_of(schema), group=group)
+
+    def compose(self, overrides: Sequence[str]) -> DictConfig:
+        """Return the composed configuration; unknown names come back with the nearest known ones.
+
+        Raises:
+            ConfigError: a word is wrong, or one is missing.
+        """
+        for word in overrides:
+            parse(word)
+            key, _, value = word.lstrip("+").partition("=")
+            if word.startswith("+") and not key.startswith(("experiment", "env.kwargs.", "hydra.")):
+                raise ConfigError(f"{word}: new keys cannot be added; leave out the +")
+            if key in self.groups:
+                self.check_option(key, value)
+            if key == "launcher":
+                check_launcher(value)
+        if self.needs and not any(word.lstrip("+").startswith(f"{self.needs}=") for word in overrides):
+            what = {"env": "environment", "data": "data set"}[self.needs]
+            raise ConfigError(f"which {what}? Add {self.needs}=NAME with one of: {', '.join(self.options(self.needs))}")
+        with self.hydra():
+            try:
+                return compose(self.name, [*self._search_path(), *overrides])
+            except HydraException as error:
+                raise ConfigError(self._explain(error, overrides)) from error
+
+    def expand(self, overrides: list[str], multirun: bool) -> list[list[str]]:
+        """Return the overrides of every job that the words ask for, as Hydra's sweeper would make them."""
+        is_sweep, parameters = self.sweep_parameters(overrides, multirun)
+        if not is_sweep:
+            return [overrides]
+        parsed = [parse(word) for word in (*parameters, *overrides)]
+        return [list(job) for job in BasicSweeper.split_arguments(parsed, None)[0]]
+
+    def sweep_parameters(self, overrides: list[str], multirun: bool) -> tuple[bool, list[str]]:
+        """Return whether the words ask for a sweep, and the sweep parameters that an experiment brings."""
+        parsed = [parse(word) for word in overrides]
+        single = [word for word, override in zip(overrides, parsed, strict=True) if not override.is_sweep_override()]
+        swept = [override.get_key_element() for override in parsed if override.is_sweep_override()]
+        if swept and not multirun and not any(word.startswith("+experiment=") for word in overrides):
+            raise ConfigError(f"{', '.join(swept)}: several values make a sweep; add -m")
+        if any(key.lstrip("+") == "experiment" for key in swept):
+            raise ConfigError("experiment: one at a time; start a command for each")
+        experiments = [word for word in single if word.lstrip("+").startswith("experiment=")]
+        if not experiments:
+            return multirun, []
+        for word in experiments:
+            self.check_option("experiment", word.split("=", 1)[1])
+        with self.hydra():
+            words = [*self._search_path(), f"{self.needs}={self.anything}", *experiments]
+            settings = compose(self.name, words, return_hydra_config=True).hydra
+        parameters = [f"{key}={value}" for key, value in (settings.sweeper.params or {}).items()]
+        return multirun or str(settings.mode).endswith("MULTIRUN"), parameters
+
+    def sweep_words(self, overrides: Sequence[str]) -> list[str]:
+        """Return overrides for Hydra's own composition, where it launches a sweep."""
+        return [*self._search_path(), *overrides]
+
+    def check_option(self, group: str, value: str) -> None:
+        """Raise ConfigError, with the nearest known names, if a group has no such option."""
+        options = self.options(group)
+        if value not in (*options, "null"):
+            raise ConfigError(f"{group}={value}: there is no such {group}.{did_you_mean(value, options)}")
+
+    def options(self, group: str) -> list[str]:
+        """Return the names of a group's options."""
+        own = sorted(path.stem for path in (CONF_DIR / self.folder / group).glob("*.yaml"))
+        return own or sorted(path.stem for path in (CONF_DIR / group).glob("*.yaml"))
+
+    @contextmanager
+    def hydra(self) -> Iterator[None]:
+        """Make Hydra ready to compose from conf/, also inside a job that Hydra itself has started."""
+        instance = GlobalHydra.instance()
+        outer, instance.hydra = instance.hydra, None
+        try:
+            folder = (CONF_DIR / self.folder).resolve()
+            with initialize_config_dir(str(folder), job_name="otr", version_base="1.3"):
+                yield
+        finally:
+            GlobalHydra.instance().hydra = outer
+
+    def _search_path(self) -> list[str]:
+        return [f"hydra.searchpath=[{quoted(f'file://{CONF_DIR.resolve()}')}]"] if self.folder else []
+
+    def _explain(self, error: HydraException, overrides: Sequence[str]) -> str:
+        """Return Hydra's message without its advice on `+`, with the nearest known key."""
+        cause = error.__cause__
+        lines = str(cause or error).splitlines()
+        if "Could not override" in str(error):
+            key = str(error).split("'")[1]
+            base = [word for word in overrides if word.split("=")[0] in self.groups and "experiment=" not in word]
+            known = _leaves(OmegaConf.to_container(compose(self.name, [*self._search_path(), *base])))
+            lines = [f"there is no key {key!r}.{did_you_mean(key, known)}"]
+        return readable("\n".join(lines))
+
+
+def parse(word: str) -> Override:
+    """Return a word as Hydra reads it.
+
+    Raises:
+        ConfigError: it is no key=value.
+    """
+    try:
+        return OverridesParser.create().parse_override(word)
+    except HydraException as error:
+        raise ConfigError(f"{word} is no key=value: {str(error).splitlines()[0]}") from error
+
+
+def to_object(cfg: Any) -> Any:
+    """Return a configuration as the dataclass that is its schema.
+
+    Raises:
+        ConfigError: a value is missing, or the dataclass refuses one.
+    """
+    missing = OmegaConf.missing_keys(cfg)
+    if missing:
+        raise ConfigError(f"no value for {', '.join(sorted(missing))}")
+    return OmegaConf.to_object(cfg)
+
+
+def schema_of(kind: type) -> DictConfig:
+    """Return a dataclass as a schema to merge into: OmegaConf makes frozen ones read-only, which is undone here."""
+    schema: DictConfig = OmegaConf.structured(kind)
+    for node in (schema, *(schema._get_node(key) for key in schema)):
+        if isinstance(node, DictConfig):
+            OmegaConf.set_readonly(node, None)
+    return schema
+
+
+def readable(message: str) -> str:
+    """Return OmegaConf's message in one line that begins with the key."""
+    lines = [line.strip() for line in message.splitlines() if line.strip() and "_type=" not in line]
+    keys = [line.removeprefix("full_key: ") for line in lines if line.startswith("full_key: ")]
+    rest = "\n".join(line for line in lines if not line.startswith("full_key: "))
+    return f"{keys[0]}: {rest}" if keys else rest
+
+
+def did_you_mean(name: str, known: Sequence[str]) -> str:
+    """Return a question with the nearest of the known names, or all of them."""
+    near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    near += [key for key in known if key.split(".")[-1] == name and key not in near]
+    return f" Did you mean {' or '.join(near)}?" if near else f" There are: {', '.join(known)}"
+
+
+def _leaves(value: Any, prefix: str = "") -> list[str]:
+    if not isinstance(value, dict):
+        return [prefix.rstrip(".")]
+    return [prefix.rstrip(".")] * bool(prefix) + [
+        leaf for key in value for leaf in _leaves(value[key], f"{prefix}{key}.")
+    ]

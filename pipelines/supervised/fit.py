@@ -1,0 +1,79 @@
+"""Stage fit: a tree for every label, those of many seeds together where the learner is a network."""
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import otr
+from pipelines.datasets.dataset import Dataset
+from pipelines.store import read_json, write_csv
+from pipelines.supervised.config import FitConfig, with_settings
+from pipelines.supervised.data import dataset_of
+from pipelines.supervised.learners import FittedTree, check_learner, fit_trees, usable_labels
+from pipelines.supervised.progress import Progress
+
+COLUMNS = ("label", "file", "settings", "epoch", "small_weights", "cpu_seconds")
+
+
+def fit(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> None:
+    """Write every label's tree as `label-<column>.npz` and `.json`, and `trees.csv` that lists them."""
+    fit_together([inputs], [config], [out])
+
+
+def fit_together(
+    inputs: Sequence[Mapping[str, Path]], configs: Sequence[FitConfig], outs: Sequence[Path]
+) -> list[Exception | None]:
+    """Do `fit` for several seeds of one method, tuned alike, on one data set.
+
+    Returns:
+        What each failed with, which is nothing: what goes wrong is raised and concerns them all.
+    """
+    first = configs[0]
+    dataset = dataset_of(first)
+    check_learner(first.method, dataset)
+    seeds = [config.seed for config in configs]
+    rows: list[list[dict[str, Any]]] = [[] for _ in configs]
+    for changes, labels in _by_settings(inputs[0], dataset):
+        began = time.process_time()
+        fitted = fit_trees(
+            with_settings(first.method, changes),
+            dataset,
+            labels,
+            seeds,
+            n_workers=first.n_workers,
+            progress=Progress(first, "fit", "trees"),
+        )
+        seconds = (time.process_time() - began) / (len(labels) * len(seeds))
+        for label, of_label in zip(labels, fitted, strict=True):
+            for position, each in enumerate(of_label):
+                name = f"label-{label:02d}"
+                otr.save(each.tree, outs[position] / name)
+                rows[position].append(_row(dataset.label_names[label], name, changes, each, seconds))
+    for out, of_seed in zip(outs, rows, strict=True):
+        write_csv(out / "trees.csv", sorted(of_seed, key=lambda row: str(row["file"])), COLUMNS)
+    return [None] * len(configs)
+
+
+def _by_settings(inputs: Mapping[str, Path], dataset: Dataset) -> list[tuple[dict[str, Any], list[int]]]:
+    """Return the labels that share what was chosen for them, together with it."""
+    labels = usable_labels(dataset)
+    if "tune" not in inputs:
+        return [({}, labels)]
+    chosen = [each["settings"] for each in read_json(inputs["tune"] / "chosen.json")]
+    groups: dict[str, tuple[dict[str, Any], list[int]]] = {}
+    for label, changes in zip(labels, chosen, strict=True):
+        groups.setdefault(json.dumps(changes, sort_keys=True), (changes, []))[1].append(label)
+    return list(groups.values())
+
+
+def _row(label: str, file: str, changes: dict[str, Any], fitted: FittedTree, seconds: float) -> dict[str, Any]:
+    return {
+        "label": label,
+        "file": file,
+        "settings": json.dumps(changes),
+        "epoch": fitted.epoch,
+        "small_weights": None if fitted.small_weights is None else round(fitted.small_weights, 6),
+        "cpu_seconds": f"{seconds:.3g}",
+    }

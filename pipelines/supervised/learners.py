@@ -1,0 +1,172 @@
+"""From a method's settings to trees: which estimators a learner is, and how labels and seeds are fitted."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipelines.datasets.dataset import Dataset
+from pipelines.errors import ConfigError
+from pipelines.supervised.config import LearnerConfig, learner_settings
+
+if TYPE_CHECKING:
+    from otr import ObliqueTree, PatternTree
+
+SMALL_WEIGHT = 1e-5
+ESTIMATORS: dict[str, tuple[str | None, str | None]] = {  # learner: its classifier and its regressor in otr.learners
+    "linear": ("LinearTreeClassifier", "LinearTreeRegressor"),
+    "cart": ("CARTClassifier", "CARTRegressor"),
+    "hhcart": ("HHCARTClassifier", "HHCARTRegressor"),
+    "tao": ("TAOClassifier", None),
+    "augtree": ("AugTreeClassifier", "AugTreeRegressor"),
+    "model_tree": (None, "LinearModelTreeRegressor"),
+    "lcn": ("LCNClassifier", "LCNRegressor"),
+    "otr": ("OTRClassifier", "OTRRegressor"),
+}
+BATCHED = ("lcn", "otr")  # labels and seeds train as one model
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class FittedTree:
+    """One label's tree.
+
+    Attributes:
+        tree: the tree.
+        epoch: of the network that was kept; None for learners without.
+        small_weights: share of the network's weights below 1e-5 in size; None for learners without.
+    """
+
+    tree: "ObliqueTree | PatternTree"
+    epoch: int | None = None
+    small_weights: float | None = None
+
+
+def check_learner(method: LearnerConfig, dataset: Dataset) -> None:
+    """Raise ConfigError where the learner has no estimator for the data set's task."""
+    _estimator_name(method.learner, dataset)
+
+
+def usable_labels(dataset: Dataset) -> list[int]:
+    """Return the labels that can be learned: all of a regression, those with two classes or more in training."""
+    labels = range(len(dataset.label_names))
+    if dataset.task == "regression":
+        return list(labels)
+    return [label for label in labels if len(np.unique(dataset.labelled("train", label)[1])) > 1]
+
+
+def fit_trees(
+    method: LearnerConfig,
+    dataset: Dataset,
+    labels: Sequence[int],
+    seeds: Sequence[int],
+    *,
+    n_workers: int | None = None,
+    progress: Progress = lambda done, total: None,
+) -> list[list[FittedTree]]:
+    """Fit a tree for every label and seed.
+
+    Args:
+        method: settings; its grid is not looked at.
+        dataset: training and validation parts are read.
+        labels: columns of Y.
+        seeds: every learner's `random_state`.
+        n_workers: threads of learners that have them.
+        progress: called with the number of trees done and of all.
+
+    Returns:
+        [label][seed], in the order of the arguments.
+
+    Raises:
+        ConfigError: the learner is not for this task.
+    """
+    name = _estimator_name(method.learner, dataset)
+    if method.learner in BATCHED:
+        return _fit_together(name, _parameters(name, learner_settings(method)), dataset, labels, seeds)
+    oracles: list[list[Any]] = [[None] * len(seeds) for _ in labels]
+    if method.learner == "augtree":
+        otr_name = _estimator_name("otr", dataset)
+        hidden = {"hidden": learner_settings(method)["hidden"]}
+        networks = [est.networks_ for est in _estimators(otr_name, hidden, dataset, labels, seeds)]
+        oracles = [[of_seed[i] for of_seed in networks] for i in range(len(labels))]
+    parameters = _parameters(name, {**learner_settings(method), "n_jobs": n_workers})
+    trees = []
+    for i, label in enumerate(labels):
+        X, y = dataset.labelled("train", label)
+        X = X.astype(np.float32)  # bits and small numbers, which lose nothing
+        of_label = []
+        for j, seed in enumerate(seeds):
+            estimator = _new(name, parameters, seed, oracles[i][j])
+            of_label.append(FittedTree(estimator.fit(X, y).tree_))
+            progress(i * len(seeds) + j + 1, len(labels) * len(seeds))
+            if "random_state" not in estimator.get_params():  # the same for all seeds
+                of_label += of_label * (len(seeds) - 1)
+                break
+        trees.append(of_label)
+    return trees
+
+
+def _fit_together(
+    name: str, parameters: dict[str, Any], dataset: Dataset, labels: Sequence[int], seeds: Sequence[int]
+) -> list[list[FittedTree]]:
+    estimators = _estimators(name, parameters, dataset, labels, seeds)
+    return [
+        [
+            FittedTree(
+                est.trees_[i], int(est.best_epochs_[i]), _small_weights(getattr(est.networks_[i], "weights", []))
+            )
+            for est in estimators
+        ]
+        for i in range(len(labels))
+    ]
+
+
+def _estimators(
+    name: str, parameters: dict[str, Any], dataset: Dataset, labels: Sequence[int], seeds: Sequence[int]
+) -> list[Any]:
+    """Return an estimator of all labels for every seed, trained as one batched model."""
+    if len(labels) == 1:
+        (X, y), valid = dataset.labelled("train", labels[0]), dataset.labelled("valid", labels[0])
+    else:
+        columns = list(labels)
+        X, y = dataset.train.X, dataset.train.Y[:, columns]
+        valid = (dataset.valid.X, dataset.valid.Y[:, columns])
+    fitted: list[Any] = _new(name, parameters, None, None).fit_seeds(X, y, seeds, validation=valid)
+    return fitted
+
+
+def _new(name: str, parameters: dict[str, Any], seed: int | None, network: Any) -> Any:
+    from otr import learners
+
+    estimator = getattr(learners, name)(**parameters)
+    known = estimator.get_params()
+    if "random_state" in known and seed is not None:
+        estimator.set_params(random_state=seed)
+    if network is not None:
+        estimator.set_params(network=network)
+    return estimator
+
+
+def _parameters(name: str, settings: dict[str, Any]) -> dict[str, Any]:
+    """Return the settings that the estimator has, as it has them."""
+    from otr import learners
+
+    known = getattr(learners, name)().get_params()
+    parameters = {key: value for key, value in settings.items() if key in known}
+    if parameters.get("dense") == "none":
+        parameters["dense"] = False
+    return parameters
+
+
+def _estimator_name(learner: str, dataset: Dataset) -> str:
+    name = ESTIMATORS[learner][dataset.task == "regression"]
+    if name is None:
+        raise ConfigError(f"{learner} is not for {dataset.task}, which {dataset.name} is; choose another method")
+    return name
+
+
+def _small_weights(weights: Sequence[np.ndarray]) -> float | None:
+    if not weights:
+        return None
+    return float(np.mean(np.concatenate([np.abs(weight).ravel() for weight in weights]) < SMALL_WEIGHT))

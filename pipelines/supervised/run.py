@@ -1,0 +1,128 @@
+"""Fits: their stages in order, seeds together where the learner trains them so, and their summaries."""
+
+import shutil
+from collections.abc import Sequence
+from typing import Any
+
+from pipelines.config import digest
+from pipelines.console import duration
+from pipelines.job import Job, disk_errors_explained, is_done
+from pipelines.stage import MANIFEST, Stage, StageResult, run_stage, run_stage_together
+from pipelines.store import read_json, write_json, write_text
+from pipelines.supervised.config import FitConfig, settings
+from pipelines.supervised.console import show_fit
+from pipelines.supervised.stages import stages_of
+
+SUMMARY_SCHEMA = "otr/fit-summary/1"
+TOGETHER = ("lcn", "otr")  # learners that train labels and seeds as one batched model
+
+
+class FitJob(Job):
+    """A fit: its configuration is a `FitConfig`."""
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """The stages that are asked for, in order."""
+        return stages_of(self.config)
+
+    @property
+    def ends_with(self) -> str:
+        """The stage after which the fit's summary is written."""
+        return "score"
+
+
+def fit_groups(configs: Sequence[FitConfig]) -> list[list[int]]:
+    """Return the positions of the fits that one process does, those that differ in their seed alone."""
+    groups: dict[str, list[int]] = {}
+    for i, config in enumerate(configs):
+        key = digest([settings(config) | {"seed": None}, config.results_dir])
+        groups.setdefault(key, []).append(i)
+    size = configs[0].seeds_per_process if configs else 1
+    return sorted(group[start : start + size] for group in groups.values() for start in range(0, len(group), size))
+
+
+def fit_job(job: FitJob) -> dict[str, Any] | None:
+    """Do what is not done of a fit, print what came out, and return its summary; None where it stops before the end."""
+    print(f"{job.run_dir}", flush=True)
+    if is_done(job):
+        print("done before", flush=True)
+    else:
+        with disk_errors_explained(job):
+            _run_stages(job)
+    if job.stages[-1].name != job.ends_with:
+        return None
+    summary: dict[str, Any] = read_json(job.run_dir / "summary.json")
+    show_fit(summary, job.run_dir)
+    return summary
+
+
+def fit_jobs(jobs: Sequence[FitJob]) -> list[Exception | None]:
+    """Do fits that differ in their seed alone, networks as one batched model; return what each failed with."""
+    left = [job for job in jobs if not is_done(job)]
+    try:
+        if len(left) > 1 and left[0].config.method.learner in TOGETHER:
+            with disk_errors_explained(left[0]):
+                _fit_together(left)
+    except Exception as error:  # of all of them
+        return [error if job in left else None for job in jobs]
+    return [_failure(job) for job in jobs]
+
+
+def _failure(job: FitJob) -> Exception | None:
+    try:
+        fit_job(job)
+    except Exception as error:
+        return error
+    return None
+
+
+def _fit_together(jobs: Sequence[FitJob]) -> None:
+    """Bring the trees of several seeds up to date in one go; `fit_job` then finds them done."""
+    for stage in jobs[0].stages:
+        if stage.name == "tune":
+            for job in jobs:
+                _stage_done(job, stage)
+        elif stage.name == "fit":
+            from pipelines.supervised.fit import fit_together  # imports torch
+
+            print(f"{jobs[0].run_dir} and {len(jobs) - 1} more seeds as one batched model", flush=True)
+            for job in jobs:
+                job.run_dir.mkdir(parents=True, exist_ok=True)
+            run_stage_together(stage, [(job.run_dir, job.config) for job in jobs], fit_together)
+
+
+def _run_stages(job: FitJob) -> None:
+    for stage in job.stages:
+        result = _stage_done(job, stage)
+        how = f"done before, {duration(result.seconds)}" if result.skipped else duration(result.seconds)
+        print(f"{stage.name}: {how}", flush=True)
+    if job.stages[-1].name == job.ends_with:
+        write_json(job.run_dir / "summary.json", summarise(job))
+        (job.run_dir / "error.log").unlink(missing_ok=True)
+        if not job.config.keep_trees:
+            shutil.rmtree(job.run_dir / "fit")
+
+
+def _stage_done(job: FitJob, stage: Stage) -> StageResult:
+    job.run_dir.mkdir(parents=True, exist_ok=True)
+    result = run_stage(stage, job.run_dir, job.config, job.command)
+    if not (job.run_dir / "config.yaml").exists():
+        write_text(job.run_dir / "config.yaml", job.config_yaml)
+    return result
+
+
+def summarise(job: FitJob) -> dict[str, Any]:
+    """Return a finished fit's summary from its stages' reports."""
+    config: FitConfig = job.config
+    names = [name for name in config.all_stages if (job.run_dir / name / MANIFEST).exists()]
+    manifests = {name: read_json(job.run_dir / name / MANIFEST) for name in names}
+    return {
+        "schema": SUMMARY_SCHEMA,
+        "data": config.data.name,
+        "method": config.method.name,
+        "learner": config.method.learner,
+        "seed": config.seed,
+        **read_json(job.run_dir / "score" / "report.json"),
+        "seconds": {name: manifest["seconds"] for name, manifest in manifests.items()},
+        "versions": manifests["score"]["versions"],
+    }

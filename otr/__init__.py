@@ -16,7 +16,7 @@ from otr.io import load, save
 from otr.mapping import map_network
 from otr.network import ReluNetwork
 from otr.pattern_tree import PatternTree
-from otr.programs import to_text
+from otr.programs import draw_tree, save_picture, to_text
 from otr.pruning import prune_to_k, prune_unreached
 from otr.tree import ObliqueTree
 
@@ -37,6 +37,7 @@ __all__ = [
     "Sign",
     "TanhBox",
     "TreeTooLargeError",
+    "draw_tree",
     "from_sb3",
     "from_sklearn",
     "from_torch",
@@ -46,5 +47,6 @@ __all__ = [
     "prune_to_k",
     "prune_unreached",
     "save",
+    "save_picture",
     "to_text",
 ]

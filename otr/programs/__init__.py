@@ -1,5 +1,6 @@
-"""Trees written out as programs."""
+"""Trees written out as programs, and drawn."""
 
+from otr.programs.picture import draw_tree, save_picture
 from otr.programs.text import to_text
 
-__all__ = ["to_text"]
+__all__ = ["draw_tree", "save_picture", "to_text"]

@@ -10,7 +10,7 @@ from otr.arrays import FloatArray
 from otr.head import Argmax, ClipBox, Sign, TanhBox
 from otr.tree import ObliqueTree
 
-__all__ = ["affine_text", "to_text"]
+__all__ = ["affine_text", "names_of", "to_text"]
 
 _INDENT = "    "
 
@@ -45,9 +45,7 @@ def to_text(
         raise TypeError(f"tree is a {type(tree).__name__}, expected an ObliqueTree; a PatternTree has to_tree()")
     if precision < 1:
         raise ValueError(f"precision is {precision}, expected at least 1 significant digit")
-    features = _names(feature_names, tree.n_inputs, "x", "feature_names")
-    n_answers = 2 if tree.labels is not None and isinstance(tree.head, Sign) else tree.n_outputs
-    answers = _names(output_names, n_answers, "" if tree.labels is not None else "y", "output_names")
+    features, answers = names_of(tree, feature_names, output_names)
     lines: list[str] = []
     # What is still to be written, last first: (indentation, a line) or (indentation, a reference to a child).
     pending: list[tuple[int, str | int]] = [(0, 0 if tree.n_nodes else ~0)]
@@ -79,6 +77,15 @@ def affine_text(coefficients: FloatArray, offset: float, names: Sequence[str], p
         sign = ("-" if value < 0 else "") if position == 0 else (" - " if value < 0 else " + ")
         text += sign + word
     return text
+
+
+def names_of(
+    tree: ObliqueTree, feature_names: Sequence[str] | None, output_names: Sequence[str] | None
+) -> tuple[list[str], list[str]]:
+    """Return the names of a tree's inputs and of its outputs or labels, as `to_text` takes them."""
+    n_answers = 2 if tree.labels is not None and isinstance(tree.head, Sign) else tree.n_outputs
+    features = _names(feature_names, tree.n_inputs, "x", "feature_names")
+    return features, _names(output_names, n_answers, "" if tree.labels is not None else "y", "output_names")
 
 
 def _names(given: Sequence[str] | None, n: int, prefix: str, argument: str) -> list[str]:

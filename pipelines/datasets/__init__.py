@@ -2,6 +2,7 @@
 
 from pipelines.datasets.catalogue import NAMES
 from pipelines.datasets.dataset import Dataset, Part
+from pipelines.datasets.fragments import fragment_names
 from pipelines.datasets.load import load_dataset
 
-__all__ = ["NAMES", "Dataset", "Part", "load_dataset"]
+__all__ = ["NAMES", "Dataset", "Part", "fragment_names", "load_dataset"]

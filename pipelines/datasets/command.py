@@ -4,6 +4,7 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from rich.console import Console
@@ -12,6 +13,7 @@ from rich.table import Table
 from pipelines.datasets.catalogue import EXAMPLES, MOLECULES, NAMES, files_of
 from pipelines.datasets.dataset import PARTS, Dataset
 from pipelines.datasets.download import given_folder, locate, own_folder
+from pipelines.datasets.fragments import find_fragments, write_fragments
 from pipelines.datasets.load import check_name, load_dataset, rebuild_and_keep
 from pipelines.errors import ConfigError, PipelineError
 
@@ -33,6 +35,7 @@ where files lie:
 examples:
   otr-data bace hiv sider tox21 pdbbind
   otr-data --list
+  otr-data bace --fragments bace_fragments.csv   # needs RDKit
   OTR_DATA_DIR=iclr20-lcn/data otr-data bace"""
 
 
@@ -59,6 +62,9 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument(
         "--rebuild", action="store_true", help="make the split files from SMILES, even if they are there"
     )
+    parser.add_argument(
+        "--fragments", type=Path, metavar="FILE", help="write what each bit stands for in one data set's molecules"
+    )
     arguments = parser.parse_args(words)
     if not arguments.names and not arguments.list:
         parser.error(f"name data sets ({' '.join(NAMES)}) or give --list")
@@ -67,6 +73,8 @@ def main(words: Sequence[str]) -> int:
             check_name(name)
             if arguments.rebuild and name not in MOLECULES:
                 raise ConfigError(f"{name} cannot be rebuilt; these can: {', '.join(MOLECULES)}")
+        if arguments.fragments is not None:
+            return _write_fragments(arguments.names, arguments.fragments)
         if arguments.list:
             _list(arguments.names or NAMES)
             return 0
@@ -100,6 +108,20 @@ def _fetch(names: Sequence[str], anew: bool) -> int:
     for failure in failures:
         print(f"otr-data: {failure}", file=sys.stderr)
     return EXIT_FAILED if failures else 0
+
+
+def _write_fragments(names: Sequence[str], path: Path) -> int:
+    if len(names) != 1 or names[0] not in MOLECULES:
+        raise ConfigError(f"--fragments wants one of {', '.join(MOLECULES)}, got {', '.join(names) or 'none'}")
+    try:
+        fragments = find_fragments(MOLECULES[names[0]])
+        write_fragments(fragments, path)
+    except PipelineError as error:
+        print(f"otr-data: {names[0]}: {error}", file=sys.stderr)
+        return EXIT_FAILED
+    n_set = sum(row.n_molecules > 0 for row in fragments)
+    print(f"{names[0]}: fragments of {n_set:,} bits, of {len(fragments):,}, in {path}")
+    return 0
 
 
 def _list(names: Sequence[str]) -> None:

@@ -9,8 +9,11 @@ import csv
 import importlib.util
 import io
 import json
+from dataclasses import dataclass
 from importlib import resources
 from typing import Any
+
+import numpy as np
 
 from pipelines.datasets.catalogue import MoleculeSet
 from pipelines.datasets.download import read
@@ -31,20 +34,13 @@ def rebuild(entry: MoleculeSet) -> dict[str, bytes]:
         MissingInputError: the file of SMILES is not here and could not be fetched.
         PipelineError: RDKit is not installed, or what it gives differs from LCN's file.
     """
-    if not can_rebuild():
-        raise PipelineError(f"rebuilding {entry.name} needs RDKit: pip install 'otr[molecules]'")
+    perceived = perceive(entry)
     import rdkit
 
-    text = read(entry.raw).decode()
-    header = text.splitlines()[0]
-    rows = list(csv.reader(io.StringIO(text)))[1:]
-    fingerprints, scaffolds = _perceive([row[0] for row in rows], entry.split_rule == "scaffold")
-    for row, bits in _old_rows(entry.lcn_name).items():
-        fingerprints[int(row)] = "".join("1" if bit in bits else "0" for bit in range(N_BITS))
-    split = scaffold_split(scaffolds) if entry.split_rule == "scaffold" else random_split(len(rows))
     contents = {}
     for part, file in entry.parts.items():
-        lines = [header, *(",".join([fingerprints[row], *rows[row][1:]]) for row in split[part])]
+        lines = [perceived.header]
+        lines += [",".join([perceived.fingerprints[row], *perceived.rows[row][1:]]) for row in perceived.split[part]]
         contents[part] = ("\n".join(lines) + "\n").encode()
         difference = file.difference(contents[part])
         if difference:
@@ -55,17 +51,58 @@ def rebuild(entry: MoleculeSet) -> dict[str, bytes]:
     return contents
 
 
+@dataclass(frozen=True)
+class Perceived:
+    """A data set's molecules as RDKit sees them.
+
+    Attributes:
+        header: first line of the file of SMILES.
+        rows: its other lines: SMILES, then labels as text.
+        fingerprints: one a row, 2,048 characters 0 and 1.
+        split: the rows of train, valid and test.
+    """
+
+    header: str
+    rows: list[list[str]]
+    fingerprints: list[str]
+    split: dict[str, np.ndarray]
+
+
+def perceive(entry: MoleculeSet) -> Perceived:
+    """Return a data set's molecules with their fingerprints and parts.
+
+    Raises:
+        MissingInputError: the file of SMILES is not here and could not be fetched.
+        PipelineError: RDKit is not installed.
+    """
+    if not can_rebuild():
+        raise PipelineError(f"rebuilding {entry.name} needs RDKit: pip install 'otr[molecules]'")
+    text = read(entry.raw).decode()
+    rows = list(csv.reader(io.StringIO(text)))[1:]
+    fingerprints, scaffolds = _perceive([row[0] for row in rows], entry.split_rule == "scaffold")
+    for row, bits in _old_rows(entry.lcn_name).items():
+        fingerprints[int(row)] = "".join("1" if bit in bits else "0" for bit in range(N_BITS))
+    split = scaffold_split(scaffolds) if entry.split_rule == "scaffold" else random_split(len(rows))
+    return Perceived(text.splitlines()[0], rows, fingerprints, split)
+
+
+def fingerprint_generator() -> Any:
+    """Return RDKit's generator of the fingerprints."""
+    from rdkit.Chem import rdFingerprintGenerator
+
+    return rdFingerprintGenerator.GetMorganGenerator(radius=2, fpSize=N_BITS)
+
+
 def _perceive(smiles: list[str], with_scaffolds: bool) -> tuple[list[str], list[str]]:
     """Return each molecule's fingerprint as text and, if asked for, its Murcko scaffold without chirality."""
     from rdkit import Chem, rdBase
-    from rdkit.Chem import rdFingerprintGenerator
     from rdkit.Chem.Scaffolds import MurckoScaffold
 
-    generator = rdFingerprintGenerator.GetMorganGenerator(radius=2, fpSize=N_BITS)
+    generator = fingerprint_generator()
     fingerprints, scaffolds = [], []
     with rdBase.BlockLogs():
         for row, text in enumerate(smiles):
-            molecule = _molecule(text)
+            molecule = molecule_of(text)
             fingerprints.append(generator.GetFingerprint(molecule).ToBitString())
             if with_scaffolds:
                 try:
@@ -76,7 +113,7 @@ def _perceive(smiles: list[str], with_scaffolds: bool) -> tuple[list[str], list[
     return fingerprints, scaffolds
 
 
-def _molecule(smiles: str) -> Any:
+def molecule_of(smiles: str) -> Any:
     """Return the molecule; valences that RDKit has come to refuse (mostly of aluminium) are let through."""
     from rdkit import Chem
 

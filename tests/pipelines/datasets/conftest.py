@@ -13,6 +13,7 @@ import pytest
 from pipelines.datasets import catalogue
 from pipelines.datasets.catalogue import FILES, git_blob_hash
 from pipelines.datasets.dataset import PARTS
+from pipelines.datasets.rebuild import can_rebuild
 
 ROOT = Path(__file__).parents[3]
 # Found before a test can change it.
@@ -34,6 +35,13 @@ def real_data(monkeypatch: pytest.MonkeyPatch) -> Path:
         pytest.skip(f"{REAL_DATA} has no lcn/HIV_split; set OTR_DATA_DIR to a folder with the real files")
     monkeypatch.setenv("OTR_DATA_DIR", str(REAL_DATA))
     return REAL_DATA
+
+
+@pytest.fixture
+def rdkit_at_hand() -> None:
+    """Skip where RDKit is not installed."""
+    if not can_rebuild():
+        pytest.skip("RDKit is not installed: pip install 'otr[molecules]'")
 
 
 class Server:

@@ -6,7 +6,6 @@ import pytest
 
 from pipelines.datasets import load, load_dataset, rebuild
 from pipelines.datasets.catalogue import MOLECULES
-from pipelines.datasets.rebuild import can_rebuild
 from pipelines.errors import PipelineError
 
 from .conftest import expect, split_file
@@ -25,12 +24,6 @@ def test_the_bits_of_old_rows_are_at_hand():
         "sider": 0,
         "tox21": 3,
     }
-
-
-@pytest.fixture
-def rdkit_at_hand():
-    if not can_rebuild():
-        pytest.skip("RDKit is not installed: pip install 'otr[molecules]'")
 
 
 def test_what_cannot_be_fetched_is_rebuilt_and_kept(server, tiny_bace, own, monkeypatch, capsys):

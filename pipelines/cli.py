@@ -213,9 +213,7 @@ def _launch(
     sweep_dir = quoted(str(Path(jobs[0].config.results_dir).absolute() / "sweeps"))
     # The launcher's settings are any job's: the first one's, for there are no defaults for what is swept.
     of_hydra = [word for word in overrides if word.lstrip("+").startswith(("hydra.", "hydra/"))]
-    asked = workflow.composer.sweep_words(
-        [*words[0], *of_hydra, "hydra.mode=MULTIRUN", f"hydra.sweep.dir={sweep_dir}"]
-    )
+    asked = workflow.composer.sweep_words([*words[0], *of_hydra, "hydra.mode=MULTIRUN", f"hydra.sweep.dir={sweep_dir}"])
     with workflow.composer.hydra():
         hydra = GlobalHydra.instance().hydra
         assert hydra is not None

@@ -1,7 +1,6 @@
 """Stage tabulate: the thesis's result tables from the finished runs, as Markdown, CSV and LaTeX."""
 
 import difflib
-import re
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any
 
 from pipelines.errors import ConfigError
 from pipelines.store import write_csv, write_text
+from pipelines.supervised.table import write_table_4_2
 from pipelines.table_cells import (
     CSV_COLUMNS,
     METHODS,
@@ -29,6 +29,7 @@ from pipelines.table_cells import (
     runs_text,
     source_order,
 )
+from pipelines.table_text import latex_row, markdown_table, tex
 
 
 def write_table(table: str, results_dir: Path) -> list[Path]:
@@ -72,7 +73,7 @@ def write_table_4_1(results_dir: Path) -> list[Path]:
     return paths
 
 
-TABLES: dict[str, Callable[[Path], list[Path]]] = {"4.1": write_table_4_1}
+TABLES: dict[str, Callable[[Path], list[Path]]] = {"4.1": write_table_4_1, "4.2": write_table_4_2}
 
 
 def markdown(rows: Sequence[Sequence[Cell]], beyond: Sequence[Cell]) -> str:
@@ -90,13 +91,13 @@ def markdown(rows: Sequence[Sequence[Cell]], beyond: Sequence[Cell]) -> str:
     cells = [*(cell for row in rows for cell in row), *beyond]
     blocks = [
         "# Table 4.1: return of tree policies on eight control tasks",
-        _markdown_table(lines),
+        markdown_table(lines),
         "\n".join(f"* {note}" for note in _footer(cells)),
         "## Where the numbers come from",
-        _markdown_table(_provenance(cells)) if any(cell.runs for cell in cells) else "Nothing has been run yet.",
+        markdown_table(_provenance(cells)) if any(cell.runs for cell in cells) else "Nothing has been run yet.",
         "## Beyond the table",
         "What the thesis reports in its text, and runs of other tasks, methods, depths, budgets and trainers.",
-        _markdown_table(others),
+        markdown_table(others),
     ]
     return "\n\n".join(blocks) + "\n"
 
@@ -107,16 +108,16 @@ def latex(rows: Sequence[Sequence[Cell]]) -> str:
     lines = [f"% {note}" for note in (r"\usepackage{booktabs}; wide: use it within \resizebox or on a landscape page.",
                                       *_footer(cells))]  # fmt: skip
     lines += [rf"\begin{{tabular}}{{ll{'r' * len(TABLE_COLUMNS)}}}", r"\toprule"]
-    lines.append(_latex_row(["Task", "", *(_tex(_column(*column)) for column in TABLE_COLUMNS)]))
+    lines.append(latex_row(["Task", "", *(tex(_column(*column)) for column in TABLE_COLUMNS)]))
     for row in rows:
         best = best_in_row(row)
-        ours = [rf"\textbf{{{_tex(_ours(cell))}}}" if cell in best else _tex(_ours(cell)) for cell in row]
+        ours = [rf"\textbf{{{tex(_ours(cell))}}}" if cell in best else tex(_ours(cell)) for cell in row]
         lines.append(r"\midrule" if row is rows[0] else r"\addlinespace")
-        lines.append(_latex_row([_tex(TASKS[row[0].task]), "ours", *ours]))
+        lines.append(latex_row([tex(TASKS[row[0].task]), "ours", *ours]))
         if any(cell.runs for cell in row):
-            details = [rf"{{\scriptsize {_tex(runs_text(cell.runs))}}}" if cell.runs else "" for cell in row]
-            lines.append(_latex_row(["", "", *details]))
-        lines.append(_latex_row(["", "thesis", *(_tex(_published(cell)) for cell in row)]))
+            details = [rf"{{\scriptsize {tex(runs_text(cell.runs))}}}" if cell.runs else "" for cell in row]
+            lines.append(latex_row(["", "", *details]))
+        lines.append(latex_row(["", "thesis", *(tex(_published(cell)) for cell in row)]))
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"]) + "\n"
 
 
@@ -190,22 +191,3 @@ def _published(cell: Cell) -> str:
 def _markdown_cell(cell: Cell, bold: bool) -> str:
     text = f"**{_ours(cell)}**" if bold else _ours(cell)
     return f"{text} ({runs_text(cell.runs)})" if cell.runs else text
-
-
-def _markdown_table(lines: Sequence[Sequence[str]]) -> str:
-    """Return a Markdown table of a head and rows, its columns padded so that it reads well as plain text too."""
-    widths = [max(len(line[column]) for line in lines) for column in range(len(lines[0]))]
-    padded = [[text.ljust(width) for text, width in zip(line, widths, strict=True)] for line in lines]
-    padded.insert(1, ["-" * max(width, 3) for width in widths])
-    return "\n".join(f"| {' | '.join(line)} |" for line in padded)
-
-
-def _latex_row(texts: Iterable[str]) -> str:
-    return " & ".join(texts) + r" \\"
-
-
-def _tex(text: str) -> str:
-    """Return plain text as LaTeX: special characters escaped, a minus sign before a number, ± and π as mathematics."""
-    text = re.sub(r"([&%$#_{}])", r"\\\1", text)
-    text = re.sub(r"(?<!\w)-(?=\d)", "$-$", text)
-    return text.replace("±", r"$\pm$").replace("π", r"$\pi$")

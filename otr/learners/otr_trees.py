@@ -38,6 +38,7 @@ class _OTRLearner(NetworkLearner):
         hidden_dropout: float = 0.0,
         l1: float = 0.0,
         l2: float = 0.0,
+        drop_below: float = 0.0,
         averaging: float = 0.0,
         common_epoch: bool = False,
         epochs: int = 30,
@@ -57,6 +58,7 @@ class _OTRLearner(NetworkLearner):
         self.hidden_dropout = hidden_dropout
         self.l1 = l1
         self.l2 = l2
+        self.drop_below = drop_below
         self.averaging = averaging
         self.common_epoch = common_epoch
         self.epochs = epochs
@@ -94,12 +96,28 @@ class _OTRLearner(NetworkLearner):
 
     def _take(self, trained: TrainedNetworks, position: int, problem: Problem) -> None:
         self.networks_ = [
-            _with_targets(of_label[position].fold_input_normalisation(problem.mean, problem.scale), mean, scale)
+            _with_targets(
+                _without_small_weights(of_label[position], self.drop_below).fold_input_normalisation(
+                    problem.mean, problem.scale
+                ),
+                mean,
+                scale,
+            )
             for of_label, mean, scale in zip(trained.networks, problem.y_mean, problem.y_scale, strict=True)
         ]
         self.best_epochs_ = trained.epochs[:, position]
         self.validation_scores_ = trained.scores[:, position]
         self.trees_ = [tree_of(network, self.max_leaves) for network in self.networks_]
+
+
+def _without_small_weights(network: ReluNetwork, limit: float) -> ReluNetwork:
+    """Return the network with zeros for weights that are smaller than `limit` in size."""
+    if not limit:
+        return network
+    weights = [np.where(np.abs(weight) < limit, 0.0, weight) for weight in network.weights]
+    return ReluNetwork(
+        weights, network.biases, negative_slope=network.negative_slope, dense=network.dense, head=network.head
+    )
 
 
 def _with_targets(network: ReluNetwork, mean: float, scale: float) -> ReluNetwork:
@@ -129,6 +147,7 @@ _PARAMETERS = """
         shared: labels or targets share their hidden layers in training, see `MlpSettings`.
         input_dropout, hidden_dropout: share of the inputs, and of the hidden neurons, dropped in training.
         l1, l2, averaging, common_epoch, epochs, batch_size, learning_rate, momentum, decay_every: see `Schedule`.
+        drop_below: weights smaller than this are set to zero after training; L1 leaves many of 1e-6 and so on.
         standardize: train on inputs shifted and scaled to mean 0 and deviation 1, which is folded into the network;
             "auto": unless all are 0 and 1.
         max_leaves: see above.

@@ -121,8 +121,10 @@ class OtrConfig(LearnerConfig):
     hidden_dropout: float = 0.0
     l1: float = 0.0
     l2: float = 0.0
+    drop_below: float = 0.0
     averaging: float = 0.0
     common_epoch: bool = False
+    keep: str = "best"  # best: the best epoch by validation score; last
     epochs: int = 30
     batch_size: int = 64
     learning_rate: float = 0.1
@@ -236,6 +238,8 @@ def _check_grid(method: LearnerConfig) -> None:
     if method.tuned_for not in ("label", "data"):
         raise ConfigError(f"method.tuned_for={method.tuned_for}: use label or data")
     known = learner_settings(method)
+    if known.get("keep", "best") not in ("best", "last"):
+        raise ConfigError(f"method.keep={known['keep']}: use best or last")
     for values in method.grid:
         for key, tried in values.items():
             if key not in known:

@@ -83,7 +83,7 @@ def fit_trees(
     """
     name = _estimator_name(method.learner, dataset)
     if method.learner in BATCHED:
-        return _fit_together(name, _parameters(name, learner_settings(method)), dataset, labels, seeds)
+        return _fit_together(name, learner_settings(method), dataset, labels, seeds)
     oracles: list[list[Any]] = [[None] * len(seeds) for _ in labels]
     if method.learner == "augtree":
         otr_name = _estimator_name("otr", dataset)
@@ -108,9 +108,9 @@ def fit_trees(
 
 
 def _fit_together(
-    name: str, parameters: dict[str, Any], dataset: Dataset, labels: Sequence[int], seeds: Sequence[int]
+    name: str, settings: dict[str, Any], dataset: Dataset, labels: Sequence[int], seeds: Sequence[int]
 ) -> list[list[FittedTree]]:
-    estimators = _estimators(name, parameters, dataset, labels, seeds)
+    estimators = _estimators(name, settings, dataset, labels, seeds)
     return [
         [
             FittedTree(
@@ -123,7 +123,7 @@ def _fit_together(
 
 
 def _estimators(
-    name: str, parameters: dict[str, Any], dataset: Dataset, labels: Sequence[int], seeds: Sequence[int]
+    name: str, settings: dict[str, Any], dataset: Dataset, labels: Sequence[int], seeds: Sequence[int]
 ) -> list[Any]:
     """Return an estimator of all labels for every seed, trained as one batched model."""
     if len(labels) == 1:
@@ -132,7 +132,9 @@ def _estimators(
         columns = list(labels)
         X, y = dataset.train.X, dataset.train.Y[:, columns]
         valid = (dataset.valid.X, dataset.valid.Y[:, columns])
-    fitted: list[Any] = _new(name, parameters, None, None).fit_seeds(X, y, seeds, validation=valid)
+    estimator = _new(name, _parameters(name, settings), None, None)
+    chooses = settings.get("keep", "best") == "best"
+    fitted: list[Any] = estimator.fit_seeds(X, y, seeds, validation=valid if chooses else None)
     return fitted
 
 

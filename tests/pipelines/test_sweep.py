@@ -82,7 +82,7 @@ def done(monkeypatch):
     """The folders of jobs that count as done, to be added to."""
     folders = set()
     monkeypatch.setattr("pipelines.sweep.is_done", lambda job: job.folder in folders)
-    monkeypatch.setattr("pipelines.sweep.read_json", lambda path: {})
+    monkeypatch.setattr("pipelines.run.read_json", lambda path: {})
     return folders
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import otr
-from benchmarks import mapping, training
+from benchmarks import mapping, supervised, training
 from benchmarks.__main__ import NAMES, document, main
 from benchmarks.evaluation import STANDING_GAINS, STANDING_OFFSETS, standing_policy
 from benchmarks.mapping import copying_tree, random_network
@@ -122,3 +122,22 @@ def test_both_trainers_train_the_same_number_of_steps(tmp_path):
         train_segment()
         train_segment()
         assert model.num_timesteps == 60
+
+
+def test_without_molecules_the_examples_train_and_it_is_told(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("OTR_DATA_DIR", str(tmp_path))
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    problems, of_the_thesis = supervised.load_problems(quick=False)
+    assert not of_the_thesis
+    assert [problem.n_networks for problem in problems] == [10, 100]
+    assert "no molecules" in capsys.readouterr().out
+    for problem in problems:
+        np.testing.assert_allclose(problem.X.mean(axis=0), 0.0, atol=1e-4)
+    np.testing.assert_array_equal(problems[1].Y.sum(axis=1), 1.0)
+
+
+def test_floors_and_peers_are_ratios_of_seconds():
+    seconds = supervised.Seconds(ours=4.0, dense=3.0, sparse=1.0, peer=80.0, loader=100.0)
+    entries = supervised.entries_of("all", 8, seconds, judged=True)
+    assert [entry.ratio for entry in entries] == [None, 0.75, 0.25, 0.05, 0.04]
+    assert [entry.met for entry in entries] == [True, True, None, True, None]

@@ -20,7 +20,7 @@ from otr.network import ReluNetwork
 
 __all__ = ["MlpSettings", "MlpStack", "TrainedNetworks", "checked_rows", "train_many"]
 
-_CHUNK_BYTES = 2**21  # weights of the first layers that are trained together: they should stay in the cache
+_CHUNK_BYTES = 2**22  # weights of the first layers that are trained together: they should stay in the cache
 
 
 @dataclass(frozen=True)

@@ -15,12 +15,14 @@ from typing import Protocol
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.sparse import csc_array, csr_array
 from torch import Tensor
 
 from otr.arrays import IntArray
 
 __all__ = ["Batch", "DenseRows", "Rows", "SparseRows", "new_rows"]
 
+IndexArray = NDArray[np.signedinteger]  # scipy takes the smallest integers that do
 _MAX_DENSITY = 0.15  # a sum over ones costs about as much as this share of the product
 
 
@@ -84,79 +86,66 @@ class SparseRows:
     def __init__(self, ones: NDArray[np.bool_]) -> None:
         """Keep where the ones are, of (n, d)."""
         self.n_rows, self.n_inputs = ones.shape
-        counts = ones.sum(axis=1, dtype=np.int64)
-        self._starts = np.concatenate(([0], np.cumsum(counts)))
-        self._counts = counts
-        self._inputs = np.nonzero(ones)[1].astype(np.int64)
+        self._ones = csr_array(ones)
 
     def times(self, table: Tensor) -> Tensor:
         """Return the product of all rows with one group's weights."""
-        return _sum_rows(table, self._inputs, self._starts)
+        return _sum_rows(table, self._ones.indices, self._ones.indptr)
 
     def batch(self, rows: IntArray, dropout: float = 0.0, draws: list[np.random.Generator] | None = None) -> Batch:
         """Return a mini-batch, see `Rows`."""
-        n_groups, n_bags = len(rows), rows.size
-        counts = self._counts[rows.ravel()]
-        ends = np.cumsum(counts)
-        bags = np.repeat(np.arange(n_bags), counts)
-        shifts = np.repeat(self._starts[rows.ravel()] - (ends - counts), counts)
-        inputs = self._inputs[np.arange(ends[-1]) + shifts]
+        n_groups = len(rows)
+        chosen = self._ones[rows.ravel()]
+        inputs, starts = chosen.indices, chosen.indptr
         if dropout:
             assert draws is not None
-            per_group = np.diff(ends.reshape(n_groups, -1)[:, -1], prepend=0)
+            per_group = np.diff(starts[:: rows.shape[1]])
             kept = np.concatenate(
                 [draw.random(n, dtype=np.float32) >= dropout for draw, n in zip(draws, per_group, strict=True)]
             )
-            inputs, bags = inputs[kept], bags[kept]
-            counts = np.bincount(bags, minlength=n_bags)
-        return _SparseBatch(inputs, bags, counts, n_groups, self.n_inputs)
+            inputs, starts = inputs[kept], np.concatenate(([0], np.cumsum(kept)))[starts].astype(starts.dtype)
+        return _SparseBatch(inputs, starts, n_groups, self.n_inputs)
 
 
 class _SparseBatch:
-    """The ones of a mini-batch: entry e is a one of input `inputs[e]` in row `bags[e]` of the G * B rows."""
+    """The ones of a mini-batch: entries starts[i] .. starts[i + 1] are those of row i of the G * B rows."""
 
-    def __init__(self, inputs: IntArray, bags: IntArray, counts: IntArray, n_groups: int, n_inputs: int) -> None:
-        self._shape = (n_groups, len(counts) // n_groups, -1)
-        self._n_keys = n_groups * n_inputs
-        per_group = counts.reshape(n_groups, -1).sum(axis=1)
-        groups = np.repeat(np.arange(n_groups), per_group)
-        self._inputs, self._groups, self._bags = inputs, groups, bags
-        self._keys = inputs + groups * n_inputs
-        self._starts = np.concatenate(([0], np.cumsum(counts)))
+    def __init__(self, inputs: IndexArray, starts: IndexArray, n_groups: int, n_inputs: int) -> None:
+        n_bags = len(starts) - 1
+        self._shape = (n_groups, n_bags // n_groups, -1)
+        self._n_entries = np.diff(starts[:: n_bags // n_groups])
+        self._keys = inputs + np.repeat(np.arange(n_groups, dtype=inputs.dtype) * n_inputs, self._n_entries)
+        self._starts, self._n_keys = starts, n_groups * n_inputs
 
     def times(self, table: Tensor) -> Tensor:
         return _sum_rows(table, self._keys, self._starts).view(*self._shape)
 
     def transposed_times(self, deltas: Tensor) -> Tensor:
-        order, starts = self._by_key
-        return _sum_rows(deltas.reshape(-1, deltas.shape[-1]), self._bags[order], starts)
+        by_key = self._by_key
+        return _sum_rows(deltas.reshape(-1, deltas.shape[-1]), by_key.indices, by_key.indptr)
 
     def draw_masks(self, draws: list[np.random.Generator], dropout: float, n_masks: int) -> Tensor:
-        n_entries = np.diff(self._starts[:: self._shape[1]])
         kept = [
-            draw.random((n, n_masks), dtype=np.float32) >= dropout for draw, n in zip(draws, n_entries, strict=True)
+            draw.random((n, n_masks), dtype=np.float32) >= dropout
+            for draw, n in zip(draws, self._n_entries, strict=True)
         ]
         return torch.from_numpy(np.concatenate(kept).astype(np.float32))
 
     def masked_times(self, table: Tensor, masks: Tensor) -> Tensor:
         terms = _masked(table[torch.from_numpy(self._keys)], masks)
-        return _sum_rows(terms, np.arange(len(self._keys)), self._starts).view(*self._shape)
+        return _sum_rows(terms, np.arange(len(terms), dtype=self._starts.dtype), self._starts).view(*self._shape)
 
     def transposed_masked_times(self, deltas: Tensor, masks: Tensor) -> Tensor:
         flat = deltas.reshape(-1, deltas.shape[-1])
-        order, starts = self._by_key
-        return _sum_rows(_masked(flat[torch.from_numpy(self._bags)], masks), order, starts)
+        terms = _masked(flat[torch.from_numpy(self._by_key.indices)], masks[torch.from_numpy(self._by_key.data)])
+        return _sum_rows(terms, np.arange(len(terms), dtype=self._starts.dtype), self._by_key.indptr)
 
     @cached_property
-    def _by_key(self) -> tuple[IntArray, IntArray]:
-        """The entries in the order of the table's rows, and where each row's begin."""
-        if self._n_keys <= 2**16:
-            order = _argsort(self._keys)
-        else:  # by the smaller numbers first
-            order = _argsort(self._inputs)
-            order = order[_argsort(self._groups[order])]
-        ends = np.cumsum(np.bincount(self._keys, minlength=self._n_keys))
-        return order, np.concatenate(([0], ends))
+    def _by_key(self) -> csc_array:
+        """The numbers of the entries, in a column for each of the table's rows; their indices are the entries' rows."""
+        entries = np.arange(len(self._keys), dtype=self._starts.dtype)
+        shape = (len(self._starts) - 1, self._n_keys)
+        return csr_array((entries, self._keys, self._starts), shape=shape).tocsc()
 
 
 def _masked(terms: Tensor, masks: Tensor) -> Tensor:
@@ -165,19 +154,12 @@ def _masked(terms: Tensor, masks: Tensor) -> Tensor:
     return terms
 
 
-def _sum_rows(table: Tensor, rows: IntArray, starts: IntArray) -> Tensor:
+def _sum_rows(table: Tensor, rows: IndexArray, starts: IndexArray) -> Tensor:
     """Return, for every i, the sum of table[rows[starts[i]:starts[i + 1]]]."""
     sums: Tensor = torch.embedding_bag(
         table, torch.from_numpy(rows), torch.from_numpy(starts), False, 0, False, None, True
     )[0]
     return sums
-
-
-def _argsort(keys: IntArray) -> IntArray:
-    """Return the stable order of keys >= 0; numpy sorts 16-bit integers in linear time."""
-    small = keys.size == 0 or int(keys.max()) < 2**16
-    order: IntArray = np.argsort(keys.astype(np.uint16) if small else keys, kind="stable")
-    return order
 
 
 class DenseRows:

@@ -116,6 +116,7 @@ class Parameter:
 
     Attributes:
         flat, flat_gradient: the padded vectors.
+        values: the tensor, a view of `flat`.
         shape: a shape under which the first axis is the seed and axis `label_axis` the label.
         label_axis: see there.
         penalised: whether l1 and l2 apply.
@@ -127,13 +128,9 @@ class Parameter:
         self.label_axis, self.penalised = label_axis, penalised
         self._size, self._own_shape = values.numel(), values.shape
         self.flat = torch.zeros(math.ceil(self._size / PADDED_TO) * PADDED_TO)
+        self.values = self.view(self.flat)
         self.values.copy_(values)
         self.flat_gradient = torch.zeros_like(self.flat)
-
-    @property
-    def values(self) -> Tensor:
-        """The tensor, a view of `flat`."""
-        return self.view(self.flat)
 
     @property
     def gradient(self) -> Tensor:
@@ -254,12 +251,8 @@ def train_stack(
     for epoch in range(1, schedule.epochs + 1):
         stack.start_epoch(epoch, schedule.epochs)
         order = np.stack([stream.order.permutation(rows.n_rows) for stream in streams])
-        for start in range(0, rows.n_rows, schedule.batch_size):
-            chosen, is_row = _padded(order[:, start : start + schedule.batch_size])
-            picked = torch.from_numpy(chosen)
-            weights = present[:, picked].transpose(0, 1) * is_row
-            weights = weights / weights.sum(2, keepdim=True).clamp_(min=1.0)
-            stack.step_gradients(rows, chosen, targets[:, picked].transpose(0, 1), weights)
+        for chosen, *labels in _mini_batches(order, targets, present, schedule.batch_size):
+            stack.step_gradients(rows, chosen, *labels)
             if schedule.l1:
                 for parameter in stack.parameters:
                     if parameter.penalised:
@@ -277,12 +270,28 @@ def train_stack(
     return fitted
 
 
-def _padded(chosen: IntArray) -> tuple[IntArray, Tensor]:
-    """Return the rows (S, B) with more of them up to a multiple of `PADDED_TO`, and 1 for a row, 0 for one too many."""
-    n_more = -chosen.shape[1] % PADDED_TO
-    is_row = torch.ones(chosen.shape[1] + n_more)
-    is_row[chosen.shape[1] :] = 0.0
-    return np.concatenate((chosen, np.repeat(chosen[:, :1], n_more, axis=1)), axis=1), is_row
+def _mini_batches(
+    order: IntArray, targets: Tensor, present: Tensor, batch_size: int
+) -> Iterator[tuple[IntArray, Tensor, Tensor]]:
+    """Yield an epoch's mini-batches: chosen rows (S, B), targets and weights (S, L, B), see `Stack.step_gradients`.
+
+    A mini-batch gets rows of weight zero up to a multiple of `PADDED_TO`.
+
+    Args:
+        order: (S, n), of the rows.
+        targets, present: (L, n), of all rows; 0 where missing, and whether they are there, as 0 and 1.
+        batch_size: rows of a mini-batch that count.
+    """
+    picked = torch.from_numpy(order)
+    targets, present = (labels[:, picked].transpose(0, 1).contiguous() for labels in (targets, present))
+    for start in range(0, order.shape[1], batch_size):
+        mine = slice(start, start + batch_size)
+        chosen, of_batch, weights = order[:, mine], targets[..., mine], present[..., mine]
+        n_more = -chosen.shape[1] % PADDED_TO
+        if n_more:
+            chosen = np.concatenate((chosen, np.repeat(chosen[:, :1], n_more, axis=1)), axis=1)
+            of_batch, weights = (torch.nn.functional.pad(labels, (0, n_more)) for labels in (of_batch, weights))
+        yield chosen, of_batch, weights / weights.sum(2, keepdim=True).clamp_(min=1.0)
 
 
 class _NesterovSgd:

@@ -6,8 +6,6 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-import otr
-from otr.programs import to_text
 from pipelines.console import SHORT_PROGRAM, duration
 from pipelines.supervised.metrics import METRICS
 
@@ -33,16 +31,14 @@ def show_fit(summary: dict[str, Any], run_dir: Path) -> None:
         console.print(f"labels left out, for they have one class: {parts}")
     seconds = ", ".join(f"{stage} {duration(spent)}" for stage, spent in summary["seconds"].items())
     console.print(f"time: {seconds}", markup=False)
+    picture = run_dir / "fit" / "tree.png"
+    if picture.exists():
+        console.print(f"picture: {picture}", markup=False)
     console.print(f"artefacts: {run_dir}", markup=False)
 
 
 def _program(run_dir: Path) -> str:
-    """Return the program of a fit of one label where the tree is at hand and a person would read it."""
-    trees = sorted((run_dir / "fit").glob("label-*.json"))
-    if len(trees) != 1:
-        return ""
-    tree = otr.load(trees[0])
-    if not isinstance(tree, otr.ObliqueTree) or tree.n_leaves > SHORT_PROGRAM // 2:
-        return ""
-    text = to_text(tree)
-    return text if text.count("\n") <= SHORT_PROGRAM and len(text) < 80 * SHORT_PROGRAM else ""
+    """Return the program that was written of a small tree, if it is short."""
+    path = run_dir / "score" / "program.txt"
+    text = path.read_text(encoding="utf-8") if path.exists() else ""
+    return text if text.count("\n") <= SHORT_PROGRAM else ""

@@ -13,12 +13,16 @@ from pipelines.supervised.config import FitConfig, with_settings
 from pipelines.supervised.data import dataset_of
 from pipelines.supervised.learners import FittedTree, check_learner, fit_trees, usable_labels
 from pipelines.supervised.progress import Progress
+from pipelines.supervised.shown import draw
 
 COLUMNS = ("label", "file", "settings", "epoch", "small_weights", "cpu_seconds")
 
 
 def fit(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> None:
-    """Write every label's tree as `label-<column>.npz` and `.json`, and `trees.csv` that lists them."""
+    """Write every label's tree as `label-<column>.npz` and `.json`, and `trees.csv` that lists them.
+
+    A small tree of one label is drawn as `tree.png`, too.
+    """
     fit_together([inputs], [config], [out])
 
 
@@ -50,6 +54,8 @@ def fit_together(
             for position, each in enumerate(of_label):
                 name = f"label-{label:02d}"
                 otr.save(each.tree, outs[position] / name)
+                if len(dataset.label_names) == 1:
+                    draw(each.tree, dataset, outs[position] / "tree.png")
                 rows[position].append(_row(dataset.label_names[label], name, changes, each, seconds))
     for out, of_seed in zip(outs, rows, strict=True):
         write_csv(out / "trees.csv", sorted(of_seed, key=lambda row: str(row["file"])), COLUMNS)

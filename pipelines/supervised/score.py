@@ -7,18 +7,15 @@ from typing import Any
 import numpy as np
 
 import otr
-from otr.programs import draw_tree, save_picture, to_text
-from pipelines.datasets import fragment_names
-from pipelines.datasets.dataset import PARTS, Dataset
+from pipelines.datasets.dataset import PARTS
 from pipelines.store import read_csv, write_csv, write_json, write_text
 from pipelines.supervised.config import FitConfig
 from pipelines.supervised.data import dataset_of
 from pipelines.supervised.metrics import metric_of, outputs_of, score, size_of
+from pipelines.supervised.shown import program_of
 
 COLUMNS = ("label", "train", "valid", "test", "n_train", "n_valid", "n_test", "leaves", "depth", "settings", "epoch",
            "small_weights", "cpu_seconds")  # fmt: skip
-
-MOST_LEAVES_SHOWN, MOST_CHARACTERS_SHOWN = 32, 50_000
 
 
 def score_trees(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> None:
@@ -26,7 +23,7 @@ def score_trees(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> Non
 
     The predictions have a column a label, in the order of the rows of `scores.csv`: logits, shares of class 1, or
     values; NaN where the label was not measured. Classes beyond two have no predictions. A small tree of one label is
-    written as `program.txt` and `tree.png`, too.
+    written as `program.txt`, too.
     """
     dataset = dataset_of(config)
     metric = metric_of(dataset)
@@ -49,30 +46,12 @@ def score_trees(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> Non
                 predictions[measured, i] = outputs
         row |= {"leaves": size.leaves, "depth": size.depth}
         rows.append(row | {key: described[key] for key in COLUMNS if key in described})
-    if len(trees) == 1:
-        show_tree(tree, dataset, out)
+    program = program_of(tree, dataset) if len(trees) == 1 else None
+    if program:
+        write_text(out / "program.txt", program)
     write_csv(out / "scores.csv", rows, COLUMNS)
     np.savez_compressed(out / "predictions.npz", test=predictions)
     write_json(out / "report.json", report(metric, len(dataset.label_names), rows))
-
-
-def show_tree(tree: "otr.ObliqueTree | otr.PatternTree", dataset: Dataset, out: Path) -> None:
-    """Write what the training rows reach of a tree as `program.txt` and `tree.png`, if that is small enough to read."""
-    X, y = dataset.labelled("train")
-    if size_of(tree, X).leaves > MOST_LEAVES_SHOWN:
-        return
-    pruned = otr.prune_unreached(tree, X)
-    names = fragment_names(dataset.name)
-    answers = None
-    if dataset.task == "classification" and len(np.unique(y)) == 2:
-        label = dataset.label_names[0]
-        answers = [f"{label} 0", f"{label} 1"]
-    text = to_text(pruned, feature_names=names, output_names=answers)
-    if len(text) <= MOST_CHARACTERS_SHOWN:
-        write_text(out / "program.txt", text)
-    counts = np.bincount(pruned.apply(X), minlength=pruned.n_leaves)
-    figure = draw_tree(pruned, feature_names=names, output_names=answers, counts=counts)
-    save_picture(figure, out / "tree.png")
 
 
 def report(metric: str, n_labels: int, rows: list[dict[str, Any]]) -> dict[str, Any]:

@@ -1,0 +1,71 @@
+"""Small trees for people: the part that the training rows reach, as a program and as a picture."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+import otr
+from otr.programs import draw_tree, save_picture, to_text
+from pipelines.datasets import fragment_names
+from pipelines.datasets.dataset import Dataset
+from pipelines.supervised.metrics import size_of
+
+MOST_LEAVES, MOST_CHARACTERS, WIDTH = 32, 20_000, 110
+
+
+def program_of(tree: otr.ObliqueTree | otr.PatternTree, dataset: Dataset) -> str | None:
+    """Return the program of what the training rows reach of a tree; None if it is too long to read.
+
+    Args:
+        tree: the tree of a data set of one label.
+        dataset: where it was learned.
+    """
+    X, _ = dataset.labelled("train")
+    if size_of(tree, X).leaves > MOST_LEAVES:
+        return None
+    pruned = otr.prune_unreached(tree, X)
+    text = to_text(pruned, feature_names=fragment_names(dataset.name), output_names=_answers(pruned, dataset))
+    return wrapped(text) if len(text) <= MOST_CHARACTERS else None
+
+
+def draw(tree: otr.ObliqueTree | otr.PatternTree, dataset: Dataset, path: Path) -> bool:
+    """Draw what the training rows reach of a tree, if that has few leaves; tell whether it was drawn."""
+    X, _ = dataset.labelled("train")
+    if size_of(tree, X).leaves > MOST_LEAVES:
+        return False
+    pruned = otr.prune_unreached(tree, X)
+    figure = draw_tree(
+        pruned,
+        feature_names=fragment_names(dataset.name),
+        output_names=_answers(pruned, dataset),
+        counts=np.bincount(pruned.apply(X), minlength=pruned.n_leaves),
+        max_terms=8,
+    )
+    save_picture(figure, path)
+    return True
+
+
+def wrapped(program: str) -> str:
+    """Return a program with its long lines broken before an operator, what follows being indented."""
+    lines = []
+    for line in program.splitlines():
+        indent = " " * (len(line) - len(line.lstrip()) + len("if "))
+        terms = re.split(r" (?=[+-] )", line)
+        current = terms[0]
+        for term in terms[1:]:
+            if len(current) + 1 + len(term) > WIDTH:
+                lines.append(current)
+                current = indent + term
+            else:
+                current += f" {term}"
+        lines.append(current)
+    return "\n".join(lines) + "\n"
+
+
+def _answers(tree: otr.ObliqueTree, dataset: Dataset) -> list[str] | None:
+    """Return names for what the leaves answer, where the labels are 0 and 1 or the answer is one number."""
+    name = dataset.label_names[0]
+    if tree.labels is None:
+        return [name] if tree.n_outputs == 1 else None
+    return [f"{name} 0", f"{name} 1"] if np.nanmax(dataset.train.Y) <= 1 else None

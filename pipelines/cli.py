@@ -260,16 +260,22 @@ class _SweepTask:
         jobs = workflow.jobs(next(group for group in self.groups if group[0] == first))
         if HydraConfig.get().runtime.choices["hydra/launcher"] != "basic":
             jobs = [side_by_side(job) for job in jobs]
-        return [self._outcome(job, error) for job, error in zip(jobs, workflow.do_group(jobs), strict=True)]
+        outcomes: list[Outcome] = []
+        before = None
+        for job, error in zip(jobs, workflow.do_group(jobs), strict=True):
+            outcomes.append(self._outcome(job, error, error is not None and error is before))
+            before = error
+        return outcomes
 
-    def _outcome(self, job: Job, error: Exception | None) -> Outcome:
+    def _outcome(self, job: Job, error: Exception | None, is_told: bool) -> Outcome:
+        """Return how a job ended; what a group failed with as a whole is told with the first of its jobs alone."""
         if error is None:
             return Outcome(job.folder)
         path = record_failure(job, error, self.sweep)
         message = _message(error)
         if job.config.debug:
             traceback.print_exception(error)
-        print(f"{job.folder} failed: {message}", file=sys.stderr, flush=True)
+        print(f"{job.folder} failed: {'so, too' if is_told else message}", file=sys.stderr, flush=True)
         return Outcome(job.folder, message.splitlines()[0], path)
 
 

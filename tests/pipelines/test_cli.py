@@ -295,6 +295,6 @@ def test_every_environment_and_budget_composes(tmp_path):
 
 
 def test_help_names_the_words():
-    for program in ("otr-run", "otr-plan", "otr-tabulate"):
+    for program in ("otr-run", "otr-plan", "otr-fit", "otr-tabulate"):
         done = otr_command(program, "--help", cwd=Path.cwd())
         assert done.returncode == 0 and "words:" in done.stdout

@@ -1,0 +1,48 @@
+"""otr-fit as it is typed."""
+
+import pytest
+
+from tests.pipelines.conftest import otr_command
+
+
+def test_fit_sweep_runs_and_is_found_done(tmp_path):
+    words = ("-m", "data=breast_cancer", "method=linear,otr_16", "seed=range(0,2)")
+    done = otr_command("otr-fit", *words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "1 more seeds as one batched model" in done.stdout and "4 jobs: 4 done, 0 failed" in done.stdout
+    again = otr_command("otr-fit", *words, cwd=tmp_path)
+    assert again.stdout.count("done before") == 4
+    table = otr_command("otr-tabulate", "table=4.2", cwd=tmp_path)
+    assert table.returncode == 0 and "Sparse training on Bace" in table.stdout
+
+
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        ((), "which data set? Add data=NAME with one of: bace"),
+        (("data=bacee",), "Did you mean bace?"),
+        (("data=bace", "method=otrr"), "Did you mean otr"),
+        (("data=bace", "method.hiden=[3]"), "Did you mean method.hidden"),
+        (("data=bace,hiv",), "several values make a sweep; add -m"),
+        (("data=bace", "+experiment=table_4_3"), "Did you mean table_4_2?"),
+    ],
+)
+def test_wrong_words_are_explained(tmp_path, words, message):
+    done = otr_command("otr-fit", *words, cwd=tmp_path)
+    assert done.returncode == 2 and message in done.stderr and "Traceback" not in done.stderr
+
+
+def test_missing_data_is_told_once_for_all_seeds(tmp_path):
+    words = ("-m", "data=bace", "method=otr", "seed=range(0,3)")
+    done = otr_command("otr-fit", *words, cwd=tmp_path, OTR_DATA_DIR=str(tmp_path))
+    assert done.returncode == 1
+    assert done.stderr.count("train.fgp2048.csv") <= 4 and done.stderr.count("failed: so, too") == 2
+    assert "3 failed" in done.stdout
+
+
+def test_published_settings_are_used_where_there_are_any(tmp_path):
+    bace = otr_command("otr-fit", "--cfg", "data=bace", "method=lcn", cwd=tmp_path).stdout
+    assert "grid: []" in bace and "depth: 12" in bace and "drop_connect: 0.75" in bace
+    mine = otr_command("otr-fit", "--cfg", "data=bace", "method=lcn", "method.depth=3", cwd=tmp_path).stdout
+    assert "depth: 3" in mine
+    assert "grid: []" not in otr_command("otr-fit", "--cfg", "data=sider", "method=lcn", cwd=tmp_path).stdout

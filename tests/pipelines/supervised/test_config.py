@@ -1,0 +1,59 @@
+import dataclasses
+
+import pytest
+
+from pipelines.errors import ConfigError
+from pipelines.supervised.config import combinations, fit_folder, fit_settings, tune_settings
+from pipelines.supervised.run import fit_groups
+
+
+def test_grid_is_all_combinations_of_each_part(fit_of):
+    grid = [{"max_depth": [1, 2], "min_samples_leaf": [3, 4]}, {"max_depth": [9]}]
+    found = [tuple(changes.values()) for changes in combinations(fit_of("cart", grid=grid).method)]
+    assert found == [(1, 3), (1, 4), (2, 3), (2, 4), (9,)]
+
+
+@pytest.mark.parametrize(
+    "settings, message",
+    [
+        ({"grid": [{"depth": [1]}]}, "has no setting 'depth'"),
+        ({"grid": [{"max_depth": []}]}, "needs a list of values"),
+        ({"grid": [{"max_depth": 3}]}, "needs a list of values"),
+        ({"grid": [{"max_depth": [3]}], "tuning_seeds": []}, "tuning_seeds is empty"),
+        ({"tuned_for": "seed"}, "use label or data"),
+    ],
+)
+def test_wrong_grids_are_refused(fit_of, settings, message):
+    with pytest.raises(ConfigError, match=message):
+        fit_of("cart", **settings)
+
+
+def test_stages_depend_on_whether_something_is_tuned(fit_of):
+    assert fit_of("cart").all_stages == ("fit", "score")
+    assert fit_of("cart", grid=[{"max_depth": [1]}]).all_stages == ("tune", "fit", "score")
+    with pytest.raises(ConfigError, match="has no stage 'tune'"):
+        dataclasses.replace(fit_of("cart"), stages=["tune"])
+
+
+def test_folder_names_the_fit_and_digests_other_settings(fit_of):
+    baseline = fit_of("cart", seed=3)
+    assert fit_folder(baseline, baseline) == "runs/breast_cancer/cart/seed-3"
+    other = fit_folder(fit_of("cart", seed=3, max_depth=2), baseline)
+    assert other.startswith("runs/breast_cancer/cart/seed-3~") and len(other.split("~")[1]) == 8
+
+
+def test_tuning_does_not_depend_on_the_seed_and_fitting_does(fit_of):
+    one, two = fit_of("cart", seed=0), fit_of("cart", seed=1)
+    assert tune_settings(one) == tune_settings(two)
+    assert fit_settings(one) != fit_settings(two)
+
+
+def test_molecules_are_keyed_by_the_hashes_of_their_files(fit_of):
+    assert len(fit_settings(fit_of("cart", data="bace"))["data"]["git_blobs"]) == 3
+
+
+def test_seeds_of_one_method_make_a_group(fit_of):
+    configs = [fit_of("cart", seed=seed) for seed in range(3)]
+    configs.insert(1, fit_of("otr", seed=0))
+    assert fit_groups(configs) == [[0, 2, 3], [1]]
+    assert fit_groups([dataclasses.replace(config, seeds_per_process=2) for config in configs]) == [[0, 2], [1], [3]]

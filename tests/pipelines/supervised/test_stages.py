@@ -1,0 +1,148 @@
+"""The stages themselves, on scikit-learn's data sets."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from sklearn.metrics import roc_auc_score
+
+import otr
+from otr.learners import OTRClassifier
+from pipelines.datasets.load import load_dataset
+from pipelines.errors import ConfigError
+from pipelines.job import is_done
+from pipelines.store import read_csv, read_json
+from pipelines.supervised.run import FitJob, fit_job, fit_jobs
+from pipelines.supervised.tune import best_of, checkpoint_folder
+
+GRID = [{"max_depth": [1, 2, 5]}]
+
+
+def job_of(config):
+    return FitJob(config, config.folder, "data: {}\n", "otr-fit ...")
+
+
+def test_scores_and_predictions_are_those_of_the_kept_tree(fit_of):
+    job = job_of(fit_of("otr", hidden=[3], epochs=8))
+    summary = fit_job(job)
+    dataset = load_dataset("breast_cancer")
+    tree = otr.load(job.run_dir / "fit" / "label-00")
+    for part in ("train", "valid", "test"):
+        X, y = dataset.labelled(part)
+        assert summary[part] == pytest.approx(roc_auc_score(y, tree.forward(X)[:, 0]), abs=1e-7)
+    (row,) = read_csv(job.run_dir / "score" / "scores.csv")
+    assert float(row["test"]) == pytest.approx(summary["test"])
+    assert int(row["leaves"]) == otr.prune_unreached(tree, dataset.train.X).n_leaves == summary["leaves"]
+    predictions = np.load(job.run_dir / "score" / "predictions.npz")["test"]
+    assert np.allclose(predictions[:, 0], tree.forward(dataset.test.X)[:, 0], rtol=1e-6)
+    assert (job.run_dir / "score" / "program.txt").read_text().startswith("if ")
+    assert (job.run_dir / "fit" / "tree.png").exists()
+
+
+def test_seeds_together_are_the_seeds_alone(fit_of):
+    jobs = [job_of(fit_of("otr", seed=seed, hidden=[3], epochs=3)) for seed in range(3)]
+    assert fit_jobs(jobs) == [None] * 3
+    dataset = load_dataset("breast_cancer")
+    X, y = dataset.labelled("train")
+    for seed, job in enumerate(jobs):
+        alone = OTRClassifier((3,), epochs=3, random_state=seed).fit(X, y, validation=dataset.labelled("valid"))
+        tree = otr.load(job.run_dir / "fit" / "label-00")
+        assert np.allclose(tree.forward(X)[:, 0], alone.decision_function(X), rtol=1e-3, atol=1e-3)
+    assert len({read_json(job.run_dir / "summary.json")["train"] for job in jobs}) == 3
+
+
+def test_what_is_tuned_is_the_best_on_the_validation_part(fit_of):
+    job = job_of(fit_of("cart", grid=GRID))
+    fit_job(job)
+    rows = read_csv(job.run_dir / "tune" / "candidates.csv")
+    best = max(rows, key=lambda row: float(row["valid"]))
+    (chosen,) = read_json(job.run_dir / "tune" / "chosen.json")
+    assert chosen["settings"] == json.loads(best["settings"])
+    tree = otr.load(job.run_dir / "fit" / "label-00")
+    assert tree.depth == chosen["settings"]["max_depth"]
+    assert read_json(job.run_dir / "summary.json")["valid"] == pytest.approx(float(best["valid"]), abs=0.05)
+
+
+def test_seeds_share_what_was_tuned_and_only_one_tunes(fit_of, monkeypatch):
+    tuned = []
+    import pipelines.supervised.tune as module
+
+    real = module._scores
+    monkeypatch.setattr(module, "_scores", lambda *arguments: tuned.append(1) or real(*arguments))
+    jobs = [job_of(fit_of("cart", seed=seed, grid=GRID)) for seed in range(2)]
+    assert fit_jobs(jobs) == [None, None]
+    assert len(tuned) == 3
+    first, second = ((job.run_dir / "tune" / "candidates.csv").read_text() for job in jobs)
+    assert first == second
+
+
+def test_killed_tuning_goes_on_with_the_next_combination(fit_of, monkeypatch):
+    import pipelines.supervised.tune as module
+
+    config = fit_of("cart", grid=GRID)
+    fitted = []
+    real = module.fit_trees
+
+    def killed_at_the_third(method, *arguments, **options):
+        fitted.append(method.max_depth)
+        if len(fitted) == 3:
+            raise KeyboardInterrupt
+        return real(method, *arguments, **options)
+
+    monkeypatch.setattr(module, "fit_trees", killed_at_the_third)
+    with pytest.raises(KeyboardInterrupt):
+        fit_job(job_of(config))
+    assert len(list(checkpoint_folder(config).glob("*.json"))) == 2
+    fit_job(job_of(config))
+    assert fitted == [1, 2, 5, 5]
+    assert not checkpoint_folder(config).exists()
+
+
+def test_done_fits_are_found_again_with_and_without_their_trees(fit_of, capsys):
+    job = job_of(fit_of("cart", grid=GRID))
+    fit_job(job)
+    assert is_done(job)
+    shutil.rmtree(job.run_dir / "fit")
+    assert is_done(job)
+    fit_job(job)
+    assert "done before" in capsys.readouterr().out
+    (job.run_dir / "score" / "scores.csv").write_text("changed")
+    (job.run_dir / "tune" / "chosen.json").write_text("[]")
+    assert not is_done(job)
+
+
+def test_a_learner_that_is_not_for_the_task_says_so(fit_of):
+    with pytest.raises(ConfigError, match="tao is not for regression, which diabetes is"):
+        fit_job(job_of(fit_of("tao", data="diabetes")))
+
+
+@pytest.mark.parametrize("learner", ["linear", "cart", "hhcart", "augtree", "model_tree", "lcn", "otr"])
+def test_every_learner_does_a_regression(fit_of, learner):
+    settings = {"epochs": 4} if learner in ("lcn", "otr") else {}
+    settings |= {"max_depth": 3} if learner in ("cart", "hhcart", "augtree", "model_tree") else {}
+    summary = fit_job(job_of(fit_of(learner, data="diabetes", **settings)))
+    assert summary["metric"] == "rmse" and 40 < summary["test"] < 75  # the targets' deviation is about 77
+
+
+@pytest.mark.parametrize("learner", ["linear", "cart", "hhcart", "tao", "augtree", "otr"])
+def test_every_classifier_does_many_classes(fit_of, learner):
+    settings = {"epochs": 4} if learner == "otr" else {}
+    settings |= {"max_depth": 4} if learner in ("cart", "hhcart", "tao", "augtree") else {}
+    summary = fit_job(job_of(fit_of(learner, data="digits", **settings)))
+    assert summary["metric"] == "accuracy" and summary["test"] > 0.4
+
+
+@pytest.mark.parametrize(
+    "scores, for_label, best",
+    [
+        ([[0.6, 0.9], [0.8, 0.7]], True, [1, 0]),
+        ([[0.6, 0.9], [0.8, 0.8]], False, [1, 1]),
+        ([[0.6, np.nan, 0.9], [0.8, np.nan, 0.8]], True, [1, 1, 0]),  # what serves the others best
+        ([[np.nan], [np.nan]], True, [0]),
+        ([[0.7], [0.7]], True, [0]),  # the first of equals
+    ],
+)
+def test_best_combination(scores, for_label, best):
+    assert best_of(np.array(scores), for_label, "auc") == best
+    assert best_of(-np.array(scores), for_label, "rmse") == best

@@ -1,0 +1,91 @@
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from pipelines.errors import PipelineError
+from pipelines.supervised.table import read_cell, write_table_4_2
+
+
+def add_fit(results: Path, data: str, method: str, seed: int, test: float, **changes: object) -> Path:
+    folder = results / "runs" / data / method / f"seed-{seed}"
+    folder.mkdir(parents=True)
+    summary = {
+        "schema": "otr/fit-summary/1", "data": data, "method": method, "learner": method, "seed": seed,
+        "metric": "auc", "n_labels": 27 if data == "sider" else 1,
+        "labels_left_out": {"train": 0, "valid": 0, "test": 2 if data == "sider" else 0},
+        "train": 0.95, "valid": 0.75, "test": test, "leaves": 100.0, "depth": 17.0, "small_weights": None,
+        "fit_cpu_seconds": 1.5, "seconds": {"fit": 1.0}, "versions": {},
+    } | changes  # fmt: skip
+    (folder / "summary.json").write_text(json.dumps(summary))
+    return folder
+
+
+@pytest.fixture
+def results(tmp_path):
+    for seed, test in enumerate((0.80, 0.82, 0.84)):
+        add_fit(tmp_path, "bace", "otr", seed, test)
+        add_fit(tmp_path, "bace", "linear", seed, 0.81)
+    add_fit(tmp_path, "sider", "otr", 0, 0.66)
+    return tmp_path
+
+
+def rows_of(path):
+    with path.open() as file:
+        return {(row["task"], row["method"]): row for row in csv.DictReader(file)}
+
+
+def test_cells_stand_beside_the_thesis_and_say_how_many_seeds(results):
+    markdown, table, latex, figure = write_table_4_2(results)
+    text = markdown.read_text()
+    assert "**0.820 ± 0.020**" in text and "0.815 ± 0.017" in text  # ours, the best of the column, and the thesis's
+    assert "not run: file not at hand" in text and "for classes only" in text
+    assert "2 of 27 of SIDER" in text
+    assert figure.read_bytes().startswith(b"\x89PNG")
+    assert r"\textbf{0.820 $\pm$ 0.020}" in latex.read_text()
+    rows = rows_of(table)
+    bace = rows["bace", "otr"]
+    assert (float(bace["mean"]), float(bace["std"]), bace["n_runs"]) == (0.82, 0.02, "3")
+    assert (bace["published_mean"], bace["train_mean"], bace["leaves"], bace["tree_depth"]) == (
+        "0.815", "0.95", "100.0", "17.0",
+    )  # fmt: skip
+    assert float(bace["ci_low"]) < 0.82 < float(bace["ci_high"])
+    assert rows["hiv", "otr"]["note"] == "not run" and rows["hiv", "otr"]["mean"] == ""
+    assert rows["sider", "otr"]["labels_left_out"] == "2" and rows["sider", "otr"]["std"] == ""
+
+
+def test_the_same_fits_give_the_same_bytes(results):
+    before = [path.read_bytes() for path in write_table_4_2(results)]
+    assert [path.read_bytes() for path in write_table_4_2(results)] == before
+
+
+def test_fits_with_other_settings_are_left_out(results):
+    add_fit(results, "bace", "otr", 3, 0.1).rename(results / "runs/bace/otr/seed-3~0123abcd")
+    assert len(read_cell(results, "bace", "otr").fits) == 3
+
+
+def test_what_was_tuned_is_told(results):
+    folder = add_fit(results, "tox21", "cart", 0, 0.65)
+    (folder / "tune").mkdir()
+    method = {"grid": [{"max_depth": [2, 3, 4]}], "tuned_for": "label", "tuning_seeds": [1000]}
+    (folder / "tune" / "manifest.json").write_text(json.dumps({"settings": {"method": method}}))
+    chosen = [
+        {"label": name, "settings": {"max_depth": depth}, "valid": 0.7}
+        for name, depth in zip("abc", (2, 4, 2), strict=True)
+    ]
+    (folder / "tune" / "chosen.json").write_text(json.dumps(chosen))
+    text = write_table_4_2(results)[0].read_text()
+    assert "max_depth 2 to 4" in text and "max_depth 2 (2); max_depth 4 (1)" in text
+
+
+def test_foreign_summaries_are_refused(results):
+    add_fit(results, "hiv", "otr", 0, 0.7, schema="other")
+    with pytest.raises(PipelineError, match="runs/hiv/otr/seed-0"):
+        write_table_4_2(results)
+
+
+def test_without_fits_every_cell_says_not_run(tmp_path):
+    paths = write_table_4_2(tmp_path)
+    assert [path.suffix for path in paths] == [".md", ".csv", ".tex"]
+    assert "Nothing has been run yet." in paths[0].read_text()

@@ -9,6 +9,7 @@ import numpy as np
 
 from otr.learners.base import Problem, TreeClassifier, TreeLearner, TreeRegressor, only, seed_of
 from otr.learners.batched_mlp import MlpSettings, train_many
+from otr.learners.distillation import Teacher, distillation_set
 from otr.learners.stacks import Schedule
 from otr.mapping import map_network
 from otr.network import ReluNetwork
@@ -39,6 +40,7 @@ class _OTRLearner(TreeLearner):
         l1: float = 0.0,
         l2: float = 0.0,
         averaging: float = 0.0,
+        teacher: Teacher | None = None,
         epochs: int = 30,
         batch_size: int = 64,
         learning_rate: float = 0.1,
@@ -57,6 +59,7 @@ class _OTRLearner(TreeLearner):
         self.l1 = l1
         self.l2 = l2
         self.averaging = averaging
+        self.teacher = teacher
         self.epochs = epochs
         self.batch_size = batch_size
         self.learning_rate = learning_rate
@@ -93,10 +96,16 @@ class _OTRLearner(TreeLearner):
                 averaging=self.averaging,
             ),
         )
+        seed = seed_of(self.random_state)
+        rows, targets = problem.X, problem.Y
+        if self.teacher is not None:
+            if problem.loss != "logistic":
+                raise ValueError(f"a teacher is for binary labels, and the loss here is {problem.loss!r}")
+            rows, targets = distillation_set(rows, targets, self.teacher, seed=seed)
         trained = train_many(
-            problem.X,
-            problem.Y,
-            [seed_of(self.random_state)],
+            rows,
+            targets,
+            [seed],
             settings,
             X_valid=problem.X_valid,
             Y_valid=problem.Y_valid,
@@ -137,6 +146,8 @@ _PARAMETERS = """
         shared: labels or targets share their hidden layers in training, see `MlpSettings`.
         input_dropout, hidden_dropout: share of the inputs, and of the hidden neurons, dropped in training.
         l1, l2, averaging, epochs, batch_size, learning_rate, momentum, decay_every: see `Schedule`.
+        teacher: settings of a forest whose probabilities are trained on instead of the labels, see `Teacher` in
+            `otr.learners.distillation`; for binary labels. None for the labels themselves.
         standardize: train on inputs shifted and scaled to mean 0 and deviation 1, which is folded into the network;
             "auto": unless all are 0 and 1.
         max_leaves: see above.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from sklearn.ensemble import RandomForestClassifier
 
-from otr.learners import OTRClassifier, OTRRegressor
+from otr.learners import OTRClassifier, OTRRegressor, distillation
 from otr.learners.batched_mlp import MlpSettings, train_many
 from otr.learners.distillation import Teacher, distillation_set
 from otr.learners.scores import areas_under_curve
@@ -89,6 +89,16 @@ def test_weight_of_labels_mixes_them_in_where_there_are_any(fingerprints):
     there = ~np.isnan(labels)
     np.testing.assert_allclose(mixed[there], 0.75 * soft[there] + 0.25 * labels[there])
     np.testing.assert_array_equal(mixed[~there], soft[~there])
+
+
+def test_trees_grown_on_sparse_rows_are_the_same(monkeypatch):
+    rng = np.random.default_rng(0)
+    X = (rng.random((200, 100)) < 0.02).astype(float)
+    Y = X[:, :10].sum(axis=1) > 0
+    _, sparse = distillation_set(X, Y, QUICK)
+    monkeypatch.setattr(distillation, "_MAX_DENSITY", 0.0)
+    _, dense = distillation_set(X, Y, QUICK)
+    np.testing.assert_array_equal(sparse, dense)
 
 
 @pytest.mark.parametrize("joint", [False, True])

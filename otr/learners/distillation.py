@@ -7,7 +7,7 @@ network", 2015) take its probabilities for targets instead of its decisions. Her
 hence an oblique tree: `distillation_set` makes rows and targets, on which `train_many` trains with the logistic loss.
 
 The forest answers for the rows that it was grown on, too. Targets from the trees that have not seen a row (out of bag)
-were tried on the molecules and gave students that validate worse on SIDER by .03 to .04, and no better on Bace.
+were tried on the molecules: the students validate worse on SIDER, by .03 to .04, and alike on Bace.
 """
 
 from __future__ import annotations
@@ -87,14 +87,15 @@ def distillation_set(
 
     Every row gets a target for every label, also those that it lacked. A label of one class has that class for target.
 
-    Cost: growing the trees, O(sqrt(d) n log^2 n) each, and (1 + n_copies) n ways through every tree.
+    Cost: growing the trees, O(sqrt(d) n log^2 n) each, and (1 + n_copies) n ways through every tree. A hundred trees
+    for 33,000 molecules (HIV) and one copy of them take 20 to 30 s on one core.
 
     Args:
         X: (n, d), of any numbers; where all are 0 and 1, so are those of the copies.
         Y: (n, L) or (n,): 0, 1, and NaN where a label is missing.
         teacher: the forest and what it is asked; None for the defaults.
         seed: an integer >= 0, of all that is random.
-        n_jobs: threads that grow trees; the result does not depend on it.
+        n_jobs: threads that grow trees, None for one; the result does not depend on it.
 
     Returns:
         Rows ((1 + n_copies) n, d) of X's dtype, of which the first n are X; and targets ((1 + n_copies) n, L) in

@@ -100,10 +100,12 @@ def train_many(
 
     Args:
         X: (n, d).
-        Y: (n, L) or (n,), NaN where a label is missing.
+        Y: (n, L) or (n,), NaN where a label is missing; with the logistic loss also probabilities of the label 1, as
+            `otr.learners.distillation.distillation_set` makes them.
         seeds: S integers >= 0.
         settings: shape and training; None for the thesis's: two hidden layers of 8, LCN's schedule.
-        X_valid, Y_valid: rows that choose each network's best epoch; without them the last is kept.
+        X_valid, Y_valid: rows that choose each network's best epoch, with labels and no probabilities; without
+            them the last is kept.
 
     Raises:
         ValueError: shapes do not agree, or only one of X_valid, Y_valid is given.

@@ -9,6 +9,7 @@ import numpy as np
 
 from otr.learners.base import NetworkLearner, Problem, TreeClassifier, TreeRegressor
 from otr.learners.batched_mlp import MlpSettings, TrainedNetworks, train_many
+from otr.learners.distillation import Teacher, distillation_set
 from otr.learners.stacks import Schedule
 from otr.mapping import map_network
 from otr.network import ReluNetwork
@@ -41,6 +42,7 @@ class _OTRLearner(NetworkLearner):
         drop_below: float = 0.0,
         averaging: float = 0.0,
         common_epoch: bool = False,
+        teacher: Teacher | None = None,
         epochs: int = 30,
         batch_size: int = 64,
         learning_rate: float = 0.1,
@@ -61,6 +63,7 @@ class _OTRLearner(NetworkLearner):
         self.drop_below = drop_below
         self.averaging = averaging
         self.common_epoch = common_epoch
+        self.teacher = teacher
         self.epochs = epochs
         self.batch_size = batch_size
         self.learning_rate = learning_rate
@@ -92,7 +95,16 @@ class _OTRLearner(NetworkLearner):
                 common_epoch=self.common_epoch,
             ),
         )
-        return train_many(problem.X, problem.Y, seeds, settings, X_valid=problem.X_valid, Y_valid=problem.Y_valid)
+        if self.teacher is None:
+            return train_many(problem.X, problem.Y, seeds, settings, X_valid=problem.X_valid, Y_valid=problem.Y_valid)
+        if problem.loss != "logistic":
+            raise ValueError(f"a teacher is for binary labels, and the loss here is {problem.loss!r}")
+        return _joined([self._train_student(problem, seed, settings) for seed in seeds])
+
+    def _train_student(self, problem: Problem, seed: int, settings: MlpSettings) -> TrainedNetworks:
+        """Return the networks that learn from the seed's own teacher."""
+        rows, targets = distillation_set(problem.X, problem.Y, self.teacher, seed=seed)
+        return train_many(rows, targets, [seed], settings, X_valid=problem.X_valid, Y_valid=problem.Y_valid)
 
     def _take(self, trained: TrainedNetworks, position: int, problem: Problem) -> None:
         self.networks_ = [
@@ -108,6 +120,13 @@ class _OTRLearner(NetworkLearner):
         self.best_epochs_ = trained.epochs[:, position]
         self.validation_scores_ = trained.scores[:, position]
         self.trees_ = [tree_of(network, self.max_leaves) for network in self.networks_]
+
+
+def _joined(trained: Sequence[TrainedNetworks]) -> TrainedNetworks:
+    """Return the networks of several seeds, trained apart, as one."""
+    networks = [[one.networks[label][0] for one in trained] for label in range(len(trained[0].networks))]
+    scores = np.concatenate([one.scores for one in trained], axis=1)
+    return TrainedNetworks(networks, scores, np.concatenate([one.epochs for one in trained], axis=1))
 
 
 def _without_small_weights(network: ReluNetwork, limit: float) -> ReluNetwork:
@@ -148,6 +167,8 @@ _PARAMETERS = """
         input_dropout, hidden_dropout: share of the inputs, and of the hidden neurons, dropped in training.
         l1, l2, averaging, common_epoch, epochs, batch_size, learning_rate, momentum, decay_every: see `Schedule`.
         drop_below: weights smaller than this are set to zero after training; L1 leaves many of 1e-6 and so on.
+        teacher: settings of a forest whose probabilities are trained on instead of the labels, see `Teacher` in
+            `otr.learners.distillation`; for binary labels. None for the labels themselves.
         standardize: train on inputs shifted and scaled to mean 0 and deviation 1, which is folded into the network;
             "auto": unless all are 0 and 1.
         max_leaves: see above.

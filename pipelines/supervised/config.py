@@ -124,6 +124,7 @@ class OtrConfig(LearnerConfig):
     drop_below: float = 0.0
     averaging: float = 0.0
     common_epoch: bool = False
+    teacher: dict[str, Any] | None = None  # settings of `otr.learners.distillation.Teacher`
     keep: str = "best"  # best: the best epoch by validation score; last
     epochs: int = 30
     batch_size: int = 64

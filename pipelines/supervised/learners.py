@@ -158,7 +158,18 @@ def _parameters(name: str, settings: dict[str, Any]) -> dict[str, Any]:
     parameters = {key: value for key, value in settings.items() if key in known}
     if parameters.get("dense") == "none":
         parameters["dense"] = False
+    if parameters.get("teacher") is not None:
+        parameters["teacher"] = _teacher(parameters["teacher"])
     return parameters
+
+
+def _teacher(settings: dict[str, Any]) -> Any:
+    from otr.learners.distillation import Teacher
+
+    try:
+        return Teacher(**settings)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"method.teacher: {error}") from error
 
 
 def _estimator_name(learner: str, dataset: Dataset) -> str:

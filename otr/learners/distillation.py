@@ -1,4 +1,4 @@
-"""Distillation: a forest, alone or with a linear model, labels rows, and more rows like them, with probabilities for one small network to learn.
+"""Distillation: a forest, alone or with a linear model, labels rows with probabilities for one small network to learn.
 
 A forest is more accurate than a tree grown on the same rows and can tell what it would have answered elsewhere.
 Breiman & Shang ("Born again trees", 1996) and Bucila et al. ("Model compression", 2006) let an ensemble label rows made

@@ -43,22 +43,27 @@ format: .venv/.installed  ## let ruff put the code in form
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-smoke: .venv/.installed  ## every environment and every experiment file, in seconds each
+smoke: .venv/.installed  ## every environment, every control experiment and every learner, in seconds each
 	rm -rf results/smoke
 	for file in conf/experiment/*.yaml; do \
 	    $(BIN)/otr-run +experiment=$$(basename $$file .yaml) budget=smoke seed=0 launcher=joblib results_dir=results/smoke \
 	    || exit 1; done
-	$(BIN)/otr-tabulate table=4.1 results_dir=results/smoke > /dev/null
+	$(BIN)/otr-fit +experiment=smoke launcher=joblib results_dir=results/smoke
+	for table in 4.1 4.2; do $(BIN)/otr-tabulate table=$$table results_dir=results/smoke > /dev/null || exit 1; done
 
 bench: .venv/.installed  ## measure against numpy, torch and Stable-Baselines3; writes results/benchmarks
 	$(BIN)/python -m benchmarks $(ARGS)
 
 # EVALUATE=1 plays the episodes of the committed policies again and compares; TRAIN=1 trains everything from nothing.
-reproduce-table: .venv/.installed  ## the thesis's table from the runs under results (EVALUATE=1, TRAIN=1)
+reproduce-table: .venv/.installed  ## the thesis's tables from the runs under results (EVALUATE=1, TRAIN=1)
 ifdef TRAIN
+	$(BIN)/otr-fit +experiment=table_4_2 launcher=joblib results_dir=results/local
+	$(BIN)/otr-fit +experiment=sparse results_dir=results/local
+	$(BIN)/otr-tabulate table=4.2 results_dir=results/local
 	$(BIN)/otr-run +experiment=table_4_1 results_dir=results/local $(ARGS)
 	$(BIN)/otr-tabulate table=4.1 results_dir=results/local
 else
+	$(BIN)/otr-tabulate table=4.2
 	$(BIN)/otr-tabulate table=4.1 $(if $(EVALUATE),evaluate=true) $(ARGS)
 endif
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from pipelines.errors import PipelineError
-from pipelines.stage import MANIFEST, Stage, stage_key, stage_status
+from pipelines.stage import MANIFEST, Stage, stage_key, stage_status, verified_manifest
 from pipelines.store import write_text
 
 
@@ -75,6 +75,7 @@ def _is_stage_done(job: Job, stage: Stage, gone: set[str]) -> bool:
     folder = job.run_dir / stage.name
     if stage_status(stage, folder, job.config) != "done":
         return False
+    verified_manifest(folder)
     if gone.intersection(stage.inputs):
         return True
     inputs = {name: job.run_dir / name for name in stage.inputs}

@@ -107,9 +107,12 @@ def test_done_fits_are_found_again_with_and_without_their_trees(fit_of, capsys):
     assert is_done(job)
     fit_job(job)
     assert "done before" in capsys.readouterr().out
-    (job.run_dir / "score" / "scores.csv").write_text("changed")
-    (job.run_dir / "tune" / "chosen.json").write_text("[]")
-    assert not is_done(job)
+    for damaged in ("score/scores.csv", "tune/chosen.json"):
+        before = (job.run_dir / damaged).read_text()
+        (job.run_dir / damaged).write_text("changed")
+        assert not is_done(job)
+        (job.run_dir / damaged).write_text(before)
+        assert is_done(job)
 
 
 def test_a_learner_that_is_not_for_the_task_says_so(fit_of):

@@ -1,5 +1,6 @@
 """The stages themselves, on scikit-learn's data sets."""
 
+import dataclasses
 import json
 import shutil
 
@@ -13,8 +14,9 @@ from pipelines.datasets.load import load_dataset
 from pipelines.errors import ConfigError
 from pipelines.job import is_done
 from pipelines.store import read_csv, read_json
+from pipelines.supervised.fit import fit
 from pipelines.supervised.run import FitJob, fit_job, fit_jobs
-from pipelines.supervised.tune import best_of, checkpoint_folder
+from pipelines.supervised.tune import best_of, checkpoint_folder, tune
 
 GRID = [{"max_depth": [1, 2, 5]}]
 
@@ -62,6 +64,18 @@ def test_what_is_tuned_is_the_best_on_the_validation_part(fit_of):
     tree = otr.load(job.run_dir / "fit" / "label-00")
     assert tree.depth == chosen["settings"]["max_depth"]
     assert read_json(job.run_dir / "summary.json")["valid"] == pytest.approx(float(best["valid"]), abs=0.05)
+
+
+@pytest.mark.parametrize("learner, grid", [("cart", GRID), ("otr", [{"hidden": [[2], [3]], "epochs": [2]}])])
+def test_tuning_and_fitting_never_read_the_test_part(fit_of, monkeypatch, tmp_path, learner, grid):
+    dataset = dataclasses.replace(load_dataset("breast_cancer"), test=None)
+    config = fit_of(learner, grid=grid)
+    for stage in ("tune", "fit"):
+        monkeypatch.setattr(f"pipelines.supervised.{stage}.dataset_of", lambda config: dataset)
+        (tmp_path / stage).mkdir()
+    tune({}, config, tmp_path / "tune")
+    fit({"tune": tmp_path / "tune"}, config, tmp_path / "fit")
+    assert (tmp_path / "fit" / "label-00.npz").exists()
 
 
 def test_seeds_share_what_was_tuned_and_only_one_tunes(fit_of, monkeypatch):

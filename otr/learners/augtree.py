@@ -16,7 +16,7 @@ from sklearn.utils.validation import check_random_state
 from otr.arrays import FloatArray
 from otr.importers import from_sklearn
 from otr.learners.cart import from_sklearn_tree
-from otr.learners.estimator import TreeClassifier, TreeRegressor
+from otr.learners.grown import GrownClassifier, GrownRegressor
 from otr.learners.model_tree import LinearModelTreeRegressor
 from otr.network import ReluNetwork
 from otr.tree import ObliqueTree
@@ -45,7 +45,7 @@ def on_inputs(tree: ObliqueTree, A: FloatArray, a: FloatArray) -> ObliqueTree:
     )
 
 
-class AugTreeClassifier(TreeClassifier):
+class AugTreeClassifier(GrownClassifier):
     """Neurally augmented decision tree (Orfanos 2023): CART on x~ = [x, z_1], z_1 = W_1 x + b_1 of a ReLU network.
 
     A test ``z_1k <= t`` is the oblique test ``W_1[k] @ x + b_1[k] - t <= 0`` on x. Units of deeper layers are no
@@ -113,7 +113,7 @@ class AugTreeClassifier(TreeClassifier):
         return self
 
 
-class AugTreeRegressor(TreeRegressor):
+class AugTreeRegressor(GrownRegressor):
     """Neurally augmented decision tree for regression: as `AugTreeClassifier`, with constant or linear leaves.
 
     Linear leaves come from `LinearModelTreeRegressor` on x~ and are written in x; its cost is in its docstring, with

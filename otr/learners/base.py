@@ -1,4 +1,7 @@
-"""What the estimators share: scikit-learn's contract around a trainer of one tree for every label."""
+"""Base of the learners of one tree for every label, networks and linear models: scikit-learn's contract.
+
+The learners that grow a tree are built on `otr/learners/grown.py`.
+"""
 
 from __future__ import annotations
 

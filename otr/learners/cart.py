@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from sklearn.tree import BaseDecisionTree, DecisionTreeClassifier, DecisionTreeRegressor
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from otr.learners.estimator import TreeClassifier, TreeRegressor, class_tree, constant_tree
+from otr.learners.grown import GrownClassifier, GrownRegressor, class_tree, constant_tree
 from otr.tree import ObliqueTree
 
 __all__ = ["CARTClassifier", "CARTRegressor", "from_sklearn_tree"]
@@ -59,7 +59,7 @@ def from_sklearn_tree(model: BaseDecisionTree) -> ObliqueTree:
     return class_tree(tree, values) if is_classifier else tree
 
 
-class CARTClassifier(TreeClassifier):
+class CARTClassifier(GrownClassifier):
     """CART classifier (Breiman et al. 1984) by scikit-learn, Gini impurity.
 
     Cost: O(d n log n) for each level of the tree.
@@ -97,7 +97,7 @@ class CARTClassifier(TreeClassifier):
         return self
 
 
-class CARTRegressor(TreeRegressor):
+class CARTRegressor(GrownRegressor):
     """CART regressor (Breiman et al. 1984) by scikit-learn, squared error, one or several targets.
 
     Cost: O(d n log n) for each level of the tree.

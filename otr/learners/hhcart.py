@@ -10,7 +10,7 @@ from sklearn.utils.validation import check_random_state
 
 from otr.arrays import BoolArray, FloatArray, IntArray
 from otr.learners.eigen import dominant_direction
-from otr.learners.estimator import TreeClassifier, TreeRegressor, class_tree, constant_tree
+from otr.learners.grown import GrownClassifier, GrownRegressor, class_tree, constant_tree
 from otr.learners.growth import Skeleton, Test, grow
 from otr.learners.splits import TIE, AxisSplit, best_bit_split, best_split
 from otr.tree import ObliqueTree
@@ -97,7 +97,7 @@ def _tree(skeleton: Skeleton, Y: FloatArray) -> ObliqueTree:
     )
 
 
-class HHCARTClassifier(TreeClassifier):
+class HHCARTClassifier(GrownClassifier):
     """HHCART(D) (Wickramarachchi, Robertson, Reale, Price & Brown 2016), one reflection for each class.
 
     At every node, the dominant eigenvector q of each class's covariance is taken to the first axis by the Householder
@@ -154,7 +154,7 @@ class HHCARTClassifier(TreeClassifier):
         return self
 
 
-class HHCARTRegressor(TreeRegressor):
+class HHCARTRegressor(GrownRegressor):
     """HHCART for regression: as `HHCARTClassifier`, with squared error, and one reflection a node.
 
     The 2016 paper is about classes. As in the code that LCN's authors compared with, a regression node has one

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from sklearn.utils.validation import check_random_state
 
 from otr.arrays import FloatArray, IntArray
-from otr.learners.estimator import TreeRegressor
+from otr.learners.grown import GrownRegressor
 from otr.learners.growth import Test, grow
 from otr.tree import ObliqueTree
 
@@ -22,7 +22,7 @@ _MIN_GAIN = 1e-9
 _JITTER = 1e-10
 
 
-class LinearModelTreeRegressor(TreeRegressor):
+class LinearModelTreeRegressor(GrownRegressor):
     """CART-like tree with a ridge regression in every leaf, one or several targets.
 
     A node is split at the axis-aligned test that minimises the two sides' ridge objectives

@@ -16,7 +16,7 @@ from sklearn.utils.validation import check_random_state
 
 from otr.arrays import BoolArray, FloatArray, IntArray
 from otr.learners.cart import from_sklearn_tree
-from otr.learners.estimator import TreeClassifier, class_tree, constant_tree
+from otr.learners.grown import GrownClassifier, class_tree, constant_tree
 from otr.learners.growth import Test, grow
 from otr.pruning import prune_unreached
 from otr.tree import ObliqueTree
@@ -27,7 +27,7 @@ __all__ = ["TAOClassifier"]
 _SPARSE_BELOW = 0.25
 
 
-class TAOClassifier(TreeClassifier):
+class TAOClassifier(GrownClassifier):
     """Oblique classification tree by TAO (Carreira-Perpinan & Tavallali 2018), 0/1 loss.
 
     From an initial tree whose structure stays, passes go over the nodes from the deepest level to the root. With all

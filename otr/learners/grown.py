@@ -1,4 +1,7 @@
-"""What the tree learners share: validation at the door, predictions through `tree_`, trees with constant leaves."""
+"""Base of the learners that grow one tree: checks at the door, predictions through `tree_`, constant leaves.
+
+The learners of several labels at once, networks and linear models, are built on `otr/learners/base.py`.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +17,13 @@ from otr.arrays import FloatArray, IntArray
 from otr.head import Argmax
 from otr.tree import ObliqueTree
 
-__all__ = ["TreeClassifier", "TreeRegressor", "class_tree", "constant_tree"]
+__all__ = ["GrownClassifier", "GrownRegressor", "class_tree", "constant_tree"]
 
 # Bits are kept in float32 where the caller gives them so: half the memory, and no bit is lost.
 _FLOATS = [np.float64, np.float32]
 
 
-class _TreeEstimator(BaseEstimator):  # type: ignore[misc]
+class _GrownEstimator(BaseEstimator):  # type: ignore[misc]
     """An estimator that answers through `tree_`."""
 
     tree_: ObliqueTree
@@ -35,7 +38,7 @@ class _TreeEstimator(BaseEstimator):  # type: ignore[misc]
         return np.asarray(validate_data(self, X, reset=False, dtype=_FLOATS))
 
 
-class TreeClassifier(ClassifierMixin, _TreeEstimator):  # type: ignore[misc]
+class GrownClassifier(ClassifierMixin, _GrownEstimator):  # type: ignore[misc]
     """A classifier whose `tree_` has class shares in its leaves and positions in `classes_` as labels."""
 
     classes_: NDArray[Any]
@@ -58,7 +61,7 @@ class TreeClassifier(ClassifierMixin, _TreeEstimator):  # type: ignore[misc]
         return checked, labels
 
 
-class TreeRegressor(MultiOutputMixin, RegressorMixin, _TreeEstimator):  # type: ignore[misc]
+class GrownRegressor(MultiOutputMixin, RegressorMixin, _GrownEstimator):  # type: ignore[misc]
     """A regressor of one target (n,) or several (n, o)."""
 
     _is_flat: bool

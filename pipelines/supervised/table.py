@@ -299,8 +299,8 @@ def _tuning(cells: Sequence[FitCell]) -> list[list[str]]:
 
 def _span(values: Sequence[Any]) -> str:
     """Return values to try as text: 2 to 12 where they are numbers in a row."""
-    integers = [value for value in values if type(value) is int]
-    if len(values) > 2 and integers == list(range(values[0], values[0] + len(values))):
+    are_integers = all(type(value) is int for value in values)
+    if len(values) > 2 and are_integers and list(values) == list(range(values[0], values[0] + len(values))):
         return f"{values[0]} to {values[-1]}"
     return ", ".join(json.dumps(value) for value in values)
 

@@ -68,7 +68,11 @@ def test_fits_with_other_settings_are_left_out(results):
 def test_what_was_tuned_is_told(results):
     folder = add_fit(results, "tox21", "cart", 0, 0.65)
     (folder / "tune").mkdir()
-    method = {"grid": [{"max_depth": [2, 3, 4]}], "tuned_for": "label", "tuning_seeds": [1000]}
+    method = {
+        "grid": [{"max_depth": [2, 3, 4]}, {"drop": [0.0, 0.25, 0.5], "wide": [True]}],
+        "tuned_for": "label",
+        "tuning_seeds": [1000],
+    }
     (folder / "tune" / "manifest.json").write_text(json.dumps({"settings": {"method": method}}))
     chosen = [
         {"label": name, "settings": {"max_depth": depth}, "valid": 0.7}
@@ -76,7 +80,8 @@ def test_what_was_tuned_is_told(results):
     ]
     (folder / "tune" / "chosen.json").write_text(json.dumps(chosen))
     text = write_table_4_2(results)[0].read_text()
-    assert "max_depth 2 to 4" in text and "max_depth 2 (2); max_depth 4 (1)" in text
+    assert "max_depth 2 to 4 or drop 0.0, 0.25, 0.5, wide true" in text
+    assert "max_depth 2 (2); max_depth 4 (1)" in text
 
 
 def test_foreign_summaries_are_refused(results):

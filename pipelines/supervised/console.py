@@ -13,9 +13,11 @@ from pipelines.supervised.metrics import METRICS
 def show_fit(summary: dict[str, Any], run_dir: Path) -> None:
     """Print the scores, the size and the time of a fit, where its artefacts lie, and its program if that is short."""
     console = Console(highlight=False, soft_wrap=True)
-    program = _program(run_dir)
-    if program:
-        console.print(f"\n{program}", markup=False)
+    program = run_dir / "score" / "program.txt"
+    text = program.read_text(encoding="utf-8") if program.exists() else ""
+    n_lines = text.count("\n")
+    if 0 < n_lines <= SHORT_PROGRAM:
+        console.print(f"\n{text}", markup=False)
     n_labels = summary["n_labels"]
     over = f", mean over {n_labels} labels" if n_labels > 1 else ""
     title = f"{summary['data']}, {summary['method']}, seed {summary['seed']}: {METRICS[summary['metric']]}{over}"
@@ -31,14 +33,9 @@ def show_fit(summary: dict[str, Any], run_dir: Path) -> None:
         console.print(f"labels left out, for they have one class: {parts}")
     seconds = ", ".join(f"{stage} {duration(spent)}" for stage, spent in summary["seconds"].items())
     console.print(f"time: {seconds}", markup=False)
+    if n_lines > SHORT_PROGRAM:
+        console.print(f"program: {n_lines} lines, {program}", markup=False)
     picture = run_dir / "fit" / "tree.png"
     if picture.exists():
         console.print(f"picture: {picture}", markup=False)
     console.print(f"artefacts: {run_dir}", markup=False)
-
-
-def _program(run_dir: Path) -> str:
-    """Return the program that was written of a small tree, if it is short."""
-    path = run_dir / "score" / "program.txt"
-    text = path.read_text(encoding="utf-8") if path.exists() else ""
-    return text if text.count("\n") <= SHORT_PROGRAM else ""

@@ -57,6 +57,8 @@ class TAOClassifier(GrownClassifier):
         C: the surrogate's weight against the penalty.
         max_iter: passes at most.
         tol: least fall of the training error in a pass that is followed by another.
+        leaf_values: "shares" of the classes among a leaf's training rows, or "labels", 1 for the largest share and 0
+            for the others. TAO knows labels alone; shares rank rows, which an area under the curve asks for.
         solver_max_iter: iterations of liblinear in one fit at most; a fit that stops there is used as it is.
         random_state: initial tree and liblinear.
 
@@ -77,6 +79,7 @@ class TAOClassifier(GrownClassifier):
         C: float = 1.0,
         max_iter: int = 14,
         tol: float = 0.005,
+        leaf_values: Literal["shares", "labels"] = "shares",
         solver_max_iter: int = 10_000,
         random_state: Any = None,
     ) -> None:
@@ -87,6 +90,7 @@ class TAOClassifier(GrownClassifier):
         self.C = C
         self.max_iter = max_iter
         self.tol = tol
+        self.leaf_values = leaf_values
         self.solver_max_iter = solver_max_iter
         self.random_state = random_state
 
@@ -94,9 +98,10 @@ class TAOClassifier(GrownClassifier):
         """Fit on X (n, d) and classes y (n,).
 
         Raises:
-            ValueError: `init`, `penalty` or `surrogate` is none of its values.
+            ValueError: `init`, `penalty`, `surrogate` or `leaf_values` is none of its values.
         """
-        allowed = {"init": ("cart", "random"), "penalty": ("l1", "l2"), "surrogate": ("squared_hinge", "logistic")}
+        allowed = {"init": ("cart", "random"), "penalty": ("l1", "l2"), "surrogate": ("squared_hinge", "logistic"),
+                   "leaf_values": ("shares", "labels")}  # fmt: skip
         for name, values in allowed.items():
             if getattr(self, name) not in values:
                 raise ValueError(f"{name} is {getattr(self, name)!r}, expected {values[0]!r} or {values[1]!r}")
@@ -114,6 +119,8 @@ class TAOClassifier(GrownClassifier):
         tree = prune_unreached(alternation.tree(), X)
         counts = np.zeros((tree.n_leaves, len(self.classes_)))
         np.add.at(counts, (tree.apply(X), labels), 1.0)
+        if self.leaf_values == "labels":
+            counts = np.eye(len(self.classes_))[counts.argmax(axis=1)]
         self.tree_ = class_tree(tree, counts / counts.sum(axis=1, keepdims=True))
         return self
 

@@ -76,6 +76,7 @@ class TaoConfig(LearnerConfig):
     C: float = 1.0
     max_iter: int = 14
     tol: float = 0.005
+    leaf_values: str = "shares"  # or labels
 
 
 @dataclass(frozen=True)
@@ -144,6 +145,8 @@ LEARNERS: dict[str, type[LearnerConfig]] = {
     "lcn": LcnConfig,
     "otr": OtrConfig,
 }
+# Settings younger than committed results, with the value that means "as before": keyed only where they differ from it.
+YOUNGER_SETTINGS: dict[str, Any] = {"leaf_values": "shares"}
 TUNING = tuple(item.name for item in fields(LearnerConfig))
 
 
@@ -205,19 +208,19 @@ def learner_settings(method: LearnerConfig) -> dict[str, Any]:
 
 def tune_settings(config: FitConfig) -> dict[str, Any]:
     """Return what decides the choice of the settings: all but the seed."""
-    return {"data": _data_settings(config.data), "method": asdict(config.method)}
+    return {"data": _data_settings(config.data), "method": _keyed(config.method)}
 
 
 def fit_settings(config: FitConfig) -> dict[str, Any]:
     """Return what decides the trees; how they are tuned is in the input."""
     return {"data": _data_settings(config.data), "seed": config.seed} | {
-        "method": {"learner": config.method.learner, **learner_settings(config.method)},
+        "method": {key: value for key, value in _keyed(config.method).items() if key == "learner" or key not in TUNING}
     }
 
 
 def settings(config: FitConfig) -> dict[str, Any]:
     """Return all the settings that decide what comes out, as plain JSON-able data."""
-    return {"data": _data_settings(config.data), "method": asdict(config.method), "seed": config.seed}
+    return {"data": _data_settings(config.data), "method": _keyed(config.method), "seed": config.seed}
 
 
 def fit_folder(config: FitConfig, baseline: FitConfig) -> str:
@@ -228,6 +231,11 @@ def fit_folder(config: FitConfig, baseline: FitConfig) -> str:
     differences = setting_differences(settings(config), settings(baseline))
     suffix = f"~{digest(differences)[:8]}" if differences else ""
     return f"runs/{config.data.name}/{config.method.name}/seed-{config.seed}{suffix}"
+
+
+def _keyed(method: LearnerConfig) -> dict[str, Any]:
+    """Return a method's settings as they are keyed."""
+    return {key: value for key, value in asdict(method).items() if YOUNGER_SETTINGS.get(key, ...) != value}
 
 
 def _data_settings(data: DataConfig) -> dict[str, Any]:

@@ -3,6 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
+from sklearn.datasets import load_breast_cancer
 
 from otr.learners import CARTClassifier, TAOClassifier
 from otr.learners.tao import _Alternation
@@ -127,3 +128,13 @@ def test_unknown_options_are_named():
     for name in ("init", "penalty", "surrogate"):
         with pytest.raises(ValueError, match=f"{name} is 'x', expected"):
             TAOClassifier(**{name: "x"}).fit(X, y)
+
+
+def test_leaves_may_answer_labels_alone():
+    X, y = load_breast_cancer(return_X_y=True)
+    shares, labels = (
+        TAOClassifier(max_depth=3, random_state=0, leaf_values=kind).fit(X, y) for kind in ("shares", "labels")
+    )
+    assert (shares.predict(X) == labels.predict(X)).all()
+    assert set(np.unique(labels.predict_proba(X))) == {0.0, 1.0} != set(np.unique(shares.predict_proba(X)))
+    assert (labels.predict_proba(X).argmax(axis=1) == labels.predict(X)).all()

@@ -57,3 +57,8 @@ def test_seeds_of_one_method_make_a_group(fit_of):
     configs.insert(1, fit_of("otr", seed=0))
     assert fit_groups(configs) == [[0, 2, 3], [1]]
     assert fit_groups([dataclasses.replace(config, seeds_per_process=2) for config in configs]) == [[0, 2], [1], [3]]
+
+
+def test_settings_that_are_as_before_are_not_keyed(fit_of):
+    assert "leaf_values" not in fit_settings(fit_of("tao"))["method"]
+    assert fit_settings(fit_of("tao", leaf_values="labels"))["method"]["leaf_values"] == "labels"

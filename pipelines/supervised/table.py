@@ -302,14 +302,18 @@ def _span(values: Sequence[Any]) -> str:
     are_integers = all(type(value) is int for value in values)
     if len(values) > 2 and are_integers and list(values) == list(range(values[0], values[0] + len(values))):
         return f"{values[0]} to {values[-1]}"
-    return ", ".join(json.dumps(value) for value in values)
+    return " / ".join(_value(value) for value in values)
 
 
 def _text(changes: dict[str, Any]) -> str:
-    """Return settings as text; what is a text already stays as it is."""
-    return ", ".join(
-        f"{key} {value if isinstance(value, str) else json.dumps(value)}" for key, value in changes.items()
-    )
+    """Return settings as text, `max_depth 3, C 1.0`."""
+    return ", ".join(f"{key} {_value(value)}" for key, value in changes.items())
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, dict):
+        return f"({_text(value)})"
+    return value if isinstance(value, str) else json.dumps(value)
 
 
 def _sparse(cells: Sequence[FitCell]) -> list[list[str]]:

@@ -133,7 +133,10 @@ class TAOClassifier(GrownClassifier):
             if (labels[rows] == labels[rows[0]]).all():
                 return None
             P = np.asarray(random_state.standard_normal(X.shape[1]))
-            return Test(P, -float(np.median(X[rows] @ P)))
+            values = np.sort(X[rows] @ P)
+            middle = len(values) // 2
+            # Between two rows: a row on the boundary itself would go either way by rounding.
+            return Test(P, -float(values[middle - 1] + values[middle]) / 2)
 
         skeleton = grow(X, halve, self.max_depth)
         return constant_tree(

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy import sparse
 from sklearn.datasets import load_breast_cancer
@@ -18,6 +18,7 @@ from tests.learners.problems import halves, rotated_xor, strips
     C=st.sampled_from([1e-2, 1.0, 1e6]),
     surrogate=st.sampled_from(["squared_hinge", "logistic"]),
 )
+@example(seed=46, n_classes=3, init="random", bits=False, C=0.01, surrogate="squared_hinge")  # a row on a boundary
 @settings(max_examples=30)
 def test_the_training_loss_never_rises(seed, n_classes, init, bits, C, surrogate):
     rng = np.random.default_rng(seed)

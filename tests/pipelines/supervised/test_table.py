@@ -80,7 +80,7 @@ def test_what_was_tuned_is_told(results):
     ]
     (folder / "tune" / "chosen.json").write_text(json.dumps(chosen))
     text = write_table_4_2(results)[0].read_text()
-    assert "max_depth 2 to 4 or drop 0.0 / 0.25 / 0.5, wide true" in text
+    assert "one of\n    * max_depth 2 to 4\n    * drop 0.0 / 0.25 / 0.5, wide true\n" in text
     assert "max_depth 2 (2); max_depth 4 (1)" in text
 
 

@@ -6,6 +6,8 @@ import numpy as np
 
 import otr
 
+PUSHES = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+
 
 @dataclass(frozen=True)
 class Played:
@@ -33,11 +35,7 @@ class PointMass:
         for _ in range(self.n_steps):
             visited.append(x)
             actions = policy(x)
-            if self.continuous:
-                push = np.asarray(actions)
-            else:
-                push = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])[actions]
-            x = x + 0.3 * push
+            x = x + 0.3 * (actions if self.continuous else PUSHES[actions])
             returns -= np.abs(x).sum(axis=1)
         states = np.stack(visited, axis=1).reshape(-1, 2) if keep_states else np.empty((0, 0))
         return Played(states, returns, np.full(len(seeds), self.n_steps))

@@ -45,7 +45,10 @@ class AugTreeFit:
         features: "all" for [x, z_1], "z" for z_1, "deep" for [x, z_1, z_2, ...].
         leaves: "constant" or "linear".
         max_patterns: for "deep", activation patterns a layer.
-        max_samples: rows drawn for a fit, as in `CartFit`.
+        weighted: draw rows by weight, as VIPER does; else every row is as likely. A PPO oracle's weights are large
+            where it is sure, far from the states that decide an episode: on the lander at depth 3, seed 0, an oracle
+            at 283, weighted fits came to 196 and unweighted ones to 269.
+        max_samples: rows drawn for a fit.
         min_samples_leaf: drawn rows in a leaf at least.
     """
 
@@ -54,6 +57,7 @@ class AugTreeFit:
     features: Literal["all", "z", "deep"] = "all"
     leaves: Literal["constant", "linear"] = "constant"
     max_patterns: int = 4
+    weighted: bool = False
     max_samples: int = 25_000
     min_samples_leaf: int = 1
 
@@ -79,7 +83,7 @@ class AugTreeFit:
         self, X: FloatArray, answers: FloatArray, weights: FloatArray | None, generator: np.random.Generator
     ) -> ObliqueTree:
         """Return the tree for states X (n, d) and what `run_dagger` says of them."""
-        rows, counts = draw_rows(len(X), weights, self.max_samples, generator)
+        rows, counts = draw_rows(len(X), weights if self.weighted else None, self.max_samples, generator)
         states, targets = np.asarray(X[rows]), np.asarray(answers[rows])
         has_labels = weights is not None
         features = self._features(states)

@@ -41,8 +41,9 @@ ALL_FITS = [
     CartFit(3),
     CartFit(3, max_samples=500),
     LinearModelTreeFit(otr.Argmax(), 2),
-    AugTreeFit(oblique_oracle(), 3),
-    AugTreeFit(oblique_oracle(), 2, leaves="linear"),
+    AugTreeFit(oblique_oracle(), 3, max_samples=3000),
+    AugTreeFit(oblique_oracle(), 3, weighted=True),
+    AugTreeFit(oblique_oracle(), 2, leaves="linear", max_samples=3000),
 ]
 
 
@@ -239,6 +240,22 @@ def test_screening_keeps_the_feature_at_which_the_planes_part():
     assert 77 in columns
     assert len(columns) == 8
     assert best_columns(S[:, :5], X, Z, LinearModelTreeRegressor(), 8).tolist() == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("leaves", ["constant", "linear"])
+def test_augtree_draws_by_weight_only_if_asked(leaves):
+    """Rows of weight 0 hold the label 1, the others the label 0."""
+    oracle = otr.ReluNetwork([[[1.0]], [[-1.0], [1.0]]], [[0.0], [0.0, -0.5]], head=otr.Argmax())
+    X = np.linspace(-1, 1, 1000)[:, None]
+    outputs = oracle.forward(X)
+    weights = (outputs.argmax(axis=1) == 0).astype(float)
+    fits = [AugTreeFit(oracle, 3, leaves=leaves, weighted=weighted) for weighted in (True, False)]
+    weighted, plain = (fit(X, outputs, weights, generator()) for fit in fits)
+    assert (plain.predict(X) == outputs.argmax(axis=1)).mean() > 0.99
+    if leaves == "constant":
+        assert (weighted.predict(X) == 0).all()
+    else:
+        assert not np.array_equal(weighted.predict(X), plain.predict(X))
 
 
 def test_errors():

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from sklearn.utils.validation import check_random_state
 
 from otr.arrays import FloatArray, IntArray
 from otr.learners.grown import GrownRegressor
-from otr.learners.growth import Test, grow
+from otr.learners.growth import Skeleton, Test, grow
 from otr.tree import ObliqueTree
 
-__all__ = ["LinearModelTreeRegressor"]
+__all__ = ["GrownModels", "LinearModelTreeRegressor", "grow_models", "ridge_objectives"]
 
 # A split has to lower the objective by this share of the targets' total sum of squares.
 _MIN_GAIN = 1e-9
@@ -80,32 +81,66 @@ class LinearModelTreeRegressor(GrownRegressor):
             )
         X, targets = self._checked_fit(X, y)
         X = X.astype(np.float64, copy=False)
-        x_mean, x_scale = _standard(X)
-        y_mean, y_scale = _standard(targets)
-        Z, Y = (X - x_mean) / x_scale, (targets - y_mean) / y_scale
         random_state = check_random_state(self.random_state)
-        min_gain = _MIN_GAIN * float(np.square(Y).sum())
+        features = np.arange(X.shape[1])
 
-        def find_test(rows: IntArray) -> Test | None:
-            features = np.arange(Z.shape[1])
-            if self.max_features is not None and self.max_features < len(features):
-                features = np.sort(random_state.choice(features, self.max_features, replace=False))
-            split = _best_split(Z[rows], Y[rows], features, self)
-            if split is None or split.gain <= min_gain:
-                return None
-            column = X[rows, split.column]
-            P = np.zeros(X.shape[1])
-            P[split.column] = 1.0
-            return Test(P, -_midpoint(column, split.n_left))
+        def drawn(rows: IntArray, Z: FloatArray, Y: FloatArray) -> IntArray:
+            if self.max_features is None or self.max_features >= len(features):
+                return features
+            return np.sort(random_state.choice(features, self.max_features, replace=False))
 
-        skeleton = grow(X, find_test, self.max_depth)
-        models = [_ridge(Z[rows], Y[rows], self.alpha) for rows in skeleton.leaf_rows]
-        slopes = np.array([W.T for W, _ in models]) * y_scale[:, None] / x_scale
-        offsets = np.array([c for _, c in models]) * y_scale + y_mean - slopes @ x_mean
+        grown = grow_models(X, X, targets, self, drawn)
         self.tree_ = ObliqueTree(
-            skeleton.children_left, skeleton.children_right, skeleton.P, skeleton.v, slopes, offsets
+            grown.tests.children_left, grown.tests.children_right, grown.tests.P, grown.tests.v, grown.M, grown.c
         )
         return self
+
+
+@dataclass(frozen=True)
+class GrownModels:
+    """Axis-aligned tests on features (m of them) over linear models of inputs (d of them)."""
+
+    tests: Skeleton  # P is (n_nodes, m)
+    M: FloatArray  # (n_leaves, o, d)
+    c: FloatArray  # (n_leaves, o)
+
+
+def grow_models(
+    features: NDArray[Any],
+    X: FloatArray,
+    targets: FloatArray,
+    options: LinearModelTreeRegressor,
+    searched: Callable[[IntArray, FloatArray, FloatArray], IntArray],
+) -> GrownModels:
+    """Grow the tree of `LinearModelTreeRegressor` with tests on `features` and models of `X`, which may differ.
+
+    Args:
+        features: (n, m), what a test may read.
+        X: (n, d), what the models read.
+        targets: (n, o).
+        options: depth, leaf size, penalty and bins.
+        searched: from a node's rows and the standardised inputs and targets of them to the columns of `features` that
+            are searched there.
+    """
+    x_mean, x_scale = _standard(X)
+    y_mean, y_scale = _standard(targets)
+    Z, Y = (X - x_mean) / x_scale, (targets - y_mean) / y_scale
+    min_gain = _MIN_GAIN * float(np.square(Y).sum())
+
+    def find_test(rows: IntArray) -> Test | None:
+        z, y = Z[rows], Y[rows]
+        split = _best_split(features[rows], z, y, searched(rows, z, y), options)
+        if split is None or split.gain <= min_gain:
+            return None
+        P = np.zeros(features.shape[1])
+        P[split.column] = 1.0
+        return Test(P, -_midpoint(features[rows, split.column].astype(np.float64), split.n_left))
+
+    tests = grow(features, find_test, options.max_depth)
+    models = [_ridge(Z[rows], Y[rows], options.alpha) for rows in tests.leaf_rows]
+    M = np.array([W.T for W, _ in models]) * y_scale[:, None] / x_scale
+    c = np.array([offset for _, offset in models]) * y_scale + y_mean - M @ x_mean
+    return GrownModels(tests, M, c)
 
 
 @dataclass(frozen=True)
@@ -130,20 +165,25 @@ def _midpoint(column: FloatArray, n_left: int) -> float:
 
 
 def _best_split(
-    X: FloatArray, Y: FloatArray, features: IntArray, options: LinearModelTreeRegressor
+    features: NDArray[Any], X: FloatArray, Y: FloatArray, columns: IntArray, options: LinearModelTreeRegressor
 ) -> _ModelSplit | None:
-    """Return the best split of a node's rows X (n, d), Y (n, o), or None if there is no threshold to try."""
+    """Return the best split of a node's rows by one of the `columns` of their features (n, m), for models of X (n, d).
+
+    None if there is no threshold to try.
+    """
     n, d, m = *X.shape, options.min_samples_leaf
     if n < 2 * m:
         return None
     X, Y = X - X.mean(axis=0), Y - Y.mean(axis=0)
     rows = np.concatenate((X, Y), axis=1)
-    parent = float(_objectives((rows.T @ rows)[None], np.zeros((1, rows.shape[1])), np.array([n]), d, options.alpha)[0])
+    parent = float(
+        ridge_objectives((rows.T @ rows)[None], np.zeros((1, rows.shape[1])), np.array([n]), d, options.alpha)[0]
+    )
     n_most = options.max_bins - 1
     best: tuple[float, int, int] | None = None
-    for column in features.tolist():
-        order = X[:, column].argsort(kind="stable")
-        values = X[order, column]
+    for column in columns.tolist():
+        order = features[:, column].argsort(kind="stable")
+        values = features[order, column]
         cuts = np.flatnonzero(values[1:] > values[:-1]) + 1
         cuts = cuts[(cuts >= m) & (cuts <= n - m)]
         tried = _spread(cuts, 0, n, n_most)
@@ -186,12 +226,12 @@ def _split_objectives(rows: FloatArray, cuts: IntArray, d: int, alpha: float) ->
     sums = np.cumsum([part.sum(axis=0) for part in parts], axis=0)
     n_left = cuts
     n_right = len(rows) - cuts
-    left = _objectives(grams[:-1], sums[:-1], n_left, d, alpha)
-    right = _objectives(grams[-1] - grams[:-1], sums[-1] - sums[:-1], n_right, d, alpha)
+    left = ridge_objectives(grams[:-1], sums[:-1], n_left, d, alpha)
+    right = ridge_objectives(grams[-1] - grams[:-1], sums[-1] - sums[:-1], n_right, d, alpha)
     return left + right
 
 
-def _objectives(grams: FloatArray, sums: FloatArray, counts: IntArray, d: int, alpha: float) -> FloatArray:
+def ridge_objectives(grams: FloatArray, sums: FloatArray, counts: IntArray, d: int, alpha: float) -> FloatArray:
     """Return the least of |Y - X W - c|^2 + alpha |W|^2 from Gram matrices (k, d + o, d + o) and sums (k, d + o)."""
     scatter = grams - sums[:, :, None] * sums[:, None, :] / counts[:, None, None]
     xx, xy, yy = scatter[:, :d, :d], scatter[:, :d, d:], scatter[:, d:, d:]

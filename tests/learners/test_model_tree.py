@@ -65,7 +65,7 @@ def test_the_split_is_the_best_of_all(seed, alpha, n_values):
             if X[order[n_left], column] > X[order[n_left - 1], column]:
                 sides = objective(order[:n_left]) + objective(order[n_left:])
                 gains[column, n_left] = objective(np.arange(30)) - sides
-    split = _best_split(X, Y, np.arange(2), options)
+    split = _best_split(X, X, Y, np.arange(2), options)
     assert split.gain == pytest.approx(max(gains.values()), abs=1e-6)
     assert gains[split.column, split.n_left] == pytest.approx(split.gain, abs=1e-6)
 

@@ -1,0 +1,34 @@
+"""Trees from interaction: imitation of an oracle under DAgger (VIPER, LM-VIPER, AugTree).
+
+A module, and with it scikit-learn, is loaded when one of its names is first asked for.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+_MODULES = {
+    "AugTreeFit": "augtree",
+    "CartFit": "viper",
+    "DaggerResult": "dagger",
+    "DaggerSettings": "dagger",
+    "Iterate": "dagger",
+    "LinearModelTreeFit": "viper",
+    "Progress": "dagger",
+    "argmax_leaves": "leaves",
+    "draw_rows": "sampling",
+    "run_dagger": "dagger",
+}
+
+__all__ = list(_MODULES)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it has {', '.join(_MODULES)}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_MODULES})

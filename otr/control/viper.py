@@ -1,0 +1,138 @@
+"""VIPER and LM-VIPER: trees fitted to an oracle's answers, to be run under DAgger (Bastani et al. 2018)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.tree import DecisionTreeClassifier, DecisionTreeRegressor
+
+from otr.arrays import FloatArray, IntArray
+from otr.control.leaves import argmax_leaves
+from otr.control.sampling import draw_rows
+from otr.head import Argmax, ClipBox, Head, TanhBox
+from otr.learners.cart import from_sklearn_tree
+from otr.learners.model_tree import LinearModelTreeRegressor
+from otr.tree import ObliqueTree
+
+__all__ = ["CartFit", "LinearModelTreeFit", "box_of", "centred", "fit_cart", "label_tree", "with_head"]
+
+
+@dataclass(frozen=True)
+class CartFit:
+    """VIPER's fit: CART by scikit-learn on the rows that `draw_rows` draws.
+
+    Labels: a classification tree (Gini) on the resampled rows, a row that was drawn k times counting k times.
+    Continuous actions: a regression tree on a subsample, unweighted.
+
+    Attributes:
+        max_depth: number of tests on a path at most.
+        max_samples: rows drawn for a fit.
+        min_samples_leaf: distinct rows in a leaf at least.
+    """
+
+    max_depth: int
+    max_samples: int = 100_000
+    min_samples_leaf: int = 1
+
+    def __call__(
+        self, X: FloatArray, answers: FloatArray, weights: FloatArray | None, generator: np.random.Generator
+    ) -> ObliqueTree:
+        """Return the tree for states X (n, d) and what `run_dagger` says of them."""
+        rows, counts = draw_rows(len(X), weights, self.max_samples, generator)
+        targets = answers[rows] if weights is None else answers[rows].argmax(axis=1)
+        return fit_cart(X[rows], targets, counts, answers.shape[1], self.max_depth, self.min_samples_leaf, generator)
+
+
+@dataclass(frozen=True)
+class LinearModelTreeFit:
+    """LM-VIPER's fit: axis-aligned tests over affine leaves, by `otr.learners.LinearModelTreeRegressor`.
+
+    Continuous actions: the leaves are fitted to the oracle's actions and their values clipped to its box. Labels: the
+    leaves are fitted to the oracle's centred outputs on the resampled rows, and answer the label of the largest one
+    (`argmax_leaves`).
+
+    Attributes:
+        head: the oracle's: `Argmax`, `TanhBox` or `ClipBox`.
+        max_depth: number of axis-aligned tests on a path at most.
+        max_samples: rows drawn for a fit.
+        min_samples_leaf, alpha: of `LinearModelTreeRegressor`.
+    """
+
+    head: Head
+    max_depth: int
+    max_samples: int = 100_000
+    min_samples_leaf: int = 10
+    alpha: float = 0.1
+
+    def __call__(
+        self, X: FloatArray, answers: FloatArray, weights: FloatArray | None, generator: np.random.Generator
+    ) -> ObliqueTree:
+        """Return the tree for states X (n, d) and what `run_dagger` says of them."""
+        rows, counts = draw_rows(len(X), weights, self.max_samples, generator)
+        targets = answers[rows] if weights is None else centred(answers[rows])
+        learner = LinearModelTreeRegressor(
+            max_depth=self.max_depth, min_samples_leaf=self.min_samples_leaf, alpha=self.alpha
+        )
+        tree = learner.fit(np.repeat(X[rows], counts, axis=0), np.repeat(targets, counts, axis=0)).tree_
+        return with_head(tree, self.head)
+
+
+def fit_cart(
+    X: FloatArray | NDArray[np.float32],
+    targets: FloatArray | IntArray,
+    counts: IntArray,
+    n_outputs: int,
+    max_depth: int,
+    min_samples_leaf: int,
+    generator: np.random.Generator,
+) -> ObliqueTree:
+    """Return CART's tree: a classifier for integer labels (n,) among `n_outputs`, a regressor for values (n, o)."""
+    is_labels = targets.ndim == 1
+    learner = DecisionTreeClassifier if is_labels else DecisionTreeRegressor
+    model = learner(
+        max_depth=max_depth, min_samples_leaf=min_samples_leaf, random_state=int(generator.integers(2**31))
+    ).fit(X.astype(np.float32, copy=False), targets, sample_weight=counts)
+    tree = from_sklearn_tree(model)
+    return label_tree(tree, model.classes_, n_outputs) if is_labels else tree
+
+
+def label_tree(tree: ObliqueTree, classes: IntArray, n_outputs: int) -> ObliqueTree:
+    """Return the tree whose labels, positions in `classes` so far, are the classes, and which has an output for each.
+
+    Args:
+        tree: constant leaves with shares of the `classes` (k,).
+        classes: ascending labels below `n_outputs`.
+        n_outputs: number of labels there are; one that is not among the classes has the share 0.
+    """
+    shares = np.zeros((tree.n_leaves, n_outputs))
+    shares[:, classes] = tree.c
+    M = np.zeros((tree.n_leaves, n_outputs, tree.n_inputs))
+    return ObliqueTree(
+        tree.children_left, tree.children_right, tree.P, tree.v, M, shares, labels=shares.argmax(axis=1), head=Argmax()
+    )
+
+
+def centred(outputs: FloatArray) -> FloatArray:
+    """Return the outputs (n, o) less their mean over the o labels, which no argmax sees."""
+    return np.asarray(outputs - outputs.mean(axis=1, keepdims=True))
+
+
+def with_head(tree: ObliqueTree, head: Head) -> ObliqueTree:
+    """Return the tree of affine leaves that answers under an oracle's head: an argmax, or values clipped to its box."""
+    if isinstance(head, Argmax):
+        return argmax_leaves(tree)
+    box = box_of(head)
+    return ObliqueTree(tree.children_left, tree.children_right, tree.P, tree.v, tree.M, tree.c, head=box)
+
+
+def box_of(head: Head) -> ClipBox:
+    """Return the head that clips actions to the box of a `TanhBox` or `ClipBox`.
+
+    Raises:
+        TypeError: the head has no box.
+    """
+    if not isinstance(head, TanhBox | ClipBox):
+        raise TypeError(f"the head is {head!r}, expected Argmax, TanhBox or ClipBox")
+    return ClipBox(head.low, head.high)

@@ -159,6 +159,19 @@ def test_another_seed_gives_another_result(tmp_path, whole):
     assert any(a.rollout_mean != b.rollout_mean for a, b in zip(other.iterates, whole[0].iterates, strict=True))
 
 
+def test_every_fit_draws_from_a_stream_of_its_own(tmp_path):
+    drawn = []
+
+    def fit(X, answers, weights, generator):
+        drawn.append(generator.integers(2**62))
+        return CartFit(2)(X, answers, weights, generator)
+
+    run(tmp_path, fit=fit)
+    child = np.random.SeedSequence(7, spawn_key=(3, 2))
+    assert drawn[2] == np.random.default_rng(child).integers(2**62)
+    assert len(set(drawn)) == 6
+
+
 def test_progress_is_told_once_a_round(tmp_path):
     told = []
     with pytest.raises(InterruptedError):

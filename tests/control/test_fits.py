@@ -88,7 +88,7 @@ def test_a_linear_oracle_is_one_leaf_of_a_linear_model_tree():
 def test_outputs_of_a_linear_model_tree_are_centred():
     """What is added to all outputs of a state changes no label, and so has to change no tree."""
     X, outputs, weights = labelled(oblique_oracle())
-    shifted = outputs + 100 * np.square(X[:, :1])
+    shifted = outputs + 1e3 * np.sin(50 * X[:, :1])
     fit = LinearModelTreeFit(otr.Argmax(), 3)
     trees = [fit(X, values, weights, generator()) for values in (outputs, shifted)]
     assert (trees[0].predict(X) == trees[1].predict(X)).mean() > 0.999

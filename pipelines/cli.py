@@ -33,6 +33,7 @@ from pipelines.errors import ConfigError, PipelineError
 from pipelines.fleet.groups import fleets
 from pipelines.help import HELP
 from pipelines.job import Job, record_failure
+from pipelines.methods import imitates
 from pipelines.plan import print_plan
 from pipelines.replay import replay
 from pipelines.run import RunJob, run_job, run_jobs
@@ -49,6 +50,9 @@ from pipelines.tracking import check_tracking
 CARRIED_VARIABLES = (
     "OTR_RESULTS_DIR", "OTR_DATA_DIR", "XDG_DATA_HOME", "MLFLOW_TRACKING_URI", "MLFLOW_EXPERIMENT_NAME",
 )  # fmt: skip
+# The groups and keys that decide how an oracle is trained, and where and how that is done.
+OF_TRAINING = ("env", "algo", "actor", "trainer", "budget", "train", "seed", "experiment", "results_dir", "n_workers",
+               "side_by_side", "debug", "tracking")  # fmt: skip
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE, EXIT_TERMINATED = 1, 2, 130, 141, 143
 
 
@@ -298,7 +302,8 @@ def _tabulate(arguments: argparse.Namespace) -> int:
     different = 0
     if cfg.evaluate:
         for run_dir in sorted(path.parent for path in results_dir.glob("runs/*/*/depth-*/**/summary.json")):
-            different += replay(_load_config(run_dir, cfg.n_workers), run_dir)
+            config = dataclasses.replace(_load_config(run_dir, cfg.n_workers), results_dir=cfg.results_dir)
+            different += replay(config, run_dir)
     for path in write_table(cfg.table, results_dir):
         print(path)
         if path.suffix == ".md":
@@ -311,7 +316,7 @@ def run_config(words: Sequence[str]) -> RunConfig:
     return _run_config(tuple(words))
 
 
-def _run_job(cfg: DictConfig, overrides: Sequence[str]) -> Job:
+def _run_job(cfg: DictConfig, overrides: Sequence[str]) -> RunJob:
     config = to_object(cfg)
     assert isinstance(config, RunConfig)
     named = [
@@ -321,13 +326,31 @@ def _run_job(cfg: DictConfig, overrides: Sequence[str]) -> Job:
         f"trainer={config.trainer.name}",
     ]
     baseline = _run_config((*named, f"depth={config.depth}"))
+    oracle = _oracle_job(config, overrides) if imitates(config.method.name) else None
+    config = dataclasses.replace(config, oracle_run=oracle.config if oracle else None)
     folder = run_folder(config, dataclasses.replace(baseline, seed=config.seed))
     return RunJob(
         config=dataclasses.replace(config, folder=folder),
         folder=folder,
         config_yaml=OmegaConf.to_yaml(cfg, resolve=True),
         command=_command_of("otr-run", overrides),
+        oracle=oracle,
     )
+
+
+def _oracle_job(config: RunConfig, overrides: Sequence[str]) -> RunJob:
+    """Return the job that trains a job's oracle: method=otr with the oracle's layers as its depth, and as trained."""
+    own = [word for word in overrides if word.lstrip("+").split("=")[0].split(".")[0] in OF_TRAINING]
+    words = [*(word for word in own if not word.startswith("seed=")), f"depth={config.oracle}".replace(" ", ""),
+             "method=otr", "stages=[train]"]  # fmt: skip
+    cfg = _composed(tuple(words))
+    cfg.seed = config.seed
+    return _run_job(cfg, [*words, f"seed={config.seed}"])
+
+
+@functools.cache
+def _composed(words: tuple[str, ...]) -> DictConfig:
+    return RUN.composer.compose(words)
 
 
 @functools.cache
@@ -368,6 +391,7 @@ def _load_config(run_dir: Path, n_workers: int | None) -> RunConfig:
         cfg = OmegaConf.load(run_dir / "config.yaml")
         schema = schema_of(RunConfig)
         schema.algo = schema_of(schemas.ALGORITHMS[cfg.algo.name])
+        schema.method = schema_of(schemas.METHOD_CONFIGS[cfg.method.name])
         if "trainer" in cfg:  # there was one trainer only before
             schema.trainer = schema_of(schemas.FleetConfig if "n_envs" in cfg.trainer else schemas.TrainerConfig)
         loaded = to_object(OmegaConf.merge(schema, cfg, {"n_workers": n_workers}))
@@ -388,6 +412,7 @@ RUN = Workflow(
             (None, "run_schema"): RunConfig,
             (None, "env_schema"): schemas.EnvConfig,
             (None, "method_schema"): schemas.MethodConfig,
+            **{("method", f"run_{name}_schema"): method for name, method in schemas.IMITATORS.items()},
             (None, "budget_schema"): schemas.BudgetConfig,
             **{("algo", f"{name}_schema"): algorithm for name, algorithm in schemas.ALGORITHMS.items()},
             **{("trainer", f"{name}_schema"): trainer for name, trainer in schemas.TRAINERS.items()},

@@ -3,6 +3,7 @@
 Hydra composes these from `conf/` (see `pipelines/cli.py`); nothing here knows Hydra.
 """
 
+import dataclasses
 import hashlib
 import json
 import math
@@ -11,7 +12,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from pipelines.errors import ConfigError
-from pipelines.methods import METHODS
+from pipelines.methods import METHODS, imitates
 
 LARGEST_SEED = 2**32 - 1
 
@@ -117,6 +118,9 @@ class BudgetConfig:
     n_prune_episodes: int
     n_evaluation_episodes: int
     max_learning_starts: int
+    n_rounds: int = 50
+    n_round_episodes: int = 25
+    n_choice_episodes: int = 100
 
 
 @dataclass(frozen=True)
@@ -127,6 +131,22 @@ class TrainConfig:
     eval_interval_steps: int
     n_selection_episodes: int
     max_learning_starts: int
+
+
+@dataclass(frozen=True)
+class ImitateConfig:
+    """Imitation under DAgger: the oracle plays first, then the imitator, which is fitted anew after every round.
+
+    Attributes:
+        n_initial_episodes: episodes of the oracle.
+        n_rounds, n_episodes: rounds, and episodes of the imitator in each.
+        n_choice_episodes: episodes on which the last two candidates are compared; none of them is reported.
+    """
+
+    n_initial_episodes: int = 25
+    n_rounds: int = 50
+    n_episodes: int = 25
+    n_choice_episodes: int = 100
 
 
 @dataclass(frozen=True)
@@ -157,6 +177,39 @@ class MethodConfig:
     """The method's name; its stages are its row in `pipelines/methods.py`."""
 
     name: str
+
+
+@dataclass(frozen=True)
+class ViperConfig(MethodConfig):
+    """VIPER: CART on rows drawn by the oracle's weights; the names are those of `otr.control.CartFit`."""
+
+    max_samples: int
+    min_samples_leaf: int
+
+
+@dataclass(frozen=True)
+class LmViperConfig(MethodConfig):
+    """LM-VIPER: a linear model in every leaf; the names are those of `otr.control.LinearModelTreeFit`."""
+
+    max_samples: int
+    min_samples_leaf: int
+    alpha: float
+
+
+@dataclass(frozen=True)
+class AugTreeConfig(MethodConfig):
+    """AugTree: tests on the oracle's hidden units; the names are those of `otr.control.AugTreeFit`."""
+
+    features: str
+    leaves: str
+    max_patterns: int
+    weighted: bool
+    max_samples: int
+    min_samples_leaf: int
+
+
+IMITATORS: dict[str, type[MethodConfig]] = {"viper": ViperConfig, "lm_viper": LmViperConfig, "augtree": AugTreeConfig}
+METHOD_CONFIGS: dict[str, type[MethodConfig]] = {"otr": MethodConfig, "linear": MethodConfig, **IMITATORS}
 
 
 @dataclass(frozen=True)
@@ -210,12 +263,17 @@ class RunConfig:
     side_by_side: bool = False  # other jobs share the terminal
     debug: bool = False
     tracking: str = "none"  # where runs are also logged: none, tensorboard, mlflow
+    oracle: list[int] = field(default_factory=lambda: [256, 256])  # hidden widths of the network that is imitated
+    imitate: ImitateConfig = field(default_factory=ImitateConfig)
     # The run's folder below results_dir, which the command line works out from all of the above.
     folder: str = field(default="", metadata={"omegaconf_ignore": True})
+    # The run that trains the oracle, for a method that imitates one; worked out there, too.
+    oracle_run: "RunConfig | None" = field(default=None, metadata={"omegaconf_ignore": True})
 
     def __post_init__(self) -> None:
         _check_depth(self.depth, self.method.name)
         _check_stages(self.stages, self.method.name)
+        _check_method(self)
         _check_numbers(self)
 
     @property
@@ -249,7 +307,8 @@ class RunConfig:
 # Settings younger than committed results, with the value that means "as before": keyed only where they differ from it.
 YOUNGER_SETTINGS = {("actor", "rescale_inputs"): False}
 
-EXECUTION_FIELDS = ("results_dir", "stages", "n_workers", "side_by_side", "debug", "tracking", "folder")
+EXECUTION_FIELDS = ("results_dir", "stages", "n_workers", "side_by_side", "debug", "tracking", "folder", "oracle_run")
+IMITATION_FIELDS = ("oracle", "imitate")  # of no concern to methods without an oracle
 FLEET_EXECUTION_FIELDS = ("name", "device", "runs_per_process")
 
 
@@ -270,7 +329,9 @@ def settings(config: RunConfig) -> dict[str, Any]:
 
     The budget's table of steps is left out but for its name: `train`, `prune` and `evaluate` hold what it gave.
     """
-    plain = {key: value for key, value in asdict(config).items() if key not in EXECUTION_FIELDS}
+    left_out = EXECUTION_FIELDS if imitates(config.method.name) else (*EXECUTION_FIELDS, *IMITATION_FIELDS)
+    plain = {key: value for key, value in asdict(dataclasses.replace(config, oracle_run=None)).items()
+             if key not in left_out}  # fmt: skip
     plain["budget"] = config.budget.name
     plain["depth"] = list(config.hidden_widths)
     trainer = plain.pop("trainer")
@@ -309,6 +370,10 @@ def _check_depth(depth: Any, method: str) -> None:
         raise ConfigError(f"depth={depth!r}: a layer cannot have {min(widths)} neurons; depth=0 is the linear policy")
     if method == "linear" and depth != 0:
         raise ConfigError(f"method=linear is the policy of depth 0, but depth={depth!r}; add depth=0")
+    if imitates(method) and (not isinstance(depth, int) or depth == 0):
+        raise ConfigError(
+            f"depth={depth!r}: method={method} grows a tree; give the tests on its longest path (depth=6)"
+        )
 
 
 def _check_stages(stages: list[str] | None, method: str) -> None:
@@ -317,6 +382,21 @@ def _check_stages(stages: list[str] | None, method: str) -> None:
             raise ConfigError(f"stages: method={method} has no stage {stage!r}; it has {', '.join(METHODS[method])}")
 
 
+def _check_method(config: RunConfig) -> None:
+    """Refuse an oracle that is no network, and choices that a method does not have."""
+    if imitates(config.method.name) and (not config.oracle or any(width < 1 for width in config.oracle)):
+        raise ConfigError(
+            f"oracle={config.oracle}: give the hidden layers of the network to imitate, as oracle=[256,256]"
+        )
+    for name, choices in METHOD_CHOICES.items():
+        value = getattr(config.method, name, None)
+        if value is not None and value not in choices:
+            raise ConfigError(f"method.{name}={value}: use one of {', '.join(choices)}")
+    if getattr(config.method, "features", None) == "deep" and len(config.oracle) < 2:
+        raise ConfigError(f"method.features=deep reads the oracle's deeper layers, but oracle={config.oracle} has one")
+
+
+METHOD_CHOICES = {"features": ("all", "z", "deep"), "leaves": ("constant", "linear")}
 RANGES: dict[str, tuple[float, float]] = {  # key: least and greatest value; keys of other algorithms are passed over
     "seed": (0, LARGEST_SEED),
     "n_workers": (1, math.inf),
@@ -349,6 +429,14 @@ RANGES: dict[str, tuple[float, float]] = {  # key: least and greatest value; key
     "algo.action_noise_std": (0, math.inf),
     "algo.action_noise_dt": (1e-12, math.inf),
     "algo.policy_delay": (1, math.inf),
+    "imitate.n_initial_episodes": (1, math.inf),
+    "imitate.n_rounds": (0, math.inf),
+    "imitate.n_episodes": (1, math.inf),
+    "imitate.n_choice_episodes": (0, math.inf),
+    "method.max_samples": (1, math.inf),
+    "method.min_samples_leaf": (1, math.inf),
+    "method.max_patterns": (1, math.inf),
+    "method.alpha": (0, math.inf),
     "trainer.n_envs": (1, 4096),
     "trainer.runs_per_process": (1, 4096),
 }

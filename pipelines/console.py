@@ -19,16 +19,32 @@ def show_result(summary: dict[str, Any], run_dir: Path) -> None:
         console.print(f"\n{text}", markup=False)
     console.print(_table(summary))
     seconds = ", ".join(f"{stage} {duration(spent)}" for stage, spent in summary["seconds"].items())
-    plural = "" if summary["patterns"] == 1 else "s"
+    whole = "network" if "network" in summary["policies"] else "whole tree"
+    paths = "activation pattern" if whole == "network" else "leaf"
     console.print(
-        f"{summary['patterns']} activation pattern{plural} reached, estimated pruned depth "
-        f"{summary['pruned_depth']:.1f}; the pruned tree acts as the network in "
-        f"{100 * summary['fidelity']:.2f} % of the states"
+        f"{_count(summary['patterns'], paths)} reached, estimated pruned depth {summary['pruned_depth']:.1f}; "
+        f"the pruned tree acts as the {whole} in {100 * summary['fidelity']:.2f} % of the states"
     )
+    if "oracle" in summary:
+        console.print(_likeness(summary["oracle"]))
     console.print(f"time: {seconds}", markup=False)
     if n_lines > SHORT_PROGRAM:
         console.print(f"program: {n_lines} lines, {program}", markup=False)
     console.print(f"artefacts: {run_dir}", markup=False)
+
+
+def _count(n: int, what: str) -> str:
+    plural = {"leaf": "leaves"}.get(what, f"{what}s")
+    return f"{n} {what if n == 1 else plural}"
+
+
+def _likeness(oracle: dict[str, Any]) -> str:
+    """Return how like the oracle the tree is, in words."""
+    if "equal_labels" in oracle:
+        like = f"chooses as the oracle does in {100 * oracle['equal_labels']:.1f} % of the states that it visits"
+    else:
+        like = f"is {oracle['mean_difference']:.3g} from the oracle's actions on average, on the states that it visits"
+    return f"oracle {oracle['hidden_widths']}: the tree {like}"
 
 
 def _leaves(n_leaves: int) -> str:
@@ -58,9 +74,11 @@ def _table(summary: dict[str, Any]) -> Table:
     table.add_column("policy")
     table.add_column(f"return over {episodes} episodes", justify="right")
     table.add_column("leaves", justify="right")
-    leaves = {"network": "", "tree": _leaves(summary["n_leaves"]), "pruned_tree": f"{summary['pruned_leaves']:,}"}
+    leaves = {"tree": _leaves(summary["n_leaves"]), "pruned_tree": f"{summary['pruned_leaves']:,}"}
     for name, moments in summary["policies"].items():
         table.add_row(
-            name.replace("_", " "), f"{moments['return_mean']:z.1f} ± {moments['return_std']:.1f}", leaves[name]
+            name.replace("_", " "),
+            f"{moments['return_mean']:z.1f} ± {moments['return_std']:.1f}",
+            leaves.get(name, ""),
         )
     return table

@@ -9,6 +9,8 @@ import numpy as np
 import otr
 from pipelines.config import RunConfig
 from pipelines.errors import PolicyMismatchError
+from pipelines.methods import tree_stage
+from pipelines.oracle import load_oracle
 from pipelines.policies import answers_agree
 from pipelines.rollout import Rollout, rollout
 from pipelines.seeding import evaluation_seeds
@@ -17,7 +19,12 @@ from pipelines.store import load_actor, write_csv, write_json
 VERSION = 1
 TOLERANCE = 1e-6
 EPISODE_COLUMNS = ("episode", "seed", "return", "length", "terminated", "truncated")
-EPISODES_FILES = {"network": "episodes_network.csv", "tree": "episodes.csv", "pruned_tree": "episodes_pruned_tree.csv"}
+EPISODES_FILES = {
+    "network": "episodes_network.csv",
+    "oracle": "episodes_oracle.csv",
+    "tree": "episodes.csv",
+    "pruned_tree": "episodes_pruned_tree.csv",
+}
 
 
 def evaluate_settings(config: RunConfig) -> dict[str, Any]:
@@ -29,47 +36,62 @@ def evaluate_settings(config: RunConfig) -> dict[str, Any]:
     }
 
 
-def load_policies(inputs: Mapping[str, Path]) -> dict[str, Any]:
-    """Return the forms of the policy that a run left: network, tree and pruned tree."""
-    return {
-        "network": load_actor(inputs["train"]),
-        "tree": otr.load(inputs["map"] / "tree"),
-        "pruned_tree": otr.load(inputs["prune"] / "tree"),
-    }
+def load_policies(inputs: Mapping[str, Path], config: RunConfig) -> dict[str, Any]:
+    """Return the forms of the policy that a run left: what the tree stands for, the tree and the pruned tree.
+
+    The first is the actor's network where it was mapped, and the oracle where it was imitated.
+    """
+    policies: dict[str, Any] = {}
+    if "imitate" in inputs:
+        policies["oracle"] = load_oracle(inputs["oracle"], Path(config.results_dir))
+    else:
+        policies["network"] = load_actor(inputs["train"])
+    policies["tree"] = otr.load(inputs[tree_stage(config.method.name)] / "tree")
+    policies["pruned_tree"] = otr.load(inputs["prune"] / "tree")
+    return policies
 
 
 def evaluate(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     """Play the fixed episodes with each form of the policy; write an episodes file each and `report.json`.
 
-    `episodes.csv` is the tree's. Fidelity is the share of the network's states in which the pruned tree acts alike.
+    `episodes.csv` is the tree's. Fidelity is the share of the visited states in which the pruned tree does the same as
+    the policy that it was pruned from: the network, or the tree where there is none.
 
     Raises:
         PolicyMismatchError: network and tree act differently in a state; the message shows it.
     """
-    policies = load_policies(inputs)
-    played = play(policies, config)
-    states = played["network"].states
-    network, outputs = policies["network"].predict(states), policies["network"].forward(states)
-    tree = policies["tree"].predict(states)
-    _require_agreement(states, network, tree, outputs)
-    alike = answers_agree(network, policies["pruned_tree"].predict(states), outputs, TOLERANCE)
+    policies = load_policies(inputs, config)
+    whole = "network" if "network" in policies else "tree"
+    played = play(policies, config, keep_states_of=whole)
+    states = played[whole].states
+    answers, outputs = policies[whole].predict(states), policies[whole].forward(states)
+    if whole == "network":
+        _require_agreement(states, answers, policies["tree"].predict(states), outputs)
+    alike = answers_agree(answers, policies["pruned_tree"].predict(states), outputs, TOLERANCE)
     for name, result in played.items():
         write_csv(out / EPISODES_FILES[name], episode_rows(result), EPISODE_COLUMNS)
-    write_json(
-        out / "report.json",
-        {
-            "fidelity": float(alike.mean()),
-            "n_states": len(states),
-            "policies": {n: moments(r) for n, r in played.items()},
-        },
-    )
+    report = {
+        "fidelity": float(alike.mean()),
+        "n_states": len(states),
+        "policies": {n: moments(r) for n, r in played.items()},
+    }
+    if "oracle" in policies:
+        report["oracle"] = likeness(answers, policies["oracle"].predict(states))
+    write_json(out / "report.json", report)
 
 
-def play(policies: Mapping[str, Any], config: RunConfig) -> dict[str, Rollout]:
-    """Play the evaluation episodes with each policy; the network's states are kept."""
+def likeness(ours: np.ndarray, theirs: np.ndarray) -> dict[str, float]:
+    """Return how like an oracle's the answers are: the share of equal labels, or the mean absolute difference."""
+    if ours.ndim == 1:
+        return {"equal_labels": float((ours == theirs).mean())}
+    return {"mean_difference": float(np.abs(ours - theirs).mean())}
+
+
+def play(policies: Mapping[str, Any], config: RunConfig, keep_states_of: str = "") -> dict[str, Rollout]:
+    """Play the evaluation episodes with each policy; the states of one are kept."""
     seeds = evaluation_seeds(config.evaluate.first_seed, config.evaluate.n_episodes)
     return {
-        name: rollout(policy.predict, config.env, seeds, keep_states=name == "network", n_workers=config.n_workers)
+        name: rollout(policy.predict, config.env, seeds, keep_states=name == keep_states_of, n_workers=config.n_workers)
         for name, policy in policies.items()
     }
 

@@ -5,36 +5,58 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.table import Table
 
+from pipelines import imitation, training
 from pipelines.console import duration
 from pipelines.run import RunJob
 from pipelines.stage import stage_status
-from pipelines.stages import STAGES
-from pipelines.training import estimated_seconds, trained_steps
+from pipelines.training import trained_steps
 
 
-def job_plan(job: RunJob) -> tuple[str, float]:
-    """Return what is to be done for a job, in words, and the seconds of training it leaves."""
+def job_plan(job: RunJob, planned: set[str]) -> tuple[str, float]:
+    """Return what is to be done for a job, in words, and the seconds of training and imitating it leaves.
+
+    Args:
+        job: the job.
+        planned: folders of the oracles that jobs before it train; its own is added.
+    """
     config = job.config
-    statuses = {name: stage_status(STAGES[name], job.run_dir / name, config) for name in config.selected_stages}
+    statuses = {stage.name: stage_status(stage, job.run_dir / stage.name, config) for stage in job.stages}
     if "other settings" in statuses.values():
         names = [name for name, status in statuses.items() if status == "other settings"]
         return f"refused: {', '.join(names)} there has other settings", 0.0
     left = [name for name, status in statuses.items() if status != "done"]
     if not left:
         return "skip", 0.0
-    if "train" not in left:
-        return f"run {', '.join(left)}", 0.0
-    done = trained_steps(config)
-    seconds = estimated_seconds(config)
-    return (f"resume at step {done:,}" if done else "run"), seconds
+    if "train" in left:
+        done = trained_steps(config)
+        return (f"resume at step {done:,}" if done else "run"), training.estimated_seconds(config)
+    seconds = imitation.estimated_seconds(config) if "imitate" in left else 0.0
+    if job.oracle and "oracle" in left:
+        what, oracle_seconds = _oracle_plan(job.oracle, planned)
+        return f"run, {what}", seconds + oracle_seconds
+    return f"run {', '.join(left)}", seconds
+
+
+def _oracle_plan(oracle: RunJob, planned: set[str]) -> tuple[str, float]:
+    """Return what becomes of a job's oracle and the seconds that it takes; jobs that share one train it once."""
+    name = oracle.folder.removeprefix("runs/")
+    if oracle.folder in planned:
+        return f"oracle {name} as above", 0.0
+    planned.add(oracle.folder)
+    if stage_status(oracle.stages[0], oracle.run_dir / "train", oracle.config) == "done":
+        return f"oracle {name} is there", 0.0
+    done = trained_steps(oracle.config)
+    how = f"resume at step {done:,}" if done else "train"
+    return f"{how} oracle {name}", training.estimated_seconds(oracle.config)
 
 
 def print_plan(jobs: Sequence[RunJob]) -> None:
     """Print one line a job and the sum."""
     table = Table("job", "plan", "time", box=None)
     total, n_skipped = 0.0, 0
+    planned: set[str] = set()
     for job in jobs:
-        what, seconds = job_plan(job)
+        what, seconds = job_plan(job, planned)
         total += seconds
         n_skipped += what == "skip"
         table.add_row(job.folder, what, duration(seconds) if seconds else "")

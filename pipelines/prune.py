@@ -10,6 +10,7 @@ import numpy as np
 import otr
 from pipelines.config import RunConfig
 from pipelines.errors import PolicyMismatchError
+from pipelines.methods import tree_stage
 from pipelines.policies import answers_agree
 from pipelines.programs import write_program
 from pipelines.rollout import rollout
@@ -33,23 +34,28 @@ def prune_settings(config: RunConfig) -> dict[str, Any]:
 def prune(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     """Play `prune.n_episodes` episodes, keep the paths they reach, and write the pruned tree and its report.
 
-    The episodes are the run's own and not the ones it is evaluated on.
+    The episodes are the run's own and not the ones it is evaluated on. A path is an activation pattern where the tree
+    is a mapped network's, and a leaf of the tree where it is not.
 
     Raises:
-        PolicyMismatchError: the pruned tree differs from the network on a state that it was pruned with.
+        PolicyMismatchError: the pruned tree differs from the policy on a state that it was pruned with.
     """
-    network = load_actor(inputs["train"])
-    tree = otr.load(inputs["map"] / "tree")
+    policy: Any
+    tree: Any = otr.load(inputs[tree_stage(config.method.name)] / "tree")
     seeds = episode_seeds(config.seed, "prune", config.prune.n_episodes)
     states = rollout(tree.predict, config.env, seeds, keep_states=True, n_workers=config.n_workers).states
-    pattern_tree = otr.PatternTree(network).observe(states)
+    if "map" in inputs:
+        network = load_actor(inputs["train"])
+        policy, patterns = network, otr.PatternTree(network).observe(states).n_patterns
+    else:
+        policy, patterns = tree, len(np.unique(tree.apply(states)))
     if config.prune.k is None:
         pruned = otr.prune_unreached(tree, states)
-        agreement = answers_agree(network.predict(states), pruned.predict(states), network.forward(states), TOLERANCE)
+        agreement = answers_agree(policy.predict(states), pruned.predict(states), policy.forward(states), TOLERANCE)
         if not agreement.all():
             i = int(np.flatnonzero(~agreement)[0])
             raise PolicyMismatchError(
-                f"the pruned tree differs from the network in a state it kept: {states[i].tolist()}"
+                f"the pruned tree differs from the policy in a state it kept: {states[i].tolist()}"
             )
     else:
         pruned = otr.prune_to_k(tree, states, config.prune.k)
@@ -60,8 +66,8 @@ def prune(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
         {
             "n_leaves": pruned.n_leaves,
             "depth": pruned.depth,
-            "patterns": pattern_tree.n_patterns,
-            "pruned_depth": math.log2(pattern_tree.n_patterns),
+            "patterns": patterns,
+            "pruned_depth": math.log2(patterns),
             "n_episodes": config.prune.n_episodes,
             "n_states": len(states),
             "k": config.prune.k,

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from pipelines.config import RunConfig
 from pipelines.evaluate import EPISODES_FILES, episode_rows, load_policies, play
+from pipelines.methods import METHODS
 from pipelines.store import read_csv
 
 TOLERANCE = 1e-6  # of the return, relative
@@ -14,10 +15,11 @@ def replay(config: RunConfig, run_dir: Path) -> int:
 
     Other versions of the simulators give other episodes; on the recorded versions all of them come back.
     """
-    played = play(load_policies({name: run_dir / name for name in ("train", "map", "prune")}), config)
+    inputs = {name: run_dir / name for name in METHODS[config.method.name]}
+    played = play(load_policies(inputs, config), config)
     n_different = 0
-    for name, file in EPISODES_FILES.items():
-        recorded = [float(row["return"]) for row in read_csv(run_dir / "evaluate" / file)]
+    for name in played:
+        recorded = [float(row["return"]) for row in read_csv(run_dir / "evaluate" / EPISODES_FILES[name])]
         again = [row["return"] for row in episode_rows(played[name])]
         different = [
             i

@@ -2,15 +2,18 @@
 
 import shutil
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from pipelines.config import RunConfig
 from pipelines.console import duration, show_result
 from pipelines.errors import PipelineError
+from pipelines.imitation import working_folder
 from pipelines.job import Job, disk_errors_explained
+from pipelines.methods import METHODS, tree_stage
 from pipelines.stage import Stage, StageResult, run_stage, run_stage_together, stage_status
-from pipelines.stages import STAGES
+from pipelines.stages import STAGES, stages_of
 from pipelines.store import read_csv, read_json, write_json, write_text
 from pipelines.tracking import open_tracker
 from pipelines.training import checkpoint_folder, estimated_bytes, estimated_seconds, trained_steps
@@ -19,13 +22,26 @@ LONG_RUN_S = 60.0
 SUMMARY_SCHEMA = "otr/summary/1"
 
 
+@dataclass(frozen=True)
 class RunJob(Job):
-    """A run: its configuration is a `RunConfig`."""
+    """A run: its configuration is a `RunConfig`.
+
+    Attributes:
+        oracle: the job that trains the network to imitate; None for a method without an oracle.
+    """
+
+    oracle: "RunJob | None" = None
 
     @property
     def stages(self) -> tuple[Stage, ...]:
         """The stages that are asked for, in order."""
-        return tuple(STAGES[name] for name in self.config.selected_stages)
+        stages = stages_of(self.config.method.name)
+        return tuple(stages[name] for name in self.config.selected_stages)
+
+    @property
+    def trained(self) -> "RunJob":
+        """The job whose stage train this one needs: the oracle's, or its own."""
+        return self.oracle or self
 
     @property
     def ends_with(self) -> str:
@@ -46,12 +62,19 @@ def run_job(job: RunJob) -> dict[str, Any] | None:
 
 def run_jobs(jobs: Sequence[RunJob]) -> list[Exception | None]:
     """Do jobs one after the other, those of one fleet after training them as one; return what each failed with."""
-    together = len(jobs) > 1 and all("train" in job.config.selected_stages for job in jobs)
+    trained = {job.trained.folder: job.trained for job in jobs if _trains(job)}
+    errors: dict[str, Exception | None] = {}
     try:
-        errors = _train_together(jobs) if together else [None] * len(jobs)
+        if len(trained) > 1:
+            errors = dict(zip(trained, _train_together(list(trained.values())), strict=True))
     except Exception as error:  # of the whole fleet, such as a full disk
         return [error] * len(jobs)
-    return [error or _failure(job) for job, error in zip(jobs, errors, strict=True)]
+    return [errors.get(job.trained.folder) or _failure(job) for job in jobs]
+
+
+def _trains(job: RunJob) -> bool:
+    """Return whether a job asks for training, its own or its oracle's."""
+    return not {"train", "oracle"}.isdisjoint(job.config.selected_stages)
 
 
 def _failure(job: RunJob) -> Exception | None:
@@ -86,13 +109,18 @@ def _run_stages(job: RunJob) -> dict[str, Any] | None:
     print(f"{run_dir}", flush=True)
     run_dir.mkdir(parents=True, exist_ok=True)
     results: dict[str, StageResult] = {}
-    for name in config.selected_stages:
-        stage = STAGES[name]
+    for stage in job.stages:
+        name = stage.name
+        if name == "oracle" and job.oracle and stage_status(stage, run_dir / name, config) != "done":
+            _run_stages(job.oracle)
+            print(f"{run_dir}", flush=True)
         if name == "train" and stage_status(stage, run_dir / name, config) == "missing":
             _announce_training([config])
         results[name] = run_stage(stage, run_dir, config, job.command)
         if name == "train":  # only now that the result is in its place
             shutil.rmtree(checkpoint_folder(config), ignore_errors=True)
+        if name == "imitate":
+            shutil.rmtree(working_folder(config, run_dir / "oracle"), ignore_errors=True)
         if not (run_dir / "config.yaml").exists():
             write_text(run_dir / "config.yaml", job.config_yaml)
         print(_stage_line(name, results[name]), flush=True)
@@ -109,12 +137,17 @@ def _run_stages(job: RunJob) -> dict[str, Any] | None:
 def summarise(job: RunJob) -> dict[str, Any]:
     """Return a finished run's summary from its stages' reports."""
     config, run_dir = job.config, job.run_dir
-    mapped, pruned, evaluated = (read_json(run_dir / name / "report.json") for name in ("map", "prune", "evaluate"))
-    manifests = {name: read_json(run_dir / name / "manifest.json") for name in ("train", "map", "prune", "evaluate")}
-    # The manifest knows the last process alone; a resumed training spent the sum of its segments at least.
-    segments_s = sum(float(row["seconds"]) for row in read_csv(run_dir / "train" / "progress.csv"))
-    trained_s = round(max(segments_s, manifests["train"]["seconds"]), 3)
-    return {
+    names = METHODS[config.method.name]
+    made, pruned, evaluated = (
+        read_json(run_dir / name / "report.json") for name in (tree_stage(config.method.name), "prune", "evaluate")
+    )
+    manifests = {name: read_json(run_dir / name / "manifest.json") for name in names}
+    seconds = {name: manifest["seconds"] for name, manifest in manifests.items()}
+    if "train" in seconds:
+        # The manifest knows the last process alone; a resumed training spent the sum of its segments at least.
+        segments_s = sum(float(row["seconds"]) for row in read_csv(run_dir / "train" / "progress.csv"))
+        seconds["train"] = round(max(segments_s, seconds["train"]), 3)
+    summary = {
         "schema": SUMMARY_SCHEMA,
         "env": config.env.name,
         "task": config.env.task,
@@ -127,15 +160,19 @@ def summarise(job: RunJob) -> dict[str, Any]:
         "seed": config.seed,
         "steps": config.train.steps,
         **evaluated["policies"]["tree"],
-        "n_leaves": mapped["n_leaves"],
+        "n_leaves": made["n_leaves"],
         "pruned_leaves": pruned["n_leaves"],
         "pruned_depth": pruned["pruned_depth"],
         "patterns": pruned["patterns"],
         "fidelity": evaluated["fidelity"],
         "policies": evaluated["policies"],
-        "seconds": {name: manifest["seconds"] for name, manifest in manifests.items()} | {"train": trained_s},
+        "seconds": seconds,
         "versions": manifests["evaluate"]["versions"],
     }
+    if "imitate" in names:
+        summary["oracle"] = {"hidden_widths": list(config.oracle), **evaluated["oracle"]}
+        summary["imitate"] = {name: made[name] for name in ("round", "n_rows", "n_steps")}
+    return summary
 
 
 def _announce_training(configs: Sequence[RunConfig]) -> None:

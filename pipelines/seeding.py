@@ -6,7 +6,7 @@ draw from 2**20 upwards, so that nothing is chosen on the episodes that are repo
 
 import numpy as np
 
-STREAMS = {"train": 0, "selection": 1, "prune": 2}
+STREAMS = {"train": 0, "selection": 1, "prune": 2, "imitate": 3}
 FIRST_STREAM_SEED = 2**20
 LAST_STREAM_SEED = 2**31 - 1
 
@@ -26,9 +26,9 @@ def stream_seeds(n: int, seed: int, name: str, *index: int) -> list[int]:
     return [int(word >> 1) for word in stream(seed, name, *index).generate_state(n, np.uint32)]
 
 
-def episode_seeds(seed: int, name: str, n_episodes: int) -> list[int]:
-    """Return `n_episodes` distinct reset seeds of a stream, all at least 2**20."""
-    generator = np.random.default_rng(stream(seed, name))
+def episode_seeds(seed: int, name: str, n_episodes: int, *index: int) -> list[int]:
+    """Return `n_episodes` distinct reset seeds of a stream, or of the element `index` of it, all at least 2**20."""
+    generator = np.random.default_rng(stream(seed, name, *index))
     start = int(generator.integers(FIRST_STREAM_SEED, LAST_STREAM_SEED - n_episodes))
     return list(range(start, start + n_episodes))
 

@@ -6,8 +6,12 @@ from pathlib import Path
 from pipelines.config import RunConfig
 from pipelines.evaluate import VERSION as EVALUATE_VERSION
 from pipelines.evaluate import evaluate, evaluate_settings
+from pipelines.imitation import IMITATE_VERSION, imitate_settings
 from pipelines.map import VERSION as MAP_VERSION
 from pipelines.map import map_actor, map_settings
+from pipelines.methods import METHODS, tree_stage
+from pipelines.oracle import VERSION as ORACLE_VERSION
+from pipelines.oracle import oracle_settings, refer
 from pipelines.prune import VERSION as PRUNE_VERSION
 from pipelines.prune import prune, prune_settings
 from pipelines.stage import Stage
@@ -23,12 +27,32 @@ def _train(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     train(inputs, config, out)
 
 
+def _imitate(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
+    from pipelines.imitate import imitate  # imports scikit-learn
+
+    imitate(inputs, config, out)
+
+
+# What prune and evaluate read beside the tree: the policy that it stands for.
+POLICY_STAGES = {"map": ("train",), "imitate": ("oracle",)}
+
 STAGES: dict[str, Stage] = {
     stage.name: stage
     for stage in (
         Stage("train", TRAIN_VERSION, (), train_settings, _train),
+        Stage("oracle", ORACLE_VERSION, (), oracle_settings, refer),
         Stage("map", MAP_VERSION, ("train",), map_settings, map_actor),
-        Stage("prune", PRUNE_VERSION, ("train", "map"), prune_settings, prune),
-        Stage("evaluate", EVALUATE_VERSION, ("train", "map", "prune"), evaluate_settings, evaluate),
+        Stage("imitate", IMITATE_VERSION, ("oracle",), imitate_settings, _imitate),
     )
 }
+
+
+def stages_of(method: str) -> dict[str, Stage]:
+    """Return a method's stages by name, in order; prune and evaluate read what its tree comes from."""
+    source = tree_stage(method)
+    inputs = (*POLICY_STAGES[source], source)
+    read = {
+        "prune": Stage("prune", PRUNE_VERSION, inputs, prune_settings, prune),
+        "evaluate": Stage("evaluate", EVALUATE_VERSION, (*inputs, "prune"), evaluate_settings, evaluate),
+    }
+    return {name: read[name] if name in read else STAGES[name] for name in METHODS[method]}

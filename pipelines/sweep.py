@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TypeVar
 
 from pipelines.config import RunConfig
 from pipelines.errors import ConfigError
@@ -88,8 +89,18 @@ def run_sweep(jobs: Sequence[Job], launch: Callable[[Sequence[int]], list[Outcom
     return [outcomes[i] for i in range(len(jobs))]
 
 
+J = TypeVar("J", bound=Job)
+
+
 def side_by_side(job: Job) -> Job:
     """Return a job that knows that others share its terminal and its cores."""
+    job = _sharing(job)
+    if isinstance(job, RunJob) and job.oracle:
+        return dataclasses.replace(job, oracle=_sharing(job.oracle))
+    return job
+
+
+def _sharing(job: J) -> J:
     config = dataclasses.replace(job.config, side_by_side=True, n_workers=job.config.n_workers or 1)
     return dataclasses.replace(job, config=config)
 

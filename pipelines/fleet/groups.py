@@ -16,7 +16,7 @@ def group_key(config: RunConfig) -> str:
     Depths make fleets of their own: on a processor mixed ones are no faster, and a run's bits stay what they are alone.
     """
     assert config.fleet is not None
-    common = train_settings(config)
+    common = train_settings(config.oracle_run or config)
     del common["seed"]
     common["algo"] = {key: value for key, value in common["algo"].items() if key not in OWN_SETTINGS}
     return digest([common, config.fleet.device, config.results_dir])

@@ -1,0 +1,1 @@
+"""Trees from interaction: by imitation or by policy gradient, each of which ends in an `ObliqueTree`."""

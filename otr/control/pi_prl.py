@@ -56,6 +56,10 @@ class RelaxedProgram(nn.Module):
     ) -> None:
         """Draw tests as a linear layer's weights and maps near zero.
 
+        The structure's logits start where every level of holes has the same weight, less the penalty. Starting with
+        even odds in every hole would give half the weight to the root's C, which then learns fastest and is chosen: a
+        linear policy.
+
         Args:
             n_inputs: d.
             n_outputs: o.
@@ -73,7 +77,8 @@ class RelaxedProgram(nn.Module):
             LEAF_SCALE * torch.randn(2 * n_tests + 1, n_outputs, n_inputs + 1, generator=generator)
         )
         levels = torch.tensor([float((hole + 1).bit_length() - 1) for hole in range(n_tests)])
-        self.architecture = nn.Parameter(torch.stack((torch.zeros(n_tests), -structure_penalty * levels), dim=1))
+        for_if = torch.log(depth - levels) - structure_penalty * levels
+        self.architecture = nn.Parameter(torch.stack((torch.zeros(n_tests), for_if), dim=1))
         self.register_buffer("structure", torch.full((n_tests,), -1, dtype=torch.int64))
         self.register_buffer("beta", torch.tensor(float(beta)))
         self.learns: Learns = "all"

@@ -1,7 +1,7 @@
 """Control: what trees that learn from interaction cost.
 
-The soft tree of depth 6 with affine leaves, forward and backward, against a ReLU network of as many parameters in torch,
-once with one hidden layer and once with two; float32, one thread, batches of 64 to 1,024 states. Shapes are the
+The soft tree of depth 6 with affine leaves, forward and backward, against a ReLU network of as many parameters in
+torch, once with one hidden layer and once with two; float32, one thread, batches of 64 to 1,024 states. Shapes are the
 lander's (8 inputs, 4 outputs), Hopper's (11, 3) and Ant's (27, 8). The relaxed program of pi-PRL has an affine map in
 every hole and not in its leaves only, twice as many parameters, and is held against networks of as many.
 

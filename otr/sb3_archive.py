@@ -100,7 +100,7 @@ def _refuse_other_policies(tensors: dict[str, FloatArray], data: dict[str, Any],
         raise InvalidNetworkError("the policy squashes its outputs; train with squash_output=False")
     if not re.fullmatch(expected, str(module)):
         raise InvalidNetworkError(
-            f"the policy's class is from {module!r}; train with Stable-Baselines3's 'MlpPolicy', or ARS's 'LinearPolicy'"
+            f"the policy's class is from {module!r}; train with 'MlpPolicy', or ARS with 'LinearPolicy'"
         )
     extractor = str(_readable(data, "policy_kwargs").get("features_extractor_class", "FlattenExtractor"))
     if "stable_baselines3.common.torch_layers.FlattenExtractor" not in extractor and extractor != "FlattenExtractor":

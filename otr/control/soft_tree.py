@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import torch
@@ -10,7 +11,7 @@ from torch import Tensor, nn
 
 from otr.arrays import FloatArray
 from otr.control.leaves import argmax_leaves
-from otr.control.path_probabilities import path_probabilities
+from otr.control.path_probabilities import path_probabilities, reach, reach_gradient
 from otr.head import Argmax, Head
 from otr.mapping import perfect_tree_children
 from otr.tree import ObliqueTree
@@ -84,10 +85,11 @@ class SoftTree(nn.Module):
     def forward(self, X: Tensor) -> Tensor:
         """Return the outputs (n, o) for states X (n, d)."""
         X1 = with_ones(X)
-        _, reach = path_probabilities(left_probabilities(self.tests, X1, self.beta))
-        if not self.affine_leaves:
-            return reach.t() @ self.leaves
-        return mixed_maps(reach, self.leaves, X1)
+        if self.affine_leaves:
+            outputs: Tensor = _AffineLeaves.apply(self.tests, self.leaves, X1, self.beta)  # type: ignore[no-untyped-call]
+            return outputs
+        _, reached = path_probabilities(left_probabilities(self.tests, X1, self.beta))
+        return reached.t() @ self.leaves
 
     def harden(self, head: Head | None = None, *, axis_aligned: bool = False) -> ObliqueTree:
         """Return the hard tree: its tests as they are, or each cut down to one input.
@@ -117,6 +119,46 @@ class SoftTree(nn.Module):
             head=head,
         )
         return argmax_leaves(tree) if decide and self.affine_leaves else tree
+
+
+class _AffineLeaves(torch.autograd.Function):
+    """The output of a soft tree with affine leaves: `_affine_leaves` with its derivative written out, for speed.
+
+    Autograd's bookkeeping costs as much as the arithmetic at the sizes of policies. A derivative that is to be
+    differentiated again (TRPO) is left to autograd.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, tests: Tensor, leaves: Tensor, X1: Tensor, beta: Tensor) -> Tensor:
+        left = torch.mm(tests, X1.t()).mul_(-beta).sigmoid_()
+        nodes, reached = reach(left)
+        maps = torch.mm(reached.t(), leaves.flatten(1)).view(len(X1), -1, X1.shape[1])
+        ctx.save_for_backward(tests, leaves, X1, beta, left, nodes, reached, maps)
+        return (maps * X1[:, None, :]).sum(-1)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        tests, leaves, X1, beta, left, nodes, reached, maps = ctx.saved_tensors
+        (at_outputs,) = gradients
+        if torch.is_grad_enabled():
+            inputs = [each for each, wanted in zip((tests, leaves, X1), ctx.needs_input_grad, strict=False) if wanted]
+            found = iter(
+                torch.autograd.grad(_affine_leaves(tests, leaves, X1, beta), inputs, at_outputs, create_graph=True)
+            )
+            return *(next(found) if wanted else None for wanted in ctx.needs_input_grad[:3]), None
+        at_maps = (at_outputs[:, :, None] * X1[:, None, :]).flatten(1)  # (n, o (d + 1))
+        at_left = reach_gradient(left, nodes, None, torch.mm(leaves.flatten(1), at_maps.t()))
+        at_tests = torch.ops.aten.sigmoid_backward(at_left, left).mul_(-beta)  # (2**depth - 1, n)
+        at_X1 = None
+        if ctx.needs_input_grad[2]:
+            at_X1 = torch.mm(at_tests.t(), tests) + (at_outputs[:, :, None] * maps).sum(1)
+        return torch.mm(at_tests, X1), torch.mm(reached, at_maps).view_as(leaves), at_X1, None
+
+
+def _affine_leaves(tests: Tensor, leaves: Tensor, X1: Tensor, beta: Tensor) -> Tensor:
+    """Return the outputs (n, o) of a soft tree with affine leaves for states with a column of ones (n, d + 1)."""
+    _, reached = path_probabilities(left_probabilities(tests, X1, beta))
+    return mixed_maps(reached, leaves, X1)
 
 
 def initial_tests(n_tests: int, n_inputs: int, generator: torch.Generator | None) -> Tensor:

@@ -48,6 +48,22 @@ def test_derivatives_of_the_path_probabilities(depth):
         assert torch.autograd.gradcheck(lambda p: path_probabilities(p)[0], left)
 
 
+@pytest.mark.parametrize("affine", [False, True])
+@pytest.mark.parametrize("depth", [0, 1, 3])
+def test_derivatives_of_the_tree(depth, affine):
+    tree = soft_tree(5, depth, affine)
+    tree.set_beta(2.0)
+    X = torch.randn(3, 2, dtype=torch.float64, requires_grad=True)
+
+    def outputs(tests: torch.Tensor, leaves: torch.Tensor, X: torch.Tensor) -> torch.Tensor:
+        return torch.func.functional_call(tree, {"tests": tests, "leaves": leaves}, (X,))
+
+    arguments = (tree.tests, tree.leaves, X)
+    assert torch.autograd.gradcheck(outputs, arguments)
+    assert torch.autograd.gradgradcheck(outputs, arguments)
+    assert torch.autograd.gradgradcheck(lambda *a: outputs(*a, X.detach()), arguments[:2])
+
+
 def test_path_probabilities_of_a_small_tree():
     nodes, leaves = path_probabilities(torch.tensor([[0.25], [0.5], [0.1]]))
     torch.testing.assert_close(nodes[:, 0], torch.tensor([1.0, 0.25, 0.75]))

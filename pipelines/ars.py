@@ -27,18 +27,11 @@ class ArsConfig:
     with_bias: bool
 
 
-class ResumableARS(ARS):
-    """ARS whose checkpoints hold the weights that it searches around, which its policy's parameters only copy."""
-
-    def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
-        state_dicts, tensors = super()._get_torch_save_params()
-        return state_dicts, [*tensors, "weights"]
-
-
-def build_ars(env: VecEnv, config: ArsConfig, seed: int) -> ResumableARS:
+def build_ars(env: VecEnv, config: ArsConfig, seed: int) -> ARS:
     """Return an untrained model, a policy of zeros; `otr.from_sb3` reads it as a network without hidden layers.
 
-    `learn` ends after the update under way: an update is 2 n_delta whole episodes, however long they are.
+    The weights that it searches around share the memory of its policy's parameters, so that a checkpoint of those
+    resumes it. `learn` ends after the update under way: an update is 2 n_delta whole episodes, however long they are.
 
     Raises:
         ConfigError: several environments, whose steps it would count wrongly, or more directions used than tried.
@@ -47,7 +40,7 @@ def build_ars(env: VecEnv, config: ArsConfig, seed: int) -> ResumableARS:
         raise ConfigError(f"algo=ars plays one episode at a time, but there are {env.num_envs} environments; use one")
     if config.n_top > config.n_delta:
         raise ConfigError(f"algo.n_top={config.n_top} is more than algo.n_delta={config.n_delta}")
-    return ResumableARS(
+    return ARS(
         "LinearPolicy",
         env,
         n_delta=config.n_delta,

@@ -5,7 +5,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
-from sb3_contrib import TRPO
+from sb3_contrib import ARS, TRPO
 from stable_baselines3 import PPO
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.monitor import Monitor
@@ -13,7 +13,7 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import otr
-from pipelines.ars import ArsConfig, ResumableARS, build_ars
+from pipelines.ars import ArsConfig, build_ars
 from pipelines.checkpoint import History
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.sb3_checkpoint import load_checkpoint, save_checkpoint
@@ -160,10 +160,10 @@ def test_modules_survive_a_round_trip(tmp_path: Path, actor: ModuleConfig) -> No
         load_soft(tmp_path)
 
 
-ARS = ArsConfig(n_delta=4, n_top=2, learning_rate=0.05, delta_std=0.1, with_bias=True)
+SEARCH = ArsConfig(n_delta=4, n_top=2, learning_rate=0.05, delta_std=0.1, with_bias=True)
 
 
-def search(model: ResumableARS, seed: int, n_steps: int = 400) -> None:
+def search(model: ARS, seed: int, n_steps: int = 400) -> None:
     model.set_logger(Logger(folder=None, output_formats=[]))
     model.set_env(make_env("CartPole-v1", 1), force_reset=True)
     model.set_random_seed(seed)
@@ -171,10 +171,10 @@ def search(model: ResumableARS, seed: int, n_steps: int = 400) -> None:
 
 
 def test_random_search_learns_in_segments_and_resumes(tmp_path: Path) -> None:
-    whole = build_ars(make_env("CartPole-v1", 1), ARS, seed=0)
+    whole = build_ars(make_env("CartPole-v1", 1), SEARCH, seed=0)
     for segment in range(4):
         search(whole, segment)
-        model = build_ars(make_env("CartPole-v1", 1), ARS, seed=0)
+        model = build_ars(make_env("CartPole-v1", 1), SEARCH, seed=0)
         load_checkpoint(tmp_path, model)
         search(model, segment)
         save_checkpoint(tmp_path, model, History(segment + 1), 0)
@@ -197,6 +197,6 @@ def test_random_search_learns_in_segments_and_resumes(tmp_path: Path) -> None:
 
 def test_what_random_search_refuses() -> None:
     with pytest.raises(ConfigError, match="2 environments"):
-        build_ars(make_env("CartPole-v1", 2), ARS, seed=0)
+        build_ars(make_env("CartPole-v1", 2), SEARCH, seed=0)
     with pytest.raises(ConfigError, match="n_top=5"):
-        build_ars(make_env("CartPole-v1", 1), dataclasses.replace(ARS, n_top=5), seed=0)
+        build_ars(make_env("CartPole-v1", 1), dataclasses.replace(SEARCH, n_top=5), seed=0)

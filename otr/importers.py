@@ -54,9 +54,10 @@ def from_sb3(
     action_high: ArrayLike | None = None,
     negative_slope: float | None = None,
 ) -> ReluNetwork:
-    """Return the deterministic actor of a Stable-Baselines3 PPO, A2C, SAC, TD3 or DDPG model.
+    """Return the deterministic actor of a Stable-Baselines3 model, or of sb3-contrib's TRPO and ARS.
 
-    SAC, TD3 and DDPG end in `TanhBox`, PPO and A2C in `ClipBox` or, with discrete actions, `Argmax`. Stable-Baselines3
+    SAC, TD3 and DDPG end in `TanhBox`, the others in `ClipBox` or, with discrete actions, `Argmax`; of ARS it is
+    `LinearPolicy` without squashed outputs that is read. Stable-Baselines3
     computes in float32, so its answers differ from the network's by about 1e-7 of the action box. A model trained
     under VecNormalize expects normalised states: `ReluNetwork.fold_input_normalisation` takes that in.
 
@@ -183,21 +184,31 @@ def _remedy(layer: Any) -> str:
 
 def _sb3_layers(model: Any) -> list[tuple[str, Any]]:
     """Return the (position, layer) pairs of a live model's deterministic actor."""
+    from sb3_contrib import ARS, TRPO
+    from sb3_contrib.ars.policies import ARSLinearPolicy
     from stable_baselines3 import A2C, PPO, SAC, TD3
     from stable_baselines3.common.policies import ActorCriticPolicy
     from stable_baselines3.common.torch_layers import FlattenExtractor
     from stable_baselines3.sac.policies import SACPolicy
     from stable_baselines3.td3.policies import TD3Policy
 
-    if not isinstance(model, A2C | PPO | SAC | TD3):  # DDPG is a TD3
-        raise InvalidNetworkError(f"expected a PPO, A2C, SAC, TD3 or DDPG model or a path, got {type(model).__name__}")
+    if not isinstance(model, A2C | ARS | PPO | SAC | TD3 | TRPO):  # DDPG is a TD3
+        raise InvalidNetworkError(
+            f"expected a PPO, A2C, TRPO, ARS, SAC, TD3 or DDPG model or a path, got {type(model).__name__}"
+        )
     policy: Any = model.policy
-    if type(policy) not in (ActorCriticPolicy, SACPolicy, TD3Policy):
-        raise InvalidNetworkError(f"the policy is a {type(policy).__name__}; train with 'MlpPolicy'")
+    if type(policy) not in (ActorCriticPolicy, ARSLinearPolicy, SACPolicy, TD3Policy):
+        expected = "LinearPolicy" if isinstance(model, ARS) else "MlpPolicy"
+        raise InvalidNetworkError(f"the policy is a {type(policy).__name__}; train with '{expected}'")
+    if type(policy) is ARSLinearPolicy and policy.squash_output:
+        raise InvalidNetworkError("the policy squashes its outputs; train with squash_output=False")
     if getattr(model, "use_sde", False):
         raise InvalidNetworkError("the model uses gSDE; train with use_sde=False")
     on_policy = type(policy) is ActorCriticPolicy
-    extractor = policy.pi_features_extractor if on_policy else policy.actor.features_extractor
+    if type(policy) is ARSLinearPolicy:
+        extractor = policy.features_extractor
+    else:
+        extractor = policy.pi_features_extractor if on_policy else policy.actor.features_extractor
     is_vector = type(model.observation_space).__name__ == "Box" and len(model.observation_space.shape or ()) <= 2
     if type(extractor) is not FlattenExtractor or not is_vector:
         raise InvalidNetworkError(
@@ -206,6 +217,8 @@ def _sb3_layers(model: Any) -> list[tuple[str, Any]]:
         )
     if on_policy:
         parts = {"mlp_extractor.policy_net": policy.mlp_extractor.policy_net, "action_net": policy.action_net}
+    elif type(policy) is ARSLinearPolicy:
+        parts = {"action_net": policy.action_net}
     elif type(policy) is SACPolicy:
         parts = {"actor.latent_pi": policy.actor.latent_pi, "actor.mu": policy.actor.mu}
     else:
@@ -216,7 +229,7 @@ def _sb3_layers(model: Any) -> list[tuple[str, Any]]:
 
 def _sb3_head(model: Any, action_low: ArrayLike | None, action_high: ArrayLike | None) -> Head:
     """Return the head of a live model."""
-    from stable_baselines3 import A2C, PPO
+    from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
     space = model.action_space
     # By name: gymnasium stays out of this library's imports.
@@ -227,4 +240,4 @@ def _sb3_head(model: Any, action_low: ArrayLike | None, action_high: ArrayLike |
         raise InvalidNetworkError(f"the actions are {space}; only Box and Discrete (start=0) can be mapped")
     low = space.low.ravel() if action_low is None else action_low
     high = space.high.ravel() if action_high is None else action_high
-    return ClipBox(low, high) if isinstance(model, A2C | PPO) else TanhBox(low, high)
+    return TanhBox(low, high) if isinstance(model, OffPolicyAlgorithm) else ClipBox(low, high)

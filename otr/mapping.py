@@ -10,7 +10,7 @@ from otr.head import Head
 from otr.network import ReluNetwork
 from otr.tree import ObliqueTree
 
-__all__ = ["map_network"]
+__all__ = ["map_network", "perfect_tree_children"]
 
 
 def map_network(network: ReluNetwork, *, max_leaves: int = 2**16) -> ObliqueTree:
@@ -52,7 +52,7 @@ def map_network(network: ReluNetwork, *, max_leaves: int = 2**16) -> ObliqueTree
         labels = None if labels is None else np.tile(labels, 2**n)
     elif network.head.labels(np.zeros((1, 0), dtype=np.bool_)) is not None:
         labels = np.zeros(2**n, dtype=np.int64)  # Argmax of one output
-    left, right = _perfect_tree_children(depth)
+    left, right = perfect_tree_children(depth)
     return ObliqueTree(left, right, P, v, M, c, labels=labels, head=network.head)
 
 
@@ -113,7 +113,7 @@ def _paths(depth: int) -> BoolArray:
     return paths
 
 
-def _perfect_tree_children(depth: int) -> tuple[IntArray, IntArray]:
+def perfect_tree_children(depth: int) -> tuple[IntArray, IntArray]:
     """Return the children of the perfect tree in level order, leaves as ``~leaf``."""
     n_nodes = 2**depth - 1
     left = 2 * np.arange(n_nodes, dtype=np.int64) + 1

@@ -90,12 +90,18 @@ def _refuse_other_policies(tensors: dict[str, FloatArray], data: dict[str, Any],
     others = sorted(name for name in tensors if not name.startswith(parts))
     if others:
         raise InvalidNetworkError(
-            f"the policy has the tensor {others[0]!r}; only PPO, A2C, SAC, TD3 and DDPG with 'MlpPolicy', "
-            "and no feature extractor with weights, can be mapped"
+            f"the policy has the tensor {others[0]!r}; only PPO, A2C, TRPO, SAC, TD3 and DDPG with "
+            "'MlpPolicy' and ARS with 'LinearPolicy', and no feature extractor with weights, can be mapped"
         )
     module = _readable(data, "policy_class").get("__module__", "")
-    if not re.fullmatch(r"stable_baselines3\.(common|sac|td3)\.policies", str(module)):
-        raise InvalidNetworkError(f"the policy's class is from {module!r}; train with Stable-Baselines3's 'MlpPolicy'")
+    is_linear = tensors.keys() <= {"action_net.0.weight", "action_net.0.bias"}
+    expected = r"sb3_contrib\.ars\.policies" if is_linear else r"stable_baselines3\.(common|sac|td3)\.policies"
+    if is_linear and _readable(data, "policy_kwargs").get("squash_output"):
+        raise InvalidNetworkError("the policy squashes its outputs; train with squash_output=False")
+    if not re.fullmatch(expected, str(module)):
+        raise InvalidNetworkError(
+            f"the policy's class is from {module!r}; train with 'MlpPolicy', or ARS with 'LinearPolicy'"
+        )
     extractor = str(_readable(data, "policy_kwargs").get("features_extractor_class", "FlattenExtractor"))
     if "stable_baselines3.common.torch_layers.FlattenExtractor" not in extractor and extractor != "FlattenExtractor":
         raise InvalidNetworkError(f"the policy has the feature extractor {extractor}; leave it at FlattenExtractor")
@@ -106,6 +112,9 @@ def _refuse_other_policies(tensors: dict[str, FloatArray], data: dict[str, Any],
 
 def _actor_layers(tensors: dict[str, FloatArray], on_policy: bool) -> tuple[list[FloatArray], list[FloatArray]]:
     """Return the actor's weights and biases, in order of the layers."""
+    if "action_net.0.weight" in tensors:  # ARS's LinearPolicy, whose offsets are optional
+        W = tensors["action_net.0.weight"]
+        return [W], [tensors.get("action_net.0.bias", np.zeros(len(W)))]
     hidden, last = ("mlp_extractor.policy_net.", "action_net") if on_policy else ("actor.latent_pi.", "actor.mu")
     if not on_policy and "actor.mu.weight" not in tensors:
         hidden, last = "actor.mu.", ""  # TD3 and DDPG hold all layers in one Sequential

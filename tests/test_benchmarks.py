@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import otr
-from benchmarks import mapping, supervised, training
+from benchmarks import control, mapping, supervised, training
 from benchmarks.__main__ import NAMES, document, main
 from benchmarks.evaluation import STANDING_GAINS, STANDING_OFFSETS, standing_policy
 from benchmarks.mapping import copying_tree, random_network
@@ -141,3 +141,10 @@ def test_floors_and_peers_are_ratios_of_seconds():
     entries = supervised.entries_of("all", 8, seconds, judged=True)
     assert [entry.ratio for entry in entries] == [None, 0.75, 0.25, 0.05, 0.04]
     assert [entry.met for entry in entries] == [True, True, None, True, None]
+
+
+@pytest.mark.parametrize("n_hidden_layers", [1, 2])
+def test_the_soft_tree_is_held_against_as_many_parameters(n_hidden_layers):
+    for n_parameters in (2_871, 16_100):
+        network = control.relu_network(27, 8, n_hidden_layers, n_parameters)
+        assert control.n_parameters_of(network) == pytest.approx(n_parameters, rel=0.01)

@@ -1,6 +1,6 @@
-"""Trees from interaction: imitation of an oracle under DAgger (VIPER, LM-VIPER, AugTree).
+"""Trees from interaction: imitation of an oracle under DAgger, and soft trees trained by policy gradient.
 
-A module, and with it scikit-learn, is loaded when one of its names is first asked for.
+A module, and with it scikit-learn or torch, is loaded when one of its names is first asked for.
 """
 
 from __future__ import annotations
@@ -11,13 +11,18 @@ from typing import Any
 _MODULES = {
     "AugTreeFit": "augtree",
     "CartFit": "viper",
+    "CascadingTree": "cdt",
     "DaggerResult": "dagger",
     "DaggerSettings": "dagger",
     "Iterate": "dagger",
     "LinearModelTreeFit": "viper",
+    "NdpsSettings": "ndps",
     "Progress": "dagger",
+    "RelaxedProgram": "pi_prl",
+    "SoftTree": "soft_tree",
     "argmax_leaves": "leaves",
     "draw_rows": "sampling",
+    "fit_ndps": "ndps",
     "run_dagger": "dagger",
 }
 

@@ -10,6 +10,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from sb3_contrib import ARS, TRPO
 from sklearn.neural_network import MLPClassifier, MLPRegressor
 from stable_baselines3 import A2C, DDPG, DQN, PPO, SAC, TD3
 from torch import nn
@@ -47,7 +48,7 @@ class Image(FourActions):
 
 
 OFF_POLICY = [(SAC, {"qf": [8]}), (TD3, {"qf": [8]}), (DDPG, {"qf": [8]})]
-ON_POLICY = [(PPO, {"vf": [8]}), (A2C, {"vf": [8]})]
+ON_POLICY = [(PPO, {"vf": [8]}), (A2C, {"vf": [8]}), (TRPO, {"vf": [8]})]
 
 
 def build(
@@ -324,3 +325,27 @@ def test_sklearn_models_that_are_refused() -> None:
         otr.from_sklearn(MLPClassifier(hidden_layer_sizes=(2,), max_iter=2).fit(X, X > 0))
     with pytest.raises(otr.InvalidNetworkError, match="squared_error"):
         otr.from_sklearn(MLPRegressor(hidden_layer_sizes=(2,), loss="poisson", max_iter=2).fit(X, np.abs(X[:, 0])))
+
+
+@pytest.mark.parametrize("env", ["Pendulum-v1", WideBox(), FourActions()], ids=["pendulum", "box", "labels"])
+@pytest.mark.parametrize("with_bias", [False, True])
+def test_random_search_is_a_linear_policy(tmp_path: Path, env: object, with_bias: bool) -> None:
+    model = ARS("LinearPolicy", env, policy_kwargs={"with_bias": with_bias}, zero_policy=False, seed=0)
+    with torch.no_grad():
+        for parameter in model.policy.parameters():
+            parameter.normal_()
+    model.save(tmp_path / "model")
+    for network in (otr.from_sb3(model), otr.from_sb3(tmp_path / "model")):
+        assert network.n_hidden == 0
+        assert network.biases[0].any() == with_bias
+        assert_predicts_as(model, network)
+
+
+def test_other_policies_of_random_search_are_refused(tmp_path: Path) -> None:
+    squashed = ARS("LinearPolicy", "Pendulum-v1", policy_kwargs={"squash_output": True}, seed=0)
+    for model, message in ((squashed, "squash"), (ARS("MlpPolicy", "Pendulum-v1", seed=0), "LinearPolicy")):
+        with pytest.raises(otr.InvalidNetworkError, match=message):
+            otr.from_sb3(model)
+        model.save(tmp_path / "model")
+        with pytest.raises(otr.InvalidNetworkError, match=message):
+            otr.from_sb3(tmp_path / "model")

@@ -1,0 +1,98 @@
+"""Cascading decision trees: one tree learns features, a second one decides on them (Ding et al. 2020)."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from otr.control.graft import graft
+from otr.control.soft_tree import SoftTree
+from otr.head import Head
+from otr.tree import ObliqueTree
+
+__all__ = ["CascadingTree"]
+
+
+class CascadingTree(nn.Module):
+    """A soft tree of features, affine in x, and a soft tree with constant leaves that tests those features.
+
+    Attributes:
+        features: d inputs to m features, affine leaves.
+        decisions: m features to o outputs, constant leaves.
+    """
+
+    def __init__(
+        self,
+        n_inputs: int,
+        n_outputs: int,
+        *,
+        feature_depth: int,
+        n_features: int,
+        decision_depth: int,
+        beta: float = 1.0,
+        generator: torch.Generator | None = None,
+    ) -> None:
+        """Draw both trees; the features start at the size of a linear layer's outputs.
+
+        Args:
+            n_inputs: d.
+            n_outputs: o.
+            feature_depth: of the tree of features.
+            n_features: m.
+            decision_depth: of the tree on the features.
+            beta: how hard the tests of both are at first.
+            generator: None for torch's own.
+        """
+        super().__init__()
+        self.n_inputs, self.n_outputs, self.n_features = n_inputs, n_outputs, n_features
+        self.features = SoftTree(
+            n_inputs, n_features, feature_depth, affine_leaves=True, beta=beta, generator=generator
+        )
+        nn.init.normal_(self.features.leaves, std=n_inputs**-0.5, generator=generator)
+        self.decisions = SoftTree(
+            n_features, n_outputs, decision_depth, affine_leaves=False, beta=beta, generator=generator
+        )
+
+    def set_beta(self, beta: float) -> None:
+        """Make the tests of both trees harder or softer."""
+        self.features.set_beta(beta)
+        self.decisions.set_beta(beta)
+
+    def forward(self, X: Tensor) -> Tensor:
+        """Return the outputs (n, o) for states X (n, d)."""
+        outputs: Tensor = self.decisions(self.features(X))
+        return outputs
+
+    def harden(self, head: Head | None = None, *, axis_aligned: bool = False) -> ObliqueTree:
+        """Return the hard cascade as one tree on x.
+
+        In leaf l of the feature tree the features are F_l x + g_l, so a test ``Q . f + u <= 0`` of the decision tree is
+        the oblique test ``(Q F_l) . x + Q . g_l + u <= 0`` there.
+
+        Args:
+            head: of the tree; with `Argmax` the leaves have labels. None for Identity.
+            axis_aligned: tests of the feature tree keep one input, tests of the decision tree one feature, which still
+                is affine in x.
+
+        Returns:
+            Tree of depth feature_depth + decision_depth with constant leaves.
+        """
+        features = self.features.harden(axis_aligned=axis_aligned)
+        decisions = self.decisions.harden(head, axis_aligned=axis_aligned)
+        below = [_on_inputs(decisions, F, g) for F, g in zip(features.M, features.c, strict=True)]
+        return graft(features, below)
+
+
+def _on_inputs(tree: ObliqueTree, F: np.ndarray, g: np.ndarray) -> ObliqueTree:
+    """Return a tree on features f = F x + g (F (m, d), g (m,)) as a tree on x."""
+    return ObliqueTree(
+        tree.children_left,
+        tree.children_right,
+        tree.P @ F,
+        tree.P @ g + tree.v,
+        tree.M @ F,
+        tree.M @ g + tree.c,
+        labels=tree.labels,
+        head=tree.head,
+    )

@@ -1,0 +1,245 @@
+"""NDPS as Orfanos (2023) ran it: an oblique tree fitted by gradient to an oracle, then hardened and refitted."""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from otr.arrays import BoolArray, FloatArray, IntArray
+from otr.control.soft_tree import SoftTree
+from otr.head import Argmax, ClipBox, Head
+from otr.tree import ObliqueTree
+
+__all__ = ["NdpsFit", "NdpsSettings", "fit_ndps"]
+
+_MAX_ACTIVE_SETS = 20
+_MAX_LBFGS_STEPS = 60
+
+
+@dataclass(frozen=True)
+class NdpsSettings:
+    """How a tree is fitted.
+
+    Attributes:
+        depth: tests on each path of the tree.
+        n_updates: Adam's updates; the time of a fit depends on them and not on the number of rows.
+        batch_size: rows an update.
+        learning_rate: at first; it falls to zero along a cosine.
+        beta_first, beta_last: how hard the tests are at first and at last; beta grows geometrically.
+        ridge: of the leaves' refit, towards the soft tree's leaves, in rows: 1 weighs as much as one row.
+    """
+
+    depth: int = 6
+    n_updates: int = 3_000
+    batch_size: int = 512
+    learning_rate: float = 0.02
+    beta_first: float = 1.0
+    beta_last: float = 50.0
+    ridge: float = 1.0
+
+
+@dataclass(frozen=True)
+class NdpsFit:
+    """The hard tree, and the module behind it, on the states as they are, from which the next round starts."""
+
+    tree: ObliqueTree
+    module: SoftTree
+
+
+def fit_ndps(
+    X: FloatArray,
+    answers: FloatArray | IntArray,
+    weights: FloatArray,
+    generator: np.random.Generator,
+    *,
+    head: Head,
+    n_outputs: int,
+    settings: NdpsSettings,
+    start: SoftTree | None = None,
+) -> NdpsFit:
+    """Fit a soft tree with affine leaves to an oracle's answers, harden it and fit its leaves again.
+
+    Labels are fitted by cross-entropy, actions by squared error. With a `ClipBox` head an answer at the box's edge asks
+    for a value at the edge or beyond, as that is what the head makes of it. Inputs are standardised for the fit and
+    the tests written in the states' own units afterwards.
+
+    Args:
+        X: (n, d) states.
+        answers: (n,) labels for the head `Argmax`, else (n, o) actions.
+        weights: (n,) importance of each row, not negative.
+        generator: of the mini-batches and of the first tests.
+        head: of the tree.
+        n_outputs: o, or the number of labels.
+        settings: see `NdpsSettings`.
+        start: the module of the last round's fit; None to start afresh.
+
+    Returns:
+        The tree, and the module that the next fit may start from.
+
+    Raises:
+        ValueError: the shapes do not agree.
+    """
+    if len(X) == 0 or len(answers) != len(X) or len(weights) != len(X):
+        raise ValueError(f"{len(X)} states, {len(answers)} answers and {len(weights)} weights; give as many of each")
+    centre, spread = X.mean(axis=0), X.std(axis=0)
+    spread[spread < 1e-8] = 1.0
+    problem = _Problem.of((X - centre) / spread, answers, weights / weights.mean(), head, n_outputs)
+    torch_generator = torch.Generator().manual_seed(int(generator.integers(2**63)))
+    if start is None:
+        module = SoftTree(X.shape[1], n_outputs, settings.depth, affine_leaves=True, generator=torch_generator)
+    else:
+        module = copy.deepcopy(start)
+        _substitute(module, centre, spread)
+        _scale_leaves(module, 1.0 / problem.scale)
+    _fit_softly(module.float(), problem, settings, torch_generator)
+    module.double()
+    _refit_leaves(module, problem, settings.ridge)
+    _scale_leaves(module, problem.scale)
+    _substitute(module, -centre / spread, 1.0 / spread)
+    return NdpsFit(module.harden(head), module)
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Standardised states, and answers in units of their own spread."""
+
+    X: FloatArray
+    answers: FloatArray | IntArray
+    weights: FloatArray
+    low: FloatArray  # (o,), -inf where values are not clipped
+    high: FloatArray
+    scale: FloatArray  # (o,), of the answers
+
+    @property
+    def has_labels(self) -> bool:
+        return self.answers.ndim == 1
+
+    @classmethod
+    def of(
+        cls, X: FloatArray, answers: FloatArray | IntArray, weights: FloatArray, head: Head, n_outputs: int
+    ) -> _Problem:
+        unlimited = np.full(n_outputs, np.inf)
+        if isinstance(head, Argmax):
+            return cls(X, np.asarray(answers, dtype=np.int64), weights, -unlimited, unlimited, np.ones(n_outputs))
+        scale = np.maximum(answers.std(axis=0), 1e-8)
+        low, high = (head.low, head.high) if isinstance(head, ClipBox) else (-unlimited, unlimited)
+        return cls(X, answers / scale, weights, low / scale, high / scale, scale)
+
+
+def _fit_softly(module: SoftTree, problem: _Problem, settings: NdpsSettings, generator: torch.Generator) -> None:
+    """Fit all parameters by Adam while the tests grow hard."""
+    X = torch.tensor(problem.X, dtype=torch.float32)
+    answers = torch.tensor(problem.answers, dtype=torch.int64 if problem.has_labels else torch.float32)
+    weights, low, high = (
+        torch.tensor(array, dtype=torch.float32) for array in (problem.weights, problem.low, problem.high)
+    )
+    optimizer = torch.optim.Adam(module.parameters(), lr=settings.learning_rate)
+    for update in range(settings.n_updates):
+        progress = update / settings.n_updates
+        module.set_beta(settings.beta_first * (settings.beta_last / settings.beta_first) ** progress)
+        optimizer.param_groups[0]["lr"] = settings.learning_rate * 0.5 * (1.0 + math.cos(math.pi * progress))
+        rows = torch.randint(len(X), (settings.batch_size,), generator=generator)
+        outputs, wanted = module(X[rows]), answers[rows]
+        if problem.has_labels:
+            losses = functional.cross_entropy(outputs, wanted, reduction="none")
+        else:
+            losses = _clipped_errors(outputs, wanted, low, high).square().sum(dim=1)
+        optimizer.zero_grad()
+        (losses * weights[rows]).mean().backward()  # type: ignore[no-untyped-call]
+        optimizer.step()
+
+
+def _clipped_errors(outputs: Tensor, wanted: Tensor, low: Tensor, high: Tensor) -> Tensor:
+    """Return outputs minus answers, zero where an answer at the box's edge is overshot, (n, o)."""
+    errors = outputs - wanted
+    overshot = ((wanted >= high) & (errors > 0)) | ((wanted <= low) & (errors < 0))
+    return errors.masked_fill(overshot, 0.0)
+
+
+def _refit_leaves(module: SoftTree, problem: _Problem, ridge: float) -> None:
+    """Fit every leaf to the rows that the hard tests send to it; a leaf without rows stays as it is."""
+    rows_of = module.harden().apply(problem.X)
+    X1 = np.concatenate((problem.X, np.ones((len(problem.X), 1))), axis=1)
+    if problem.has_labels:
+        _refit_logits(module, X1, rows_of, problem, ridge)
+        return
+    maps = module.leaves.detach().numpy()  # shares the module's memory
+    for leaf in np.unique(rows_of):
+        here = rows_of == leaf
+        for output in range(maps.shape[1]):
+            limits = problem.low[output], problem.high[output]
+            wanted = problem.answers[here, output]
+            maps[leaf, output] = _ridge(X1[here], wanted, problem.weights[here], maps[leaf, output], limits, ridge)
+
+
+def _ridge(
+    X1: FloatArray,
+    wanted: FloatArray,
+    weights: FloatArray,
+    prior: FloatArray,
+    limits: tuple[float, float],
+    ridge: float,
+) -> FloatArray:
+    """Return the map (d + 1,) of least weighted squares, not counting answers at a limit that it overshoots.
+
+    The loss is convex and quadratic for a given set of rows that count; the sets are iterated until one repeats itself.
+    """
+    low, high = limits
+    counts: BoolArray = np.ones(len(X1), dtype=np.bool_)
+    solution: FloatArray = prior
+    for _ in range(_MAX_ACTIVE_SETS):
+        weighted = X1[counts] * weights[counts, None]
+        gram = weighted.T @ X1[counts] + ridge * np.eye(len(prior))
+        solution = _solve(gram, weighted.T @ wanted[counts] + ridge * prior)
+        values = X1 @ solution
+        still = ~(((wanted >= high) & (values > high)) | ((wanted <= low) & (values < low)))
+        if np.array_equal(still, counts):
+            break
+        counts = still
+    return solution
+
+
+def _solve(gram: FloatArray, right: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.solve(gram, right), dtype=np.float64)
+
+
+def _refit_logits(module: SoftTree, X1: FloatArray, leaves: IntArray, problem: _Problem, ridge: float) -> None:
+    """Fit all leaves' logits at once: multinomial logistic regressions by L-BFGS, with a ridge to where they start."""
+    states, rows = torch.tensor(X1), torch.tensor(leaves)
+    labels, weights = torch.tensor(problem.answers), torch.tensor(problem.weights)
+    prior = module.leaves.detach().clone()
+    optimizer = torch.optim.LBFGS(
+        [module.leaves], max_iter=_MAX_LBFGS_STEPS, history_size=10, line_search_fn="strong_wolfe"
+    )
+
+    def loss() -> Tensor:
+        optimizer.zero_grad()
+        logits = (module.leaves[rows] * states[:, None, :]).sum(-1)
+        losses = functional.cross_entropy(logits, labels, reduction="none")
+        total: Tensor = (losses * weights).sum() + 0.5 * ridge * (module.leaves - prior).square().sum()
+        total.backward()  # type: ignore[no-untyped-call]
+        return total
+
+    optimizer.step(loss)  # type: ignore[no-untyped-call]
+
+
+@torch.no_grad()
+def _substitute(module: SoftTree, shift: FloatArray, scale: FloatArray) -> None:
+    """Rewrite a module on x as one on u, where x = shift + scale u, in float64."""
+    module.double()
+    by, factors = torch.tensor(shift), torch.tensor(scale)
+    for parameter in (module.tests, module.leaves):
+        parameter[..., -1] += parameter[..., :-1] @ by
+        parameter[..., :-1] *= factors
+
+
+@torch.no_grad()
+def _scale_leaves(module: SoftTree, factors: FloatArray) -> None:
+    """Multiply output k of every leaf by factors[k]."""
+    module.leaves.mul_(torch.tensor(factors, dtype=module.leaves.dtype)[:, None])

@@ -1,0 +1,209 @@
+"""Soft decision trees: every state goes both ways at every test, more or less, so that all parameters get gradients."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from otr.arrays import FloatArray
+from otr.control.leaves import argmax_leaves
+from otr.control.path_probabilities import path_probabilities, reach, reach_gradient
+from otr.head import Argmax, Head
+from otr.mapping import perfect_tree_children
+from otr.tree import ObliqueTree
+
+__all__ = [
+    "LEAF_SCALE",
+    "SoftTree",
+    "as_numpy",
+    "axis_aligned_tests",
+    "initial_tests",
+    "left_probabilities",
+    "mixed_maps",
+    "with_ones",
+]
+
+LEAF_SCALE = 0.01  # of fresh leaves: a policy starts near uniform, as Stable-Baselines3's do
+
+
+class SoftTree(nn.Module):
+    """A complete binary tree of oblique tests whose output is the mean of its leaves (Silva et al. 2020).
+
+        y(x) = sum over leaves k of p_k(x) leaf_k(x),    p(left at test i) = sigmoid(-beta (P_i . x + v_i))
+
+    p_k is the product of the branches' probabilities on the path to leaf k. As beta grows this becomes the hard tree,
+    in which ``P . x + v <= 0`` goes left.
+
+    Attributes:
+        tests: (2**depth - 1, d + 1), the tests in level order, v in the last column.
+        leaves: (2**depth, o, d + 1) with affine leaves, c in the last column; (2**depth, o) with constant ones.
+        beta: () buffer, how hard the tests are.
+    """
+
+    beta: Tensor
+
+    def __init__(
+        self,
+        n_inputs: int,
+        n_outputs: int,
+        depth: int,
+        *,
+        affine_leaves: bool,
+        beta: float = 1.0,
+        generator: torch.Generator | None = None,
+    ) -> None:
+        """Draw tests as torch draws a linear layer's weights, and leaves near zero.
+
+        Args:
+            n_inputs: d.
+            n_outputs: o.
+            depth: tests on each path; 0 is one leaf.
+            affine_leaves: leaves are affine in x; else constant.
+            beta: how hard the tests are at first.
+            generator: None for torch's own, as in torch's modules.
+        """
+        super().__init__()
+        self.depth, self.n_inputs, self.n_outputs = depth, n_inputs, n_outputs
+        self.tests = nn.Parameter(initial_tests(2**depth - 1, n_inputs, generator))
+        shape = (2**depth, n_outputs, n_inputs + 1) if affine_leaves else (2**depth, n_outputs)
+        self.leaves = nn.Parameter(LEAF_SCALE * torch.randn(shape, generator=generator))
+        self.register_buffer("beta", torch.tensor(float(beta)))
+
+    @property
+    def affine_leaves(self) -> bool:
+        """Whether the leaves are affine in x."""
+        return self.leaves.ndim == 3
+
+    def set_beta(self, beta: float) -> None:
+        """Make the tests harder or softer."""
+        self.beta.fill_(beta)
+
+    def forward(self, X: Tensor) -> Tensor:
+        """Return the outputs (n, o) for states X (n, d)."""
+        X1 = with_ones(X)
+        if self.affine_leaves:
+            outputs: Tensor = _AffineLeaves.apply(self.tests, self.leaves, X1, self.beta)  # type: ignore[no-untyped-call]
+            return outputs
+        _, reached = path_probabilities(left_probabilities(self.tests, X1, self.beta))
+        return reached.t() @ self.leaves
+
+    def harden(self, head: Head | None = None, *, axis_aligned: bool = False) -> ObliqueTree:
+        """Return the hard tree: its tests as they are, or each cut down to one input.
+
+        Args:
+            head: of the tree; with `Argmax` the leaves get labels: constant ones the largest logit's, affine ones by
+                tests below them. None for Identity.
+            axis_aligned: every test keeps the input with the largest absolute weight (see `axis_aligned_tests`).
+
+        Returns:
+            Tree of this depth, or o - 1 deeper with affine leaves under `Argmax`.
+        """
+        tests = as_numpy(self.tests)
+        if axis_aligned:
+            tests = axis_aligned_tests(tests)
+        maps = as_numpy(self.leaves)
+        if not self.affine_leaves:
+            maps = np.concatenate((np.zeros((*maps.shape, self.n_inputs)), maps[..., None]), axis=-1)
+        decide = isinstance(head, Argmax)
+        tree = ObliqueTree(
+            *perfect_tree_children(self.depth),
+            tests[:, :-1],
+            tests[:, -1],
+            maps[..., :-1],
+            maps[..., -1],
+            labels=maps[..., -1].argmax(axis=1) if decide and not self.affine_leaves else None,
+            head=head,
+        )
+        return argmax_leaves(tree) if decide and self.affine_leaves else tree
+
+
+class _AffineLeaves(torch.autograd.Function):
+    """The output of a soft tree with affine leaves: `_affine_leaves` with its derivative written out, for speed.
+
+    Autograd's bookkeeping costs as much as the arithmetic at the sizes of policies. A derivative that is to be
+    differentiated again (TRPO) is left to autograd.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, tests: Tensor, leaves: Tensor, X1: Tensor, beta: Tensor) -> Tensor:
+        left = torch.mm(tests, X1.t()).mul_(-beta).sigmoid_()
+        nodes, reached = reach(left)
+        maps = torch.mm(reached.t(), leaves.flatten(1)).view(len(X1), -1, X1.shape[1])
+        ctx.save_for_backward(tests, leaves, X1, beta, left, nodes, reached, maps)
+        return (maps * X1[:, None, :]).sum(-1)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        tests, leaves, X1, beta, left, nodes, reached, maps = ctx.saved_tensors
+        (at_outputs,) = gradients
+        if torch.is_grad_enabled():
+            inputs = [each for each, wanted in zip((tests, leaves, X1), ctx.needs_input_grad, strict=False) if wanted]
+            found = iter(
+                torch.autograd.grad(_affine_leaves(tests, leaves, X1, beta), inputs, at_outputs, create_graph=True)
+            )
+            return *(next(found) if wanted else None for wanted in ctx.needs_input_grad[:3]), None
+        at_maps = (at_outputs[:, :, None] * X1[:, None, :]).flatten(1)  # (n, o (d + 1))
+        at_left = reach_gradient(left, nodes, None, torch.mm(leaves.flatten(1), at_maps.t()))
+        at_tests = torch.ops.aten.sigmoid_backward(at_left, left).mul_(-beta)  # (2**depth - 1, n)
+        at_X1 = None
+        if ctx.needs_input_grad[2]:
+            at_X1 = torch.mm(at_tests.t(), tests) + (at_outputs[:, :, None] * maps).sum(1)
+        return torch.mm(at_tests, X1), torch.mm(reached, at_maps).view_as(leaves), at_X1, None
+
+
+def _affine_leaves(tests: Tensor, leaves: Tensor, X1: Tensor, beta: Tensor) -> Tensor:
+    """Return the outputs (n, o) of a soft tree with affine leaves for states with a column of ones (n, d + 1)."""
+    _, reached = path_probabilities(left_probabilities(tests, X1, beta))
+    return mixed_maps(reached, leaves, X1)
+
+
+def initial_tests(n_tests: int, n_inputs: int, generator: torch.Generator | None) -> Tensor:
+    """Return tests (n_tests, d + 1), uniform in +-1/sqrt(d) as a linear layer's weights are."""
+    bound = 1.0 / math.sqrt(n_inputs)
+    return torch.empty(n_tests, n_inputs + 1).uniform_(-bound, bound, generator=generator)
+
+
+def with_ones(X: Tensor) -> Tensor:
+    """Return states X (n, d) with a last column of ones (n, d + 1), which the offsets multiply."""
+    return torch.cat((X, X.new_ones(len(X), 1)), dim=1)
+
+
+def left_probabilities(tests: Tensor, X1: Tensor, beta: Tensor) -> Tensor:
+    """Return sigmoid(-beta (P . x + v)), (n_tests, n), for states with a column of ones."""
+    return torch.sigmoid((tests * -beta) @ X1.t())
+
+
+def mixed_maps(weights: Tensor, maps: Tensor, X1: Tensor) -> Tensor:
+    """Return the weighted mean (n, o) of affine maps, by the mean map of each state: less work than each map's value.
+
+    Args:
+        weights: (k, n).
+        maps: (k, o, d + 1).
+        X1: (n, d + 1).
+    """
+    mean_maps = weights.t() @ maps.flatten(1)
+    return (mean_maps.view(len(X1), -1, X1.shape[1]) * X1[:, None, :]).sum(-1)
+
+
+def axis_aligned_tests(tests: FloatArray) -> FloatArray:
+    """Return tests (n_tests, d + 1) cut down to one input each (Silva et al. 2020, discretisation).
+
+    The input k with the largest |P_k| is kept: ``sign(P_k) x_k + v / |P_k| <= 0``. A test without weights stays.
+    """
+    P = tests[:, :-1]
+    rows, kept = np.arange(len(P)), np.abs(P).argmax(axis=1)
+    weights = P[rows, kept]
+    sizes = np.where(weights == 0.0, 1.0, np.abs(weights))
+    cut: FloatArray = np.zeros_like(tests)
+    cut[rows, kept] = np.sign(weights)
+    cut[:, -1] = tests[:, -1] / sizes
+    return cut
+
+
+def as_numpy(tensor: Tensor) -> FloatArray:
+    """Return a parameter's values in float64."""
+    return tensor.detach().cpu().double().numpy()

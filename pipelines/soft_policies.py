@@ -1,0 +1,189 @@
+"""Policies of Stable-Baselines3 whose actor is a soft tree, under PPO and TRPO.
+
+The tree gives the logits, or the means of the Gaussian, itself; the critic is the usual MLP. What changes in the course
+of training (how hard the tests are, which of pi-PRL's parameters learn, when its structure is chosen) is decided at the
+start of each rollout by the steps done so far alone, so that a resumed run is bit for bit the run that was not
+interrupted.
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import gymnasium as gym
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from safetensors.torch import save as safetensors_bytes
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+from stable_baselines3.common.policies import ActorCriticPolicy
+from torch import nn
+
+import otr
+from otr.control.cdt import CascadingTree
+from otr.control.pi_prl import RelaxedProgram
+from otr.control.soft_tree import SoftTree
+from pipelines.errors import ConfigError
+from pipelines.store import corrupt, read_json, write_json
+
+SCHEMA = "otr/soft/1"
+
+SoftModule = SoftTree | CascadingTree | RelaxedProgram
+
+
+@dataclass(frozen=True)
+class SdtConfig:
+    """A soft decision tree (Silva et al. 2020)."""
+
+    depth: int
+    affine_leaves: bool
+
+
+@dataclass(frozen=True)
+class CdtConfig:
+    """A cascading decision tree (Ding et al. 2020): depths of its two trees, and features between them."""
+
+    feature_depth: int
+    n_features: int
+    decision_depth: int
+
+
+@dataclass(frozen=True)
+class PiPrlConfig:
+    """A relaxed program (Qiu & Zhu 2022)."""
+
+    depth: int
+    structure_penalty: float
+
+
+ModuleConfig = SdtConfig | CdtConfig | PiPrlConfig
+_CONFIGS: dict[str, type[ModuleConfig]] = {"sdt": SdtConfig, "cdt": CdtConfig, "pi_prl": PiPrlConfig}
+
+
+@dataclass(frozen=True)
+class ScheduleConfig:
+    """What changes in the course of training, in fractions of `n_steps`.
+
+    Attributes:
+        n_steps: environment steps of the whole training.
+        beta_first, beta_last: how hard the tests are at first and at last; in between beta grows geometrically.
+        anneal_until: fraction at which beta has reached its last value.
+        discretise_at: fraction at which pi-PRL's structure is chosen; before it, rollouts update its program and its
+            architecture in turns.
+    """
+
+    n_steps: int
+    beta_first: float
+    beta_last: float
+    anneal_until: float
+    discretise_at: float
+
+    def apply(self, module: SoftModule, num_timesteps: int, rollout_steps: int) -> None:
+        """Bring `module` to what holds for the rollout that begins after `num_timesteps`."""
+        done = num_timesteps / self.n_steps
+        progress = min(1.0, done / self.anneal_until) if self.anneal_until > 0.0 else 1.0
+        module.set_beta(self.beta_first * (self.beta_last / self.beta_first) ** progress)
+        if isinstance(module, RelaxedProgram):
+            if done >= self.discretise_at:
+                module.discretise()
+            in_turn = (num_timesteps // rollout_steps) % 2 == 0
+            module.learns = "program" if module.is_discrete or in_turn else "architecture"
+
+
+class SoftSchedule(BaseCallback):
+    """Applies a `ScheduleConfig` at the start of every rollout."""
+
+    model: OnPolicyAlgorithm
+
+    def __init__(self, schedule: ScheduleConfig) -> None:
+        super().__init__()
+        self._schedule = schedule
+
+    def _on_rollout_start(self) -> None:
+        rollout_steps = self.model.n_steps * self.model.n_envs
+        self._schedule.apply(soft_module(self.model), self.model.num_timesteps, rollout_steps)
+
+    def _on_step(self) -> bool:
+        return True
+
+
+class SoftActorCriticPolicy(ActorCriticPolicy):
+    """An actor that is a soft tree, and a critic that is an MLP.
+
+    Use with ``policy_kwargs={"actor": SdtConfig(...), "net_arch": {"pi": [], "vf": [64, 64]}}``.
+    """
+
+    def __init__(self, *args: Any, actor: ModuleConfig, **kwargs: Any) -> None:
+        self._actor_config = actor
+        super().__init__(*args, **kwargs)
+
+    def _build(self, lr_schedule: Callable[[float], float]) -> None:
+        super()._build(lr_schedule)
+        n_outputs = cast(nn.Linear, self.action_net).out_features
+        self.mlp_extractor.policy_net = cast(
+            nn.Sequential, build_module(self._actor_config, self.features_dim, n_outputs)
+        )
+        self.action_net = nn.Identity()
+        optimizer_class: Any = self.optimizer_class
+        self.optimizer = optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
+
+
+def build_module(config: ModuleConfig, n_inputs: int, n_outputs: int) -> SoftModule:
+    """Return a fresh module, drawn from torch's own generator as all of a Stable-Baselines3 policy is."""
+    if isinstance(config, SdtConfig):
+        return SoftTree(n_inputs, n_outputs, config.depth, affine_leaves=config.affine_leaves)
+    if isinstance(config, CdtConfig):
+        return CascadingTree(n_inputs, n_outputs, **asdict(config))
+    return RelaxedProgram(n_inputs, n_outputs, config.depth, structure_penalty=config.structure_penalty)
+
+
+def soft_module(model: OnPolicyAlgorithm) -> SoftModule:
+    """Return the actor of a model whose policy is a `SoftActorCriticPolicy`."""
+    return cast(SoftModule, model.policy.mlp_extractor.policy_net)
+
+
+def harden(module: SoftModule, action_space: "gym.Space[Any]", *, axis_aligned: bool = False) -> otr.ObliqueTree:
+    """Return the hard tree as a policy: labels for discrete actions, values clipped to the box for continuous ones.
+
+    Raises:
+        ConfigError: the actions are neither, or a relaxed program is asked for axis-aligned tests.
+    """
+    head = _head(action_space)
+    if not isinstance(module, RelaxedProgram):
+        return module.harden(head, axis_aligned=axis_aligned)
+    if axis_aligned:
+        raise ConfigError("pi-PRL's programs have oblique tests; there is no axis-aligned form of them")
+    return module.harden(head)
+
+
+def save_soft(module: SoftModule, config: ModuleConfig, folder: Path) -> None:
+    """Write `soft.safetensors` (all parameters and buffers) and `soft.json` (what they belong to)."""
+    tensors = {name: tensor.detach().contiguous() for name, tensor in module.state_dict().items()}
+    (folder / "soft.safetensors").write_bytes(safetensors_bytes(tensors))
+    kind = next(name for name, cls in _CONFIGS.items() if type(config) is cls)
+    about = {"schema": SCHEMA, "kind": kind, "n_inputs": module.n_inputs, "n_outputs": module.n_outputs}
+    write_json(folder / "soft.json", about | {"config": asdict(config)})
+
+
+def load_soft(folder: Path) -> SoftModule:
+    """Return the module that `save_soft` wrote; a truncated or foreign file is an error that names it."""
+    about = read_json(folder / "soft.json")
+    try:
+        if about["schema"] != SCHEMA:
+            raise ValueError(f"schema {about['schema']!r} where {SCHEMA!r} was expected")
+        config = _CONFIGS[about["kind"]](**about["config"])
+        module = build_module(config, about["n_inputs"], about["n_outputs"])
+        module.load_state_dict(load_file(folder / "soft.safetensors"))
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError, RuntimeError, json.JSONDecodeError) as error:
+        raise corrupt(folder / "soft.safetensors", error) from error
+    return module
+
+
+def _head(action_space: "gym.Space[Any]") -> otr.Head:
+    if isinstance(action_space, gym.spaces.Discrete) and action_space.start == 0:
+        return otr.Argmax()
+    if isinstance(action_space, gym.spaces.Box):
+        return otr.ClipBox(action_space.low.ravel(), action_space.high.ravel())
+    raise ConfigError(f"the actions are {action_space}; only Box and Discrete (start=0) can be trees")

@@ -1,0 +1,55 @@
+import numpy as np
+import pytest
+import torch
+
+import otr
+from otr.control.cdt import CascadingTree
+from tests.control.test_soft_tree import clear_states
+
+torch.set_num_threads(1)
+
+
+def cascade(seed: int) -> CascadingTree:
+    generator = torch.Generator().manual_seed(seed)
+    tree = CascadingTree(5, 3, feature_depth=2, n_features=2, decision_depth=3, generator=generator).double()
+    torch.nn.init.normal_(tree.decisions.leaves, generator=generator)
+    return tree
+
+
+@pytest.mark.parametrize("axis_aligned", [False, True])
+@pytest.mark.parametrize("seed", range(5))
+def test_one_tree_on_the_states_is_the_cascade(seed, axis_aligned):
+    tree = cascade(seed)
+    features, decisions = (part.harden(axis_aligned=axis_aligned) for part in (tree.features, tree.decisions))
+    X = np.random.default_rng(seed).normal(size=(500, 5)) * 3
+    whole = tree.harden(axis_aligned=axis_aligned)
+    np.testing.assert_allclose(whole.forward(X), decisions.forward(features.forward(X)), rtol=1e-9, atol=1e-9)
+    assert (whole.n_inputs, whole.depth, whole.n_leaves) == (5, 5, 32)
+    labels = tree.harden(otr.Argmax(), axis_aligned=axis_aligned).predict(X)
+    np.testing.assert_array_equal(labels, whole.forward(X).argmax(axis=1))
+
+
+def test_axis_aligned_parts():
+    tree = cascade(0)
+    whole = tree.harden(axis_aligned=True)
+    assert (np.count_nonzero(whole.P[:3], axis=1) == 1).all()
+    maps = tree.features.harden().M  # (4, 2, 5): a decision's test is plus or minus one feature of its leaf
+    for test in range(7):
+        P = whole.P[3 + test]
+        assert min(np.abs(P - sign * row).max() for sign in (1, -1) for row in maps[0]) < 1e-12
+
+
+def test_the_hard_cascade_is_the_limit():
+    tree = cascade(1)
+    whole = tree.harden()
+    X = clear_states(whole, 50)
+    assert len(X) == 50
+    tree.set_beta(1e5)
+    np.testing.assert_allclose(tree(torch.tensor(X)).detach().numpy(), whole.forward(X), atol=1e-9)
+
+
+def test_all_parameters_get_gradients():
+    tree = cascade(2)
+    tree(torch.randn(9, 5, dtype=torch.float64)).square().sum().backward()
+    for name, parameter in tree.named_parameters():
+        assert parameter.grad is not None and parameter.grad.abs().max() > 0, name

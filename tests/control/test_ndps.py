@@ -1,0 +1,94 @@
+import numpy as np
+import pytest
+import torch
+
+import otr
+from otr.control.ndps import NdpsFit, NdpsSettings, fit_ndps
+from otr.mapping import perfect_tree_children
+
+torch.set_num_threads(1)
+
+SETTINGS = NdpsSettings(depth=2, n_updates=1_000, batch_size=256)
+
+
+def planted(seed: int, n: int = 3_000) -> tuple[np.ndarray, otr.ObliqueTree]:
+    """States of very different units, and a tree of depth 2 on them."""
+    rng = np.random.default_rng(seed)
+    spread, centre = np.array([0.01, 1.0, 300.0]), np.array([5.0, 0.0, -100.0])
+    X = centre + spread * rng.normal(size=(n, 3))
+    P, M = rng.normal(size=(3, 3)) / spread, rng.normal(size=(4, 2, 3)) / spread
+    v, c = rng.normal(size=3) * 0.3 - P @ centre, rng.normal(size=(4, 2)) - M @ centre
+    return X, otr.ObliqueTree(*perfect_tree_children(2), P, v, M, c)
+
+
+def fit(X: np.ndarray, answers: np.ndarray, head: otr.Head, start: NdpsFit | None = None, seed: int = 0) -> NdpsFit:
+    return fit_ndps(
+        X,
+        answers,
+        np.ones(len(X)),
+        np.random.default_rng(seed),
+        head=head,
+        n_outputs=2,
+        settings=SETTINGS,
+        start=start.module if start else None,
+    )
+
+
+def test_a_planted_tree_is_recovered_from_actions():
+    X, tree = planted(0)
+    actions = tree.forward(X)
+    fitted = fit(X, actions, otr.Identity()).tree
+    assert (fitted.depth, fitted.n_leaves) == (2, 4)
+    error = np.square(fitted.predict(X) - actions).mean() / actions.var()
+    assert error < 0.02
+
+
+def test_actions_at_the_edge_may_be_overshot():
+    X = np.random.default_rng(0).normal(size=(1_000, 3))
+    head = otr.ClipBox([-0.5, -0.5], [0.5, 0.5])
+    actions = head(X @ np.array([[2.0, -1.0], [1.0, 3.0], [0.0, 1.0]]))  # one clipped affine map
+    assert (np.abs(actions) == 0.5).mean() > 0.7
+    fitted = fit(X, actions, head).tree
+    assert np.square(fitted.predict(X) - actions).mean() / actions.var() < 0.015
+    assert np.abs(fitted.forward(X)).max() > 2.0
+
+
+def test_labels_are_recovered_and_rounds_go_on():
+    X, tree = planted(2)
+    labels = tree.forward(X).argmax(axis=1)
+    first = fit(X, labels, otr.Argmax())
+    again = fit(X, labels, otr.Argmax(), start=first, seed=1)
+    assert first.tree.labels is not None
+    assert (first.tree.predict(X) == labels).mean() > 0.95
+    assert (again.tree.predict(X) == labels).mean() > 0.97
+    np.testing.assert_array_equal(first.module.harden(otr.Argmax()).predict(X), first.tree.predict(X))
+
+
+def test_weights_count():
+    X = np.random.default_rng(0).normal(size=(500, 3))
+    X = np.concatenate((X, X))
+    labels = np.repeat([0, 1], 500)  # every state has both answers
+    weights = np.repeat([1.0, 3.0], 500)
+    fitted = fit_ndps(
+        X, labels, weights, np.random.default_rng(0), head=otr.Argmax(), n_outputs=2, settings=SETTINGS
+    ).tree
+    assert fitted.predict(X).mean() > 0.95
+
+
+def test_the_same_generator_gives_the_same_tree():
+    X, tree = planted(3, 300)
+    one, two, other = (fit(X, tree.forward(X), otr.Identity(), seed=seed).tree for seed in (0, 0, 1))
+    np.testing.assert_array_equal(one.P, two.P)
+    np.testing.assert_array_equal(one.M, two.M)
+    assert not np.array_equal(one.P, other.P)
+
+
+def test_a_label_that_no_row_has():
+    X, _ = planted(4, 200)
+    tree = fit(X, np.zeros(200, dtype=int), otr.Argmax()).tree
+    assert not tree.predict(X).any()
+
+
+def test_shapes_that_do_not_agree():
+    with pytest.raises(ValueError, match="3 states, 2 answers"):
+        fit(np.zeros((3, 1)), np.zeros((2, 2)), otr.Identity())

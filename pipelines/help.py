@@ -7,9 +7,12 @@ words:
   depth=6               hidden neurons of the actor, the depth of the tree; [8,8] for two layers, 0 for a linear policy
   budget=quick          thesis (default; the thesis's own steps, hours), quick (minutes), smoke (seconds)
   seed=0                of training and pruning; every method is evaluated on the same episodes
-  method=otr            otr, or linear (with depth=0)
+  method=otr            otr, linear (with depth=0); by imitation viper, lm_viper, augtree, ndps; soft trees sdt, cdt
+                        (depth=[3,3]), pi_prl. Their depth is the tests on a path
+  oracle=[256,256]      hidden layers of the network to imitate; trained first, by the same command that trains it alone
   trainer=fleet         train a sweep's runs of SAC together, some three times as fast; sb3 (default) is the reference
-  algo=td3              ppo, sac, td3, ddpg; by default the thesis's for the environment
+  algo=td3              ppo, trpo, sac, td3, ddpg, ars (method=linear); by default the thesis's for the environment, and
+                        ppo_tree for soft trees
   stages=[map,prune]    only these stages; a missing input names the command that makes it
   results_dir=PATH      where artefacts go (default: results, or OTR_RESULTS_DIR)
   launcher=joblib       how a sweep's jobs run: basic (one by one), joblib, slurm, submitit_local, ray
@@ -20,12 +23,14 @@ words:
 HELP = {
     "otr-run": f"""\
 Train a small ReLU actor, map it exactly to an oblique decision tree, prune the tree to what is reached, evaluate all of
-them on the same 100 episodes, and print the program and the numbers. What is done is skipped; what was stopped goes on.
+them on the same 100 episodes, and print the program and the numbers. Or obtain the tree by another method. What is done
+is skipped; what was stopped goes on.
 
 {_WORDS}
 
 examples:
   otr-run env=pendulum depth=6 budget=quick
+  otr-run env=lunarlander method=augtree depth=3 "oracle=[256]" budget=quick
   otr-run -m env=hopper,swimmer depth=6,32 "seed=range(0,10)" launcher=joblib
   otr-run +experiment=table_4_1""",
     "otr-plan": f"""\

@@ -256,6 +256,7 @@ class AugTreeConfig(MethodConfig):
     leaves: str
     max_patterns: int
     weighted: bool
+    criterion: str
     max_samples: int
     min_samples_leaf: int
 

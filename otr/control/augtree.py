@@ -14,7 +14,7 @@ from otr.control.bins import quantised, with_thresholds_between
 from otr.control.features import AffineFeatures, deep_features, first_layer_features
 from otr.control.sampling import draw_rows
 from otr.control.screening import best_columns
-from otr.control.viper import centred, fit_cart, with_head
+from otr.control.viper import Criterion, centred, fit_cart, with_head
 from otr.learners.augtree import on_inputs
 from otr.learners.model_tree import LinearModelTreeRegressor, grow_models
 from otr.network import ReluNetwork
@@ -46,8 +46,9 @@ class AugTreeFit:
         leaves: "constant" or "linear".
         max_patterns: for "deep", activation patterns a layer.
         weighted: draw rows by weight, as VIPER does; else every row is as likely. A PPO oracle's weights are large
-            where it is sure, far from the states that decide an episode: on the lander at depth 3, seed 0, an oracle
-            at 283, weighted fits came to 196 and unweighted ones to 269.
+            where it is sure, far from the states that decide an episode.
+        criterion: of constant leaves and labels: "entropy" or "gini". A tree with about as many leaves as there are
+            labels has to give a rare one a leaf of its own, which Gini's gain rewards less.
         max_samples: rows drawn for a fit.
         min_samples_leaf: drawn rows in a leaf at least.
     """
@@ -58,6 +59,7 @@ class AugTreeFit:
     leaves: Literal["constant", "linear"] = "constant"
     max_patterns: int = 4
     weighted: bool = False
+    criterion: Criterion = "entropy"
     max_samples: int = 25_000
     min_samples_leaf: int = 1
 
@@ -72,6 +74,8 @@ class AugTreeFit:
                 f"features={self.features!r}, leaves={self.leaves!r}; expected features to be 'all', 'z' or 'deep' and "
                 "leaves to be 'constant' or 'linear'"
             )
+        if self.criterion not in ("gini", "entropy"):
+            raise ValueError(f"criterion={self.criterion!r}; expected 'gini' or 'entropy'")
         n_needed = 2 if self.features == "deep" else 1
         if len(self.oracle.hidden_widths) < n_needed:
             raise ValueError(
@@ -99,6 +103,7 @@ class AugTreeFit:
             self.max_depth,
             self.min_samples_leaf,
             generator,
+            self.criterion,
         )
         return on_inputs(with_thresholds_between(tree, bins, values), features.A, features.a)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,9 @@ from otr.learners.cart import from_sklearn_tree
 from otr.learners.model_tree import LinearModelTreeRegressor
 from otr.tree import ObliqueTree
 
-__all__ = ["CartFit", "LinearModelTreeFit", "box_of", "centred", "fit_cart", "label_tree", "with_head"]
+__all__ = ["CartFit", "Criterion", "LinearModelTreeFit", "box_of", "centred", "fit_cart", "label_tree", "with_head"]
+
+Criterion = Literal["gini", "entropy"]
 
 
 @dataclass(frozen=True)
@@ -87,12 +90,19 @@ def fit_cart(
     max_depth: int,
     min_samples_leaf: int,
     generator: np.random.Generator,
+    criterion: Criterion = "gini",
 ) -> ObliqueTree:
-    """Return CART's tree: a classifier for integer labels (n,) among `n_outputs`, a regressor for values (n, o)."""
+    """Return CART's tree: a classifier for integer labels (n,) among `n_outputs`, a regressor for values (n, o).
+
+    The criterion is that of labels; values are fitted by squared error.
+    """
     is_labels = targets.ndim == 1
     learner = DecisionTreeClassifier if is_labels else DecisionTreeRegressor
     model = learner(
-        max_depth=max_depth, min_samples_leaf=min_samples_leaf, random_state=int(generator.integers(2**31))
+        criterion=criterion if is_labels else "squared_error",
+        max_depth=max_depth,
+        min_samples_leaf=min_samples_leaf,
+        random_state=int(generator.integers(2**31)),
     ).fit(X.astype(np.float32, copy=False), targets, sample_weight=counts)
     tree = from_sklearn_tree(model)
     return label_tree(tree, model.classes_, n_outputs) if is_labels else tree

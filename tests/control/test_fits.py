@@ -242,6 +242,26 @@ def test_screening_keeps_the_feature_at_which_the_planes_part():
     assert best_columns(S[:, :5], X, Z, LinearModelTreeRegressor(), 8).tolist() == [0, 1, 2, 3, 4]
 
 
+def rare_label():
+    """Of 2,100 rows 100 have the label 2, which x_0 sets apart; x_1 parts the labels 0 and 1, 70 to 30."""
+    labels = np.repeat([0, 1, 2], [1000, 1000, 100])
+    X = np.zeros((2100, 2))
+    X[labels == 2, 0] = 1.0
+    X[np.r_[0:700, 1000:1300, 2000:2050], 1] = 1.0
+    return X, np.eye(3)[labels], np.ones(2100)
+
+
+def test_entropy_sets_a_rare_label_apart_and_gini_parts_the_frequent_ones():
+    X, outputs, weights = rare_label()
+    oracle = otr.ReluNetwork([[[1.0, 0.0]], np.ones((3, 1))], [[0.0], np.zeros(3)], head=otr.Argmax())
+    tests = {}
+    for criterion in ("entropy", "gini"):
+        tree = AugTreeFit(oracle, 1, criterion=criterion)(X, outputs, weights, generator())
+        tests[criterion] = tree.P.tolist()
+    assert tests == {"entropy": [[1.0, 0.0]], "gini": [[0.0, 1.0]]}
+    assert AugTreeFit(oracle, 1)(X, outputs, weights, generator()).P.tolist() == tests["entropy"]
+
+
 @pytest.mark.parametrize("leaves", ["constant", "linear"])
 def test_augtree_draws_by_weight_only_if_asked(leaves):
     """Rows of weight 0 hold the label 1, the others the label 0."""
@@ -266,3 +286,5 @@ def test_errors():
         AugTreeFit(oblique_oracle(), 3, "deep")
     with pytest.raises(ValueError, match="features='x'"):
         AugTreeFit(oblique_oracle(), 3, "x")
+    with pytest.raises(ValueError, match="criterion='mse'"):
+        AugTreeFit(oblique_oracle(), 3, criterion="mse")

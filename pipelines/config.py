@@ -525,7 +525,11 @@ def _check_method(config: RunConfig) -> None:
         raise ConfigError(f"method.features=deep reads the oracle's deeper layers, but oracle={config.oracle} has one")
 
 
-METHOD_CHOICES = {"features": ("all", "z", "deep"), "leaves": ("constant", "linear")}
+METHOD_CHOICES = {
+    "features": ("all", "z", "deep"),
+    "leaves": ("constant", "linear"),
+    "criterion": ("gini", "entropy"),
+}
 RANGES: dict[str, tuple[float, float]] = {  # key: least and greatest value; keys of other algorithms are passed over
     "seed": (0, LARGEST_SEED),
     "n_workers": (1, math.inf),

@@ -60,7 +60,7 @@ class AugTreeFit:
     max_patterns: int = 4
     weighted: bool = False
     criterion: Criterion = "entropy"
-    max_samples: int = 25_000
+    max_samples: int = 10_000
     min_samples_leaf: int = 1
 
     def __post_init__(self) -> None:

@@ -104,8 +104,14 @@ def test_fleet_trains_several_oracles_at_once(tmp_path):
         ({"depth": [2, 2]}, r"depth=\[2, 2\]: method=viper grows a tree"),
         ({"oracle": []}, r"oracle=\[\]"),
         ({"imitate": ImitateConfig(n_episodes=0)}, "imitate.n_episodes=0"),
-        ({"method": AugTreeConfig("augtree", "deep", "constant", 4, False, 10, 1), "oracle": [8]}, "features=deep"),
-        ({"method": AugTreeConfig("augtree", "x", "constant", 4, False, 10, 1)}, "method.features=x: use one of all"),
+        (
+            {"method": AugTreeConfig("augtree", "deep", "constant", 4, False, "entropy", 10, 1), "oracle": [8]},
+            "features=deep",
+        ),
+        (
+            {"method": AugTreeConfig("augtree", "x", "constant", 4, False, "entropy", 10, 1)},
+            "method.features=x: use one of all",
+        ),
     ],
 )
 def test_what_is_refused(tiny, changes, words):

@@ -405,7 +405,7 @@ RUN = Workflow(
     "otr-run",
     Composer(
         "run",
-        groups=("env", "algo", "method", "trainer", "budget", "launcher", "experiment"),
+        groups=("env", "algo", "method", "column", "trainer", "budget", "launcher", "experiment"),
         needs="env",
         anything="pendulum",
         schemas={

@@ -170,7 +170,7 @@ def _do(workflow: Workflow, arguments: argparse.Namespace) -> int:
         return 0
     if is_sweep:
         return _sweep(workflow, overrides)
-    (job,) = workflow.jobs([overrides])
+    (job,) = workflow.jobs(composer.expand(overrides, multirun=False))
     workflow.check(job.config)
     try:
         workflow.do(job)
@@ -405,7 +405,7 @@ RUN = Workflow(
     "otr-run",
     Composer(
         "run",
-        groups=("env", "algo", "method", "column", "trainer", "budget", "launcher", "experiment"),
+        groups=("env", "algo", "method", "trainer", "budget", "launcher", "experiment"),
         needs="env",
         anything="pendulum",
         schemas={

@@ -82,9 +82,23 @@ class Composer:
         """Return the overrides of every job that the words ask for, as Hydra's sweeper would make them."""
         is_sweep, parameters = self.sweep_parameters(overrides, multirun)
         if not is_sweep:
-            return [overrides]
+            return [self._spelt_out(overrides)]
         parsed = [parse(word) for word in (*parameters, *overrides)]
-        return [list(job) for job in BasicSweeper.split_arguments(parsed, None)[0]]
+        return [self._spelt_out(job) for job in BasicSweeper.split_arguments(parsed, None)[0]]
+
+    def _spelt_out(self, overrides: Sequence[str]) -> list[str]:
+        """Return the words with `column=NAME` replaced by those that it stands for (conf/column.yaml)."""
+        path = CONF_DIR / self.folder / "column.yaml"
+        if not path.is_file():
+            return list(overrides)
+        columns = OmegaConf.load(path)
+        words: list[str] = []
+        for word in overrides:
+            name = word.removeprefix("column=")
+            if name != word and name not in columns:
+                raise ConfigError(f"{word}: there is no such column.{did_you_mean(name, list(columns))}")
+            words += [word] if name == word else columns[name].split()
+        return words
 
     def sweep_parameters(self, overrides: list[str], multirun: bool) -> tuple[bool, list[str]]:
         """Return whether the words ask for a sweep, and the sweep parameters that an experiment brings.

@@ -6,15 +6,30 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import torch
+from sb3_contrib import TRPO
 from stable_baselines3 import DDPG, PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, OrnsteinUhlenbeckActionNoise
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from pipelines.config import DdpgConfig, OffPolicyConfig, PpoConfig, RunConfig, SacConfig, Td3Config
+from pipelines.ars import build_ars
+from pipelines.config import (
+    ArsConfig,
+    DdpgConfig,
+    GradientConfig,
+    OffPolicyConfig,
+    OnPolicyConfig,
+    PpoConfig,
+    RunConfig,
+    SacConfig,
+    Td3Config,
+    TrpoConfig,
+)
 from pipelines.envs import flat_state_size, is_discrete, make_training_env
 from pipelines.errors import ConfigError
+from pipelines.methods import is_soft
+from pipelines.soft_policies import SoftActorCriticPolicy, shape_of
 from pipelines.training import learning_starts
 
 torch.set_num_threads(1)  # two threads make these small networks a hundred times slower
@@ -27,8 +42,11 @@ def build_model(config: RunConfig, seed: int) -> BaseAlgorithm:
     env = build_env(config)
     single = env.envs[0]
     flat_state_size(single)
+    if isinstance(algo, ArsConfig):
+        return build_ars(env, algo, seed)
+    assert isinstance(algo, GradientConfig)
     common: dict[str, Any] = {
-        "policy": "MlpPolicy",
+        "policy": SoftActorCriticPolicy if is_soft(config.method.name) else "MlpPolicy",
         "env": env,
         "learning_rate": algo.learning_rate,
         "batch_size": algo.batch_size,
@@ -37,17 +55,8 @@ def build_model(config: RunConfig, seed: int) -> BaseAlgorithm:
         "seed": seed,
         "device": "cpu",
     }
-    if isinstance(algo, PpoConfig):
-        return PPO(
-            **common,
-            n_steps=algo.n_steps,
-            n_epochs=algo.n_epochs,
-            gae_lambda=algo.gae_lambda,
-            clip_range=algo.clip_range,
-            ent_coef=algo.ent_coef,
-            vf_coef=algo.vf_coef,
-            max_grad_norm=algo.max_grad_norm,
-        )
+    if isinstance(algo, OnPolicyConfig):
+        return _on_policy_model(algo, common | {"n_steps": algo.n_steps, "gae_lambda": algo.gae_lambda})
     if is_discrete(single):
         raise ConfigError(f"algo={algo.name} needs continuous actions; {config.env.id} has labels: use algo=ppo")
     assert isinstance(algo, OffPolicyConfig)
@@ -57,7 +66,7 @@ def build_model(config: RunConfig, seed: int) -> BaseAlgorithm:
 
 def build_env(config: RunConfig) -> DummyVecEnv:
     """Return new training environments: one, or as many side by side as PPO is set to use."""
-    n_envs = config.algo.n_envs if isinstance(config.algo, PpoConfig) else 1
+    n_envs = config.algo.n_envs if isinstance(config.algo, OnPolicyConfig) else 1
 
     def make() -> gym.Env:
         return Monitor(make_training_env(config.env, rescale_inputs=config.actor.rescale_inputs))
@@ -67,17 +76,41 @@ def build_env(config: RunConfig) -> DummyVecEnv:
 
 def policy_kwargs(config: RunConfig) -> dict[str, Any]:
     """Return the network shapes: the actor's are `depth`, the critics' the algorithm's, activations (leaky) ReLU."""
-    critics = "vf" if isinstance(config.algo, PpoConfig) else "qf"
+    assert isinstance(config.algo, GradientConfig)
+    critics = "vf" if isinstance(config.algo, OnPolicyConfig) else "qf"
     slope = config.actor.negative_slope
+    is_tree = is_soft(config.method.name)
     kwargs: dict[str, Any] = {
-        "net_arch": {"pi": list(config.hidden_widths), critics: list(config.algo.critic)},
+        "net_arch": {"pi": [] if is_tree else list(config.hidden_widths), critics: list(config.algo.critic)},
         "activation_fn": functools.partial(torch.nn.LeakyReLU, slope) if slope > 0.0 else torch.nn.ReLU,
     }
+    if is_tree:
+        kwargs["actor"] = shape_of(config)
     if config.algo.weight_decay > 0.0:
         # Stable-Baselines3 gives PPO's Adam a larger epsilon, but only where no other argument is set.
-        epsilon = {"eps": 1e-5} if isinstance(config.algo, PpoConfig) else {}
+        epsilon = {"eps": 1e-5} if isinstance(config.algo, OnPolicyConfig) else {}
         kwargs["optimizer_kwargs"] = {"weight_decay": config.algo.weight_decay, **epsilon}
     return kwargs
+
+
+def _on_policy_model(algo: OnPolicyConfig, common: dict[str, Any]) -> BaseAlgorithm:
+    if isinstance(algo, TrpoConfig):
+        return TRPO(
+            **common,
+            target_kl=algo.target_kl,
+            cg_max_steps=algo.cg_max_steps,
+            cg_damping=algo.cg_damping,
+            n_critic_updates=algo.n_critic_updates,
+        )
+    assert isinstance(algo, PpoConfig)
+    return PPO(
+        **common,
+        n_epochs=algo.n_epochs,
+        clip_range=algo.clip_range,
+        ent_coef=algo.ent_coef,
+        vf_coef=algo.vf_coef,
+        max_grad_norm=algo.max_grad_norm,
+    )
 
 
 def _off_policy_model(

@@ -1,30 +1,10 @@
 """Linear policies by augmented random search (Mania et al. 2018), sb3-contrib's."""
 
-from dataclasses import dataclass
-
 from sb3_contrib import ARS
 from stable_baselines3.common.vec_env import VecEnv
 
+from pipelines.config import ArsConfig
 from pipelines.errors import ConfigError
-
-
-@dataclass(frozen=True)
-class ArsConfig:
-    """Augmented random search, under sb3-contrib's names.
-
-    Attributes:
-        n_delta: directions tried an update, each forth and back: 2 n_delta episodes.
-        n_top: the best of them, which make the step.
-        learning_rate: of the step, divided by the spread of the returns.
-        delta_std: length of the directions.
-        with_bias: whether the policy has offsets; the original has none and normalises states instead.
-    """
-
-    n_delta: int
-    n_top: int
-    learning_rate: float
-    delta_std: float
-    with_bias: bool
 
 
 def build_ars(env: VecEnv, config: ArsConfig, seed: int) -> ARS:

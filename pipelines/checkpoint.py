@@ -12,9 +12,8 @@ from typing import Any
 
 import numpy as np
 
-import otr
 from pipelines.rollout import Rollout
-from pipelines.store import load_actor, read_json, save_actor, write_csv, write_json
+from pipelines.store import read_json, write_csv, write_files, write_json
 
 EVALUATION_COLUMNS = ("steps", "return_mean", "return_std", "n_episodes", "best")
 PROGRESS_COLUMNS = ("steps", "seconds", "steps_per_s", "n_episodes", "episode_return_mean", "episode_length_mean")
@@ -27,10 +26,10 @@ class History:
     n_segments: int = 0
     progress: list[dict[str, Any]] = field(default_factory=list)
     evaluations: list[dict[str, Any]] = field(default_factory=list)
-    best: otr.ReluNetwork | None = None
+    best: dict[str, bytes] = field(default_factory=dict)  # the files of the best actor so far
 
-    def segment_done(self, progress_row: dict[str, Any], network: otr.ReluNetwork, played: Rollout) -> None:
-        """Add a segment, and keep its network where it did better than all before."""
+    def segment_done(self, progress_row: dict[str, Any], actor: dict[str, bytes], played: Rollout) -> None:
+        """Add a segment, and keep its actor's files where it did better than all before."""
         mean = float(played.returns.mean())
         best = all(mean > row["return_mean"] for row in self.evaluations)
         self.n_segments += 1
@@ -45,12 +44,11 @@ class History:
             }
         )
         if best:
-            self.best = network
+            self.best = actor
 
     def write(self, out: Path) -> None:
         """Write a finished run's best actor, `evaluations.csv` and `progress.csv`."""
-        assert self.best is not None
-        save_actor(self.best, out)
+        write_files(self.best, out)
         write_csv(out / "evaluations.csv", self.evaluations, EVALUATION_COLUMNS)
         write_csv(out / "progress.csv", self.progress, PROGRESS_COLUMNS)
 
@@ -87,10 +85,10 @@ def write_segment(folder: Path, history: History, counters: dict[str, int], stat
             "counters": counters,
             "progress": history.progress,
             "evaluations": history.evaluations,
+            "best": list(history.best),
         },
     )
-    if history.best is not None:
-        save_actor(history.best, temporary)
+    write_files(history.best, temporary)
     final = folder / f"segment-{history.n_segments:06d}"
     temporary.rename(final)
     for old in folder.glob("segment-*"):
@@ -106,5 +104,5 @@ def last_segment(folder: Path) -> Path | None:
 def read_segment(segment: Path) -> tuple[History, dict[str, int]]:
     """Return a checkpoint's history and counters."""
     about = read_json(segment / "history.json")
-    best = load_actor(segment) if (segment / "actor.json").exists() else None
+    best = {name: (segment / name).read_bytes() for name in about["best"]}
     return History(about["n_segments"], about["progress"], about["evaluations"], best), about["counters"]

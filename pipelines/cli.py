@@ -27,13 +27,13 @@ from omegaconf.errors import OmegaConfBaseException
 
 from otr import OtrError
 from pipelines import config as schemas
-from pipelines.compose import Composer, parse, readable, schema_of, to_object
+from pipelines.compose import CONF_DIR, Composer, parse, readable, schema_of, to_object
 from pipelines.config import RunConfig, run_folder
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.fleet.groups import fleets
 from pipelines.help import HELP
 from pipelines.job import Job, record_failure
-from pipelines.methods import imitates
+from pipelines.methods import METHODS, imitates, is_soft
 from pipelines.plan import print_plan
 from pipelines.replay import replay
 from pipelines.run import RunJob, run_job, run_jobs
@@ -324,6 +324,7 @@ def _run_job(cfg: DictConfig, overrides: Sequence[str]) -> RunJob:
         f"method={config.method.name}",
         f"budget={config.budget.name}",
         f"trainer={config.trainer.name}",
+        *(["algo=ars"] if isinstance(config.algo, schemas.ArsConfig) else []),
     ]
     baseline = _run_config((*named, f"depth={config.depth}"))
     oracle = _oracle_job(config, overrides) if imitates(config.method.name) else None
@@ -336,6 +337,18 @@ def _run_job(cfg: DictConfig, overrides: Sequence[str]) -> RunJob:
         command=_command_of("otr-run", overrides),
         oracle=oracle,
     )
+
+
+def _implied(overrides: Sequence[str]) -> list[str]:
+    """Return what the words imply: the algorithm of soft trees, where they name none (an environment may have one of
+    its own), and the steps of these and of augmented random search."""
+    given = dict(word.split("=", 1) for word in overrides if "=" in word)
+    soft = given.get("method") in METHODS and is_soft(given["method"])
+    implied = ['train.steps="${budget.on_policy_steps.${env.task}}"'] if soft or given.get("algo") == "ars" else []
+    if soft and "algo" not in given:
+        own = f"ppo_tree_{given.get('env', '')}"
+        implied.append(f"algo={own if (CONF_DIR / 'algo' / f'{own}.yaml').is_file() else 'ppo_tree'}")
+    return implied
 
 
 def _oracle_job(config: RunConfig, overrides: Sequence[str]) -> RunJob:
@@ -412,11 +425,12 @@ RUN = Workflow(
             (None, "run_schema"): RunConfig,
             (None, "env_schema"): schemas.EnvConfig,
             (None, "method_schema"): schemas.MethodConfig,
-            **{("method", f"run_{name}_schema"): method for name, method in schemas.IMITATORS.items()},
+            **{("method", f"run_{name}_schema"): method for name, method in schemas.METHOD_CONFIGS.items()},
             (None, "budget_schema"): schemas.BudgetConfig,
             **{("algo", f"{name}_schema"): algorithm for name, algorithm in schemas.ALGORITHMS.items()},
             **{("trainer", f"{name}_schema"): trainer for name, trainer in schemas.TRAINERS.items()},
         },
+        implied=_implied,
     ),
     job=_run_job,
     groups=fleets,

@@ -5,7 +5,7 @@ Only this module and `pipelines/cli.py` know Hydra and OmegaConf.
 
 import dataclasses
 import difflib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,6 +39,7 @@ class Composer:
         needs: the group of which an option must be named; None if there is none.
         anything: an option of that group, for where it does not matter which.
         schemas: what is registered for the configuration files to build on: (group, name) to dataclass.
+        implied: from the words to further ones that they imply, which stand before them.
     """
 
     name: str
@@ -47,6 +48,7 @@ class Composer:
     needs: str | None = None
     anything: str = ""
     schemas: dict[tuple[str | None, str], type] = dataclasses.field(default_factory=dict)
+    implied: Callable[[Sequence[str]], list[str]] = lambda overrides: []
 
     def register(self) -> None:
         """Tell Hydra the schemas."""
@@ -74,7 +76,7 @@ class Composer:
             raise ConfigError(f"which {what}? Add {self.needs}=NAME with one of: {', '.join(self.options(self.needs))}")
         with self.hydra():
             try:
-                return compose(self.name, [*self._search_path(), *overrides])
+                return compose(self.name, [*self._search_path(), *self.implied(overrides), *overrides])
             except HydraException as error:
                 raise ConfigError(self._explain(error, overrides)) from error
 

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from pipelines.errors import ConfigError
-from pipelines.methods import METHODS, imitates
+from pipelines.methods import METHODS, imitates, is_soft
 
 LARGEST_SEED = 2**32 - 1
 
@@ -31,10 +31,33 @@ class EnvConfig:
 
 @dataclass(frozen=True)
 class AlgoConfig:
-    """What every algorithm has. `critic` lists the widths of the critics' hidden layers, `weight_decay` is Adam's."""
+    """What every algorithm has."""
 
     name: str
     learning_rate: float
+
+
+@dataclass(frozen=True)
+class ArsConfig(AlgoConfig):
+    """Augmented random search of a linear policy (Mania et al. 2018), under sb3-contrib's names.
+
+    Attributes:
+        n_delta: directions tried an update, each forth and back: 2 n_delta episodes.
+        n_top: the best of them, which make the step.
+        delta_std: length of the directions.
+        with_bias: whether the policy has offsets; the original has none and normalises states instead.
+    """
+
+    n_delta: int
+    n_top: int
+    delta_std: float
+    with_bias: bool
+
+
+@dataclass(frozen=True)
+class GradientConfig(AlgoConfig):
+    """What algorithms with critics have: the widths of their hidden layers in `critic`; `weight_decay` is Adam's."""
+
     batch_size: int
     gamma: float
     critic: list[int]
@@ -42,13 +65,19 @@ class AlgoConfig:
 
 
 @dataclass(frozen=True)
-class PpoConfig(AlgoConfig):
-    """Proximal policy optimisation, under Stable-Baselines3's names."""
+class OnPolicyConfig(GradientConfig):
+    """What PPO and TRPO share, under Stable-Baselines3's names."""
 
     n_envs: int
     n_steps: int
-    n_epochs: int
     gae_lambda: float
+
+
+@dataclass(frozen=True)
+class PpoConfig(OnPolicyConfig):
+    """Proximal policy optimisation, under Stable-Baselines3's names."""
+
+    n_epochs: int
     clip_range: float
     ent_coef: float
     vf_coef: float
@@ -56,7 +85,17 @@ class PpoConfig(AlgoConfig):
 
 
 @dataclass(frozen=True)
-class OffPolicyConfig(AlgoConfig):
+class TrpoConfig(OnPolicyConfig):
+    """Trust region policy optimisation, under sb3-contrib's names."""
+
+    target_kl: float
+    cg_max_steps: int
+    cg_damping: float
+    n_critic_updates: int
+
+
+@dataclass(frozen=True)
+class OffPolicyConfig(GradientConfig):
     """What SAC, TD3 and DDPG share. `action_noise` is none, normal or ornstein_uhlenbeck."""
 
     buffer_size: int
@@ -90,7 +129,14 @@ class DdpgConfig(OffPolicyConfig):
     """Deep deterministic policy gradient."""
 
 
-ALGORITHMS: dict[str, type[AlgoConfig]] = {"ppo": PpoConfig, "sac": SacConfig, "td3": Td3Config, "ddpg": DdpgConfig}
+ALGORITHMS: dict[str, type[AlgoConfig]] = {
+    "ppo": PpoConfig,
+    "trpo": TrpoConfig,
+    "sac": SacConfig,
+    "td3": Td3Config,
+    "ddpg": DdpgConfig,
+    "ars": ArsConfig,
+}
 
 
 @dataclass(frozen=True)
@@ -109,7 +155,12 @@ class ActorConfig:
 
 @dataclass(frozen=True)
 class BudgetConfig:
-    """How much is spent. `steps` gives environment steps per task; the rest is the same for all tasks."""
+    """How much is spent. The rest is the same for all tasks.
+
+    Attributes:
+        steps: environment steps per task.
+        on_policy_steps: the same for soft trees and augmented random search, whose steps are cheaper and teach less.
+    """
 
     name: str
     steps: dict[str, int]
@@ -121,6 +172,7 @@ class BudgetConfig:
     n_rounds: int = 50
     n_round_episodes: int = 25
     n_choice_episodes: int = 100
+    on_policy_steps: dict[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -208,8 +260,73 @@ class AugTreeConfig(MethodConfig):
     min_samples_leaf: int
 
 
-IMITATORS: dict[str, type[MethodConfig]] = {"viper": ViperConfig, "lm_viper": LmViperConfig, "augtree": AugTreeConfig}
-METHOD_CONFIGS: dict[str, type[MethodConfig]] = {"otr": MethodConfig, "linear": MethodConfig, **IMITATORS}
+@dataclass(frozen=True)
+class NdpsConfig(MethodConfig):
+    """NDPS: a soft tree fitted to the oracle, hardened and refitted; the names are those of `otr.control.NdpsImitator`.
+
+    Attributes:
+        max_samples: rows drawn for a fit.
+        n_updates, n_updates_next: Adam's updates of the first fit, and of those that go on from the last round's tree.
+        batch_size, learning_rate, beta_first, beta_last, ridge: see `otr.control.NdpsSettings`.
+    """
+
+    max_samples: int
+    n_updates: int
+    n_updates_next: int
+    batch_size: int
+    learning_rate: float
+    beta_first: float
+    beta_last: float
+    ridge: float
+
+
+@dataclass(frozen=True)
+class SoftConfig(MethodConfig):
+    """A method whose actor is a soft tree, trained by policy gradient.
+
+    Attributes:
+        beta_first, beta_last: how hard its tests are at first and at last, growing geometrically.
+        anneal_until: the fraction of the steps at which beta has reached its last value.
+    """
+
+    beta_first: float
+    beta_last: float
+    anneal_until: float
+
+
+@dataclass(frozen=True)
+class SdtConfig(SoftConfig):
+    """A soft decision tree (Silva et al. 2020), with constant or affine leaves."""
+
+    leaves: str
+
+
+@dataclass(frozen=True)
+class CdtConfig(SoftConfig):
+    """A cascading decision tree (Ding et al. 2020) with `n_features` features between its two trees."""
+
+    n_features: int
+
+
+@dataclass(frozen=True)
+class PiPrlConfig(SoftConfig):
+    """pi-PRL (Qiu & Zhu 2022): `discretise_at` is the fraction of the steps at which the structure is chosen."""
+
+    structure_penalty: float
+    discretise_at: float
+
+
+METHOD_CONFIGS: dict[str, type[MethodConfig]] = {
+    "otr": MethodConfig,
+    "linear": MethodConfig,
+    "viper": ViperConfig,
+    "lm_viper": LmViperConfig,
+    "augtree": AugTreeConfig,
+    "ndps": NdpsConfig,
+    "sdt": SdtConfig,
+    "cdt": CdtConfig,
+    "pi_prl": PiPrlConfig,
+}
 
 
 @dataclass(frozen=True)
@@ -294,7 +411,9 @@ class RunConfig:
 
     @property
     def budget_level(self) -> str:
-        """The budget's name in the run's folder, with the trainer's where that is not Stable-Baselines3."""
+        """The budget's name in the run's folder, with who trained where that is no gradient by Stable-Baselines3."""
+        if isinstance(self.algo, ArsConfig):
+            return f"{self.budget.name}-{self.algo.name}"
         return f"{self.budget.name}-{self.fleet.name}" if self.fleet else self.budget.name
 
     @property
@@ -370,7 +489,10 @@ def _check_depth(depth: Any, method: str) -> None:
         raise ConfigError(f"depth={depth!r}: a layer cannot have {min(widths)} neurons; depth=0 is the linear policy")
     if method == "linear" and depth != 0:
         raise ConfigError(f"method=linear is the policy of depth 0, but depth={depth!r}; add depth=0")
-    if imitates(method) and (not isinstance(depth, int) or depth == 0):
+    if method == "cdt":
+        if not (isinstance(depth, list) and len(depth) == 2):
+            raise ConfigError(f"depth={depth!r}: method=cdt has two trees; give both depths, as depth=[3,3]")
+    elif (imitates(method) or is_soft(method)) and (not isinstance(depth, int) or depth == 0):
         raise ConfigError(
             f"depth={depth!r}: method={method} grows a tree; give the tests on its longest path (depth=6)"
         )
@@ -388,6 +510,12 @@ def _check_method(config: RunConfig) -> None:
         raise ConfigError(
             f"oracle={config.oracle}: give the hidden layers of the network to imitate, as oracle=[256,256]"
         )
+    if is_soft(config.method.name) and not isinstance(config.algo, OnPolicyConfig):
+        raise ConfigError(
+            f"method={config.method.name} is trained by algo=ppo_tree or algo=trpo_tree, not {config.algo.name}"
+        )
+    if isinstance(config.algo, ArsConfig) and config.hidden_widths:
+        raise ConfigError(f"algo=ars searches linear policies; depth={config.depth} has hidden neurons, add depth=0")
     for name, choices in METHOD_CHOICES.items():
         value = getattr(config.method, name, None)
         if value is not None and value not in choices:
@@ -429,6 +557,13 @@ RANGES: dict[str, tuple[float, float]] = {  # key: least and greatest value; key
     "algo.action_noise_std": (0, math.inf),
     "algo.action_noise_dt": (1e-12, math.inf),
     "algo.policy_delay": (1, math.inf),
+    "algo.target_kl": (1e-12, math.inf),
+    "algo.cg_max_steps": (1, math.inf),
+    "algo.cg_damping": (0, math.inf),
+    "algo.n_critic_updates": (1, math.inf),
+    "algo.n_delta": (1, math.inf),
+    "algo.n_top": (1, math.inf),
+    "algo.delta_std": (1e-12, math.inf),
     "imitate.n_initial_episodes": (1, math.inf),
     "imitate.n_rounds": (0, math.inf),
     "imitate.n_episodes": (1, math.inf),
@@ -437,6 +572,17 @@ RANGES: dict[str, tuple[float, float]] = {  # key: least and greatest value; key
     "method.min_samples_leaf": (1, math.inf),
     "method.max_patterns": (1, math.inf),
     "method.alpha": (0, math.inf),
+    "method.n_updates": (1, math.inf),
+    "method.n_updates_next": (1, math.inf),
+    "method.batch_size": (1, math.inf),
+    "method.learning_rate": (1e-12, 10),
+    "method.beta_first": (1e-6, 1e6),
+    "method.beta_last": (1e-6, 1e6),
+    "method.ridge": (0, math.inf),
+    "method.anneal_until": (0, 1),
+    "method.n_features": (1, 1024),
+    "method.structure_penalty": (0, 100),
+    "method.discretise_at": (0, 1),
     "trainer.n_envs": (1, 4096),
     "trainer.runs_per_process": (1, 4096),
 }
@@ -457,7 +603,7 @@ def _check_numbers(config: RunConfig) -> None:
             value = getattr(value, name, None)
         if value is not None and not least <= value <= greatest:
             raise ConfigError(f"{key}={value} is not between {least:g} and {greatest:g}")
-    if any(width < 1 for width in config.algo.critic):
+    if isinstance(config.algo, GradientConfig) and any(width < 1 for width in config.algo.critic):
         raise ConfigError(f"algo.critic={config.algo.critic}: every layer needs at least 1 neuron")
     if isinstance(config.algo, OffPolicyConfig) and config.algo.action_noise not in ACTION_NOISES:
         raise ConfigError(f"algo.action_noise={config.algo.action_noise}: use one of {', '.join(ACTION_NOISES)}")

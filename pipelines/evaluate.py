@@ -22,8 +22,10 @@ EPISODE_COLUMNS = ("episode", "seed", "return", "length", "terminated", "truncat
 EPISODES_FILES = {
     "network": "episodes_network.csv",
     "oracle": "episodes_oracle.csv",
+    "soft": "episodes_soft.csv",
     "tree": "episodes.csv",
     "pruned_tree": "episodes_pruned_tree.csv",
+    "discretised": "episodes_discretised.csv",
 }
 
 
@@ -39,15 +41,23 @@ def evaluate_settings(config: RunConfig) -> dict[str, Any]:
 def load_policies(inputs: Mapping[str, Path], config: RunConfig) -> dict[str, Any]:
     """Return the forms of the policy that a run left: what the tree stands for, the tree and the pruned tree.
 
-    The first is the actor's network where it was mapped, and the oracle where it was imitated.
+    The first is the actor's network where it was mapped, the oracle where one was imitated, and the soft tree where
+    that was hardened; the latter's authors' own discretisation comes last.
     """
     policies: dict[str, Any] = {}
-    if "imitate" in inputs:
+    if "harden" in inputs:
+        from pipelines.soft_policies import SoftPolicy, load_soft  # imports torch
+
+        hard: Any = otr.load(inputs["harden"] / "tree")
+        policies["soft"] = SoftPolicy(load_soft(inputs["train"]), hard.head)
+    elif "imitate" in inputs:
         policies["oracle"] = load_oracle(inputs["oracle"], Path(config.results_dir))
     else:
         policies["network"] = load_actor(inputs["train"])
     policies["tree"] = otr.load(inputs[tree_stage(config.method.name)] / "tree")
     policies["pruned_tree"] = otr.load(inputs["prune"] / "tree")
+    if "harden" in inputs and (inputs["harden"] / "discretised.json").is_file():
+        policies["discretised"] = otr.load(inputs["harden"] / "discretised")
     return policies
 
 

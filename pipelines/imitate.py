@@ -11,8 +11,8 @@ from typing import Any
 import otr
 from otr.control.augtree import AugTreeFit
 from otr.control.dagger import DaggerSettings, Fit, Play, Progress, run_dagger
-from otr.control.viper import CartFit, LinearModelTreeFit
-from pipelines.config import AugTreeConfig, LmViperConfig, RunConfig, ViperConfig
+from otr.control.viper import CartFit, LinearModelTreeFit, box_of
+from pipelines.config import AugTreeConfig, LmViperConfig, NdpsConfig, RunConfig, ViperConfig
 from pipelines.console import duration
 from pipelines.imitation import working_folder
 from pipelines.oracle import load_oracle
@@ -33,17 +33,17 @@ def imitate(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     The working files stay: whoever has put `out` in its place deletes them.
     """
     oracle = load_oracle(inputs["oracle"], Path(config.results_dir))
-    imitation = config.imitate
+    imitation, folder = config.imitate, working_folder(config, inputs["oracle"])
     result = run_dagger(
         oracle,
-        _fit(config, oracle),
+        _fit(config, oracle, folder),
         _player(config),
         lambda name, index, n: episode_seeds(config.seed, "imitate", n, STREAM_ELEMENTS[name], index),
         DaggerSettings(
             imitation.n_rounds, imitation.n_episodes, imitation.n_initial_episodes, imitation.n_choice_episodes
         ),
         stream(config.seed, "imitate", STREAM_ELEMENTS["fit"]),
-        working_folder(config, inputs["oracle"]),
+        folder,
         on_round=lambda progress: _show(progress, config),
     )
     otr.save(result.tree, out / "tree")
@@ -63,7 +63,7 @@ def imitate(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     )
 
 
-def _fit(config: RunConfig, oracle: otr.ReluNetwork) -> Fit:
+def _fit(config: RunConfig, oracle: otr.ReluNetwork, folder: Path) -> Fit:
     """Return the learner of a method's trees."""
     method = config.method
     options: dict[str, Any] = {name: value for name, value in asdict(method).items() if name != "name"}
@@ -71,8 +71,29 @@ def _fit(config: RunConfig, oracle: otr.ReluNetwork) -> Fit:
         return CartFit(config.depth, **options)
     if isinstance(method, LmViperConfig):
         return LinearModelTreeFit(oracle.head, config.depth, **options)
+    if isinstance(method, NdpsConfig):
+        return _ndps(method, config.depth, oracle, folder)
     assert isinstance(method, AugTreeConfig)
     return AugTreeFit(oracle, config.depth, **options)
+
+
+def _ndps(method: NdpsConfig, depth: int, oracle: otr.ReluNetwork, folder: Path) -> Fit:
+    import torch
+
+    from otr.control.ndps import NdpsImitator, NdpsSettings
+
+    torch.set_num_threads(1)
+    settings = NdpsSettings(
+        depth=depth,
+        n_updates=method.n_updates,
+        batch_size=method.batch_size,
+        learning_rate=method.learning_rate,
+        beta_first=method.beta_first,
+        beta_last=method.beta_last,
+        ridge=method.ridge,
+    )
+    head = oracle.head if isinstance(oracle.head, otr.Argmax) else box_of(oracle.head)
+    return NdpsImitator(head, settings, method.n_updates_next, method.max_samples, folder)
 
 
 def _player(config: RunConfig) -> Play:

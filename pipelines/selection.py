@@ -12,7 +12,7 @@ from pipelines.config import RunConfig
 from pipelines.envs import state_box
 from pipelines.errors import PipelineError, PolicyMismatchError
 from pipelines.policies import answers_agree
-from pipelines.rollout import Rollout, rollout
+from pipelines.rollout import Policy, Rollout, rollout
 from pipelines.seeding import episode_seeds
 
 TOLERANCE = 1e-5  # between the float64 network and the trainer's float32 one, relative
@@ -25,8 +25,13 @@ def play_selection_episodes(network: otr.ReluNetwork, config: RunConfig) -> tupl
     """Return the actor as it reads the environment's own states, and what came of its selection episodes."""
     if config.actor.rescale_inputs:
         network = network.fold_input_normalisation(*state_box(config.env))
+    return network, play_episodes(network.predict, config)
+
+
+def play_episodes(policy: Policy, config: RunConfig) -> Rollout:
+    """Play the selection episodes, their states kept."""
     seeds = episode_seeds(config.seed, "selection", config.train.n_selection_episodes)
-    return network, rollout(network.predict, config.env, seeds, keep_states=True, n_workers=1)
+    return rollout(policy, config.env, seeds, keep_states=True, n_workers=1)
 
 
 def compare_with_trained(network: otr.ReluNetwork, trained: Predict, states: np.ndarray, config: RunConfig) -> None:

@@ -8,11 +8,13 @@ interrupted.
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
 import gymnasium as gym
+import numpy as np
+import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file
 from safetensors.torch import save as safetensors_bytes
@@ -25,8 +27,9 @@ import otr
 from otr.control.cdt import CascadingTree
 from otr.control.pi_prl import RelaxedProgram
 from otr.control.soft_tree import SoftTree
+from pipelines.config import CdtConfig, PiPrlConfig, RunConfig, SdtConfig, SoftConfig
 from pipelines.errors import ConfigError
-from pipelines.store import corrupt, read_json, write_json
+from pipelines.store import corrupt, json_text, read_json
 
 SCHEMA = "otr/soft/1"
 
@@ -34,32 +37,39 @@ SoftModule = SoftTree | CascadingTree | RelaxedProgram
 
 
 @dataclass(frozen=True)
-class SdtConfig:
-    """A soft decision tree (Silva et al. 2020)."""
+class Shape:
+    """What module an actor is.
 
-    depth: int
-    affine_leaves: bool
+    Attributes:
+        kind: sdt, cdt or pi_prl.
+        options: what its class takes beside the numbers of inputs and outputs.
+    """
 
-
-@dataclass(frozen=True)
-class CdtConfig:
-    """A cascading decision tree (Ding et al. 2020): depths of its two trees, and features between them."""
-
-    feature_depth: int
-    n_features: int
-    decision_depth: int
+    kind: str
+    options: dict[str, Any]
 
 
-@dataclass(frozen=True)
-class PiPrlConfig:
-    """A relaxed program (Qiu & Zhu 2022)."""
-
-    depth: int
-    structure_penalty: float
+_MODULES: dict[str, type[SoftModule]] = {"sdt": SoftTree, "cdt": CascadingTree, "pi_prl": RelaxedProgram}
 
 
-ModuleConfig = SdtConfig | CdtConfig | PiPrlConfig
-_CONFIGS: dict[str, type[ModuleConfig]] = {"sdt": SdtConfig, "cdt": CdtConfig, "pi_prl": PiPrlConfig}
+def shape_of(config: RunConfig) -> Shape:
+    """Return the module that a run's method and depth ask for."""
+    method, depth = config.method, config.depth
+    if isinstance(method, SdtConfig):
+        return Shape("sdt", {"depth": depth, "affine_leaves": method.leaves == "linear"})
+    if isinstance(method, CdtConfig):
+        options = {"feature_depth": depth[0], "n_features": method.n_features, "decision_depth": depth[1]}
+        return Shape("cdt", options)
+    assert isinstance(method, PiPrlConfig)
+    return Shape("pi_prl", {"depth": depth, "structure_penalty": method.structure_penalty})
+
+
+def schedule_of(config: RunConfig) -> "ScheduleConfig":
+    """Return what changes in the course of a run's training."""
+    method = config.method
+    assert isinstance(method, SoftConfig)
+    discretise_at = method.discretise_at if isinstance(method, PiPrlConfig) else 1.0
+    return ScheduleConfig(config.train.steps, method.beta_first, method.beta_last, method.anneal_until, discretise_at)
 
 
 @dataclass(frozen=True)
@@ -112,31 +122,25 @@ class SoftSchedule(BaseCallback):
 class SoftActorCriticPolicy(ActorCriticPolicy):
     """An actor that is a soft tree, and a critic that is an MLP.
 
-    Use with ``policy_kwargs={"actor": SdtConfig(...), "net_arch": {"pi": [], "vf": [64, 64]}}``.
+    Use with ``policy_kwargs={"actor": Shape(...), "net_arch": {"pi": [], "vf": [64, 64]}}``.
     """
 
-    def __init__(self, *args: Any, actor: ModuleConfig, **kwargs: Any) -> None:
-        self._actor_config = actor
+    def __init__(self, *args: Any, actor: Shape, **kwargs: Any) -> None:
+        self._shape = actor
         super().__init__(*args, **kwargs)
 
     def _build(self, lr_schedule: Callable[[float], float]) -> None:
         super()._build(lr_schedule)
         n_outputs = cast(nn.Linear, self.action_net).out_features
-        self.mlp_extractor.policy_net = cast(
-            nn.Sequential, build_module(self._actor_config, self.features_dim, n_outputs)
-        )
+        self.mlp_extractor.policy_net = cast(nn.Sequential, build_module(self._shape, self.features_dim, n_outputs))
         self.action_net = nn.Identity()
         optimizer_class: Any = self.optimizer_class
         self.optimizer = optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
 
 
-def build_module(config: ModuleConfig, n_inputs: int, n_outputs: int) -> SoftModule:
+def build_module(shape: Shape, n_inputs: int, n_outputs: int) -> SoftModule:
     """Return a fresh module, drawn from torch's own generator as all of a Stable-Baselines3 policy is."""
-    if isinstance(config, SdtConfig):
-        return SoftTree(n_inputs, n_outputs, config.depth, affine_leaves=config.affine_leaves)
-    if isinstance(config, CdtConfig):
-        return CascadingTree(n_inputs, n_outputs, **asdict(config))
-    return RelaxedProgram(n_inputs, n_outputs, config.depth, structure_penalty=config.structure_penalty)
+    return _MODULES[shape.kind](n_inputs, n_outputs, **shape.options)
 
 
 def soft_module(model: OnPolicyAlgorithm) -> SoftModule:
@@ -158,27 +162,39 @@ def harden(module: SoftModule, action_space: "gym.Space[Any]", *, axis_aligned: 
     return module.harden(head)
 
 
-def save_soft(module: SoftModule, config: ModuleConfig, folder: Path) -> None:
-    """Write `soft.safetensors` (all parameters and buffers) and `soft.json` (what they belong to)."""
+def soft_files(module: SoftModule, shape: Shape) -> dict[str, bytes]:
+    """Return `soft.safetensors` (all parameters and buffers) and `soft.json` (what they belong to)."""
     tensors = {name: tensor.detach().contiguous() for name, tensor in module.state_dict().items()}
-    (folder / "soft.safetensors").write_bytes(safetensors_bytes(tensors))
-    kind = next(name for name, cls in _CONFIGS.items() if type(config) is cls)
-    about = {"schema": SCHEMA, "kind": kind, "n_inputs": module.n_inputs, "n_outputs": module.n_outputs}
-    write_json(folder / "soft.json", about | {"config": asdict(config)})
+    about = {"schema": SCHEMA, "kind": shape.kind, "n_inputs": module.n_inputs, "n_outputs": module.n_outputs}
+    text = json_text(about | {"options": shape.options})
+    return {"soft.safetensors": safetensors_bytes(tensors), "soft.json": text.encode()}
 
 
 def load_soft(folder: Path) -> SoftModule:
-    """Return the module that `save_soft` wrote; a truncated or foreign file is an error that names it."""
+    """Return the module of `soft_files`; a truncated or foreign file is an error that names it."""
     about = read_json(folder / "soft.json")
     try:
         if about["schema"] != SCHEMA:
             raise ValueError(f"schema {about['schema']!r} where {SCHEMA!r} was expected")
-        config = _CONFIGS[about["kind"]](**about["config"])
-        module = build_module(config, about["n_inputs"], about["n_outputs"])
+        module = build_module(Shape(about["kind"], about["options"]), about["n_inputs"], about["n_outputs"])
         module.load_state_dict(load_file(folder / "soft.safetensors"))
     except (OSError, SafetensorError, KeyError, TypeError, ValueError, RuntimeError, json.JSONDecodeError) as error:
         raise corrupt(folder / "soft.safetensors", error) from error
     return module
+
+
+@dataclass(frozen=True)
+class SoftPolicy:
+    """A soft tree as a policy: what Stable-Baselines3's own did deterministically."""
+
+    module: SoftModule
+    head: otr.Head
+
+    def predict(self, states: np.ndarray) -> np.ndarray:
+        """Return actions (n, a) or labels (n,) for states (n, d)."""
+        with torch.no_grad():
+            outputs = self.module(torch.as_tensor(states, dtype=torch.float32)).numpy().astype(np.float64)
+        return self.head(outputs)
 
 
 def _head(action_space: "gym.Space[Any]") -> otr.Head:

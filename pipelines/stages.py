@@ -15,7 +15,7 @@ from pipelines.oracle import oracle_settings, refer
 from pipelines.prune import VERSION as PRUNE_VERSION
 from pipelines.prune import prune, prune_settings
 from pipelines.stage import Stage
-from pipelines.training import TRAIN_VERSION, train_settings
+from pipelines.training import HARDEN_VERSION, TRAIN_VERSION, harden_settings, train_settings
 
 
 def _train(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
@@ -33,8 +33,14 @@ def _imitate(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     imitate(inputs, config, out)
 
 
+def _harden(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
+    from pipelines.harden import harden_actor  # imports torch
+
+    harden_actor(inputs, config, out)
+
+
 # What prune and evaluate read beside the tree: the policy that it stands for.
-POLICY_STAGES = {"map": ("train",), "imitate": ("oracle",)}
+POLICY_STAGES = {"map": ("train",), "imitate": ("oracle",), "harden": ("train",)}
 
 STAGES: dict[str, Stage] = {
     stage.name: stage
@@ -42,6 +48,7 @@ STAGES: dict[str, Stage] = {
         Stage("train", TRAIN_VERSION, (), train_settings, _train),
         Stage("oracle", ORACLE_VERSION, (), oracle_settings, refer),
         Stage("map", MAP_VERSION, ("train",), map_settings, map_actor),
+        Stage("harden", HARDEN_VERSION, ("train",), harden_settings, _harden),
         Stage("imitate", IMITATE_VERSION, ("oracle",), imitate_settings, _imitate),
     )
 }

@@ -28,7 +28,12 @@ def write_text(path: Path, text: str) -> None:
 
 def write_json(path: Path, value: Any) -> None:
     """Write JSON-able data, indented and with its keys in the order given, atomically."""
-    write_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
+    write_text(path, json_text(value))
+
+
+def json_text(value: Any) -> str:
+    """Return JSON-able data as the text of a file."""
+    return json.dumps(value, indent=2, allow_nan=False) + "\n"
 
 
 def read_json(path: Path) -> Any:
@@ -58,24 +63,32 @@ def read_csv(path: Path) -> list[dict[str, str]]:
         raise corrupt(path, error) from error
 
 
-def save_actor(network: otr.ReluNetwork, folder: Path) -> None:
-    """Write `actor.safetensors` (float64 weights and biases) and `actor.json` (slope, dense links, head)."""
+def actor_files(network: otr.ReluNetwork) -> dict[str, bytes]:
+    """Return `actor.safetensors` (float64 weights and biases) and `actor.json` (slope, dense links, head)."""
     tensors: dict[str, np.ndarray] = {}
     for layer, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
         tensors[f"weight_{layer}"] = np.ascontiguousarray(weight)
         tensors[f"bias_{layer}"] = np.ascontiguousarray(bias)
-    (folder / "actor.safetensors").write_bytes(safetensors_bytes(tensors))
-    write_json(
-        folder / "actor.json",
-        {
-            "schema": ACTOR_SCHEMA,
-            "n_layers": len(network.weights),
-            "hidden_widths": [int(width) for width in network.hidden_widths],
-            "negative_slope": network.negative_slope,
-            "dense": network.dense,
-            "head": network.head.to_dict(),
-        },
-    )
+    about = {
+        "schema": ACTOR_SCHEMA,
+        "n_layers": len(network.weights),
+        "hidden_widths": [int(width) for width in network.hidden_widths],
+        "negative_slope": network.negative_slope,
+        "dense": network.dense,
+        "head": network.head.to_dict(),
+    }
+    return {"actor.safetensors": safetensors_bytes(tensors), "actor.json": json_text(about).encode()}
+
+
+def save_actor(network: otr.ReluNetwork, folder: Path) -> None:
+    """Write the actor's files (`actor_files`)."""
+    write_files(actor_files(network), folder)
+
+
+def write_files(files: Mapping[str, bytes], folder: Path) -> None:
+    """Write files of these names and contents."""
+    for name, content in files.items():
+        (folder / name).write_bytes(content)
 
 
 def load_actor(folder: Path) -> otr.ReluNetwork:

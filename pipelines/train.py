@@ -1,4 +1,4 @@
-"""Stage train: a small ReLU actor by Stable-Baselines3, in segments, with the best of its evaluations kept.
+"""Stage train: a small ReLU actor, or a soft tree, by Stable-Baselines3, in segments, the best of its evaluations kept.
 
 A segment is the steps between two evaluations (PPO: rounded up to whole rollouts). It starts with new environments and
 random streams of its own, so what it does depends on the checkpoint before it alone: a killed and resumed run equals an
@@ -12,17 +12,22 @@ from typing import Any
 
 import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 import otr
 from pipelines.algorithms import build_env, build_model
 from pipelines.checkpoint import History, progress_row
 from pipelines.config import RunConfig
+from pipelines.methods import is_soft
 from pipelines.progress import TrainingProgress
 from pipelines.rollout import Rollout
 from pipelines.sb3_checkpoint import load_checkpoint, save_checkpoint
 from pipelines.seeding import stream_seed
-from pipelines.selection import compare_with_trained, diverged, play_selection_episodes
+from pipelines.selection import compare_with_trained, diverged, play_episodes, play_selection_episodes
+from pipelines.soft_policies import SoftSchedule, harden, schedule_of, shape_of, soft_files, soft_module
+from pipelines.store import actor_files
 from pipelines.tracking import open_tracker
 from pipelines.training import checkpoint_folder, segment_steps
 
@@ -68,7 +73,7 @@ def _train_segment(model: BaseAlgorithm, config: RunConfig, segment: int, progre
     model.set_env(build_env(config), force_reset=True)
     model.set_random_seed(stream_seed(config.seed, "train", segment))
     began = time.monotonic()
-    model.learn(n_steps, callback=progress.callback, log_interval=None, reset_num_timesteps=False)  # type: ignore[arg-type]
+    model.learn(n_steps, callback=_callbacks(config, progress), log_interval=None, reset_num_timesteps=False)  # type: ignore[arg-type]
     seconds = time.monotonic() - began
     assert model.env is not None
     returns = np.concatenate([*model.env.env_method("get_episode_rewards"), []])
@@ -77,12 +82,31 @@ def _train_segment(model: BaseAlgorithm, config: RunConfig, segment: int, progre
     return progress_row(model.num_timesteps, start, seconds, returns, lengths)
 
 
-def _evaluate(model: BaseAlgorithm, config: RunConfig) -> tuple[otr.ReluNetwork, Rollout]:
-    """Play the selection episodes with the exported network, and compare it with the model on every state visited."""
+def _callbacks(config: RunConfig, progress: TrainingProgress) -> CallbackList:
+    """Return what goes on beside the learning: the progress bar, and a soft tree's schedule."""
+    callbacks: list[BaseCallback] = [progress.callback] if progress.callback else []
+    if is_soft(config.method.name):
+        callbacks.append(SoftSchedule(schedule_of(config)))
+    return CallbackList(callbacks)
+
+
+def _evaluate(model: BaseAlgorithm, config: RunConfig) -> tuple[dict[str, bytes], Rollout]:
+    """Play the selection episodes with what the actor becomes, its network or its hard tree; return the actor's files.
+
+    A network is compared with the model on every state visited.
+    """
+    if is_soft(config.method.name):
+        assert isinstance(model, OnPolicyAlgorithm)
+        module = soft_module(model)
+        try:
+            tree = harden(module, model.action_space)
+        except otr.InvalidTreeError as error:
+            raise diverged(model.num_timesteps, error) from error
+        return soft_files(module, shape_of(config)), play_episodes(tree.predict, config)
     try:
         network = otr.from_sb3(model)
     except otr.InvalidNetworkError as error:
         raise diverged(model.num_timesteps, error) from error
     network, played = play_selection_episodes(network, config)
     compare_with_trained(network, lambda states: model.predict(states, deterministic=True)[0], played.states, config)
-    return network, played
+    return actor_files(network), played

@@ -9,15 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.config import OffPolicyConfig, PpoConfig, RunConfig, digest, settings
+from pipelines.config import OffPolicyConfig, OnPolicyConfig, RunConfig, digest, settings
 from pipelines.envs import make_env
+from pipelines.methods import is_soft
 from pipelines.store import read_json
 
 TRAIN_VERSION = 1
+HARDEN_VERSION = 1
 FLEET_VERSION = 1  # of the fleet trainer alone; part of its runs' settings
 
 # Environment steps per second on one core of a 2020s server, evaluations included, measured in training each.
-STEPS_PER_S = {"sac": 145.0, "td3": 240.0, "ddpg": 300.0, "ppo": 1_700.0}
+STEPS_PER_S = {"sac": 145.0, "td3": 240.0, "ddpg": 300.0, "ppo": 1_700.0, "trpo": 1_700.0, "ars": 10_000.0}
 FLEET_STEPS_PER_S = {"cpu": 400.0, "cuda": 40_000.0}  # the latter is a guess: not measured yet
 RANDOM_STEPS_PER_S = 5_000.0  # off-policy steps before learning starts
 
@@ -27,9 +29,16 @@ def train_settings(config: RunConfig) -> dict[str, Any]:
     everything = settings(config)
     env = {key: everything["env"][key] for key in ("id", "kwargs")}
     kept = {key: everything[key] for key in ("algo", "actor", "train", "seed")}
+    if is_soft(config.method.name):
+        kept["method"] = everything["method"]
     if config.fleet:
         kept["trainer"] = {**everything["trainer"], "version": FLEET_VERSION}
     return {"env": env, "hidden_widths": everything["depth"], **kept}
+
+
+def harden_settings(config: RunConfig) -> dict[str, Any]:
+    """Return what decides the hard tree, given the soft one."""
+    return {"env": config.env.id, "feature_names": config.env.feature_names, "action_names": config.env.action_names}
 
 
 def checkpoint_folder(config: RunConfig) -> Path:
@@ -47,7 +56,7 @@ def segment_steps(config: RunConfig) -> int:
     """Return the environment steps between two evaluations; PPO's are rounded up to whole rollouts,
     a fleet's to whole steps of its environments."""
     interval = min(config.train.eval_interval_steps, config.train.steps)
-    if isinstance(config.algo, PpoConfig):
+    if isinstance(config.algo, OnPolicyConfig):
         per_rollout = config.algo.n_steps * config.algo.n_envs
         return math.ceil(interval / per_rollout) * per_rollout
     if config.fleet:

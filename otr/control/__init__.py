@@ -16,6 +16,7 @@ _MODULES = {
     "DaggerSettings": "dagger",
     "Iterate": "dagger",
     "LinearModelTreeFit": "viper",
+    "NdpsImitator": "ndps",
     "NdpsSettings": "ndps",
     "Progress": "dagger",
     "RelaxedProgram": "pi_prl",

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import copy
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -12,11 +13,12 @@ from torch import Tensor
 from torch.nn import functional
 
 from otr.arrays import BoolArray, FloatArray, IntArray
+from otr.control.sampling import draw_rows
 from otr.control.soft_tree import SoftTree
 from otr.head import Argmax, ClipBox, Head
 from otr.tree import ObliqueTree
 
-__all__ = ["NdpsFit", "NdpsSettings", "fit_ndps"]
+__all__ = ["NdpsFit", "NdpsImitator", "NdpsSettings", "fit_ndps"]
 
 _MAX_ACTIVE_SETS = 20
 _MAX_LBFGS_STEPS = 60
@@ -103,6 +105,56 @@ def fit_ndps(
     _scale_leaves(module, problem.scale)
     _substitute(module, -centre / spread, 1.0 / spread)
     return NdpsFit(module.harden(head), module)
+
+
+@dataclass(frozen=True)
+class NdpsImitator:
+    """NDPS as the fit of a DAgger run: each round goes on from the soft tree of the round before.
+
+    The soft trees lie in `folder` under the number of rows that they were fitted to, so that a resumed run goes on from
+    the same one.
+
+    Attributes:
+        head: of the tree: `Argmax` for labels, else the box of the actions.
+        settings: of the first fit.
+        n_updates_next: updates of the fits after it.
+        max_samples: rows drawn for a fit, each as likely.
+        folder: of the soft trees.
+    """
+
+    head: Head
+    settings: NdpsSettings
+    n_updates_next: int
+    max_samples: int
+    folder: Path
+
+    def __call__(
+        self, X: FloatArray, answers: FloatArray, weights: FloatArray | None, generator: np.random.Generator
+    ) -> ObliqueTree:
+        """Return the tree for states X (n, d) and what `run_dagger` says of them."""
+        rows, counts = draw_rows(len(X), None, self.max_samples, generator)
+        n_outputs = answers.shape[1]
+        targets = answers[rows] if weights is None else answers[rows].argmax(axis=1)
+        start = self._before(len(X), X.shape[1], n_outputs)
+        settings = replace(self.settings, n_updates=self.n_updates_next) if start else self.settings
+        fit = fit_ndps(
+            np.asarray(X[rows]), targets, counts.astype(np.float64), generator,
+            head=self.head, n_outputs=n_outputs, settings=settings, start=start,
+        )  # fmt: skip
+        self.folder.mkdir(parents=True, exist_ok=True)
+        arrays = {name: tensor.numpy() for name, tensor in fit.module.state_dict().items()}
+        np.savez(self.folder / f"soft-{len(X):012d}.npz", **arrays)
+        return fit.tree
+
+    def _before(self, n_rows: int, n_inputs: int, n_outputs: int) -> SoftTree | None:
+        """Return the soft tree of the fit before one to `n_rows` rows; None for the first."""
+        earlier = [path for path in self.folder.glob("soft-*.npz") if int(path.stem.split("-")[1]) < n_rows]
+        if not earlier:
+            return None
+        module = SoftTree(n_inputs, n_outputs, self.settings.depth, affine_leaves=True).double()
+        with np.load(max(earlier), allow_pickle=False) as saved:
+            module.load_state_dict({name: torch.from_numpy(saved[name]) for name in saved})
+        return module
 
 
 @dataclass(frozen=True)

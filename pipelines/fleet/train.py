@@ -34,6 +34,7 @@ from pipelines.fleet.updates import Updates
 from pipelines.fleet.vector_env import Step, make_vector_env
 from pipelines.rollout import Rollout, available_cores
 from pipelines.selection import compare_with_trained, diverged, play_selection_episodes
+from pipelines.store import actor_files
 from pipelines.training import learning_starts, segment_steps
 
 torch.set_num_threads(1)  # two threads make these small networks a hundred times slower
@@ -117,7 +118,7 @@ def _segment(trainer: "FleetTrainer", play: PlayAll, progress: FleetProgress) ->
         share = trained_s / len(trainer.runs)
         returns, lengths = np.array(collected.returns[r]), np.array(collected.lengths[r])
         row = progress_row(collected.end, start, share, returns, lengths)
-        run.history.segment_done(row, network, episodes)
+        run.history.segment_done(row, actor_files(network), episodes)
         run.save()
         run.tracker.segment_done(row, run.history.evaluations[-1])
     progress.segment_done(trainer.runs, start, trained_s)

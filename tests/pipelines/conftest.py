@@ -27,7 +27,7 @@ PENDULUM = EnvConfig("pendulum", "pendulum", "Pendulum-v1", {}, ["cos_angle", "s
 LANDER = EnvConfig("lunarlander", "lunarlander", "LunarLander-v3")
 HOPPER = EnvConfig("hopper", "hopper", "Hopper-v4")
 SAC = SacConfig("sac", 1e-3, 32, 0.99, [16], 0.0, 1_000_000, 100, 0.005, 1, 1, "normal", 0.1, 0.01, "auto")
-PPO = PpoConfig("ppo", 3e-4, 32, 0.99, [16], 0.0, 2, 64, 2, 0.95, 0.2, 0.0, 0.5, 0.5)
+PPO = PpoConfig("ppo", 3e-4, 32, 0.99, [16], 0.0, 2, 64, 0.95, 2, 0.2, 0.0, 0.5, 0.5)
 
 
 @pytest.fixture

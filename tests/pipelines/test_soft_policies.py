@@ -13,41 +13,45 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import otr
-from pipelines.ars import ArsConfig, build_ars
+from pipelines.ars import build_ars
 from pipelines.checkpoint import History
+from pipelines.config import ArsConfig
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.sb3_checkpoint import load_checkpoint, save_checkpoint
 from pipelines.soft_policies import (
-    CdtConfig,
-    ModuleConfig,
-    PiPrlConfig,
     ScheduleConfig,
-    SdtConfig,
+    Shape,
     SoftActorCriticPolicy,
+    SoftPolicy,
     SoftSchedule,
     build_module,
     harden,
     load_soft,
-    save_soft,
+    soft_files,
     soft_module,
 )
+from pipelines.store import write_files
 from tests.control.test_soft_tree import clear_states
 
 torch.set_num_threads(1)
 
-ACTORS = [SdtConfig(2, affine_leaves=False), CdtConfig(1, 2, 2), PiPrlConfig(2, structure_penalty=0.25)]
+ACTORS = [
+    Shape("sdt", {"depth": 2, "affine_leaves": False}),
+    Shape("cdt", {"feature_depth": 1, "n_features": 2, "decision_depth": 2}),
+    Shape("pi_prl", {"depth": 2, "structure_penalty": 0.25}),
+]
 N_STEPS, N_ENVS = 32, 2
 ROLLOUT = N_STEPS * N_ENVS
 SCHEDULE = ScheduleConfig(4 * ROLLOUT, beta_first=1.0, beta_last=16.0, anneal_until=0.5, discretise_at=0.75)
 
-ids = pytest.mark.parametrize("actor", ACTORS, ids=lambda actor: type(actor).__name__)
+ids = pytest.mark.parametrize("actor", ACTORS, ids=lambda actor: actor.kind)
 
 
 def make_env(env_id: str, n_envs: int = N_ENVS) -> DummyVecEnv:
     return DummyVecEnv([lambda: Monitor(gym.make(env_id))] * n_envs)
 
 
-def make_model(actor: ModuleConfig, env_id: str = "CartPole-v1", algorithm: type = PPO) -> OnPolicyAlgorithm:
+def make_model(actor: Shape, env_id: str = "CartPole-v1", algorithm: type = PPO) -> OnPolicyAlgorithm:
     kwargs = {"actor": actor, "net_arch": {"pi": [], "vf": [8]}}
     return algorithm(
         SoftActorCriticPolicy,
@@ -74,7 +78,7 @@ def parameters(model: OnPolicyAlgorithm) -> dict[str, torch.Tensor]:
 
 @pytest.mark.parametrize("env_id", ["CartPole-v1", "Pendulum-v1"])
 @ids
-def test_a_resumed_run_is_the_run(tmp_path: Path, actor: ModuleConfig, env_id: str) -> None:
+def test_a_resumed_run_is_the_run(tmp_path: Path, actor: Shape, env_id: str) -> None:
     whole = make_model(actor, env_id)
     for segment in range(4):
         learn_segment(whole, env_id, segment)
@@ -119,18 +123,19 @@ def test_beta_grows_geometrically_up_to_its_end() -> None:
 @pytest.mark.parametrize("env_id", ["CartPole-v1", "Pendulum-v1"])
 @pytest.mark.parametrize("algorithm", [PPO, TRPO])
 @ids
-def test_the_hard_tree_is_the_policy_of_hard_tests(actor: ModuleConfig, algorithm: type, env_id: str) -> None:
+def test_the_hard_tree_is_the_policy_of_hard_tests(actor: Shape, algorithm: type, env_id: str) -> None:
     model = make_model(actor, env_id, algorithm)
     learn_segment(model, env_id, 0)
     module = soft_module(model)
     module.set_beta(1e6)
-    if isinstance(actor, PiPrlConfig):
+    if actor.kind == "pi_prl":
         module.discretise()
     tree = harden(module, model.action_space)
     X = clear_states(tree, 100, margin=1e-4).astype(np.float32)
     assert len(X) > 50
     expected = model.predict(X, deterministic=True)[0]
     np.testing.assert_allclose(tree.predict(X), expected, atol=1e-5)
+    np.testing.assert_allclose(SoftPolicy(module, tree.head).predict(X), expected, atol=1e-5)
     assert (tree.labels is not None) == (env_id == "CartPole-v1")
 
 
@@ -144,12 +149,12 @@ def test_axis_aligned_programs_are_refused() -> None:
 
 
 @ids
-def test_modules_survive_a_round_trip(tmp_path: Path, actor: ModuleConfig) -> None:
+def test_modules_survive_a_round_trip(tmp_path: Path, actor: Shape) -> None:
     module = build_module(actor, 4, 3)
     module.set_beta(7.0)
-    if isinstance(actor, PiPrlConfig):
+    if actor.kind == "pi_prl":
         module.discretise()
-    save_soft(module, actor, tmp_path)
+    write_files(soft_files(module, actor), tmp_path)
     again = load_soft(tmp_path)
     assert type(again) is type(module)
     for name, tensor in module.state_dict().items():
@@ -160,7 +165,7 @@ def test_modules_survive_a_round_trip(tmp_path: Path, actor: ModuleConfig) -> No
         load_soft(tmp_path)
 
 
-SEARCH = ArsConfig(n_delta=4, n_top=2, learning_rate=0.05, delta_std=0.1, with_bias=True)
+SEARCH = ArsConfig("ars", 0.05, n_delta=4, n_top=2, delta_std=0.1, with_bias=True)
 
 
 def search(model: ARS, seed: int, n_steps: int = 400) -> None:

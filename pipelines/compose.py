@@ -93,7 +93,7 @@ class Composer:
         path = CONF_DIR / self.folder / "column.yaml"
         if not path.is_file():
             return list(overrides)
-        columns = OmegaConf.load(path)
+        columns: dict[str, str] = {str(name): stands_for for name, stands_for in OmegaConf.load(path).items()}
         words: list[str] = []
         for word in overrides:
             name = word.removeprefix("column=")
@@ -105,7 +105,8 @@ class Composer:
     def sweep_parameters(self, overrides: list[str], multirun: bool) -> tuple[bool, list[str]]:
         """Return whether the words ask for a sweep, and the sweep parameters that an experiment brings.
 
-        What conf/experiment/<name>/<budget>.yaml has comes on top of the experiment's own, so that a budget may sweep less.
+        What conf/experiment/<name>/<budget>.yaml has comes on top of the experiment's own, so that a budget may sweep
+        less.
         """
         parsed = [parse(word) for word in overrides]
         single = [word for word, override in zip(overrides, parsed, strict=True) if not override.is_sweep_override()]

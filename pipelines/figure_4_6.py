@@ -122,7 +122,13 @@ def _summary(path: Path, run: RunConfig) -> dict[str, Any] | None:
         return None
     summary: dict[str, Any] = read_json(path)
     try:
-        found = [summary["schema"], summary["method"], summary["depth"], summary["seed"], summary["oracle"]["hidden_widths"]]
+        found = [
+            summary["schema"],
+            summary["method"],
+            summary["depth"],
+            summary["seed"],
+            summary["oracle"]["hidden_widths"],
+        ]
         expected = [SUMMARY_SCHEMA, run.method.name, run.depth, run.seed, list(run.oracle)]
         if found != expected:
             raise ValueError(f"it is of schema, method, depth, seed and oracle {found}, expected {expected}")

@@ -185,9 +185,7 @@ def _draw_panel(panel: Axes, rows: Sequence[FigurePoint], styles: dict[str, dict
     _dress(panel)
 
 
-def _draw_depths(
-    panel: Axes, points: Sequence[DepthPoint], styles: dict[str, dict[str, Any]], solved: float
-) -> None:
+def _draw_depths(panel: Axes, points: Sequence[DepthPoint], styles: dict[str, dict[str, Any]], solved: float) -> None:
     panel.axhline(solved, color=GREY, linestyle=DOTS, linewidth=1, zorder=1)
     means = [point.oracle_mean for point in points if point.oracle_mean is not None]
     if means:

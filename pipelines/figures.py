@@ -192,6 +192,8 @@ def _draw_depths(panel: Axes, points: Sequence[DepthPoint], styles: dict[str, di
         panel.axhline(means[0], color=INK, linestyle=DASHES, linewidth=1, zorder=1)
     for method, style in styles.items():
         own = sorted((point for point in points if point.method_label == method), key=lambda point: point.depth)
+        if not own:
+            continue
         depths, returns = [point.depth for point in own], [point.mean for point in own]
         if any(point.std is not None for point in own):
             low, high = ([point.mean + sign * (point.std or 0.0) for point in own] for sign in (-1, 1))

@@ -50,6 +50,8 @@ smoke: .venv/.installed  ## every environment, every control experiment and ever
 	    || exit 1; done
 	$(BIN)/otr-fit +experiment=smoke launcher=joblib results_dir=results/smoke
 	for table in 4.1 4.2; do $(BIN)/otr-tabulate table=$$table results_dir=results/smoke > /dev/null || exit 1; done
+	for figure in 4.6 4.7; do \
+	    $(BIN)/otr-tabulate figure=$$figure budget=smoke results_dir=results/smoke > /dev/null || exit 1; done
 
 bench: .venv/.installed  ## measure against numpy, torch and Stable-Baselines3; writes results/benchmarks
 	$(BIN)/python -m benchmarks $(ARGS)

@@ -18,6 +18,7 @@ from otr.network import ReluNetwork
 from otr.pattern_tree import PatternTree
 from otr.programs import draw_tree, save_picture, to_text
 from otr.pruning import prune_to_k, prune_unreached
+from otr.simplify import refit_tests
 from otr.tree import ObliqueTree
 
 __version__ = "0.1.0"
@@ -46,6 +47,7 @@ __all__ = [
     "map_network",
     "prune_to_k",
     "prune_unreached",
+    "refit_tests",
     "save",
     "save_picture",
     "to_text",

@@ -30,6 +30,7 @@ from pipelines import config as schemas
 from pipelines.compose import CONF_DIR, Composer, parse, readable, schema_of, to_object
 from pipelines.config import RunConfig, run_folder
 from pipelines.errors import ConfigError, PipelineError
+from pipelines.figure_runs import EXPERIMENT, FIGURES, RUNS_OF_FIGURE, budget_of_runs, check_figure
 from pipelines.fleet.groups import fleets
 from pipelines.help import HELP
 from pipelines.job import Job, record_failure
@@ -61,10 +62,12 @@ class TabulateConfig:
     """What `otr-tabulate` takes."""
 
     table: str
+    figure: str | None
     results_dir: str
     evaluate: bool
     n_workers: int | None
     debug: bool
+    budget: schemas.BudgetConfig | None = None
 
 
 @dataclass(frozen=True)
@@ -170,7 +173,7 @@ def _do(workflow: Workflow, arguments: argparse.Namespace) -> int:
         return 0
     if is_sweep:
         return _sweep(workflow, overrides)
-    (job,) = workflow.jobs([overrides])
+    (job,) = workflow.jobs(composer.expand(overrides, multirun=False))
     workflow.check(job.config)
     try:
         workflow.do(job)
@@ -304,11 +307,24 @@ def _tabulate(arguments: argparse.Namespace) -> int:
         for run_dir in sorted(path.parent for path in results_dir.glob("runs/*/*/depth-*/**/summary.json")):
             config = dataclasses.replace(_load_config(run_dir, cfg.n_workers), results_dir=cfg.results_dir)
             different += replay(config, run_dir)
-    for path in write_table(cfg.table, results_dir):
+    written = _write_figure(cfg) if cfg.figure else write_table(cfg.table, results_dir)
+    for path in written:
         print(path)
-        if path.suffix == ".md":
+        if path.suffix in (".md", ".txt"):
             print(f"\n{path.read_text(encoding='utf-8')}")
     return EXIT_FAILED if different else 0
+
+
+def _write_figure(cfg: TabulateConfig) -> list[Path]:
+    """Write a figure from the runs of its experiment under one budget."""
+    assert cfg.figure is not None
+    check_figure(cfg.figure)
+    budget = cfg.budget.name if cfg.budget else budget_of_runs(Path(cfg.results_dir))
+    own = [f"budget={budget}", f"results_dir={quoted(cfg.results_dir)}"]
+    # Both figures show runs of this experiment; the second one needs a part of them.
+    words = RUN.composer.expand([f"+experiment={EXPERIMENT}", *own, *RUNS_OF_FIGURE[cfg.figure]], multirun=False)
+    runs = [job.config for job in RUN.jobs(words)]
+    return FIGURES[cfg.figure](runs, Path(cfg.results_dir))
 
 
 def run_config(words: Sequence[str]) -> RunConfig:
@@ -458,7 +474,7 @@ FIT = Workflow(
     do_group=fit_jobs,
     check=lambda config: None,
 )
-TABULATE = Composer("tabulate", schemas={(None, "tabulate_schema"): TabulateConfig})
+TABULATE = Composer("tabulate", groups=("budget",), schemas={(None, "tabulate_schema"): TabulateConfig})
 
 
 def register_schemas() -> None:

@@ -84,12 +84,30 @@ class Composer:
         """Return the overrides of every job that the words ask for, as Hydra's sweeper would make them."""
         is_sweep, parameters = self.sweep_parameters(overrides, multirun)
         if not is_sweep:
-            return [overrides]
+            return [self._spelt_out(overrides)]
         parsed = [parse(word) for word in (*parameters, *overrides)]
-        return [list(job) for job in BasicSweeper.split_arguments(parsed, None)[0]]
+        return [self._spelt_out(job) for job in BasicSweeper.split_arguments(parsed, None)[0]]
+
+    def _spelt_out(self, overrides: Sequence[str]) -> list[str]:
+        """Return the words with `column=NAME` replaced by those that it stands for (conf/column.yaml)."""
+        path = CONF_DIR / self.folder / "column.yaml"
+        if not path.is_file():
+            return list(overrides)
+        columns: dict[str, str] = {str(name): stands_for for name, stands_for in OmegaConf.load(path).items()}
+        words: list[str] = []
+        for word in overrides:
+            name = word.removeprefix("column=")
+            if name != word and name not in columns:
+                raise ConfigError(f"{word}: there is no such column.{did_you_mean(name, list(columns))}")
+            words += [word] if name == word else columns[name].split()
+        return words
 
     def sweep_parameters(self, overrides: list[str], multirun: bool) -> tuple[bool, list[str]]:
-        """Return whether the words ask for a sweep, and the sweep parameters that an experiment brings."""
+        """Return whether the words ask for a sweep, and the sweep parameters that an experiment brings.
+
+        What conf/experiment/<name>/<budget>.yaml has comes on top of the experiment's own, so that a budget may sweep
+        less.
+        """
         parsed = [parse(word) for word in overrides]
         single = [word for word, override in zip(overrides, parsed, strict=True) if not override.is_sweep_override()]
         swept = [override.get_key_element() for override in parsed if override.is_sweep_override()]
@@ -100,13 +118,23 @@ class Composer:
         experiments = [word for word in single if word.lstrip("+").startswith("experiment=")]
         if not experiments:
             return multirun, []
-        for word in experiments:
-            self.check_option("experiment", word.split("=", 1)[1])
-        with self.hydra():
-            words = [*self._search_path(), f"{self.needs}={self.anything}", *experiments]
-            settings = compose(self.name, words, return_hydra_config=True).hydra
+        budgets = [word for word in single if word.startswith("budget=") and "budget" in self.groups]
+        for word in (*experiments, *budgets):
+            self.check_option(*word.lstrip("+").split("=", 1))
+        settings = self._settings_of_hydra([*budgets, *experiments])
+        name, budget = experiments[-1].split("=", 1)[1], settings.runtime.choices.get("budget")
+        if (CONF_DIR / self.folder / "experiment" / name / f"{budget}.yaml").is_file():
+            settings = self._settings_of_hydra([*budgets, *experiments, f"+experiment/{name}={budget}"])
         parameters = [f"{key}={value}" for key, value in (settings.sweeper.params or {}).items()]
         return multirun or str(settings.mode).endswith("MULTIRUN"), parameters
+
+    def _settings_of_hydra(self, overrides: Sequence[str]) -> DictConfig:
+        """Return Hydra's own settings under these words, for whatever environment or data set."""
+        with self.hydra():
+            words = [*self._search_path(), f"{self.needs}={self.anything}", *overrides]
+            settings = compose(self.name, words, return_hydra_config=True).hydra
+        assert isinstance(settings, DictConfig)
+        return settings
 
     def sweep_words(self, overrides: Sequence[str]) -> list[str]:
         """Return overrides for Hydra's own composition, where it launches a sweep."""

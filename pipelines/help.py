@@ -13,6 +13,8 @@ words:
   trainer=fleet         train a sweep's runs of SAC together, some three times as fast; sb3 (default) is the reference
   algo=td3              ppo, trpo, sac, td3, ddpg, ars (method=linear); by default the thesis's for the environment, and
                         ppo_tree for soft trees
+  column=viper          a column of Table 4.1, a method and its depth, for sweeps over both: linear viper lm_viper ndps
+                        pi_prl otr_6 otr_32
   stages=[map,prune]    only these stages; a missing input names the command that makes it
   results_dir=PATH      where artefacts go (default: results, or OTR_RESULTS_DIR)
   launcher=joblib       how a sweep's jobs run: basic (one by one), joblib, slurm, submitit_local, ray
@@ -32,7 +34,8 @@ examples:
   otr-run env=pendulum depth=6 budget=quick
   otr-run env=lunarlander method=augtree depth=3 "oracle=[256]" budget=quick
   otr-run -m env=hopper,swimmer depth=6,32 "seed=range(0,10)" launcher=joblib
-  otr-run +experiment=table_4_1""",
+  otr-run +experiment=table_4_1 column=viper,otr_6 env=hopper
+  otr-run +experiment=figure_4_6 budget=quick launcher=joblib""",
     "otr-plan": f"""\
 List what otr-run with the same words would do: run, resume or skip for every job, and the time that is left. With
 --jobs FILE also write the command of every job that is not done, one a line, for xargs or sbatch --array.
@@ -63,10 +66,14 @@ examples:
   otr-fit -m data=bace,hiv method=otr "seed=range(0,10)"
   otr-fit +experiment=table_4_2 launcher=joblib""",
     "otr-tabulate": """\
-Write a table of the thesis, ours beside the published numbers, as Markdown, CSV and LaTeX under results/tables.
+Write a table of the thesis, ours beside the published numbers, as Markdown, CSV and LaTeX under results/tables; or one
+of its figures from the runs of +experiment=figure_4_6, under results/figures.
 
 words:
   table=4.1             which table: 4.1 (control) or 4.2 (data)
+  figure=4.6            instead of a table: 4.6 (the lander's return against depth; PNG, SVG, CSV) or 4.7 (a policy
+                        of depth 2 as a program, before and after its tests are simplified)
+  budget=quick          whose runs a figure shows; by default the thesis's if there are any, else quick
   evaluate=true         play the evaluation episodes of every run again first, and compare
   results_dir=PATH      where the runs lie (default: results, or OTR_RESULTS_DIR)""",
 }

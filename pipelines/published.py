@@ -8,6 +8,8 @@ from importlib import resources
 # On discrete actions the tree goes on, below the hidden neurons' tests, with one test less than there are leaf actions
 # to compare: the thesis's "depth-five" lander policy has 2 hidden neurons and 4 - 1 = 3 of these.
 N_OUTPUT_TESTS = {"lunarlander": 3}
+FOR_MANY_DEPTHS = {("lunarlander", "cdt"): ("4", "5", "6")}  # one number for several depths, in a row without a depth
+OF_ONE_POLICY = {("lunarlander", "augtree"): "augtree-fig4.7-original"}  # its row in published.csv
 FROM_NETWORKS = ("otr", "linear")  # methods whose depth counts hidden neurons; the others' depth is the tree's own
 
 
@@ -31,6 +33,14 @@ def published() -> dict[tuple[str, str, str, str], Published]:
         )
         for row in csv.DictReader(text.splitlines())
     }
+
+
+def published_cell(table: str, task: str, method: str, depth: str) -> Published | None:
+    """Return what the thesis has for a cell, `depth` being its tree's; None where it has nothing."""
+    name = OF_ONE_POLICY.get((task, method), method)
+    if depth in FOR_MANY_DEPTHS.get((task, method), ()):
+        depth = ""
+    return published().get((table, task, name, depth))
 
 
 def tree_depth(task: str, method: str, depth: str) -> str:

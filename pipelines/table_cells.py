@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.published import Published, published, tree_depth
+from pipelines.published import FOR_MANY_DEPTHS, OF_ONE_POLICY, Published, published_cell, tree_depth
 from pipelines.store import corrupt, read_json
 
 SUMMARY_SCHEMA = "otr/summary/1"
@@ -20,11 +20,18 @@ TASKS = {"reacher": "Reacher", "walker2d": "Walker2d", "hopper": "Hopper", "half
          "swimmer": "Swimmer", "bipedalwalker": "BipedalWalker", "pendulum": "Pendulum",
          "mountaincar": "MountainCar", "lunarlander": "LunarLander"}  # fmt: skip
 METHODS = {"linear": "Linear", "viper": "VIPER", "lm-viper": "LM-VIPER", "ndps": "NDPS", "pi-prl": "π-PRL",
-           "otr": "OTR"}  # fmt: skip
+           "otr": "OTR", "augtree": "AugTree", "sdt": "SDT", "sdt-soft": "SDT, soft",
+           "sdt-discrete": "SDT, discretised", "cdt": "CDT", "cdt-soft": "CDT, soft",
+           "cdt-discrete": "CDT, discretised", "pi-prl-soft": "π-PRL, relaxed"}  # fmt: skip
+# Forms of a policy beside its tree that a summary may have, each a row beyond the table: the soft tree before it was
+# hardened, and what its authors' own discretisation makes of it.
+FORMS = {"soft": "soft", "discretised": "discrete"}
 TABLE_TASKS = tuple(TASKS)[:8]  # Table 4.1's rows and columns, in the thesis's order
 TABLE_COLUMNS = (("linear", "0"), ("viper", "6"), ("lm-viper", "6"), ("ndps", "6"), ("pi-prl", "6"), ("otr", "6"),
                  ("otr", "32"))  # fmt: skip
-TEXT_CELLS = (("mountaincar", "otr", "1"), ("lunarlander", "otr", "2"))  # what chapter 4 reports outside its tables
+TEXT_CELLS = (("mountaincar", "otr", "1"), ("lunarlander", "otr", "2"), ("lunarlander", "sdt-soft", "5"),
+              ("lunarlander", "sdt-discrete", "5"), ("lunarlander", "cdt", "5"),
+              ("lunarlander", "augtree", "2"))  # fmt: skip # what chapter 4 reports outside its tables
 BUDGET_ORDER = ("thesis", "thesis-fleet", "quick", "quick-fleet")
 N_RESAMPLES = 2000
 MIN_RUNS_FOR_CI = 3
@@ -95,8 +102,7 @@ def read_runs(results_dir: Path) -> dict[tuple[str, str, str], list[Run]]:
         budget = path.parent.parent.name
         if "~" in path.parent.name or budget.split("-")[0] == "smoke":
             continue
-        run = read_run(path)
-        if run is not None:
+        for run in read_forms(path):
             runs = found[run.task, run.method, run.depth]
             runs.setdefault((run.budget, run.trainer, run.seed), run)
     return {key: list(runs.values()) for key, runs in found.items()}
@@ -140,6 +146,33 @@ def read_run(path: Path) -> Run | None:
     return run if env == run.task else None
 
 
+def read_forms(path: Path) -> list[Run]:
+    """Return one run from its summary, and it once more for each of FORMS, as method `<method>-<form>`.
+
+    Raises:
+        PipelineError: as `read_run`.
+    """
+    run = read_run(path)
+    if run is None:
+        return []
+    runs = [run]
+    try:
+        for name, form in FORMS.items():
+            if (moments := read_json(path).get("policies", {}).get(name)) is not None:
+                value = _finite(moments["return_mean"], f"policies.{name}.return_mean")
+                n_episodes = int(moments["n_episodes"])
+                runs.append(
+                    replace(
+                        run, method=f"{run.method}-{form}", return_mean=value, n_episodes=n_episodes, pruned_depth=None
+                    )
+                )
+    except KeyError as error:
+        raise corrupt(path, ValueError(f"it has no {error}")) from error
+    except (AttributeError, TypeError, ValueError) as error:
+        raise corrupt(path, error) from error
+    return runs
+
+
 def _depth_text(depth: Any) -> str:
     widths = depth if isinstance(depth, list) else [depth]
     return "-".join(str(int(width)) for width in widths if int(width) > 0) or "0"
@@ -159,7 +192,7 @@ def make_cell(table: str, task: str, method: str, depth: str, runs: dict[tuple[s
     order = sorted(sources, key=source_order)
     chosen = tuple(sources[order[0]]) if order else ()
     key = (table, task, method, depth if table == "4.1" else tree_depth(task, method, depth))
-    cell = Cell(table, task, method, depth, chosen, published().get(key))
+    cell = Cell(table, task, method, depth, chosen, published_cell(*key))
     return replace(
         cell, notes=(*_notes(cell, key[-1]), *(f"also run: {runs_text(sources[other])}" for other in order[1:]))
     )
@@ -226,7 +259,11 @@ def _notes(cell: Cell, thesis_depth: str) -> Iterable[str]:
     """Yield what a reader of the cell should know; `thesis_depth` is how the thesis counts its tree's depth."""
     if not cell.runs:
         yield "not run"
-    if cell.published is not None and cell.depth != thesis_depth:
+    if cell.published is not None and (cell.task, cell.method) in FOR_MANY_DEPTHS:
+        yield "published for depths 4 to 6 as about 100, without saying whether soft or discretised"
+    elif cell.published is not None and (cell.task, cell.method) in OF_ONE_POLICY:
+        yield "published: the one policy of Figure 4.7"
+    elif cell.published is not None and cell.depth != thesis_depth:
         yield f"published as a tree of depth {thesis_depth}: {cell.depth} hidden neurons and the tests of the actions"
     if cell.pruned_depth is not None and (cell.table == "text" or cell.depth == "32"):
         theirs = cell.published.pruned_depth if cell.published else ""

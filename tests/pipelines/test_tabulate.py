@@ -107,7 +107,7 @@ def test_csv_has_the_thesis_rows_and_columns_in_order(tmp_path: Path) -> None:
     assert [(row["method"], row["depth"]) for row in rows[:7]] == [
         ("linear", "0"), ("viper", "6"), ("lm-viper", "6"), ("ndps", "6"), ("pi-prl", "6"), ("otr", "6"), ("otr", "32"),
     ]  # fmt: skip
-    assert len(rows) == 8 * 7 + 2
+    assert len(rows) == 8 * 7 + 6
     assert all((row["n_runs"], row["mean"], row["budget"], row["note"][:7]) == ("0", "", "", "not run") for row in rows)
     assert all((row["published_mean"] == "") == (row["method"] == "linear") for row in rows)
 
@@ -201,11 +201,39 @@ def test_runs_beyond_the_table_are_listed_against_the_text(tmp_path: Path) -> No
         ("hopper", "otr", "8-8", "70.0", "", ""),
         ("hopper", "otr", "12", "80.0", "", ""),
         ("mountaincar", "otr", "1", "93.0", "92.8", ""),
+        ("lunarlander", "augtree", "2", "", "249.1", ""),
+        ("lunarlander", "cdt", "5", "", "100", ""),
         ("lunarlander", "otr", "2", "240.0", "269.0", "16.6"),
         ("lunarlander", "otr", "5", "250.0", "", ""),
+        ("lunarlander", "sdt-discrete", "5", "", "-88.0", "20.4"),
+        ("lunarlander", "sdt-soft", "5", "", "97.8", "10.5"),
     ]
-    assert rows[3]["note"].startswith("published as a tree of depth 5")
+    assert rows[5]["note"].startswith("published as a tree of depth 5")
     assert markdown_lines(tmp_path, "MountainCar")[-1][:5] == ["MountainCar", "OTR", "1", "93.0 (1 run, quick)", "92.8"]
+
+
+def test_soft_and_discretised_values_stand_beside_the_tree(tmp_path: Path) -> None:
+    policies = {
+        "soft": {"return_mean": 90.0, "n_episodes": 100},
+        "discretised": {"return_mean": -80.0, "n_episodes": 50},
+    }
+    write_run(tmp_path, "lunarlander/sdt/depth-5/quick/seed-0", 30.0, policies=policies)
+    write_run(tmp_path, "lunarlander/cdt/depth-4/quick/seed-0", 40.0, policies={"soft": policies["soft"]})
+    write_run(tmp_path, "lunarlander/augtree/depth-2/quick/seed-0", 210.0)
+    cells = csv_cells(tmp_path)
+    columns = ("mean", "published_mean", "n_episodes")
+    assert {key[2:]: tuple(row[name] for name in columns) for key, row in cells.items() if key[1] == "lunarlander"} == {
+        ("augtree", "2"): ("210.0", "249.1", "100"),
+        ("cdt", "4"): ("40.0", "100", "100"),
+        ("cdt", "5"): ("", "100", ""),
+        ("cdt-soft", "4"): ("90.0", "", "100"),
+        ("otr", "2"): ("", "269.0", ""),
+        ("sdt", "5"): ("30.0", "", "100"),
+        ("sdt-discrete", "5"): ("-80.0", "-88.0", "50"),
+        ("sdt-soft", "5"): ("90.0", "97.8", "100"),
+    }
+    assert "Figure 4.7" in cells["text", "lunarlander", "augtree", "2"]["note"]
+    assert ["LunarLander", "SDT, soft", "5"] in [line[:3] for line in markdown_lines(tmp_path, "LunarLander")]
 
 
 # --- text ---------------------------------------------------------------------------------------------------------

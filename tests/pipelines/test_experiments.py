@@ -1,0 +1,76 @@
+"""The sweeps of Table 4.1 and Figure 4.6: which jobs they have, in which order, and what words change of them."""
+
+import pytest
+
+from pipelines.cli import RUN, register_schemas
+from pipelines.errors import ConfigError
+from tests.pipelines.conftest import otr_command
+
+
+def jobs(*words):
+    """Return the jobs' words as {key: value}."""
+    register_schemas()
+    return [dict(word.lstrip("+").split("=", 1) for word in own) for own in RUN.composer.expand([*words], False)]
+
+
+def test_figure_4_6_is_swept_by_its_budget():
+    thesis, quick, smoke = (jobs("+experiment=figure_4_6", f"budget={name}") for name in ("thesis", "quick", "smoke"))
+    assert [len(thesis), len(quick), len(smoke)] == [4 * 9 * 3 * 15, 2 * 6 * 3 * 3, 3]
+    assert jobs("+experiment=figure_4_6") == [
+        {key: value for key, value in own.items() if key != "budget"} for own in thesis
+    ]
+    assert list(dict.fromkeys(own["oracle"] for own in thesis)) == ["[32]", "[256]", "[64,64]", "[256,256]"]
+    assert list(dict.fromkeys(own["depth"] for own in quick)) == ["2", "3", "4", "6", "8", "10"]
+    assert {own["env"] for own in thesis} == {"lunarlander"}
+
+
+def test_two_workers_train_different_oracles():
+    first, second = jobs("+experiment=figure_4_6", "budget=quick")[:2]
+    assert (first["seed"], second["seed"]) == ("0", "1")
+    assert {key: value for key, value in first.items() if key != "seed"}.items() <= second.items()
+
+
+def test_a_list_gets_through_the_sweep_as_an_oracle():
+    register_schemas()
+    words = RUN.composer.expand(
+        ["+experiment=figure_4_6", "budget=quick", "method=viper", "depth=2", "seed=0", "oracle=[32],[8,8]"], False
+    )
+    runs = RUN.jobs(words)
+    assert [job.config.oracle for job in runs] == [[32], [8, 8]]
+    assert [job.oracle.folder for job in runs] == [
+        "runs/lunarlander/otr/depth-32/quick/seed-0", "runs/lunarlander/otr/depth-8-8/quick/seed-0",
+    ]  # fmt: skip
+    assert runs[0].config.algo.critic == [128, 128]
+
+
+def test_table_4_1_has_its_columns_and_no_others():
+    own = jobs("+experiment=table_4_1")
+    assert len(own) == 8 * 7 * 10
+    assert list(dict.fromkeys((job["method"], job["depth"]) for job in own)) == [
+        ("linear", "0"), ("viper", "6"), ("lm_viper", "6"), ("ndps", "6"), ("pi_prl", "6"), ("otr", "6"), ("otr", "32"),
+    ]  # fmt: skip
+    part = jobs("+experiment=table_4_1", "column=otr_32,pi_prl", "env=hopper", "seed=0")
+    assert [(job["method"], job["depth"], job["env"]) for job in part] == [
+        ("otr", "32", "hopper"),
+        ("pi_prl", "6", "hopper"),
+    ]
+    assert len(jobs("+experiment=table_4_1", "budget=smoke", "seed=0")) == 7
+
+
+def test_a_column_stands_for_its_words_without_an_experiment_too():
+    assert jobs("env=hopper", "column=viper") == [{"env": "hopper", "method": "viper", "depth": "6"}]
+
+
+def test_unknown_columns_and_budgets_are_refused():
+    with pytest.raises(ConfigError, match=r"column=vipr: there is no such column\. Did you mean viper"):
+        jobs("+experiment=table_4_1", "column=vipr")
+    with pytest.raises(ConfigError, match=r"budget=fast: there is no such budget"):
+        jobs("+experiment=figure_4_6", "budget=fast")
+
+
+def test_plan_of_the_figure(tmp_path):
+    words = ("+experiment=figure_4_6", "budget=quick", "method=augtree,viper", "depth=2")
+    done = otr_command("otr-plan", *words, cwd=tmp_path, COLUMNS="300")
+    assert "12 jobs: 0 to skip, 12 left" in done.stdout, done.stderr
+    assert done.stdout.count("train oracle lunarlander/otr/depth-32/quick/seed-") == 3
+    assert done.stdout.count("train oracle lunarlander/otr/depth-256/quick/seed-") == 3

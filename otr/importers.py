@@ -56,10 +56,10 @@ def from_sb3(
 ) -> ReluNetwork:
     """Return the deterministic actor of a Stable-Baselines3 model, or of sb3-contrib's TRPO and ARS.
 
-    SAC, TD3 and DDPG end in `TanhBox`, the others in `ClipBox` or, with discrete actions, `Argmax`; of ARS it is
-    `LinearPolicy` without squashed outputs that is read. Stable-Baselines3
-    computes in float32, so its answers differ from the network's by about 1e-7 of the action box. A model trained
-    under VecNormalize expects normalised states: `ReluNetwork.fold_input_normalisation` takes that in.
+    SAC, TD3 and DDPG end in `TanhBox`, the others in `ClipBox` or, with discrete actions, `Argmax`; DQN's actor is the
+    network of its action values, and of ARS `LinearPolicy` without squashed outputs is read. Stable-Baselines3 computes
+    in float32, so its answers differ from the network's by about 1e-7 of the action box. A model trained under
+    VecNormalize expects normalised states: `ReluNetwork.fold_input_normalisation` takes that in.
 
     From the path of a saved model, only tensors (torch's ``weights_only`` loading) and plain text are read, and no
     code in the file is run. That text prints the action box to eight decimals.
@@ -186,18 +186,19 @@ def _sb3_layers(model: Any) -> list[tuple[str, Any]]:
     """Return the (position, layer) pairs of a live model's deterministic actor."""
     from sb3_contrib import ARS, TRPO
     from sb3_contrib.ars.policies import ARSLinearPolicy
-    from stable_baselines3 import A2C, PPO, SAC, TD3
+    from stable_baselines3 import A2C, DQN, PPO, SAC, TD3
     from stable_baselines3.common.policies import ActorCriticPolicy
     from stable_baselines3.common.torch_layers import FlattenExtractor
+    from stable_baselines3.dqn.policies import DQNPolicy
     from stable_baselines3.sac.policies import SACPolicy
     from stable_baselines3.td3.policies import TD3Policy
 
-    if not isinstance(model, A2C | ARS | PPO | SAC | TD3 | TRPO):  # DDPG is a TD3
+    if not isinstance(model, A2C | ARS | DQN | PPO | SAC | TD3 | TRPO):  # DDPG is a TD3
         raise InvalidNetworkError(
-            f"expected a PPO, A2C, TRPO, ARS, SAC, TD3 or DDPG model or a path, got {type(model).__name__}"
+            f"expected a PPO, A2C, TRPO, ARS, DQN, SAC, TD3 or DDPG model or a path, got {type(model).__name__}"
         )
     policy: Any = model.policy
-    if type(policy) not in (ActorCriticPolicy, ARSLinearPolicy, SACPolicy, TD3Policy):
+    if type(policy) not in (ActorCriticPolicy, ARSLinearPolicy, DQNPolicy, SACPolicy, TD3Policy):
         expected = "LinearPolicy" if isinstance(model, ARS) else "MlpPolicy"
         raise InvalidNetworkError(f"the policy is a {type(policy).__name__}; train with '{expected}'")
     if type(policy) is ARSLinearPolicy and policy.squash_output:
@@ -207,6 +208,8 @@ def _sb3_layers(model: Any) -> list[tuple[str, Any]]:
     on_policy = type(policy) is ActorCriticPolicy
     if type(policy) is ARSLinearPolicy:
         extractor = policy.features_extractor
+    elif type(policy) is DQNPolicy:
+        extractor = policy.q_net.features_extractor
     else:
         extractor = policy.pi_features_extractor if on_policy else policy.actor.features_extractor
     is_vector = type(model.observation_space).__name__ == "Box" and len(model.observation_space.shape or ()) <= 2
@@ -219,6 +222,8 @@ def _sb3_layers(model: Any) -> list[tuple[str, Any]]:
         parts = {"mlp_extractor.policy_net": policy.mlp_extractor.policy_net, "action_net": policy.action_net}
     elif type(policy) is ARSLinearPolicy:
         parts = {"action_net": policy.action_net}
+    elif type(policy) is DQNPolicy:
+        parts = {"q_net.q_net": policy.q_net.q_net}
     elif type(policy) is SACPolicy:
         parts = {"actor.latent_pi": policy.actor.latent_pi, "actor.mu": policy.actor.mu}
     else:

@@ -31,7 +31,8 @@ _LEAKY_RELU = "<class 'torch.nn.modules.activation.LeakyReLU'>"
 _LEAKY_RELU_SLOPE = 0.01  # torch's default
 
 _ON_POLICY_PARTS = ("mlp_extractor.", "action_net.", "value_net.", "log_std")
-_OFF_POLICY_PARTS = ("actor.latent_pi.", "actor.mu.", "actor.log_std.", "actor_target.", "critic.", "critic_target.")
+_OFF_POLICY_PARTS = ("actor.latent_pi.", "actor.mu.", "actor.log_std.", "actor_target.", "critic.", "critic_target.",
+                     "q_net.q_net.", "q_net_target.")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -90,12 +91,12 @@ def _refuse_other_policies(tensors: dict[str, FloatArray], data: dict[str, Any],
     others = sorted(name for name in tensors if not name.startswith(parts))
     if others:
         raise InvalidNetworkError(
-            f"the policy has the tensor {others[0]!r}; only PPO, A2C, TRPO, SAC, TD3 and DDPG with "
+            f"the policy has the tensor {others[0]!r}; only PPO, A2C, TRPO, DQN, SAC, TD3 and DDPG with "
             "'MlpPolicy' and ARS with 'LinearPolicy', and no feature extractor with weights, can be mapped"
         )
     module = _readable(data, "policy_class").get("__module__", "")
     is_linear = tensors.keys() <= {"action_net.0.weight", "action_net.0.bias"}
-    expected = r"sb3_contrib\.ars\.policies" if is_linear else r"stable_baselines3\.(common|sac|td3)\.policies"
+    expected = r"sb3_contrib\.ars\.policies" if is_linear else r"stable_baselines3\.(common|dqn|sac|td3)\.policies"
     if is_linear and _readable(data, "policy_kwargs").get("squash_output"):
         raise InvalidNetworkError("the policy squashes its outputs; train with squash_output=False")
     if not re.fullmatch(expected, str(module)):
@@ -117,7 +118,8 @@ def _actor_layers(tensors: dict[str, FloatArray], on_policy: bool) -> tuple[list
         return [W], [tensors.get("action_net.0.bias", np.zeros(len(W)))]
     hidden, last = ("mlp_extractor.policy_net.", "action_net") if on_policy else ("actor.latent_pi.", "actor.mu")
     if not on_policy and "actor.mu.weight" not in tensors:
-        hidden, last = "actor.mu.", ""  # TD3 and DDPG hold all layers in one Sequential
+        # TD3, DDPG and DQN hold all layers in one Sequential.
+        hidden, last = "q_net.q_net." if "q_net.q_net.0.weight" in tensors else "actor.mu.", ""
     positions = sorted(
         int(match[1]) for name in tensors if (match := re.fullmatch(re.escape(hidden) + r"(\d+)\.weight", name))
     )

@@ -7,7 +7,7 @@ import gymnasium as gym
 import numpy as np
 import torch
 from sb3_contrib import TRPO
-from stable_baselines3 import DDPG, PPO, SAC, TD3
+from stable_baselines3 import DDPG, DQN, PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, OrnsteinUhlenbeckActionNoise
@@ -16,9 +16,10 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from pipelines.ars import build_ars
 from pipelines.config import (
     ArsConfig,
+    ContinuousConfig,
     DdpgConfig,
+    DqnConfig,
     GradientConfig,
-    OffPolicyConfig,
     OnPolicyConfig,
     PpoConfig,
     RunConfig,
@@ -57,9 +58,11 @@ def build_model(config: RunConfig, seed: int) -> BaseAlgorithm:
     }
     if isinstance(algo, OnPolicyConfig):
         return _on_policy_model(algo, common | {"n_steps": algo.n_steps, "gae_lambda": algo.gae_lambda})
+    if isinstance(algo, DqnConfig):
+        return _dqn_model(algo, common, config, single)
     if is_discrete(single):
         raise ConfigError(f"algo={algo.name} needs continuous actions; {config.env.id} has labels: use algo=ppo")
-    assert isinstance(algo, OffPolicyConfig)
+    assert isinstance(algo, ContinuousConfig)
     assert single.action_space.shape is not None
     return _off_policy_model(algo, common, config, int(np.prod(single.action_space.shape)))
 
@@ -84,6 +87,8 @@ def policy_kwargs(config: RunConfig) -> dict[str, Any]:
         "net_arch": {"pi": [] if is_tree else list(config.hidden_widths), critics: list(config.algo.critic)},
         "activation_fn": functools.partial(torch.nn.LeakyReLU, slope) if slope > 0.0 else torch.nn.ReLU,
     }
+    if isinstance(config.algo, DqnConfig):
+        kwargs["net_arch"] = list(config.hidden_widths)
     if is_tree:
         kwargs["actor"] = shape_of(config)
     if config.algo.weight_decay > 0.0:
@@ -113,8 +118,31 @@ def _on_policy_model(algo: OnPolicyConfig, common: dict[str, Any]) -> BaseAlgori
     )
 
 
+def _dqn_model(algo: DqnConfig, common: dict[str, Any], config: RunConfig, env: gym.Env) -> DQN:
+    if not is_discrete(env):
+        raise ConfigError(f"algo=dqn needs labels; {config.env.id} has continuous actions: use algo=sac")
+    model = DQN(
+        **common,
+        buffer_size=min(algo.buffer_size, config.train.steps + 1),
+        learning_starts=learning_starts(config),
+        tau=algo.tau,
+        train_freq=algo.train_freq,
+        gradient_steps=algo.gradient_steps,
+        target_update_interval=algo.target_update_interval,
+        max_grad_norm=algo.max_grad_norm,
+    )
+
+    def share_of_random_actions(progress_remaining: float) -> float:
+        # By the steps done: Stable-Baselines3's own measure of progress begins anew with each segment.
+        done = min(1.0, model.num_timesteps / (algo.exploration_fraction * config.train.steps))
+        return 1.0 + done * (algo.exploration_final_eps - 1.0)
+
+    model.exploration_schedule = share_of_random_actions
+    return model
+
+
 def _off_policy_model(
-    algo: OffPolicyConfig, common: dict[str, Any], config: RunConfig, n_actions: int
+    algo: ContinuousConfig, common: dict[str, Any], config: RunConfig, n_actions: int
 ) -> BaseAlgorithm:
     common |= {
         "buffer_size": min(algo.buffer_size, config.train.steps + 1),
@@ -138,7 +166,7 @@ def _off_policy_model(
     return DDPG(**common)
 
 
-def _action_noise(algo: OffPolicyConfig, n_actions: int) -> ActionNoise | None:
+def _action_noise(algo: ContinuousConfig, n_actions: int) -> ActionNoise | None:
     mean, std = np.zeros(n_actions), np.full(n_actions, algo.action_noise_std)
     if algo.action_noise == "normal":
         return NormalActionNoise(mean, std)

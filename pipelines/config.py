@@ -96,27 +96,49 @@ class TrpoConfig(OnPolicyConfig):
 
 @dataclass(frozen=True)
 class OffPolicyConfig(GradientConfig):
-    """What SAC, TD3 and DDPG share. `action_noise` is none, normal or ornstein_uhlenbeck."""
+    """What algorithms with a replay buffer share."""
 
     buffer_size: int
     learning_starts: int
     tau: float
     train_freq: int
     gradient_steps: int
+
+
+@dataclass(frozen=True)
+class DqnConfig(OffPolicyConfig):
+    """Deep Q-learning, for labels: the actor is the network of the action values, so `critic` stays empty.
+
+    Attributes:
+        target_update_interval: steps between updates of the target network.
+        exploration_fraction: of all steps, over which random actions become rarer.
+        exploration_final_eps: their share from then on.
+    """
+
+    target_update_interval: int
+    exploration_fraction: float
+    exploration_final_eps: float
+    max_grad_norm: float
+
+
+@dataclass(frozen=True)
+class ContinuousConfig(OffPolicyConfig):
+    """What SAC, TD3 and DDPG share. `action_noise` is none, normal or ornstein_uhlenbeck."""
+
     action_noise: str
     action_noise_std: float
     action_noise_dt: float
 
 
 @dataclass(frozen=True)
-class SacConfig(OffPolicyConfig):
+class SacConfig(ContinuousConfig):
     """Soft actor-critic. `ent_coef` is `auto`, or a number as a string for a fixed temperature."""
 
     ent_coef: str
 
 
 @dataclass(frozen=True)
-class Td3Config(OffPolicyConfig):
+class Td3Config(ContinuousConfig):
     """Twin delayed DDPG."""
 
     policy_delay: int
@@ -125,7 +147,7 @@ class Td3Config(OffPolicyConfig):
 
 
 @dataclass(frozen=True)
-class DdpgConfig(OffPolicyConfig):
+class DdpgConfig(ContinuousConfig):
     """Deep deterministic policy gradient."""
 
 
@@ -135,6 +157,7 @@ ALGORITHMS: dict[str, type[AlgoConfig]] = {
     "sac": SacConfig,
     "td3": Td3Config,
     "ddpg": DdpgConfig,
+    "dqn": DqnConfig,
     "ars": ArsConfig,
 }
 
@@ -562,6 +585,9 @@ RANGES: dict[str, tuple[float, float]] = {  # key: least and greatest value; key
     "algo.action_noise_std": (0, math.inf),
     "algo.action_noise_dt": (1e-12, math.inf),
     "algo.policy_delay": (1, math.inf),
+    "algo.target_update_interval": (1, math.inf),
+    "algo.exploration_fraction": (1e-6, 1),
+    "algo.exploration_final_eps": (0, 1),
     "algo.target_kl": (1e-12, math.inf),
     "algo.cg_max_steps": (1, math.inf),
     "algo.cg_damping": (0, math.inf),
@@ -610,7 +636,7 @@ def _check_numbers(config: RunConfig) -> None:
             raise ConfigError(f"{key}={value} is not between {least:g} and {greatest:g}")
     if isinstance(config.algo, GradientConfig) and any(width < 1 for width in config.algo.critic):
         raise ConfigError(f"algo.critic={config.algo.critic}: every layer needs at least 1 neuron")
-    if isinstance(config.algo, OffPolicyConfig) and config.algo.action_noise not in ACTION_NOISES:
+    if isinstance(config.algo, ContinuousConfig) and config.algo.action_noise not in ACTION_NOISES:
         raise ConfigError(f"algo.action_noise={config.algo.action_noise}: use one of {', '.join(ACTION_NOISES)}")
     if isinstance(config.algo, SacConfig) and not re.fullmatch(r"auto|[0-9.]+(e-?[0-9]+)?", config.algo.ent_coef):
         raise ConfigError(f"algo.ent_coef={config.algo.ent_coef}: use auto, or a number for a fixed temperature")

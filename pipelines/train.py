@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from stable_baselines3 import DQN
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from stable_baselines3.common.logger import Logger
@@ -72,6 +73,8 @@ def _train_segment(model: BaseAlgorithm, config: RunConfig, segment: int, progre
     model.set_logger(Logger(folder=None, output_formats=[]))  # its default leaves a temporary folder every segment
     model.set_env(build_env(config), force_reset=True)
     model.set_random_seed(stream_seed(config.seed, "train", segment))
+    if isinstance(model, DQN):  # its first action comes before its schedule is asked
+        model.exploration_rate = model.exploration_schedule(1.0)
     began = time.monotonic()
     model.learn(n_steps, callback=_callbacks(config, progress), log_interval=None, reset_num_timesteps=False)  # type: ignore[arg-type]
     seconds = time.monotonic() - began

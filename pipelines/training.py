@@ -19,7 +19,15 @@ HARDEN_VERSION = 1
 FLEET_VERSION = 1  # of the fleet trainer alone; part of its runs' settings
 
 # Environment steps per second on one core of a 2020s server, evaluations included, measured in training each.
-STEPS_PER_S = {"sac": 145.0, "td3": 240.0, "ddpg": 300.0, "ppo": 1_700.0, "trpo": 1_700.0, "ars": 10_000.0}
+STEPS_PER_S = {
+    "sac": 145.0,
+    "td3": 240.0,
+    "ddpg": 300.0,
+    "ppo": 1_700.0,
+    "trpo": 1_700.0,
+    "ars": 10_000.0,
+    "dqn": 900.0,
+}
 FLEET_STEPS_PER_S = {"cpu": 400.0, "cuda": 40_000.0}  # the latter is a guess: not measured yet
 RANDOM_STEPS_PER_S = 5_000.0  # off-policy steps before learning starts
 

@@ -148,3 +148,10 @@ def test_the_soft_tree_is_held_against_as_many_parameters(n_hidden_layers):
     for n_parameters in (2_871, 16_100):
         network = control.relu_network(27, 8, n_hidden_layers, n_parameters)
         assert control.n_parameters_of(network) == pytest.approx(n_parameters, rel=0.01)
+
+
+@pytest.mark.skipif(not control.ORACLE.is_dir(), reason="the runs of the lander are not there")
+def test_runs_of_dagger_are_timed():
+    entries = {entry.name.split(":")[0]: entry for entry in control._dagger_runs(quick=True) if entry.target}
+    assert list(entries) == ["AugTree, lander, depth 3", "VIPER, lander, depth 3"]
+    assert all(0.0 < entry.value < 180.0 for entry in entries.values())

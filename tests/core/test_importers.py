@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
-from sb3_contrib import ARS, TRPO
+from sb3_contrib import ARS, QRDQN, TRPO
 from sklearn.neural_network import MLPClassifier, MLPRegressor
 from stable_baselines3 import A2C, DDPG, DQN, PPO, SAC, TD3
 from torch import nn
@@ -97,6 +97,18 @@ def test_discrete_actors(tmp_path: Path, env: object, widths: list[int]) -> None
         assert_predicts_as(model, network)
 
 
+@pytest.mark.parametrize("widths", [[], [6], [5, 4]])
+def test_action_values(tmp_path: Path, widths: list[int]) -> None:
+    model = DQN("MlpPolicy", FourActions(), buffer_size=10, policy_kwargs={"net_arch": widths}, seed=0, device="cpu")
+    model.save(tmp_path / "model")
+    for network in (otr.from_sb3(model), otr.from_sb3(tmp_path / "model")):
+        assert network.hidden_widths == tuple(widths) and isinstance(network.head, otr.Argmax)
+        assert_predicts_as(model, network)
+        X = np.random.default_rng(1).normal(size=(20, 3)).astype(np.float32)
+        with torch.no_grad():
+            np.testing.assert_allclose(network.forward(X), model.q_net(torch.from_numpy(X)).numpy(), atol=1e-6)
+
+
 def test_leaky_relu(tmp_path: Path) -> None:
     model = build(SAC, "Pendulum-v1", {"qf": [8]}, [6, 5], nn.LeakyReLU)
     model.save(tmp_path / "model")
@@ -126,7 +138,7 @@ def test_policies_that_are_no_relu_network_are_refused(tmp_path: Path) -> None:
         (build(SAC, "Pendulum-v1", qf, [4], use_sde=True), "gSDE"),
         (build(PPO, TwoDiscrete(), pi, [4]), "only Box and Discrete"),
         (PPO("CnnPolicy", Image(), device="cpu"), "CnnPolicy|feature extractor"),
-        (DQN("MlpPolicy", "CartPole-v1", buffer_size=10, device="cpu"), "DQN|tensor"),
+        (QRDQN("MlpPolicy", "CartPole-v1", buffer_size=10, device="cpu"), "QRDQN|tensor"),
     ]
     for model, message in refused:
         with pytest.raises(otr.InvalidNetworkError, match=message):

@@ -12,7 +12,7 @@ import otr
 from pipelines import sb3_checkpoint as checkpoint_module
 from pipelines import train as train_module
 from pipelines.algorithms import build_model
-from pipelines.config import ActorConfig, DdpgConfig, Td3Config, TrainConfig
+from pipelines.config import ActorConfig, DdpgConfig, DqnConfig, Td3Config, TrainConfig
 from pipelines.errors import ConfigError, PipelineError, PolicyMismatchError
 from pipelines.rollout import rollout
 from pipelines.seeding import episode_seeds
@@ -21,12 +21,14 @@ from pipelines.stage import run_stage
 from pipelines.stages import STAGES
 from pipelines.store import load_actor, read_csv
 from pipelines.training import estimated_bytes, segment_steps, train_settings, trained_steps
-from tests.pipelines.conftest import HOPPER, LANDER, PPO, SAC
+from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM, PPO, SAC
 
 DDPG = DdpgConfig("ddpg", 1e-3, 32, 0.99, [16], 0.0, 150, 50, 0.005, 1, 1, "ornstein_uhlenbeck", 0.5, 0.3)
 TD3 = Td3Config("td3", 1e-3, 32, 0.99, [16], 0.0, 1000, 50, 0.005, 1, 1, "normal", 0.1, 0.01, 2, 0.2, 0.5)
 SMALL_BUFFER_SAC = dataclasses.replace(SAC, buffer_size=150)  # wraps round within 300 steps
-ALGORITHMS = {"sac": SMALL_BUFFER_SAC, "ddpg": DDPG, "td3": TD3, "ppo": PPO}
+# Random for a while, with a target network that is replaced within a segment.
+DQN = DqnConfig("dqn", 1e-3, 32, 0.99, [], 0.0, 1000, 20, 1.0, 4, 2, 70, 0.5, 0.1, 10.0)
+ALGORITHMS = {"dqn": DQN, "sac": SMALL_BUFFER_SAC, "ddpg": DDPG, "td3": TD3, "ppo": PPO}
 
 
 def train_until_killed(config, out, where):
@@ -61,12 +63,14 @@ def train_until_killed(config, out, where):
         ("sac", "between replay and model"),
         ("ddpg", "after saving"),
         ("td3", "between replay and model"),
+        ("dqn", "after saving"),
         ("ppo", "before saving"),
         ("ppo", "after saving"),
     ],
 )
 def test_killed_and_resumed_equals_uninterrupted(tiny, tmp_path, algorithm, where):
-    alone = tiny(algo=ALGORITHMS[algorithm], results_dir=str(tmp_path / "alone"))
+    env = LANDER if algorithm == "dqn" else PENDULUM
+    alone = tiny(env=env, algo=ALGORITHMS[algorithm], results_dir=str(tmp_path / "alone"))
     killed = dataclasses.replace(alone, results_dir=str(tmp_path / "killed"))
     outs = [tmp_path / "out-alone", tmp_path / "out-killed"]
     for out in outs:

@@ -18,7 +18,7 @@ from pipelines.rollout import rollout
 from pipelines.store import read_csv
 from tests.pipelines.conftest import LANDER, PPO, otr_command
 
-AUGTREE = AugTreeConfig("augtree", "all", "constant", 4, False, 100, 1)
+AUGTREE = AugTreeConfig("augtree", "all", "constant", 4, False, "entropy", 100, 1)
 QUICK = BudgetConfig("quick", {"lunarlander": 300}, 100, 2, 2, 3, 100)
 
 

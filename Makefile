@@ -57,7 +57,7 @@ bench: .venv/.installed  ## measure against numpy, torch and Stable-Baselines3; 
 	$(BIN)/python -m benchmarks $(ARGS)
 
 # EVALUATE=1 plays the episodes of the committed policies again and compares; TRAIN=1 trains everything from nothing.
-reproduce-table: .venv/.installed  ## the thesis's tables from the runs under results (EVALUATE=1, TRAIN=1)
+reproduce-table: .venv/.installed  ## the thesis's tables and figures from the runs under results (EVALUATE=1, TRAIN=1)
 ifdef TRAIN
 	$(BIN)/otr-fit +experiment=table_4_2 launcher=joblib results_dir=results/local
 	$(BIN)/otr-fit +experiment=sparse results_dir=results/local
@@ -66,6 +66,8 @@ ifdef TRAIN
 	$(BIN)/otr-tabulate table=4.1 results_dir=results/local
 else
 	$(BIN)/otr-tabulate table=4.2
+	$(BIN)/otr-tabulate figure=4.6
+	$(BIN)/otr-tabulate figure=4.7
 	$(BIN)/otr-tabulate table=4.1 $(if $(EVALUATE),evaluate=true) $(ARGS)
 endif
 

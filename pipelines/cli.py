@@ -357,10 +357,13 @@ def _run_job(cfg: DictConfig, overrides: Sequence[str]) -> RunJob:
 
 def _implied(overrides: Sequence[str]) -> list[str]:
     """Return what the words imply: the algorithm of soft trees, where they name none (an environment may have one of
-    its own), and the steps of these and of augmented random search."""
+    its own), and how long these and augmented random search learn, and how long at a time."""
     given = dict(word.split("=", 1) for word in overrides if "=" in word)
     soft = given.get("method") in METHODS and is_soft(given["method"])
-    implied = ['train.steps="${budget.on_policy_steps.${env.task}}"'] if soft or given.get("algo") == "ars" else []
+    implied = []
+    if soft or given.get("algo") == "ars":
+        implied.append('train.steps="${budget.on_policy_steps.${env.task}}"')
+        implied.append('train.eval_interval_steps="${budget.on_policy_interval_steps}"')
     if soft and "algo" not in given:
         own = f"ppo_tree_{given.get('env', '')}"
         implied.append(f"algo={own if (CONF_DIR / 'algo' / f'{own}.yaml').is_file() else 'ppo_tree'}")

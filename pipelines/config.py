@@ -183,6 +183,8 @@ class BudgetConfig:
     Attributes:
         steps: environment steps per task.
         on_policy_steps: the same for soft trees and augmented random search, whose steps are cheaper and teach less.
+        on_policy_interval_steps: between their evaluations. Each begins with new episodes, in several environments at
+            once: on the lander, a program that was cut off every 768 steps learnt to hover and never to land.
     """
 
     name: str
@@ -196,6 +198,7 @@ class BudgetConfig:
     n_round_episodes: int = 25
     n_choice_episodes: int = 100
     on_policy_steps: dict[str, int] = field(default_factory=dict)
+    on_policy_interval_steps: int = 25_000
 
 
 @dataclass(frozen=True)

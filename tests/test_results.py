@@ -10,6 +10,7 @@ from pipelines.oracle import load_oracle
 from pipelines.stage import verified_manifest
 from pipelines.store import read_csv
 from pipelines.tabulate import write_table
+from tests.pipelines.conftest import otr_command
 
 RESULTS = Path(__file__).parent.parent / "results"
 SUMMARIES = sorted((RESULTS / "runs").glob("*/*/depth-*/**/summary.json"))
@@ -21,6 +22,15 @@ def test_committed_tables_are_those_of_the_committed_runs(table, tmp_path):
     (tmp_path / "runs").symlink_to(RESULTS / "runs")
     for path in write_table(table, tmp_path)[:3]:  # figures differ with fonts
         assert path.read_bytes() == (RESULTS / "tables" / path.name).read_bytes(), f"run otr-tabulate: {path.name}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("figure", "file"), [("4.6", "figure_4_6.csv"), ("4.7", "figure_4_7.txt")])
+def test_committed_figures_are_those_of_the_committed_runs(figure, file, tmp_path):
+    (tmp_path / "runs").symlink_to(RESULTS / "runs")
+    done = otr_command("otr-tabulate", f"figure={figure}", f"results_dir={tmp_path}", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "figures" / file).read_text() == (RESULTS / "figures" / file).read_text()
 
 
 @pytest.mark.parametrize("summary", SUMMARIES, ids=lambda path: "-".join(path.parts[-6:-1]))

@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from pipelines.cli import run_config
 from pipelines.config import PiPrlConfig, SdtConfig
 from pipelines.errors import ConfigError
 from tests.pipelines.conftest import PPO, otr_command
@@ -62,3 +63,26 @@ def test_what_is_refused(tiny, changes, words):
 def test_cascading_trees_have_two_depths(tmp_path):
     done = otr_command("otr-run", "env=pendulum", "method=cdt", "depth=3", "budget=smoke", cwd=tmp_path)
     assert done.returncode == 2 and "give both depths, as depth=[3,3]" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "algo", "gamma", "steps", "interval"),
+    [
+        (("env=lunarlander", "method=sdt", "depth=5"), "ppo", 0.999, 1_000_000, 25_000),
+        (("env=hopper_v5", "method=pi_prl", "depth=6"), "ppo", 0.99, 500_000, 25_000),
+        (("env=pendulum", "method=pi_prl", "depth=6", "algo=trpo_tree"), "trpo", 0.95, 300_000, 25_000),
+        (("env=pendulum", "method=cdt", "depth=[3,3]", "train.steps=7"), "ppo", 0.9, 7, 25_000),
+        (("env=pendulum", "method=otr"), "sac", 0.99, 30_000, 5_000),
+    ],
+)
+def test_soft_trees_bring_their_algorithm_and_steps(words, algo, gamma, steps, interval):
+    config = run_config([*words, "budget=quick"])
+    assert (config.algo.name, config.algo.gamma) == (algo, gamma)
+    assert (config.train.steps, config.train.eval_interval_steps) == (steps, interval)
+
+
+def test_random_search_lies_beside_the_gradient(tiny):
+    config = run_config(["env=pendulum", "method=linear", "depth=0", "algo=ars", "budget=quick"])
+    assert config.budget_level == "quick-ars" and config.train.steps == 300_000
+    with pytest.raises(ConfigError, match="algo=ars searches linear policies"):
+        run_config(["env=pendulum", "depth=3", "algo=ars", "budget=quick"])

@@ -183,8 +183,8 @@ class BudgetConfig:
     Attributes:
         steps: environment steps per task.
         on_policy_steps: the same for soft trees and augmented random search, whose steps are cheaper and teach less.
-        on_policy_interval_steps: between their evaluations. Each begins with new episodes, in several environments at
-            once: on the lander, a program that was cut off every 768 steps learnt to hover and never to land.
+        on_policy_interval_steps: between their evaluations. Training goes on with new episodes after each, in several
+            environments at once, so there have to be enough steps for whole episodes.
     """
 
     name: str

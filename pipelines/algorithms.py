@@ -46,6 +46,8 @@ def build_model(config: RunConfig, seed: int) -> BaseAlgorithm:
     if isinstance(algo, ArsConfig):
         return build_ars(env, algo, seed)
     assert isinstance(algo, GradientConfig)
+    if isinstance(algo, PpoConfig) and algo.use_sde and is_discrete(single):
+        raise ConfigError(f"algo.use_sde needs continuous actions; {config.env.id} has labels")
     common: dict[str, Any] = {
         "policy": SoftActorCriticPolicy if is_soft(config.method.name) else "MlpPolicy",
         "env": env,
@@ -115,6 +117,8 @@ def _on_policy_model(algo: OnPolicyConfig, common: dict[str, Any]) -> BaseAlgori
         ent_coef=algo.ent_coef,
         vf_coef=algo.vf_coef,
         max_grad_norm=algo.max_grad_norm,
+        use_sde=algo.use_sde,
+        sde_sample_freq=algo.sde_sample_freq,
     )
 
 

@@ -75,13 +75,20 @@ class OnPolicyConfig(GradientConfig):
 
 @dataclass(frozen=True)
 class PpoConfig(OnPolicyConfig):
-    """Proximal policy optimisation, under Stable-Baselines3's names."""
+    """Proximal policy optimisation, under Stable-Baselines3's names.
+
+    Attributes:
+        use_sde: explore by a linear function of the state that is drawn anew every `sde_sample_freq` steps (-1: every
+            rollout), instead of by noise drawn at every step; for continuous actions.
+    """
 
     n_epochs: int
     clip_range: float
     ent_coef: float
     vf_coef: float
     max_grad_norm: float
+    use_sde: bool = False
+    sde_sample_freq: int = -1
 
 
 @dataclass(frozen=True)
@@ -451,7 +458,11 @@ class RunConfig:
 
 
 # Settings younger than committed results, with the value that means "as before": keyed only where they differ from it.
-YOUNGER_SETTINGS = {("actor", "rescale_inputs"): False}
+YOUNGER_SETTINGS: dict[tuple[str, str], Any] = {
+    ("actor", "rescale_inputs"): False,
+    ("algo", "use_sde"): False,
+    ("algo", "sde_sample_freq"): -1,
+}
 
 EXECUTION_FIELDS = ("results_dir", "stages", "n_workers", "side_by_side", "debug", "tracking", "folder", "oracle_run")
 IMITATION_FIELDS = ("oracle", "imitate")  # of no concern to methods without an oracle
@@ -484,7 +495,7 @@ def settings(config: RunConfig) -> dict[str, Any]:
     if config.fleet:
         plain["trainer"] = {key: value for key, value in trainer.items() if key not in FLEET_EXECUTION_FIELDS}
     for (section, name), as_before in YOUNGER_SETTINGS.items():
-        if plain[section][name] == as_before:
+        if plain[section].get(name, ...) == as_before:
             del plain[section][name]
     return plain
 
@@ -580,6 +591,7 @@ RANGES: dict[str, tuple[float, float]] = {  # key: least and greatest value; key
     "algo.clip_range": (1e-6, 10),
     "algo.vf_coef": (0, math.inf),
     "algo.max_grad_norm": (1e-12, math.inf),
+    "algo.sde_sample_freq": (-1, math.inf),
     "algo.buffer_size": (1, math.inf),
     "algo.learning_starts": (0, math.inf),
     "algo.tau": (1e-12, 1),

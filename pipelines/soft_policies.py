@@ -6,6 +6,7 @@ start of each rollout by the steps done so far alone, so that a resumed run is b
 interrupted.
 """
 
+import copy
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 from safetensors.torch import save as safetensors_bytes
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.distributions import StateDependentNoiseDistribution
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
 from torch import nn
@@ -28,6 +30,7 @@ from otr.control.cdt import CascadingTree
 from otr.control.pi_prl import RelaxedProgram
 from otr.control.soft_tree import SoftTree
 from pipelines.config import CdtConfig, PiPrlConfig, RunConfig, SdtConfig, SoftConfig
+from pipelines.envs import state_box
 from pipelines.errors import ConfigError
 from pipelines.store import corrupt, json_text, read_json
 
@@ -131,9 +134,12 @@ class SoftActorCriticPolicy(ActorCriticPolicy):
 
     def _build(self, lr_schedule: Callable[[float], float]) -> None:
         super()._build(lr_schedule)
-        n_outputs = cast(nn.Linear, self.action_net).out_features
-        self.mlp_extractor.policy_net = cast(nn.Sequential, build_module(self._shape, self.features_dim, n_outputs))
-        self.action_net = nn.Identity()
+        # The extractor hands the states on as they are, so that noise may depend on them (use_sde).
+        if isinstance(self.action_dist, StateDependentNoiseDistribution):
+            n_outputs = self.action_dist.action_dim
+        else:
+            n_outputs = cast(nn.Linear, self.action_net).out_features
+        self.action_net = build_module(self._shape, self.features_dim, n_outputs)
         optimizer_class: Any = self.optimizer_class
         self.optimizer = optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
 
@@ -145,7 +151,16 @@ def build_module(shape: Shape, n_inputs: int, n_outputs: int) -> SoftModule:
 
 def soft_module(model: OnPolicyAlgorithm) -> SoftModule:
     """Return the actor of a model whose policy is a `SoftActorCriticPolicy`."""
-    return cast(SoftModule, model.policy.mlp_extractor.policy_net)
+    return cast(SoftModule, model.policy.action_net)
+
+
+def exported_module(model: OnPolicyAlgorithm, config: RunConfig) -> SoftModule:
+    """Return a copy of a model's actor that reads the environment's own states, where training rescales them too."""
+    module = copy.deepcopy(soft_module(model))
+    if config.actor.rescale_inputs:
+        middle, half_width = state_box(config.env)
+        module.substitute(-middle / half_width, 1.0 / half_width)
+    return module.float()
 
 
 def harden(module: SoftModule, action_space: "gym.Space[Any]", *, axis_aligned: bool = False) -> otr.ObliqueTree:

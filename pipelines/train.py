@@ -27,7 +27,7 @@ from pipelines.rollout import Rollout
 from pipelines.sb3_checkpoint import load_checkpoint, save_checkpoint
 from pipelines.seeding import stream_seed
 from pipelines.selection import compare_with_trained, diverged, play_episodes, play_selection_episodes
-from pipelines.soft_policies import SoftSchedule, harden, schedule_of, shape_of, soft_files, soft_module
+from pipelines.soft_policies import SoftSchedule, exported_module, harden, schedule_of, shape_of, soft_files
 from pipelines.store import actor_files
 from pipelines.tracking import open_tracker
 from pipelines.training import checkpoint_folder, segment_steps
@@ -100,7 +100,7 @@ def _evaluate(model: BaseAlgorithm, config: RunConfig) -> tuple[dict[str, bytes]
     """
     if is_soft(config.method.name):
         assert isinstance(model, OnPolicyAlgorithm)
-        module = soft_module(model)
+        module = exported_module(model, config)
         try:
             tree = harden(module, model.action_space)
         except otr.InvalidTreeError as error:

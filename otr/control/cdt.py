@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from otr.arrays import FloatArray
 from otr.control.graft import graft
 from otr.control.soft_tree import SoftTree
 from otr.head import Head
@@ -58,6 +59,11 @@ class CascadingTree(nn.Module):
         """Make the tests of both trees harder or softer."""
         self.features.set_beta(beta)
         self.decisions.set_beta(beta)
+
+    def substitute(self, shift: FloatArray, scale: FloatArray) -> None:
+        """Rewrite this cascade of x as the one of u, where x = shift + scale u, both (d,), with float64 parameters."""
+        self.double()
+        self.features.substitute(shift, scale)
 
     def forward(self, X: Tensor) -> Tensor:
         """Return the outputs (n, o) for states X (n, d)."""

@@ -21,7 +21,7 @@ from otr.tree import ObliqueTree
 __all__ = ["NdpsFit", "NdpsImitator", "NdpsSettings", "fit_ndps"]
 
 _MAX_ACTIVE_SETS = 20
-_MAX_LBFGS_STEPS = 60
+_MAX_LBFGS_STEPS = 25
 
 
 @dataclass(frozen=True)
@@ -97,13 +97,13 @@ def fit_ndps(
         module = SoftTree(X.shape[1], n_outputs, settings.depth, affine_leaves=True, generator=torch_generator)
     else:
         module = copy.deepcopy(start)
-        _substitute(module, centre, spread)
+        module.substitute(centre, spread)
         _scale_leaves(module, 1.0 / problem.scale)
     _fit_softly(module.float(), problem, settings, torch_generator)
     module.double()
     _refit_leaves(module, problem, settings.ridge)
     _scale_leaves(module, problem.scale)
-    _substitute(module, -centre / spread, 1.0 / spread)
+    module.substitute(-centre / spread, 1.0 / spread)
     return NdpsFit(module.harden(head), module)
 
 
@@ -279,16 +279,6 @@ def _refit_logits(module: SoftTree, X1: FloatArray, leaves: IntArray, problem: _
         return total
 
     optimizer.step(loss)  # type: ignore[no-untyped-call]
-
-
-@torch.no_grad()
-def _substitute(module: SoftTree, shift: FloatArray, scale: FloatArray) -> None:
-    """Rewrite a module on x as one on u, where x = shift + scale u, in float64."""
-    module.double()
-    by, factors = torch.tensor(shift), torch.tensor(scale)
-    for parameter in (module.tests, module.leaves):
-        parameter[..., -1] += parameter[..., :-1] @ by
-        parameter[..., :-1] *= factors
 
 
 @torch.no_grad()

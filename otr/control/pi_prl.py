@@ -8,9 +8,18 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from otr.arrays import FloatArray
 from otr.control.leaves import argmax_leaves
 from otr.control.path_probabilities import path_probabilities
-from otr.control.soft_tree import LEAF_SCALE, as_numpy, initial_tests, left_probabilities, mixed_maps, with_ones
+from otr.control.soft_tree import (
+    LEAF_SCALE,
+    as_numpy,
+    initial_tests,
+    left_probabilities,
+    mixed_maps,
+    substitute_inputs,
+    with_ones,
+)
 from otr.head import Argmax, Head
 from otr.tree import ObliqueTree
 
@@ -91,6 +100,12 @@ class RelaxedProgram(nn.Module):
     def set_beta(self, beta: float) -> None:
         """Make the tests harder or softer."""
         self.beta.fill_(beta)
+
+    def substitute(self, shift: FloatArray, scale: FloatArray) -> None:
+        """Rewrite this program of x as the one of u, where x = shift + scale u, both (d,), with float64 parameters."""
+        self.double()
+        substitute_inputs(self.tests, shift, scale)
+        substitute_inputs(self.maps, shift, scale)
 
     def program_parameters(self) -> list[nn.Parameter]:
         """Return the parameters of tests and affine maps."""

@@ -24,6 +24,7 @@ __all__ = [
     "initial_tests",
     "left_probabilities",
     "mixed_maps",
+    "substitute_inputs",
     "with_ones",
 ]
 
@@ -81,6 +82,13 @@ class SoftTree(nn.Module):
     def set_beta(self, beta: float) -> None:
         """Make the tests harder or softer."""
         self.beta.fill_(beta)
+
+    def substitute(self, shift: FloatArray, scale: FloatArray) -> None:
+        """Rewrite this tree of x as the one of u, where x = shift + scale u, both (d,), with float64 parameters."""
+        self.double()
+        substitute_inputs(self.tests, shift, scale)
+        if self.affine_leaves:
+            substitute_inputs(self.leaves, shift, scale)
 
     def forward(self, X: Tensor) -> Tensor:
         """Return the outputs (n, o) for states X (n, d)."""
@@ -202,6 +210,13 @@ def axis_aligned_tests(tests: FloatArray) -> FloatArray:
     cut[rows, kept] = np.sign(weights)
     cut[:, -1] = tests[:, -1] / sizes
     return cut
+
+
+@torch.no_grad()
+def substitute_inputs(maps: Tensor, shift: FloatArray, scale: FloatArray) -> None:
+    """Rewrite affine maps (..., d + 1) of x, in float64, as those of u, where x = shift + scale u, both (d,)."""
+    maps[..., -1] += maps[..., :-1] @ torch.as_tensor(shift)
+    maps[..., :-1] *= torch.as_tensor(scale)
 
 
 def as_numpy(tensor: Tensor) -> FloatArray:

@@ -1,5 +1,6 @@
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -13,9 +14,11 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import otr
+from pipelines.algorithms import build_model
 from pipelines.ars import build_ars
 from pipelines.checkpoint import History
-from pipelines.config import ArsConfig
+from pipelines.cli import RUN, register_schemas
+from pipelines.config import ArsConfig, RunConfig
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.sb3_checkpoint import load_checkpoint, save_checkpoint
 from pipelines.soft_policies import (
@@ -25,6 +28,7 @@ from pipelines.soft_policies import (
     SoftPolicy,
     SoftSchedule,
     build_module,
+    exported_module,
     harden,
     load_soft,
     soft_files,
@@ -34,6 +38,7 @@ from pipelines.store import write_files
 from tests.control.test_soft_tree import clear_states
 
 torch.set_num_threads(1)
+register_schemas()
 
 ACTORS = [
     Shape("sdt", {"depth": 2, "affine_leaves": False}),
@@ -51,7 +56,12 @@ def make_env(env_id: str, n_envs: int = N_ENVS) -> DummyVecEnv:
     return DummyVecEnv([lambda: Monitor(gym.make(env_id))] * n_envs)
 
 
-def make_model(actor: Shape, env_id: str = "CartPole-v1", algorithm: type = PPO) -> OnPolicyAlgorithm:
+def run_config(*words: str) -> RunConfig:
+    (job,) = RUN.jobs([[*words, "budget=smoke"]])
+    return job.config
+
+
+def make_model(actor: Shape, env_id: str = "CartPole-v1", algorithm: type = PPO, **options: Any) -> OnPolicyAlgorithm:
     kwargs = {"actor": actor, "net_arch": {"pi": [], "vf": [8]}}
     return algorithm(
         SoftActorCriticPolicy,
@@ -61,6 +71,7 @@ def make_model(actor: Shape, env_id: str = "CartPole-v1", algorithm: type = PPO)
         policy_kwargs=kwargs,
         seed=0,
         device="cpu",
+        **options,
     )
 
 
@@ -102,7 +113,7 @@ def test_the_phases_of_pi_prl(algorithm: type) -> None:
         before = parameters(model)
         learn_segment(model, "CartPole-v1", segment)
         after = parameters(model)
-        prefix = "mlp_extractor.policy_net."
+        prefix = "action_net."
         names = ("tests", "maps", "architecture")
         moved = {name for name in names if not torch.equal(before[prefix + name], after[prefix + name])}
         assert moved == moving
@@ -146,6 +157,28 @@ def test_axis_aligned_programs_are_refused() -> None:
         harden(build_module(ACTORS[2], 4, 2), space, axis_aligned=True)
     with pytest.raises(ConfigError, match="only Box and Discrete"):
         harden(build_module(ACTORS[0], 4, 2), gym.spaces.MultiDiscrete([2, 2]))
+
+
+@ids
+def test_modules_trained_on_rescaled_states_read_the_environments_own(actor: Shape) -> None:
+    config = run_config("env=mountaincar", "method=sdt", "depth=3")
+    assert config.actor.rescale_inputs
+    model = make_model(actor, "MountainCarContinuous-v0", use_sde=True)
+    learn_segment(model, "MountainCarContinuous-v0", 0)
+    low, high = model.observation_space.low, model.observation_space.high
+    own = np.random.default_rng(0).uniform(low, high, (50, 2)).astype(np.float32)
+    rescaled = (own - (low + high) / 2) / ((high - low) / 2)
+    expected = model.predict(rescaled, deterministic=True)[0]
+    exported = exported_module(model, config)
+    head = harden(exported, model.action_space).head
+    np.testing.assert_allclose(SoftPolicy(exported, head).predict(own), expected, atol=1e-4)
+    plain = dataclasses.replace(config, actor=dataclasses.replace(config.actor, rescale_inputs=False))
+    np.testing.assert_array_equal(SoftPolicy(exported_module(model, plain), head).predict(rescaled), expected)
+
+
+def test_noise_by_state_needs_continuous_actions() -> None:
+    with pytest.raises(ConfigError, match="use_sde needs continuous actions"):
+        build_model(run_config("env=lunarlander", "method=sdt", "depth=2", "algo.use_sde=true"), seed=0)
 
 
 @ids

@@ -45,6 +45,5 @@ def published_cell(table: str, task: str, method: str, depth: str) -> Published 
 
 def tree_depth(task: str, method: str, depth: str) -> str:
     """Return the depth under which the thesis counts a run's tree; `depth` is the run's, as its folder has it (8-8)."""
-    if method not in FROM_NETWORKS:
-        return depth
-    return str(sum(int(width) for width in depth.split("-")) + N_OUTPUT_TESTS.get(task, 0))
+    tests = sum(int(width) for width in depth.split("-"))  # hidden neurons, or CDT's two trees, one below the other
+    return str(tests + N_OUTPUT_TESTS.get(task, 0) if method in FROM_NETWORKS else tests)

@@ -202,7 +202,7 @@ def test_runs_beyond_the_table_are_listed_against_the_text(tmp_path: Path) -> No
         ("hopper", "otr", "12", "80.0", "", ""),
         ("mountaincar", "otr", "1", "93.0", "92.8", ""),
         ("lunarlander", "augtree", "2", "", "249.1", ""),
-        ("lunarlander", "cdt", "5", "", "100", ""),
+        ("lunarlander", "cdt", "3-3", "", "100", ""),
         ("lunarlander", "otr", "2", "240.0", "269.0", "16.6"),
         ("lunarlander", "otr", "5", "250.0", "", ""),
         ("lunarlander", "sdt-discrete", "5", "", "-88.0", "20.4"),
@@ -218,15 +218,15 @@ def test_soft_and_discretised_values_stand_beside_the_tree(tmp_path: Path) -> No
         "discretised": {"return_mean": -80.0, "n_episodes": 50},
     }
     write_run(tmp_path, "lunarlander/sdt/depth-5/quick/seed-0", 30.0, policies=policies)
-    write_run(tmp_path, "lunarlander/cdt/depth-4/quick/seed-0", 40.0, policies={"soft": policies["soft"]})
+    write_run(tmp_path, "lunarlander/cdt/depth-2-2/quick/seed-0", 40.0, policies={"soft": policies["soft"]})
     write_run(tmp_path, "lunarlander/augtree/depth-2/quick/seed-0", 210.0)
     cells = csv_cells(tmp_path)
     columns = ("mean", "published_mean", "n_episodes")
     assert {key[2:]: tuple(row[name] for name in columns) for key, row in cells.items() if key[1] == "lunarlander"} == {
         ("augtree", "2"): ("210.0", "249.1", "100"),
-        ("cdt", "4"): ("40.0", "100", "100"),
-        ("cdt", "5"): ("", "100", ""),
-        ("cdt-soft", "4"): ("90.0", "", "100"),
+        ("cdt", "2-2"): ("40.0", "100", "100"),
+        ("cdt", "3-3"): ("", "100", ""),
+        ("cdt-soft", "2-2"): ("90.0", "", "100"),
         ("otr", "2"): ("", "269.0", ""),
         ("sdt", "5"): ("30.0", "", "100"),
         ("sdt-discrete", "5"): ("-80.0", "-88.0", "50"),

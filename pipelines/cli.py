@@ -365,8 +365,9 @@ def _implied(overrides: Sequence[str]) -> list[str]:
         implied.append('train.steps="${budget.on_policy_steps.${env.task}}"')
         implied.append('train.eval_interval_steps="${budget.on_policy_interval_steps}"')
     if soft and "algo" not in given:
-        own = f"ppo_tree_{given.get('env', '')}"
-        implied.append(f"algo={own if (CONF_DIR / 'algo' / f'{own}.yaml').is_file() else 'ppo_tree'}")
+        own = (f"ppo_{given['method']}_{given.get('env', '')}", f"ppo_tree_{given.get('env', '')}")
+        files = (name for name in own if (CONF_DIR / "algo" / f"{name}.yaml").is_file())
+        implied.append(f"algo={next(files, 'ppo_tree')}")
     return implied
 
 

@@ -17,8 +17,8 @@ import otr
 from pipelines.algorithms import build_model
 from pipelines.ars import build_ars
 from pipelines.checkpoint import History
-from pipelines.cli import RUN, register_schemas
-from pipelines.config import ArsConfig, RunConfig
+from pipelines.cli import run_config
+from pipelines.config import ArsConfig
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.sb3_checkpoint import load_checkpoint, save_checkpoint
 from pipelines.soft_policies import (
@@ -38,7 +38,6 @@ from pipelines.store import write_files
 from tests.control.test_soft_tree import clear_states
 
 torch.set_num_threads(1)
-register_schemas()
 
 ACTORS = [
     Shape("sdt", {"depth": 2, "affine_leaves": False}),
@@ -54,11 +53,6 @@ ids = pytest.mark.parametrize("actor", ACTORS, ids=lambda actor: actor.kind)
 
 def make_env(env_id: str, n_envs: int = N_ENVS) -> DummyVecEnv:
     return DummyVecEnv([lambda: Monitor(gym.make(env_id))] * n_envs)
-
-
-def run_config(*words: str) -> RunConfig:
-    (job,) = RUN.jobs([[*words, "budget=smoke"]])
-    return job.config
 
 
 def make_model(actor: Shape, env_id: str = "CartPole-v1", algorithm: type = PPO, **options: Any) -> OnPolicyAlgorithm:
@@ -161,7 +155,7 @@ def test_axis_aligned_programs_are_refused() -> None:
 
 @ids
 def test_modules_trained_on_rescaled_states_read_the_environments_own(actor: Shape) -> None:
-    config = run_config("env=mountaincar", "method=sdt", "depth=3")
+    config = run_config(["env=mountaincar", "method=sdt", "depth=3"])
     assert config.actor.rescale_inputs
     model = make_model(actor, "MountainCarContinuous-v0", use_sde=True)
     learn_segment(model, "MountainCarContinuous-v0", 0)
@@ -178,7 +172,7 @@ def test_modules_trained_on_rescaled_states_read_the_environments_own(actor: Sha
 
 def test_noise_by_state_needs_continuous_actions() -> None:
     with pytest.raises(ConfigError, match="use_sde needs continuous actions"):
-        build_model(run_config("env=lunarlander", "method=sdt", "depth=2", "algo.use_sde=true"), seed=0)
+        build_model(run_config(["env=lunarlander", "method=sdt", "depth=2", "algo.use_sde=true"]), seed=0)
 
 
 @ids

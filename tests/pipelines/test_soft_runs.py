@@ -81,6 +81,13 @@ def test_soft_trees_bring_their_algorithm_and_steps(words, algo, gamma, steps, i
     assert (config.train.steps, config.train.eval_interval_steps) == (steps, interval)
 
 
+def test_an_algorithm_may_be_one_methods_and_one_environments():
+    cdt, sdt = (run_config(["env=lunarlander", f"method={method}", f"depth={depth}"]).algo
+                for method, depth in (("cdt", "[3,3]"), ("sdt", "5")))  # fmt: skip
+    assert (cdt.learning_rate, sdt.learning_rate) == (3e-3, 1e-3)
+    assert (cdt.gamma, cdt.ent_coef) == (sdt.gamma, sdt.ent_coef)
+
+
 def test_random_search_lies_beside_the_gradient(tiny):
     config = run_config(["env=pendulum", "method=linear", "depth=0", "algo=ars", "budget=quick"])
     assert config.budget_level == "quick-ars" and config.train.steps == 300_000

@@ -321,11 +321,13 @@ class SoftConfig(MethodConfig):
     Attributes:
         beta_first, beta_last: how hard its tests are at first and at last, growing geometrically.
         anneal_until: the fraction of the steps at which beta has reached its last value.
+        learning_rate_end: what is left of the algorithm's learning rate at the end, a fraction; it falls linearly.
     """
 
     beta_first: float
     beta_last: float
     anneal_until: float
+    learning_rate_end: float
 
 
 @dataclass(frozen=True)
@@ -626,6 +628,7 @@ RANGES: dict[str, tuple[float, float]] = {  # key: least and greatest value; key
     "method.beta_last": (1e-6, 1e6),
     "method.ridge": (0, math.inf),
     "method.anneal_until": (0, 1),
+    "method.learning_rate_end": (0, 1),
     "method.n_features": (1, 1024),
     "method.structure_penalty": (0, 100),
     "method.discretise_at": (0, 1),

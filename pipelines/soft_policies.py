@@ -72,7 +72,14 @@ def schedule_of(config: RunConfig) -> "ScheduleConfig":
     method = config.method
     assert isinstance(method, SoftConfig)
     discretise_at = method.discretise_at if isinstance(method, PiPrlConfig) else 1.0
-    return ScheduleConfig(config.train.steps, method.beta_first, method.beta_last, method.anneal_until, discretise_at)
+    return ScheduleConfig(
+        config.train.steps,
+        method.beta_first,
+        method.beta_last,
+        method.anneal_until,
+        discretise_at,
+        method.learning_rate_end,
+    )
 
 
 @dataclass(frozen=True)
@@ -85,6 +92,7 @@ class ScheduleConfig:
         anneal_until: fraction at which beta has reached its last value.
         discretise_at: fraction at which pi-PRL's structure is chosen; before it, rollouts update its program and its
             architecture in turns.
+        learning_rate_end: what is left of the learning rate at the end, falling linearly.
     """
 
     n_steps: int
@@ -92,6 +100,12 @@ class ScheduleConfig:
     beta_last: float
     anneal_until: float
     discretise_at: float
+    learning_rate_end: float = 1.0
+
+    def learning_rate(self, first: float, num_timesteps: int) -> float:
+        """Return the learning rate of the rollout that begins after `num_timesteps`."""
+        done = min(1.0, num_timesteps / self.n_steps)
+        return first * (1.0 + done * (self.learning_rate_end - 1.0))
 
     def apply(self, module: SoftModule, num_timesteps: int, rollout_steps: int) -> None:
         """Bring `module` to what holds for the rollout that begins after `num_timesteps`."""
@@ -116,7 +130,11 @@ class SoftSchedule(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         rollout_steps = self.model.n_steps * self.model.n_envs
-        self._schedule.apply(soft_module(self.model), self.model.num_timesteps, rollout_steps)
+        num_timesteps = self.model.num_timesteps
+        self._schedule.apply(soft_module(self.model), num_timesteps, rollout_steps)
+        rate = self._schedule.learning_rate(cast(float, self.model.learning_rate), num_timesteps)
+        # By the steps done: Stable-Baselines3's own measure of progress begins anew with each segment.
+        self.model.lr_schedule = lambda _progress_remaining: rate
 
     def _on_step(self) -> bool:
         return True

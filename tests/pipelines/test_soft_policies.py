@@ -46,7 +46,9 @@ ACTORS = [
 ]
 N_STEPS, N_ENVS = 32, 2
 ROLLOUT = N_STEPS * N_ENVS
-SCHEDULE = ScheduleConfig(4 * ROLLOUT, beta_first=1.0, beta_last=16.0, anneal_until=0.5, discretise_at=0.75)
+SCHEDULE = ScheduleConfig(
+    4 * ROLLOUT, beta_first=1.0, beta_last=16.0, anneal_until=0.5, discretise_at=0.75, learning_rate_end=0.2
+)
 
 ids = pytest.mark.parametrize("actor", ACTORS, ids=lambda actor: actor.kind)
 
@@ -123,6 +125,16 @@ def test_beta_grows_geometrically_up_to_its_end() -> None:
         assert float(module.features.beta) == float(module.decisions.beta) == pytest.approx(beta)
     dataclasses.replace(SCHEDULE, anneal_until=0.0).apply(module, 0, ROLLOUT)
     assert float(module.features.beta) == 16.0
+
+
+def test_the_learning_rate_falls_linearly_over_all_segments() -> None:
+    model = make_model(ACTORS[0])
+    rates = []
+    for segment in range(4):
+        learn_segment(model, "CartPole-v1", segment)
+        rates.append(model.policy.optimizer.param_groups[0]["lr"])
+    assert rates == pytest.approx([3e-4, 2.4e-4, 1.8e-4, 1.2e-4])
+    assert SCHEDULE.learning_rate(3e-4, 5 * ROLLOUT) == pytest.approx(0.6e-4)
 
 
 @pytest.mark.parametrize("env_id", ["CartPole-v1", "Pendulum-v1"])

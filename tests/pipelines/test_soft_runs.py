@@ -9,7 +9,7 @@ from pipelines.config import PiPrlConfig, SdtConfig
 from pipelines.errors import ConfigError
 from tests.pipelines.conftest import PPO, otr_command
 
-SDT = SdtConfig("sdt", 1.0, 20.0, 0.8, "constant")
+SDT = SdtConfig("sdt", 1.0, 20.0, 0.8, 0.05, "constant")
 
 
 @pytest.mark.parametrize(
@@ -40,7 +40,7 @@ def test_other_settings_of_a_method_are_another_training(tiny):
     from pipelines.training import train_settings
 
     one, other = (
-        tiny(method=method, depth=2, algo=PPO) for method in (SDT, SdtConfig("sdt", 1.0, 50.0, 0.8, "linear"))
+        tiny(method=method, depth=2, algo=PPO) for method in (SDT, SdtConfig("sdt", 1.0, 50.0, 0.8, 0.05, "linear"))
     )
     assert train_settings(one) != train_settings(other)
     assert "method" not in train_settings(tiny())  # as before, so that what was trained stays valid
@@ -51,8 +51,8 @@ def test_other_settings_of_a_method_are_another_training(tiny):
     [
         ({}, "method=sdt is trained by algo=ppo_tree or algo=trpo_tree, not sac"),
         ({"algo": PPO, "depth": 0}, "depth=0: method=sdt grows a tree"),
-        ({"algo": PPO, "method": SdtConfig("sdt", 0.0, 20.0, 0.8, "constant")}, "method.beta_first=0"),
-        ({"algo": PPO, "method": PiPrlConfig("pi_prl", 1.0, 20.0, 0.8, 0.25, 1.5)}, "method.discretise_at=1.5"),
+        ({"algo": PPO, "method": SdtConfig("sdt", 0.0, 20.0, 0.8, 0.05, "constant")}, "method.beta_first=0"),
+        ({"algo": PPO, "method": PiPrlConfig("pi_prl", 1.0, 20.0, 0.8, 0.05, 0.25, 1.5)}, "method.discretise_at=1.5"),
     ],
 )
 def test_what_is_refused(tiny, changes, words):

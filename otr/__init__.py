@@ -14,6 +14,7 @@ from otr.head import Argmax, ClipBox, Head, Identity, Sign, TanhBox, head_from_d
 from otr.importers import from_sb3, from_sklearn, from_torch
 from otr.io import load, save
 from otr.mapping import map_network
+from otr.minimal import minimal_tree
 from otr.network import ReluNetwork
 from otr.pattern_tree import PatternTree
 from otr.programs import draw_tree, save_picture, to_text
@@ -45,6 +46,7 @@ __all__ = [
     "head_from_dict",
     "load",
     "map_network",
+    "minimal_tree",
     "prune_to_k",
     "prune_unreached",
     "refit_tests",

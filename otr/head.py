@@ -63,6 +63,23 @@ class Head(ABC):
         """Output that the head's first test asks about; test k asks about `first_challenger + k`."""
         return 0
 
+    def next_test(self, outputs: FloatArray, outcomes: BoolArray) -> FloatArray:
+        """Return the affine form of the test that comes after k others.
+
+        Args:
+            outputs: (n, o, d + 1) affine forms of the outputs.
+            outcomes: (n, k) of the tests before.
+
+        Returns:
+            (n, d + 1)
+        """
+        n, k = outcomes.shape
+        champions = self.champions(np.column_stack((outcomes, np.zeros((n, 1), dtype=np.bool_))))[:, k]
+        test: FloatArray = outputs[:, self.first_challenger + k].copy()
+        beaten = np.flatnonzero(champions >= 0)
+        test[beaten] -= outputs[beaten, champions[beaten]]
+        return test
+
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready description, read back by `head_from_dict`."""
         return {"name": self.name}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -30,6 +31,25 @@ class UnitForm:
     inputs: FloatArray  # (n + o, d)
     offsets: FloatArray  # (n + o,)
     layer_starts: tuple[int, ...]  # first row of every layer, the output layer last
+
+    def forms(self, patterns: BoolArray, negative_slope: float, n_layers: int | None = None) -> FloatArray:
+        """Return the units' affine forms [P | v] in the inputs, given activation patterns: (k, n_units, d + 1).
+
+        Args:
+            patterns: (k, n) bool, or its first columns: the hidden neurons of all layers before the last one asked for.
+            negative_slope: of the network's activation.
+            n_layers: the first so many layers, the output layer among them; None for all.
+        """
+        layers = tuple(zip(self.layer_starts, (*self.layer_starts[1:], len(self.inputs)), strict=True))[:n_layers]
+        gates = np.where(patterns, 1.0, negative_slope)
+        own = np.column_stack((self.inputs, self.offsets))
+        forms = np.empty((len(patterns), layers[-1][1], own.shape[1]))
+        for start, stop in layers:
+            rows = slice(start, stop)
+            forms[:, rows] = own[rows]
+            if start:
+                forms[:, rows] += (self.links[rows, :start] * gates[:, None, :start]) @ forms[:, :start]
+        return forms
 
 
 class ReluNetwork:
@@ -157,6 +177,26 @@ class ReluNetwork:
             if self.dense is not False:
                 inputs[rows] = W[:, width:]
         return UnitForm(links, inputs, np.concatenate(self.biases), tuple(starts))
+
+    def without_dead_neurons(self) -> ReluNetwork:
+        """Return the network without the hidden neurons that reach no output; every layer keeps one at least."""
+        units = self.unit_form()
+        layers = list(pairwise(units.layer_starts))
+        alive = np.ones(self.n_hidden + self.n_outputs, dtype=np.bool_)
+        for start, stop in reversed(layers):
+            alive[start:stop] = units.links[alive, start:stop].any(axis=0)
+            alive[start] |= not alive[start:stop].any()
+        if alive.all():
+            return self
+        kept = [alive[start:stop] for start, stop in (*layers, (self.n_hidden, self.n_hidden + self.n_outputs))]
+        weights, biases = [], []
+        for layer, (W, b) in enumerate(zip(self.weights, self.biases, strict=True)):
+            read = kept[:layer] if self.dense == "all" else kept[max(layer - 1, 0) : layer]
+            n_of_inputs = W.shape[1] - sum(map(len, read))
+            columns = np.concatenate((*read, np.ones(n_of_inputs, dtype=np.bool_)))
+            weights.append(W[kept[layer]][:, columns])
+            biases.append(b[kept[layer]])
+        return ReluNetwork(weights, biases, negative_slope=self.negative_slope, dense=self.dense, head=self.head)
 
     def fold_input_normalisation(self, mean: ArrayLike, scale: ArrayLike) -> ReluNetwork:
         """Return the network that answers on raw x as this one does on (x - mean) / scale.

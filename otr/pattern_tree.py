@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from otr.arrays import BoolArray, FloatArray, IntArray, as_batch
 from otr.mapping import map_network
-from otr.network import ReluNetwork, UnitForm
+from otr.network import ReluNetwork
 from otr.packed import PackedRows, count_rows, pack_rows, unpack_rows
 from otr.tree import ObliqueTree
 
-__all__ = ["PatternTree"]
+__all__ = ["PatternTree", "tree_of_paths"]
 
 _CHUNK_STATES = 2**16
 _CHUNK_BYTES = 2**24
@@ -203,20 +203,31 @@ def _build_tree(network: ReluNetwork, patterns: BoolArray) -> ObliqueTree:
     """Return the compacted tree of distinct, lexicographically sorted paths (k, n_bits)."""
     first_difference = (patterns[1:] != patterns[:-1]).argmax(axis=1) if len(patterns) > 1 else np.zeros(0, np.int64)
     left, right, order = _trie_children(first_difference)
+    return tree_of_paths(network, patterns, left, right, order, first_difference[order])
+
+
+def tree_of_paths(
+    network: ReluNetwork, patterns: BoolArray, left: IntArray, right: IntArray, paths: IntArray, bits: IntArray
+) -> ObliqueTree:
+    """Return a tree whose leaves are `patterns` (k, n_bits), with the children given.
+
+    Test node i asks for bit `bits[i]`, in the form that it has on the path `paths[i]`: (k - 1,) each.
+    """
     k, d, o = len(patterns), network.n_inputs, network.n_outputs
     P, v = np.empty((k - 1, d)), np.empty(k - 1)
     M, c = np.empty((k, o, d)), np.empty((k, o))
+    by_path = np.argsort(paths, kind="stable")
     units = network.unit_form()
     chunk = max(1, _CHUNK_BYTES // (8 * (d + 1) * (network.n_hidden + o)))
     for start in range(0, k, chunk):
         rows = slice(start, min(start + chunk, k))
-        forms = _affine_forms(units, patterns[rows], network.negative_slope)
+        forms = units.forms(patterns[rows, : network.n_hidden], network.negative_slope)
         M[rows], c[rows] = forms[:, network.n_hidden :, :d], forms[:, network.n_hidden :, d]
-        nodes = slice(start, min(start + chunk, k - 1))  # node i lies between the paths i and i + 1
-        tests = _test_forms(network, forms, patterns[rows], first_difference[nodes])
+        nodes = by_path[np.searchsorted(paths[by_path], start) : np.searchsorted(paths[by_path], rows.stop)]
+        tests = _test_forms(network, forms[paths[nodes] - start], patterns[paths[nodes]], bits[nodes])
         P[nodes], v[nodes] = tests[:, :d], tests[:, d]
     labels = network.head.labels(patterns[:, network.n_hidden :])
-    return ObliqueTree(left, right, P[order], v[order], M, c, labels=labels, head=network.head)
+    return ObliqueTree(left, right, P, v, M, c, labels=labels, head=network.head)
 
 
 def _trie_children(first_difference: IntArray) -> tuple[IntArray, IntArray, IntArray]:
@@ -240,20 +251,6 @@ def _trie_children(first_difference: IntArray) -> tuple[IntArray, IntArray, IntA
         right[on_left[from_left]] = index[nodes[from_left]]
         left[on_right[~from_left]] = index[nodes[~from_left]]
     return left[order], right[order], order
-
-
-def _affine_forms(units: UnitForm, patterns: BoolArray, negative_slope: float) -> FloatArray:
-    """Return every unit's affine form [P | v] on every path: (k, n_hidden + o, d + 1)."""
-    n_units, n_hidden = units.links.shape
-    gates = np.where(patterns[:, :n_hidden], 1.0, negative_slope)
-    own = np.column_stack((units.inputs, units.offsets))
-    forms = np.empty((len(patterns), n_units, own.shape[1]))
-    for start, stop in zip(units.layer_starts, (*units.layer_starts[1:], n_units), strict=True):
-        rows = slice(start, stop)
-        forms[:, rows] = own[rows]
-        if start:
-            forms[:, rows] += (units.links[rows, :start] * gates[:, None, :start]) @ forms[:, :start]
-    return forms
 
 
 def _test_forms(network: ReluNetwork, forms: FloatArray, patterns: BoolArray, bits: IntArray) -> FloatArray:

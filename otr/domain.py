@@ -1,0 +1,143 @@
+"""The states that a question is asked about: all of R^d, or a box."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from otr.arrays import BoolArray, FloatArray, read_only
+from otr.linear_programs import Rows
+
+__all__ = ["Box", "Domain", "as_domain"]
+
+Box = tuple[ArrayLike, ArrayLike]  # low (d,), high (d,)
+_ROUNDING = 1e-14  # of an affine form's terms
+
+
+class Domain:
+    """A box [low, high] in R^d, any side of which may be infinite; in scaled coordinates a finite one is [-1, 1].
+
+    Attributes:
+        low, high: (d,) float64.
+    """
+
+    def __init__(self, low: ArrayLike, high: ArrayLike) -> None:
+        """Keep the limits.
+
+        Raises:
+            ValueError: a limit is NaN, low is not below high, or the shapes differ.
+        """
+        self.low: FloatArray = read_only(np.array(low, dtype=np.float64))
+        self.high: FloatArray = read_only(np.array(high, dtype=np.float64))
+        if self.low.shape != self.high.shape or self.low.ndim != 1:
+            raise ValueError(
+                f"low has shape {self.low.shape} and high {self.high.shape}, expected (n_inputs,) for both"
+            )
+        wrong = np.flatnonzero(~(self.low < self.high))
+        if wrong.size:
+            i = int(wrong[0])
+            raise ValueError(
+                f"input {i} has the limits {self.low[i]:g} and {self.high[i]:g}, expected low < high; "
+                "a domain needs an inside"
+            )
+        finite = np.isfinite(self.low) & np.isfinite(self.high)
+        with np.errstate(invalid="ignore"):
+            self._scale = np.where(finite, (self.high - self.low) / 2, 1.0)
+            self._middle = np.where(finite, self.low + self._scale, 0.0)
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of inputs d."""
+        return len(self.low)
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether every side is finite."""
+        return bool(np.isfinite(self.low).all() and np.isfinite(self.high).all())
+
+    def rows(self) -> Rows:
+        """Return the finite sides as rows ``a . x + b >= 0`` in scaled coordinates, one group: lows first."""
+        d = self.n_inputs
+        identity = np.eye(d)
+        lows, highs = np.flatnonzero(np.isfinite(self.low)), np.flatnonzero(np.isfinite(self.high))
+        a = np.concatenate((identity[lows], -identity[highs]))
+        b = np.concatenate(((self._middle - self.low)[lows], (self.high - self._middle)[highs]))
+        scale = np.concatenate((self._scale[lows], self._scale[highs]))
+        return Rows(a[None], (b / scale)[None])
+
+    def sides(self) -> FloatArray:
+        """Return the finite sides as affine forms [a | b], ``a . x + b >= 0``, in the inputs' own units: (m, d + 1)."""
+        d = self.n_inputs
+        lows, highs = np.flatnonzero(np.isfinite(self.low)), np.flatnonzero(np.isfinite(self.high))
+        identity = np.eye(d)
+        return np.concatenate(
+            (np.column_stack((identity[lows], -self.low[lows])), np.column_stack((-identity[highs], self.high[highs])))
+        )
+
+    def scaled_forms(self, forms: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return affine forms [P | v] (..., d + 1) in scaled coordinates, normals of unit length: (..., d) and (...,).
+
+        A form without a slope, up to rounding, keeps a normal of 0 and a value of 1 or -1, by its sign.
+        """
+        P, v = forms[..., :-1], forms[..., -1]
+        a, b = P * self._scale, v + P @ self._middle
+        length = np.sqrt(np.einsum("...d,...d->...", a, a))
+        flat = length <= _ROUNDING * np.abs(b)
+        length = np.where(flat, 1.0, length)
+        a, b = a / length[..., None], b / length
+        a[flat], b[flat] = 0.0, np.where(b[flat] > 0, 1.0, -1.0)
+        return a, b
+
+    def is_constant(self, a: FloatArray, b: FloatArray) -> BoolArray:
+        """Return, for scaled forms a (n, d), b (n,), whether interval arithmetic shows a sign that never changes."""
+        with np.errstate(invalid="ignore"):
+            reach = np.where(a == 0, 0.0, np.abs(a) * np.where(np.isfinite(self.high - self.low), 1.0, np.inf)).sum(
+                axis=1
+            )
+        constant: BoolArray = reach < np.abs(b)
+        return constant
+
+    def unscaled(self, X: FloatArray) -> FloatArray:
+        """Return scaled states (n, d) in the inputs' own units."""
+        states: FloatArray = X * self._scale + self._middle
+        return states
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready description; an infinite side is None."""
+
+        def listed(limits: FloatArray) -> list[float | None]:
+            return [value if np.isfinite(value) else None for value in limits.tolist()]
+
+        return {"low": listed(self.low), "high": listed(self.high)}
+
+    @classmethod
+    def from_dict(cls, description: dict[str, Sequence[float | None]]) -> Domain:
+        """Return the domain that `to_dict` described."""
+        low = [-np.inf if value is None else value for value in description["low"]]
+        high = [np.inf if value is None else value for value in description["high"]]
+        return cls(low, high)
+
+    def __repr__(self) -> str:
+        return f"Domain({self.low.tolist()}, {self.high.tolist()})"
+
+
+def as_domain(domain: Domain | Box | None, n_inputs: int) -> Domain:
+    """Return `domain` as a `Domain`: None is all of R^d, a pair (low, high) a box; numbers hold for every input.
+
+    Raises:
+        ValueError: it is of other dimensions than `n_inputs`, or no box.
+    """
+    if domain is None:
+        return Domain(np.full(n_inputs, -np.inf), np.full(n_inputs, np.inf))
+    if not isinstance(domain, Domain):
+        low, high = domain
+        shape = (n_inputs,)
+        if np.ndim(low) == 0 and np.ndim(high) == 0:
+            low, high = np.broadcast_to(low, shape), np.broadcast_to(high, shape)
+        domain = Domain(low, high)
+    if domain.n_inputs != n_inputs:
+        raise ValueError(f"the domain has {domain.n_inputs} inputs, expected {n_inputs}")
+    return domain

@@ -1,0 +1,263 @@
+"""Many small linear programs at once: is there a ball inside each of thousands of polytopes, and where?
+
+The polytope of problem p is ``{x : s_i (a_i . x + b_i) >= 0}`` over the rows i with sign s_i = +1 or -1, a_i of unit
+length. Its largest ball, of centre x and radius t <= `LARGEST_RADIUS`, solves
+
+    max t   subject to   s_i (a_i . x + b_i) >= t,   t <= LARGEST_RADIUS
+
+and its dual
+
+    min sum_i mu_i s_i b_i + mu_0 LARGEST_RADIUS   subject to   sum_i mu_i s_i a_i = 0,  sum_i mu_i + mu_0 = 1,  mu >= 0
+
+The simplex method is run on the dual, in d + 1 rows, for all problems side by side: a basis stays feasible when a row
+is added to its polytope, so a child in a tree of polytopes goes on from its parent's basis and needs few pivots. It
+stops as soon as the answer is known: at a point well inside all rows, or at multipliers with an objective of nearly
+nothing, which are a Farkas certificate that there is no ball.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+
+from otr.arrays import BoolArray, FloatArray, IntArray
+from otr.errors import OtrError
+
+__all__ = ["FREE", "LARGEST_RADIUS", "Balls", "Bases", "Rows", "largest_balls"]
+
+LARGEST_RADIUS = 1.0  # of a ball, so that unbounded polytopes have one
+FREE = -1  # in a basis: the place of a coordinate that no row has fixed yet
+_CAP = -2  # in a basis: the row t <= LARGEST_RADIUS
+_GOOD_SHARE = 0.2  # of the bound on the radius: a point with such a margin is good enough
+_SMALLEST_PIVOT = 1e-9
+_DRIFT = 1e-9  # of multipliers
+_MAX_PIVOTS = 200  # afterwards HiGHS takes over
+_CHUNK_NUMBERS = 2**17  # of the inverses in work at a time; they should stay in the cache
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The rows that polytopes are made of, in groups; every polytope takes the rows of one group, with its own signs.
+
+    Attributes:
+        a: (n_groups, m, d), each row of unit length.
+        b: (n_groups, m).
+    """
+
+    a: FloatArray
+    b: FloatArray
+
+    def of(self, group: IntArray) -> IntArray:
+        """Return groups (n,) as indices into `a` and `b`: with a single one, every polytope is of that."""
+        return np.zeros_like(group) if len(self.a) == 1 else group
+
+    def values(self, group: IntArray, X: FloatArray) -> FloatArray:
+        """Return ``a . x + b`` for every state X (n, d) and row of its group: (n, m)."""
+        if len(self.a) == 1:
+            values: FloatArray = X @ self.a[0].T
+            values += self.b[0]
+            return values
+        values = np.einsum("nmd,nd->nm", self.a[group], X)
+        values += self.b[group]
+        return values
+
+
+@dataclass(frozen=True)
+class Bases:
+    """Where the simplex method stands in n problems; q = d + 1.
+
+    Attributes:
+        rows: (n, q) int16, the row at each place, `FREE` or the radius's own.
+        inverse: (n, q, q), of the matrix whose columns are (-s a, 1); its last column is the multipliers mu.
+        solution: (n, q), centre and radius (x, t) of the basis.
+    """
+
+    rows: NDArray[np.int16]
+    inverse: FloatArray
+    solution: FloatArray
+
+    @classmethod
+    def start(cls, n: int, d: int) -> Bases:
+        """Return the basis of polytopes without rows: a ball of the largest radius around 0."""
+        rows = np.full((n, d + 1), FREE, dtype=np.int16)
+        rows[:, d] = _CAP
+        solution = np.zeros((n, d + 1))
+        solution[:, d] = LARGEST_RADIUS
+        return cls(rows, np.tile(np.eye(d + 1), (n, 1, 1)), solution)
+
+    def take(self, problems: Any) -> Bases:
+        """Return the bases of some problems."""
+        return Bases(self.rows[problems], self.inverse[problems], self.solution[problems])
+
+    @classmethod
+    def concatenate(cls, parts: list[Bases]) -> Bases:
+        """Return the bases of several lists of problems as one."""
+        return cls(
+            *(np.concatenate([getattr(part, name) for part in parts]) for name in ("rows", "inverse", "solution"))
+        )
+
+    def put(self, problems: IntArray, bases: Bases) -> None:
+        """Write `bases` in the place of some problems'."""
+        self.rows[problems], self.inverse[problems] = bases.rows, bases.inverse
+        self.solution[problems] = bases.solution
+
+    @property
+    def multipliers(self) -> FloatArray:
+        """The multipliers mu (n, q) of the rows in the basis; they sum to 1."""
+        return self.inverse[:, :, -1]
+
+
+@dataclass(frozen=True)
+class Balls:
+    """What `largest_balls` found.
+
+    Attributes:
+        is_empty: (n,) whether no ball of a radius above the tolerance fits.
+        centres: (n, d), inner points; of no meaning where there are none.
+        radii: (n,) of a ball around the centre that fits, though hardly ever the largest; where there is none, a bound
+            on the largest one's, which may be below zero.
+        bases: to go on from; where a polytope is empty, the proof.
+        n_solved_alone: problems that were given to HiGHS.
+    """
+
+    is_empty: BoolArray
+    centres: FloatArray
+    radii: FloatArray
+    bases: Bases
+    n_solved_alone: int
+
+
+def largest_balls(rows: Rows, group: IntArray, signs: NDArray[np.int8], bases: Bases, tolerance: float) -> Balls:
+    """Return whether a ball of a radius above `tolerance` fits into each polytope, and one that does.
+
+    Args:
+        rows: of m rows in d dimensions.
+        group: (n,) the group whose rows a polytope has.
+        signs: (n, m) int8: 1, -1, or 0 where a polytope does without the row.
+        bases: to start from: `Bases.start`, or those of polytopes that had some of the rows with the same signs.
+        tolerance: at least 0.
+    """
+    n, q = bases.rows.shape
+    if not signs.shape[1]:  # no rows: any ball
+        return Balls(np.zeros(n, dtype=np.bool_), bases.solution[:, :-1], np.full(n, LARGEST_RADIUS), bases, 0)
+    parts = []
+    chunk = max(64, _CHUNK_NUMBERS // (q * q))
+    for start in range(0, max(n, 1), chunk):
+        part = slice(start, start + chunk)
+        balls = _pivot_until_decided(rows, group[part], signs[part], bases.take(part), tolerance)
+        parts.append(balls)
+    if len(parts) == 1:
+        return parts[0]
+    return Balls(
+        np.concatenate([part.is_empty for part in parts]),
+        np.concatenate([part.centres for part in parts]),
+        np.concatenate([part.radii for part in parts]),
+        Bases.concatenate([part.bases for part in parts]),
+        sum(part.n_solved_alone for part in parts),
+    )
+
+
+def _pivot_until_decided(rows: Rows, group: IntArray, signs: NDArray[np.int8], bases: Bases, tolerance: float) -> Balls:
+    """Solve one chunk; what stays undecided, or was decided on numbers that have drifted, is solved alone."""
+    n, q = bases.rows.shape
+    d = q - 1
+    is_empty, centres, radii = np.zeros(n, dtype=np.bool_), np.zeros((n, d)), np.zeros(n)
+    done = Bases.start(n, d)
+    absent, signed = np.where(signs == 0, np.inf, 0.0), signs.astype(np.float64)
+    problems, of_group = np.arange(n), group
+    for _ in range(_MAX_PIVOTS):
+        margins = rows.values(of_group, bases.solution[:, :d])
+        margins *= signed
+        margins += absent
+        tightest = margins.argmin(axis=1)
+        margin = margins[np.arange(len(margins)), tightest]
+        radius = bases.solution[:, d]
+        empty = radius <= tolerance
+        decided = empty | (margin > np.maximum(tolerance, _GOOD_SHARE * radius))
+        if decided.any():
+            these, left = problems[decided], np.flatnonzero(~decided)
+            is_empty[these], centres[these] = empty[decided], bases.solution[decided, :d]
+            radii[these] = np.where(empty, radius, np.minimum(margin, LARGEST_RADIUS))[decided]
+            done.put(these, bases.take(decided))
+            problems, of_group, signed, absent = problems[left], of_group[left], signed[left], absent[left]
+            bases, tightest, margin = bases.take(left), tightest[left], margin[left]
+        if not problems.size:
+            break
+        _pivot(rows, of_group, signed, bases, tightest, margin)
+    alone = np.concatenate((problems, _drifted(rows, group, signs, is_empty, done)))
+    for problem in alone.tolist():
+        ball = _solve_alone(rows.a[rows.of(group)[problem]], rows.b[rows.of(group)[problem]], signs[problem], tolerance)
+        is_empty[problem], centres[problem], radii[problem] = ball[:3]
+        done.put(np.array([problem]), ball[3])
+    return Balls(is_empty, centres, radii, done, len(alone))
+
+
+def _drifted(rows: Rows, group: IntArray, signs: NDArray[np.int8], is_empty: BoolArray, bases: Bases) -> IntArray:
+    """Return the problems called empty whose multipliers, after many updates of the inverse, prove nothing any more."""
+    problems = np.flatnonzero(is_empty)
+    basis, multipliers = bases.rows[problems], bases.multipliers[problems]
+    of_rows = basis >= 0
+    row = np.where(of_rows, basis, 0).astype(np.int64)
+    weights = np.where(of_rows, multipliers * np.take_along_axis(signs[problems], row, axis=1), 0.0)
+    normals = rows.a[rows.of(group[problems])[:, None], row]
+    residual = np.abs(np.einsum("nq,nqd->nd", weights, normals)).max(axis=1, initial=0.0)
+    of_free = np.abs(np.where(basis == FREE, multipliers, 0.0)).max(axis=1, initial=0.0)
+    wrong = (residual > _DRIFT) | (multipliers.min(axis=1, initial=0.0) < -_DRIFT) | (of_free > _DRIFT)
+    return np.asarray(problems[wrong])
+
+
+def _solve_alone(
+    a: FloatArray, b: FloatArray, signs: NDArray[np.int8], tolerance: float
+) -> tuple[bool, FloatArray, float, Bases]:
+    """Return whether one polytope, of rows a (m, d) and b (m,), is empty, its centre, radius and basis, by HiGHS."""
+    used, d = np.flatnonzero(signs), a.shape[1]
+    s = signs[used].astype(np.float64)
+    constraints = np.column_stack((-s[:, None] * a[used], np.ones(len(used))))
+    objective = np.append(np.zeros(d), -1.0)
+    bounds = [(None, None)] * d + [(None, LARGEST_RADIUS)]
+    solved = linprog(objective, A_ub=constraints, b_ub=s * b[used], bounds=bounds, method="highs")
+    if solved.status != 0:
+        raise OtrError(
+            f"HiGHS could not solve a linear program of {len(used)} rows in {d} dimensions: {solved.message}"
+        )
+    radius = float(solved.x[d])
+    basis = Bases.start(1, d)
+    if radius > tolerance:
+        margin = float((s * (a[used] @ solved.x[:d] + b[used])).min(initial=LARGEST_RADIUS))
+        return False, solved.x[:d], margin, basis
+    multipliers = -np.asarray(solved.ineqlin.marginals)
+    largest = np.argsort(-multipliers, kind="stable")[: d + 1]
+    basis.rows[0], basis.inverse[0] = FREE, 0.0
+    basis.rows[0, : len(largest)] = used[largest]
+    basis.inverse[0, : len(largest), d] = multipliers[largest]
+    basis.solution[0] = solved.x
+    return True, solved.x[:d], radius, basis
+
+
+def _pivot(
+    rows: Rows, group: IntArray, signed: FloatArray, bases: Bases, entering: IntArray, margin: FloatArray
+) -> None:
+    """Let the row `entering` (n,), of value `margin` (n,) at the present centre, into each basis, in place."""
+    basis, inverse, solution = bases.rows, bases.inverse, bases.solution
+    n, q = basis.shape
+    each = np.arange(n)
+    column = np.ones((n, q))
+    np.multiply(rows.a[rows.of(group), entering], -signed[each, entering, None], out=column[:, : q - 1])
+    direction = np.matmul(inverse, column[:, :, None])[:, :, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.maximum(bases.multipliers, 0.0) / direction
+    free = basis == FREE
+    ratio[free | (direction <= _SMALLEST_PIVOT)] = np.inf
+    # A free place holds a multiplier of zero that must stay zero: it leaves first, the largest pivot before others.
+    leaves_free = free & (np.abs(direction) > _SMALLEST_PIVOT)
+    ratio[leaves_free] = -np.abs(direction[leaves_free])
+    leaving = ratio.argmin(axis=1)
+    row = inverse[each, leaving] / direction[each, leaving, None]
+    inverse -= direction[:, :, None] * row[:, None, :]
+    inverse[each, leaving] = row
+    solution += (margin - solution[:, -1])[:, None] * row
+    basis[each, leaving] = entering

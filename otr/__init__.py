@@ -9,7 +9,16 @@ ObliqueTree(n_leaves=8, depth=3, n_inputs=2, n_outputs=1, head=Identity())
 array([3.5])
 """
 
-from otr.errors import ArtefactError, InvalidNetworkError, InvalidTreeError, OtrError, TreeTooLargeError
+from otr.certificate import Certificate, load_certificate
+from otr.domain import Domain
+from otr.errors import (
+    ArtefactError,
+    CertificateError,
+    InvalidNetworkError,
+    InvalidTreeError,
+    OtrError,
+    TreeTooLargeError,
+)
 from otr.head import Argmax, ClipBox, Head, Identity, Sign, TanhBox, head_from_dict
 from otr.importers import from_sb3, from_sklearn, from_torch
 from otr.io import load, save
@@ -18,16 +27,21 @@ from otr.minimal import minimal_tree
 from otr.network import ReluNetwork
 from otr.pattern_tree import PatternTree
 from otr.programs import draw_tree, save_picture, to_text
+from otr.proving import certify
 from otr.pruning import prune_to_k, prune_unreached
 from otr.simplify import refit_tests
 from otr.tree import ObliqueTree
+from otr.verification import verify
 
 __version__ = "0.1.0"
 
 __all__ = [
     "Argmax",
     "ArtefactError",
+    "Certificate",
+    "CertificateError",
     "ClipBox",
+    "Domain",
     "Head",
     "Identity",
     "InvalidNetworkError",
@@ -39,12 +53,14 @@ __all__ = [
     "Sign",
     "TanhBox",
     "TreeTooLargeError",
+    "certify",
     "draw_tree",
     "from_sb3",
     "from_sklearn",
     "from_torch",
     "head_from_dict",
     "load",
+    "load_certificate",
     "map_network",
     "minimal_tree",
     "prune_to_k",
@@ -53,4 +69,5 @@ __all__ = [
     "save",
     "save_picture",
     "to_text",
+    "verify",
 ]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from otr.errors import TreeTooLargeError
 from otr.linear_programs import Bases, Rows, largest_balls
 from otr.network import ReluNetwork
 
-__all__ = ["Regions", "find_regions"]
+__all__ = ["Block", "Regions", "Walk", "find_regions"]
 
 _BLOCK = 2**13  # regions walked together; more are set aside, so that memory does not grow with their number
 _CLEAR_SHARE = 0.05  # of its margin to other tests: an inner point so far from a new one is inner to its side
@@ -43,20 +43,22 @@ class Regions:
     n_tests: int
 
 
-@dataclass
-class _Block:
+@dataclass(frozen=True)
+class Block:
     """Regions walked together, all up to the same test.
 
     Attributes:
-        outcomes: (n, n_done) bool.
-        signs: (n, n_rows) int8 of the rows in their group; 0 where a row does not bound the region.
+        origin: (n,) int64, what the walk started from: 0, or a leaf of a tree.
+        outcomes: (n, n_done) bool, of the tests so far.
+        signs: (n, n_rows) int8, of the rows in a region's group; 0 where a row does not bound it.
         group: (n,) int64.
-        rows: the box, the earlier layers' tests and this layer's, by group.
-        centres, radii: inner points (n, d), and how far all rows are from them (n,).
+        rows: those that the walk started from, then a row a test: the earlier layers' and this layer's.
+        centres, radii: inner points (n, d), and how far all rows are from them (n,); in the domain's scale.
         bases: of the linear programs.
         n_ahead: tests of this layer that are still to come; they are the last rows.
     """
 
+    origin: IntArray
     outcomes: BoolArray
     signs: NDArray[np.int8]
     group: IntArray
@@ -64,13 +66,15 @@ class _Block:
     centres: FloatArray
     radii: FloatArray
     bases: Bases
-    n_ahead: int
+    n_ahead: int = 0
 
-    def take(self, regions: NDArray[np.generic] | slice) -> _Block:
-        return _Block(
-            self.outcomes[regions], self.signs[regions], self.group[regions], self.rows, self.centres[regions],
-            self.radii[regions], self.bases.take(regions), self.n_ahead,
-        )  # fmt: skip
+    def take(self, regions: NDArray[np.generic] | slice) -> Block:
+        """Return the block of some regions."""
+        arrays = {name: getattr(self, name)[regions] for name in _BY_REGION}
+        return replace(self, bases=self.bases.take(regions), **arrays)
+
+
+_BY_REGION = ("origin", "outcomes", "signs", "group", "centres", "radii")
 
 
 def find_regions(
@@ -93,42 +97,58 @@ def find_regions(
     Raises:
         TreeTooLargeError: a limit was met; the message says how far the walk came.
     """
-    return _Walk(network, domain, tolerance, max_regions, max_seconds).run()
+    rows = domain.rows()
+    signs, group = np.ones((1, rows.n_rows), dtype=np.int8), np.zeros(1, dtype=np.int64)
+    balls = largest_balls(rows, group, signs, Bases.start(1, network.n_inputs), tolerance)
+    outcomes = np.zeros((1, 0), dtype=np.bool_)
+    whole = Block(group, outcomes, signs, group, rows, balls.centres, balls.radii, balls.bases)
+    walk = Walk(network, domain, tolerance, max_regions, max_seconds)
+    blocks = walk.run(whole)
+    return Regions(
+        np.concatenate([block.outcomes for block in blocks]),
+        domain.unscaled(np.concatenate([block.centres for block in blocks])),
+        walk.n_linear_programs,
+        walk.n_tests,
+    )
 
 
-class _Walk:
+class Walk:
+    """A walk through the tests of a network, from regions of the inputs to the regions of the network inside them."""
+
     def __init__(
         self, network: ReluNetwork, domain: Domain, tolerance: float, max_regions: int, max_seconds: float | None
     ) -> None:
+        """Take the arguments of `find_regions`."""
         self.network, self.domain, self.tolerance = network, domain, tolerance
         self.max_regions, self.max_seconds = max_regions, max_seconds
         self.units = network.unit_form()
         self.n_bits = network.n_hidden + network.head.n_tests(network.n_outputs)
         self.n_linear_programs = self.n_tests = self.n_found = 0
 
-    def run(self) -> Regions:
+    def run(self, start: Block) -> list[Block]:
+        """Return all regions in those of `start`, which have no outcomes yet.
+
+        Raises:
+            TreeTooLargeError: as in `find_regions`.
+        """
         self.began = time.monotonic()
-        waiting, finished = [self._whole_domain()], []
+        waiting, finished = [start], []
         while waiting:
             block = waiting.pop()
-            n_open = sum(len(other.group) for other in waiting)
-            self._check_limits(block, n_open)
+            self._check_limits(block, sum(len(other.group) for other in waiting))
             if block.outcomes.shape[1] == self.n_bits:
                 self.n_found += len(block.group)
-                finished.append((block.outcomes, block.centres))
-                continue
-            if not block.n_ahead:
+                finished.append(block)
+            elif not block.n_ahead:
                 waiting += self._next_layer(block)
-                continue
-            block = self._split(block)
-            half = len(block.group) // 2
-            waiting += (
-                [block] if len(block.group) <= _BLOCK else [block.take(slice(half)), block.take(slice(half, None))]
-            )
-        patterns, centres = (np.concatenate(parts) for parts in zip(*finished, strict=True))
-        return Regions(patterns, self.domain.unscaled(centres), self.n_linear_programs, self.n_tests)
+            else:
+                block = self._split(block)
+                n = len(block.group)
+                parts = [slice(None)] if n <= _BLOCK else [slice(n // 2), slice(n // 2, None)]
+                waiting += [block.take(part) for part in parts]
+        return finished
 
-    def _check_limits(self, block: _Block, n_open: int) -> None:
+    def _check_limits(self, block: Block, n_open: int) -> None:
         seconds = time.monotonic() - self.began
         n_regions = self.n_found + n_open + len(block.group)
         if n_regions <= self.max_regions and (self.max_seconds is None or seconds <= self.max_seconds):
@@ -140,15 +160,7 @@ class _Walk:
             "or less far; raise max_leaves or max_seconds, or give a smaller domain"
         )
 
-    def _whole_domain(self) -> _Block:
-        """Return the block of one region, the domain, before any test."""
-        rows = self.domain.rows()
-        signs, group = np.ones((1, rows.b.shape[1]), dtype=np.int8), np.zeros(1, dtype=np.int64)
-        balls = largest_balls(rows, group, signs, Bases.start(1, self.network.n_inputs), self.tolerance)
-        outcomes = np.zeros((1, 0), dtype=np.bool_)
-        return _Block(outcomes, signs, group, rows, balls.centres, balls.radii, balls.bases, 0)
-
-    def _next_layer(self, block: _Block) -> Iterator[_Block]:
+    def _next_layer(self, block: Block) -> Iterator[Block]:
         """Yield the block, in pieces, with the tests of the next layer, or the head's next one, among its rows."""
         if block.outcomes.shape[1] == 0:
             forms = self._tests(np.zeros((1, 0), dtype=np.bool_))
@@ -158,8 +170,8 @@ class _Walk:
         size = max(1, _BLOCK * 64 // n_numbers)
         for start in range(0, len(block.group), size):
             piece = block.take(slice(start, start + size))
-            own_rows = Rows(piece.rows.a[piece.rows.of(piece.group)], piece.rows.b[piece.rows.of(piece.group)])
-            piece.rows, piece.group = own_rows, np.arange(len(piece.group))
+            own_rows = piece.rows.take(piece.rows.of(piece.group))
+            piece = replace(piece, rows=own_rows, group=np.arange(len(piece.group)))
             yield self._with_tests(piece, self._tests(piece.outcomes))
 
     def _tests(self, outcomes: BoolArray) -> FloatArray:
@@ -172,18 +184,17 @@ class _Walk:
         outputs = self.units.forms(outcomes[:, : network.n_hidden], network.negative_slope)[:, network.n_hidden :]
         return network.head.next_test(outputs, outcomes[:, network.n_hidden :])[:, None]
 
-    def _with_tests(self, block: _Block, forms: FloatArray) -> _Block:
-        """Return the block with tests (n_groups, n_tests, d + 1) added to its rows."""
-        a, b = self.domain.scaled_forms(forms)
-        rows = Rows(np.concatenate((block.rows.a, a), axis=1), np.concatenate((block.rows.b, b), axis=1))
-        signs = np.zeros((len(block.group), rows.b.shape[1]), dtype=np.int8)
+    def _with_tests(self, block: Block, forms: FloatArray) -> Block:
+        """Return the block with tests (n_groups or 1, n_tests, d + 1) added to its rows."""
+        rows = block.rows.followed_by(self.domain.rows_of(forms))
+        signs = np.zeros((len(block.group), rows.n_rows), dtype=np.int8)
         signs[:, : block.signs.shape[1]] = block.signs
-        return _Block(block.outcomes, signs, block.group, rows, block.centres, block.radii, block.bases, forms.shape[1])
+        return replace(block, signs=signs, rows=rows, n_ahead=forms.shape[1])
 
-    def _split(self, block: _Block) -> _Block:
+    def _split(self, block: Block) -> Block:
         """Return the block after its next test: every region's sides that are not empty."""
         test = block.signs.shape[1] - block.n_ahead
-        rows = Rows(block.rows.a[:, : test + 1], block.rows.b[:, : test + 1])
+        rows = block.rows.take(slice(None), slice(test + 1))
         self.n_tests += len(block.group)
         of_group = rows.of(block.group)
         values = np.einsum("nd,nd->n", block.centres, rows.a[of_group, test]) + rows.b[of_group, test]
@@ -196,19 +207,23 @@ class _Walk:
         signs[:, test] = np.where(right, 1, -1)
         balls = largest_balls(rows, block.group[asked], signs, block.bases.take(asked), self.tolerance)
         self.n_linear_programs += len(asked)
-        clear, found = np.flatnonzero(is_clear), np.flatnonzero(~balls.is_empty)
-        parents = np.concatenate((clear, asked[found]))
-        outcomes = np.concatenate((near[clear], right[found]))
+        found = np.flatnonzero(~balls.is_empty)
+        n_found = np.bincount(asked[found], minlength=len(near)) + is_clear
+        kept = np.flatnonzero(is_clear | (n_found == 0))  # with neither side wide enough, the region stays as it is
+        parents = np.concatenate((kept, asked[found]))
+        outcomes = np.concatenate((near[kept], right[found]))
+        is_split = n_found[parents] == 2
         signs = block.signs[parents]
-        signs[:, test] = np.where(constant[parents], 0, np.where(outcomes, 1, -1))
-        margins = np.where(constant[clear], block.radii[clear], np.minimum(block.radii[clear], np.abs(values[clear])))
-        return _Block(
+        signs[:, test] = np.where(is_split, np.where(outcomes, 1, -1), 0)
+        margins = np.where(n_found == 2, np.minimum(block.radii, np.abs(values)), block.radii)[kept]
+        return Block(
+            block.origin[parents],
             np.column_stack((block.outcomes[parents], outcomes)),
             signs,
             block.group[parents],
             block.rows,
-            np.concatenate((block.centres[clear], balls.centres[found])),
+            np.concatenate((block.centres[kept], balls.centres[found])),
             np.concatenate((margins, balls.radii[found])),
-            Bases.concatenate([block.bases.take(clear), balls.bases.take(found)]),
+            Bases.concatenate([block.bases.take(kept), balls.bases.take(found)]),
             block.n_ahead - 1,
         )

@@ -58,38 +58,46 @@ class Domain:
         """Whether every side is finite."""
         return bool(np.isfinite(self.low).all() and np.isfinite(self.high).all())
 
-    def rows(self) -> Rows:
-        """Return the finite sides as rows ``a . x + b >= 0`` in scaled coordinates, one group: lows first."""
-        d = self.n_inputs
-        identity = np.eye(d)
-        lows, highs = np.flatnonzero(np.isfinite(self.low)), np.flatnonzero(np.isfinite(self.high))
-        a = np.concatenate((identity[lows], -identity[highs]))
-        b = np.concatenate(((self._middle - self.low)[lows], (self.high - self._middle)[highs]))
-        scale = np.concatenate((self._scale[lows], self._scale[highs]))
-        return Rows(a[None], (b / scale)[None])
+    def require_bounded(self) -> None:
+        """Raise ValueError unless every side is finite."""
+        if not self.is_bounded:
+            i = int(np.flatnonzero(~(np.isfinite(self.low) & np.isfinite(self.high)))[0])
+            raise ValueError(
+                f"input {i} has the limits {self.low[i]:g} and {self.high[i]:g}, expected a bounded box: give a finite "
+                "low and high for every input"
+            )
 
-    def sides(self) -> FloatArray:
-        """Return the finite sides as affine forms [a | b], ``a . x + b >= 0``, in the inputs' own units: (m, d + 1)."""
-        d = self.n_inputs
+    def sides(self) -> tuple[FloatArray, tuple[str, ...]]:
+        """Return the finite sides as affine forms [a | b] (m, d + 1), 0 or more inside, and their names; lows first."""
+        identity = np.eye(self.n_inputs)
         lows, highs = np.flatnonzero(np.isfinite(self.low)), np.flatnonzero(np.isfinite(self.high))
-        identity = np.eye(d)
-        return np.concatenate(
+        forms = np.concatenate(
             (np.column_stack((identity[lows], -self.low[lows])), np.column_stack((-identity[highs], self.high[highs])))
         )
+        return forms, (*(f"low {i}" for i in lows.tolist()), *(f"high {i}" for i in highs.tolist()))
 
-    def scaled_forms(self, forms: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return affine forms [P | v] (..., d + 1) in scaled coordinates, normals of unit length: (..., d) and (...,).
+    def rows(self) -> Rows:
+        """Return the finite sides as rows in scaled coordinates, one group, in the order of `sides`."""
+        return self.rows_of(self.sides()[0][None])
 
-        A form without a slope, up to rounding, keeps a normal of 0 and a value of 1 or -1, by its sign.
+    def scaled(self, forms: FloatArray) -> FloatArray:
+        """Return affine forms [P | v] (..., d + 1) in scaled coordinates, of the same values."""
+        P = forms[..., :-1]
+        return np.concatenate((P * self._scale, (forms[..., -1] + P @ self._middle)[..., None]), axis=-1)
+
+    def rows_of(self, forms: FloatArray) -> Rows:
+        """Return affine forms [P | v] (n_groups, m, d + 1) as rows in scaled coordinates.
+
+        A form without a slope, up to rounding, becomes a row whose normal is 0 and whose value is 1 or -1, by its sign.
         """
-        P, v = forms[..., :-1], forms[..., -1]
-        a, b = P * self._scale, v + P @ self._middle
+        scaled = self.scaled(forms)
+        a, b = scaled[..., :-1], scaled[..., -1]
         length = np.sqrt(np.einsum("...d,...d->...", a, a))
         flat = length <= _ROUNDING * np.abs(b)
         length = np.where(flat, 1.0, length)
         a, b = a / length[..., None], b / length
         a[flat], b[flat] = 0.0, np.where(b[flat] > 0, 1.0, -1.0)
-        return a, b
+        return Rows(a, b, length)
 
     def is_constant(self, a: FloatArray, b: FloatArray) -> BoolArray:
         """Return, for scaled forms a (n, d), b (n,), whether interval arithmetic shows a sign that never changes."""
@@ -99,6 +107,10 @@ class Domain:
             )
         constant: BoolArray = reach < np.abs(b)
         return constant
+
+    def length(self, form: FloatArray) -> float:
+        """Return the length of the normal of an affine form (d + 1,) in scaled coordinates."""
+        return float(np.linalg.norm(form[:-1] * self._scale))
 
     def unscaled(self, X: FloatArray) -> FloatArray:
         """Return scaled states (n, d) in the inputs' own units."""
@@ -119,6 +131,12 @@ class Domain:
         low = [-np.inf if value is None else value for value in description["low"]]
         high = [np.inf if value is None else value for value in description["high"]]
         return cls(low, high)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Domain) and self.to_dict() == other.to_dict()
+
+    def __hash__(self) -> int:
+        return hash((tuple(self.low.tolist()), tuple(self.high.tolist())))
 
     def __repr__(self) -> str:
         return f"Domain({self.low.tolist()}, {self.high.tolist()})"

@@ -1,6 +1,13 @@
 """Errors that the library raises; each message says what was wrong, where, and what to do."""
 
-__all__ = ["ArtefactError", "InvalidNetworkError", "InvalidTreeError", "OtrError", "TreeTooLargeError"]
+__all__ = [
+    "ArtefactError",
+    "CertificateError",
+    "InvalidNetworkError",
+    "InvalidTreeError",
+    "OtrError",
+    "TreeTooLargeError",
+]
 
 
 class OtrError(Exception):
@@ -17,6 +24,10 @@ class InvalidTreeError(OtrError, ValueError):
 
 class TreeTooLargeError(OtrError):
     """The tree asked for has more leaves than the caller allows."""
+
+
+class CertificateError(OtrError):
+    """A tree and a network are not the same function, or a certificate does not prove that they are."""
 
 
 class ArtefactError(OtrError):

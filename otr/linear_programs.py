@@ -27,7 +27,7 @@ from scipy.optimize import linprog
 from otr.arrays import BoolArray, FloatArray, IntArray
 from otr.errors import OtrError
 
-__all__ = ["FREE", "LARGEST_RADIUS", "Balls", "Bases", "Rows", "largest_balls"]
+__all__ = ["FREE", "LARGEST_RADIUS", "Balls", "Bases", "LargestValues", "Rows", "largest_balls", "largest_values"]
 
 LARGEST_RADIUS = 1.0  # of a ball, so that unbounded polytopes have one
 FREE = -1  # in a basis: the place of a coordinate that no row has fixed yet
@@ -35,6 +35,7 @@ _CAP = -2  # in a basis: the row t <= LARGEST_RADIUS
 _GOOD_SHARE = 0.2  # of the bound on the radius: a point with such a margin is good enough
 _SMALLEST_PIVOT = 1e-9
 _DRIFT = 1e-9  # of multipliers
+_FEASIBLE = 1e-11  # what a row may be violated by
 _MAX_PIVOTS = 200  # afterwards HiGHS takes over
 _CHUNK_NUMBERS = 2**17  # of the inverses in work at a time; they should stay in the cache
 
@@ -44,12 +45,31 @@ class Rows:
     """The rows that polytopes are made of, in groups; every polytope takes the rows of one group, with its own signs.
 
     Attributes:
-        a: (n_groups, m, d), each row of unit length.
+        a: (n_groups, m, d), each row of unit length, or 0.
         b: (n_groups, m).
+        lengths: (n_groups, m), of the rows before they were made of unit length.
     """
 
     a: FloatArray
     b: FloatArray
+    lengths: FloatArray
+
+    @property
+    def n_rows(self) -> int:
+        """Number of rows m in a group."""
+        return int(self.b.shape[1])
+
+    def take(self, groups: IntArray | slice, rows: slice = slice(None)) -> Rows:
+        """Return some groups, with some of their rows."""
+        return Rows(self.a[groups, rows], self.b[groups, rows], self.lengths[groups, rows])
+
+    def followed_by(self, other: Rows) -> Rows:
+        """Return the groups, which are as many, with the rows of both; a single group is repeated."""
+        n = max(len(self.b), len(other.b))
+        parts = [part if len(part.b) == n else part.take(np.zeros(n, dtype=np.int64)) for part in (self, other)]
+        return Rows(
+            *(np.concatenate([getattr(part, name) for part in parts], axis=1) for name in ("a", "b", "lengths"))
+        )
 
     def of(self, group: IntArray) -> IntArray:
         """Return groups (n,) as indices into `a` and `b`: with a single one, every polytope is of that."""
@@ -187,7 +207,10 @@ def _pivot_until_decided(rows: Rows, group: IntArray, signs: NDArray[np.int8], b
             bases, tightest, margin = bases.take(left), tightest[left], margin[left]
         if not problems.size:
             break
-        _pivot(rows, of_group, signed, bases, tightest, margin)
+        column = np.ones((len(problems), q))
+        sign = signed[np.arange(len(problems)), tightest]
+        np.multiply(rows.a[rows.of(of_group), tightest], -sign[:, None], out=column[:, :d])
+        _pivot(bases, column, margin - bases.solution[:, d], tightest, bases.multipliers)
     alone = np.concatenate((problems, _drifted(rows, group, signs, is_empty, done)))
     for problem in alone.tolist():
         ball = _solve_alone(rows.a[rows.of(group)[problem]], rows.b[rows.of(group)[problem]], signs[problem], tolerance)
@@ -238,26 +261,123 @@ def _solve_alone(
     return True, solved.x[:d], radius, basis
 
 
+@dataclass(frozen=True)
+class LargestValues:
+    """What `largest_values` found.
+
+    Attributes:
+        values: (n,), -inf where the polytope is empty.
+        states: (n, d) where they are taken; of no meaning where there are none.
+        rows: (n, d) int16, the rows that bind there.
+        multipliers: (n, d): the objective is its value less the rows' sum with these, each of which is at least 0.
+    """
+
+    values: FloatArray
+    states: FloatArray
+    rows: NDArray[np.int16]
+    multipliers: FloatArray
+
+
+def largest_values(rows: Rows, group: IntArray, signs: NDArray[np.int8], objectives: FloatArray) -> LargestValues:
+    """Return the largest value of an affine function over each polytope, by the dual simplex method side by side.
+
+    Args:
+        rows: in scaled coordinates; the first 2 d are the sides of a bounded domain, as `Domain.rows` gives them.
+        group, signs: as in `largest_balls`.
+        objectives: (n, d + 1) affine forms [f | f0] in scaled coordinates.
+    """
+    n, d = len(objectives), objectives.shape[1] - 1
+    f, f0 = objectives[:, :d], objectives[:, d]
+    # The corner of the box where the objective is largest is feasible in the dual.
+    upper = f > 0
+    normals = np.where(upper, 1.0, -1.0)
+    bases = Bases(
+        (np.arange(d) + d * upper).astype(np.int16), normals[:, :, None] * np.eye(d), normals.astype(np.float64)
+    )
+    found = LargestValues(np.full(n, -np.inf), np.zeros((n, d)), np.zeros((n, d), np.int16), np.zeros((n, d)))
+    problems, absent, signed = np.arange(n), np.where(signs == 0, np.inf, 0.0), signs.astype(np.float64)
+    for _ in range(_MAX_PIVOTS):
+        margins = rows.values(group, bases.solution) * signed + absent
+        tightest = margins.argmin(axis=1)
+        margin = margins[np.arange(len(margins)), tightest]
+        multipliers = np.einsum("nij,nj->ni", bases.inverse, f)
+        done = margin >= -_FEASIBLE
+        these = problems[done]
+        found.values[these] = np.einsum("nd,nd->n", f[done], bases.solution[done]) + f0[done]
+        found.states[these], found.rows[these] = bases.solution[done], bases.rows[done]
+        found.multipliers[these] = multipliers[done]
+        left = np.flatnonzero(~done)
+        problems, group, signed, absent = problems[left], group[left], signed[left], absent[left]
+        f, f0 = f[left], f0[left]
+        if not left.size:
+            return found
+        bases, tightest = bases.take(left), tightest[left]
+        column = -signed[np.arange(len(left)), tightest][:, None] * rows.a[rows.of(group), tightest]
+        stuck = _pivot(bases, column, margin[left], tightest, multipliers[left])
+        go_on = np.flatnonzero(~stuck)
+        problems, group, signed, absent = problems[go_on], group[go_on], signed[go_on], absent[go_on]
+        f, f0, bases = f[go_on], f0[go_on], bases.take(go_on)
+        if not go_on.size:
+            return found
+    for at, problem in enumerate(problems.tolist()):
+        g = rows.of(group)[at]
+        optimum = _largest_value_alone(rows.a[g], rows.b[g], signed[at], f[at])
+        if optimum is not None:
+            found.states[problem], found.rows[problem], found.multipliers[problem] = optimum
+            found.values[problem] = f[at] @ found.states[problem] + f0[at]
+    return found
+
+
+def _largest_value_alone(
+    a: FloatArray, b: FloatArray, signs: FloatArray, f: FloatArray
+) -> tuple[FloatArray, IntArray, FloatArray] | None:
+    """Return the state, rows and multipliers of the largest f . x over one polytope, by HiGHS; None if it is empty."""
+    used, d = np.flatnonzero(signs), len(f)
+    s = signs[used]
+    solved = linprog(-f, A_ub=-s[:, None] * a[used], b_ub=s * b[used], bounds=[(None, None)] * d, method="highs")
+    if solved.status == 2:
+        return None
+    if solved.status != 0:
+        raise OtrError(
+            f"HiGHS could not solve a linear program of {len(used)} rows in {d} dimensions: {solved.message}"
+        )
+    multipliers = -np.asarray(solved.ineqlin.marginals)
+    binding = np.argsort(-multipliers, kind="stable")[:d]
+    return np.asarray(solved.x), used[binding], multipliers[binding]
+
+
 def _pivot(
-    rows: Rows, group: IntArray, signed: FloatArray, bases: Bases, entering: IntArray, margin: FloatArray
-) -> None:
-    """Let the row `entering` (n,), of value `margin` (n,) at the present centre, into each basis, in place."""
+    bases: Bases, column: FloatArray, value: FloatArray, entering: IntArray, multipliers: FloatArray
+) -> BoolArray:
+    """Let a row into each basis, in place.
+
+    Args:
+        bases: n of them, of q places.
+        column: (n, q), the row's normal, turned outwards.
+        value: (n,) of the row at the present solution, below 0.
+        entering: (n,) its index.
+        multipliers: (n, q), of the rows in the basis.
+
+    Returns:
+        (n,) whether no place can be left, which shows that the polytope is empty; such a basis is of no use any more.
+    """
     basis, inverse, solution = bases.rows, bases.inverse, bases.solution
-    n, q = basis.shape
-    each = np.arange(n)
-    column = np.ones((n, q))
-    np.multiply(rows.a[rows.of(group), entering], -signed[each, entering, None], out=column[:, : q - 1])
+    each = np.arange(len(basis))
     direction = np.matmul(inverse, column[:, :, None])[:, :, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.maximum(bases.multipliers, 0.0) / direction
+        ratio = np.maximum(multipliers, 0.0) / direction
     free = basis == FREE
     ratio[free | (direction <= _SMALLEST_PIVOT)] = np.inf
     # A free place holds a multiplier of zero that must stay zero: it leaves first, the largest pivot before others.
     leaves_free = free & (np.abs(direction) > _SMALLEST_PIVOT)
     ratio[leaves_free] = -np.abs(direction[leaves_free])
     leaving = ratio.argmin(axis=1)
-    row = inverse[each, leaving] / direction[each, leaving, None]
+    stuck: BoolArray = np.isinf(ratio[each, leaving])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        row = inverse[each, leaving] / direction[each, leaving, None]
+    row[stuck] = 0.0
     inverse -= direction[:, :, None] * row[:, None, :]
     inverse[each, leaving] = row
-    solution += (margin - solution[:, -1])[:, None] * row
+    solution += value[:, None] * row
     basis[each, leaving] = entering
+    return stuck

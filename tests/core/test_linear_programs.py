@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from otr import linear_programs
-from otr.linear_programs import FREE, LARGEST_RADIUS, Bases, Rows, largest_balls
+from otr.domain import as_domain
+from otr.linear_programs import FREE, LARGEST_RADIUS, Bases, Rows, largest_balls, largest_values
 
 TOLERANCE = 1e-9
 
@@ -32,7 +33,7 @@ def random_rows(rng: np.random.Generator, n_groups: int, m: int, d: int, degener
     else:
         a, b = rng.normal(size=(n_groups, m, d)), rng.normal(size=(n_groups, m))
     length = np.linalg.norm(a, axis=2)
-    return Rows(a / length[..., None], b / length)
+    return Rows(a / length[..., None], b / length, length)
 
 
 def assert_balls_are_right(rows: Rows, group: np.ndarray, signs: np.ndarray, balls: linear_programs.Balls) -> None:
@@ -73,7 +74,7 @@ def test_goes_on_from_the_bases_of_fewer_rows(seed: int, d: int, m: int, degener
     signs = rng.choice([-1, 1], (n, m)).astype(np.int8)
     bases = Bases.start(n, d)
     for used in range(1, m + 1):
-        fewer = Rows(rows.a[:, :used], rows.b[:, :used])
+        fewer = rows.take(slice(None), slice(used))
         balls = largest_balls(fewer, group, signs[:, :used], bases, TOLERANCE)
         assert_balls_are_right(fewer, group, signs[:, :used], balls)
         go_on = np.flatnonzero(~balls.is_empty)
@@ -101,3 +102,29 @@ def test_many_problems_are_solved_in_chunks(monkeypatch: pytest.MonkeyPatch) -> 
     chunked = largest_balls(rows, group, signs, Bases.start(500, 3), TOLERANCE)
     np.testing.assert_array_equal(whole.is_empty, chunked.is_empty)
     np.testing.assert_allclose(whole.centres[~whole.is_empty], chunked.centres[~whole.is_empty], atol=1e-12)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 5), st.integers(0, 10), st.booleans(), st.booleans())
+def test_largest_values_equal_highs(seed: int, d: int, m: int, degenerate: bool, alone: bool) -> None:
+    rng = np.random.default_rng(seed)
+    n = 8
+    rows = as_domain((-1.0, 1.0), d).rows().followed_by(random_rows(rng, 1, m, d, degenerate))
+    signs = np.concatenate((np.ones((n, 2 * d)), rng.integers(-1, 2, (n, m))), axis=1).astype(np.int8)
+    objectives = rng.integers(-2, 3, (n, d + 1)).astype(float) if degenerate else rng.normal(size=(n, d + 1))
+    with pytest.MonkeyPatch.context() as patch:
+        if alone:
+            patch.setattr(linear_programs, "_MAX_PIVOTS", 1)
+        best = largest_values(rows, np.zeros(n, dtype=int), signs, objectives)
+    for p in range(n):
+        used = signs[p] != 0
+        s = signs[p, used].astype(float)
+        solved = linprog(-objectives[p, :d], -s[:, None] * rows.a[0, used], s * rows.b[0, used], bounds=(None, None))
+        if solved.status == 2:
+            assert best.values[p] == -np.inf
+            continue
+        assert best.values[p] == pytest.approx(-solved.fun + objectives[p, d], abs=1e-8)
+        assert (best.multipliers[p] > -1e-9).all()
+        # f . x + f0 = value - sum mu h
+        weights = best.multipliers[p] * signs[p, best.rows[p]]
+        np.testing.assert_allclose(-weights @ rows.a[0, best.rows[p]], objectives[p, :d], atol=1e-8)
+        assert weights @ rows.b[0, best.rows[p]] + objectives[p, d] == pytest.approx(best.values[p], abs=1e-8)

@@ -50,7 +50,8 @@ def patterns_by_brute_force(network: otr.ReluNetwork, domain: Domain) -> set[byt
             node = 2 * node + 1 + right
         if n_bits == 0:
             return {b""}
-        a, b = domain.scaled_forms(np.array(forms))
+        tests = domain.rows_of(np.array(forms)[None])
+        a, b = tests.a[0], tests.b[0]
         flat = ~a.any(axis=1)
         if (np.sign(b[flat]) != np.array(signs)[flat]).any():
             continue

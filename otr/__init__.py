@@ -27,6 +27,7 @@ from otr.minimal import minimal_tree
 from otr.network import ReluNetwork
 from otr.pattern_tree import PatternTree
 from otr.programs import draw_tree, save_picture, to_text
+from otr.properties import Condition, find_violation, output_range, reachable_labels
 from otr.proving import certify
 from otr.pruning import prune_to_k, prune_unreached
 from otr.simplify import refit_tests
@@ -41,6 +42,7 @@ __all__ = [
     "Certificate",
     "CertificateError",
     "ClipBox",
+    "Condition",
     "Domain",
     "Head",
     "Identity",
@@ -55,6 +57,7 @@ __all__ = [
     "TreeTooLargeError",
     "certify",
     "draw_tree",
+    "find_violation",
     "from_sb3",
     "from_sklearn",
     "from_torch",
@@ -63,8 +66,10 @@ __all__ = [
     "load_certificate",
     "map_network",
     "minimal_tree",
+    "output_range",
     "prune_to_k",
     "prune_unreached",
+    "reachable_labels",
     "refit_tests",
     "save",
     "save_picture",

@@ -1,0 +1,111 @@
+"""Ranges and conditions against dense sampling and worked examples."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import otr
+from otr.properties import Condition, _tanh_line
+from tests.core.strategies import cases, make_network
+
+BOX = (-1.5, 2.0)
+
+
+def grid(n_inputs: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(*BOX, (4000, n_inputs))
+
+
+@settings(max_examples=60, deadline=None)
+@given(cases(heads=("identity", "clip_box", "tanh_box"), max_layers=3))
+def test_no_state_is_outside_the_range_and_its_ends_are_taken(case) -> None:
+    network = case.network
+    tree = otr.map_network(network)
+    found = otr.output_range(tree, BOX)
+    answers = network.predict(grid(network.n_inputs))
+    assert (answers >= found.low - 1e-9).all() and (answers <= found.high + 1e-9).all()
+    for output in range(network.n_outputs):
+        for states, values in ((found.low_states, found.low), (found.high_states, found.high)):
+            assert (states[output] >= BOX[0] - 1e-9).all() and (states[output] <= BOX[1] + 1e-9).all()
+            # A network is continuous, so that the end is taken, not only approached.
+            assert network.predict(states[output])[output] == pytest.approx(values[output], abs=1e-6)
+
+
+def test_a_worked_range() -> None:
+    network = otr.ReluNetwork([[[1.0, 0.0], [0.0, 1.0]], [[1.0, -2.0]]], [[0.0, -1.0], [0.5]])
+    found = otr.output_range(otr.map_network(network), ([-1.0, 0.0], [3.0, 2.0]))
+    assert (found.low.tolist(), found.high.tolist()) == ([-1.5], [3.5])
+    tree = otr.ObliqueTree([~0], [~1], [[1.0]], [0.0], [[[0.0]], [[1.0]]], [[5.0], [1.0]])
+    jump = otr.output_range(tree, (-1.0, 1.0))
+    assert (jump.low.tolist(), jump.high.tolist()) == ([1.0], [5.0])
+    assert otr.output_range(tree, (0.5, 1.0)).low.tolist() == [1.5]
+
+
+def test_labels_that_a_box_can_bring() -> None:
+    network = otr.ReluNetwork([[[1.0], [-1.0], [0.0]]], [[0.0, 0.0, 0.5]], head=otr.Argmax())
+    tree = otr.map_network(network)
+    assert otr.reachable_labels(tree, (-2.0, 2.0)).tolist() == [0, 1, 2]
+    assert otr.reachable_labels(tree, (-0.4, 0.4)).tolist() == [2]
+    assert otr.reachable_labels(tree).tolist() == [0, 1, 2]
+    with pytest.raises(ValueError, match="use reachable_labels"):
+        otr.output_range(tree, (-1.0, 1.0))
+    with pytest.raises(ValueError, match="use output_range"):
+        otr.reachable_labels(otr.map_network(otr.ReluNetwork([[[1.0]]], [[0.0]])))
+
+
+@settings(max_examples=60, deadline=None)
+@given(cases(max_layers=2), st.integers(0, 2**32 - 1), st.floats(-2.0, 2.0))
+def test_a_verdict_agrees_with_every_state(case, seed: int, slack: float) -> None:
+    network, rng = case.network, np.random.default_rng(seed)
+    tree = otr.map_network(network)
+    X = grid(network.n_inputs, 1)
+    answers = network.predict(X)
+    if isinstance(network.head, otr.Sign):
+        answers = answers[:, None]
+    elif tree.labels is not None:
+        answers = np.eye(network.n_outputs)[answers]
+    w, u = rng.normal(size=network.n_inputs), rng.normal(size=network.n_outputs)
+    values = X @ w + answers @ u
+    condition = Condition(w, u, float(values.max() + slack * values.std() / 10))
+    verdict = otr.find_violation(tree, condition, BOX)
+    if verdict.holds:
+        assert values.max() <= max(condition.bound, verdict.value) + 1e-6
+        assert verdict.state is None and verdict.n_pieces > 0
+    else:
+        assert verdict.value > condition.bound
+        x = verdict.state
+        assert (x >= BOX[0] - 1e-9).all() and (x <= BOX[1] + 1e-9).all()
+        assert w @ x + verdict.action @ u == pytest.approx(verdict.value, abs=1e-9)
+        if tree.labels is None:  # a network is continuous; of a label only the leaf is known at the boundary
+            np.testing.assert_allclose(network.predict(x), verdict.action, atol=1e-6)
+    if values.max() > condition.bound + 1e-6:
+        assert not verdict.holds
+
+
+def test_the_largest_value_is_found_to_the_tolerance() -> None:
+    """On one affine leaf under tanh, the maximum of tanh(3 x) - x on [0, 2] is where tanh' = 1/3."""
+    tree = otr.map_network(otr.ReluNetwork([[[3.0]]], [[0.0]], head=otr.TanhBox(-1.0, 1.0)))
+    best = np.arccosh(np.sqrt(3.0)) / 3
+    largest = np.tanh(3 * best) - best
+    holds = otr.find_violation(tree, Condition([-1.0], [1.0], largest + 1e-4), (0.0, 2.0))
+    assert holds.holds and largest <= holds.value <= largest + 1e-4
+    fails = otr.find_violation(tree, Condition([-1.0], [1.0], largest - 1e-4), (0.0, 2.0))
+    assert not fails.holds and largest - 1e-4 < fails.value <= largest
+
+
+@given(st.floats(-8, 8), st.floats(0, 8), st.integers(0, 100))
+def test_lines_lie_above_tanh(low: float, width: float, share: int) -> None:
+    slope, offset = _tanh_line(np.array([low]), np.array([low + width]))
+    y = low + width * share / 100
+    assert slope[0] * y + offset[0] >= np.tanh(y) - 1e-12
+    assert slope[0] * y + offset[0] <= np.tanh(y) + 2 * width
+
+
+def test_bad_questions_are_told() -> None:
+    tree = otr.map_network(make_network(np.random.default_rng(0), (3,), n_inputs=2, n_outputs=2))
+    with pytest.raises(ValueError, match="expected a bounded box"):
+        otr.output_range(tree, ([0.0, 0.0], [1.0, np.inf]))
+    with pytest.raises(ValueError, match=r"expected \(2,\) of the state and \(2,\) of the action"):
+        otr.find_violation(tree, Condition([1.0], [1.0, 0.0], 0.0), BOX)
+    with pytest.raises(otr.OtrError, match="more than 3 pieces"):
+        otr.find_violation(tree, Condition([1.0, 0.0], [1.0, 0.0], 1e9), BOX, max_pieces=3)

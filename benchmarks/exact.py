@@ -47,9 +47,7 @@ def measure(quick: bool) -> list[Entry]:
 def random_network(n: int, d: int) -> otr.ReluNetwork:
     """Return a network of one hidden layer in general position."""
     rng = np.random.default_rng(1000 * n + d)
-    return otr.ReluNetwork(
-        [rng.normal(size=(n, d)), rng.normal(size=(1, n))], [rng.normal(size=n), rng.normal(size=1)]
-    )
+    return otr.ReluNetwork([rng.normal(size=(n, d)), rng.normal(size=(1, n))], [rng.normal(size=n), rng.normal(size=1)])
 
 
 def affinitree_seconds(network: otr.ReluNetwork) -> tuple[float, int]:

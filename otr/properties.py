@@ -255,12 +255,13 @@ class _Search:
             slope, offset = _line(self.tree, int(self.weighed[i]), self.action[self.weighed[i]], low[:, i], high[:, i])
             objective += slope[:, None] * outputs[:, i]
             objective[:, -1] += offset
-        sides = np.concatenate((outputs, -outputs), axis=1)
-        sides[:, :m, -1] -= np.where(np.isfinite(low), low, 0.0)
-        sides[:, m:, -1] += np.where(np.isfinite(high), high, 0.0)
+        # As tests that go left, low - y <= 0 and y - high <= 0, so that a constant output may lie on the edge.
+        sides = np.concatenate((-outputs, outputs), axis=1)
+        sides[:, :m, -1] += np.where(np.isfinite(low), low, 0.0)
+        sides[:, m:, -1] -= np.where(np.isfinite(high), high, 0.0)
         rows = self.rows.take(at).followed_by(self.domain.rows_of(sides))
-        used = np.isfinite(np.concatenate((low, high), axis=1)).astype(np.int8)
-        signs = np.concatenate((self.signs[at], used), axis=1)
+        used = np.isfinite(np.concatenate((low, high), axis=1))
+        signs = np.concatenate((self.signs[at], np.where(used, -1, 0).astype(np.int8)), axis=1)
         return largest_values(rows, np.arange(n), signs, self.domain.scaled(objective))
 
     def _cut(

@@ -98,7 +98,7 @@ def test_lines_lie_above_tanh(low: float, width: float, share: int) -> None:
     slope, offset = _tanh_line(np.array([low]), np.array([low + width]))
     y = low + width * share / 100
     assert slope[0] * y + offset[0] >= np.tanh(y) - 1e-12
-    assert slope[0] * y + offset[0] <= np.tanh(y) + 2 * width
+    assert slope[0] * y + offset[0] <= np.tanh(y) + 2 * width + 1e-12
 
 
 def test_bad_questions_are_told() -> None:

@@ -16,7 +16,18 @@ from otr.io import load, save
 from otr.mapping import map_network
 from otr.network import ReluNetwork
 from otr.pattern_tree import PatternTree
-from otr.programs import draw_tree, save_picture, to_text
+from otr.programs import (
+    draw_tree,
+    save_picture,
+    to_c,
+    to_dot,
+    to_json,
+    to_latex,
+    to_onnx,
+    to_python,
+    to_structured_text,
+    to_text,
+)
 from otr.pruning import prune_to_k, prune_unreached
 from otr.simplify import refit_tests
 from otr.tree import ObliqueTree
@@ -50,5 +61,12 @@ __all__ = [
     "refit_tests",
     "save",
     "save_picture",
+    "to_c",
+    "to_dot",
+    "to_json",
+    "to_latex",
+    "to_onnx",
+    "to_python",
+    "to_structured_text",
     "to_text",
 ]

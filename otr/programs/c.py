@@ -122,7 +122,8 @@ def _comment(
 
 
 def _commented(name: str) -> str:
-    return one_line(name).replace("*/", "* /").replace("/*", "/ *")
+    """Return a name that neither ends the comment, nor opens another, nor holds a trigraph."""
+    return re.sub(r"\?(?=\?)", "? ", one_line(name).replace("*/", "* /").replace("/*", "/ *"))
 
 
 def _range(policy: ObliqueTree | ReluNetwork, output: int) -> str:

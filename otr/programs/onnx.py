@@ -106,7 +106,7 @@ class _Graph:
         """Add a constant, real numbers in the graph's type, and return its name."""
         from onnx import numpy_helper
 
-        array = np.ascontiguousarray(values)
+        array = np.asarray(values, order="C")
         if array.dtype.kind == "f":
             with np.errstate(over="ignore"):
                 array = array.astype(self.real)

@@ -19,6 +19,7 @@ from otr.tree import ObliqueTree
 
 __all__ = [
     "MAX_NESTED_DEPTH",
+    "TIE",
     "WIDTH",
     "Names",
     "affine_expression",
@@ -38,7 +39,7 @@ __all__ = [
 # Nested ifs up to this depth; Python's parser bears 100 indentations, and nobody reads as many.
 MAX_NESTED_DEPTH = 64
 WIDTH = 110  # of a line of code
-_TIE = "\u00a0"  # a space at which no line is broken
+TIE = "\u00a0"  # a space at which `wrapped` breaks no line
 
 
 @dataclass(frozen=True)
@@ -181,14 +182,14 @@ def affine_expression(
 ) -> str:
     """Return ``offset + coefficient * name - ...`` in the notation of most languages; zeros are left out.
 
-    Spaces within a term are such that `wrapped` breaks no line there.
+    The spaces within a term are ties.
     """
     terms = [] if offset == 0 else [(float(offset), "")]
-    terms += [(float(coefficients[i]), f"{_TIE}*{_TIE}{names[i]}") for i in np.flatnonzero(coefficients).tolist()]
+    terms += [(float(coefficients[i]), f"{TIE}*{TIE}{names[i]}") for i in np.flatnonzero(coefficients).tolist()]
     if not terms:
         return number(0.0)
     (first, name), *rest = terms
-    signed = (f" {'-' if value < 0 else '+'}{_TIE}{number(abs(value))}{name}" for value, name in rest)
+    signed = (f" {'-' if value < 0 else '+'}{TIE}{number(abs(value))}{name}" for value, name in rest)
     return f"{number(first)}{name}{''.join(signed)}"
 
 
@@ -202,4 +203,4 @@ def wrapped(text: str, indent: str) -> list[str]:
         break_long_words=False,
         break_on_hyphens=False,
     )
-    return [line.replace(_TIE, " ") for line in lines]
+    return [line.replace(TIE, " ") for line in lines]

@@ -10,6 +10,7 @@ import numpy as np
 from otr.head import Argmax, ClipBox, Sign, TanhBox
 from otr.programs.parts import (
     MAX_NESTED_DEPTH,
+    TIE,
     WIDTH,
     Names,
     affine_expression,
@@ -110,7 +111,7 @@ def _nested(tree: ObliqueTree, names: Names) -> list[str]:
 def _statement(before: str, expression: str, after: str, indent: str) -> list[str]:
     """Return a statement in one line, or in several where that is too long: then its expression stands in brackets."""
     fits = len(indent + before + expression + after) <= WIDTH
-    return wrapped(f"{before}{expression if fits else f'({expression})'}{after}", indent)
+    return wrapped(f"{before}{expression if fits else f'({expression})'}{after.replace(' ', TIE)}", indent)
 
 
 def _label_comment(label: int, names: Names) -> str:

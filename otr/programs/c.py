@@ -13,16 +13,17 @@ from otr.network import ReluNetwork
 from otr.pattern_tree import PatternTree
 from otr.programs.c_network import network_code
 from otr.programs.c_tables import CType, Table, integer_table, integer_type, literal, real_table, row_table
-from otr.programs.parts import box_limits, child, distinct_rows, give_labels, one_line, summary_of
+from otr.programs.parts import box_limits, check_inputs, child, distinct_rows, give_labels, one_line, summary_of
 from otr.programs.text import names_of
 from otr.tree import ObliqueTree
 
 __all__ = ["to_c"]
 
-_KEYWORDS = """
-    auto break case char const continue default do double else enum extern float for goto if inline int long register
-    restrict return short signed sizeof static struct switch typedef union unsigned void volatile while main tanh tanhf
-""".split()
+_KEYWORDS = frozenset(
+    {"auto", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum", "extern", "float",
+     "for", "goto", "if", "inline", "int", "long", "register", "restrict", "return", "short", "signed", "sizeof",
+     "static", "struct", "switch", "typedef", "union", "unsigned", "void", "volatile", "while", "main", "tanh", "tanhf"}
+)  # fmt: skip
 _OF_STDINT = ("static const int", "static const uint")
 
 
@@ -66,6 +67,7 @@ def to_c(
         policy = policy.to_tree() if policy.is_restricted else policy.network
     if isinstance(policy, ReluNetwork) and policy.n_hidden == 0:
         policy = map_network(policy)
+    check_inputs(policy)
     features, answers = names_of(policy, feature_names, output_names)
     tables, body = network_code(policy, name, dtype) if isinstance(policy, ReluNetwork) else _tree(policy, name, dtype)
     head_tables, head = _head(policy, name, dtype)
@@ -180,7 +182,12 @@ def _head(policy: ObliqueTree | ReluNetwork, name: str, dtype: CType) -> tuple[l
     if isinstance(policy.head, Sign):
         return [], ["    return y[0] > 0;"]
     if isinstance(policy.head, Argmax):
-        best = ["    {", "        int best = 0;", f"        for (k = 1; k < {o}; k++)", "            if (y[k] > y[best])"]
+        best = [
+            "    {",
+            "        int best = 0;",
+            f"        for (k = 1; k < {o}; k++)",
+            "            if (y[k] > y[best])",
+        ]
         return [], [*best, "                best = k;", "        return best;", "    }"]
     if isinstance(policy.head, ClipBox):
         low, high = box_limits(policy.head, o)

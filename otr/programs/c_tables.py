@@ -1,4 +1,4 @@
-"""Constant tables in C: numbers as literals that lose nothing, integers in the smallest type, rows in the least bytes."""
+"""Constant tables in C: literals that lose nothing, integers in the smallest type, rows in the least bytes."""
 
 from __future__ import annotations
 

@@ -112,7 +112,9 @@ class _Graph:
                 array = array.astype(self.real)
             if not np.isfinite(array).all():
                 largest = float(np.abs(values).max())
-                raise ValueError(f"the policy holds the number {largest:.6g}, too large for a float; use dtype='double'")
+                raise ValueError(
+                    f"the policy holds the number {largest:.6g}, too large for a float; use dtype='double'"
+                )
         self.constants.append(numpy_helper.from_array(array, name))
         return name
 

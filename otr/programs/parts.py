@@ -24,6 +24,7 @@ __all__ = [
     "Names",
     "affine_expression",
     "box_limits",
+    "check_inputs",
     "child",
     "distinct_rows",
     "give_labels",
@@ -71,13 +72,18 @@ def names_for(
     """
     if not isinstance(tree, ObliqueTree):
         raise TypeError(f"tree is a {type(tree).__name__}, expected an ObliqueTree; a PatternTree has to_tree()")
-    if tree.n_inputs == 0:
-        raise ValueError("the tree has no inputs; a program needs at least one")
+    check_inputs(tree)
     features, answers = names_of(tree, feature_names, output_names)
     outputs = [f"y{i}" for i in range(tree.n_outputs)] if give_labels(tree) else answers
     fallbacks = [f"x{i}" for i in range(len(features))] + [f"y{i}" for i in range(len(outputs))]
     made = identifiers([*features, *outputs], fallbacks, reserved=reserved, ignore_case=ignore_case)
     return Names(features, answers, made[: len(features)], made[len(features) :])
+
+
+def check_inputs(policy: ObliqueTree | ReluNetwork) -> None:
+    """Raise ValueError for a policy without inputs, which no format has a form for."""
+    if policy.n_inputs == 0:
+        raise ValueError("the tree has no inputs; a program needs at least one")
 
 
 def give_labels(policy: ObliqueTree | ReluNetwork) -> bool:

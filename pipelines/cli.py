@@ -1,4 +1,4 @@
-"""The commands `otr-run`, `otr-plan`, `otr-fit`, `otr-tabulate` and `otr-export`, and how Hydra's launchers start their jobs."""
+"""The commands `otr-run`, `otr-plan`, `otr-fit`, `otr-tabulate`, `otr-export`; how Hydra's launchers start jobs."""
 
 import argparse
 import dataclasses

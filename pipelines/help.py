@@ -81,7 +81,7 @@ Print the policy of a finished run as a program in another language, or write it
 actions are the environment's.
 
 words:
-  run=FOLDER            a run's folder, such as results/runs/hopper/otr/depth-6/quick/seed-0 or, shorter, what follows runs/
+  run=FOLDER            a run's folder: results/runs/hopper/otr/depth-6/quick/seed-0 or, shorter, what follows runs/
   format=c              text             if ... then ... else, as the thesis prints it
                         python           one function, without numpy
                         c                C99 for controllers: constant tables, no heap

@@ -84,10 +84,9 @@ def names_of(
     policy: ObliqueTree | ReluNetwork, feature_names: Sequence[str] | None, output_names: Sequence[str] | None
 ) -> tuple[list[str], list[str]]:
     """Return the names of a policy's inputs and of its outputs or, where it decides labels, of these."""
-    if isinstance(policy, ObliqueTree):
-        labelled = policy.labels is not None
-    else:
-        labelled = isinstance(policy.head, Sign | Argmax)  # tests of the tree that the network is
+    # The tree that a network is decides its labels by tests.
+    by_head = isinstance(policy.head, Sign | Argmax)
+    labelled = policy.labels is not None if isinstance(policy, ObliqueTree) else by_head
     n_answers = 2 if labelled and isinstance(policy.head, Sign) else policy.n_outputs
     features = _names(feature_names, policy.n_inputs, "x", "feature_names")
     return features, _names(output_names, n_answers, "" if labelled else "y", "output_names")

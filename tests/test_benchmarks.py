@@ -158,7 +158,7 @@ def test_runs_of_dagger_are_timed():
     assert all(0.0 < entry.value < 180.0 for entry in entries.values())
 
 
-@pytest.mark.skipif(not (shutil.which("gcc") and shutil.which("size")), reason="gcc or size (binutils) is not installed")
+@pytest.mark.skipif(not (shutil.which("gcc") and shutil.which("size")), reason="gcc or size is not installed")
 @pytest.mark.parametrize("dtype", ["double", "float"])
 def test_a_compiled_policy_answers_every_state_that_is_timed(dtype, tmp_path):
     generator = np.random.default_rng(0)

@@ -25,7 +25,9 @@ from pipelines.console import duration
 from pipelines.provenance import git_revision, versions
 from pipelines.store import write_json
 
-NAMES = ("mapping", "prediction", "evaluation", "training", "fleet", "sweeps", "supervised", "control", "exact")
+NAMES = (
+    "mapping", "prediction", "evaluation", "training", "fleet", "sweeps", "supervised", "control", "exact", "latency",
+)  # fmt: skip
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -26,7 +26,18 @@ from otr.mapping import map_network
 from otr.minimal import minimal_tree
 from otr.network import ReluNetwork
 from otr.pattern_tree import PatternTree
-from otr.programs import draw_tree, save_picture, to_text
+from otr.programs import (
+    draw_tree,
+    save_picture,
+    to_c,
+    to_dot,
+    to_json,
+    to_latex,
+    to_onnx,
+    to_python,
+    to_structured_text,
+    to_text,
+)
 from otr.properties import Condition, find_violation, output_range, reachable_labels
 from otr.proving import certify
 from otr.pruning import prune_to_k, prune_unreached
@@ -73,6 +84,13 @@ __all__ = [
     "refit_tests",
     "save",
     "save_picture",
+    "to_c",
+    "to_dot",
+    "to_json",
+    "to_latex",
+    "to_onnx",
+    "to_python",
+    "to_structured_text",
     "to_text",
     "verify",
 ]

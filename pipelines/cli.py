@@ -1,4 +1,4 @@
-"""The commands `otr-run`, `otr-plan`, `otr-fit` and `otr-tabulate`, and how Hydra's launchers start their jobs."""
+"""The commands `otr-run`, `otr-plan`, `otr-fit`, `otr-tabulate`, `otr-export`; how Hydra's launchers start jobs."""
 
 import argparse
 import dataclasses
@@ -30,6 +30,7 @@ from pipelines import config as schemas
 from pipelines.compose import CONF_DIR, Composer, parse, readable, schema_of, to_object
 from pipelines.config import RunConfig, run_folder
 from pipelines.errors import ConfigError, PipelineError
+from pipelines.export import ExportConfig, check_export, find_run, program_of, write_program
 from pipelines.figure_runs import EXPERIMENT, FIGURES, RUNS_OF_FIGURE, budget_of_runs, check_figure
 from pipelines.fleet.groups import fleets
 from pipelines.help import HELP
@@ -127,13 +128,18 @@ def tabulate() -> None:
     _main("otr-tabulate", _tabulate)
 
 
+def export() -> None:
+    """Entry point of `otr-export`."""
+    _main("otr-export", _export)
+
+
 def _main(program: str, command: Callable[[argparse.Namespace], int]) -> None:
     """Run a command, turning every foreseen failure into one message on stderr and an exit code."""
     parser = argparse.ArgumentParser(
         program, description=HELP[program], formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("overrides", nargs="*", metavar="key=value")
-    if program != "otr-tabulate":
+    if program not in ("otr-tabulate", "otr-export"):
         parser.add_argument(
             "-m", "--multirun", action="store_true", help="sweep over comma lists, range() and choice()"
         )
@@ -315,6 +321,29 @@ def _tabulate(arguments: argparse.Namespace) -> int:
     return EXIT_FAILED if different else 0
 
 
+def _export(arguments: argparse.Namespace) -> int:
+    """Print a run's policy as a program, or write it to a file."""
+    words = [_path_quoted(word) for word in arguments.overrides]
+    cfg = to_object(EXPORT.compose(words))
+    assert isinstance(cfg, ExportConfig)
+    check_export(cfg)
+    folder = find_run(cfg)
+    program = program_of(cfg, _load_config(folder, None), folder)
+    if cfg.out is not None:
+        print(write_program(cfg, program))
+    else:
+        assert isinstance(program, str)
+        sys.stdout.write(program)
+    return 0
+
+
+def _path_quoted(word: str) -> str:
+    """Return a word whose value is a path so that Hydra takes it as it is: folders of runs may have a ~ in them."""
+    key, equals, value = word.partition("=")
+    is_path = key in ("run", "out", "results_dir") and value not in ("", "null") and value[0] not in "\"'"
+    return f"{key}={quoted(value)}" if equals and is_path else word
+
+
 def _write_figure(cfg: TabulateConfig) -> list[Path]:
     """Write a figure from the runs of its experiment under one budget."""
     assert cfg.figure is not None
@@ -479,11 +508,12 @@ FIT = Workflow(
     check=lambda config: None,
 )
 TABULATE = Composer("tabulate", groups=("budget",), schemas={(None, "tabulate_schema"): TabulateConfig})
+EXPORT = Composer("export", schemas={(None, "export_schema"): ExportConfig})
 
 
 def register_schemas() -> None:
     """Tell Hydra the dataclasses that the files in conf/ build on."""
-    for composer in (RUN.composer, FIT.composer, TABULATE):
+    for composer in (RUN.composer, FIT.composer, TABULATE, EXPORT):
         composer.register()
 
 

@@ -76,4 +76,29 @@ words:
   budget=quick          whose runs a figure shows; by default the thesis's if there are any, else quick
   evaluate=true         play the evaluation episodes of every run again first, and compare
   results_dir=PATH      where the runs lie (default: results, or OTR_RESULTS_DIR)""",
+    "otr-export": """\
+Print the policy of a finished run as a program in another language, or write it to a file. The names of inputs and
+actions are the environment's.
+
+words:
+  run=FOLDER            a run's folder: results/runs/hopper/otr/depth-6/quick/seed-0 or, shorter, what follows runs/
+  format=c              text             if ... then ... else, as the thesis prints it
+                        python           one function, without numpy
+                        c                C99 for controllers: constant tables, no heap
+                        structured_text  an IEC 61131-3 function block, for PLCs
+                        latex, dot       for a paper (amsmath) and for Graphviz
+                        onnx             standard operators, any number of states at once
+                        json             nodes and leaves, for any other language
+  tree=full             pruned (default; what the policy reaches), full, or, for format=c, compact: the network itself,
+                        the shortest form
+  out=policy.c          a file, or a folder that is there; without it the program is printed
+  name=hopper           of the function, block or graph (default: policy)
+  dtype=float           double (default) or float, for c and onnx
+  precision=3           significant digits, for text, latex and dot; the other formats lose nothing
+  results_dir=PATH      where the runs lie (default: results, or OTR_RESULTS_DIR)
+
+examples:
+  otr-export run=hopper/otr/depth-6/quick/seed-0 format=text
+  otr-export run=hopper/otr/depth-6/quick/seed-0 format=c tree=compact dtype=float out=policy.c
+  otr-export run=lunarlander/otr/depth-2/thesis/seed-0 format=dot | dot -Tsvg > lander.svg""",
 }

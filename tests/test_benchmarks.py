@@ -1,13 +1,14 @@
 """Benchmarks: the form of what they write, and the helpers that measure; how fast anything is stays untested here."""
 
 import json
+import shutil
 from itertools import count
 
 import numpy as np
 import pytest
 
 import otr
-from benchmarks import control, exact, mapping, supervised, training
+from benchmarks import control, exact, latency, mapping, supervised, training
 from benchmarks.__main__ import NAMES, document, main
 from benchmarks.evaluation import STANDING_GAINS, STANDING_OFFSETS, standing_policy
 from benchmarks.mapping import copying_tree, random_network
@@ -167,3 +168,19 @@ def test_exact_measures_small_sizes_when_quick():
     entries = {entry.name: entry for entry in exact.measure(quick=True)}
     assert entries["8 neurons, 17 inputs: leaves"].value == 256
     assert all(entry.met for name, entry in entries.items() if name.endswith("leaves"))
+
+
+@pytest.mark.skipif(not (shutil.which("gcc") and shutil.which("size")), reason="gcc or size is not installed")
+@pytest.mark.parametrize("dtype", ["double", "float"])
+def test_a_compiled_policy_answers_every_state_that_is_timed(dtype, tmp_path):
+    generator = np.random.default_rng(0)
+    network = random_network((4, 3, 2), generator, otr.TanhBox(-1.0, 1.0))
+    states = generator.normal(size=(100, 4))
+    for policy in (network, otr.map_network(network)):
+        ns, answers = latency.run_compiled(policy, dtype, states, "gcc", tmp_path, rounds=1)
+        np.testing.assert_allclose(answers, network.predict(states), atol=1e-5)
+        assert 0.0 < ns < float("inf")
+    # 3 neurons of 4 weights, a bias and 2 contributions, and 2 biases; what comes on top is code.
+    n_bytes = latency.size_bytes(otr.to_c(network, dtype=dtype), "-Os", "gcc", tmp_path)
+    tables = (3 * 7 + 2) * {"double": 8, "float": 4}[dtype]
+    assert tables + 50 < n_bytes < tables + 1000

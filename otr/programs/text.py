@@ -8,6 +8,7 @@ import numpy as np
 
 from otr.arrays import FloatArray
 from otr.head import Argmax, ClipBox, Sign, TanhBox
+from otr.network import ReluNetwork
 from otr.tree import ObliqueTree
 
 __all__ = ["affine_text", "names_of", "to_text"]
@@ -80,12 +81,15 @@ def affine_text(coefficients: FloatArray, offset: float, names: Sequence[str], p
 
 
 def names_of(
-    tree: ObliqueTree, feature_names: Sequence[str] | None, output_names: Sequence[str] | None
+    policy: ObliqueTree | ReluNetwork, feature_names: Sequence[str] | None, output_names: Sequence[str] | None
 ) -> tuple[list[str], list[str]]:
-    """Return the names of a tree's inputs and of its outputs or labels, as `to_text` takes them."""
-    n_answers = 2 if tree.labels is not None and isinstance(tree.head, Sign) else tree.n_outputs
-    features = _names(feature_names, tree.n_inputs, "x", "feature_names")
-    return features, _names(output_names, n_answers, "" if tree.labels is not None else "y", "output_names")
+    """Return the names of a policy's inputs and of its outputs or, where it decides labels, of these."""
+    # The tree that a network is decides its labels by tests.
+    by_head = isinstance(policy.head, Sign | Argmax)
+    labelled = policy.labels is not None if isinstance(policy, ObliqueTree) else by_head
+    n_answers = 2 if labelled and isinstance(policy.head, Sign) else policy.n_outputs
+    features = _names(feature_names, policy.n_inputs, "x", "feature_names")
+    return features, _names(output_names, n_answers, "" if labelled else "y", "output_names")
 
 
 def _names(given: Sequence[str] | None, n: int, prefix: str, argument: str) -> list[str]:

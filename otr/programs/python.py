@@ -1,0 +1,192 @@
+"""A tree as one stand-alone Python function, which needs nothing but the standard library."""
+
+from __future__ import annotations
+
+import keyword
+from collections.abc import Sequence
+
+import numpy as np
+
+from otr.head import Argmax, ClipBox, Sign, TanhBox
+from otr.programs.parts import (
+    MAX_NESTED_DEPTH,
+    TIE,
+    WIDTH,
+    Names,
+    affine_expression,
+    box_limits,
+    child,
+    distinct_rows,
+    give_labels,
+    label_name,
+    names_for,
+    one_line,
+    summary_of,
+    walk,
+    wrapped,
+)
+from otr.tree import ObliqueTree
+
+__all__ = ["to_python"]
+
+# A sum is parsed and compiled by recursion over its terms.
+MAX_TERMS = 200
+_CALLED = ("tanh", "min", "max")
+_RESERVED = (*keyword.kwlist, *_CALLED, "state", "outputs")
+_INDENT = "    "
+
+
+def to_python(
+    tree: ObliqueTree,
+    *,
+    name: str = "policy",
+    feature_names: Sequence[str] | None = None,
+    output_names: Sequence[str] | None = None,
+) -> str:
+    """Return a Python module with the one function ``name(state)`` that answers as ``tree.predict(state)`` does.
+
+    The function takes d numbers and returns a list of o numbers or, where the answers are labels, an int. It is
+    written as nested ifs. A tree that is deeper than Python's parser bears, or that reads hundreds of inputs at once,
+    is written as tables and a loop. Numbers are written in their shortest exact form.
+
+    Args:
+        tree: any tree.
+        name: what to call the function.
+        feature_names, output_names: as in `to_text`; they become variables.
+
+    Raises:
+        TypeError: `tree` is no ObliqueTree.
+        ValueError: the wrong number of names, or `name` is no identifier or one of the functions that are called.
+    """
+    if not name.isidentifier() or keyword.iskeyword(name) or name in _CALLED:
+        raise ValueError(f"name is {name!r}, which cannot be the name of the Python function")
+    names = names_for(tree, feature_names, output_names, reserved=(*_RESERVED, name))
+    n_terms = max(np.count_nonzero(tree.P, axis=1).max(initial=0), np.count_nonzero(tree.M, axis=2).max())
+    nested = tree.depth <= MAX_NESTED_DEPTH and n_terms <= MAX_TERMS
+    body = [*(_nested(tree, names) if nested else _tables(tree)), *_head(tree, names, nested)]
+    lines = [f"# {name}: {summary_of(tree)}.", *_interface(tree, names)]
+    if isinstance(tree.head, TanhBox) and not give_labels(tree):
+        lines += ["from math import tanh", ""]
+    lines += ["", f"def {name}(state):", *(_INDENT + line if line else "" for line in body)]
+    return "\n".join(lines) + "\n"
+
+
+def _interface(tree: ObliqueTree, names: Names) -> list[str]:
+    lines = [
+        f"# state[{i}]: {identifier}{_original(name, identifier)}"
+        for i, (name, identifier) in enumerate(zip(names.features, names.feature_ids, strict=True))
+    ]
+    if give_labels(tree):
+        return [*lines, "# The answer is the number of a label.", ""]
+    answers = zip(names.answers, names.output_ids, strict=True)
+    what = ", ".join(f"{identifier}{_original(name, identifier)}" for name, identifier in answers)
+    return [*lines, f"# The answer is the list of: {what}", ""]
+
+
+def _original(name: str, identifier: str) -> str:
+    return "" if name == identifier else f' ("{one_line(name)}")'
+
+
+def _nested(tree: ObliqueTree, names: Names) -> list[str]:
+    """Return nested ifs that assign the outputs, or return the label."""
+    features = names.feature_ids
+    lines = _statement("", f"{', '.join(features)}{',' * (len(features) == 1)}", " = state", "")
+    for what, index, depth in walk(tree):
+        indent = _INDENT * depth
+        if what == "if":
+            test = affine_expression(tree.P[index], float(tree.v[index]), features, repr)
+            lines += _statement("if ", test, " <= 0:", indent)
+        elif what == "else":
+            lines.append(f"{indent}else:")
+        elif what == "leaf" and tree.labels is not None:
+            label = int(tree.labels[index])
+            lines.append(f"{indent}return {label}{_label_comment(label, names)}")
+        elif what == "leaf":
+            for output, identifier in enumerate(names.output_ids):
+                value = affine_expression(tree.M[index, output], float(tree.c[index, output]), features, repr)
+                lines += _statement(f"{identifier} = ", value, "", indent)
+    return lines
+
+
+def _statement(before: str, expression: str, after: str, indent: str) -> list[str]:
+    """Return a statement in one line, or in several where that is too long: then its expression stands in brackets."""
+    fits = len(indent + before + expression + after) <= WIDTH
+    return wrapped(f"{before}{expression if fits else f'({expression})'}{after.replace(' ', TIE)}", indent)
+
+
+def _label_comment(label: int, names: Names) -> str:
+    name = label_name(label, names.answers)
+    return "" if name == str(label) else f"  # {one_line(name)}"
+
+
+def _tables(tree: ObliqueTree) -> list[str]:
+    """Return tables, a loop that finds the leaf, and what assigns `outputs` or returns the label."""
+    lines = []
+    if tree.n_nodes:
+        tests, test_of_node = distinct_rows(np.column_stack((tree.P, tree.v)))
+        lines += [
+            "# A test's offset, and its weights by input; a negative child r is the leaf ~r.",
+            f"tests = {_rows(tests)}",
+            f"test_of = {_tuple(test_of_node)}",
+            f"children = ({', '.join(_tuple(pair) for pair in child(tree))},)",
+            "node = 0",
+            "while node >= 0:",
+            "    offset, weights = tests[test_of[node]]",
+            "    for i, w in weights:",
+            "        offset += w * state[i]",
+            "    node = children[node][offset > 0]",
+        ]
+    else:
+        lines.append("node = -1")
+    if tree.labels is not None:
+        return [*lines, f"return {_tuple(tree.labels)}[~node]"]
+    rows, row_of = distinct_rows(np.concatenate((tree.M, tree.c[:, :, None]), axis=2).reshape(-1, tree.n_inputs + 1))
+    of_leaf = row_of.reshape(tree.n_leaves, tree.n_outputs)
+    return [
+        *lines,
+        f"rows = {_rows(rows)}",
+        f"rows_of = ({', '.join(_tuple(of) for of in of_leaf)},)",
+        "outputs = []",
+        "for row in rows_of[~node]:",
+        "    offset, weights = rows[row]",
+        "    for i, w in weights:",
+        "        offset += w * state[i]",
+        "    outputs.append(offset)",
+    ]
+
+
+def _rows(rows: np.ndarray) -> str:
+    """Return rows of coefficients and an offset as ((offset, ((column, coefficient), ...)), ...)."""
+    written = []
+    for row in rows:
+        weights = [f"({i}, {float(row[i])!r})" for i in np.flatnonzero(row[:-1]).tolist()]
+        written.append(f"({float(row[-1])!r}, ({''.join(f'{weight}, ' for weight in weights).rstrip(' ')}))")
+    return f"({', '.join(written)},)"
+
+
+def _tuple(values: np.ndarray) -> str:
+    return f"({', '.join(str(value) for value in values.tolist())},)"
+
+
+def _head(tree: ObliqueTree, names: Names, nested: bool) -> list[str]:
+    """Return the lines that make the answer of the outputs."""
+    if tree.labels is not None:
+        return []
+    outputs = names.output_ids if nested else [f"outputs[{i}]" for i in range(tree.n_outputs)]
+    if isinstance(tree.head, Sign):
+        return [f"return 1 if {outputs[0]} > 0 else 0"]
+    if isinstance(tree.head, Argmax):
+        if nested:
+            return [f"outputs = [{', '.join(outputs)}]", "return outputs.index(max(outputs))"]
+        return ["return outputs.index(max(outputs))"]
+    if isinstance(tree.head, ClipBox):
+        limits = zip(outputs, *(limit.tolist() for limit in box_limits(tree.head, tree.n_outputs)), strict=True)
+        outputs = [f"min(max({value}, {low!r}), {high!r})" for value, low, high in limits]
+    if isinstance(tree.head, TanhBox):
+        low, high = box_limits(tree.head, tree.n_outputs)
+        half, middle = (high - low) / 2, low + (high - low) / 2
+        parts = zip(outputs, half.tolist(), middle.tolist(), strict=True)
+        outputs = [
+            f"tanh({value})" if (h, m) == (1.0, 0.0) else f"{m!r} + {h!r} * tanh({value})" for value, h, m in parts
+        ]
+    return [f"return [{', '.join(outputs)}]"]

@@ -1,0 +1,240 @@
+"""A tree as a function block in structured text (IEC 61131-3), the language of programmable logic controllers."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from otr.head import Argmax, ClipBox, Sign, TanhBox
+from otr.programs.parts import (
+    MAX_NESTED_DEPTH,
+    Names,
+    affine_expression,
+    box_limits,
+    distinct_rows,
+    give_labels,
+    label_name,
+    names_for,
+    one_line,
+    summary_of,
+    walk,
+    wrapped,
+)
+from otr.tree import ObliqueTree
+
+__all__ = ["to_structured_text"]
+
+# IEC 61131-3 (2013), Table 4, without what has a digit or two words; then the types, the standard functions that
+# controllers know, and the block's own variables.
+_KEYWORDS = """
+    abstract action and array at by case class configuration constant continue do else elsif en end_if eno exit extends
+    f_edge false final for from function function_block goto if implements interface internal interval jmp method mod
+    namespace non_retain not null of on or override overlap persistent pointer priority private program property
+    protected public r_edge read_only read_write ref reference refto repeat resource retain return single step struct
+    super task then this to transition true type union until using var var_access var_config var_external var_global
+    var_in_out var_input var_inst var_output var_stat var_temp while with xor
+"""
+_TYPES = """
+    any bit bool byte char date date_and_time dint dt dword int lint lreal lword real sint string time time_of_day tod
+    udint uint ulint usint wchar word wstring
+"""
+_FUNCTIONS = """
+    abs acos add adr asin atan concat cos ctd ctu ctud delete div dt eq exp expt f_trig find ge gt insert le left len
+    limit ln log lt max mid min move mul mux ne now r_trig replace right rol ror rs sel shl shr sign sin sizeof sqrt sr
+    sub tan tof ton tp trunc
+"""
+_OWN = "decay label best inputs tests test_of child label_of rows row_of node first total column"
+_RESERVED = tuple(f"{_KEYWORDS} {_TYPES} {_FUNCTIONS} {_OWN}".split())
+_INDENT = "    "
+
+
+def to_structured_text(
+    tree: ObliqueTree,
+    *,
+    name: str = "policy",
+    feature_names: Sequence[str] | None = None,
+    output_names: Sequence[str] | None = None,
+) -> str:
+    """Return a FUNCTION_BLOCK (IEC 61131-3) that answers as ``tree.predict`` does, in LREAL.
+
+    It has one VAR_INPUT a feature and one VAR_OUTPUT a component of the answer or, where the answers are labels, the
+    one output ``label``. Tests are nested IFs; a tree deeper than 64 is tables and a WHILE. TANH is no standard
+    function, so it is written through EXP, which then cannot overflow. Numbers are in their shortest exact form.
+
+    Args:
+        tree: any tree.
+        name: what to call the block.
+        feature_names, output_names: as in `to_text`; they become variables.
+
+    Raises:
+        TypeError: `tree` is no ObliqueTree.
+        ValueError: the wrong number of names, or `name` is no identifier.
+    """
+    if not re.fullmatch(r"[A-Za-z](_?[A-Za-z0-9])*", name) or name.lower() in _RESERVED:
+        raise ValueError(f"name is {name!r}, which cannot be the name of a function block")
+    names = names_for(tree, feature_names, output_names, reserved=(*_RESERVED, name.lower()), ignore_case=True)
+    nested = tree.depth <= MAX_NESTED_DEPTH
+    declarations, statements = _nested(tree, names) if nested else _tables(tree, names)
+    head_variables, head = _head(tree, names)
+    lines = [f"(* {name}: {summary_of(tree)}. *)", f"FUNCTION_BLOCK {name}"]
+    lines += _section("VAR_INPUT", map(_declared, names.feature_ids, names.features))
+    lines += _section("VAR_OUTPUT", _outputs(tree, names))
+    lines += _section("VAR CONSTANT", declarations.get("VAR CONSTANT", []))
+    lines += _section("VAR", [*declarations.get("VAR", []), *head_variables])
+    return "\n".join([*lines, "", *statements, *head, "END_FUNCTION_BLOCK"]) + "\n"
+
+
+def number(value: float) -> str:
+    """Return a real literal that stands for exactly this float64: digits, a point, digits, perhaps an exponent."""
+    mantissa, _, exponent = repr(float(value)).partition("e")
+    point = "" if "." in mantissa else ".0"
+    return f"{mantissa}{point}{f'E{int(exponent):+d}' if exponent else ''}"
+
+
+def _section(kind: str, declarations: Iterable[str]) -> list[str]:
+    lines = [line for declared in declarations for line in wrapped(declared, _INDENT)]
+    return [kind, *lines, "END_VAR"] if lines else []
+
+
+def _declared(identifier: str, name: str) -> str:
+    return f"{identifier} : LREAL;{_comment(name, identifier)}"
+
+
+def _comment(name: str, identifier: str) -> str:
+    text = one_line(name).replace("(*", "( *").replace("*)", "* )")
+    return "" if name == identifier else f" (* {text} *)"
+
+
+def _outputs(tree: ObliqueTree, names: Names) -> list[str]:
+    if give_labels(tree):
+        return [f"label : {_integer_type(tree)};"]
+    return list(map(_declared, names.output_ids, names.answers))
+
+
+def _integer_type(tree: ObliqueTree) -> str:
+    largest = int(np.abs(tree.labels).max()) if tree.labels is not None else 0
+    return "INT" if largest < 2**15 else "DINT" if largest < 2**31 else "LINT"
+
+
+def _locals(tree: ObliqueTree, names: Names) -> list[str]:
+    """Return the declarations of outputs that are only steps towards a label."""
+    if tree.labels is None and give_labels(tree):
+        return [f"{', '.join(names.output_ids)} : LREAL;"]
+    return []
+
+
+def _nested(tree: ObliqueTree, names: Names) -> tuple[dict[str, list[str]], list[str]]:
+    """Return declarations by section, and the statements that assign the outputs or the label."""
+    lines: list[str] = []
+    for what, index, depth in walk(tree):
+        indent = _INDENT * depth
+        if what == "if":
+            test = affine_expression(tree.P[index], float(tree.v[index]), names.feature_ids, number)
+            lines += wrapped(f"IF {test} <= 0.0 THEN", indent)
+        elif what in ("else", "end"):
+            lines.append(f"{indent}{'ELSE' if what == 'else' else 'END_IF;'}")
+        elif tree.labels is not None:
+            label = int(tree.labels[index])
+            comment = _comment(label_name(label, names.answers), str(label))
+            lines.append(f"{indent}label := {label};{comment}")
+        else:
+            for output, identifier in enumerate(names.output_ids):
+                offset = float(tree.c[index, output])
+                value = affine_expression(tree.M[index, output], offset, names.feature_ids, number)
+                lines += wrapped(f"{identifier} := {value};", indent)
+    return {"VAR": _locals(tree, names)}, lines
+
+
+def _tables(tree: ObliqueTree, names: Names) -> tuple[dict[str, list[str]], list[str]]:
+    """Return the same as `_nested` with the tests and leaves in tables, found by a loop."""
+    d, o = tree.n_inputs, tree.n_outputs
+    tests, test_of = distinct_rows(np.column_stack((tree.P, tree.v)))
+    children = np.stack((tree.children_left, tree.children_right), axis=1)
+    constants = [_reals("tests", tests), _integers("test_of", test_of), _integers("child", children)]
+    variables = [f"inputs : ARRAY [0..{d - 1}] OF LREAL;", "node, first, column : DINT;", "total : LREAL;"]
+    lines = [f"inputs[{i}] := {identifier};" for i, identifier in enumerate(names.feature_ids)]
+    lines += [
+        "(* A row of tests is its weights, then its offset; a negative child is the leaf -1 - child. *)",
+        "node := 0;",
+        "WHILE node >= 0 DO",
+        *_sum_of_row("tests", "test_of[node]", d, _INDENT),
+        "    IF total <= 0.0 THEN",
+        "        node := child[2 * node];",
+        "    ELSE",
+        "        node := child[2 * node + 1];",
+        "    END_IF;",
+        "END_WHILE;",
+        "node := -1 - node;",
+    ]
+    if tree.labels is not None:
+        constants.append(_integers("label_of", tree.labels, _integer_type(tree)))
+        return {"VAR CONSTANT": constants, "VAR": variables}, [*lines, "label := label_of[node];"]
+    rows, row_of = distinct_rows(np.concatenate((tree.M, tree.c[:, :, None]), axis=2).reshape(-1, d + 1))
+    constants += [_reals("rows", rows), _integers("row_of", row_of)]
+    for output, identifier in enumerate(names.output_ids):
+        lines += [*_sum_of_row("rows", f"row_of[{o} * node + {output}]", d, ""), f"{identifier} := total;"]
+    return {"VAR CONSTANT": constants, "VAR": [*variables, *_locals(tree, names)]}, lines
+
+
+def _sum_of_row(table: str, row: str, n_inputs: int, indent: str) -> list[str]:
+    """Return the statements that compute `total`, a row's weights times x plus its offset."""
+    return [
+        f"{indent}first := {n_inputs + 1} * {row};",
+        f"{indent}total := {table}[first + {n_inputs}];",
+        f"{indent}FOR column := 0 TO {n_inputs - 1} DO",
+        f"{indent}    total := total + {table}[first + column] * inputs[column];",
+        f"{indent}END_FOR;",
+    ]
+
+
+def _reals(table: str, values: np.ndarray) -> str:
+    text = ", ".join(map(number, values.ravel().tolist()))
+    return f"{table} : ARRAY [0..{values.size - 1}] OF LREAL := [{text}];"
+
+
+def _integers(table: str, values: np.ndarray, kind: str = "DINT") -> str:
+    text = ", ".join(map(str, values.ravel().tolist()))
+    return f"{table} : ARRAY [0..{values.size - 1}] OF {kind} := [{text}];"
+
+
+def _head(tree: ObliqueTree, names: Names) -> tuple[list[str], list[str]]:
+    """Return the variables and the statements that make the answer of the outputs."""
+    outputs = names.output_ids
+    if tree.labels is not None:
+        return [], []
+    if isinstance(tree.head, Sign):
+        return [], [f"IF {outputs[0]} > 0.0 THEN", "    label := 1;", "ELSE", "    label := 0;", "END_IF;"]
+    if isinstance(tree.head, Argmax):
+        lines = ["label := 0;", f"best := {outputs[0]};"]
+        for i, output in enumerate(outputs[1:], start=1):
+            lines += [f"IF {output} > best THEN", f"    label := {i};", f"    best := {output};", "END_IF;"]
+        return ["best : LREAL;"], lines
+    if isinstance(tree.head, ClipBox):
+        limits = zip(outputs, *(limit.tolist() for limit in box_limits(tree.head, tree.n_outputs)), strict=True)
+        return [], [f"{output} := LIMIT({number(low)}, {output}, {number(high)});" for output, low, high in limits]
+    if isinstance(tree.head, TanhBox):
+        return ["decay : LREAL;"], _tanh(tree, outputs)
+    return [], []
+
+
+def _tanh(tree: ObliqueTree, outputs: Sequence[str]) -> list[str]:
+    low, high = box_limits(tree.head, tree.n_outputs)
+    half, middle = (high - low) / 2, low + (high - low) / 2
+    lines = ["(* tanh(u) = (1 - decay) / (1 + decay) with the sign of u, where decay = exp(-2 |u|). *)"]
+    for output, h, m in zip(outputs, half.tolist(), middle.tolist(), strict=True):
+        lines += [
+            f"decay := EXP(-2.0 * ABS({output}));",
+            f"IF {output} < 0.0 THEN",
+            f"    {output} := {_scaled('(decay - 1.0) / (1.0 + decay)', h, m)};",
+            "ELSE",
+            f"    {output} := {_scaled('(1.0 - decay) / (1.0 + decay)', h, m)};",
+            "END_IF;",
+        ]
+    return lines
+
+
+def _scaled(ratio: str, half: float, middle: float) -> str:
+    product = ratio if half == 1 else f"{number(half)} * {ratio}"
+    return product if middle == 0 else f"{number(middle)} + {product}"

@@ -41,7 +41,7 @@ from otr.programs import (
 from otr.properties import Condition, find_violation, output_range, reachable_labels
 from otr.proving import certify
 from otr.pruning import prune_to_k, prune_unreached
-from otr.simplify import refit_tests
+from otr.refit import refit_tests
 from otr.tree import ObliqueTree
 from otr.verification import verify
 

@@ -1,181 +1,150 @@
-"""Simpler tests: refitted by sparse linear discriminant analysis and rounded, under a measured bound.
+"""Shorter programs: numbers of a tree dropped and rounded, tests taken out or refitted, leaves made constant.
 
-For two classes the direction of linear discriminant analysis is that of least squares on coded classes, and with an L1
-penalty it is that of the lasso (Mai, Zou & Yuan 2012, "A direct approach to sparse discriminant analysis in ultra-high
-dimensions"); the threshold is set anew afterwards. The classes of a test are the two ways it sends the states that
-reach it, weighted alike. Orfanos 2023, Figure 4.7, simplifies a policy in this way.
+Every change is tried on its own and kept if the program gets shorter and the judge that the caller brings allows it: a
+bound on the actions' change over a domain (`within`), or a return measured in the environment. What is tried first
+saves most: whole tests, then whole leaves, then single coefficients by the size of their effect, then digits.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from otr.arrays import BoolArray, FloatArray, as_batch
+from otr import shorter
+from otr.arrays import FloatArray, as_batch
+from otr.difference import largest_difference
+from otr.domain import Box, Domain
+from otr.minimal import merge_equal_leaves
+from otr.refit import rounded
+from otr.shorter import n_numbers
 from otr.tree import ObliqueTree
 
-__all__ = ["RefittedTest", "SimplifiedTree", "refit_tests"]
+__all__ = ["Judge", "Simplification", "simplify", "within"]
 
-N_PENALTIES, SMALLEST_PENALTY = 60, 1e-3  # of the largest, which leaves no coefficient
-MAX_SWEEPS, TOLERANCE = 1000, 1e-9  # of coordinate descent
+Judge = Callable[[ObliqueTree], bool]
+DIGITS = (1, 2, 3, 4)
 
 
 @dataclass(frozen=True)
-class RefittedTest:
-    """What became of a test node.
+class Simplification:
+    """What became of a tree.
 
     Attributes:
-        node: its id.
-        n_left, n_right: states that reach it and that the original test sends either way.
-        agreement: of the states that it sends left and of those that it sends right, the share that still goes there;
-            the smaller of the two. 1 where no states tell.
-        n_coefficients_before, n_coefficients: inputs that it reads.
-        change: refitted, rounded, or kept.
+        tree: the simpler tree.
+        n_numbers_before, n_numbers: coefficients and constants that its program shows.
+        n_tried, n_kept: changes.
     """
-
-    node: int
-    n_left: int
-    n_right: int
-    agreement: float
-    n_coefficients_before: int
-    n_coefficients: int
-    change: str
-
-
-@dataclass(frozen=True)
-class SimplifiedTree:
-    """The simpler tree and what became of each of its tests."""
 
     tree: ObliqueTree
-    tests: tuple[RefittedTest, ...]
+    n_numbers_before: int
+    n_numbers: int
+    n_tried: int
+    n_kept: int
 
 
-def refit_tests(
-    tree: ObliqueTree, X: ArrayLike, *, agreement: float = 0.95, digits: int = 2, nodes: Iterable[int] | None = None
-) -> SimplifiedTree:
-    """Return the tree with simpler tests on the states X; its leaves are unchanged.
-
-    Of the penalties that a test may be refitted with, the largest is taken under which at least the share `agreement`
-    of the states that it sends left still goes left, and of those right, right; measured with rounded coefficients,
-    the largest of which is 1. Where none reads fewer inputs than the original, that one is rounded if the share allows
-    it, and else kept as it is; so are tests that X does not reach on both sides.
+def simplify(
+    tree: ObliqueTree, judge: Judge, X: ArrayLike, *, refit: bool | Iterable[int] = True, digits: Iterable[int] = DIGITS
+) -> Simplification:
+    """Return the shortest tree that a greedy search finds and the judge accepts.
 
     Args:
-        tree: any tree.
-        X: (n, d) states, such as those that the policy visits; which test they reach is the original tree's to say.
-        agreement: the bound, in (0, 1].
-        digits: significant digits of coefficients and thresholds, at least 1.
-        nodes: the test nodes to refit, all if None; the others are rounded alone.
+        tree: any; best a pruned one.
+        judge: says whether a tree still does what it should.
+        X: (n, d) states that the policy visits: their spread says which coefficients matter least, their mean actions
+            what a leaf may be as a constant, and tests are refitted on them.
+        refit: whether tests are refitted by sparse linear discriminant analysis (`otr.refit_tests`), or which.
+        digits: significant digits to try, from the fewest.
 
     Raises:
-        ValueError: `agreement` or `digits` is out of its range, or a node is not the tree's.
+        ValueError: X is empty or of the wrong shape.
     """
-    if not 0 < agreement <= 1:
-        raise ValueError(f"agreement is {agreement}, expected a share above 0 and up to 1")
-    if digits < 1:
-        raise ValueError(f"digits is {digits}, expected at least 1")
-    chosen = set(range(tree.n_nodes) if nodes is None else nodes)
-    if not chosen <= set(range(tree.n_nodes)):
-        raise ValueError(f"nodes are {sorted(chosen)}, expected some of 0 to {tree.n_nodes - 1}")
     states = as_batch(X, tree.n_inputs)
-    paths = tree.decision_path(states).tocsc()
-    P, v, tests = tree.P.copy(), tree.v.copy(), []
-    for node in range(tree.n_nodes):
-        reached = states[paths.indices[paths.indptr[node] : paths.indptr[node + 1]]]
-        P[node], v[node], test = _simpler_test(
-            node, tree.P[node], tree.v[node], reached, agreement, digits, node in chosen
-        )
-        tests.append(test)
-    simpler = ObliqueTree(
-        tree.children_left, tree.children_right, P, v, tree.M, tree.c, labels=tree.labels, head=tree.head
-    )
-    return SimplifiedTree(simpler, tuple(tests))
+    if not len(states):
+        raise ValueError("X holds no states; simplify needs those that the policy visits")
+    search = _Search(tree, judge, states)
+    search.take(shorter.clipped, must_save=False)
+    search.take(partial(shorter.constant_leaves, X=states), repeat=True)
+    search.take(shorter.without_a_test, repeat=True)
+    nodes = range(search.tree.n_nodes) if refit is True else [] if refit is False else list(refit)
+    for node in nodes:
+        if node < search.tree.n_nodes:
+            search.take(partial(shorter.refitted, node=node, X=states))
+    search.drop_numbers()
+    search.take(shorter.without_a_test, repeat=True)
+    search.tree = shorter.with_unit_tests(search.tree)
+    for node in range(search.tree.n_nodes):
+        search.take(partial(shorter.turned, node=node), must_save=False)
+    search.round_numbers(tuple(digits))
+    simpler = shorter.without_idle_head(merge_equal_leaves(search.tree))
+    return Simplification(simpler, n_numbers(tree), n_numbers(simpler), search.n_tried, search.n_kept)
 
 
-def _simpler_test(
-    node: int, weights: FloatArray, offset: float, X: FloatArray, bound: float, digits: int, refit: bool
-) -> tuple[FloatArray, float, RefittedTest]:
-    """Return a test's new coefficients and offset, and what was done."""
-    right = X @ weights + offset > 0
-    n_before, n_right = int(np.count_nonzero(weights)), int(np.count_nonzero(right))
-    n_left = len(X) - n_right
+def within(tree: ObliqueTree, box: Box | Domain, bound: float) -> Judge:
+    """Return the judge that allows no action to change by more than `bound` anywhere in a box.
 
-    def about(share: float, new: FloatArray, change: str) -> RefittedTest:
-        return RefittedTest(node, n_left, n_right, share, n_before, int(np.count_nonzero(new)), change)
-
-    if not (n_left and n_right):
-        return weights, offset, about(1.0, weights, "kept")
-    if refit:
-        for direction in _sparse_directions(X, right):
-            if np.count_nonzero(direction) >= n_before:
-                break
-            new = rounded(direction / np.abs(direction).max(), digits)
-            threshold = float(rounded(np.array(_threshold(X @ new, right)), digits))
-            share = _share_kept(X @ new - threshold > 0, right)
-            if share >= bound:
-                return new, -threshold, about(share, new, "refitted")
-    new, new_offset = rounded(weights, digits), float(rounded(np.array(offset), digits))
-    share = _share_kept(X @ new + new_offset > 0, right)
-    if share >= bound:
-        return new, new_offset, about(share, new, "rounded")
-    return weights, offset, about(1.0, weights, "kept")
+    The bound is `otr.difference.largest_difference`: proved, and a little larger than the change itself under tanh.
+    """
+    return lambda candidate: largest_difference(tree, candidate, box) <= bound
 
 
-def rounded(values: FloatArray, digits: int) -> FloatArray:
-    """Return numbers with so many significant digits."""
-    return np.array([float(f"{value:.{digits - 1}e}") for value in values.ravel()]).reshape(values.shape)
+class _Search:
+    def __init__(self, tree: ObliqueTree, judge: Judge, states: FloatArray) -> None:
+        self.tree, self.judge, self.states = tree, judge, states
+        self.n_tried = self.n_kept = 0
 
+    def accepts(self, candidate: ObliqueTree) -> bool:
+        self.n_tried += 1
+        return self.judge(candidate)
 
-def _share_kept(now: BoolArray, before: BoolArray) -> float:
-    """Return the smaller share, of those that went left and of those that went right, that still goes there."""
-    return float(min(now[before].mean(), 1 - now[~before].mean()))
+    def keeps(self, candidate: ObliqueTree) -> bool:
+        """Go to a candidate if the judge accepts it, and return whether it does."""
+        accepted = self.accepts(candidate)
+        if accepted:
+            self.tree = candidate
+            self.n_kept += 1
+        return accepted
 
+    def take(
+        self,
+        candidates: Callable[[ObliqueTree], Iterator[ObliqueTree]],
+        *,
+        repeat: bool = False,
+        must_save: bool = True,
+    ) -> None:
+        """Go to the first of the candidates that is accepted; `repeat`: and on from there, until none is."""
 
-def _threshold(values: FloatArray, right: BoolArray) -> float:
-    """Return the threshold of `values > threshold` that keeps the largest share of the side that it keeps less of."""
-    order = np.argsort(values, kind="stable")
-    ordered, is_right = values[order], right[order]
-    kept_left = np.cumsum(~is_right) / np.count_nonzero(~right)
-    kept_right = 1 - np.cumsum(is_right) / np.count_nonzero(right)
-    shares = np.minimum(kept_left, kept_right)[:-1]
-    shares[ordered[1:] == ordered[:-1]] = -1.0  # no threshold fits between equal values
-    if not len(shares) or shares.max() < 0:
-        return float(ordered[0])
-    best = np.flatnonzero(shares == shares.max())
-    gap = best[np.argmax(ordered[best + 1] - ordered[best])]  # the widest
-    return float((ordered[gap] + ordered[gap + 1]) / 2)
+        def first_accepted() -> bool:
+            size = n_numbers(self.tree)
+            return any((n_numbers(each) < size or not must_save) and self.keeps(each) for each in candidates(self.tree))
 
+        while first_accepted() and repeat:
+            pass
 
-def _sparse_directions(X: FloatArray, right: BoolArray) -> Iterable[FloatArray]:
-    """Yield directions across the classes, from the sparsest to the densest: the lasso under falling penalties."""
-    share = np.where(right, 0.5 / np.count_nonzero(right), 0.5 / np.count_nonzero(~right))
-    centred = X - share @ X
-    scale = np.sqrt(share @ centred**2)
-    varies = scale > 1e-12 * np.maximum(1.0, np.abs(X).max(axis=0))
-    Z = np.where(varies, centred / np.where(varies, scale, 1.0), 0.0)
-    gram, target = Z.T @ (share[:, None] * Z), Z.T @ (share * np.where(right, 1.0, -1.0))
-    largest, w = np.abs(target).max(), np.zeros(X.shape[1])
-    if largest == 0:
-        return
-    for penalty in largest * np.geomspace(1, SMALLEST_PENALTY, N_PENALTIES + 1)[1:]:
-        w = _lasso(gram, target, penalty, w, np.flatnonzero(varies))
-        if w.any():
-            yield w / np.where(varies, scale, 1.0)
+    def drop_numbers(self) -> None:
+        """Set numbers to 0, those of the smallest effect first: as many as go at once, then one by one."""
+        order = shorter.numbers_by_effect(self.tree, self.states)
+        start, together, too_many = self.tree, 0, len(order) + 1
+        while too_many - together > 1:
+            n = (together + too_many) // 2
+            if self.keeps(shorter.with_numbers(start, order[:n], 0.0)):
+                together = n
+            else:
+                too_many = n
+        for number in order[together:].tolist():
+            self.keeps(shorter.with_numbers(self.tree, np.array([number]), 0.0))
 
-
-def _lasso(gram: FloatArray, target: FloatArray, penalty: float, start: FloatArray, inputs: np.ndarray) -> FloatArray:
-    """Return argmin_w 1/2 w.gram.w - target.w + penalty |w|_1 by coordinate descent over `inputs` from `start`."""
-    w = start.copy()
-    for _ in range(MAX_SWEEPS):
-        change = 0.0
-        for j in inputs.tolist():
-            before = w[j]
-            pull = target[j] - gram[j] @ w + gram[j, j] * before
-            w[j] = np.sign(pull) * max(abs(pull) - penalty, 0.0) / gram[j, j]
-            change = max(change, abs(w[j] - before))
-        if change < TOLERANCE:
-            break
-    return w
+    def round_numbers(self, digits: tuple[int, ...]) -> None:
+        """Round all numbers to as few digits as go at once, then each to fewer where the judge allows that."""
+        exact = shorter.numbers_of(self.tree)
+        at_once = next((few for few in digits if self.keeps(shorter.of_numbers(self.tree, rounded(exact, few)))), None)
+        fewer = [few for few in digits if at_once is None or few < at_once]
+        for number in shorter.numbers_by_effect(self.tree, self.states).tolist():
+            value = exact[number : number + 1]
+            any(
+                self.keeps(shorter.with_numbers(self.tree, np.array([number]), float(rounded(value, few)[0])))
+                for few in fewer
+            )

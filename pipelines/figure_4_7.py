@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import otr
-from otr.simplify import RefittedTest, SimplifiedTree, refit_tests
+from otr.refit import RefittedTest, RefittedTree, refit_tests
 from pipelines.config import RunConfig
 from pipelines.envs import action_names, feature_names
 from pipelines.errors import PipelineError
@@ -87,7 +87,7 @@ def _chosen(runs: Sequence[RunConfig], results_dir: Path) -> RunConfig:
 
 def _simplest(
     tree: otr.ObliqueTree, played: Rollout, config: RunConfig, seeds: Sequence[int]
-) -> tuple[float, SimplifiedTree]:
+) -> tuple[float, RefittedTree]:
     """Return the loosest agreement, and its tree, with which the pruning episodes' return is almost what it was.
 
     The tightest one where none of them is.
@@ -120,7 +120,7 @@ def _names(config: RunConfig, tree: otr.ObliqueTree) -> dict[str, Any]:
 
 
 def _text(
-    config: RunConfig, original: _Policy, simpler: _Policy, simplified: SimplifiedTree, agreement: float, n_states: int
+    config: RunConfig, original: _Policy, simpler: _Policy, simplified: RefittedTree, agreement: float, n_states: int
 ) -> str:
     """Return the figure as text."""
     oracle, digits = str(config.oracle).replace(" ", ""), f"{DIGITS} significant digits"

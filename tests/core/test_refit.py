@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import otr
-from otr.simplify import _lasso, _threshold, refit_tests
+from otr.refit import _lasso, _threshold, refit_tests
 
 RNG = np.random.default_rng(0)
 X = RNG.normal(size=(4000, 6))

@@ -9,14 +9,14 @@ ObliqueTree(n_leaves=8, depth=3, n_inputs=2, n_outputs=1, head=Identity())
 array([3.5])
 """
 
-from otr.errors import ArtefactError, InvalidNetworkError, InvalidTreeError, OtrError, TreeTooLargeError
+from otr.errors import ArtefactError, InvalidNetworkError, InvalidTreeError, OtrError, ProgramError, TreeTooLargeError
 from otr.head import Argmax, ClipBox, Head, Identity, Sign, TanhBox, head_from_dict
 from otr.importers import from_sb3, from_sklearn, from_torch
 from otr.io import load, save
 from otr.mapping import map_network
 from otr.network import ReluNetwork
 from otr.pattern_tree import PatternTree
-from otr.programs import draw_tree, save_picture, to_text
+from otr.programs import draw_tree, parse_program, save_picture, to_text
 from otr.pruning import prune_to_k, prune_unreached
 from otr.simplify import refit_tests
 from otr.tree import ObliqueTree
@@ -34,6 +34,7 @@ __all__ = [
     "ObliqueTree",
     "OtrError",
     "PatternTree",
+    "ProgramError",
     "ReluNetwork",
     "Sign",
     "TanhBox",
@@ -45,6 +46,7 @@ __all__ = [
     "head_from_dict",
     "load",
     "map_network",
+    "parse_program",
     "prune_to_k",
     "prune_unreached",
     "refit_tests",

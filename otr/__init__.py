@@ -17,6 +17,7 @@ from otr.errors import (
     InvalidNetworkError,
     InvalidTreeError,
     OtrError,
+    ProgramError,
     TreeTooLargeError,
 )
 from otr.head import Argmax, ClipBox, Head, Identity, Sign, TanhBox, head_from_dict
@@ -28,6 +29,7 @@ from otr.network import ReluNetwork
 from otr.pattern_tree import PatternTree
 from otr.programs import (
     draw_tree,
+    parse_program,
     save_picture,
     to_c,
     to_dot,
@@ -42,6 +44,7 @@ from otr.properties import Condition, find_violation, output_range, reachable_la
 from otr.proving import certify
 from otr.pruning import prune_to_k, prune_unreached
 from otr.refit import refit_tests
+from otr.simplify import simplify, within
 from otr.tree import ObliqueTree
 from otr.verification import verify
 
@@ -62,6 +65,7 @@ __all__ = [
     "ObliqueTree",
     "OtrError",
     "PatternTree",
+    "ProgramError",
     "ReluNetwork",
     "Sign",
     "TanhBox",
@@ -78,12 +82,14 @@ __all__ = [
     "map_network",
     "minimal_tree",
     "output_range",
+    "parse_program",
     "prune_to_k",
     "prune_unreached",
     "reachable_labels",
     "refit_tests",
     "save",
     "save_picture",
+    "simplify",
     "to_c",
     "to_dot",
     "to_json",
@@ -93,4 +99,5 @@ __all__ = [
     "to_structured_text",
     "to_text",
     "verify",
+    "within",
 ]

@@ -6,6 +6,7 @@ __all__ = [
     "InvalidNetworkError",
     "InvalidTreeError",
     "OtrError",
+    "ProgramError",
     "TreeTooLargeError",
 ]
 
@@ -32,3 +33,27 @@ class CertificateError(OtrError):
 
 class ArtefactError(OtrError):
     """A file is missing, truncated, changed since it was written, or of another schema."""
+
+
+class ProgramError(OtrError, ValueError):
+    """A program's text cannot be read; shows the place.
+
+    Attributes:
+        reason: what is wrong and what to do, without the place.
+        line, column: the place, counted from 1, in characters.
+        source_line: the text of that line.
+    """
+
+    def __init__(self, reason: str, line: int, column: int, source_line: str) -> None:
+        """Keep all arguments as the exception's own, so that it can be pickled."""
+        super().__init__(reason, line, column, source_line)
+        self.reason, self.line, self.column, self.source_line = reason, line, column, source_line
+
+    @property
+    def excerpt(self) -> str:
+        """The line, and below it a caret under the place."""
+        margin = "".join("\t" if character == "\t" else " " for character in self.source_line[: self.column - 1])
+        return f"    {self.source_line}\n    {margin}^"
+
+    def __str__(self) -> str:
+        return f"line {self.line}, column {self.column}: {self.reason}\n{self.excerpt}"

@@ -6,6 +6,7 @@ import functools
 import io
 import itertools
 import os
+import re
 import shlex
 import signal
 import sys
@@ -36,7 +37,9 @@ from pipelines.fleet.groups import fleets
 from pipelines.help import HELP
 from pipelines.job import Job, record_failure
 from pipelines.methods import METHODS, imitates, is_soft
+from pipelines.parse import policy_tree
 from pipelines.plan import print_plan
+from pipelines.program_files import read_program
 from pipelines.replay import replay
 from pipelines.run import RunJob, run_job, run_jobs
 from pipelines.store import corrupt
@@ -149,6 +152,7 @@ def _main(program: str, command: Callable[[argparse.Namespace], int]) -> None:
             "--jobs", type=Path, metavar="FILE", help="also write one command a line, for xargs or sbatch --array"
         )
     arguments = parser.parse_intermixed_args()
+    arguments.overrides = [_with_path_quoted(word) for word in arguments.overrides]
     debug = "debug=true" in (word.lower() for word in arguments.overrides)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(EXIT_TERMINATED))  # so that workers are ended, too
     for stream in (sys.stdout, sys.stderr):
@@ -364,6 +368,9 @@ def run_config(words: Sequence[str]) -> RunConfig:
 def _run_job(cfg: DictConfig, overrides: Sequence[str]) -> RunJob:
     config = to_object(cfg)
     assert isinstance(config, RunConfig)
+    if isinstance(config.method, schemas.ProgramConfig):
+        config = _with_program(config, config.method.program, overrides)
+        cfg.depth = config.depth
     named = [
         f"env={config.env.name}",
         f"method={config.method.name}",
@@ -382,6 +389,38 @@ def _run_job(cfg: DictConfig, overrides: Sequence[str]) -> RunJob:
         command=_command_of("otr-run", overrides),
         oracle=oracle,
     )
+
+
+def _with_path_quoted(word: str) -> str:
+    """Return `program=PATH`, or several, quoted where Hydra would stumble over the ~ of a run's folder or a space."""
+    key, _, value = word.partition("=")
+    if key != "program" or re.fullmatch(r"[\w./,-]*", value) or value[:1] in ("'", '"', "[") or "(" in value:
+        return word
+    return f"{key}={','.join(quoted(path) for path in value.split(','))}"
+
+
+def _program_spelt_out(words: Sequence[str]) -> list[str]:
+    """Return the words with `program=FILE` replaced by what it is short for.
+
+    Hydra would take it for a choice of the group conf/program, where the shipped programs lie.
+    """
+    methods = [word for word in words if word.startswith("method=") and word != "method=program"]
+    named = [word for word in words if word.startswith("program=")]
+    if methods and named:
+        raise ConfigError(f"{named[0]} is evaluated by method=program, not by {methods[0]}; leave one of them out")
+    spelt_out = [word for word in words if not (named and word == "method=program")]
+    return [other for word in spelt_out for other in
+            (["method=program", f"method.{word}"] if word in named else [word])]  # fmt: skip
+
+
+def _with_program(config: RunConfig, program: str, overrides: Sequence[str]) -> RunConfig:
+    """Return the configuration with its program read, and the depth of that one's tree."""
+    text = read_program(program)
+    given = [word for word in overrides if word.startswith("depth=")]
+    if given:
+        raise ConfigError(f"{given[0]}: the depth of a program's tree is its own; leave {given[0]} out")
+    depth = policy_tree(text, config.env, program).depth
+    return dataclasses.replace(config, program_text=text, depth=depth)
 
 
 def _implied(overrides: Sequence[str]) -> list[str]:
@@ -480,6 +519,8 @@ RUN = Workflow(
             **{("trainer", f"{name}_schema"): trainer for name, trainer in schemas.TRAINERS.items()},
         },
         implied=_implied,
+        shorthand=_program_spelt_out,
+        short=("program", "column"),
     ),
     job=_run_job,
     groups=fleets,

@@ -40,6 +40,8 @@ class Composer:
         anything: an option of that group, for where it does not matter which.
         schemas: what is registered for the configuration files to build on: (group, name) to dataclass.
         implied: from the words to further ones that they imply, which stand before them.
+        shorthand: from a job's words to those that they are short for.
+        short: the keys of such words.
     """
 
     name: str
@@ -49,6 +51,8 @@ class Composer:
     anything: str = ""
     schemas: dict[tuple[str | None, str], type] = dataclasses.field(default_factory=dict)
     implied: Callable[[Sequence[str]], list[str]] = lambda overrides: []
+    shorthand: Callable[[Sequence[str]], list[str]] = list
+    short: tuple[str, ...] = ()
 
     def register(self) -> None:
         """Tell Hydra the schemas."""
@@ -89,8 +93,8 @@ class Composer:
         return [self._spelt_out(job) for job in BasicSweeper.split_arguments(parsed, None)[0]]
 
     def _spelt_out(self, overrides: Sequence[str]) -> list[str]:
-        """Return the words with `column=NAME` replaced by those that it stands for (conf/column.yaml)."""
-        path = CONF_DIR / self.folder / "column.yaml"
+        """Return the words with `column=NAME` replaced by those that it stands for (conf/column.yaml), and so on."""
+        overrides, path = self.shorthand(overrides), CONF_DIR / self.folder / "column.yaml"
         if not path.is_file():
             return list(overrides)
         columns: dict[str, str] = {str(name): stands_for for name, stands_for in OmegaConf.load(path).items()}
@@ -173,7 +177,8 @@ class Composer:
         if "Could not override" in str(error):
             key = str(error).split("'")[1]
             base = [word for word in overrides if word.split("=")[0] in self.groups and "experiment=" not in word]
-            known = _leaves(OmegaConf.to_container(compose(self.name, [*self._search_path(), *base])))
+            keys = _leaves(OmegaConf.to_container(compose(self.name, [*self._search_path(), *base])))
+            known = [*keys, *self.short]
             lines = [f"there is no key {key!r}.{did_you_mean(key, known)}"]
         return readable("\n".join(lines))
 

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from pipelines.errors import ConfigError
-from pipelines.methods import METHODS, imitates, is_soft
+from pipelines.methods import METHODS, imitates, is_soft, is_written
 
 LARGEST_SEED = 2**32 - 1
 
@@ -352,6 +352,13 @@ class PiPrlConfig(SoftConfig):
     discretise_at: float
 
 
+@dataclass(frozen=True)
+class ProgramConfig(MethodConfig):
+    """A program that somebody wrote: `program` is a file, or a name under conf/program."""
+
+    program: str
+
+
 METHOD_CONFIGS: dict[str, type[MethodConfig]] = {
     "otr": MethodConfig,
     "linear": MethodConfig,
@@ -362,6 +369,7 @@ METHOD_CONFIGS: dict[str, type[MethodConfig]] = {
     "sdt": SdtConfig,
     "cdt": CdtConfig,
     "pi_prl": PiPrlConfig,
+    "program": ProgramConfig,
 }
 
 
@@ -418,6 +426,8 @@ class RunConfig:
     tracking: str = "none"  # where runs are also logged: none, tensorboard, mlflow
     oracle: list[int] = field(default_factory=lambda: [256, 256])  # hidden widths of the network that is imitated
     imitate: ImitateConfig = field(default_factory=ImitateConfig)
+    # The text of method=program, which the command line reads: the run is keyed by it, whatever file it came from.
+    program_text: str | None = field(default=None, metadata={"omegaconf_ignore": True})
     # The run's folder below results_dir, which the command line works out from all of the above.
     folder: str = field(default="", metadata={"omegaconf_ignore": True})
     # The run that trains the oracle, for a method that imitates one; worked out there, too.
@@ -438,11 +448,14 @@ class RunConfig:
     @property
     def fleet(self) -> FleetConfig | None:
         """The fleet's settings where a fleet trains this run; None where Stable-Baselines3 does."""
-        return self.trainer if isinstance(self.trainer, FleetConfig) and isinstance(self.algo, SacConfig) else None
+        trains_sac = isinstance(self.algo, SacConfig) and not is_written(self.method.name)
+        return self.trainer if isinstance(self.trainer, FleetConfig) and trains_sac else None
 
     @property
     def trainer_name(self) -> str:
-        """Who trains this run: `sb3`, or the fleet's name."""
+        """Who trains this run: `sb3`, the fleet's name, or `none` for a program."""
+        if is_written(self.method.name):
+            return "none"
         return self.fleet.name if self.fleet else "sb3"
 
     @property
@@ -466,8 +479,10 @@ YOUNGER_SETTINGS: dict[tuple[str, str], Any] = {
     ("algo", "sde_sample_freq"): -1,
 }
 
-EXECUTION_FIELDS = ("results_dir", "stages", "n_workers", "side_by_side", "debug", "tracking", "folder", "oracle_run")
+EXECUTION_FIELDS = ("results_dir", "stages", "n_workers", "side_by_side", "debug", "tracking", "folder", "oracle_run",
+                    "program_text")  # fmt: skip
 IMITATION_FIELDS = ("oracle", "imitate")  # of no concern to methods without an oracle
+TRAINING_FIELDS = ("algo", "actor", "train", "map")  # of no concern to programs
 FLEET_EXECUTION_FIELDS = ("name", "device", "runs_per_process")
 
 
@@ -489,15 +504,20 @@ def settings(config: RunConfig) -> dict[str, Any]:
     The budget's table of steps is left out but for its name: `train`, `prune` and `evaluate` hold what it gave.
     """
     left_out = EXECUTION_FIELDS if imitates(config.method.name) else (*EXECUTION_FIELDS, *IMITATION_FIELDS)
+    left_out = (*left_out, *TRAINING_FIELDS) if is_written(config.method.name) else left_out
     plain = {key: value for key, value in asdict(dataclasses.replace(config, oracle_run=None)).items()
              if key not in left_out}  # fmt: skip
     plain["budget"] = config.budget.name
     plain["depth"] = list(config.hidden_widths)
+    if isinstance(config.method, ProgramConfig):
+        plain["method"] = {"name": config.method.name}
+    if config.program_text is not None:
+        plain["program_sha256"] = hashlib.sha256(config.program_text.encode()).hexdigest()
     trainer = plain.pop("trainer")
     if config.fleet:
         plain["trainer"] = {key: value for key, value in trainer.items() if key not in FLEET_EXECUTION_FIELDS}
     for (section, name), as_before in YOUNGER_SETTINGS.items():
-        if plain[section].get(name, ...) == as_before:
+        if section in plain and plain[section].get(name, ...) == as_before:
             del plain[section][name]
     return plain
 

@@ -63,14 +63,21 @@ def duration(seconds: float) -> str:
     return f"{seconds / 3600:.1f} h"
 
 
+def _title(summary: dict[str, Any]) -> str:
+    """Return which run this is: its environment and depth, and how it was trained, or which program it is."""
+    start = f"{summary['env']} ({summary['env_id']}), depth {summary['depth']}"
+    if "program" in summary:
+        return f"{start}, program {summary['program']} ({summary['budget']}), seed {summary['seed']}"
+    trainer = "" if summary["trainer"] == "sb3" else f", {summary['trainer']}"
+    return (
+        f"{start}, {summary['algorithm'].upper()}, {summary['steps']:,} steps ({summary['budget']}{trainer}), "
+        f"seed {summary['seed']}"
+    )
+
+
 def _table(summary: dict[str, Any]) -> Table:
     episodes = summary["n_episodes"]
-    trainer = "" if summary["trainer"] == "sb3" else f", {summary['trainer']}"
-    title = (
-        f"{summary['env']} ({summary['env_id']}), depth {summary['depth']}, {summary['algorithm'].upper()}, "
-        f"{summary['steps']:,} steps ({summary['budget']}{trainer}), seed {summary['seed']}"
-    )
-    table = Table(title=title, title_justify="left")
+    table = Table(title=_title(summary), title_justify="left")
     table.add_column("policy")
     table.add_column(f"return over {episodes} episodes", justify="right")
     table.add_column("leaves", justify="right")

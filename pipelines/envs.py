@@ -3,6 +3,7 @@
 import functools
 import json
 import warnings
+from dataclasses import dataclass
 
 import gymnasium as gym
 import numpy as np
@@ -91,6 +92,39 @@ def state_box(env: EnvConfig) -> tuple[np.ndarray, np.ndarray]:
         raise ConfigError(f"actor.rescale_inputs=true: the states of {env.id} have no bounds")
     low, high = limits
     return (low + high) / 2, (high - low) / 2
+
+
+@dataclass(frozen=True)
+class Spaces:
+    """What an environment's policies map: states of `n_inputs` numbers to labels, or to `n_actions` numbers in a box.
+
+    Attributes:
+        n_inputs: length of the state vector.
+        n_actions: number of labels, or of the action's components.
+        box: least and greatest actions, (n_actions,) each; None where actions are labels.
+    """
+
+    n_inputs: int
+    n_actions: int
+    box: tuple[np.ndarray, np.ndarray] | None
+
+
+def spaces(env: EnvConfig) -> Spaces:
+    """Return what an environment's policies map; refuse observations and actions that no policy here has."""
+    return _spaces(env.id, json.dumps(env.kwargs, sort_keys=True))
+
+
+@functools.cache
+def _spaces(env_id: str, kwargs: str) -> Spaces:
+    env = make_env(EnvConfig(env_id, env_id, env_id, json.loads(kwargs)))
+    n_inputs, actions = flat_state_size(env), env.action_space
+    is_discrete(env)  # refuses what is neither labels nor a box
+    env.close()
+    if isinstance(actions, gym.spaces.Discrete):
+        return Spaces(n_inputs, int(actions.n), None)
+    assert isinstance(actions, gym.spaces.Box)
+    low, high = actions.low.ravel().astype(np.float64), actions.high.ravel().astype(np.float64)
+    return Spaces(n_inputs, len(low), (low, high))
 
 
 def flat_state_size(env: gym.Env) -> int:

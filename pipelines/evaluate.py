@@ -42,7 +42,7 @@ def load_policies(inputs: Mapping[str, Path], config: RunConfig) -> dict[str, An
     """Return the forms of the policy that a run left: what the tree stands for, the tree and the pruned tree.
 
     The first is the actor's network where it was mapped, the oracle where one was imitated, and the soft tree where
-    that was hardened; the latter's authors' own discretisation comes last.
+    that was hardened; the latter's authors' own discretisation comes last. A program's tree stands for nothing else.
     """
     policies: dict[str, Any] = {}
     if "harden" in inputs:
@@ -52,7 +52,7 @@ def load_policies(inputs: Mapping[str, Path], config: RunConfig) -> dict[str, An
         policies["soft"] = SoftPolicy(load_soft(inputs["train"]), hard.head)
     elif "imitate" in inputs:
         policies["oracle"] = load_oracle(inputs["oracle"], Path(config.results_dir))
-    else:
+    elif "map" in inputs:
         policies["network"] = load_actor(inputs["train"])
     policies["tree"] = otr.load(inputs[tree_stage(config.method.name)] / "tree")
     policies["pruned_tree"] = otr.load(inputs["prune"] / "tree")

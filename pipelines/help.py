@@ -9,6 +9,7 @@ words:
   seed=0                of training and pruning; every method is evaluated on the same episodes
   method=otr            otr, linear (with depth=0); by imitation viper, lm_viper, augtree, ndps; soft trees sdt, cdt
                         (depth=[3,3]), pi_prl. Their depth is the tests on a path
+  program=FILE          evaluate a program that you wrote, or a shipped one: mountaincar, mountaincar_simplified
   oracle=[256,256]      hidden layers of the network to imitate; trained first, by the same command that trains it alone
   trainer=fleet         train a sweep's runs of SAC together, some three times as fast; sb3 (default) is the reference
   algo=td3              ppo, trpo, sac, td3, ddpg, ars (method=linear); by default the thesis's for the environment, and
@@ -35,7 +36,8 @@ examples:
   otr-run env=lunarlander method=augtree depth=3 "oracle=[256]" budget=quick
   otr-run -m env=hopper,swimmer depth=6,32 "seed=range(0,10)" launcher=joblib
   otr-run +experiment=table_4_1 column=viper,otr_6 env=hopper
-  otr-run +experiment=figure_4_6 budget=quick launcher=joblib""",
+  otr-run +experiment=figure_4_6 budget=quick launcher=joblib
+  otr-run env=mountaincar program=mountaincar""",
     "otr-plan": f"""\
 List what otr-run with the same words would do: run, resume or skip for every job, and the time that is left. With
 --jobs FILE also write the command of every job that is not done, one a line, for xargs or sbatch --array.

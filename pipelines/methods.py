@@ -1,12 +1,13 @@
 """The methods: each is one row, the stages it takes in order.
 
 The tree of a run is made by one stage: `map` from the trained actor, `imitate` from an oracle, `harden` from a soft
-tree. What comes after it is the same for all.
+tree, `parse` from a program. What comes after it is the same for all.
 """
 
 MAPPED = ("train", "map", "prune", "evaluate")
 IMITATING = ("oracle", "imitate", "prune", "evaluate")
 SOFT = ("train", "harden", "prune", "evaluate")
+WRITTEN = ("parse", "prune", "evaluate")
 
 METHODS: dict[str, tuple[str, ...]] = {
     "otr": MAPPED,
@@ -18,6 +19,7 @@ METHODS: dict[str, tuple[str, ...]] = {
     "sdt": SOFT,
     "cdt": SOFT,
     "pi_prl": SOFT,
+    "program": WRITTEN,
 }
 
 
@@ -31,6 +33,12 @@ def is_soft(method: str) -> bool:
     return METHODS[method] is SOFT
 
 
+def is_written(method: str) -> bool:
+    """Return whether a method's policy is a program that somebody wrote, so that nothing is trained."""
+    return METHODS[method] is WRITTEN
+
+
 def tree_stage(method: str) -> str:
-    """Return the stage that makes a method's tree."""
-    return METHODS[method][1]
+    """Return the stage that makes a method's tree: the one before it is pruned."""
+    stages = METHODS[method]
+    return stages[stages.index("prune") - 1]

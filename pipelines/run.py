@@ -172,6 +172,8 @@ def summarise(job: RunJob) -> dict[str, Any]:
     if "imitate" in names:
         summary["oracle"] = {"hidden_widths": list(config.oracle), **evaluated["oracle"]}
         summary["imitate"] = {name: made[name] for name in ("round", "n_rows", "n_steps")}
+    if "parse" in names:
+        summary |= {"program": made["program"], "algorithm": "none", "steps": 0}
     return summary
 
 

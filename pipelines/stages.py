@@ -12,6 +12,8 @@ from pipelines.map import map_actor, map_settings
 from pipelines.methods import METHODS, tree_stage
 from pipelines.oracle import VERSION as ORACLE_VERSION
 from pipelines.oracle import oracle_settings, refer
+from pipelines.parse import VERSION as PARSE_VERSION
+from pipelines.parse import parse, parse_settings
 from pipelines.prune import VERSION as PRUNE_VERSION
 from pipelines.prune import prune, prune_settings
 from pipelines.stage import Stage
@@ -40,7 +42,12 @@ def _harden(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
 
 
 # What prune and evaluate read beside the tree: the policy that it stands for.
-POLICY_STAGES = {"map": ("train",), "imitate": ("oracle",), "harden": ("train",)}
+POLICY_STAGES: dict[str, tuple[str, ...]] = {
+    "map": ("train",),
+    "imitate": ("oracle",),
+    "harden": ("train",),
+    "parse": (),
+}
 
 STAGES: dict[str, Stage] = {
     stage.name: stage
@@ -50,6 +57,7 @@ STAGES: dict[str, Stage] = {
         Stage("map", MAP_VERSION, ("train",), map_settings, map_actor),
         Stage("harden", HARDEN_VERSION, ("train",), harden_settings, _harden),
         Stage("imitate", IMITATE_VERSION, ("oracle",), imitate_settings, _imitate),
+        Stage("parse", PARSE_VERSION, (), parse_settings, parse),
     )
 }
 

@@ -78,7 +78,10 @@ class Tracker:
         if backend.result() is not None:
             backend.start(_parameters(self._config))
         step = backend.last_step()
-        rows = (read_csv(run_dir / "train" / f"{name}.csv") for name in ("progress", "evaluations"))
+        names = (
+            ("progress", "evaluations") if (run_dir / "train").is_dir() else ()
+        )  # not of what imitates or is written
+        rows = (read_csv(run_dir / "train" / f"{name}.csv") for name in names)
         for progress, evaluation in zip(*rows, strict=True):
             if int(progress["steps"]) > step:
                 step = int(progress["steps"])

@@ -19,5 +19,11 @@ def test_everything_exported_exists() -> None:
 
 
 def test_errors_share_a_base() -> None:
-    for error in (otr.ArtefactError, otr.InvalidNetworkError, otr.InvalidTreeError, otr.TreeTooLargeError):
+    for error in (
+        otr.ArtefactError,
+        otr.InvalidNetworkError,
+        otr.InvalidTreeError,
+        otr.ProgramError,
+        otr.TreeTooLargeError,
+    ):
         assert issubclass(error, otr.OtrError)

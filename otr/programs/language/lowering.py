@@ -1,0 +1,244 @@
+"""From a program's statements to an oblique tree: every way through them is a path to a leaf."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from otr.arrays import FloatArray
+from otr.errors import ProgramError
+from otr.head import Argmax, ClipBox, Head, Identity, TanhBox
+from otr.programs.language.evaluation import Evaluator
+from otr.programs.language.paths import GrowingTree, Path
+from otr.programs.language.scope import Scope
+from otr.programs.language.syntax import Assign, Block, Return, Statement
+from otr.programs.language.tokens import Place, Source
+from otr.programs.language.values import Affine, Clipped, Squashed, Value
+from otr.tree import ObliqueTree
+
+__all__ = ["lower"]
+
+MAX_LABELS = 1024  # where they have no names; every leaf has an output for each
+
+
+@dataclass(slots=True)
+class _Answer:
+    """What a path ends with: the values of its outputs, and where the text says so."""
+
+    path: Path
+    values: list[Value]
+    at: Place
+
+
+def lower(
+    source: Source,
+    scope: Scope,
+    block: Block,
+    *,
+    n_inputs: int,
+    output_names: Sequence[str] | None,
+    answers_labels: bool,
+    max_leaves: int,
+) -> ObliqueTree:
+    """Return the tree of a program's statements; the arguments are those of `otr.parse_program`."""
+    lowering = _Lowering(source, scope, n_inputs, output_names, answers_labels, max_leaves)
+    for path in lowering.run(block, [Path((-1, 0), {}, {}, block[0].at)]):
+        lowering.end_of_text(path)
+    return lowering.label_tree() if answers_labels else lowering.value_tree()
+
+
+class _Lowering:
+    def __init__(
+        self,
+        source: Source,
+        scope: Scope,
+        n_inputs: int,
+        output_names: Sequence[str] | None,
+        answers_labels: bool,
+        max_leaves: int,
+    ) -> None:
+        self._source, self._scope, self._n_inputs = source, scope, n_inputs
+        self._output_names, self._answers_labels = output_names, answers_labels
+        self._tree = GrowingTree(n_inputs, max_leaves)
+        self._evaluator = Evaluator(source, scope, self._tree, answers_labels=answers_labels)
+        self._answers: list[_Answer] = []
+
+    def run(self, block: Block, paths: list[Path]) -> list[Path]:
+        """Do a block's statements on each path; return the paths that go on after it."""
+        for statement in block:
+            paths = [after for path in paths for after in self._do(statement, path)]
+        return paths
+
+    def end_of_text(self, path: Path) -> None:
+        """Answer with the outputs that a path has given values, where it has come to the end without an answer.
+
+        Raises:
+            ProgramError: there are none, or some are missing.
+        """
+        names = self._output_names if not self._answers_labels else None
+        if names is None:
+            numbered = (f"y{i}" for i in range(len(self._scope.variables)))
+            names = [name for name in numbered if name in self._scope.variables and not self._answers_labels]
+        missing = [name for name in names if name not in path.values]
+        if not names or len(missing) == len(names):
+            raise self._source.error(
+                "some ways through the program pass this and come to its end without an answer; "
+                "add an 'else', or a 'return' at the end",
+                path.at,
+            )
+        if missing:
+            raise self._source.error(
+                f"ways through the program that pass this give no value to the output {missing[0]!r}", path.at
+            )
+        self._answer(path, [path.values[name] for name in names], path.at)
+
+    def _do(self, statement: Statement, path: Path) -> list[Path]:
+        path.at = statement.at
+        if isinstance(statement, Assign):
+            worth = self._evaluator.value(statement.value, path)
+            for own, value in worth:
+                own.values[statement.name] = value
+            return [own for own, _ in worth]
+        if isinstance(statement, Return):
+            return self._return(statement, path)
+        after: list[Path] = []
+        undecided = [path]
+        for condition, block in statement.branches:
+            splits = [self._evaluator.decide(condition, own) for own in undecided]
+            after += self.run(block, [own for split in splits for own in split[0]])
+            undecided = [own for split in splits for own in split[1]]
+        return after + self.run(statement.otherwise or [], undecided)
+
+    def _return(self, statement: Return, path: Path) -> list[Path]:
+        ends: list[tuple[Path, list[Value]]] = [(path, [])]
+        for node in statement.values:
+            ends = [
+                (own, [*values, value]) for before, values in ends for own, value in self._evaluator.value(node, before)
+            ]
+        for own, values in ends:
+            self._answer(own, values, statement.values[0].at)
+        return []
+
+    def _answer(self, path: Path, values: list[Value], at: Place) -> None:
+        expected, why = 1, "a program that answers labels has one"
+        if not self._answers_labels:
+            if self._output_names is not None:
+                expected, why = len(self._output_names), f"the outputs are {', '.join(self._output_names)}"
+            elif self._answers:
+                expected, why = (
+                    len(self._answers[0].values),
+                    f"as the answer of line {self._answers[0].at.line}",
+                )
+            else:
+                expected = len(values)
+        if len(values) != expected:
+            raise self._source.error(f"this answer has {len(values)} values, expected {expected}: {why}", at)
+        self._answers.append(_Answer(path, values, at))
+
+    def label_tree(self) -> ObliqueTree:
+        """Return the tree whose leaves have labels; the outputs behind them are 1 for the label, else 0."""
+        labels: list[int] = []
+        for answer in self._decided(self._answers):
+            (value,) = answer.values
+            assert isinstance(value, Affine)
+            labels.append(self._label(value, answer.at))
+            self._tree.end(answer.path, len(labels) - 1)
+        n_labels = len(self._output_names) if self._output_names is not None else max(labels) + 1
+        c = np.zeros((len(labels), n_labels))
+        c[np.arange(len(labels)), labels] = 1.0
+        M = np.zeros((len(labels), n_labels, self._n_inputs))
+        return ObliqueTree(*self._tree.arrays(), M, c, labels=labels, head=Argmax())
+
+    def _label(self, value: Affine, at: Place) -> int:
+        names = self._output_names
+        if not value.is_constant:
+            raise self._source.error("this answers a value that depends on the inputs where a label was expected", at)
+        if value.offset not in range(len(names) if names is not None else MAX_LABELS):
+            known = f"0 to {len(names) - 1}, or {', '.join(names)}" if names is not None else "0, 1, ..."
+            raise self._source.error(f"{value.offset:g} is no label; labels are {known}", at)
+        return int(value.offset)
+
+    def value_tree(self) -> ObliqueTree:
+        """Return the tree whose leaves have affine values, under the head that the answers ask for."""
+        head: Head = Identity()
+        answers = self._answers
+        if any(isinstance(value, Squashed) for answer in answers for value in answer.values):
+            head = self._tanh_box()
+        elif (box := self._clip_box()) is not None:
+            head = box
+        else:
+            answers = self._decided(answers)
+        n_outputs = len(answers[0].values)
+        M, c = np.zeros((len(answers), n_outputs, self._n_inputs)), np.zeros((len(answers), n_outputs))
+        for leaf, answer in enumerate(answers):
+            self._tree.end(answer.path, leaf)
+            for output, value in enumerate(answer.values):
+                inner = value if isinstance(value, Affine) else value.inner
+                M[leaf, output, list(inner.terms)] = list(inner.terms.values())
+                c[leaf, output] = inner.offset
+        return ObliqueTree(*self._tree.arrays(), M, c, head=head)
+
+    def _decided(self, answers: list[_Answer]) -> list[_Answer]:
+        """Return the answers with clips decided by tests, which may be several for one."""
+        decided: list[_Answer] = []
+        for answer in answers:
+            ends: list[tuple[Path, list[Value]]] = [(answer.path, [])]
+            for value in answer.values:
+                ends = [
+                    (own, [*values, affine])
+                    for before, values in ends
+                    for own, affine in self._evaluator.unclipped(before, value, answer.at)
+                ]
+            decided += [_Answer(path, values, answer.at) for path, values in ends]
+        return decided
+
+    def _tanh_box(self) -> TanhBox:
+        """Return the head of answers that all are ``half * tanh(...) + middle``, alike in each output.
+
+        Raises:
+            ProgramError: they are not.
+        """
+        boxes: list[tuple[float, float]] = []
+        for answer in self._answers:
+            for output, value in enumerate(answer.values):
+                box = (value.half, value.middle) if isinstance(value, Squashed) else None
+                boxes += [box] if box and output == len(boxes) else []
+                if box is None or box != boxes[output]:
+                    raise self._mixed(answer.at)
+        half, middle = (np.array(column) for column in zip(*boxes, strict=True))
+        return TanhBox(*_limits(half, middle))
+
+    def _mixed(self, at: Place) -> ProgramError:
+        return self._source.error(
+            "where one answer goes through tanh all must, with the same scale and shift in every leaf",
+            at,
+        )
+
+    def _clip_box(self) -> ClipBox | None:
+        """Return the head that clips every output, where all answers of an output are clipped to the same limits.
+
+        A constant within the limits counts as clipped. Other programs have their clips decided by tests.
+        """
+        boxes: list[tuple[float, float]] = []
+        for column in zip(*(answer.values for answer in self._answers), strict=True):
+            limits = {(value.low, value.high) for value in column if isinstance(value, Clipped)}
+            if len(limits) != 1 or not np.isfinite(list(limits)).all():
+                return None
+            ((low, high),) = limits
+            if any(
+                not value.is_constant or not low <= value.offset <= high
+                for value in column
+                if isinstance(value, Affine)
+            ):
+                return None
+            boxes.append((low, high))
+        low, high = np.array(boxes).T
+        return ClipBox(low, high)
+
+
+def _limits(half: FloatArray, middle: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return low and high of a `TanhBox`, which takes ``low + half`` for the middle."""
+    low = middle - half
+    return low, low + 2 * half

@@ -1,0 +1,76 @@
+"""The names that a program may use, and what it has named itself so far."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+
+from otr.programs.language.tokens import Place, Source
+
+__all__ = ["FUNCTIONS", "Scope"]
+
+FUNCTIONS = {"abs": (1, 1), "argmax": (1, None), "clip": (3, 3), "max": (1, None), "min": (1, None), "tanh": (1, 1)}
+
+
+class Scope:
+    """Names in the order of the text: there are no loops, so what is not named above is not known."""
+
+    def __init__(self, source: Source, features: Sequence[str], labels: Mapping[str, int]) -> None:
+        """Know the inputs and, where a program answers labels, their names."""
+        self._source = source
+        self.features = {name: index for index, name in enumerate(features)}
+        self.labels = dict(labels)
+        self.variables: dict[str, Place] = {}
+        self._unread: list[dict[str, Place]] = [{}]  # of every block around, what it has named and nothing has used
+
+    def use(self, name: str, at: Place) -> None:
+        """Note that a name is used.
+
+        Raises:
+            ProgramError: nothing has that name; says which are like it.
+        """
+        if name not in self.features and name not in self.variables and name not in self.labels:
+            raise self._source.error(f"unknown name {name!r}.{self._like(name)}", at)
+        for block in self._unread:
+            block.pop(name, None)
+
+    def assign(self, name: str, at: Place) -> None:
+        """Note that a name is given a value.
+
+        Raises:
+            ProgramError: it is an input's, or the same block has given it a value that nothing has used.
+        """
+        if name in self.features:
+            raise self._source.error(f"{name!r} is an input; give the value a name of its own", at)
+        if name in self._unread[-1]:
+            line = self._unread[-1][name].line
+            raise self._source.error(f"{name!r} has a value from line {line} that nothing has used; remove one", at)
+        self.variables.setdefault(name, at)
+        self._unread[-1][name] = at
+
+    def check_function(self, name: str, at: Place) -> None:
+        """Refuse brackets after what is no function's name."""
+        if name in FUNCTIONS:
+            return
+        if name in self.features or name in self.variables or name in self.labels:
+            raise self._source.error(f"{name!r} is no function; write {name} * (...) for a product", at)
+        near = difflib.get_close_matches(name, FUNCTIONS, n=1)
+        hint = f"Did you mean {near[0]}?" if near else f"Known are: {', '.join(FUNCTIONS)}"
+        raise self._source.error(f"unknown function {name!r}. {hint}", at)
+
+    @contextmanager
+    def block(self) -> Iterator[None]:
+        """Read the statements of a block."""
+        self._unread.append({})
+        yield
+        self._unread.pop()
+
+    def _like(self, name: str) -> str:
+        known = [*self.features, *self.variables, *self.labels]
+        near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+        near = near or [other for other in known if other.lower() == name.lower()]
+        if near:
+            return f" Did you mean {' or '.join(near)}?"
+        shown = known if len(known) <= 20 else [*known[:20], "..."]
+        return f" Known are: {', '.join(shown)}" if known else " There are no inputs"

@@ -1,0 +1,215 @@
+"""From tokens to statements and blocks."""
+
+from __future__ import annotations
+
+from otr.programs.language.cursor import Cursor
+from otr.programs.language.expressions import ExpressionReader
+from otr.programs.language.scope import Scope
+from otr.programs.language.syntax import Assign, Block, Expression, If, Return, Statement, always_returns
+from otr.programs.language.tokens import Token
+
+__all__ = ["read_program"]
+
+
+def read_program(cursor: Cursor, scope: Scope) -> Block:
+    """Return the statements of a whole program.
+
+    Raises:
+        ProgramError: names what was expected and what was found.
+    """
+    reader = _StatementReader(cursor, scope)
+    if cursor.is_at_end:
+        raise cursor.error("the program is empty")
+    block = reader.lines(cursor.token.indent)
+    if not cursor.is_at_end:
+        raise reader.unexpected()
+    return block
+
+
+class _StatementReader:
+    def __init__(self, cursor: Cursor, scope: Scope) -> None:
+        self._cursor, self._scope = cursor, scope
+        self._expressions = ExpressionReader(cursor, scope)
+
+    def lines(self, indent: int) -> Block:
+        """Read the statements of a block whose lines are indented alike."""
+        cursor, block = self._cursor, Block()
+        while not self._is_at_end() and (not cursor.token.is_first or cursor.token.indent == indent):
+            self._add_to(block)
+        if cursor.token.is_first and cursor.token.indent > indent and not self._is_at_end():
+            raise self.unexpected()
+        return block
+
+    def unexpected(self) -> Exception:
+        """Return the error for a token that fits nowhere."""
+        token = self._cursor.token
+        if token.kind == "keyword" and token.text in ("else", "elif", "end"):
+            return self._cursor.error(f"{token} without an 'if' that it could belong to", token.at)
+        if token.is_first and token.text != "}":
+            return self._cursor.error("this line is indented unlike those around it", token.at)
+        return self._cursor.error(f"unexpected {token}", token.at)
+
+    def _is_at_end(self) -> bool:
+        token = self._cursor.token
+        return token.kind == "stop" or (
+            token.kind in ("keyword", "symbol") and token.text in ("else", "elif", "end", "}")
+        )
+
+    def _add_to(self, block: Block) -> None:
+        """Read a statement, and the semicolons after it."""
+        cursor = self._cursor
+        token = cursor.token
+        if always_returns(block):
+            line = block[-1].at.line
+            raise cursor.error(f"nothing reaches this: line {line} has answered", token.at)
+        block.append(self._statement())
+        if self._cursor.token.text == ";":
+            while cursor.token.text == ";":
+                cursor.take()
+        elif not (cursor.token.is_first or self._is_at_end() or cursor.last.text in ("}", "end", "if", ";")):
+            is_factor = cursor.token.kind == "name" and (cursor.last.kind == "name" or cursor.last.text == ")")
+            hint = "; write * for a product" if is_factor else ""
+            raise cursor.error(f"unexpected {cursor.token} after a statement{hint}", cursor.token.at)
+
+    def _statement(self) -> Statement:
+        cursor = self._cursor
+        token = cursor.begin_statement()
+        if token.kind == "keyword" and token.text == "if":
+            return self._if()
+        if token.kind == "keyword" and token.text == "return":
+            cursor.take()
+            return Return(self._values(), token.at)
+        if token.kind == "name" and cursor.is_after("="):
+            cursor.take()
+            cursor.take()
+            value = self._expressions.expression()
+            self._scope.assign(token.text, token.at)
+            return Assign(token.text, value, token.at)
+        return Return(self._values(), token.at)
+
+    def _values(self) -> list[Expression]:
+        """Read the values of an answer: one, or several with commas between them, with or without brackets."""
+        cursor = self._cursor
+        is_list = cursor.is_next("[") or (cursor.is_next("(") and cursor.opens_tuple())
+        if not is_list:
+            return self._listed()
+        with cursor.bracket():
+            opening = cursor.take()
+            values = self._listed()
+            cursor.expect("]" if opening.text == "[" else ")", "to close the list of values")
+        return values
+
+    def _listed(self) -> list[Expression]:
+        values = [self._expressions.expression()]
+        while self._cursor.is_next(","):
+            self._cursor.take()
+            values.append(self._expressions.expression())
+        return values
+
+    def _if(self) -> If:
+        cursor = self._cursor
+        first = cursor.take()
+        statement = If(first.at)
+        is_c_like = self._add_branch(statement, first)
+        while self._continues(first, "elif") or self._continues(first, "else"):
+            word = cursor.begin_statement()
+            cursor.take()
+            if word.text == "else" and not self._is_word_on_line("if", word):
+                is_announced = cursor.token.text in (":", "then")
+                if is_announced:
+                    cursor.take()
+                statement.otherwise = self._block(word, is_announced or not is_c_like)
+                break
+            if word.text == "else":
+                cursor.take()
+            self._add_branch(statement, word)
+        if self._continues(first, "end"):
+            end = cursor.take()
+            if self._is_word_on_line("if", end):
+                cursor.take()
+        return statement
+
+    def _is_word_on_line(self, word: str, other: Token) -> bool:
+        """Return whether a keyword comes next, on the line of the token before it."""
+        token = self._cursor.token
+        return token.kind == "keyword" and token.text == word and token.at.line == other.at.line
+
+    def _continues(self, first: Token, word: str) -> bool:
+        """Return whether `word` comes next and belongs to the `if` at `first`, as far as indentation can tell."""
+        token = self._cursor.token
+        is_word = token.kind == "keyword" and token.text == word
+        return is_word and (not token.is_first or token.indent >= first.indent)
+
+    def _add_branch(self, statement: If, first: Token) -> bool:
+        """Read a condition and its block; return whether it is as in C, without a word or colon between the two."""
+        cursor = self._cursor
+        condition = self._expressions.condition()
+        is_announced = cursor.token.text in ("then", ":")
+        if is_announced:
+            cursor.take()
+        elif not self._starts_block():
+            raise cursor.error(f"expected 'then' or ':' after the condition, found {cursor.found}")
+        statement.branches.append((condition, self._block(first, is_announced)))
+        return not is_announced
+
+    def _starts_block(self) -> bool:
+        """Return whether braces follow, or a statement after round brackets, as in ``if (x > 0) return 1;``."""
+        token = self._cursor.token
+        starts = token.kind == "name" or (token.kind == "keyword" and token.text in ("return", "if"))
+        return token.text == "{" or (starts and self._cursor.last.text == ")")
+
+    def _block(self, owner: Token, is_announced: bool) -> Block:
+        """Read the block of an `if`, `elif` or `else`.
+
+        Args:
+            owner: that word.
+            is_announced: a colon or a word told that a block begins; else it is in braces or one statement, as in C.
+        """
+        cursor = self._cursor
+        with cursor.nested(), self._scope.block():
+            token = cursor.token
+            if token.text == "{" and token.kind == "symbol":
+                return self._braces()
+            if self._is_at_end():
+                raise cursor.error(f"expected a statement for {owner}, found {token}", token.at)
+            if not is_announced:
+                block = Block()
+                self._add_to(block)
+                return block
+            if not token.is_first:
+                return self._same_line()
+            if token.indent > owner.indent:
+                return self.lines(token.indent)
+            return self._unindented(owner)
+
+    def _braces(self) -> Block:
+        cursor, block = self._cursor, Block()
+        opening = cursor.take()
+        while not self._is_at_end():
+            self._add_to(block)
+        if cursor.token.text != "}":
+            raise cursor.error(
+                f"expected '}}' for the brace of line {opening.at.line}, found {cursor.token}", cursor.token.at
+            )
+        if not block:
+            raise cursor.error("expected a statement between the braces", cursor.token.at)
+        cursor.take()
+        return block
+
+    def _same_line(self) -> Block:
+        block = Block()
+        while not self._is_at_end() and not (block and self._cursor.token.is_first):
+            self._add_to(block)
+        return block
+
+    def _unindented(self, owner: Token) -> Block:
+        """Read a block that is indented no more than its owner: its end is an answer, `else`, `elif` or `end`."""
+        cursor, block = self._cursor, Block()
+        while not self._is_at_end() and not always_returns(block):
+            self._add_to(block)
+        if not always_returns(block) and cursor.token.text not in ("else", "elif", "end"):
+            raise cursor.error(
+                f"where does the block of this {owner} end? Indent its lines, put braces around them, or write 'end'",
+                owner.at,
+            )
+        return block

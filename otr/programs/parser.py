@@ -1,0 +1,96 @@
+"""Programs read: from the text that `to_text` writes, or a person, to the tree that computes the same."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from otr.programs.language.cursor import Cursor
+from otr.programs.language.lowering import lower
+from otr.programs.language.scope import Scope
+from otr.programs.language.statements import read_program
+from otr.programs.language.tokens import KEYWORDS, Source, tokenize
+from otr.tree import ObliqueTree
+
+__all__ = ["parse_program"]
+
+
+def parse_program(
+    text: str,
+    feature_names: Sequence[str],
+    *,
+    output_names: Sequence[str] | None = None,
+    labels: bool = False,
+    max_leaves: int = 2**16,
+) -> ObliqueTree:
+    """Return the tree that computes what a program says: the way back from `to_text`, for programs by hand, too.
+
+        u = 3 velocity                        # names for values; a later `if` sees what an earlier one has set
+        if u > 1 and position <= 0.5 then
+            return clip(2 u - position / 4, -1, 1)
+        else
+            return -1
+
+    Values are affine: numbers, inputs and names under ``+ - * /``, as far as one factor, and the divisor, is constant;
+    ``2 x`` is ``2 * x``. ``max``, ``min``, ``clip``, ``abs`` and ``a if condition else b`` may stand anywhere, because
+    they are tests. Conditions compare (``< <= > >= == !=``, chains as ``0 < x <= 1``) and join with ``and or not``.
+    A program answers with ``return``, with a value alone, or at its end with the values of its outputs,
+    ``name = value``. A block is what is indented, what stands on the line, or what is in braces; ``then``, ``:`` and
+    brackets as in C may follow a condition; ``#`` and ``//`` begin comments.
+
+    Every way through the program is a path of the tree: a statement after an `if` is there once for each way through
+    it, and what `max` or `and` decides is a test. All tests are ``P @ x + v <= 0``, with the boundary on the side that
+    the program's own sign has it. Tests without an input, and those that a path has made before, are left out.
+    Coefficients are added up in float64.
+
+    Where all answers of every output are clipped to the same constants, the tree has the head `ClipBox` and no tests
+    for it; a constant answer within them counts as clipped. Where all are ``constant + constant * tanh(...)``, alike in
+    every leaf, the head is `TanhBox`. Other trees have no head, and their clips are tests.
+
+    Args:
+        text: the program.
+        feature_names: names of the d inputs, in order.
+        output_names: names of the outputs, or with `labels` of the labels, as in `to_text`. Without them the outputs
+            are y0, y1, ..., as many as the program answers with, and labels are numbers only.
+        labels: the program answers labels: a number, a name, or ``argmax(...)``, where a tie goes to the first. The
+            tree's outputs are then 1 for the leaf's label, else 0.
+        max_leaves: refuse a program that needs more; paths multiply with every `if` that is not the last.
+
+    Returns:
+        The tree, with the tests in the order in which the program makes them.
+
+    Raises:
+        ProgramError: the text is no program; has the line and the column.
+        TreeTooLargeError: names the line at which there were too many paths.
+        ValueError: a name is given twice, or no program could use it.
+    """
+    if max_leaves < 1:
+        raise ValueError(f"max_leaves is {max_leaves}, expected at least 1")
+    _check_names(feature_names, output_names or ())
+    source = Source(text)
+    tokens = tokenize(source, [*feature_names, *(output_names or ())])
+    label_names = {name: label for label, name in enumerate(output_names or ())} if labels else {}
+    scope = Scope(source, feature_names, label_names)
+    block = read_program(Cursor(source, tokens), scope)
+    return lower(
+        source,
+        scope,
+        block,
+        n_inputs=len(feature_names),
+        output_names=output_names,
+        answers_labels=labels,
+        max_leaves=max_leaves,
+    )
+
+
+def _check_names(features: Sequence[str], outputs: Sequence[str]) -> None:
+    for argument, names in (("feature_names", features), ("output_names", outputs)):
+        if isinstance(names, str):
+            raise ValueError(f"{argument} is the text {names!r}, expected a list of names")
+        for i, name in enumerate(names):
+            if name in names[:i]:
+                raise ValueError(f"{argument} has {name!r} twice")
+            if name in features and argument == "output_names":
+                raise ValueError(f"output_names has {name!r}, which is an input's name, too; give it another one")
+            if name.lower() in KEYWORDS or not any(character.isalpha() or character == "_" for character in name):
+                what = "is a word of the language" if name.lower() in KEYWORDS else "has no letter"
+                raise ValueError(f"{argument}[{i}] is {name!r}, which {what}; give it another name")

@@ -1,4 +1,4 @@
-"""The commands `otr-run`, `otr-plan`, `otr-fit`, `otr-tabulate`, `otr-export`; how Hydra's launchers start jobs."""
+"""The commands, from `otr-run` to `otr-verify`; how Hydra's launchers start jobs."""
 
 import argparse
 import dataclasses
@@ -49,6 +49,7 @@ from pipelines.supervised.run import FitJob, fit_groups, fit_job, fit_jobs
 from pipelines.sweep import Outcome, how_to_use, is_sweep_word, quoted, run_sweep, side_by_side, write_jobs
 from pipelines.tabulate import write_table
 from pipelines.tracking import check_tracking
+from pipelines.verify import VerifyConfig, verify_run
 
 # What a job's settings depend on outside of its words; a cluster's processes have not inherited it. No secrets here:
 # launchers write tasks to disk.
@@ -136,13 +137,18 @@ def export() -> None:
     _main("otr-export", _export)
 
 
+def verify() -> None:
+    """Entry point of `otr-verify`."""
+    _main("otr-verify", _verify)
+
+
 def _main(program: str, command: Callable[[argparse.Namespace], int]) -> None:
     """Run a command, turning every foreseen failure into one message on stderr and an exit code."""
     parser = argparse.ArgumentParser(
         program, description=HELP[program], formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("overrides", nargs="*", metavar="key=value")
-    if program not in ("otr-tabulate", "otr-export"):
+    if program not in ("otr-tabulate", "otr-export", "otr-verify"):
         parser.add_argument(
             "-m", "--multirun", action="store_true", help="sweep over comma lists, range() and choice()"
         )
@@ -331,7 +337,7 @@ def _export(arguments: argparse.Namespace) -> int:
     cfg = to_object(EXPORT.compose(words))
     assert isinstance(cfg, ExportConfig)
     check_export(cfg)
-    folder = find_run(cfg)
+    folder = find_run(cfg.run, cfg.results_dir)
     program = program_of(cfg, _load_config(folder, None), folder)
     if cfg.out is not None:
         print(write_program(cfg, program))
@@ -341,10 +347,22 @@ def _export(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _verify(arguments: argparse.Namespace) -> int:
+    """Check a run's certificate."""
+    cfg = to_object(VERIFY.compose([_path_quoted(word) for word in arguments.overrides]))
+    assert isinstance(cfg, VerifyConfig)
+    print(verify_run(cfg, find_run(cfg.run, cfg.results_dir)))
+    return 0
+
+
 def _path_quoted(word: str) -> str:
     """Return a word whose value is a path so that Hydra takes it as it is: folders of runs may have a ~ in them."""
     key, equals, value = word.partition("=")
-    is_path = key in ("run", "out", "results_dir") and value not in ("", "null") and value[0] not in "\"'"
+    is_path = (
+        key in ("run", "out", "results_dir", "certificate", "tree", "actor")
+        and value not in ("", "null")
+        and value[0] not in "\"'"
+    )
     return f"{key}={quoted(value)}" if equals and is_path else word
 
 
@@ -550,11 +568,12 @@ FIT = Workflow(
 )
 TABULATE = Composer("tabulate", groups=("budget",), schemas={(None, "tabulate_schema"): TabulateConfig})
 EXPORT = Composer("export", schemas={(None, "export_schema"): ExportConfig})
+VERIFY = Composer("verify", schemas={(None, "verify_schema"): VerifyConfig})
 
 
 def register_schemas() -> None:
     """Tell Hydra the dataclasses that the files in conf/ build on."""
-    for composer in (RUN.composer, FIT.composer, TABULATE, EXPORT):
+    for composer in (RUN.composer, FIT.composer, TABULATE, EXPORT, VERIFY):
         composer.register()
 
 

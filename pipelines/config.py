@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from pipelines.errors import ConfigError
-from pipelines.methods import METHODS, imitates, is_soft, is_written
+from pipelines.methods import EXTRAS, METHODS, imitates, is_mapped, is_soft, is_written
 
 LARGEST_SEED = 2**32 - 1
 
@@ -250,6 +250,29 @@ class PruneConfig:
 
 
 @dataclass(frozen=True)
+class CertificationConfig:
+    """The minimal tree and its certificate: no tree of more leaves, nor one that takes longer to find, is proved."""
+
+    max_leaves: int = 2**13
+    max_seconds: float = 600.0
+
+
+@dataclass(frozen=True)
+class SimplificationConfig:
+    """Simplifying: what the program may lose, on episodes that are not reported.
+
+    Attributes:
+        n_episodes: that decide.
+        return_loss: share of the mean return that may be lost on them.
+        action_bound: instead of that: no action may change by more, anywhere in the box of states visited.
+    """
+
+    n_episodes: int = 100
+    return_loss: float = 0.02
+    action_bound: float | None = None
+
+
+@dataclass(frozen=True)
 class EvaluateConfig:
     """Evaluation: episode i starts from `reset(seed=first_seed + i)`, for every method alike."""
 
@@ -423,9 +446,13 @@ class RunConfig:
     n_workers: int | None = None
     side_by_side: bool = False  # other jobs share the terminal
     debug: bool = False
+    certify: bool = False  # a further stage: the minimal tree and its certificate
+    simplify: bool = False  # a further stage: a shorter program
     tracking: str = "none"  # where runs are also logged: none, tensorboard, mlflow
     oracle: list[int] = field(default_factory=lambda: [256, 256])  # hidden widths of the network that is imitated
     imitate: ImitateConfig = field(default_factory=ImitateConfig)
+    certification: CertificationConfig = field(default_factory=CertificationConfig)
+    simplification: SimplificationConfig = field(default_factory=SimplificationConfig)
     # The text of method=program, which the command line reads: the run is keyed by it, whatever file it came from.
     program_text: str | None = field(default=None, metadata={"omegaconf_ignore": True})
     # The run's folder below results_dir, which the command line works out from all of the above.
@@ -469,7 +496,9 @@ class RunConfig:
     def selected_stages(self) -> tuple[str, ...]:
         """The stages to do, in the method's order."""
         stages = METHODS[self.method.name]
-        return stages if self.stages is None else tuple(stage for stage in stages if stage in self.stages)
+        if self.stages is not None:
+            return tuple(stage for stage in (*stages, *EXTRAS) if stage in self.stages)
+        return (*stages, *(stage for stage in EXTRAS if getattr(self, stage)))
 
 
 # Settings younger than committed results, with the value that means "as before": keyed only where they differ from it.
@@ -480,7 +509,7 @@ YOUNGER_SETTINGS: dict[tuple[str, str], Any] = {
 }
 
 EXECUTION_FIELDS = ("results_dir", "stages", "n_workers", "side_by_side", "debug", "tracking", "folder", "oracle_run",
-                    "program_text")  # fmt: skip
+                    "program_text", "certify", "simplify")  # fmt: skip
 IMITATION_FIELDS = ("oracle", "imitate")  # of no concern to methods without an oracle
 TRAINING_FIELDS = ("algo", "actor", "train", "map")  # of no concern to programs
 FLEET_EXECUTION_FIELDS = ("name", "device", "runs_per_process")
@@ -560,12 +589,18 @@ def _check_depth(depth: Any, method: str) -> None:
 
 def _check_stages(stages: list[str] | None, method: str) -> None:
     for stage in stages or ():
-        if stage not in METHODS[method]:
-            raise ConfigError(f"stages: method={method} has no stage {stage!r}; it has {', '.join(METHODS[method])}")
+        known = (*METHODS[method], *(extra for extra in EXTRAS if extra != "certify" or is_mapped(method)))
+        if stage not in known:
+            raise ConfigError(f"stages: method={method} has no stage {stage!r}; it has {', '.join(known)}")
 
 
 def _check_method(config: RunConfig) -> None:
     """Refuse an oracle that is no network, and choices that a method does not have."""
+    if config.certify and not is_mapped(config.method.name):
+        raise ConfigError(
+            f"certify=true: a tree of method={config.method.name} stands for no network that it could be proved equal "
+            f"to; these do: {', '.join(method for method in METHODS if is_mapped(method))}"
+        )
     if imitates(config.method.name) and (not config.oracle or any(width < 1 for width in config.oracle)):
         raise ConfigError(
             f"oracle={config.oracle}: give the hidden layers of the network to imitate, as oracle=[256,256]"

@@ -27,6 +27,10 @@ def show_result(summary: dict[str, Any], run_dir: Path) -> None:
     )
     if "oracle" in summary:
         console.print(_likeness(summary["oracle"]))
+    if "certify" in summary:
+        console.print(_proof(summary["certify"]), markup=False)
+    if "simplify" in summary:
+        _show_simplified(console, summary["simplify"], run_dir)
     console.print(f"time: {seconds}", markup=False)
     if n_lines > SHORT_PROGRAM:
         console.print(f"program: {n_lines} lines, {program}", markup=False)
@@ -45,6 +49,36 @@ def _likeness(oracle: dict[str, Any]) -> str:
     else:
         like = f"is {oracle['mean_difference']:.3g} from the oracle's actions on average, on the states that it visits"
     return f"oracle {oracle['hidden_widths']}: the tree {like}"
+
+
+def _proof(report: dict[str, Any]) -> str:
+    """Return what the certificate says, in words."""
+    if not report["certified"]:
+        return f"no certificate on {report['domain']}: {report['reason']}"
+    spent = sum(report["seconds"].values())
+    leaves = _count(report["n_leaves"], "leaf")
+    return (
+        f"certificate: on {report['domain']} the minimal tree, of {leaves}, is the network, to "
+        f"{report['max_error']:.1g} in rational arithmetic ({duration(spent)}); otr-verify checks it again"
+    )
+
+
+def _show_simplified(console: Console, report: dict[str, Any], run_dir: Path) -> None:
+    """Print the shorter program and what it costs."""
+    path = run_dir / "simplify" / "program.txt"
+    text = path.read_text(encoding="utf-8") if path.exists() else ""
+    if 0 < text.count("\n") <= SHORT_PROGRAM:
+        console.print(f"\nsimplified:\n\n{text}", markup=False)
+    before, after = (
+        f"{report[f'return_mean{when}']:.1f} ± {report[f'return_std{when}']:.1f}" for when in ("_before", "")
+    )
+    same, apart = 100 * report["fidelity"], report["mean_difference"]
+    console.print(
+        f"simplified: {report['n_numbers_before']} numbers to {report['n_numbers']}, {report['n_leaves_before']} "
+        f"leaves to {report['n_leaves']}; over {report['n_episodes']} other episodes {before} before and {after} "
+        f"after; the same action in {same:.1f} % of the states, {apart:.2g} apart on average",
+        markup=False,
+    )
 
 
 def _leaves(n_leaves: int) -> str:

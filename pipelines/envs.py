@@ -76,6 +76,11 @@ def _names(given: list[str], n: int, prefix: str, where: str) -> list[str]:
     return list(given) or [f"{prefix}{i}" for i in range(n)]
 
 
+def state_limits(env: EnvConfig) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the lowest and the highest state, (d,) each; None where a component has no bounds."""
+    return _state_limits(env.id, json.dumps(env.kwargs, sort_keys=True))
+
+
 @functools.cache
 def _state_limits(env_id: str, kwargs: str) -> tuple[np.ndarray, np.ndarray] | None:
     env = make_env(EnvConfig(env_id, env_id, env_id, json.loads(kwargs)))
@@ -87,7 +92,7 @@ def _state_limits(env_id: str, kwargs: str) -> tuple[np.ndarray, np.ndarray] | N
 
 def state_box(env: EnvConfig) -> tuple[np.ndarray, np.ndarray]:
     """Return middle and half width of the box of states, (d,) each; refuse states without bounds."""
-    limits = _state_limits(env.id, json.dumps(env.kwargs, sort_keys=True))
+    limits = state_limits(env)
     if limits is None:
         raise ConfigError(f"actor.rescale_inputs=true: the states of {env.id} have no bounds")
     low, high = limits

@@ -11,11 +11,11 @@ import otr
 from pipelines.config import RunConfig
 from pipelines.envs import action_names, feature_names
 from pipelines.errors import ConfigError, MissingInputError, PipelineError
-from pipelines.methods import MAPPED, METHODS, tree_stage
+from pipelines.methods import EXTRAS, MAPPED, METHODS, tree_stage
 from pipelines.stage import MANIFEST, verified_manifest
 from pipelines.store import load_actor
 
-TREES = ("pruned", "full", "compact")
+TREES = ("pruned", "full", "minimal", "simplified", "compact")
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,7 @@ FORMATS = {
 
 def check_export(config: ExportConfig) -> None:
     """Raise ConfigError where the request cannot be met, whatever the run."""
-    if not config.run:
-        raise ConfigError("which run? Add run=FOLDER, such as run=hopper/otr/depth-6/quick/seed-0")
+    check_run(config.run)
     if not config.format:
         raise ConfigError(f"which format? Add format=NAME with one of: {', '.join(FORMATS)}")
     _check_name("format", config.format, list(FORMATS))
@@ -75,18 +74,26 @@ def check_export(config: ExportConfig) -> None:
         raise ConfigError(f"dtype={config.dtype}: expected double or float")
 
 
-def find_run(config: ExportConfig) -> Path:
-    """Return the run's folder: as given, or below results_dir, or below results_dir/runs.
+def check_run(run: str) -> None:
+    """Raise ConfigError where no run is named."""
+    if not run:
+        raise ConfigError("which run? Add run=FOLDER, such as run=hopper/otr/depth-6/quick/seed-0")
+
+
+def find_run(run: str, results_dir: str) -> Path:
+    """Return a run's folder: as given, or below results_dir, or below results_dir/runs.
 
     Raises:
-        ConfigError: there is no such folder; names the nearest runs and the command that makes this one.
+        ConfigError: none is named, or there is no such folder; names the nearest runs and the
+            command that makes this one.
         PipelineError: what lies there is no run of otr-run.
     """
-    given, runs = Path(config.run), Path(config.results_dir) / "runs"
-    tried = [given] if given.is_absolute() else [given, Path(config.results_dir) / given, runs / given]
+    check_run(run)
+    given, runs = Path(run), Path(results_dir) / "runs"
+    tried = [given] if given.is_absolute() else [given, Path(results_dir) / given, runs / given]
     folder = next((path for path in tried if path.is_dir()), None)
     if folder is None:
-        raise ConfigError(_no_such_run(config.run, runs))
+        raise ConfigError(_no_such_run(run, runs))
     if not (folder / "config.yaml").is_file():
         command = run_command(folder)
         how = f"the run there did not come to its end\nRun: {command}" if command else "it is not the folder of a run"
@@ -156,11 +163,12 @@ def _policy(config: ExportConfig, run: RunConfig, folder: Path) -> Any:
     method = run.method.name
     if config.tree == "compact" and METHODS[method] is not MAPPED:
         raise ConfigError(f"tree=compact: a tree of method={method} stands for no network; use tree=full")
-    stage = {"pruned": "prune", "full": tree_stage(method), "compact": "train"}[config.tree]
+    stages = {"pruned": "prune", "full": tree_stage(method), "minimal": "certify", "simplified": "simplify"}
+    stage = stages.get(config.tree, "train")
     if not (folder / stage / MANIFEST).exists():
         raise MissingInputError(
             f"{folder}: stage {stage}, which makes tree={config.tree}, is not finished there\nRun: "
-            f"{run_command(folder.absolute()) or 'the command that made the run'}"
+            f"{run_command(folder.absolute()) or 'the command that made the run'}{_extra_word(stage)}"
         )
     verified_manifest(folder / stage)
     if config.tree == "compact":
@@ -174,6 +182,10 @@ def _policy(config: ExportConfig, run: RunConfig, folder: Path) -> Any:
             "use tree=pruned, or format=c, which writes the network that the tree is"
         )
     return tree.network
+
+
+def _extra_word(stage: str) -> str:
+    return f" {stage}=true" if stage in EXTRAS else ""
 
 
 def _check_name(word: str, value: str, known: Sequence[str]) -> None:

@@ -16,6 +16,8 @@ words:
                         ppo_tree for soft trees
   column=viper          a column of Table 4.1, a method and its depth, for sweeps over both: linear viper lm_viper ndps
                         pi_prl otr_6 otr_32
+  certify=true          also the minimal tree on the environment's states, with the proof that it is the network
+  simplify=true         also a shorter program, as far as the return on other episodes than the reported ones allows
   stages=[map,prune]    only these stages; a missing input names the command that makes it
   results_dir=PATH      where artefacts go (default: results, or OTR_RESULTS_DIR)
   launcher=joblib       how a sweep's jobs run: basic (one by one), joblib, slurm, submitit_local, ray
@@ -91,8 +93,8 @@ words:
                         latex, dot       for a paper (amsmath) and for Graphviz
                         onnx             standard operators, any number of states at once
                         json             nodes and leaves, for any other language
-  tree=full             pruned (default; what the policy reaches), full, or, for format=c, compact: the network itself,
-                        the shortest form
+  tree=full             pruned (default; what the policy reaches), full, minimal (after certify=true), simplified
+                        (after simplify=true) or, for format=c, compact: the network itself, the shortest form
   out=policy.c          a file, or a folder that is there; without it the program is printed
   name=hopper           of the function, block or graph (default: policy)
   dtype=float           double (default) or float, for c and onnx
@@ -103,4 +105,18 @@ examples:
   otr-export run=hopper/otr/depth-6/quick/seed-0 format=text
   otr-export run=hopper/otr/depth-6/quick/seed-0 format=c tree=compact dtype=float out=policy.c
   otr-export run=lunarlander/otr/depth-2/thesis/seed-0 format=dot | dot -Tsvg > lander.svg""",
+    "otr-verify": """\
+Check the certificate of a run that was made with certify=true: that its minimal tree and its network compute the same
+function on the domain it names. No solver is used. A tree, an actor or a certificate that was changed is refused, with
+the number of a leaf.
+
+words:
+  run=FOLDER            a run's folder: results/runs/pendulum/otr/depth-6/quick/seed-0 or, shorter, what follows runs/
+  exact=false           in float64, which is faster; by default in rational arithmetic
+  certificate=FILE      instead of the run's own; so tree=FILE (tree.json) and actor=FOLDER (of actor.json)
+  results_dir=PATH      where the runs lie (default: results, or OTR_RESULTS_DIR)
+
+examples:
+  otr-run env=pendulum depth=6 budget=quick certify=true
+  otr-verify run=pendulum/otr/depth-6/quick/seed-0""",
 }

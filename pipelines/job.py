@@ -51,7 +51,8 @@ class Job(ABC):
 
 def is_done(job: Job) -> bool:
     """Return whether nothing of a job is left to do, having compared every file with its recorded sha256."""
-    if job.stages and job.stages[-1].name == job.ends_with and not (job.run_dir / "summary.json").is_file():
+    ends = any(stage.name == job.ends_with for stage in job.stages)
+    if ends and not (job.run_dir / "summary.json").is_file():
         return False
     gone = {stage.name for stage in job.stages if _is_gone(job, stage)}
     try:

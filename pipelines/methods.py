@@ -8,6 +8,7 @@ MAPPED = ("train", "map", "prune", "evaluate")
 IMITATING = ("oracle", "imitate", "prune", "evaluate")
 SOFT = ("train", "harden", "prune", "evaluate")
 WRITTEN = ("parse", "prune", "evaluate")
+EXTRAS = ("certify", "simplify")  # after all others, where certify=true or simplify=true asks for them
 
 METHODS: dict[str, tuple[str, ...]] = {
     "otr": MAPPED,
@@ -36,6 +37,11 @@ def is_soft(method: str) -> bool:
 def is_written(method: str) -> bool:
     """Return whether a method's policy is a program that somebody wrote, so that nothing is trained."""
     return METHODS[method] is WRITTEN
+
+
+def is_mapped(method: str) -> bool:
+    """Return whether a method's tree is a trained network's, which it can be proved equal to."""
+    return METHODS[method] is MAPPED
 
 
 def tree_stage(method: str) -> str:

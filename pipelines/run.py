@@ -11,7 +11,7 @@ from pipelines.console import duration, show_result
 from pipelines.errors import PipelineError
 from pipelines.imitation import working_folder
 from pipelines.job import Job, disk_errors_explained
-from pipelines.methods import METHODS, tree_stage
+from pipelines.methods import EXTRAS, METHODS, tree_stage
 from pipelines.stage import Stage, StageResult, run_stage, run_stage_together, stage_status
 from pipelines.stages import STAGES, stages_of
 from pipelines.store import read_csv, read_json, write_json, write_text
@@ -141,7 +141,8 @@ def summarise(job: RunJob) -> dict[str, Any]:
     made, pruned, evaluated = (
         read_json(run_dir / name / "report.json") for name in (tree_stage(config.method.name), "prune", "evaluate")
     )
-    manifests = {name: read_json(run_dir / name / "manifest.json") for name in names}
+    extras = tuple(extra for extra in EXTRAS if (run_dir / extra / "manifest.json").is_file())
+    manifests = {name: read_json(run_dir / name / "manifest.json") for name in (*names, *extras)}
     seconds = {name: manifest["seconds"] for name, manifest in manifests.items()}
     if "train" in seconds:
         # The manifest knows the last process alone; a resumed training spent the sum of its segments at least.
@@ -174,7 +175,7 @@ def summarise(job: RunJob) -> dict[str, Any]:
         summary["imitate"] = {name: made[name] for name in ("round", "n_rows", "n_steps")}
     if "parse" in names:
         summary |= {"program": made["program"], "algorithm": "none", "steps": 0}
-    return summary
+    return summary | {extra: read_json(run_dir / extra / "report.json") for extra in extras}
 
 
 def _announce_training(configs: Sequence[RunConfig]) -> None:

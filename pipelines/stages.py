@@ -3,19 +3,23 @@
 from collections.abc import Mapping
 from pathlib import Path
 
+from pipelines.certify import VERSION as CERTIFY_VERSION
+from pipelines.certify import certify, certify_settings
 from pipelines.config import RunConfig
 from pipelines.evaluate import VERSION as EVALUATE_VERSION
 from pipelines.evaluate import evaluate, evaluate_settings
 from pipelines.imitation import IMITATE_VERSION, imitate_settings
 from pipelines.map import VERSION as MAP_VERSION
 from pipelines.map import map_actor, map_settings
-from pipelines.methods import METHODS, tree_stage
+from pipelines.methods import EXTRAS, METHODS, tree_stage
 from pipelines.oracle import VERSION as ORACLE_VERSION
 from pipelines.oracle import oracle_settings, refer
 from pipelines.parse import VERSION as PARSE_VERSION
 from pipelines.parse import parse, parse_settings
 from pipelines.prune import VERSION as PRUNE_VERSION
 from pipelines.prune import prune, prune_settings
+from pipelines.simplify import VERSION as SIMPLIFY_VERSION
+from pipelines.simplify import simplify, simplify_settings
 from pipelines.stage import Stage
 from pipelines.training import HARDEN_VERSION, TRAIN_VERSION, harden_settings, train_settings
 
@@ -57,17 +61,19 @@ STAGES: dict[str, Stage] = {
         Stage("map", MAP_VERSION, ("train",), map_settings, map_actor),
         Stage("harden", HARDEN_VERSION, ("train",), harden_settings, _harden),
         Stage("imitate", IMITATE_VERSION, ("oracle",), imitate_settings, _imitate),
+        Stage("certify", CERTIFY_VERSION, ("train", "map"), certify_settings, certify),
+        Stage("simplify", SIMPLIFY_VERSION, ("prune",), simplify_settings, simplify),
         Stage("parse", PARSE_VERSION, (), parse_settings, parse),
     )
 }
 
 
 def stages_of(method: str) -> dict[str, Stage]:
-    """Return a method's stages by name, in order; prune and evaluate read what its tree comes from."""
+    """Return a method's stages and the extras by name, in order; prune and evaluate read what its tree comes from."""
     source = tree_stage(method)
     inputs = (*POLICY_STAGES[source], source)
     read = {
         "prune": Stage("prune", PRUNE_VERSION, inputs, prune_settings, prune),
         "evaluate": Stage("evaluate", EVALUATE_VERSION, (*inputs, "prune"), evaluate_settings, evaluate),
     }
-    return {name: read[name] if name in read else STAGES[name] for name in METHODS[method]}
+    return {name: read[name] if name in read else STAGES[name] for name in (*METHODS[method], *EXTRAS)}

@@ -1,0 +1,48 @@
+"""Certificates of finished runs, checked again without a solver."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import otr
+from pipelines.errors import MissingInputError
+from pipelines.store import load_actor
+
+
+@dataclass(frozen=True)
+class VerifyConfig:
+    """What `otr-verify` takes; None is the run's own."""
+
+    run: str
+    certificate: str | None
+    tree: str | None
+    actor: str | None
+    exact: bool | None
+    results_dir: str
+    debug: bool
+
+
+def verify_run(config: VerifyConfig, folder: Path) -> str:
+    """Check a run's certificate against its tree and its actor, and return what it proves, in words.
+
+    Raises:
+        MissingInputError: the run has no certificate; names the word that makes one.
+        otr.OtrError: the certificate, the tree or the actor was tampered with; names the leaf.
+    """
+    path = Path(config.certificate or folder / "certify" / "certificate.json")
+    if not path.is_file():
+        raise MissingInputError(
+            f"{path} is not there: the run has no certificate\nAdd certify=true to the command that made the run; "
+            "nothing is trained anew. A tree that was too large for one says so in certify/report.json."
+        )
+    certificate = otr.load_certificate(path)
+    tree = otr.load(config.tree or folder / "certify" / "tree")
+    if not isinstance(tree, otr.ObliqueTree):
+        raise otr.CertificateError(f"{config.tree} holds a {type(tree).__name__}, certificates are of an ObliqueTree")
+    network = load_actor(Path(config.actor or folder / "train"))
+    bound = otr.verify(certificate, tree, network, exact=config.exact)
+    exact = certificate.exact if config.exact is None else config.exact
+    return (
+        f"verified: {certificate.n_leaves:,} leaves, {certificate.n_regions:,} regions of the network; on the whole "
+        f"domain tree and network differ by at most {bound:.3g} "
+        f"({'in rational arithmetic' if exact else 'in float64'})"
+    )

@@ -199,7 +199,7 @@ class Walk:
         of_group = rows.of(block.group)
         values = np.einsum("nd,nd->n", block.centres, rows.a[of_group, test]) + rows.b[of_group, test]
         near = values > 0
-        constant = self.domain.is_constant(rows.a[of_group, test], rows.b[of_group, test])
+        constant = self.domain.reach(rows.a[of_group, test]) < np.abs(rows.b[of_group, test])
         is_clear = constant | (np.abs(values) > np.maximum(self.tolerance, _CLEAR_SHARE * block.radii))
         asked = np.concatenate((np.flatnonzero(~constant), np.flatnonzero(~is_clear)))
         right = np.concatenate((~near[~constant], near[~is_clear]))

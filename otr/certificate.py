@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -112,8 +112,16 @@ class Certificate:
             "n_empty": self.n_empty,
             "n_regions": self.n_regions,
             "n_linear_programs": self.n_linear_programs,
-            "cells": [asdict(cell) for cell in self.cells],
-            "empty": [asdict(leaf) for leaf in self.empty],
+            "cells": [
+                {
+                    "leaf": cell.leaf,
+                    "outcomes": cell.outcomes,
+                    "splits": list(cell.splits),
+                    "proofs": [_listed(proof) for proof in cell.proofs],
+                }
+                for cell in self.cells
+            ],
+            "empty": [{"leaf": leaf.leaf, "proof": _listed(leaf.proof)} for leaf in self.empty],
         }
 
     @classmethod
@@ -166,8 +174,12 @@ def load_certificate(path: str | os.PathLike[str]) -> Certificate:
     return Certificate.from_dict(description)
 
 
-def _sum(description: dict[str, Any]) -> Sum:
-    return Sum(tuple(map(str, description["rows"])), tuple(map(float, description["multipliers"])))
+def _listed(proof: Sum) -> dict[str, float]:
+    return dict(zip(proof.rows, proof.multipliers, strict=True))
+
+
+def _sum(description: dict[str, float]) -> Sum:
+    return Sum(tuple(map(str, description)), tuple(float(multiplier) for multiplier in description.values()))
 
 
 def _cell(description: dict[str, Any]) -> Cell:

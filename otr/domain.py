@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from otr.arrays import BoolArray, FloatArray, read_only
+from otr.arrays import FloatArray, read_only
 from otr.linear_programs import Rows
 
 __all__ = ["Box", "Domain", "as_domain"]
@@ -99,14 +99,11 @@ class Domain:
         a[flat], b[flat] = 0.0, np.where(b[flat] > 0, 1.0, -1.0)
         return Rows(a, b, length)
 
-    def is_constant(self, a: FloatArray, b: FloatArray) -> BoolArray:
-        """Return, for scaled forms a (n, d), b (n,), whether interval arithmetic shows a sign that never changes."""
-        with np.errstate(invalid="ignore"):
-            reach = np.where(a == 0, 0.0, np.abs(a) * np.where(np.isfinite(self.high - self.low), 1.0, np.inf)).sum(
-                axis=1
-            )
-        constant: BoolArray = reach < np.abs(b)
-        return constant
+    def reach(self, a: FloatArray) -> FloatArray:
+        """Return the largest |a . x| over the domain in scaled coordinates for normals (..., d); inf where it is open."""
+        is_open = ~(np.isfinite(self.low) & np.isfinite(self.high))
+        reach: FloatArray = np.abs(a[..., ~is_open]).sum(axis=-1)
+        return np.where(a[..., is_open].any(axis=-1), np.inf, reach)
 
     def length(self, form: FloatArray) -> float:
         """Return the length of the normal of an affine form (d + 1,) in scaled coordinates."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otr.arrangement import Block, Walk
-from otr.arrays import FloatArray
+from otr.arrays import FloatArray, IntArray
 from otr.certificate import Cell, Certificate, EmptyLeaf, Sum
 from otr.domain import Box, Domain, as_domain
 from otr.errors import CertificateError
@@ -21,6 +21,8 @@ from otr.verification import verify
 __all__ = ["certify"]
 
 _NEGLIGIBLE = 1e-13  # of the largest multiplier
+_DIGITS = (3, 6)  # of multipliers, tried in this order
+_CLEAR = 1e-9  # of a row of unit length: a remainder above it shows the sign beyond rounding
 
 
 def certify(
@@ -56,15 +58,12 @@ def certify(
     rows, signs = leaf_rows(tree, box, np.arange(tree.n_leaves))
     balls = largest_balls(rows, np.arange(tree.n_leaves), signs, Bases.start(tree.n_leaves, box.n_inputs), tolerance)
     names = _row_names(tree, box)
-    empty = [
-        EmptyLeaf(leaf, _sum(balls.bases, leaf, rows.lengths[leaf], names[leaf]))
-        for leaf in np.flatnonzero(balls.is_empty).tolist()
-    ]
+    empty = [_empty_leaf(leaf, balls, rows, names) for leaf in np.flatnonzero(balls.is_empty).tolist()]
     blocks = walk.run(_start(rows, signs, balls))
     _check_answers(tree, network, box, blocks, max_error)
     cells, n_programs = [], tree.n_leaves + walk.n_linear_programs
     for block in blocks:
-        found, n_solved = _cells(block, names, rows.n_rows, tolerance)
+        found, n_solved = _cells(block, names, rows.n_rows, box, tolerance)
         cells += found
         n_programs += n_solved
     cells.sort(key=lambda cell: (cell.leaf, cell.outcomes))
@@ -114,20 +113,30 @@ def _check_answers(
             )
 
 
+def _empty_leaf(leaf: int, balls: Balls, rows: Rows, names: list[list[str]]) -> EmptyLeaf:
+    """Return the proof that a leaf's region, of the rows of group `leaf`, has no inside."""
+    basis, multipliers = balls.bases.rows[leaf], balls.bases.multipliers[leaf]
+    used = (basis >= 0) & (multipliers > _NEGLIGIBLE * multipliers.max())
+    weights = np.where(used, multipliers / rows.lengths[leaf, np.where(used, basis, 0)], 0.0)
+    return EmptyLeaf(leaf, _named_sum(basis.tolist(), weights.tolist(), names[leaf]))
+
+
 def _row_names(tree: ObliqueTree, domain: Domain) -> list[list[str]]:
     """Return, for every leaf, the names of its region's rows: the domain's sides and the tests on its path."""
     _, sides = domain.sides()
     return [[*sides, *(f"test {node}" for node in path)] for path in leaf_paths(tree).nodes.tolist()]
 
 
-def _cells(block: Block, names: list[list[str]], first: int, tolerance: float) -> tuple[list[Cell], int]:
+def _cells(
+    block: Block, names: list[list[str]], first: int, domain: Domain, tolerance: float
+) -> tuple[list[Cell], int]:
     """Return a block's cells with their proofs, and how many linear programs these took.
 
     Args:
         block: finished regions.
         names: of the rows that the walk started from, by leaf.
         first: the row of the network's first test.
-        tolerance: as in `certify`.
+        domain, tolerance: as in `certify`.
     """
     n, n_tests = block.outcomes.shape
     group = block.rows.of(block.group)
@@ -135,19 +144,16 @@ def _cells(block: Block, names: list[list[str]], first: int, tolerance: float) -
     n_programs = 0
     for test in range(n_tests):
         row = first + test
-        is_flat = ~block.rows.a[group, row].any(axis=1)
+        is_constant = domain.reach(block.rows.a[group, row]) < np.abs(block.rows.b[group, row])
         is_fixed = block.signs[:, row] == 0
-        for cell in np.flatnonzero(is_fixed & is_flat).tolist():
-            proofs[cell, test] = Sum((), ())  # its sign is that of a constant
-        asked = np.flatnonzero(is_fixed & ~is_flat)
-        signs = block.signs[asked]
-        signs[:, row] = np.where(block.outcomes[asked, test], -1, 1)
-        other_side = largest_balls(block.rows, block.group[asked], signs, block.bases.take(asked), tolerance)
+        for cell in np.flatnonzero(is_fixed & is_constant).tolist():
+            proofs[cell, test] = Sum((), ())  # the remainder is all of it
+        asked = np.flatnonzero(is_fixed & ~is_constant)
+        basis, multipliers = _multipliers(block, asked, row, test, domain, tolerance)
         n_programs += len(asked)
-        for at, cell in enumerate(asked.tolist()):
-            lengths = block.rows.lengths[group[cell]]
-            proofs[cell, test] = _sum(other_side.bases, at, lengths, names[block.origin[cell]], turned=row)
-    cells: list[Cell] = []
+        for cell, rows, weights in zip(asked.tolist(), basis.tolist(), multipliers.tolist(), strict=True):
+            proofs[cell, test] = _named_sum(rows, weights, names[block.origin[cell]])
+    cells = []
     for cell in range(n):
         outcomes = "".join("1" if outcome else "0" for outcome in block.outcomes[cell])
         splits = tuple(np.flatnonzero(block.signs[cell, first:]).tolist())
@@ -156,28 +162,50 @@ def _cells(block: Block, names: list[list[str]], first: int, tolerance: float) -
     return cells, n_programs
 
 
-def _sum(bases: Bases, at: int, lengths: FloatArray, names: list[str], turned: int | None = None) -> Sum:
-    """Return the multipliers of a polytope that was found empty, for its rows as they are, not of unit length.
+def _multipliers(
+    block: Block, cells: IntArray, row: int, test: int, domain: Domain, tolerance: float
+) -> tuple[NDArray[np.int16], FloatArray]:
+    """Return rows (n, q) and multipliers (n, q), of the rows as they are, of sums that a test is at least.
 
-    Args:
-        bases: of problems.
-        at: the problem.
-        lengths: of all rows in its group.
-        names: of the first rows; those after them are the network's tests.
-        turned: a row that was turned round to find the polytope empty: the sum is then of the others, and such that
-            this row, as it stands, is the sum and a remainder.
+    They come from turning the test round: the region is then empty. Multipliers are rounded where what remains allows
+    it, for the sake of those who read or store them; places without a row have a multiplier of 0.
     """
-    rows, multipliers = bases.rows[at], bases.multipliers[at]
-    used = np.flatnonzero((rows >= 0) & (multipliers > _NEGLIGIBLE * multipliers.max()))
-    weights = {int(rows[i]): float(multipliers[i] / lengths[rows[i]]) for i in used.tolist()}
-    if turned is not None:
-        scale = weights.pop(turned, 0.0)
-        if scale == 0.0:
-            return Sum((), ())  # nothing is shown; the remainder's bound will tell
-        weights = {row: weight / scale for row, weight in weights.items()}
-    chosen = sorted(weights)
+    rows, group = block.rows, block.rows.of(block.group)[cells]
+    near = np.where(block.outcomes[cells, test], 1.0, -1.0)
+    signs = block.signs[cells]
+    signs[:, row] = -near
+    balls = largest_balls(rows, block.group[cells], signs, block.bases.take(cells), tolerance)
+    basis, found = balls.bases.rows, balls.bases.multipliers
+    of_row = np.where(basis == row, found, 0.0).sum(axis=1, keepdims=True)
+    used = (basis >= 0) & (basis != row) & (found > _NEGLIGIBLE * found.max(axis=1, keepdims=True)) & (of_row > 0)
+    at = np.where(used, basis, 0).astype(np.int64)
+    lengths = rows.lengths[group[:, None], at] / rows.lengths[group, row, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        multipliers = np.where(used, found / of_row / lengths, 0.0)
+    forms = np.concatenate((rows.a[group[:, None], at], rows.b[group[:, None], at][..., None]), axis=2)
+    forms *= np.take_along_axis(signs, at, axis=1)[..., None]
+    whole = near[:, None] * np.column_stack((rows.a[group, row], rows.b[group, row]))
+    exact = multipliers
+    for digits in reversed(_DIGITS):
+        few = _significant(exact, digits)
+        remainder = whole - np.einsum("nq,nqd->nd", few * lengths, forms)
+        enough = remainder[:, -1] - domain.reach(remainder[:, :-1]) > _CLEAR
+        multipliers = np.where(enough[:, None], few, multipliers)
+    return basis, multipliers
+
+
+def _significant(values: FloatArray, digits: int) -> FloatArray:
+    """Return numbers of at least 0 with so many significant digits."""
+    with np.errstate(divide="ignore"):
+        scale = 10.0 ** (digits - 1 - np.floor(np.log10(np.where(values > 0, values, 1.0))))
+    return np.asarray(np.round(values * scale) / scale)
+
+
+def _named_sum(rows: list[int], multipliers: list[float], names: list[str]) -> Sum:
+    """Return a sum of rows, those after the names being the network's tests."""
+    chosen = sorted((row, multiplier) for row, multiplier in zip(rows, multipliers, strict=True) if multiplier > 0)
     known = len(names)
     return Sum(
-        tuple(names[row] if row < known else f"neuron {row - known}" for row in chosen),
-        tuple(weights[row] for row in chosen),
+        tuple(names[row] if row < known else f"neuron {row - known}" for row, _ in chosen),
+        tuple(multiplier for _, multiplier in chosen),
     )

@@ -58,7 +58,7 @@ def verify(certificate: Certificate, tree: ObliqueTree, network: ReluNetwork, *,
 class _Check:
     def __init__(self, certificate: Certificate, tree: ObliqueTree, network: ReluNetwork, exact: bool) -> None:
         self.certificate, self.tree, self.network, self.exact = certificate, tree, network, exact
-        self.bounds = _Bounds(certificate.domain, exact)
+        self.bounds, self.rough_bounds = _Bounds(certificate.domain, exact), _Bounds(certificate.domain, False)
         units = network.unit_form()
         self.links, self.own = self.numbers(units.links), self.numbers(np.column_stack((units.inputs, units.offsets)))
         self.size_of_links = np.abs(self.links)
@@ -197,9 +197,19 @@ class _Check:
         shortfalls: list[Any] = [0] * len(tests)
         fixed = [test for test in range(len(tests)) if test not in cell.splits]
         for test, proof in zip(fixed, cell.proofs, strict=True):
-            remainder = tests[test] - self._sum(cell.leaf, proof, rows)
-            shortfalls[test] = max(0, -self.bounds.lowest(remainder))
+            self._check_sum(cell.leaf, proof, rows)
+            if not (self.exact and self._is_clear(tests[test], proof, rows)):
+                remainder = tests[test] - self._sum(proof, rows)
+                shortfalls[test] = max(0, -self.bounds.lowest(remainder))
         return shortfalls
+
+    def _is_clear(self, test: Numbers, proof: Sum, rows: dict[str, Numbers]) -> bool:
+        """Return whether float64 alone shows, its rounding reckoned with, that a remainder is nowhere below 0."""
+        forms = np.array([test, *(rows[name] for name in proof.rows)]).astype(np.float64)
+        weights = np.array([1.0, *(-multiplier for multiplier in proof.multipliers)])
+        terms = weights[:, None] * forms
+        lowest = self.rough_bounds.lowest(terms.sum(axis=0))
+        return bool(lowest > _ROUNDING * self.rough_bounds.size(np.abs(terms).sum(axis=0)))
 
     def _output_errors(self, shortfalls: list[Any]) -> Numbers:
         """Return E of the outputs, given e of the hidden neurons."""
@@ -212,9 +222,8 @@ class _Check:
                 of_activations[neuron] = of_units[neuron] + (1 - self.slope) * shortfalls[neuron]
         return of_units[len(shortfalls) :]
 
-    def _sum(self, leaf: int, terms: Sum, rows: dict[str, Numbers]) -> Numbers:
-        """Return a sum of rows as an affine form."""
-        total: Numbers = np.zeros_like(self.own[0])
+    def _check_sum(self, leaf: int, terms: Sum, rows: dict[str, Numbers]) -> None:
+        """Check that a sum is one of the region's rows, with multipliers that are not negative."""
         if len(terms.rows) != len(terms.multipliers):
             raise CertificateError(f"leaf {leaf}: {len(terms.rows)} rows and {len(terms.multipliers)} multipliers")
         for name, multiplier in zip(terms.rows, terms.multipliers, strict=True):
@@ -222,13 +231,19 @@ class _Check:
                 raise CertificateError(f"leaf {leaf}: the row {name!r} does not bound it")
             if not (multiplier >= 0 and math.isfinite(multiplier)):
                 raise CertificateError(f"leaf {leaf}: the multiplier of {name!r} is {multiplier}, expected at least 0")
+
+    def _sum(self, terms: Sum, rows: dict[str, Numbers]) -> Numbers:
+        """Return a sum of rows as an affine form."""
+        total: Numbers = np.zeros_like(self.own[0])
+        for name, multiplier in zip(terms.rows, terms.multipliers, strict=True):
             total = total + (Fraction(multiplier) if self.exact else multiplier) * rows[name]
         return total
 
     def _check_empty(self, leaf: EmptyLeaf) -> None:
         """Check that a leaf's region holds no ball of a radius above the tolerance."""
         rows = self.sides | self._path_rows(leaf.leaf)
-        total = self._sum(leaf.leaf, leaf.proof, rows)
+        self._check_sum(leaf.leaf, leaf.proof, rows)
+        total = self._sum(leaf.proof, rows)
         lengths = [self.certificate.domain.length(np.asarray(rows[name], dtype=float)) for name in leaf.proof.rows]
         weight = sum(m * length for m, length in zip(leaf.proof.multipliers, lengths, strict=True))
         highest = float(self.bounds.highest(total))
@@ -280,6 +295,7 @@ class _Bounds:
         return max(highest, open_slopes.max())
 
     def size(self, form: Numbers) -> Any:
+        """Return the largest absolute value."""
         return max(self.highest(form), self.highest(-form), 0)
 
 

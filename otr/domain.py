@@ -100,7 +100,7 @@ class Domain:
         return Rows(a, b, length)
 
     def reach(self, a: FloatArray) -> FloatArray:
-        """Return the largest |a . x| over the domain in scaled coordinates for normals (..., d); inf where it is open."""
+        """Return the largest |a . x| over the domain, scaled, for normals (..., d); inf where it is open."""
         is_open = ~(np.isfinite(self.low) & np.isfinite(self.high))
         reach: FloatArray = np.abs(a[..., ~is_open]).sum(axis=-1)
         return np.where(a[..., is_open].any(axis=-1), np.inf, reach)

@@ -167,8 +167,9 @@ def _multipliers(
 ) -> tuple[NDArray[np.int16], FloatArray]:
     """Return rows (n, q) and multipliers (n, q), of the rows as they are, of sums that a test is at least.
 
-    They come from turning the test round: the region is then empty. Multipliers are rounded where what remains allows
-    it, for the sake of those who read or store them; places without a row have a multiplier of 0.
+    They come from turning the test round: the region is then empty. Multipliers are rounded where what remains is
+    clear or no worse, as in a row that is the test itself, for the sake of those who read or store them; places without
+    a row have a multiplier of 0.
     """
     rows, group = block.rows, block.rows.of(block.group)[cells]
     near = np.where(block.outcomes[cells, test], 1.0, -1.0)
@@ -185,11 +186,16 @@ def _multipliers(
     forms = np.concatenate((rows.a[group[:, None], at], rows.b[group[:, None], at][..., None]), axis=2)
     forms *= np.take_along_axis(signs, at, axis=1)[..., None]
     whole = near[:, None] * np.column_stack((rows.a[group, row], rows.b[group, row]))
-    exact = multipliers
+
+    def lowest(weights: FloatArray) -> FloatArray:
+        remainder = whole - np.einsum("nq,nqd->nd", weights * lengths, forms)
+        return np.asarray(remainder[:, -1] - domain.reach(remainder[:, :-1]))
+
+    as_found = multipliers
     for digits in reversed(_DIGITS):
-        few = _significant(exact, digits)
-        remainder = whole - np.einsum("nq,nqd->nd", few * lengths, forms)
-        enough = remainder[:, -1] - domain.reach(remainder[:, :-1]) > _CLEAR
+        few = _significant(as_found, digits)
+        left = lowest(few)
+        enough = np.isfinite(left) & (left >= np.minimum(_CLEAR, lowest(as_found)))
         multipliers = np.where(enough[:, None], few, multipliers)
     return basis, multipliers
 

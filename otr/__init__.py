@@ -10,7 +10,7 @@ array([3.5])
 """
 
 from otr.errors import ArtefactError, InvalidNetworkError, InvalidTreeError, OtrError, TreeTooLargeError
-from otr.head import Argmax, ClipBox, Head, Identity, Sign, TanhBox, head_from_dict
+from otr.head import Argmax, ClipBox, Head, Identity, PidBox, Sign, TanhBox, head_from_dict
 from otr.importers import from_sb3, from_sklearn, from_torch
 from otr.io import load, save
 from otr.mapping import map_network
@@ -34,6 +34,7 @@ __all__ = [
     "ObliqueTree",
     "OtrError",
     "PatternTree",
+    "PidBox",
     "ReluNetwork",
     "Sign",
     "TanhBox",

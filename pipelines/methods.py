@@ -11,6 +11,7 @@ SOFT = ("train", "harden", "prune", "evaluate")
 METHODS: dict[str, tuple[str, ...]] = {
     "otr": MAPPED,
     "linear": MAPPED,
+    "pid": MAPPED,
     "viper": IMITATING,
     "lm_viper": IMITATING,
     "augtree": IMITATING,

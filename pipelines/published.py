@@ -9,8 +9,9 @@ from importlib import resources
 # to compare: the thesis's "depth-five" lander policy has 2 hidden neurons and 4 - 1 = 3 of these.
 N_OUTPUT_TESTS = {"lunarlander": 3}
 FOR_MANY_DEPTHS = {("lunarlander", "cdt"): ("4", "5", "6")}  # one number for several depths, in a row without a depth
-OF_ONE_POLICY = {("lunarlander", "augtree"): "augtree-fig4.7-original"}  # its row in published.csv
-FROM_NETWORKS = ("otr", "linear")  # methods whose depth counts hidden neurons; the others' depth is the tree's own
+# Their rows in published.csv.
+OF_ONE_POLICY = {("lunarlander", "augtree"): "augtree-fig4.7-original", ("pendulum", "pid"): "otr-pid"}
+FROM_NETWORKS = ("otr", "linear", "pid")  # their depth counts hidden neurons; other methods' depth is the tree's own
 
 
 @dataclass(frozen=True)

@@ -264,7 +264,9 @@ def _notes(cell: Cell, thesis_depth: str) -> Iterable[str]:
     if cell.published is not None and (cell.task, cell.method) in FOR_MANY_DEPTHS:
         yield "published for depths 4 to 6 as about 100, without saying whether soft or discretised"
     elif cell.published is not None and (cell.task, cell.method) in OF_ONE_POLICY:
-        yield "published: the one policy of Figure 4.7"
+        yield f"published: the one policy of Figure {OF_ONE_POLICY[cell.task, cell.method].figure}"
+        if len(cell.runs) > 1:
+            yield f"the best run: {max(run.return_mean for run in cell.runs):z.1f}"
     elif cell.published is not None and cell.depth != thesis_depth:
         yield f"published as a tree of depth {thesis_depth}: {cell.depth} hidden neurons and the tests of the actions"
     if cell.pruned_depth is not None and (cell.table == "text" or cell.depth == "32"):

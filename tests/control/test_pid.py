@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 import otr
 from otr.control import constant_gains, pid_network, pid_observation, pid_observation_names
+from otr.programs.boxes import Style, head_note, tree_boxes
 from tests.control.pids import GAINS, NAMES, PROGRAM, gains_network, thesis_policy
 from tests.core.strategies import make_network
 
@@ -122,6 +123,17 @@ def test_several_actions_name_their_gains() -> None:
         "left = tanh(theta_P_left . P + theta_I_left . I + theta_D_left . D)\n"
         "right = 2 + 2 tanh(theta_P_right . P + theta_I_right . I + theta_D_right . D)\n"
     )
+
+
+def test_the_picture_shows_the_gains() -> None:
+    tree = otr.map_network(thesis_policy())
+    style = Style(pid_observation_names(NAMES), ["torque"], precision=3, max_terms=4)
+    test, left, right = tree_boxes(tree, style, None, None)
+    assert test.kind == "test"
+    assert left.rows[:2] == (("3.15", "P_x"), ("+3.24", "P_y")) and left.rows[8] == ("+0.13", "D_w")
+    assert right.rows[3:6] == (("θ(s)", "I_x"), ("+0.52", "I_y"), ("θ(s)", "I_w"))
+    assert head_note(tree) == "gains times terms go through tanh, scaled to [−2, 2]"
+    otr.draw_tree(tree, feature_names=pid_observation_names(NAMES), output_names=["torque"])
 
 
 def test_a_pid_tree_comes_back_from_disk(tmp_path) -> None:

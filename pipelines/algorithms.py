@@ -103,7 +103,7 @@ def policy_kwargs(config: RunConfig) -> dict[str, Any]:
     if is_tree:
         kwargs["actor"] = shape_of(config)
     if isinstance(config.method, PidConfig):
-        kwargs["l1"] = config.method.l1
+        kwargs |= {"l1": config.method.l1, "first_layer_scale": config.method.first_layer_scale}
     if config.algo.weight_decay > 0.0:
         # Stable-Baselines3 gives PPO's Adam a larger epsilon, but only where no other argument is set.
         epsilon = {"eps": 1e-5} if isinstance(config.algo, OnPolicyConfig) else {}

@@ -380,6 +380,8 @@ class PidConfig(MethodConfig):
         goal: the state to come to rest in, one number a component.
         n_history: states before the present one that the policy knows.
         l1: weight of the sum of the gains' absolute output weights in the actor's loss.
+        first_layer_scale: of the initial weights and biases of the first hidden layer, in units of torch's own. The
+            penalty is on the output weights alone, so gains vary more cheaply behind large first-layer weights.
         zero_below: output weights smaller than this are set to zero before every evaluation: the penalty, taken in
             steps of the learning rate's size, leaves them swinging about it.
     """
@@ -387,6 +389,7 @@ class PidConfig(MethodConfig):
     goal: list[float]
     n_history: int
     l1: float
+    first_layer_scale: float
     zero_below: float
 
 
@@ -671,6 +674,7 @@ RANGES: dict[str, tuple[float, float]] = {  # key: least and greatest value; key
     "imitate.n_choice_episodes": (0, math.inf),
     "method.n_history": (1, math.inf),
     "method.l1": (0, math.inf),
+    "method.first_layer_scale": (1e-12, math.inf),
     "method.zero_below": (0, math.inf),
     "method.max_samples": (1, math.inf),
     "method.min_samples_leaf": (1, math.inf),

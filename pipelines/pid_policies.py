@@ -41,36 +41,40 @@ class PidActor(Actor):
 
     mu: PidController  # type: ignore[assignment]
 
-    def __init__(self, *args: Any, l1: float, **kwargs: Any) -> None:
+    def __init__(self, *args: Any, l1: float, first_layer_scale: float, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self.l1 = l1
+        self.own: dict[str, Any] = {"l1": l1, "first_layer_scale": first_layer_scale}
         n_states, n_actions = self.features_dim // 4, get_action_dim(self.action_space)
         layers = create_mlp(n_states, n_actions * 3 * n_states, self.net_arch, self.activation_fn)
+        if self.net_arch:
+            with torch.no_grad():
+                for parameter in layers[0].parameters():
+                    parameter.mul_(first_layer_scale)
         self.mu = PidController(nn.Sequential(*layers), n_actions)
         weight = self.mu.gains[-1].weight
         assert isinstance(weight, nn.Parameter)
         weight.register_hook(lambda gradient: gradient + l1 * weight.detach().sign())  # type: ignore[no-untyped-call]
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
-        return super()._get_constructor_parameters() | {"l1": self.l1}
+        return super()._get_constructor_parameters() | self.own
 
 
 class PidPolicy(TD3Policy):
-    """DDPG's policy with a `PidActor`; `l1` is the weight of the penalty."""
+    """DDPG's policy with a `PidActor`: `l1` weights the penalty, `first_layer_scale` the initial first layer."""
 
     actor: PidActor
 
-    def __init__(self, *args: Any, l1: float = 0.0, **kwargs: Any) -> None:
-        self.l1 = l1
+    def __init__(self, *args: Any, l1: float = 0.0, first_layer_scale: float = 1.0, **kwargs: Any) -> None:
+        self.own: dict[str, Any] = {"l1": l1, "first_layer_scale": first_layer_scale}
         super().__init__(*args, **kwargs)
 
     def make_actor(self, features_extractor: Any = None) -> PidActor:
         """Return a new actor."""
         kwargs = self._update_features_extractor(self.actor_kwargs, features_extractor)
-        return PidActor(**kwargs, l1=self.l1).to(self.device)
+        return PidActor(**kwargs, **self.own).to(self.device)
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
-        return super()._get_constructor_parameters() | {"l1": self.l1}
+        return super()._get_constructor_parameters() | self.own
 
 
 def zero_small_weights(model: Any, below: float) -> None:

@@ -26,7 +26,7 @@ from tests.control.pids import thesis_policy
 from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM, otr_command
 from tests.pipelines.test_train import DDPG, train_until_killed
 
-PID = PidConfig("pid", [1.0, 0.0, 0.0], 3, 2.5, 0.01)
+PID = PidConfig("pid", [1.0, 0.0, 0.0], 3, 2.5, 4.0, 0.01)
 PID_PENDULUM = dataclasses.replace(PENDULUM, pid=PidTerms((1.0, 0.0, 0.0), 3))
 
 
@@ -190,7 +190,7 @@ def test_every_form_is_played(tmp_path):
 
 def test_words_that_a_pid_policy_implies():
     config = run_config(["env=pendulum", "method=pid", "budget=quick"])
-    assert (config.depth, config.algo.name, config.algo.learning_rate) == (1, "ddpg", 3e-3)
+    assert (config.depth, config.algo.name, config.algo.gamma) == (1, "ddpg", 0.98)
     assert (config.train.n_selection_episodes, config.evaluate.n_episodes) == (100, 1_000)
     assert config.env.pid == PidTerms((1.0, 0.0, 0.0), 5) and config.method.l1 == 2.5
     own = run_config(["env=pendulum", "method=pid", "depth=2", "algo=ddpg", "train.steps=7"])

@@ -127,6 +127,16 @@ def test_penalty_is_in_the_gradient_of_the_output_weights_alone(pid):
         torch.testing.assert_close(gradients[2.5][name] - plain, penalty)
 
 
+def test_the_first_layer_starts_large_and_no_other_does(pid):
+    plain, large = (
+        dict(build_model(pid(depth=[2, 2], method=dataclasses.replace(PID, first_layer_scale=scale)), 0)
+             .actor.mu.named_parameters())
+        for scale in (1.0, 4.0)
+    )  # fmt: skip
+    for name, parameter in plain.items():
+        torch.testing.assert_close(large[name], (4.0 if name.startswith("gains.0.") else 1.0) * parameter)
+
+
 def test_small_output_weights_become_zero(pid):
     model = build_model(pid(), 0)
     weight = model.actor.mu.gains[-1].weight

@@ -17,6 +17,10 @@ from torch import nn
 import otr
 from otr.control import pid_network
 
+# The gains' output weights and biases at first, as in Lillicrap et al. (2016), so that actions begin near zero: torch's
+# own are up to 1, which the integral, up to 40, turns into a saturated tanh.
+INITIAL_GAIN = 3e-3
+
 
 class PidController(nn.Module):
     """tanh(theta(s) . [P, I, D]) of observations (n, 4 d): one gain a term and action, (n, a).
@@ -46,10 +50,11 @@ class PidActor(Actor):
         self.own: dict[str, Any] = {"l1": l1, "first_layer_scale": first_layer_scale}
         n_states, n_actions = self.features_dim // 4, get_action_dim(self.action_space)
         layers = create_mlp(n_states, n_actions * 3 * n_states, self.net_arch, self.activation_fn)
-        if self.net_arch:
-            with torch.no_grad():
-                for parameter in layers[0].parameters():
-                    parameter.mul_(first_layer_scale)
+        with torch.no_grad():
+            for parameter in layers[0].parameters() if self.net_arch else ():
+                parameter.mul_(first_layer_scale)
+            for parameter in layers[-1].parameters():
+                parameter.uniform_(-INITIAL_GAIN, INITIAL_GAIN)
         self.mu = PidController(nn.Sequential(*layers), n_actions)
         weight = self.mu.gains[-1].weight
         assert isinstance(weight, nn.Parameter)

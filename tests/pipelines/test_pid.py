@@ -137,6 +137,12 @@ def test_the_first_layer_starts_large_and_no_other_does(pid):
         torch.testing.assert_close(large[name], (4.0 if name.startswith("gains.0.") else 1.0) * parameter)
 
 
+def test_actions_begin_near_zero(pid):
+    states = rollout(lambda seen: np.zeros((len(seen), 1)), pid().env, range(3), keep_states=True, n_workers=1).states
+    actions, _ = build_model(pid(), 0).predict(states.astype(np.float32), deterministic=True)
+    assert np.abs(states[:, 3:]).max() > 20.0 and np.abs(actions).max() < 0.5  # of 2.0
+
+
 def test_small_output_weights_become_zero(pid):
     model = build_model(pid(), 0)
     weight = model.actor.mu.gains[-1].weight

@@ -23,7 +23,11 @@ if 7.78 - 15.7 x - 21.7 y - 8.48 w <= 0 then
     return 2 tanh(theta_P . P + theta_I . I + theta_D . D)
 else
     theta_P = [3.15, 3.24, 0.65]
-    theta_I = [-0.253 + 0.752 x + 1.04 y + 0.406 w, 0.52, 0.103 - 0.127 x - 0.176 y - 0.0687 w]
+    theta_I = [
+        -0.253 + 0.752 x + 1.04 y + 0.406 w,
+        0.52,
+        0.103 - 0.127 x - 0.176 y - 0.0687 w,
+    ]
     theta_D = [10.9, 11.9, 0.13]
     return 2 tanh(theta_P . P + theta_I . I + theta_D . D)
 """

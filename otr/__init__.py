@@ -20,7 +20,7 @@ from otr.errors import (
     ProgramError,
     TreeTooLargeError,
 )
-from otr.head import Argmax, ClipBox, Head, Identity, Sign, TanhBox, head_from_dict
+from otr.head import Argmax, ClipBox, Head, Identity, PidBox, Sign, TanhBox, head_from_dict
 from otr.importers import from_sb3, from_sklearn, from_torch
 from otr.io import load, save
 from otr.mapping import map_network
@@ -65,6 +65,7 @@ __all__ = [
     "ObliqueTree",
     "OtrError",
     "PatternTree",
+    "PidBox",
     "ProgramError",
     "ReluNetwork",
     "Sign",

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from otr.arrays import BoolArray, FloatArray, IntArray, read_only
 from otr.errors import ArtefactError, InvalidNetworkError
 
-__all__ = ["Argmax", "ClipBox", "Head", "Identity", "Sign", "TanhBox", "head_from_dict"]
+__all__ = ["Argmax", "ClipBox", "Head", "Identity", "PidBox", "Sign", "TanhBox", "head_from_dict"]
 
 
 class Head(ABC):
@@ -34,6 +34,10 @@ class Head(ABC):
         """Raise InvalidNetworkError unless the head fits `n_outputs` affine outputs."""
         if n_outputs < 1:
             raise InvalidNetworkError(f"{type(self).__name__} needs at least 1 output, the network has {n_outputs}")
+
+    def n_answers(self, n_outputs: int) -> int:
+        """Return how many numbers, or labels, are named in a printed answer."""
+        return n_outputs
 
     def n_tests(self, n_outputs: int) -> int:
         """Return the number of tests on y that decide the label; 0 for a head without labels."""
@@ -163,6 +167,51 @@ class ClipBox(_Box):
         return np.minimum(np.maximum(Y, self.low), self.high)
 
 
+class PidBox(_Box):
+    """A PID controller's action, squashed into the box [low, high] as `TanhBox` does (Orfanos 2023, Fig. 4.3).
+
+    Of the outputs y the first 3 d are the terms phi = [P, I, D] and every further 3 d the gains theta_j of one action:
+
+        u_j = theta_j . phi = theta_P . P + theta_I . I + theta_D . D
+        answer_j = low + (tanh(u_j) + 1) / 2 * (high - low)
+
+    so a leaf holds gains, which may be affine in the state, and the policy is an `ObliqueTree` like any other.
+    """
+
+    name = "pid_box"
+
+    def __init__(self, low: ArrayLike, high: ArrayLike) -> None:
+        """Keep the limits, of shape (a,) each: their length is the number of actions.
+
+        Raises:
+            InvalidNetworkError: as for the other boxes, or the limits are single numbers.
+        """
+        super().__init__(low, high)
+        if self.low.ndim != 1:
+            raise InvalidNetworkError(f"PidBox: low is {self.low.tolist()}; give arrays of one number an action")
+        self._squash = TanhBox(self.low, self.high)
+
+    def __call__(self, Y: FloatArray) -> NDArray[Any]:
+        return self._squash(self.controls(Y))
+
+    def controls(self, Y: FloatArray) -> FloatArray:
+        """Return u = theta . phi, the actions before the tanh: (n, a) for outputs Y (n, o), or (a,) for (o,)."""
+        blocks = Y.reshape(*Y.shape[:-1], len(self.low) + 1, -1)
+        controls: FloatArray = np.einsum("...am,...m->...a", blocks[..., 1:, :], blocks[..., 0, :])
+        return controls
+
+    def n_answers(self, n_outputs: int) -> int:
+        return len(self.low)
+
+    def check(self, n_outputs: int) -> None:
+        unit = 3 * (len(self.low) + 1)
+        if n_outputs == 0 or n_outputs % unit:
+            raise InvalidNetworkError(
+                f"PidBox with {len(self.low)} actions needs a multiple of {unit} outputs, the terms P, I, D and each "
+                f"action's gains; the network has {n_outputs}"
+            )
+
+
 class Sign(Head):
     """Binary label of one output: 0 where y <= 0, else 1."""
 
@@ -224,7 +273,7 @@ class Argmax(Head):
         return 1
 
 
-_HEADS: dict[str, type[Head]] = {head.name: head for head in (Identity, TanhBox, ClipBox, Sign, Argmax)}
+_HEADS: dict[str, type[Head]] = {head.name: head for head in (Identity, TanhBox, ClipBox, PidBox, Sign, Argmax)}
 
 
 def head_from_dict(description: Mapping[str, Any]) -> Head:

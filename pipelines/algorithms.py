@@ -11,6 +11,7 @@ from stable_baselines3 import DDPG, DQN, PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, OrnsteinUhlenbeckActionNoise
+from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from pipelines.ars import build_ars
@@ -21,6 +22,7 @@ from pipelines.config import (
     DqnConfig,
     GradientConfig,
     OnPolicyConfig,
+    PidConfig,
     PpoConfig,
     RunConfig,
     SacConfig,
@@ -30,6 +32,7 @@ from pipelines.config import (
 from pipelines.envs import flat_state_size, is_discrete, make_training_env
 from pipelines.errors import ConfigError
 from pipelines.methods import is_soft
+from pipelines.pid_policies import PidPolicy
 from pipelines.soft_policies import SoftActorCriticPolicy, shape_of
 from pipelines.training import learning_starts
 
@@ -49,7 +52,7 @@ def build_model(config: RunConfig, seed: int) -> BaseAlgorithm:
     if isinstance(algo, PpoConfig) and algo.use_sde and is_discrete(single):
         raise ConfigError(f"algo.use_sde needs continuous actions; {config.env.id} has labels")
     common: dict[str, Any] = {
-        "policy": SoftActorCriticPolicy if is_soft(config.method.name) else "MlpPolicy",
+        "policy": _policy_class(config),
         "env": env,
         "learning_rate": algo.learning_rate,
         "batch_size": algo.batch_size,
@@ -79,6 +82,12 @@ def build_env(config: RunConfig) -> DummyVecEnv:
     return DummyVecEnv([make] * n_envs)
 
 
+def _policy_class(config: RunConfig) -> str | type[BasePolicy]:
+    if is_soft(config.method.name):
+        return SoftActorCriticPolicy
+    return PidPolicy if isinstance(config.method, PidConfig) else "MlpPolicy"
+
+
 def policy_kwargs(config: RunConfig) -> dict[str, Any]:
     """Return the network shapes: the actor's are `depth`, the critics' the algorithm's, activations (leaky) ReLU."""
     assert isinstance(config.algo, GradientConfig)
@@ -93,6 +102,8 @@ def policy_kwargs(config: RunConfig) -> dict[str, Any]:
         kwargs["net_arch"] = list(config.hidden_widths)
     if is_tree:
         kwargs["actor"] = shape_of(config)
+    if isinstance(config.method, PidConfig):
+        kwargs |= {"l1": config.method.l1, "first_layer_scale": config.method.first_layer_scale}
     if config.algo.weight_decay > 0.0:
         # Stable-Baselines3 gives PPO's Adam a larger epsilon, but only where no other argument is set.
         epsilon = {"eps": 1e-5} if isinstance(config.algo, OnPolicyConfig) else {}

@@ -443,7 +443,8 @@ def _with_program(config: RunConfig, program: str, overrides: Sequence[str]) -> 
 
 def _implied(overrides: Sequence[str]) -> list[str]:
     """Return what the words imply: the algorithm of soft trees, where they name none (an environment may have one of
-    its own), and how long these and augmented random search learn, and how long at a time."""
+    its own), and how long these and augmented random search learn, and how long at a time; and all of that of PID
+    policies, which the thesis trains with one hidden neuron and plays for more episodes."""
     given = dict(word.split("=", 1) for word in overrides if "=" in word)
     soft = given.get("method") in METHODS and is_soft(given["method"])
     implied = []
@@ -454,6 +455,11 @@ def _implied(overrides: Sequence[str]) -> list[str]:
         own = (f"ppo_{given['method']}_{given.get('env', '')}", f"ppo_tree_{given.get('env', '')}")
         files = (name for name in own if (CONF_DIR / "algo" / f"{name}.yaml").is_file())
         implied.append(f"algo={next(files, 'ppo_tree')}")
+    if given.get("method") == "pid":
+        implied += ["depth=1", 'evaluate.n_episodes="${budget.pid.n_evaluation_episodes}"']
+        names = ("steps", "eval_interval_steps", "n_selection_episodes")
+        implied += [f'train.{name}="${{budget.pid.{name}}}"' for name in names]
+        implied += [] if "algo" in given else ["algo=ddpg_pid"]
     return implied
 
 

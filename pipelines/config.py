@@ -18,8 +18,24 @@ LARGEST_SEED = 2**32 - 1
 
 
 @dataclass(frozen=True)
+class PidTerms:
+    """How a PID policy observes an environment: [s, P, I, D] in place of the state s (`otr.control.pid_observation`).
+
+    Attributes:
+        goal: e, one number a component of the state.
+        n_history: states before s that I sums over.
+    """
+
+    goal: tuple[float, ...]
+    n_history: int
+
+
+@dataclass(frozen=True)
 class EnvConfig:
-    """One environment: its gymnasium id and the names that programs print."""
+    """One environment: its gymnasium id and the names that programs print.
+
+    `pid` is there where the method is a PID policy, which says so to whoever makes the environment.
+    """
 
     name: str
     task: str  # the row of the tables and of conf/budget; hopper_v5 has task hopper
@@ -27,6 +43,7 @@ class EnvConfig:
     kwargs: dict[str, Any] = field(default_factory=dict)
     feature_names: list[str] = field(default_factory=list)
     action_names: list[str] = field(default_factory=list)
+    pid: PidTerms | None = field(default=None, metadata={"omegaconf_ignore": True})
 
 
 @dataclass(frozen=True)
@@ -192,6 +209,8 @@ class BudgetConfig:
         on_policy_steps: the same for soft trees and augmented random search, whose steps are cheaper and teach less.
         on_policy_interval_steps: between their evaluations. Training goes on with new episodes after each, in several
             environments at once, so there have to be enough steps for whole episodes.
+        pid: what is spent on PID policies in place of the above: steps, eval_interval_steps, n_selection_episodes and
+            n_evaluation_episodes.
     """
 
     name: str
@@ -206,6 +225,7 @@ class BudgetConfig:
     n_choice_episodes: int = 100
     on_policy_steps: dict[str, int] = field(default_factory=dict)
     on_policy_interval_steps: int = 25_000
+    pid: dict[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -382,9 +402,31 @@ class ProgramConfig(MethodConfig):
     program: str
 
 
+@dataclass(frozen=True)
+class PidConfig(MethodConfig):
+    """A PID policy, whose actor gives the gains (Orfanos 2023, section 4.1.1).
+
+    Attributes:
+        goal: the state to come to rest in, one number a component.
+        n_history: states before the present one that the policy knows.
+        l1: weight of the sum of the gains' absolute output weights in the actor's loss.
+        first_layer_scale: of the initial weights and biases of the first hidden layer, in units of torch's own. The
+            penalty is on the output weights alone, so gains vary more cheaply behind large first-layer weights.
+        zero_below: output weights smaller than this are set to zero before every evaluation: the penalty, taken in
+            steps of the learning rate's size, leaves them swinging about it.
+    """
+
+    goal: list[float]
+    n_history: int
+    l1: float
+    first_layer_scale: float
+    zero_below: float
+
+
 METHOD_CONFIGS: dict[str, type[MethodConfig]] = {
     "otr": MethodConfig,
     "linear": MethodConfig,
+    "pid": PidConfig,
     "viper": ViperConfig,
     "lm_viper": LmViperConfig,
     "augtree": AugTreeConfig,
@@ -461,6 +503,9 @@ class RunConfig:
     oracle_run: "RunConfig | None" = field(default=None, metadata={"omegaconf_ignore": True})
 
     def __post_init__(self) -> None:
+        if isinstance(self.method, PidConfig):  # in one place, so that every stage sees the same environment
+            terms = PidTerms(tuple(self.method.goal), self.method.n_history)
+            object.__setattr__(self, "env", dataclasses.replace(self.env, pid=terms))
         _check_depth(self.depth, self.method.name)
         _check_stages(self.stages, self.method.name)
         _check_method(self)
@@ -536,6 +581,7 @@ def settings(config: RunConfig) -> dict[str, Any]:
     left_out = (*left_out, *TRAINING_FIELDS) if is_written(config.method.name) else left_out
     plain = {key: value for key, value in asdict(dataclasses.replace(config, oracle_run=None)).items()
              if key not in left_out}  # fmt: skip
+    del plain["env"]["pid"]  # `method` tells
     plain["budget"] = config.budget.name
     plain["depth"] = list(config.hidden_widths)
     if isinstance(config.method, ProgramConfig):
@@ -549,6 +595,12 @@ def settings(config: RunConfig) -> dict[str, Any]:
         if section in plain and plain[section].get(name, ...) == as_before:
             del plain[section][name]
     return plain
+
+
+def env_settings(env: EnvConfig) -> dict[str, Any]:
+    """Return what decides how an environment behaves, for the keys of stages that play in it."""
+    pid = {} if env.pid is None else {"pid": {"goal": list(env.pid.goal), "n_history": env.pid.n_history}}
+    return {"id": env.id, "kwargs": env.kwargs, **pid}
 
 
 def digest(value: Any) -> str:
@@ -611,6 +663,10 @@ def _check_method(config: RunConfig) -> None:
         )
     if isinstance(config.algo, ArsConfig) and config.hidden_widths:
         raise ConfigError(f"algo=ars searches linear policies; depth={config.depth} has hidden neurons, add depth=0")
+    if config.method.name == "pid" and not isinstance(config.algo, DdpgConfig):
+        raise ConfigError(f"method=pid is trained by algo=ddpg_pid, not {config.algo.name}")
+    if config.method.name == "pid" and config.actor.rescale_inputs:
+        raise ConfigError("actor.rescale_inputs=true: method=pid reads the state and its errors in their own units")
     for name, choices in METHOD_CHOICES.items():
         value = getattr(config.method, name, None)
         if value is not None and value not in choices:
@@ -671,6 +727,10 @@ RANGES: dict[str, tuple[float, float]] = {  # key: least and greatest value; key
     "imitate.n_rounds": (0, math.inf),
     "imitate.n_episodes": (1, math.inf),
     "imitate.n_choice_episodes": (0, math.inf),
+    "method.n_history": (1, math.inf),
+    "method.l1": (0, math.inf),
+    "method.first_layer_scale": (1e-12, math.inf),
+    "method.zero_below": (0, math.inf),
     "method.max_samples": (1, math.inf),
     "method.min_samples_leaf": (1, math.inf),
     "method.max_patterns": (1, math.inf),

@@ -1,5 +1,6 @@
 """The gymnasium environments, made the same way wherever a policy is trained, pruned or evaluated."""
 
+import dataclasses
 import functools
 import json
 import warnings
@@ -8,8 +9,10 @@ from dataclasses import dataclass
 import gymnasium as gym
 import numpy as np
 
-from pipelines.config import EnvConfig
+from otr.control import pid_observation_names
+from pipelines.config import EnvConfig, PidTerms
 from pipelines.errors import ConfigError
+from pipelines.pid_env import PidObservation
 
 
 def make_env(env: EnvConfig) -> gym.Env:
@@ -17,7 +20,13 @@ def make_env(env: EnvConfig) -> gym.Env:
 
     The environment checker is left out: it costs time at every step and checks the environments' authors, not us.
     The thesis's tables use the MuJoCo environments' v4 on purpose, so gymnasium's notice of a newer one is silenced.
+    For a PID policy the environment shows [s, P, I, D] in place of its state.
     """
+    made = _make(env)
+    return made if env.pid is None else _with_pid_terms(made, env.id, env.pid)
+
+
+def _make(env: EnvConfig) -> gym.Env:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*is out of date.*")
         try:
@@ -26,6 +35,18 @@ def make_env(env: EnvConfig) -> gym.Env:
             return gym.make(env.id, disable_env_checker=True, **env.kwargs)
         except (gym.error.Error, ImportError, TypeError) as error:
             raise ConfigError(f"env.id={env.id} with {env.kwargs or 'no arguments'} cannot be made: {error}") from error
+
+
+def _with_pid_terms(env: gym.Env, env_id: str, terms: PidTerms) -> gym.Env:
+    n_states = flat_state_size(env)
+    if len(terms.goal) != n_states:
+        raise ConfigError(
+            f"method.goal={list(terms.goal)} has {len(terms.goal)} numbers, the states of {env_id} have {n_states}: "
+            "give the state in which the system rests"
+        )
+    if is_discrete(env):
+        raise ConfigError(f"method=pid needs continuous actions; {env_id} has labels")
+    return PidObservation(env, terms)
 
 
 def make_training_env(env: EnvConfig, *, rescale_inputs: bool) -> gym.Env:
@@ -61,7 +82,10 @@ def is_discrete(env: gym.Env) -> bool:
 
 
 def feature_names(env: EnvConfig, n_inputs: int) -> list[str]:
-    """Return the names of the state's components, x0, x1, ... where the environment's file gives none."""
+    """Return the names of the observation's components, x0, x1, ... where the environment's file gives none."""
+    if env.pid is not None:
+        names: list[str] = pid_observation_names(feature_names(dataclasses.replace(env, pid=None), n_inputs // 4))
+        return names
     return _names(env.feature_names, n_inputs, "x", f"conf/env/{env.name}.yaml: feature_names")
 
 

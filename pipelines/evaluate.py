@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 import otr
-from pipelines.config import RunConfig
+from pipelines.config import RunConfig, env_settings
 from pipelines.errors import PolicyMismatchError
 from pipelines.methods import tree_stage
 from pipelines.oracle import load_oracle
@@ -26,13 +26,14 @@ EPISODES_FILES = {
     "tree": "episodes.csv",
     "pruned_tree": "episodes_pruned_tree.csv",
     "discretised": "episodes_discretised.csv",
+    "constant_gains": "episodes_constant_gains.csv",
 }
 
 
 def evaluate_settings(config: RunConfig) -> dict[str, Any]:
     """Return what decides the evaluation."""
     return {
-        "env": {"id": config.env.id, "kwargs": config.env.kwargs},
+        "env": env_settings(config.env),
         "n_episodes": config.evaluate.n_episodes,
         "first_seed": config.evaluate.first_seed,
     }
@@ -42,7 +43,8 @@ def load_policies(inputs: Mapping[str, Path], config: RunConfig) -> dict[str, An
     """Return the forms of the policy that a run left: what the tree stands for, the tree and the pruned tree.
 
     The first is the actor's network where it was mapped, the oracle where one was imitated, and the soft tree where
-    that was hardened; the latter's authors' own discretisation comes last. A program's tree stands for nothing else.
+    that was hardened; the latter's authors' own discretisation comes last, as does a PID policy's tree with its leaves'
+    gains averaged. A program's tree stands for nothing else.
     """
     policies: dict[str, Any] = {}
     if "harden" in inputs:
@@ -56,6 +58,8 @@ def load_policies(inputs: Mapping[str, Path], config: RunConfig) -> dict[str, An
         policies["network"] = load_actor(inputs["train"])
     policies["tree"] = otr.load(inputs[tree_stage(config.method.name)] / "tree")
     policies["pruned_tree"] = otr.load(inputs["prune"] / "tree")
+    if (inputs["prune"] / "constant_gains.json").is_file():
+        policies["constant_gains"] = otr.load(inputs["prune"] / "constant_gains")
     if "harden" in inputs and (inputs["harden"] / "discretised.json").is_file():
         policies["discretised"] = otr.load(inputs["harden"] / "discretised")
     return policies

@@ -7,13 +7,13 @@ words:
   depth=6               hidden neurons of the actor, the depth of the tree; [8,8] for two layers, 0 for a linear policy
   budget=quick          thesis (default; the thesis's own steps, hours), quick (minutes), smoke (seconds)
   seed=0                of training and pruning; every method is evaluated on the same episodes
-  method=otr            otr, linear (with depth=0); by imitation viper, lm_viper, augtree, ndps; soft trees sdt, cdt
-                        (depth=[3,3]), pi_prl. Their depth is the tests on a path
+  method=otr            otr, linear (with depth=0), pid (depth=1 unless given; pendulum); by imitation viper, lm_viper,
+                        augtree, ndps; soft trees sdt, cdt (depth=[3,3]), pi_prl. Their depth is the tests on a path
   program=FILE          evaluate a program that you wrote, or a shipped one: mountaincar, mountaincar_simplified
   oracle=[256,256]      hidden layers of the network to imitate; trained first, by the same command that trains it alone
   trainer=fleet         train a sweep's runs of SAC together, some three times as fast; sb3 (default) is the reference
   algo=td3              ppo, trpo, sac, td3, ddpg, ars (method=linear); by default the thesis's for the environment, and
-                        ppo_tree for soft trees
+                        ppo_tree for soft trees, ddpg_pid for PID policies
   column=viper          a column of Table 4.1, a method and its depth, for sweeps over both: linear viper lm_viper ndps
                         pi_prl otr_6 otr_32
   certify=true          also the minimal tree on the environment's states, with the proof that it is the network
@@ -35,6 +35,7 @@ is skipped; what was stopped goes on.
 
 examples:
   otr-run env=pendulum depth=6 budget=quick
+  otr-run env=pendulum method=pid budget=quick
   otr-run env=lunarlander method=augtree depth=3 "oracle=[256]" budget=quick
   otr-run -m env=hopper,swimmer depth=6,32 "seed=range(0,10)" launcher=joblib
   otr-run +experiment=table_4_1 column=viper,otr_6 env=hopper

@@ -13,6 +13,7 @@ EXTRAS = ("certify", "simplify")  # after all others, where certify=true or simp
 METHODS: dict[str, tuple[str, ...]] = {
     "otr": MAPPED,
     "linear": MAPPED,
+    "pid": MAPPED,
     "viper": IMITATING,
     "lm_viper": IMITATING,
     "augtree": IMITATING,

@@ -21,5 +21,5 @@ def program_text(tree: otr.ObliqueTree, env: EnvConfig) -> str:
     return otr.to_text(
         tree,
         feature_names=feature_names(env, tree.n_inputs),
-        output_names=action_names(env, tree.n_outputs),
+        output_names=action_names(env, tree.head.n_answers(tree.n_outputs)),
     )

@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 
 import otr
-from pipelines.config import RunConfig
+from otr.control import constant_gains
+from pipelines.config import RunConfig, env_settings
 from pipelines.errors import PolicyMismatchError
 from pipelines.methods import tree_stage
 from pipelines.policies import answers_agree
-from pipelines.programs import write_program
+from pipelines.programs import program_text, write_program
 from pipelines.rollout import rollout
 from pipelines.seeding import episode_seeds
-from pipelines.store import load_actor, write_json
+from pipelines.store import load_actor, write_json, write_text
 
 VERSION = 1
 TOLERANCE = 1e-6
@@ -24,7 +25,7 @@ TOLERANCE = 1e-6
 def prune_settings(config: RunConfig) -> dict[str, Any]:
     """Return what decides the pruned tree."""
     return {
-        "env": {"id": config.env.id, "kwargs": config.env.kwargs},
+        "env": env_settings(config.env),
         "n_episodes": config.prune.n_episodes,
         "k": config.prune.k,
         "seed": config.seed,
@@ -35,7 +36,8 @@ def prune(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     """Play `prune.n_episodes` episodes, keep the paths they reach, and write the pruned tree and its report.
 
     The episodes are the run's own and not the ones it is evaluated on. A path is an activation pattern where the tree
-    is a mapped network's, and a leaf of the tree where it is not.
+    is a mapped network's, and a leaf of the tree where it is not. Of a PID policy also `constant_gains`, the pruned
+    tree with each leaf's gains averaged over the states that these episodes bring to it.
 
     Raises:
         PolicyMismatchError: the pruned tree differs from the policy on a state that it was pruned with.
@@ -61,6 +63,10 @@ def prune(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
         pruned = otr.prune_to_k(tree, states, config.prune.k)
     otr.save(pruned, out / "tree")
     write_program(pruned, config.env, out)
+    if isinstance(pruned.head, otr.PidBox):
+        constant = constant_gains(pruned, states)
+        otr.save(constant, out / "constant_gains")
+        write_text(out / "constant_gains.txt", program_text(constant, config.env))
     write_json(
         out / "report.json",
         {

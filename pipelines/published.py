@@ -9,8 +9,21 @@ from importlib import resources
 # to compare: the thesis's "depth-five" lander policy has 2 hidden neurons and 4 - 1 = 3 of these.
 N_OUTPUT_TESTS = {"lunarlander": 3}
 FOR_MANY_DEPTHS = {("lunarlander", "cdt"): ("4", "5", "6")}  # one number for several depths, in a row without a depth
-OF_ONE_POLICY = {("lunarlander", "augtree"): "augtree-fig4.7-original"}  # its row in published.csv
-FROM_NETWORKS = ("otr", "linear")  # methods whose depth counts hidden neurons; the others' depth is the tree's own
+FROM_NETWORKS = ("otr", "linear", "pid")  # their depth counts hidden neurons; other methods' depth is the tree's own
+
+
+@dataclass(frozen=True)
+class OnePolicy:
+    """A result of one policy, not of several runs: its row's method in published.csv, and the figure that shows it."""
+
+    method: str
+    figure: str
+
+
+OF_ONE_POLICY = {
+    ("lunarlander", "augtree"): OnePolicy("augtree-fig4.7-original", "4.7"),
+    ("pendulum", "pid"): OnePolicy("otr-pid", "4.4"),
+}
 
 
 @dataclass(frozen=True)
@@ -37,7 +50,8 @@ def published() -> dict[tuple[str, str, str, str], Published]:
 
 def published_cell(table: str, task: str, method: str, depth: str) -> Published | None:
     """Return what the thesis has for a cell, `depth` being its tree's; None where it has nothing."""
-    name = OF_ONE_POLICY.get((task, method), method)
+    one = OF_ONE_POLICY.get((task, method))
+    name = one.method if one else method
     if depth in FOR_MANY_DEPTHS.get((task, method), ()):
         depth = ""
     return published().get((table, task, name, depth))

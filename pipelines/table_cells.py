@@ -22,16 +22,18 @@ TASKS = {"reacher": "Reacher", "walker2d": "Walker2d", "hopper": "Hopper", "half
 METHODS = {"linear": "Linear", "viper": "VIPER", "lm-viper": "LM-VIPER", "ndps": "NDPS", "pi-prl": "π-PRL",
            "otr": "OTR", "augtree": "AugTree", "sdt": "SDT", "sdt-soft": "SDT, soft",
            "sdt-discrete": "SDT, discretised", "cdt": "CDT", "cdt-soft": "CDT, soft",
-           "cdt-discrete": "CDT, discretised", "pi-prl-soft": "π-PRL, relaxed"}  # fmt: skip
+           "cdt-discrete": "CDT, discretised", "pi-prl-soft": "π-PRL, relaxed",
+           "pid": "PID", "pid-constant": "PID, constant gains"}  # fmt: skip
 # Forms of a policy beside its tree that a summary may have, each a row beyond the table: the soft tree before it was
-# hardened, and what its authors' own discretisation makes of it.
-FORMS = {"soft": "soft", "discretised": "discrete"}
+# hardened, and what its authors' own discretisation makes of it; a PID policy with its leaves' gains averaged.
+FORMS = {"soft": "soft", "discretised": "discrete", "constant_gains": "constant"}
 TABLE_TASKS = tuple(TASKS)[:8]  # Table 4.1's rows and columns, in the thesis's order
 TABLE_COLUMNS = (("linear", "0"), ("viper", "6"), ("lm-viper", "6"), ("ndps", "6"), ("pi-prl", "6"), ("otr", "6"),
                  ("otr", "32"))  # fmt: skip
 TEXT_CELLS = (("mountaincar", "otr", "1"), ("lunarlander", "otr", "2"), ("lunarlander", "sdt-soft", "5"),
               ("lunarlander", "sdt-discrete", "5"), ("lunarlander", "cdt", "3-3"),
-              ("lunarlander", "augtree", "2"))  # fmt: skip # what chapter 4 reports outside its tables
+              ("lunarlander", "augtree", "2"),
+              ("pendulum", "pid", "1"))  # fmt: skip # what chapter 4 reports outside its tables
 BUDGET_ORDER = ("thesis", "thesis-fleet", "quick", "quick-fleet")
 N_RESAMPLES = 2000
 MIN_RUNS_FOR_CI = 3
@@ -262,7 +264,9 @@ def _notes(cell: Cell, thesis_depth: str) -> Iterable[str]:
     if cell.published is not None and (cell.task, cell.method) in FOR_MANY_DEPTHS:
         yield "published for depths 4 to 6 as about 100, without saying whether soft or discretised"
     elif cell.published is not None and (cell.task, cell.method) in OF_ONE_POLICY:
-        yield "published: the one policy of Figure 4.7"
+        yield f"published: the one policy of Figure {OF_ONE_POLICY[cell.task, cell.method].figure}"
+        if len(cell.runs) > 1:
+            yield f"the best run: {max(run.return_mean for run in cell.runs):z.1f}"
     elif cell.published is not None and cell.depth != thesis_depth:
         yield f"published as a tree of depth {thesis_depth}: {cell.depth} hidden neurons and the tests of the actions"
     if cell.pruned_depth is not None and (cell.table == "text" or cell.depth == "32"):

@@ -20,8 +20,9 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 import otr
 from pipelines.algorithms import build_env, build_model
 from pipelines.checkpoint import History, progress_row
-from pipelines.config import RunConfig
+from pipelines.config import PidConfig, RunConfig
 from pipelines.methods import is_soft
+from pipelines.pid_policies import exported_network, zero_small_weights
 from pipelines.progress import TrainingProgress
 from pipelines.rollout import Rollout
 from pipelines.sb3_checkpoint import load_checkpoint, save_checkpoint
@@ -77,6 +78,8 @@ def _train_segment(model: BaseAlgorithm, config: RunConfig, segment: int, progre
         model.exploration_rate = model.exploration_schedule(1.0)
     began = time.monotonic()
     model.learn(n_steps, callback=_callbacks(config, progress), log_interval=None, reset_num_timesteps=False)  # type: ignore[arg-type]
+    if isinstance(config.method, PidConfig):
+        zero_small_weights(model, config.method.zero_below)
     seconds = time.monotonic() - began
     assert model.env is not None
     returns = np.concatenate([*model.env.env_method("get_episode_rewards"), []])
@@ -107,7 +110,7 @@ def _evaluate(model: BaseAlgorithm, config: RunConfig) -> tuple[dict[str, bytes]
             raise diverged(model.num_timesteps, error) from error
         return soft_files(module, shape_of(config)), play_episodes(tree.predict, config)
     try:
-        network = otr.from_sb3(model)
+        network = exported_network(model) if isinstance(config.method, PidConfig) else otr.from_sb3(model)
     except otr.InvalidNetworkError as error:
         raise diverged(model.num_timesteps, error) from error
     network, played = play_selection_episodes(network, config)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.config import OffPolicyConfig, OnPolicyConfig, RunConfig, digest, settings
+from pipelines.config import OffPolicyConfig, OnPolicyConfig, RunConfig, digest, env_settings, settings
 from pipelines.envs import make_env
 from pipelines.methods import is_soft
 from pipelines.store import read_json
@@ -35,9 +35,9 @@ RANDOM_STEPS_PER_S = 5_000.0  # off-policy steps before learning starts
 def train_settings(config: RunConfig) -> dict[str, Any]:
     """Return what decides the trained actor; programs' names and later stages' settings do not."""
     everything = settings(config)
-    env = {key: everything["env"][key] for key in ("id", "kwargs")}
+    env = env_settings(config.env)
     kept = {key: everything[key] for key in ("algo", "actor", "train", "seed")}
-    if is_soft(config.method.name):
+    if is_soft(config.method.name) or config.method.name == "pid":
         kept["method"] = everything["method"]
     if config.fleet:
         kept["trainer"] = {**everything["trainer"], "version": FLEET_VERSION}

@@ -22,8 +22,12 @@ _MODULES = {
     "RelaxedProgram": "pi_prl",
     "SoftTree": "soft_tree",
     "argmax_leaves": "leaves",
+    "constant_gains": "pid",
     "draw_rows": "sampling",
     "fit_ndps": "ndps",
+    "pid_network": "pid",
+    "pid_observation": "pid",
+    "pid_observation_names": "pid",
     "run_dagger": "dagger",
 }
 

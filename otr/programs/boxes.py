@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from otr.arrays import FloatArray, IntArray
-from otr.head import Argmax, ClipBox, Sign, TanhBox
+from otr.head import Argmax, ClipBox, PidBox, Sign, TanhBox
 from otr.tree import ObliqueTree
 
 __all__ = ["Box", "Row", "Style", "affine_rows", "head_note", "number_text", "rows_of_test", "tree_boxes"]
@@ -129,11 +129,12 @@ def head_note(tree: ObliqueTree) -> str:
         return "a formula answers 1 where it is above 0, else 0"
     if isinstance(head, Argmax):
         return "formulas answer which of the outputs is the largest"
-    if isinstance(head, ClipBox | TanhBox):
+    if isinstance(head, ClipBox | TanhBox | PidBox):
         lows, highs = np.broadcast_arrays(head.low, head.high)
         limits = zip(np.atleast_1d(lows).tolist(), np.atleast_1d(highs).tolist(), strict=True)
         boxes = ", ".join(dict.fromkeys(f"[{number_text(low, 4)}, {number_text(high, 4)}]" for low, high in limits))
-        return f"formulas {'are clipped' if isinstance(head, ClipBox) else 'go through tanh, scaled'} to {boxes}"
+        what = "gains times terms" if isinstance(head, PidBox) else "formulas"
+        return f"{what} {'are clipped' if isinstance(head, ClipBox) else 'go through tanh, scaled'} to {boxes}"
     return ""
 
 
@@ -150,12 +151,31 @@ def _leaf_box(tree: ObliqueTree, leaf: int, style: Style, n_rows: int | None) ->
             return Box("leaf", number_text(float(answer[0]), style.precision), (), n_rows)
         values = [number_text(value, style.precision) for value in answer.tolist()]
         return Box("leaf", "", tuple(zip([f"{name} =" for name in style.answers], values, strict=True)), n_rows)
+    if isinstance(tree.head, PidBox):
+        return Box("leaf", "", tuple(_gain_rows(tree, leaf, style)), n_rows)
     rows: list[Row] = []
     for output in range(tree.n_outputs):
         if tree.n_outputs > 1:
             rows.append(f"{style.answers[output]} =")
         rows += affine_rows(tree.M[leaf, output], float(tree.c[leaf, output]), style)
     return Box("leaf", "", tuple(rows), n_rows)
+
+
+def _gain_rows(tree: ObliqueTree, leaf: int, style: Style) -> list[Row]:
+    """Return the lines of a PID policy's leaf: a gain and its term each, or that the gain varies with the state."""
+    assert isinstance(tree.head, PidBox)
+    n_actions = len(tree.head.low)
+    n_terms = tree.n_outputs // (n_actions + 1)
+    rows: list[Row] = []
+    for action in range(n_actions):
+        if n_actions > 1:
+            rows.append(f"{style.answers[action]} =")
+        for term in range(n_terms):
+            gain, (inputs,) = (action + 1) * n_terms + term, np.nonzero(tree.M[leaf, term])
+            constant = _signed(float(tree.c[leaf, gain]), style.precision, first=term == 0)
+            name = style.features[inputs[0]] if len(inputs) == 1 else f"term {term}"
+            rows.append(("θ(s)" if tree.M[leaf, gain].any() else constant, name))
+    return rows
 
 
 def _answer_name(label: int, style: Style) -> str:

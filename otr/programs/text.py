@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from otr.arrays import FloatArray
-from otr.head import Argmax, ClipBox, Sign, TanhBox
+from otr.head import Argmax, ClipBox, PidBox, Sign, TanhBox
 from otr.network import ReluNetwork
+from otr.programs.gains import control_text, gain_lines, term_lines
 from otr.tree import ObliqueTree
 
 __all__ = ["affine_text", "names_of", "to_text"]
@@ -30,7 +31,8 @@ def to_text(
         else
             return -102.3 - 169.8 x + 5116.5 v
 
-    Several outputs take one line each, ``name = expression``. Coefficients that are zero are left out.
+    Several outputs take one line each, ``name = expression``. Coefficients that are zero are left out. A PID policy's
+    leaf states its gains first (`otr.PidBox`), as in Fig. 4.4; what P, I and D are stands above the program.
 
     Args:
         tree: any tree.
@@ -47,7 +49,8 @@ def to_text(
     if precision < 1:
         raise ValueError(f"precision is {precision}, expected at least 1 significant digit")
     features, answers = names_of(tree, feature_names, output_names)
-    lines: list[str] = []
+    is_pid = isinstance(tree.head, PidBox)
+    lines = term_lines(tree, lambda row, offset: affine_text(row, offset, features, precision)) if is_pid else []
     # What is still to be written, last first: (indentation, a line) or (indentation, a reference to a child).
     pending: list[tuple[int, str | int]] = [(0, 0 if tree.n_nodes else ~0)]
     while pending:
@@ -87,7 +90,7 @@ def names_of(
     # The tree that a network is decides its labels by tests.
     by_head = isinstance(policy.head, Sign | Argmax)
     labelled = policy.labels is not None if isinstance(policy, ObliqueTree) else by_head
-    n_answers = 2 if labelled and isinstance(policy.head, Sign) else policy.n_outputs
+    n_answers = 2 if labelled and isinstance(policy.head, Sign) else policy.head.n_answers(policy.n_outputs)
     features = _names(feature_names, policy.n_inputs, "x", "feature_names")
     return features, _names(output_names, n_answers, "" if labelled else "y", "output_names")
 
@@ -107,6 +110,10 @@ def _leaf_lines(
     if tree.labels is not None:
         label = int(tree.labels[leaf])
         return [f"return {answers[label] if 0 <= label < len(answers) else label}"]
+    if isinstance(tree.head, PidBox):
+        gains = gain_lines(tree, leaf, answers, lambda row, offset: affine_text(row, offset, features, precision))
+        controls = [control_text(answers, action) for action in range(len(answers))]
+        return [*gains, *_answer_lines(tree, controls, answers, precision)]
     values = [
         affine_text(tree.M[leaf, output], tree.c[leaf, output], features, precision) for output in range(tree.n_outputs)
     ]
@@ -115,18 +122,24 @@ def _leaf_lines(
     if isinstance(tree.head, Argmax):
         assignments = [f"{name} = {value}" for name, value in zip(answers, values, strict=True)]
         return [*assignments, f"return argmax({', '.join(answers)})"]
-    values = [_through_head(tree, output, value, precision) for output, value in enumerate(values)]
-    if tree.n_outputs == 1:
+    return _answer_lines(tree, values, answers, precision)
+
+
+def _answer_lines(tree: ObliqueTree, values: Sequence[str], answers: Sequence[str], precision: int) -> list[str]:
+    """Return the lines of continuous answers, from the text of each before the head."""
+    values = [_through_head(tree, answer, value, precision) for answer, value in enumerate(values)]
+    if len(values) == 1:
         return [f"return {values[0]}"]
     return [f"{name} = {value}" for name, value in zip(answers, values, strict=True)]
 
 
-def _through_head(tree: ObliqueTree, output: int, value: str, precision: int) -> str:
-    """Return the expression of one output with a box head around it."""
+def _through_head(tree: ObliqueTree, answer: int, value: str, precision: int) -> str:
+    """Return the expression of one answer with a box head around it."""
     head = tree.head
-    if not isinstance(head, TanhBox | ClipBox):
+    if not isinstance(head, TanhBox | ClipBox | PidBox):
         return value
-    low, high = (float(np.broadcast_to(limit, (tree.n_outputs,))[output]) for limit in (head.low, head.high))
+    n_answers = head.n_answers(tree.n_outputs)
+    low, high = (float(np.broadcast_to(limit, (n_answers,))[answer]) for limit in (head.low, head.high))
     if isinstance(head, ClipBox):
         return f"clip({value}, {low:.{precision}g}, {high:.{precision}g})"
     half, middle = (high - low) / 2, (high + low) / 2

@@ -57,6 +57,13 @@ def test_table_4_1_has_its_columns_and_no_others():
     assert len(jobs("+experiment=table_4_1", "budget=smoke", "seed=0")) == 7
 
 
+def test_figure_4_4_is_five_pid_policies():
+    own = jobs("+experiment=figure_4_4", "budget=quick")
+    assert [(job["env"], job["method"], job["seed"]) for job in own] == [
+        ("pendulum", "pid", str(seed)) for seed in range(5)
+    ]
+
+
 def test_a_column_stands_for_its_words_without_an_experiment_too():
     assert jobs("env=hopper", "column=viper") == [{"env": "hopper", "method": "viper", "depth": "6"}]
 

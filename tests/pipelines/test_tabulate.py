@@ -107,7 +107,7 @@ def test_csv_has_the_thesis_rows_and_columns_in_order(tmp_path: Path) -> None:
     assert [(row["method"], row["depth"]) for row in rows[:7]] == [
         ("linear", "0"), ("viper", "6"), ("lm-viper", "6"), ("ndps", "6"), ("pi-prl", "6"), ("otr", "6"), ("otr", "32"),
     ]  # fmt: skip
-    assert len(rows) == 8 * 7 + 6
+    assert len(rows) == 8 * 7 + 7
     assert all((row["n_runs"], row["mean"], row["budget"], row["note"][:7]) == ("0", "", "", "not run") for row in rows)
     assert all((row["published_mean"] == "") == (row["method"] == "linear") for row in rows)
 
@@ -200,6 +200,7 @@ def test_runs_beyond_the_table_are_listed_against_the_text(tmp_path: Path) -> No
     assert [tuple(row[name] for name in columns) for row in rows] == [
         ("hopper", "otr", "8-8", "70.0", "", ""),
         ("hopper", "otr", "12", "80.0", "", ""),
+        ("pendulum", "pid", "1", "", "-162.6", ""),
         ("mountaincar", "otr", "1", "93.0", "92.8", ""),
         ("lunarlander", "augtree", "2", "", "249.1", ""),
         ("lunarlander", "cdt", "3-3", "", "100", ""),
@@ -208,7 +209,7 @@ def test_runs_beyond_the_table_are_listed_against_the_text(tmp_path: Path) -> No
         ("lunarlander", "sdt-discrete", "5", "", "-88.0", "20.4"),
         ("lunarlander", "sdt-soft", "5", "", "97.8", "10.5"),
     ]
-    assert rows[5]["note"].startswith("published as a tree of depth 5")
+    assert rows[6]["note"].startswith("published as a tree of depth 5")
     assert markdown_lines(tmp_path, "MountainCar")[-1][:5] == ["MountainCar", "OTR", "1", "93.0 (1 run, quick)", "92.8"]
 
 
@@ -234,6 +235,17 @@ def test_soft_and_discretised_values_stand_beside_the_tree(tmp_path: Path) -> No
     }
     assert "Figure 4.7" in cells["text", "lunarlander", "augtree", "2"]["note"]
     assert ["LunarLander", "SDT, soft", "5"] in [line[:3] for line in markdown_lines(tmp_path, "LunarLander")]
+
+
+def test_best_pid_policy_stands_beside_the_one_published(tmp_path: Path) -> None:
+    for seed, mean in enumerate((-170.0, -155.0, -165.0)):
+        policies = {"constant_gains": {"return_mean": 2 * mean, "n_episodes": 1000}}
+        write_run(tmp_path, f"pendulum/pid/depth-1/quick/seed-{seed}", mean, policies=policies)
+    cells = csv_cells(tmp_path)
+    pid, constant = cells["text", "pendulum", "pid", "1"], cells["text", "pendulum", "pid-constant", "1"]
+    assert (float(pid["mean"]), pid["published_mean"]) == (pytest.approx(-490 / 3, abs=1e-5), "-162.6")
+    assert "published: the one policy of Figure 4.4; the best run: -155.0" in pid["note"]
+    assert (float(constant["mean"]), constant["published_mean"]) == (pytest.approx(-980 / 3, abs=1e-5), "")
 
 
 # --- text ---------------------------------------------------------------------------------------------------------

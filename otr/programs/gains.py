@@ -1,0 +1,73 @@
+"""The leaves of a PID policy as text: vectors of gains, as in Orfanos 2023, Fig. 4.4."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from otr.arrays import FloatArray
+from otr.head import PidBox
+from otr.tree import ObliqueTree
+
+__all__ = ["control_text", "gain_lines", "term_lines"]
+
+TERMS = ("P", "I", "D")
+AffineText = Callable[[FloatArray, float], str]
+
+
+def term_lines(tree: ObliqueTree, affine: AffineText) -> list[str]:
+    """Return the definitions of P, I and D that hold in all leaves, ``P = [P_x, P_y]`` and so on.
+
+    Raises:
+        ValueError: the terms differ between leaves, which no PID policy does.
+    """
+    n_terms = _n_terms(tree)
+    if (tree.M[:, :n_terms] != tree.M[0, :n_terms]).any() or (tree.c[:, :n_terms] != tree.c[0, :n_terms]).any():
+        raise ValueError("the terms P, I, D differ between leaves; a PID policy's leaves differ in their gains alone")
+    return [f"{term} = [{', '.join(entries)}]" for term, entries in _vectors(tree, 0, 0, affine)]
+
+
+def gain_lines(tree: ObliqueTree, leaf: int, answers: Sequence[str], affine: AffineText) -> list[str]:
+    """Return the lines that state a leaf's gains; a vector with a gain that varies takes a line for each of its gains.
+
+    Args:
+        tree: a tree with the head `PidBox`.
+        leaf: which leaf.
+        answers: names of the actions.
+        affine: from coefficients (d,) and an offset to text.
+    """
+    lines, n_actions = [], len(answers)
+    for action, answer in enumerate(answers):
+        suffix = f"_{answer}" if n_actions > 1 else ""
+        first = (action + 1) * _n_terms(tree)
+        by_term = tree.M[leaf, first : first + _n_terms(tree)].reshape(len(TERMS), -1)
+        varies = np.count_nonzero(by_term, axis=1).tolist()
+        for (term, entries), one_a_line in zip(_vectors(tree, leaf, first, affine), varies, strict=True):
+            name = f"theta_{term}{suffix}"
+            if one_a_line:
+                lines += [f"{name} = [", *(f"    {entry}," for entry in entries), "]"]
+            else:
+                lines.append(f"{name} = [{', '.join(entries)}]")
+    return lines
+
+
+def control_text(answers: Sequence[str], action: int) -> str:
+    """Return ``theta_P . P + theta_I . I + theta_D . D``, the action's name in it where there are several."""
+    suffix = f"_{answers[action]}" if len(answers) > 1 else ""
+    return " + ".join(f"theta_{term}{suffix} . {term}" for term in TERMS)
+
+
+def _vectors(tree: ObliqueTree, leaf: int, first: int, affine: AffineText) -> list[tuple[str, list[str]]]:
+    """Return P, I, D each with the texts of a third of the outputs from `first` on."""
+    d = _n_terms(tree) // len(TERMS)
+    vectors = []
+    for position, term in enumerate(TERMS):
+        outputs = range(first + position * d, first + (position + 1) * d)
+        vectors.append((term, [affine(tree.M[leaf, output], float(tree.c[leaf, output])) for output in outputs]))
+    return vectors
+
+
+def _n_terms(tree: ObliqueTree) -> int:
+    assert isinstance(tree.head, PidBox)
+    return tree.n_outputs // (len(tree.head.low) + 1)

@@ -39,6 +39,10 @@ def largest_difference(tree: ObliqueTree, other: ObliqueTree, box: Box | Domain,
     )
     if ours != theirs:
         raise ValueError(f"the trees have (inputs, outputs, values) {ours} and {theirs}; they must be the same")
+    if not (tree.head.acts_by_output and other.head.acts_by_output):
+        raise ValueError(
+            f"the heads are {tree.head!r} and {other.head!r}; one that multiplies outputs has no such bound"
+        )
     rows, signs, leaves, others = _meetings(tree, other, domain, tolerance)
     if tree.labels is not None and other.labels is not None:
         return float((tree.labels[leaves] != other.labels[others]).any())

@@ -22,9 +22,15 @@ __all__ = ["Argmax", "ClipBox", "Head", "Identity", "PidBox", "Sign", "TanhBox",
 
 
 class Head(ABC):
-    """The last step of a policy; two heads are equal when their `to_dict` are."""
+    """The last step of a policy; two heads are equal when their `to_dict` are.
+
+    Attributes:
+        name: in files.
+        acts_by_output: whether an action is a function of one output alone, which never falls as that rises.
+    """
 
     name: str
+    acts_by_output = True
 
     @abstractmethod
     def __call__(self, Y: FloatArray) -> NDArray[Any]:
@@ -179,6 +185,7 @@ class PidBox(_Box):
     """
 
     name = "pid_box"
+    acts_by_output = False
 
     def __init__(self, low: ArrayLike, high: ArrayLike) -> None:
         """Keep the limits, of shape (a,) each: their length is the number of actions.

@@ -83,10 +83,12 @@ def output_range(tree: ObliqueTree, box: Box | Domain, *, tolerance: float = 1e-
     radius above `tolerance` fits, in the box's scale, do not.
 
     Raises:
-        ValueError: the box is unbounded, or the tree has labels (then `reachable_labels` tells).
+        ValueError: the box is unbounded, the head multiplies outputs, or the tree has labels (then `reachable_labels`
+            tells).
     """
     if tree.labels is not None:
         raise ValueError("the tree answers with labels, which have no range; use reachable_labels(tree, box)")
+    _require_known_head(tree)
     domain = _bounded(tree, box)
     leaves, rows, signs = _reached(tree, domain, tolerance)
     n, o = len(leaves), tree.n_outputs
@@ -132,9 +134,10 @@ def find_violation(
         max_pieces: refuse to look at more.
 
     Raises:
-        ValueError: the box is unbounded, or the condition does not fit the tree.
+        ValueError: the box is unbounded, the head multiplies outputs, or the condition does not fit the tree.
         OtrError: more than `max_pieces` regions would have to be looked at.
     """
+    _require_known_head(tree)
     domain = _bounded(tree, box)
     state, action = (np.asarray(part, dtype=np.float64) for part in (condition.state, condition.action))
     if state.shape != (tree.n_inputs,) or action.shape != (tree.n_outputs,):
@@ -143,6 +146,14 @@ def find_violation(
             f"the state and ({tree.n_outputs},) of the action"
         )
     return _Search(tree, domain, state, action, float(condition.bound), tolerance, max_pieces).run()
+
+
+def _require_known_head(tree: ObliqueTree) -> None:
+    if not tree.head.acts_by_output:
+        raise ValueError(
+            f"the head {type(tree.head).__name__} multiplies outputs, which no linear program bounds; "
+            "otr.control.constant_gains(tree, X) returns an affine tree with the gains averaged"
+        )
 
 
 def _bounded(tree: ObliqueTree, box: Box | Domain) -> Domain:

@@ -101,7 +101,9 @@ def _names(given: list[str], n: int, prefix: str, where: str) -> list[str]:
 
 
 def state_limits(env: EnvConfig) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the lowest and the highest state, (d,) each; None where a component has no bounds."""
+    """Return the lowest and the highest state, (d,) each; None where one has no bounds, or is a PID policy's."""
+    if env.pid is not None:
+        return None
     return _state_limits(env.id, json.dumps(env.kwargs, sort_keys=True))
 
 

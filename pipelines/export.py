@@ -15,7 +15,7 @@ from pipelines.methods import EXTRAS, MAPPED, METHODS, tree_stage
 from pipelines.stage import MANIFEST, verified_manifest
 from pipelines.store import load_actor
 
-TREES = ("pruned", "full", "minimal", "simplified", "compact")
+TREES = ("pruned", "full", "minimal", "simplified", "constant_gains", "compact")
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,15 @@ def _policy(config: ExportConfig, run: RunConfig, folder: Path) -> Any:
     method = run.method.name
     if config.tree == "compact" and METHODS[method] is not MAPPED:
         raise ConfigError(f"tree=compact: a tree of method={method} stands for no network; use tree=full")
-    stages = {"pruned": "prune", "full": tree_stage(method), "minimal": "certify", "simplified": "simplify"}
+    if config.tree == "constant_gains" and method != "pid":
+        raise ConfigError(f"tree=constant_gains: gains are of method=pid, not of method={method}; use tree=pruned")
+    stages = {
+        "pruned": "prune",
+        "constant_gains": "prune",
+        "full": tree_stage(method),
+        "minimal": "certify",
+        "simplified": "simplify",
+    }
     stage = stages.get(config.tree, "train")
     if not (folder / stage / MANIFEST).exists():
         raise MissingInputError(
@@ -173,7 +181,7 @@ def _policy(config: ExportConfig, run: RunConfig, folder: Path) -> Any:
     verified_manifest(folder / stage)
     if config.tree == "compact":
         return load_actor(folder / stage)
-    tree = otr.load(folder / stage / "tree")
+    tree = otr.load(folder / stage / ("constant_gains" if config.tree == "constant_gains" else "tree"))
     if isinstance(tree, otr.ObliqueTree):
         return tree
     if config.format != "c":

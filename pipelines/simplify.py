@@ -42,7 +42,9 @@ def simplify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     standard error of the paired differences included; with `action_bound`, if no action changes by more than that on
     the box around the states visited. Reported are other episodes, the evaluation's.
     """
-    tree = otr.load(inputs["prune"] / "tree")
+    # Of a PID policy the form with constant gains, the affine one.
+    name = "constant_gains" if (inputs["prune"] / "constant_gains.json").is_file() else "tree"
+    tree = otr.load(inputs["prune"] / name)
     if not isinstance(tree, otr.ObliqueTree):  # pruned trees are explicit
         raise TypeError(f"{inputs['prune']} holds a {type(tree).__name__}, expected an ObliqueTree")
     seeds = episode_seeds(config.seed, "simplify", config.simplification.n_episodes)

@@ -13,7 +13,7 @@ from otr.network import ReluNetwork
 from otr.pattern_tree import PatternTree
 from otr.programs.c_network import network_code
 from otr.programs.c_tables import CType, Table, integer_table, integer_type, literal, real_table, row_table
-from otr.programs.parts import box_limits, check_inputs, child, distinct_rows, give_labels, one_line, summary_of
+from otr.programs.parts import box_limits, check_policy, child, distinct_rows, give_labels, one_line, summary_of
 from otr.programs.text import names_of
 from otr.tree import ObliqueTree
 
@@ -67,7 +67,7 @@ def to_c(
         policy = policy.to_tree() if policy.is_restricted else policy.network
     if isinstance(policy, ReluNetwork) and policy.n_hidden == 0:
         policy = map_network(policy)
-    check_inputs(policy)
+    check_policy(policy)
     features, answers = names_of(policy, feature_names, output_names)
     tables, body = network_code(policy, name, dtype) if isinstance(policy, ReluNetwork) else _tree(policy, name, dtype)
     head_tables, head = _head(policy, name, dtype)

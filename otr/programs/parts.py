@@ -24,7 +24,7 @@ __all__ = [
     "Names",
     "affine_expression",
     "box_limits",
-    "check_inputs",
+    "check_policy",
     "child",
     "distinct_rows",
     "give_labels",
@@ -60,6 +60,7 @@ def names_for(
     *,
     reserved: Collection[str] = (),
     ignore_case: bool = False,
+    any_head: bool = False,
 ) -> Names:
     """Return the names of a tree's inputs and answers, and identifiers for its inputs and its affine outputs.
 
@@ -68,11 +69,11 @@ def names_for(
 
     Raises:
         TypeError: `tree` is no ObliqueTree.
-        ValueError: the wrong number of names, or a tree without inputs.
+        ValueError: the wrong number of names, a tree without inputs, or one whose head needs `any_head`.
     """
     if not isinstance(tree, ObliqueTree):
         raise TypeError(f"tree is a {type(tree).__name__}, expected an ObliqueTree; a PatternTree has to_tree()")
-    check_inputs(tree)
+    check_policy(tree, any_head=any_head)
     features, answers = names_of(tree, feature_names, output_names)
     outputs = [f"y{i}" for i in range(tree.n_outputs)] if give_labels(tree) else answers
     fallbacks = [f"x{i}" for i in range(len(features))] + [f"y{i}" for i in range(len(outputs))]
@@ -80,10 +81,15 @@ def names_for(
     return Names(features, answers, made[: len(features)], made[len(features) :])
 
 
-def check_inputs(policy: ObliqueTree | ReluNetwork) -> None:
-    """Raise ValueError for a policy without inputs, which no format has a form for."""
+def check_policy(policy: ObliqueTree | ReluNetwork, *, any_head: bool = False) -> None:
+    """Raise ValueError for a policy that no format has a form for: without inputs, or with gains that vary."""
     if policy.n_inputs == 0:
         raise ValueError("the tree has no inputs; a program needs at least one")
+    if not (policy.head.acts_by_output or any_head):
+        raise ValueError(
+            f"the head {type(policy.head).__name__} multiplies terms and gains, which only to_text writes; "
+            "otr.control.constant_gains(tree, X) returns an affine tree with the gains averaged"
+        )
 
 
 def give_labels(policy: ObliqueTree | ReluNetwork) -> bool:

@@ -137,7 +137,7 @@ def program_of(config: ExportConfig, run: RunConfig, folder: Path) -> str | byte
         written = FORMATS[config.format].write(
             policy,
             feature_names=feature_names(run.env, policy.n_inputs),
-            output_names=action_names(run.env, policy.n_outputs),
+            output_names=action_names(run.env, policy.head.n_answers(policy.n_outputs)),
             **{name: value for name, value in options.items() if value is not None},
         )
     except ImportError as error:

@@ -80,10 +80,10 @@ def _domain(inputs: Mapping[str, Path], config: RunConfig) -> tuple[otr.Domain, 
     """Return the box on which the tree is proved, and what it is."""
     limits = state_limits(config.env)
     if limits is not None:
-        return otr.Domain(*limits), "the environment's states"
+        return otr.Domain(*limits), "all states of the environment"
     tree: Any = otr.load(inputs["map"] / "tree")
     seeds = episode_seeds(config.seed, "prune", config.prune.n_episodes)
     states = rollout(tree.predict, config.env, seeds, keep_states=True, n_workers=config.n_workers).states
     low, high = states.min(axis=0), states.max(axis=0)
     margin = MARGIN * (high - low) + np.finfo(np.float32).eps * np.maximum(1.0, np.abs(high))
-    return otr.Domain(low - margin, high + margin), f"states of {config.prune.n_episodes} episodes, and a margin"
+    return otr.Domain(low - margin, high + margin), f"the box around the states of {config.prune.n_episodes} episodes"

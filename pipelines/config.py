@@ -284,12 +284,15 @@ class SimplificationConfig:
     Attributes:
         n_episodes: that decide.
         return_loss: share of the mean return that may be lost on them.
-        action_bound: instead of that: no action may change by more, anywhere in the box of states visited.
+        action_bound: instead of that: no action may change by more, anywhere in the environment's box of states or,
+            where that is open, in the box around those visited.
+        refit: whether tests may be refitted by sparse linear discriminant analysis.
     """
 
     n_episodes: int = 100
     return_loss: float = 0.02
     action_bound: float | None = None
+    refit: bool = True
 
 
 @dataclass(frozen=True)

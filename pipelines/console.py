@@ -56,10 +56,11 @@ def _proof(report: dict[str, Any]) -> str:
     if not report["certified"]:
         return f"no certificate on {report['domain']}: {report['reason']}"
     spent = sum(report["seconds"].values())
-    leaves = _count(report["n_leaves"], "leaf")
+    leaves, error = _count(report["n_leaves"], "leaf"), report["max_error"]
+    like = f"the network to {error:.1g}" if error else "exactly the network"
     return (
-        f"certificate: on {report['domain']} the minimal tree, of {leaves}, is the network, to "
-        f"{report['max_error']:.1g} in rational arithmetic ({duration(spent)}); otr-verify checks it again"
+        f"certificate: the minimal tree, of {leaves}, is {like} on {report['domain']}, by rational arithmetic "
+        f"({duration(spent)}); otr-verify checks it again"
     )
 
 

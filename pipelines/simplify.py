@@ -11,6 +11,7 @@ import numpy as np
 import otr
 from otr.simplify import Judge, Simplification
 from pipelines.config import RunConfig
+from pipelines.envs import state_limits
 from pipelines.policies import answers_agree
 from pipelines.programs import write_program
 from pipelines.rollout import rollout
@@ -31,6 +32,7 @@ def simplify_settings(config: RunConfig) -> dict[str, Any]:
         "n_episodes": config.simplification.n_episodes,
         "return_loss": config.simplification.return_loss,
         "action_bound": config.simplification.action_bound,
+        "refit": config.simplification.refit,
         "evaluate": {"n_episodes": config.evaluate.n_episodes, "first_seed": config.evaluate.first_seed},
     }
 
@@ -40,7 +42,8 @@ def simplify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
 
     A change is allowed if on the deciding episodes the mean return falls by no more than `return_loss` of its size, one
     standard error of the paired differences included; with `action_bound`, if no action changes by more than that on
-    the box around the states visited. Reported are other episodes, the evaluation's.
+    the environment's box of states or, where that is open, on the box around those visited. Reported are other
+    episodes, the evaluation's.
     """
     # Of a PID policy the form with constant gains, the affine one.
     name = "constant_gains" if (inputs["prune"] / "constant_gains.json").is_file() else "tree"
@@ -53,9 +56,9 @@ def simplify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     if config.simplification.action_bound is None:
         allows: Judge = judge
     else:
-        box = _box_around(before.states)
+        box = state_limits(config.env) or _box_around(before.states)
         allows = otr.within(tree, box, config.simplification.action_bound)
-    simpler = otr.simplify(tree, allows, before.states)
+    simpler = otr.simplify(tree, allows, before.states, refit=config.simplification.refit)
     otr.save(simpler.tree, out / "tree")
     write_program(simpler.tree, config.env, out)
     _report(tree, simpler, judge, config, out)

@@ -66,7 +66,7 @@ def test_a_finished_run_gets_a_certificate_and_nothing_else_is_done_again(comman
     before = {path: path.read_bytes() for path in run.glob("*/*") if path.suffix in (".npz", ".csv", ".json")}
     done = certified(command, results)
     assert "certify: " in done.stdout and "train: done before" in done.stdout
-    assert "certificate: on the environment's states the minimal tree, of 29 leaves, is the network" in done.stdout
+    assert "the minimal tree, of 29 leaves, is exactly the network on all states of the environment" in done.stdout
     assert all(path.read_bytes() == content for path, content in before.items())
     report = json.loads((run / "certify/report.json").read_text())
     assert (report["certified"], report["exact"], report["n_leaves"]) == (True, True, 29)
@@ -119,7 +119,7 @@ def test_a_run_without_a_certificate_is_told(command, results):
 
 def test_a_tree_that_is_too_large_is_told_and_fails_nothing(command, results):
     done = certified(command, results, "certification.max_leaves=5")
-    assert "no certificate on the environment's states: the limit of 5 regions was met" in done.stdout
+    assert "no certificate on all states of the environment: the limit of 5 regions was met" in done.stdout
     report = json.loads(next(results.glob("runs/pendulum/otr/depth-6/quick/seed-0~*/certify/report.json")).read_text())
     assert report["certified"] is False
 
@@ -130,7 +130,7 @@ def test_unbounded_states_are_proved_on_the_box_of_those_visited(tiny, tmp_path)
     config = tiny(env=HOPPER, depth=6, prune=PruneConfig(2, None))
     certify({"train": run / "train", "map": run / "map"}, config, tmp_path)
     report = json.loads((tmp_path / "report.json").read_text())
-    assert report["domain"] == "states of 2 episodes, and a margin" and report["certified"]
+    assert report["domain"] == "the box around the states of 2 episodes" and report["certified"]
     assert report["n_leaves"] <= 64 and all(low < high for low, high in zip(report["low"], report["high"], strict=True))
     certificate = otr.load_certificate(tmp_path / "certificate.json")
     network = load_actor(run / "train")

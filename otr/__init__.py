@@ -40,7 +40,7 @@ from otr.programs import (
     to_structured_text,
     to_text,
 )
-from otr.properties import Condition, find_violation, output_range, reachable_labels
+from otr.properties import Condition, check_verdict, find_violation, output_range, reachable_labels
 from otr.proving import certify
 from otr.pruning import prune_to_k, prune_unreached
 from otr.refit import refit_tests
@@ -72,6 +72,7 @@ __all__ = [
     "TanhBox",
     "TreeTooLargeError",
     "certify",
+    "check_verdict",
     "draw_tree",
     "find_violation",
     "from_sb3",

@@ -1,12 +1,16 @@
 """Ranges and conditions against dense sampling and worked examples."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import otr
-from otr.properties import Condition, _tanh_line
+from otr.branch_and_bound import Piece
+from otr.head_lines import tanh_line
+from otr.properties import Condition, check_verdict
 from tests.core.strategies import cases, make_network
 
 BOX = (-1.5, 2.0)
@@ -68,9 +72,10 @@ def test_a_verdict_agrees_with_every_state(case, seed: int, slack: float) -> Non
     values = X @ w + answers @ u
     condition = Condition(w, u, float(values.max() + slack * values.std() / 10))
     verdict = otr.find_violation(tree, condition, BOX)
+    check_verdict(verdict, tree, condition, BOX)
     if verdict.holds:
         assert values.max() <= max(condition.bound, verdict.value) + 1e-6
-        assert verdict.state is None and verdict.n_pieces > 0
+        assert verdict.state is None and {piece.leaf for piece in verdict.pieces} == set(range(tree.n_leaves))
     else:
         assert verdict.value > condition.bound
         x = verdict.state
@@ -95,7 +100,7 @@ def test_the_largest_value_is_found_to_the_tolerance() -> None:
 
 @given(st.floats(-8, 8), st.floats(0, 8), st.integers(0, 100))
 def test_lines_lie_above_tanh(low: float, width: float, share: int) -> None:
-    slope, offset = _tanh_line(np.array([low]), np.array([low + width]))
+    slope, offset = tanh_line(np.array([low]), np.array([low + width]))
     y = low + width * share / 100
     assert slope[0] * y + offset[0] >= np.tanh(y) - 1e-12
     assert slope[0] * y + offset[0] <= np.tanh(y) + 2 * width + 1e-12
@@ -109,3 +114,31 @@ def test_bad_questions_are_told() -> None:
         otr.find_violation(tree, Condition([1.0], [1.0, 0.0], 0.0), BOX)
     with pytest.raises(otr.OtrError, match="more than 3 pieces"):
         otr.find_violation(tree, Condition([1.0, 0.0], [1.0, 0.0], 1e9), BOX, max_pieces=3)
+
+
+@pytest.mark.parametrize("head", ["clip_box", "tanh_box", "argmax"])
+def test_a_proof_that_was_tampered_with_is_refused(head: str) -> None:
+    tree = otr.map_network(make_network(np.random.default_rng(7), (3,), n_inputs=2, n_outputs=2, head=head))
+    condition = Condition([0.3, -0.2], [1.0, 0.5], 1.9)
+    verdict = otr.find_violation(tree, condition, BOX)
+    assert verdict.holds
+    check_verdict(verdict, tree, condition, BOX)
+    at = next(i for i, piece in enumerate(verdict.pieces) if not piece.is_empty and max(piece.multipliers) > 0.01)
+    piece = verdict.pieces[at]
+
+    def with_piece(*others: Piece) -> object:
+        return replace(verdict, pieces=(*verdict.pieces[:at], *others, *verdict.pieces[at + 1 :]))
+
+    lies = [
+        with_piece(),
+        with_piece(replace(piece, multipliers=tuple(-m for m in piece.multipliers))),
+        with_piece(replace(piece, multipliers=tuple(100 * m for m in piece.multipliers))),
+        with_piece(replace(piece, rows=tuple(999 for _ in piece.rows))),
+        with_piece(replace(piece, is_empty=True)),
+        replace(verdict, holds=False, state=np.zeros(2), leaf=0),
+    ]
+    for lie in lies:
+        with pytest.raises(otr.CertificateError, match=r"^leaf \d+:"):
+            check_verdict(lie, tree, condition, BOX)
+    with pytest.raises(otr.CertificateError, match=r"^leaf \d+:"):
+        check_verdict(verdict, tree, replace(condition, bound=verdict.value - 0.05), BOX)

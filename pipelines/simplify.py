@@ -11,8 +11,7 @@ import numpy as np
 import otr
 from otr.simplify import Judge, Simplification
 from pipelines.config import RunConfig
-from pipelines.envs import state_limits
-from pipelines.policies import answers_agree
+from pipelines.envs import spaces, state_limits
 from pipelines.programs import write_program
 from pipelines.rollout import rollout
 from pipelines.seeding import episode_seeds, evaluation_seeds
@@ -21,7 +20,7 @@ from pipelines.store import write_csv, write_json
 VERSION = 1
 FIRST_LOOK = 0.2  # of the deciding episodes: a tree that loses clearly on these is not played on
 ANNOUNCE_S = 10.0
-TOLERANCE = 1e-6
+CLOSE = 0.05  # of an action's range: nearer than that, actions count as the same
 
 
 def simplify_settings(config: RunConfig) -> dict[str, Any]:
@@ -110,8 +109,10 @@ def _report(tree: otr.ObliqueTree, simpler: Simplification, judge: _Judge, confi
     before = rollout(tree.predict, config.env, seeds, keep_states=True, n_workers=config.n_workers)
     after = rollout(simpler.tree.predict, config.env, seeds, n_workers=config.n_workers)
     states = before.states
-    same = answers_agree(tree.predict(states), simpler.tree.predict(states), tree.forward(states), TOLERANCE)
     ours, theirs = (np.asarray(each.predict(states), dtype=np.float64) for each in (simpler.tree, tree))
+    box = spaces(config.env).box
+    close = 0.0 if box is None else CLOSE * (box[1] - box[0])
+    same = (np.abs(ours - theirs) <= close).reshape(len(states), -1).all(axis=1)
     write_csv(
         out / "episodes.csv",
         ({"episode": i, "seed": seed, "return": float(value)}
@@ -138,6 +139,7 @@ def _report(tree: otr.ObliqueTree, simpler: Simplification, judge: _Judge, confi
             "return_mean": float(after.returns.mean()),
             "return_std": float(after.returns.std()),
             "fidelity": float(same.mean()),
+            "fidelity_tolerance": 0.0 if box is None else CLOSE,
             "mean_difference": float(np.abs(ours - theirs).mean()),
         },
     )

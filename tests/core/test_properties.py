@@ -58,7 +58,7 @@ def test_labels_that_a_box_can_bring() -> None:
 
 
 @settings(max_examples=60, deadline=None)
-@given(cases(max_layers=2), st.integers(0, 2**32 - 1), st.floats(-2.0, 2.0))
+@given(cases(max_layers=2), st.integers(0, 2**32 - 1), st.floats(-2.0, 2.0, allow_subnormal=False))
 def test_a_verdict_agrees_with_every_state(case, seed: int, slack: float) -> None:
     network, rng = case.network, np.random.default_rng(seed)
     tree = otr.map_network(network)
@@ -98,7 +98,7 @@ def test_the_largest_value_is_found_to_the_tolerance() -> None:
     assert not fails.holds and largest - 1e-4 < fails.value <= largest
 
 
-@given(st.floats(-8, 8), st.floats(0, 8), st.integers(0, 100))
+@given(st.floats(-8, 8, allow_subnormal=False), st.floats(0, 8, allow_subnormal=False), st.integers(0, 100))
 def test_lines_lie_above_tanh(low: float, width: float, share: int) -> None:
     slope, offset = tanh_line(np.array([low]), np.array([low + width]))
     y = low + width * share / 100

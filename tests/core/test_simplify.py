@@ -59,7 +59,11 @@ def test_labels_differ_somewhere_or_nowhere() -> None:
 
 
 @settings(max_examples=25, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.sampled_from(("identity", "clip_box", "tanh_box")), st.floats(0.0, 1.0))
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from(("identity", "clip_box", "tanh_box")),
+    st.floats(0.0, 1.0, allow_subnormal=False),
+)
 def test_within_a_bound_on_actions_nothing_changes_by_more(seed: int, head: str, bound: float) -> None:
     network = make_network(np.random.default_rng(seed), (3,), n_inputs=2, head=head)
     tree = otr.minimal_tree(network, BOX)

@@ -5,10 +5,11 @@ from pathlib import Path
 
 import pytest
 
+import otr
 from pipelines.methods import METHODS
 from pipelines.oracle import load_oracle
 from pipelines.stage import verified_manifest
-from pipelines.store import read_csv
+from pipelines.store import load_actor, read_csv
 from pipelines.tabulate import write_table
 from tests.pipelines.conftest import otr_command
 
@@ -66,3 +67,19 @@ def test_committed_fits_are_whole_and_tell_what_they_were_made_with():
 )
 def test_committed_runs_have_learnt(run, least):
     assert json.loads((RESULTS / "runs" / run / "summary.json").read_text())["return_mean"] >= least
+
+
+CERTIFICATES = sorted(RESULTS.glob("runs/*/*/depth-*/*/seed-*/certify/certificate.json"))
+
+
+@pytest.mark.parametrize(
+    "path", CERTIFICATES, ids=lambda path: path.parents[1].relative_to(RESULTS / "runs").as_posix()
+)
+def test_committed_certificates_prove_what_they_claim(path):
+    certificate, network = otr.load_certificate(path), load_actor(path.parents[1] / "train")
+    assert certificate.exact
+    exact = certificate.n_leaves <= 100  # the larger ones take 5 s
+    bound = otr.verify(certificate, otr.load(path.parent / "tree"), network, exact=exact)
+    assert bound < 1e-10
+    if exact:
+        assert bound <= certificate.max_error

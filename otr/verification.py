@@ -74,6 +74,7 @@ class _Check:
         return _fractions(values) if self.exact else np.asarray(values, dtype=np.float64)
 
     def run(self) -> float:
+        """Check everything and return the bound on the difference."""
         self._check_fit()
         by_leaf = self._cells_by_leaf()
         empty = {leaf.leaf: leaf for leaf in self.certificate.empty}
@@ -284,9 +285,11 @@ class _Bounds:
         self.low, self.high = (_fractions(low), _fractions(high)) if exact else (low, high)
 
     def lowest(self, form: Numbers) -> Any:
+        """Return a bound on the lowest value."""
         return -self.highest(-form)
 
     def highest(self, form: Numbers) -> Any:
+        """Return a bound on the highest value."""
         f, f0 = form[:-1], form[-1]
         highest = f0 + np.where(f > 0, f * self.high, f * self.low).sum()
         open_slopes = np.abs(f[~self.is_closed])

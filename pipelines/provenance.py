@@ -35,5 +35,6 @@ def git_revision() -> str | None:
 
 
 def command_line() -> str:
-    """Return the command that is running, with the program's name alone and no path."""
-    return " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])
+    """Return the command that is running: the program's name without its path, and no word on where results go."""
+    words = [word for word in sys.argv[1:] if not word.startswith("results_dir=")]
+    return " ".join([Path(sys.argv[0]).name, *words])

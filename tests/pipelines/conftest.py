@@ -2,13 +2,16 @@
 
 import dataclasses
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
+from pipelines import cli
 from pipelines.config import (
     ActorConfig,
     BudgetConfig,
@@ -66,3 +69,26 @@ def otr_command(program: str, *words: str, cwd: Path, **environment: str) -> sub
         text=True,
         timeout=300,
     )
+
+
+@dataclass
+class Done:
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+@pytest.fixture
+def command(monkeypatch, capsys):
+    """Return what gives a command in this process, which spares the seconds of starting another."""
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+
+    def run(program: str, *words: str) -> Done:
+        monkeypatch.setattr(sys, "argv", [f"otr-{program}", *words])
+        try:
+            getattr(cli, program)()
+        except SystemExit as stopped:
+            return Done(stopped.code or 0, *capsys.readouterr())
+        raise AssertionError("a command ends with an exit code")
+
+    return run

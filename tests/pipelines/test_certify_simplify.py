@@ -2,16 +2,12 @@
 
 import json
 import shutil
-import signal
-import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import otr
-from pipelines import cli
 from pipelines.certify import certify
 from pipelines.config import PruneConfig
 from pipelines.envs import state_limits
@@ -21,29 +17,6 @@ from tests.pipelines.conftest import HOPPER, PENDULUM
 RESULTS = Path(__file__).parents[2] / "results"
 PENDULUM_RUN = "runs/pendulum/otr/depth-6/quick/seed-0"
 CAR_RUN = "runs/mountaincar/otr/depth-1/quick/seed-0"
-
-
-@dataclass
-class Done:
-    returncode: int
-    stdout: str
-    stderr: str
-
-
-@pytest.fixture
-def command(monkeypatch, capsys):
-    """Return what gives a command in this process, which spares the seconds of starting another."""
-    monkeypatch.setattr(signal, "signal", lambda *_: None)
-
-    def run(program: str, *words: str) -> Done:
-        monkeypatch.setattr(sys, "argv", [f"otr-{program}", *words])
-        try:
-            getattr(cli, program)()
-        except SystemExit as stopped:
-            return Done(stopped.code or 0, *capsys.readouterr())
-        raise AssertionError("a command ends with an exit code")
-
-    return run
 
 
 @pytest.fixture

@@ -1,11 +1,10 @@
 """otr-export: committed runs as programs, and what is told where there is nothing to export."""
 
+import functools
 import json
 import shutil
-import signal
 import subprocess
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,6 @@ import onnxruntime
 import pytest
 
 import otr
-from pipelines import cli
 from pipelines.export import FORMATS, run_command
 from pipelines.store import load_actor
 
@@ -21,26 +19,11 @@ RESULTS = Path(__file__).parents[2] / "results"
 HOPPER, LANDER = "hopper/otr/depth-6/quick/seed-0", "lunarlander/otr/depth-2/thesis/seed-0"
 
 
-@dataclass
-class Done:
-    returncode: int
-    stdout: str
-    stderr: str
-
-
 @pytest.fixture
-def export(monkeypatch, capsys):
-    """Return what gives the command in this process, which spares the seconds of starting another."""
-    monkeypatch.setattr(signal, "signal", lambda *_: None)
+def export(command, monkeypatch):
+    """Return what exports a committed run."""
     monkeypatch.setenv("OTR_RESULTS_DIR", str(RESULTS))
-
-    def run(*words: str) -> Done:
-        monkeypatch.setattr(sys, "argv", ["otr-export", *words])
-        with pytest.raises(SystemExit) as stopped:
-            cli.export()
-        return Done(stopped.value.code, *capsys.readouterr())
-
-    return run
+    return functools.partial(command, "export")
 
 
 def test_the_command_from_another_folder(tmp_path):

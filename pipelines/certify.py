@@ -13,6 +13,7 @@ from pipelines.envs import state_limits
 from pipelines.programs import write_program
 from pipelines.rollout import rollout
 from pipelines.seeding import episode_seeds
+from pipelines.settings import env_settings
 from pipelines.store import load_actor, write_json
 
 VERSION = 1
@@ -22,7 +23,7 @@ MARGIN = 0.05  # of the width of what was visited, on either side
 def certify_settings(config: RunConfig) -> dict[str, Any]:
     """Return what decides the minimal tree and its certificate."""
     return {
-        "env": {"id": config.env.id, "kwargs": config.env.kwargs},
+        "env": env_settings(config.env),
         "n_episodes": config.prune.n_episodes,
         "seed": config.seed,
         "max_leaves": config.certification.max_leaves,

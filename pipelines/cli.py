@@ -29,7 +29,7 @@ from omegaconf.errors import OmegaConfBaseException
 from otr import OtrError
 from pipelines import config as schemas
 from pipelines.compose import CONF_DIR, Composer, parse, readable, schema_of, to_object
-from pipelines.config import RunConfig, run_folder
+from pipelines.config import RunConfig
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.export import ExportConfig, check_export, find_run, program_of, write_program
 from pipelines.figure_runs import EXPERIMENT, FIGURES, RUNS_OF_FIGURE, budget_of_runs, check_figure
@@ -42,6 +42,7 @@ from pipelines.plan import print_plan
 from pipelines.program_files import read_program
 from pipelines.replay import replay
 from pipelines.run import RunJob, run_job, run_jobs
+from pipelines.settings import run_folder
 from pipelines.store import corrupt
 from pipelines.supervised.config import LEARNERS, FitConfig, fit_folder
 from pipelines.supervised.config import DataConfig as FitDataConfig

@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 
 import otr
-from pipelines.config import RunConfig, env_settings
+from pipelines.config import RunConfig
 from pipelines.errors import PolicyMismatchError
 from pipelines.methods import tree_stage
 from pipelines.oracle import load_oracle
 from pipelines.policies import answers_agree
 from pipelines.rollout import Rollout, rollout
 from pipelines.seeding import evaluation_seeds
+from pipelines.settings import env_settings
 from pipelines.store import load_actor, write_csv, write_json
 
 VERSION = 1

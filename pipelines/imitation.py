@@ -8,7 +8,8 @@ from typing import Any
 
 import gymnasium as gym
 
-from pipelines.config import RunConfig, digest, settings
+from pipelines.config import RunConfig
+from pipelines.settings import digest, settings
 from pipelines.stage import verified_manifest
 
 IMITATE_VERSION = 1

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 
 import otr
-from pipelines.config import EnvConfig, ProgramConfig, RunConfig, settings
+from pipelines.config import EnvConfig, ProgramConfig, RunConfig
 from pipelines.envs import action_names, feature_names, spaces
 from pipelines.errors import ConfigError
 from pipelines.programs import write_program
+from pipelines.settings import settings
 from pipelines.store import write_json, write_text
 
 VERSION = 1

@@ -9,13 +9,14 @@ import numpy as np
 
 import otr
 from otr.control import constant_gains
-from pipelines.config import RunConfig, env_settings
+from pipelines.config import RunConfig
 from pipelines.errors import PolicyMismatchError
 from pipelines.methods import tree_stage
 from pipelines.policies import answers_agree
 from pipelines.programs import program_text, write_program
 from pipelines.rollout import rollout
 from pipelines.seeding import episode_seeds
+from pipelines.settings import env_settings
 from pipelines.store import load_actor, write_json, write_text
 
 VERSION = 1

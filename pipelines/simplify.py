@@ -15,6 +15,7 @@ from pipelines.envs import spaces, state_limits
 from pipelines.programs import write_program
 from pipelines.rollout import rollout
 from pipelines.seeding import episode_seeds, evaluation_seeds
+from pipelines.settings import env_settings
 from pipelines.store import write_csv, write_json
 
 VERSION = 1
@@ -27,7 +28,7 @@ CLOSE = 0.05  # of an action's range: nearer than that, actions count as the sam
 def simplify_settings(config: RunConfig) -> dict[str, Any]:
     """Return what decides the simpler tree."""
     return {
-        "env": {"id": config.env.id, "kwargs": config.env.kwargs},
+        "env": env_settings(config.env),
         "seed": config.seed,
         "n_episodes": config.simplification.n_episodes,
         "return_loss": config.simplification.return_loss,

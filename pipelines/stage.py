@@ -16,8 +16,8 @@ from typing import Any, Protocol, TypeVar
 from filelock import FileLock, Timeout
 
 from pipelines import provenance
-from pipelines.config import digest, setting_differences
 from pipelines.errors import MissingInputError, OtherSettingsError, PipelineError
+from pipelines.settings import digest, setting_differences
 from pipelines.store import corrupt, read_json, write_json
 
 MANIFEST = "manifest.json"

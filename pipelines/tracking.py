@@ -12,8 +12,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from pipelines.config import RunConfig, settings
+from pipelines.config import RunConfig
 from pipelines.errors import ConfigError
+from pipelines.settings import settings
 from pipelines.store import read_csv, read_json
 from pipelines.tracking_backends import Backend, Mlflow, TensorBoard
 

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.config import OffPolicyConfig, OnPolicyConfig, RunConfig, digest, env_settings, settings
+from pipelines.config import OffPolicyConfig, OnPolicyConfig, RunConfig
 from pipelines.envs import make_env
 from pipelines.methods import is_soft
+from pipelines.settings import digest, env_settings, settings
 from pipelines.store import read_json
 
 TRAIN_VERSION = 1

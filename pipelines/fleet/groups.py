@@ -3,7 +3,8 @@
 import itertools
 from collections.abc import Iterable, Sequence
 
-from pipelines.config import RunConfig, digest
+from pipelines.config import RunConfig
+from pipelines.settings import digest
 from pipelines.training import train_settings
 
 # What runs of a fleet may differ in: a row of each stack has its own.

@@ -8,9 +8,10 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from itertools import product
 from typing import Any
 
-from pipelines.config import LARGEST_SEED, digest, setting_differences
+from pipelines.config import LARGEST_SEED
 from pipelines.datasets.catalogue import files_of
 from pipelines.errors import ConfigError
+from pipelines.settings import digest, setting_differences
 
 STAGES = ("tune", "fit", "score")
 

@@ -4,9 +4,9 @@ import shutil
 from collections.abc import Sequence
 from typing import Any
 
-from pipelines.config import digest
 from pipelines.console import duration
 from pipelines.job import Job, disk_errors_explained, is_done
+from pipelines.settings import digest
 from pipelines.stage import MANIFEST, Stage, StageResult, run_stage, run_stage_together
 from pipelines.store import read_json, write_json, write_text
 from pipelines.supervised.config import FitConfig, settings

@@ -9,11 +9,9 @@ from pipelines.config import (
     EnvConfig,
     EvaluateConfig,
     PruneConfig,
-    run_folder,
-    setting_differences,
-    settings,
 )
 from pipelines.errors import ConfigError
+from pipelines.settings import run_folder, setting_differences, settings
 from tests.pipelines.conftest import PPO, SAC
 
 

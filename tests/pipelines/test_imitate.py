@@ -8,11 +8,12 @@ import pytest
 
 import otr
 from pipelines import imitate as stage
-from pipelines.config import AugTreeConfig, ImitateConfig, MethodConfig, NdpsConfig, RunConfig, ViperConfig, digest
+from pipelines.config import AugTreeConfig, ImitateConfig, MethodConfig, NdpsConfig, RunConfig, ViperConfig
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.evaluate import likeness
 from pipelines.oracle import load_oracle, refer
 from pipelines.seeding import FIRST_STREAM_SEED, STREAMS, episode_seeds
+from pipelines.settings import digest
 from pipelines.stage import file_digest
 from pipelines.store import read_csv, save_actor, write_json
 from tests.pipelines.conftest import PENDULUM, otr_command

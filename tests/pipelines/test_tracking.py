@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 
 from pipelines import tracking
-from pipelines.config import EXECUTION_FIELDS, run_folder, settings
 from pipelines.errors import ConfigError
 from pipelines.run import RunJob, run_job
+from pipelines.settings import EXECUTION_FIELDS, run_folder, settings
 from pipelines.store import read_csv
 from pipelines.tracking import check_tracking, open_tracker
 from tests.pipelines.sweeps import start, wait_for

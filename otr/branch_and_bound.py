@@ -96,6 +96,8 @@ class Search:
                 f"the condition has coefficients of shape {self.state.shape} and {self.action.shape}, expected "
                 f"({tree.n_inputs},) of the state and ({tree.n_outputs},) of the action"
             )
+        if not (np.isfinite(self.state).all() and np.isfinite(self.action).all() and np.isfinite(self.bound)):
+            raise ValueError("the condition has a coefficient or a bound that is no finite number")
         self.rows, self.signs = leaf_rows(tree, domain, np.arange(tree.n_leaves))
         self.weighed = np.flatnonzero(self.action) if tree.labels is None else np.zeros(0, dtype=np.int64)
         self.outputs = np.concatenate((tree.M, tree.c[:, :, None]), axis=2)[:, self.weighed]
@@ -110,7 +112,7 @@ class Search:
                 raise OtrError(f"the question needs more than {max_pieces:,} pieces; ask about a smaller box")
             rows, signs, objectives = self._programs(leaves, low, high)
             best = largest_values(rows, np.arange(len(leaves)), signs, objectives)
-            states = self.domain.unscaled(best.states)
+            states = np.clip(self.domain.unscaled(best.states), self.domain.low, self.domain.high)
             found = np.where(np.isfinite(best.values), self._values(leaves, states), -np.inf)
             worst = int(found.argmax())
             if found[worst] > self.bound:

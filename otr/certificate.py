@@ -145,7 +145,7 @@ class Certificate:
                 tuple(_cell(cell) for cell in description["cells"]),
                 tuple(EmptyLeaf(int(leaf["leaf"]), _sum(leaf["proof"])) for leaf in description["empty"]),
             )
-        except (KeyError, TypeError, ValueError) as error:
+        except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
             raise ArtefactError(f"the certificate cannot be read: {error!r}; certify the tree again") from error
 
     def save(self, path: str | os.PathLike[str]) -> Path:

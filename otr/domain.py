@@ -14,6 +14,7 @@ from otr.linear_programs import Rows
 __all__ = ["Box", "Domain", "as_domain"]
 
 Box = tuple[ArrayLike, ArrayLike]  # low (d,), high (d,)
+_WIDEST = 1e100
 _ROUNDING = 1e-14  # of an affine form's terms
 
 
@@ -28,7 +29,7 @@ class Domain:
         """Keep the limits.
 
         Raises:
-            ValueError: a limit is NaN, low is not below high, or the shapes differ.
+            ValueError: a limit is NaN, low is not below high, a finite side is too wide, or the shapes differ.
         """
         self.low: FloatArray = read_only(np.array(low, dtype=np.float64))
         self.high: FloatArray = read_only(np.array(high, dtype=np.float64))
@@ -44,6 +45,13 @@ class Domain:
                 "a domain needs an inside"
             )
         finite = np.isfinite(self.low) & np.isfinite(self.high)
+        wide = np.flatnonzero(finite & (np.abs(self.low) + np.abs(self.high) > _WIDEST))
+        if wide.size:
+            i = int(wide[0])
+            raise ValueError(
+                f"input {i} has the limits {self.low[i]:g} and {self.high[i]:g}, wider than {_WIDEST:g}; "
+                "leave such a side open: -inf, inf"
+            )
         with np.errstate(invalid="ignore"):
             self._scale = np.where(finite, (self.high - self.low) / 2, 1.0)
             self._middle = np.where(finite, self.low + self._scale, 0.0)
@@ -148,6 +156,8 @@ def as_domain(domain: Domain | Box | None, n_inputs: int) -> Domain:
     if domain is None:
         return Domain(np.full(n_inputs, -np.inf), np.full(n_inputs, np.inf))
     if not isinstance(domain, Domain):
+        if not isinstance(domain, tuple | list) or len(domain) != 2:
+            raise ValueError(f"the domain is {domain!r}, expected None, a pair (low, high) or an otr.Domain")
         low, high = domain
         shape = (n_inputs,)
         if np.ndim(low) == 0 and np.ndim(high) == 0:

@@ -34,6 +34,7 @@ FREE = -1  # in a basis: the place of a coordinate that no row has fixed yet
 _CAP = -2  # in a basis: the row t <= LARGEST_RADIUS
 _GOOD_SHARE = 0.2  # of the bound on the radius: a point with such a margin is good enough
 _SMALLEST_PIVOT = 1e-9
+_LARGEST_TOLERANCE = 1e-2
 _DRIFT = 1e-9  # of multipliers
 _FEASIBLE = 1e-11  # what a row may be violated by
 _MAX_PIVOTS = 200  # afterwards HiGHS takes over
@@ -160,7 +161,15 @@ def largest_balls(rows: Rows, group: IntArray, signs: NDArray[np.int8], bases: B
         signs: (n, m) int8: 1, -1, or 0 where a polytope does without the row.
         bases: to start from: `Bases.start`, or those of polytopes that had some of the rows with the same signs.
         tolerance: at least 0.
+
+    Raises:
+        ValueError: the tolerance is negative, no number, or so large that whole regions would be lost.
     """
+    if not 0 <= tolerance <= _LARGEST_TOLERANCE:
+        raise ValueError(
+            f"tolerance is {tolerance}, expected a radius from 0 to {_LARGEST_TOLERANCE}, in the scale where a bounded "
+            "domain reaches from -1 to 1"
+        )
     n, q = bases.rows.shape
     if not signs.shape[1]:  # no rows: any ball
         return Balls(np.zeros(n, dtype=np.bool_), bases.solution[:, :-1], np.full(n, LARGEST_RADIUS), bases, 0)

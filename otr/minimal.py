@@ -62,6 +62,8 @@ def minimal_tree(
         raise ValueError(f"order is {order!r}, expected 'layers', 'balanced' or 'visits'")
     if (X is None) is (order == "visits"):
         raise ValueError("order='visits' needs states X, and no other order does")
+    if not isinstance(network, ReluNetwork):
+        raise TypeError(f"network is a {type(network).__name__}, expected a ReluNetwork; a PatternTree has .network")
     box = as_domain(domain, network.n_inputs)
     network = network.without_dead_neurons()
     regions = find_regions(network, box, tolerance=tolerance, max_regions=max_leaves, max_seconds=max_seconds)

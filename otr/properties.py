@@ -49,9 +49,9 @@ def output_range(tree: ObliqueTree, box: Box | Domain, *, tolerance: float = 1e-
         ValueError: the box is unbounded, the head multiplies outputs, or the tree has labels (then `reachable_labels`
             tells).
     """
+    _require_known_head(tree)
     if tree.labels is not None:
         raise ValueError("the tree answers with labels, which have no range; use reachable_labels(tree, box)")
-    _require_known_head(tree)
     domain = _bounded(tree, box)
     leaves, rows, signs = _reached(tree, domain, tolerance)
     n, o = len(leaves), tree.n_outputs
@@ -60,7 +60,8 @@ def output_range(tree: ObliqueTree, box: Box | Domain, *, tolerance: float = 1e-
     best = largest_values(rows, np.repeat(np.arange(n), 2 * o), np.repeat(signs, 2 * o, axis=0), objectives)
     values = best.values.reshape(n, 2 * o)
     at = values.argmax(axis=0)
-    states = domain.unscaled(best.states).reshape(n, 2 * o, -1)[at, np.arange(2 * o)]
+    states = np.clip(domain.unscaled(best.states), domain.low, domain.high)
+    states = states.reshape(n, 2 * o, -1)[at, np.arange(2 * o)]
     low, high = (np.asarray(tree.head(y)) for y in (-values.max(axis=0)[:o], values.max(axis=0)[o:]))
     return OutputRange(low, high, states[:o], states[o:])
 
@@ -116,6 +117,8 @@ def check_verdict(verdict: Verdict, tree: ObliqueTree, condition: Condition, box
 
 
 def _require_known_head(tree: ObliqueTree) -> None:
+    if not isinstance(tree, ObliqueTree):
+        raise TypeError(f"tree is a {type(tree).__name__}, expected an ObliqueTree; otr.map_network makes one")
     if not tree.head.acts_by_output:
         raise ValueError(
             f"the head {type(tree.head).__name__} multiplies outputs, which no linear program bounds; "

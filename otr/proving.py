@@ -16,7 +16,7 @@ from otr.linear_programs import Balls, Bases, Rows, largest_balls
 from otr.network import ReluNetwork
 from otr.regions import leaf_paths, leaf_rows
 from otr.tree import ObliqueTree
-from otr.verification import verify
+from otr.verification import LARGEST_TOLERANCE, verify
 
 __all__ = ["certify"]
 
@@ -52,6 +52,12 @@ def certify(
         TreeTooLargeError: a limit was met.
         ValueError: the domain or the tree does not fit the network.
     """
+    if not isinstance(tree, ObliqueTree) or not isinstance(network, ReluNetwork):
+        raise TypeError(
+            f"certify takes an ObliqueTree and its ReluNetwork, got {type(tree).__name__} and {type(network).__name__}"
+        )
+    if not 0 <= tolerance <= LARGEST_TOLERANCE:
+        raise ValueError(f"tolerance is {tolerance}, expected a radius from 0 to {LARGEST_TOLERANCE}")
     box = as_domain(domain, network.n_inputs)
     _check_fit(tree, network)
     walk = Walk(network, box, tolerance, max_regions, max_seconds)
@@ -68,7 +74,13 @@ def certify(
         n_programs += n_solved
     cells.sort(key=lambda cell: (cell.leaf, cell.outcomes))
     draft = Certificate(box, tolerance, exact, max_error, tree.n_leaves, n_programs, tuple(cells), tuple(empty))
-    return replace(draft, max_error=verify(draft, tree, network))
+    try:
+        return replace(draft, max_error=verify(draft, tree, network))
+    except CertificateError as error:
+        raise CertificateError(
+            f"{error}\nthe two may well be the same function, but no proof to {max_error:g} was found; a smaller "
+            "tolerance, a larger max_error or a smaller box may do"
+        ) from error
 
 
 def _check_fit(tree: ObliqueTree, network: ReluNetwork) -> None:

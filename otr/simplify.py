@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from otr import shorter
 from otr.arrays import FloatArray, as_batch
 from otr.difference import largest_difference
-from otr.domain import Box, Domain
+from otr.domain import Box, Domain, as_domain
 from otr.minimal import merge_equal_leaves
 from otr.refit import rounded
 from otr.shorter import n_numbers
@@ -60,11 +60,18 @@ def simplify(
         digits: significant digits to try, from the fewest.
 
     Raises:
-        ValueError: X is empty or of the wrong shape.
+        TypeError: `tree` is no ObliqueTree.
+        ValueError: X is empty, not finite or of the wrong shape; or a number of digits is below 1.
     """
-    states = as_batch(X, tree.n_inputs)
-    if not len(states):
-        raise ValueError("X holds no states; simplify needs those that the policy visits")
+    if not isinstance(tree, ObliqueTree):
+        raise TypeError(f"tree is a {type(tree).__name__}, expected an ObliqueTree; otr.map_network makes one")
+    states, digits = as_batch(X, tree.n_inputs), tuple(digits)
+    if not len(states) or not np.isfinite(states).all():
+        raise ValueError(
+            "X holds no states, or numbers that are not finite; simplify needs those that the policy visits"
+        )
+    if any(few < 1 for few in digits):
+        raise ValueError(f"digits are {digits}, expected at least 1 each")
     search = _Search(tree, judge, states)
     search.take(shorter.clipped, must_save=False)
     search.take(partial(shorter.constant_leaves, X=states), repeat=True)
@@ -78,7 +85,7 @@ def simplify(
     search.tree = shorter.with_unit_tests(search.tree)
     for node in range(search.tree.n_nodes):
         search.take(partial(shorter.turned, node=node), must_save=False)
-    search.round_numbers(tuple(digits))
+    search.round_numbers(digits)
     simpler = shorter.without_idle_head(merge_equal_leaves(search.tree))
     return Simplification(simpler, n_numbers(tree), n_numbers(simpler), search.n_tried, search.n_kept)
 
@@ -87,7 +94,13 @@ def within(tree: ObliqueTree, box: Box | Domain, bound: float) -> Judge:
     """Return the judge that allows no action to change by more than `bound` anywhere in a box.
 
     The bound is `otr.difference.largest_difference`: proved, and a little larger than the change itself under tanh.
+
+    Raises:
+        ValueError: the box is unbounded or does not fit the tree, or the bound is negative or no number.
     """
+    if not 0 <= bound < np.inf:
+        raise ValueError(f"bound is {bound}, expected a number of at least 0")
+    as_domain(box, tree.n_inputs).require_bounded()
     return lambda candidate: largest_difference(tree, candidate, box) <= bound
 
 

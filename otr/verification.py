@@ -33,6 +33,8 @@ from otr.tree import ObliqueTree
 __all__ = ["verify"]
 
 Numbers = NDArray[Any]  # of float64, or of Fraction as objects
+LARGEST_TOLERANCE = 1e-6  # of a certificate that is believed
+_LARGEST_MULTIPLIER = 1e100  # so that no sum overflows
 _ROUNDING = 1e-13  # of the size of outputs, where float64 checks what was proved in another order or exactly
 
 
@@ -51,6 +53,10 @@ def verify(certificate: Certificate, tree: ObliqueTree, network: ReluNetwork, *,
     Raises:
         CertificateError: something is not proved; the message names the leaf.
     """
+    given = (certificate, tree, network)
+    if not all(map(isinstance, given, (Certificate, ObliqueTree, ReluNetwork))):
+        names = ", ".join(type(each).__name__ for each in given)
+        raise TypeError(f"verify takes a Certificate, an ObliqueTree and a ReluNetwork, got {names}")
     check = _Check(certificate, tree, network, certificate.exact if exact is None else exact)
     return check.run()
 
@@ -112,6 +118,12 @@ class _Check:
                 f"the tree has {tree.n_inputs} inputs, {tree.n_outputs} outputs and the head {tree.head!r}, the "
                 f"network {network.n_inputs}, {network.n_outputs} and {network.head!r}, the domain {domain.n_inputs} "
                 "inputs"
+            )
+        tolerance, max_error = self.certificate.tolerance, self.certificate.max_error
+        if not (0 <= tolerance <= LARGEST_TOLERANCE and 0 <= max_error < math.inf):
+            raise CertificateError(
+                f"leaf 0: the certificate has the tolerance {tolerance} and the error {max_error}, expected a "
+                f"tolerance of at most {LARGEST_TOLERANCE} and a finite error; what it calls empty may hold anything"
             )
         if tree.n_leaves != self.certificate.n_leaves:
             raise CertificateError(
@@ -230,8 +242,10 @@ class _Check:
         for name, multiplier in zip(terms.rows, terms.multipliers, strict=True):
             if name not in rows:
                 raise CertificateError(f"leaf {leaf}: the row {name!r} does not bound it")
-            if not (multiplier >= 0 and math.isfinite(multiplier)):
-                raise CertificateError(f"leaf {leaf}: the multiplier of {name!r} is {multiplier}, expected at least 0")
+            if not 0 <= multiplier <= _LARGEST_MULTIPLIER:
+                raise CertificateError(
+                    f"leaf {leaf}: the multiplier of {name!r} is {multiplier}, expected 0 to {_LARGEST_MULTIPLIER:g}"
+                )
 
     def _sum(self, terms: Sum, rows: dict[str, Numbers]) -> Numbers:
         """Return a sum of rows as an affine form."""
@@ -244,15 +258,14 @@ class _Check:
         """Check that a leaf's region holds no ball of a radius above the tolerance."""
         rows = self.sides | self._path_rows(leaf.leaf)
         self._check_sum(leaf.leaf, leaf.proof, rows)
-        total = self._sum(leaf.proof, rows)
-        lengths = [self.certificate.domain.length(np.asarray(rows[name], dtype=float)) for name in leaf.proof.rows]
-        weight = sum(m * length for m, length in zip(leaf.proof.multipliers, lengths, strict=True))
+        proof = _of_largest_one(leaf.proof)
+        total = self._sum(proof, rows)
+        lengths = [self.certificate.domain.length(np.asarray(rows[name], dtype=float)) for name in proof.rows]
+        weight = sum(m * length for m, length in zip(proof.multipliers, lengths, strict=True))
         highest = float(self.bounds.highest(total))
-        radius = highest / weight if weight > 0 else math.inf
+        radius = highest / weight if 0 < weight < math.inf else math.inf
         # On a path to the right a test is above 0, so that a sum with it is, too.
-        used = {
-            name for name, multiplier in zip(leaf.proof.rows, leaf.proof.multipliers, strict=True) if multiplier > 0
-        }
+        used = {name for name, multiplier in zip(proof.rows, proof.multipliers, strict=True) if multiplier > 0}
         is_strict = any(f"test {node}" in used for node in self._nodes_to_the_right(leaf.leaf))
         no_state = highest < 0 or (highest == 0 and is_strict)
         if not (no_state or radius <= self.certificate.tolerance * (1 + 1e-6) + 1e-12):
@@ -274,6 +287,14 @@ class _Check:
     @cached_property
     def _paths(self) -> LeafPaths:
         return leaf_paths(self.tree)
+
+
+def _of_largest_one(terms: Sum) -> Sum:
+    """Return a sum scaled so that its largest multiplier is 1: it says the same, and its numbers do not overflow."""
+    largest = max(terms.multipliers, default=0.0)
+    if largest == 0:
+        return terms
+    return Sum(terms.rows, tuple(multiplier / largest for multiplier in terms.multipliers))
 
 
 class _Bounds:

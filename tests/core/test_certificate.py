@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import otr
-from otr.certificate import Cell, Certificate, Sum
+from otr.certificate import Cell, Certificate, EmptyLeaf, Sum
 from tests.core.strategies import Case, cases, make_network, worked_network
 
 BOX = (-2.0, 2.0)
@@ -271,3 +271,48 @@ def test_files_that_are_no_certificates(tmp_path: Path) -> None:
     path.write_text(json.dumps(description))
     with pytest.raises(otr.ArtefactError, match="outcomes"):
         otr.load_certificate(path)
+
+
+def test_forgeries_by_tolerance_or_overflow_are_refused() -> None:
+    network = network_of(2)
+    tree = otr.minimal_tree(network, BOX)
+    true = otr.certify(tree, network, BOX)
+    all_empty = tuple(EmptyLeaf(leaf, Sum(("low 0", "high 0"), (1.0, 1.0))) for leaf in range(tree.n_leaves))
+    for tolerance in (1e9, np.inf, np.nan, -1.0):
+        with pytest.raises(otr.CertificateError, match="expected a tolerance of at most"):
+            otr.verify(replace(true, tolerance=tolerance, cells=(), empty=all_empty), tree, network)
+    huge = tuple(EmptyLeaf(leaf, Sum(("low 0", "high 0"), (1e308, 1e308))) for leaf in range(tree.n_leaves))
+    for exact in (False, True):
+        with pytest.raises(otr.CertificateError, match=r"^leaf 0: the multiplier of 'low 0' is 1e\+308"):
+            otr.verify(replace(true, cells=(), empty=huge), tree, network, exact=exact)
+        with pytest.raises(otr.CertificateError, match=r"^leaf 0: it is said to be empty"):
+            otr.verify(replace(true, cells=(), empty=all_empty), tree, network, exact=exact)
+        with pytest.raises(otr.CertificateError, match="a finite error"):
+            otr.verify(replace(true, max_error=np.inf), tree, network, exact=exact)
+        cell = next(cell for cell in true.cells if any(proof.rows for proof in cell.proofs))
+        overflowing = tuple(Sum(proof.rows, tuple(1e308 for _ in proof.rows)) for proof in cell.proofs)
+        others = tuple(other for other in true.cells if other is not cell)
+        with pytest.raises(otr.CertificateError, match=rf"^leaf {cell.leaf}:"):
+            otr.verify(replace(true, cells=(*others, replace(cell, proofs=overflowing))), tree, network, exact=exact)
+
+
+def test_wrong_types_and_numbers_are_told() -> None:
+    network = network_of(2)
+    tree = otr.minimal_tree(network, BOX)
+    with pytest.raises(TypeError, match="certify takes an ObliqueTree and its ReluNetwork, got ReluNetwork"):
+        otr.certify(network, tree, BOX)
+    with pytest.raises(TypeError, match="got dict, ObliqueTree, ReluNetwork"):
+        otr.verify({}, tree, network)
+    with pytest.raises(TypeError, match="network is a ObliqueTree"):
+        otr.minimal_tree(tree)
+    for tolerance in (np.nan, -1.0, 10.0):
+        with pytest.raises(ValueError, match="tolerance is"):
+            otr.minimal_tree(network, BOX, tolerance=tolerance)
+        with pytest.raises(ValueError, match="tolerance is"):
+            otr.certify(tree, network, BOX, tolerance=tolerance)
+    with pytest.raises(ValueError, match="wider than"):
+        otr.minimal_tree(network, (-1e308, 1e308))
+    with pytest.raises(ValueError, match="expected None, a pair"):
+        otr.minimal_tree(network, "box")
+    with pytest.raises(otr.ArtefactError, match="cannot be read"):
+        Certificate.from_dict(otr.certify(tree, network, BOX).to_dict() | {"empty": [{"leaf": 0, "proof": "none"}]})

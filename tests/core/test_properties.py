@@ -142,3 +142,12 @@ def test_a_proof_that_was_tampered_with_is_refused(head: str) -> None:
             check_verdict(lie, tree, condition, BOX)
     with pytest.raises(otr.CertificateError, match=r"^leaf \d+:"):
         check_verdict(verdict, tree, replace(condition, bound=verdict.value - 0.05), BOX)
+
+
+@pytest.mark.parametrize("changes", [{"action": [np.nan]}, {"bound": np.nan}, {"state": [np.inf]}])
+def test_conditions_that_are_no_numbers_are_refused(changes: dict) -> None:
+    tree = otr.map_network(make_network(np.random.default_rng(0), (2,), n_inputs=1))
+    with pytest.raises(ValueError, match="no finite number"):
+        otr.find_violation(tree, replace(Condition([0.0], [1.0], 2.0), **changes), BOX)
+    with pytest.raises(TypeError, match="expected an ObliqueTree"):
+        otr.output_range(make_network(np.random.default_rng(0), (2,)), BOX)

@@ -111,3 +111,19 @@ def test_states_are_needed() -> None:
     tree = otr.map_network(make_network(np.random.default_rng(1), (2,), n_inputs=2))
     with pytest.raises(ValueError, match="holds no states"):
         otr.simplify(tree, lambda candidate: True, np.zeros((0, 2)))
+
+
+def test_bad_requests_are_told() -> None:
+    network = make_network(np.random.default_rng(1), (2,), n_inputs=2)
+    tree = otr.map_network(network)
+    with pytest.raises(TypeError, match="expected an ObliqueTree"):
+        otr.simplify(network, lambda candidate: True, states(2))
+    with pytest.raises(ValueError, match="digits are"):
+        otr.simplify(tree, lambda candidate: True, states(2), digits=(0,))
+    with pytest.raises(ValueError, match="not finite"):
+        otr.simplify(tree, lambda candidate: True, np.full((3, 2), np.nan))
+    for bound in (-0.1, np.nan):
+        with pytest.raises(ValueError, match="bound is"):
+            otr.within(tree, BOX, bound)
+    with pytest.raises(ValueError, match="expected a bounded box"):
+        otr.within(tree, None, 0.1)

@@ -45,7 +45,7 @@ class Domain:
                 "a domain needs an inside"
             )
         finite = np.isfinite(self.low) & np.isfinite(self.high)
-        wide = np.flatnonzero(finite & (np.abs(self.low) + np.abs(self.high) > _WIDEST))
+        wide = np.flatnonzero(finite & (np.maximum(np.abs(self.low), np.abs(self.high)) > _WIDEST))
         if wide.size:
             i = int(wide[0])
             raise ValueError(

@@ -34,8 +34,9 @@ def certify_settings(config: RunConfig) -> dict[str, Any]:
 def certify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     """Write the minimal tree, its `program.txt`, `certificate.json` and `report.json`.
 
-    The domain is the environment's box of states where that is bounded, else the box around the states of the pruning
-    episodes and 5 % more on either side. A tree that would be too large, or take too long, is told in the report.
+    The domain is the box of states that the environment declares (gymnasium's observation space, which not every
+    environment keeps to) where that is bounded, else the box around the states of the pruning episodes and 5 % more on
+    either side. A tree that would be too large, or take too long, is told in the report.
     """
     network = load_actor(inputs["train"])
     domain, whence = _domain(inputs, config)
@@ -81,7 +82,7 @@ def _domain(inputs: Mapping[str, Path], config: RunConfig) -> tuple[otr.Domain, 
     """Return the box on which the tree is proved, and what it is."""
     limits = state_limits(config.env)
     if limits is not None:
-        return otr.Domain(*limits), "all states of the environment"
+        return otr.Domain(*limits), "the environment's box of states"
     tree: Any = otr.load(inputs["map"] / "tree")
     seeds = episode_seeds(config.seed, "prune", config.prune.n_episodes)
     states = rollout(tree.predict, config.env, seeds, keep_states=True, n_workers=config.n_workers).states

@@ -352,7 +352,8 @@ def _verify(arguments: argparse.Namespace) -> int:
     """Check a run's certificate."""
     cfg = to_object(VERIFY.compose([_path_quoted(word) for word in arguments.overrides]))
     assert isinstance(cfg, VerifyConfig)
-    print(verify_run(cfg, find_run(cfg.run, cfg.results_dir)))
+    folder = find_run(cfg.run, cfg.results_dir)
+    print(verify_run(cfg, _load_config(folder, None), folder))
     return 0
 
 

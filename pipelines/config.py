@@ -574,6 +574,10 @@ def _check_stages(stages: list[str] | None, method: str) -> None:
 
 def _check_method(config: RunConfig) -> None:
     """Refuse an oracle that is no network, and choices that a method does not have."""
+    if not 0 <= config.simplification.return_loss < 1:
+        raise ConfigError(
+            f"simplification.return_loss={config.simplification.return_loss}: give a share from 0 to below 1"
+        )
     if config.certify and not is_mapped(config.method.name):
         raise ConfigError(
             f"certify=true: a tree of method={config.method.name} stands for no network that it could be proved equal "

@@ -129,7 +129,8 @@ def _run_stages(job: RunJob) -> dict[str, Any] | None:
     summary = summarise(job)
     write_json(run_dir / "summary.json", summary)
     (run_dir / "error.log").unlink(missing_ok=True)
-    show_result(summary, run_dir)
+    unasked = {extra for extra in EXTRAS if extra not in config.selected_stages}
+    show_result({key: value for key, value in summary.items() if key not in unasked}, run_dir)
     open_tracker(config).finish(summary, run_dir)
     return summary
 

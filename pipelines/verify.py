@@ -4,7 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import otr
-from pipelines.errors import MissingInputError
+from pipelines.config import RunConfig
+from pipelines.envs import state_limits
+from pipelines.errors import MissingInputError, PipelineError
 from pipelines.store import load_actor
 
 
@@ -21,11 +23,12 @@ class VerifyConfig:
     debug: bool
 
 
-def verify_run(config: VerifyConfig, folder: Path) -> str:
+def verify_run(config: VerifyConfig, run: RunConfig, folder: Path) -> str:
     """Check a run's certificate against its tree and its actor, and return what it proves, in words.
 
     Raises:
         MissingInputError: the run has no certificate; names the word that makes one.
+        PipelineError: the certificate's domain is smaller than the environment's box of states.
         otr.OtrError: the certificate, the tree or the actor was tampered with; names the leaf.
     """
     path = Path(config.certificate or folder / "certify" / "certificate.json")
@@ -35,14 +38,27 @@ def verify_run(config: VerifyConfig, folder: Path) -> str:
             "nothing is trained anew. A tree that was too large for one says so in certify/report.json."
         )
     certificate = otr.load_certificate(path)
+    limits, domain = state_limits(run.env), certificate.domain
+    if limits and not ((domain.low <= limits[0]).all() and (domain.high >= limits[1]).all()):
+        raise PipelineError(
+            f"{path} is of the box {_box(domain)}, which is smaller than the environment's, "
+            f"{_box(otr.Domain(*limits))}: it was changed, or is of another environment"
+        )
     tree = otr.load(config.tree or folder / "certify" / "tree")
     if not isinstance(tree, otr.ObliqueTree):
         raise otr.CertificateError(f"{config.tree} holds a {type(tree).__name__}, certificates are of an ObliqueTree")
     network = load_actor(Path(config.actor or folder / "train"))
     bound = otr.verify(certificate, tree, network, exact=config.exact)
     exact = certificate.exact if config.exact is None else config.exact
+    whose = "the environment's box of states" if limits else "the box of the certificate"
     return (
-        f"verified: {certificate.n_leaves:,} leaves, {certificate.n_regions:,} regions of the network; on the whole "
-        f"domain tree and network differ by at most {bound:.3g} "
+        f"verified: {certificate.n_leaves:,} leaves, {certificate.n_regions:,} regions of the network; on {whose}, "
+        f"{_box(domain)}, tree and network differ by at most {bound:.3g} "
         f"({'in rational arithmetic' if exact else 'in float64'})"
     )
+
+
+def _box(domain: otr.Domain) -> str:
+    """Return a box as people read it."""
+    sides = zip(domain.low.tolist(), domain.high.tolist(), strict=True)
+    return " x ".join(f"[{low:.4g}, {high:.4g}]" for low, high in sides)

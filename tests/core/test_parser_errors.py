@@ -171,3 +171,10 @@ def test_too_many_paths() -> None:
 def test_names_that_no_program_could_use(features: list[str], outputs: list[str] | None, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         otr.parse_program("return 1", features, output_names=outputs)
+
+
+def test_a_program_without_an_answer_is_told_the_names_of_the_outputs() -> None:
+    with pytest.raises(otr.ProgramError, match="or give a value to force"):
+        otr.parse_program("action = 1", ["v"], output_names=["force"])
+    with pytest.raises(otr.ProgramError, match=r"or give values to y0, y1, \.\.\."):
+        otr.parse_program("action = 1", ["v"])

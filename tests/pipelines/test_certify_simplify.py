@@ -39,7 +39,7 @@ def test_a_finished_run_gets_a_certificate_and_nothing_else_is_done_again(comman
     before = {path: path.read_bytes() for path in run.glob("*/*") if path.suffix in (".npz", ".csv", ".json")}
     done = certified(command, results)
     assert "certify: " in done.stdout and "train: done before" in done.stdout
-    assert "the minimal tree, of 29 leaves, is exactly the network on all states of the environment" in done.stdout
+    assert "the minimal tree, of 29 leaves, is exactly the network on the environment's box of states" in done.stdout
     assert all(path.read_bytes() == content for path, content in before.items())
     report = json.loads((run / "certify/report.json").read_text())
     assert (report["certified"], report["exact"], report["n_leaves"]) == (True, True, 29)
@@ -75,6 +75,11 @@ def test_otr_verify_accepts_what_is_true_and_names_the_leaf_of_what_is_not(comma
     (tmp_path / "lie.json").write_text(lines)
     refused = command("verify", word, f"certificate={tmp_path / 'lie.json'}")
     assert refused.returncode == 1 and "leaf 12:" in refused.stderr, refused.stderr
+    lie = json.loads((folder / "certificate.json").read_text())
+    lie["domain"] = {"low": [0.9, 0.09, 0.09], "high": [0.91, 0.1, 0.1]}
+    (tmp_path / "smaller.json").write_text(json.dumps(lie))
+    refused = command("verify", word, f"certificate={tmp_path / 'smaller.json'}")
+    assert refused.returncode == 1 and "smaller than the environment's, [-1, 1] x [-1, 1] x [-8, 8]" in refused.stderr
     other = results / CAR_RUN / "train"
     refused = command("verify", word, f"actor={other}")
     assert refused.returncode == 1 and "the domain 3 inputs" in refused.stderr
@@ -92,7 +97,7 @@ def test_a_run_without_a_certificate_is_told(command, results):
 
 def test_a_tree_that_is_too_large_is_told_and_fails_nothing(command, results):
     done = certified(command, results, "certification.max_leaves=5")
-    assert "no certificate on all states of the environment: the limit of 5 regions was met" in done.stdout
+    assert "no certificate on the environment's box of states: the limit of 5 regions was met" in done.stdout
     report = json.loads(next(results.glob("runs/pendulum/otr/depth-6/quick/seed-0~*/certify/report.json")).read_text())
     assert report["certified"] is False
 
@@ -152,7 +157,7 @@ def test_pid_policies_are_proved_exported_and_simplified_in_the_form_that_fits(c
     assert report["certified"] and report["n_leaves"] == 2 and len(report["low"]) == 12
     assert command("verify", f"run={tmp_path / run}").returncode == 0
     refused = command("export", f"run={tmp_path / run}", "format=c")
-    assert refused.returncode == 2 and "multiplies terms and gains" in refused.stderr
+    assert refused.returncode == 2 and "add tree=constant_gains" in refused.stderr
     written = command("export", f"run={tmp_path / run}", "format=c", "tree=constant_gains")
     assert written.returncode == 0 and "P_cos_angle" in written.stdout
     other = command("export", f"run={RESULTS / PENDULUM_RUN}", "format=c", "tree=constant_gains")

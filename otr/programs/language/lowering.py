@@ -85,7 +85,7 @@ class _Lowering:
         if not names or len(missing) == len(names):
             raise self._source.error(
                 "some ways through the program pass this and come to its end without an answer; "
-                "add an 'else', or a 'return' at the end",
+                f"add an 'else', or a 'return' at the end{self._outputs_hint()}",
                 path.at,
             )
         if missing:
@@ -93,6 +93,14 @@ class _Lowering:
                 f"ways through the program that pass this give no value to the output {missing[0]!r}", path.at
             )
         self._answer(path, [path.values[name] for name in names], path.at)
+
+    def _outputs_hint(self) -> str:
+        """Return which names a program may give values to, as the end of a message."""
+        if self._answers_labels:
+            return ""
+        if self._output_names is None:
+            return ", or give values to y0, y1, ..."
+        return f", or give a value to {' and '.join(self._output_names)}"
 
     def _do(self, statement: Statement, path: Path) -> list[Path]:
         path.at = statement.at

@@ -75,10 +75,11 @@ def _show_simplified(console: Console, report: dict[str, Any], run_dir: Path) ->
     )
     same, apart = 100 * report["fidelity"], report["mean_difference"]
     within = f", to {100 * report['fidelity_tolerance']:.0f} % of its range," if report["fidelity_tolerance"] else ""
+    leaves = f"{_count(report['n_leaves_before'], 'leaf')} to {report['n_leaves']}"
     console.print(
-        f"simplified: {report['n_numbers_before']} numbers to {report['n_numbers']}, "
-        f"{_count(report['n_leaves_before'], 'leaf')} to {report['n_leaves']}; over {report['n_episodes']} other episodes {before} before and {after} "
-        f"after; the same action{within} in {same:.1f} % of the states, {apart:.2g} apart on average",
+        f"simplified: {report['n_numbers_before']} numbers to {report['n_numbers']}, {leaves}; over "
+        f"{report['n_episodes']} other episodes {before} before and {after} after; the same action{within} in "
+        f"{same:.1f} % of the states, {apart:.2g} apart on average",
         markup=False,
     )
 

@@ -1,5 +1,6 @@
 """Slower checks of what people take away: committed policies play again as recorded, the wheel works on its own."""
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -11,12 +12,19 @@ pytestmark = pytest.mark.slow
 
 
 def test_committed_policies_play_the_recorded_episodes(tmp_path):
+    """Of every method the first seeds on the pendulum and the car; `make reproduce-table EVALUATE=1` plays all."""
+    runs = ROOT / "results" / "runs"
+    for env in ("pendulum", "mountaincar"):
+        for run in runs.glob(f"{env}/*/depth-*/quick/seed-0"):
+            shutil.copytree(run, tmp_path / "runs" / run.relative_to(runs))
     program = Path(sys.executable).with_name("otr-tabulate")
-    command = [str(program), "table=4.1", "evaluate=true", f"results_dir={ROOT / 'results'}"]
+    command = [str(program), "table=4.1", "evaluate=true", f"results_dir={tmp_path}"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=1200)
-    n_runs = len(list((ROOT / "results" / "runs").glob("**/summary.json")))
+    recorded = [
+        path for run in tmp_path.glob("runs/*/*/*/*/*/summary.json") for path in run.parent.glob("evaluate/*.csv")
+    ]
     assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.count("100 episodes played again, as recorded") == 3 * n_runs
+    assert done.stdout.count("episodes played again, as recorded") == len(recorded) > 30
 
 
 def test_wheel_brings_its_configuration(tmp_path):

@@ -30,8 +30,8 @@ run: .venv/.installed  ## train, map, prune and evaluate a depth-6 policy for Pe
 test: .venv/.installed  ## the tests (under 8 minutes on 2 cores)
 	$(BIN)/python -m pytest -n 2 $(ARGS)
 
-test-all: .venv/.installed-all  ## the tests and the slow ones
-	$(BIN)/python -m pytest -n 2 -m "slow or not slow" $(ARGS)
+test-all: .venv/.installed-all  ## the tests, with more random examples, and the slow ones
+	$(BIN)/python -m pytest -n 2 -m "slow or not slow" --hypothesis-profile=thorough $(ARGS)
 
 lint: .venv/.installed  ## ruff, mypy and the direction of imports
 	$(BIN)/ruff check .

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from otr.arrays import BoolArray, FloatArray, IntArray
 from otr.domain import Domain
 from otr.errors import TreeTooLargeError
-from otr.linear_programs import Bases, Rows, largest_balls
+from otr.linear_programs import Bases, Rows, largest_balls, rounding_at
 from otr.network import ReluNetwork
 
 __all__ = ["Block", "Regions", "Walk", "find_regions"]
@@ -200,7 +200,8 @@ class Walk:
         values = np.einsum("nd,nd->n", block.centres, rows.a[of_group, test]) + rows.b[of_group, test]
         near = values > 0
         constant = self.domain.reach(rows.a[of_group, test]) < np.abs(rows.b[of_group, test])
-        is_clear = constant | (np.abs(values) > np.maximum(self.tolerance, _CLEAR_SHARE * block.radii))
+        unclear = np.maximum(_CLEAR_SHARE * block.radii, rounding_at(block.centres))
+        is_clear = constant | (np.abs(values) > np.maximum(self.tolerance, unclear))
         asked = np.concatenate((np.flatnonzero(~constant), np.flatnonzero(~is_clear)))
         right = np.concatenate((~near[~constant], near[~is_clear]))
         signs = block.signs[asked, : test + 1]

@@ -27,12 +27,23 @@ from scipy.optimize import linprog
 from otr.arrays import BoolArray, FloatArray, IntArray
 from otr.errors import OtrError
 
-__all__ = ["FREE", "LARGEST_RADIUS", "Balls", "Bases", "LargestValues", "Rows", "largest_balls", "largest_values"]
+__all__ = [
+    "FREE",
+    "LARGEST_RADIUS",
+    "Balls",
+    "Bases",
+    "LargestValues",
+    "Rows",
+    "largest_balls",
+    "largest_values",
+    "rounding_at",
+]
 
 LARGEST_RADIUS = 1.0  # of a ball, so that unbounded polytopes have one
 FREE = -1  # in a basis: the place of a coordinate that no row has fixed yet
 _CAP = -2  # in a basis: the row t <= LARGEST_RADIUS
 _GOOD_SHARE = 0.2  # of the bound on the radius: a point with such a margin is good enough
+_ROUNDING = 1e-13  # of a row's value, beside the size of the state
 _SMALLEST_PIVOT = 1e-9
 _LARGEST_TOLERANCE = 1e-2
 _DRIFT = 1e-9  # of multipliers
@@ -206,7 +217,8 @@ def _pivot_until_decided(rows: Rows, group: IntArray, signs: NDArray[np.int8], b
         margin = margins[np.arange(len(margins)), tightest]
         radius = bases.solution[:, d]
         empty = radius <= tolerance
-        decided = empty | (margin > np.maximum(tolerance, _GOOD_SHARE * radius))
+        enough = np.maximum(tolerance, _GOOD_SHARE * radius)
+        decided = empty | (margin > np.maximum(enough, rounding_at(bases.solution[:, :d])))
         if decided.any():
             these, left = problems[decided], np.flatnonzero(~decided)
             is_empty[these], centres[these] = empty[decided], bases.solution[decided, :d]
@@ -226,6 +238,12 @@ def _pivot_until_decided(rows: Rows, group: IntArray, signs: NDArray[np.int8], b
         is_empty[problem], centres[problem], radii[problem] = ball[:3]
         done.put(np.array([problem]), ball[3])
     return Balls(is_empty, centres, radii, done, len(alone))
+
+
+def rounding_at(X: FloatArray) -> FloatArray:
+    """Return up to where the value of a row at each state (n, d) may be rounding alone: (n,)."""
+    rounding: FloatArray = _ROUNDING * np.abs(X).max(axis=1, initial=0.0)
+    return rounding
 
 
 def _drifted(rows: Rows, group: IntArray, signs: NDArray[np.int8], is_empty: BoolArray, bases: Bases) -> IntArray:

@@ -71,7 +71,7 @@ def test_path_probabilities_of_a_small_tree():
 
 
 @given(seed=st.integers(0, 2**31), depth=st.integers(0, 5), affine=st.booleans(), beta=st.sampled_from([0.5, 1, 8]))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_the_output_is_the_mean_over_paths(seed, depth, affine, beta):
     tree = soft_tree(seed, depth, affine)
     tree.set_beta(beta)
@@ -81,7 +81,7 @@ def test_the_output_is_the_mean_over_paths(seed, depth, affine, beta):
 
 
 @given(seed=st.integers(0, 2**31), depth=st.integers(0, 5), affine=st.booleans())
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_the_hard_tree_is_the_limit(seed, depth, affine):
     tree = soft_tree(seed, depth, affine)
     hard = tree.harden()

@@ -31,7 +31,7 @@ def changed(tree: otr.ObliqueTree, **arrays: np.ndarray) -> otr.ObliqueTree:
     return otr.ObliqueTree(*parts.values(), labels=labels, head=tree.head)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(cases(max_layers=3), st.booleans(), st.booleans(), st.sampled_from(("layers", "balanced")))
 def test_minimal_trees_are_certified(case: Case, in_box: bool, exact: bool, order: str) -> None:
     domain = BOX if in_box else None
@@ -43,7 +43,7 @@ def test_minimal_trees_are_certified(case: Case, in_box: bool, exact: bool, orde
     assert otr.verify(certificate, tree, case.network) <= certificate.max_error
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(cases(max_layers=2), st.booleans())
 def test_full_trees_are_certified_empty_leaves_and_all(case: Case, in_box: bool) -> None:
     domain = BOX if in_box else None

@@ -35,6 +35,18 @@ def assert_same_function(tree: otr.ObliqueTree, network: otr.ReluNetwork, X: np.
         np.testing.assert_allclose(answers, expected, rtol=1e-7, atol=1e-7)
 
 
+def assert_same_patterns(network: otr.ReluNetwork, X: np.ndarray, patterns: np.ndarray) -> None:
+    """The network has the patterns at X, but for neurons whose pre-activation there is zero to within rounding.
+
+    Such is a neuron that is zero throughout a region: with weights of one digit, some are.
+    """
+    forms = network.unit_form().forms(patterns, network.negative_slope)[:, : network.n_hidden]
+    values = np.einsum("nud,nd->nu", forms, np.column_stack((X, np.ones(len(X)))))
+    clear = np.abs(values) > 1e-12
+    np.testing.assert_array_equal(values[clear] > 0, patterns[clear])
+    np.testing.assert_array_equal(network.patterns(X)[clear], patterns[clear])
+
+
 def patterns_by_brute_force(network: otr.ReluNetwork, domain: Domain) -> set[bytes]:
     """The paths of the full tree whose region HiGHS finds to have an inside, one by one."""
     tree = otr.map_network(network)
@@ -103,10 +115,27 @@ def test_computes_the_same_function(case: Case, order: str, in_box: bool) -> Non
     regions = find_regions(network, as_domain(domain, network.n_inputs))
     assert tree.n_leaves <= len(regions.patterns)
     inner = regions.inner_points
-    clear = regions.patterns[:, : network.n_hidden]
-    np.testing.assert_array_equal(network.patterns(inner), clear)
+    assert_same_patterns(network, inner, regions.patterns[:, : network.n_hidden])
     assert_same_function(tree, network, np.concatenate((X, inner)))
     assert len(np.unique(tree.apply(inner))) == tree.n_leaves
+
+
+def test_a_neuron_that_is_zero_throughout_a_region_is_inactive_there() -> None:
+    """(2 - x) + .5 (2x - 2) - 1 is 0 for -1 < x < 1, but not when computed at x = -.7."""
+    network = otr.ReluNetwork([[[-1], [2]], [[1, 1], [1, 0]], [[1, 1]]], [[2, -2], [-1, -2.5], [0]], negative_slope=0.5)
+    assert network.patterns([[-0.7], [-0.75]]).tolist() == [[True, False, True, True], [True, False, False, True]]
+    regions = find_regions(network, as_domain((-1.0, 1.0), 1))
+    assert len(regions.patterns) == 2
+    assert not regions.patterns[:, 2].any()
+    assert_same_function(otr.minimal_tree(network, (-1.0, 1.0)), network, np.linspace(-1.0, 1.0, 101)[:, None])
+
+
+def test_no_region_is_found_where_rounding_hides_every_margin() -> None:
+    """Four neurons of two layers hang on two: a vertex of almost parallel ones is 1e21 away."""
+    network = make_network(np.random.default_rng(112), (3, 3, 2, 2), negative_slope=0.01, head="sign")
+    regions = find_regions(network, as_domain(None, 3))
+    assert len(regions.patterns) == 225
+    assert_same_patterns(network, regions.inner_points, regions.patterns[:, :10])
 
 
 def test_every_leaf_is_reached_at_an_inner_point() -> None:

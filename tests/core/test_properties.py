@@ -20,7 +20,7 @@ def grid(n_inputs: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).uniform(*BOX, (4000, n_inputs))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(cases(heads=("identity", "clip_box", "tanh_box"), max_layers=3))
 def test_no_state_is_outside_the_range_and_its_ends_are_taken(case) -> None:
     network = case.network
@@ -57,7 +57,7 @@ def test_labels_that_a_box_can_bring() -> None:
         otr.reachable_labels(otr.map_network(otr.ReluNetwork([[[1.0]]], [[0.0]])))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(cases(max_layers=2), st.integers(0, 2**32 - 1), st.floats(-2.0, 2.0, allow_subnormal=False))
 def test_a_verdict_agrees_with_every_state(case, seed: int, slack: float) -> None:
     network, rng = case.network, np.random.default_rng(seed)

@@ -12,7 +12,7 @@ from tests.core.strategies import Case, cases
 BOX = (-2.0, 2.0)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(cases(max_layers=2))
 def test_a_region_holds_the_states_that_take_its_path(case: Case) -> None:
     tree = otr.map_network(case.network)
@@ -30,7 +30,7 @@ def test_a_region_holds_the_states_that_take_its_path(case: Case) -> None:
             np.testing.assert_array_equal(inside[clear], (leaves == leaf)[clear])
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(cases(max_layers=2))
 def test_inner_points_and_bounds(case: Case) -> None:
     tree = otr.map_network(case.network)

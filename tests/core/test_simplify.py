@@ -17,7 +17,7 @@ def states(n_inputs: int, n: int = 2000, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).uniform(*BOX, (n, n_inputs))
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(cases(heads=("identity", "clip_box", "tanh_box"), max_layers=2), st.integers(0, 2**32 - 1))
 def test_no_two_actions_are_further_apart_than_the_bound(case, seed: int) -> None:
     network, rng = case.network, np.random.default_rng(seed)
@@ -58,7 +58,7 @@ def test_labels_differ_somewhere_or_nowhere() -> None:
         largest_difference(tree, otr.map_network(make_network(np.random.default_rng(0), (2,), n_inputs=1)), BOX)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     st.integers(0, 2**32 - 1),
     st.sampled_from(("identity", "clip_box", "tanh_box")),

@@ -3,10 +3,6 @@
 import numpy as np
 import pytest
 import torch
-from hypothesis import settings
-
-settings.register_profile("learners", deadline=None)  # a slow machine is no failure
-settings.load_profile("learners")
 
 
 @pytest.fixture(autouse=True)

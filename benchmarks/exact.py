@@ -5,8 +5,8 @@ general position, so that the tree on all of R^d has sum_{i <= d} C(n, i) leaves
 CPU seconds of one process are counted, affinitree's building of its input apart. Beyond a million leaves neither is
 asked. The certificate of the same tree, and its verification, follow for the sizes that anyone would store.
 
-Targets: 32 neurons and 3 inputs in under 4 s; as many leaves as affinitree; no slower from 16 neurons up, and 3 times
-faster for 32 x 3 and 16 x 8. For 6 and 8 neurons both take milliseconds, of which ours are a fixed price per test.
+Targets: 32 neurons and 3 inputs in under 4 s; as many leaves as affinitree; no slower, and 3 times faster for 32 x 3
+and 16 x 8. With 6 neurons neither takes a millisecond; ours goes to the calls of numpy, and misses by a part of one.
 """
 
 import contextlib
@@ -26,7 +26,7 @@ torch.set_num_threads(1)
 
 NEURONS, INPUTS = (6, 8, 16, 32), (2, 3, 8, 17)
 MAX_LEAVES = 2**20
-ROUNDS = 3
+ROUNDS, ROUNDS_OF_SMALL = 3, 20
 
 
 def measure(quick: bool) -> list[Entry]:
@@ -36,7 +36,7 @@ def measure(quick: bool) -> list[Entry]:
         for d in INPUTS:
             n_leaves = sum(comb(n, i) for i in range(min(n, d) + 1))
             if n_leaves <= (300 if quick else MAX_LEAVES):
-                entries += _minimal(n, d, 1 if quick else ROUNDS)
+                entries += _minimal(n, d, 1 if quick else ROUNDS_OF_SMALL if n_leaves < 300 else ROUNDS)
             elif not quick:
                 entries.append(Entry(f"{n} neurons, {d} inputs: not asked; leaves", n_leaves, "leaves", clock=None))
     for n, d in ((6, 2), (8, 3)) if quick else ((6, 8), (8, 3), (16, 3), (32, 3)):
@@ -76,7 +76,7 @@ def _minimal(n: int, d: int, rounds: int) -> list[Entry]:
         seconds, n_leaves = affinitree_seconds(network)
         theirs.append(seconds)
     what = f"{n} neurons, {d} inputs"
-    target = "ratio <= 0.333" if (n, d) in ((32, 3), (16, 8)) else "ratio <= 1" if n >= 16 else None
+    target = "ratio <= 0.333" if (n, d) in ((32, 3), (16, 8)) else "ratio <= 1"
     seconds = Entry(f"{what}: minimal tree", min(ours), "s", "affinitree 0.23", min(theirs), target)
     leaves = Entry(f"{what}: leaves", tree.n_leaves, "leaves", "affinitree 0.23", n_leaves, "ratio <= 1", clock=None)
     print(f"exact: {what} done", flush=True)

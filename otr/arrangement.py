@@ -19,6 +19,7 @@ from otr.domain import Domain
 from otr.errors import TreeTooLargeError
 from otr.linear_programs import Bases, Rows, largest_balls, rounding_at
 from otr.network import ReluNetwork
+from otr.vertices import regions_at_vertices
 
 __all__ = ["Block", "Regions", "Walk", "find_regions"]
 
@@ -97,6 +98,10 @@ def find_regions(
     Raises:
         TreeTooLargeError: a limit was met; the message says how far the walk came.
     """
+    if len(network.hidden_widths) == 1 and not network.head.n_tests(network.n_outputs):
+        regions = _regions_of_a_layer(network, domain, tolerance)
+        if regions is not None and len(regions.patterns) <= max_regions:
+            return regions
     rows = domain.rows()
     signs, group = np.ones((1, rows.n_rows), dtype=np.int8), np.zeros(1, dtype=np.int64)
     balls = largest_balls(rows, group, signs, Bases.start(1, network.n_inputs), tolerance)
@@ -110,6 +115,27 @@ def find_regions(
         walk.n_linear_programs,
         walk.n_tests,
     )
+
+
+def _regions_of_a_layer(network: ReluNetwork, domain: Domain, tolerance: float) -> Regions | None:
+    """Return the regions of a network of one layer without a walk, if its tests are in general position and few."""
+    tests = domain.rows_of(np.column_stack((network.weights[0], network.biases[0]))[None])
+    a, b = tests.a[0], tests.b[0]
+    constant = domain.reach(a) < np.abs(b)
+    sides = domain.rows()
+    side_of = np.abs(sides.a[0]).argmax(axis=1)
+    found = regions_at_vertices(
+        np.concatenate((sides.a[0], a[~constant])),
+        np.concatenate((sides.b[0], b[~constant])),
+        np.concatenate((side_of, np.full((~constant).sum(), -1))),
+        tolerance,
+    )
+    if found is None:
+        return None
+    signs, centres = found
+    patterns = np.tile(b > 0, (len(signs), 1))
+    patterns[:, ~constant] = signs[:, len(side_of) :]
+    return Regions(patterns, domain.unscaled(centres), 0, 0)
 
 
 class Walk:

@@ -82,6 +82,9 @@ def minimal_tree(
 def merge_equal_leaves(tree: ObliqueTree) -> ObliqueTree:
     """Return the tree in which every subtree whose leaves all hold the same map, or label, is one leaf."""
     n_nodes = tree.n_nodes
+    on_leaves = (tree.children_left < 0) & (tree.children_right < 0)
+    if not _same_answers(tree, ~tree.children_left[on_leaves], ~tree.children_right[on_leaves]).any():
+        return tree
     # What stands for each node, then each leaf: a leaf that it is equal to throughout, or -1.
     stands_for = np.concatenate((np.full(n_nodes, -1), np.arange(tree.n_leaves)))
     left, right = (np.where(side >= 0, side, n_nodes + ~side) for side in (tree.children_left, tree.children_right))
@@ -90,8 +93,6 @@ def merge_equal_leaves(tree: ObliqueTree) -> ObliqueTree:
         equal = (on_left >= 0) & (on_right >= 0)
         equal[equal] = _same_answers(tree, on_left[equal], on_right[equal])
         stands_for[level[equal]] = on_left[equal]
-    if (stands_for[:n_nodes] < 0).all():
-        return tree
     merged = _pass_down(tree, np.where(stands_for < 0, np.arange(-1, -1 - len(stands_for), -1), stands_for))
     members = np.bincount(merged, minlength=tree.n_leaves)
     smaller = keep_leaves(tree, members > 0)

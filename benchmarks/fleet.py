@@ -29,7 +29,7 @@ import torch
 
 from benchmarks.measure import Entry, alternate
 from benchmarks.training import plain_trainer
-from pipelines import cli
+from pipelines.cli import runs
 from pipelines.config import RunConfig
 from pipelines.fleet.groups import fleets
 from pipelines.fleet.progress import FleetProgress
@@ -85,7 +85,7 @@ def run_config(precision: str, seed: int, n_steps: int) -> RunConfig:
     """Return the configuration of `otr-run env=hopper depth=6 trainer=fleet` with these steps a segment."""
     words = ["env=hopper", "depth=6", "trainer=fleet", f"trainer.precision={precision}", f"seed={seed}"]
     words += [f"train.max_learning_starts={N_RANDOM}", f"train.eval_interval_steps={n_steps}"]
-    return cli.run_config(words)
+    return runs.run_config(words)
 
 
 def fleet_rate(precision: str, n_steps: int) -> Callable[[], float]:

@@ -20,10 +20,10 @@ from benchmarks.measure import Entry, alternate
 JOB = ("env=pendulum", "depth=1", "budget=smoke", "n_workers=1")
 JOBS_ALONE = """
 import sys
-from pipelines import cli
+from pipelines.cli.runs import RUN
 from pipelines.run import run_job
-cli.register_schemas()
-for job in cli.RUN.jobs(cli.RUN.composer.expand(sys.argv[1:], multirun=True)):
+RUN.composer.register()
+for job in RUN.jobs(RUN.composer.expand(sys.argv[1:], multirun=True)):
     run_job(job)
 """
 

@@ -22,9 +22,9 @@ from stable_baselines3.common.noise import NormalActionNoise
 from torch import nn
 
 from benchmarks.measure import Entry
-from pipelines import cli
 from pipelines.algorithms import build_model
 from pipelines.checkpoint import History
+from pipelines.cli import runs
 from pipelines.config import PpoConfig, RunConfig, SacConfig
 from pipelines.envs import make_env
 from pipelines.progress import TrainingProgress
@@ -58,7 +58,7 @@ def run_config(env: str, steps: int, segment_steps: int, n_random: int) -> RunCo
         f"train.eval_interval_steps={segment_steps}",
         f"train.max_learning_starts={n_random}",
     ]
-    return cli.run_config(overrides)
+    return runs.run_config(overrides)
 
 
 def take_turns(config: RunConfig, rounds: int) -> tuple[float, float]:

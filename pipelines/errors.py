@@ -1,5 +1,8 @@
 """Errors that a user can act on: the command line prints their message alone, without a traceback."""
 
+import difflib
+from collections.abc import Sequence
+
 
 class PipelineError(Exception):
     """Something in the run cannot go on; the message says what, where and what to do."""
@@ -19,3 +22,10 @@ class OtherSettingsError(PipelineError):
 
 class PolicyMismatchError(PipelineError):
     """Two forms of one policy chose different actions on a state; the message shows the state."""
+
+
+def did_you_mean(name: str, known: Sequence[str]) -> str:
+    """Return a question with the nearest of the known names, or all of them."""
+    near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    near += [key for key in known if key.split(".")[-1] == name and key not in near]
+    return f" Did you mean {' or '.join(near)}?" if near else f" There are: {', '.join(known)}"

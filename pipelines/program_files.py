@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from pipelines.compose import CONF_DIR, did_you_mean
-from pipelines.errors import ConfigError
+from pipelines.conf_dir import CONF_DIR
+from pipelines.errors import ConfigError, did_you_mean
 
 ENDING = ".txt"
 

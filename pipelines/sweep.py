@@ -1,6 +1,6 @@
 """Sweeps: jobs handed to a launcher until each has ended, and the same jobs as a file of commands.
 
-Knows nothing of Hydra: `pipelines/cli.py` turns words into jobs and gives the function that launches them.
+Knows nothing of Hydra: `pipelines/cli` turns words into jobs and gives the function that launches them.
 """
 
 import dataclasses

@@ -1,6 +1,6 @@
 """What a fit is asked to do: frozen dataclasses, with the folder that names the fit.
 
-Hydra composes these from `conf/fit/` (see `pipelines/cli.py`); nothing here knows Hydra. A learner's settings are the
+Hydra composes these from `conf/fit/` (see `pipelines/cli`); nothing here knows Hydra. A learner's settings are the
 parameters of its estimators in `otr.learners`, under the same names.
 """
 

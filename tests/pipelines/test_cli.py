@@ -285,7 +285,7 @@ def test_ctrl_c_stops_cleanly_and_goes_on(tmp_path):
 
 
 def test_every_environment_and_budget_composes(tmp_path):
-    from pipelines.compose import CONF_DIR
+    from pipelines.conf_dir import CONF_DIR
 
     names = sorted(path.stem for path in (CONF_DIR / "env").glob("*.yaml"))
     assert len(names) == 16

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import yaml
 
-from pipelines.compose import CONF_DIR
+from pipelines.conf_dir import CONF_DIR
 from pipelines.config import EnvConfig
 from pipelines.envs import make_env
 from pipelines.errors import ConfigError

@@ -2,14 +2,14 @@
 
 import pytest
 
-from pipelines.cli import RUN, register_schemas
+from pipelines.cli.runs import RUN
 from pipelines.errors import ConfigError
 from tests.pipelines.conftest import otr_command
 
 
 def jobs(*words):
     """Return the jobs' words as {key: value}."""
-    register_schemas()
+    RUN.composer.register()
     return [dict(word.lstrip("+").split("=", 1) for word in own) for own in RUN.composer.expand([*words], False)]
 
 
@@ -31,7 +31,7 @@ def test_two_workers_train_different_oracles():
 
 
 def test_a_list_gets_through_the_sweep_as_an_oracle():
-    register_schemas()
+    RUN.composer.register()
     words = RUN.composer.expand(
         ["+experiment=figure_4_6", "budget=quick", "method=viper", "depth=2", "seed=0", "oracle=[32],[8,8]"], False
     )

@@ -13,7 +13,7 @@ import otr
 from otr.control import constant_gains
 from pipelines import train as train_module
 from pipelines.algorithms import build_model
-from pipelines.cli import run_config
+from pipelines.cli.runs import run_config
 from pipelines.config import EnvConfig, PidConfig, PidTerms
 from pipelines.envs import feature_names, make_env
 from pipelines.errors import ConfigError, PolicyMismatchError

@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from pipelines.cli import RUN, _with_path_quoted, register_schemas
+from pipelines.cli.commands import _with_path_quoted
+from pipelines.cli.runs import RUN
 from pipelines.config import EnvConfig
 from pipelines.errors import ConfigError
 from pipelines.parse import policy_tree
@@ -34,7 +35,7 @@ else none
 
 def jobs(*words):
     """Return the jobs of words, as otr-run makes them."""
-    register_schemas()
+    RUN.composer.register()
     multirun = "-m" in words
     given = [_with_path_quoted(word) for word in words if word != "-m"]
     return RUN.jobs(RUN.composer.expand(given, multirun))

@@ -17,7 +17,7 @@ import otr
 from pipelines.algorithms import build_model
 from pipelines.ars import build_ars
 from pipelines.checkpoint import History
-from pipelines.cli import run_config
+from pipelines.cli.runs import run_config
 from pipelines.config import ArsConfig
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.sb3_checkpoint import load_checkpoint, save_checkpoint

@@ -1,14 +1,9 @@
-"""Configurations from words: Hydra's composition and sweep syntax, with messages for people.
-
-Only this module and `pipelines/cli.py` know Hydra and OmegaConf.
-"""
+"""Configurations from words: Hydra's composition and sweep syntax, with messages for people."""
 
 import dataclasses
-import difflib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from hydra import compose, initialize_config_dir
@@ -20,11 +15,10 @@ from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 
-from pipelines.errors import ConfigError
+from pipelines.cli.messages import readable
+from pipelines.conf_dir import CONF_DIR
+from pipelines.errors import ConfigError, did_you_mean
 from pipelines.sweep import check_launcher, quoted
-
-_PACKAGED = Path(__file__).parent / "conf"  # in a wheel; in a checkout conf/ is beside the packages
-CONF_DIR = _PACKAGED if _PACKAGED.is_dir() else Path(__file__).parent.parent / "conf"
 
 
 @dataclass(frozen=True)
@@ -214,21 +208,6 @@ def schema_of(kind: type) -> DictConfig:
         if isinstance(node, DictConfig):
             OmegaConf.set_readonly(node, None)
     return schema
-
-
-def readable(message: str) -> str:
-    """Return OmegaConf's message in one line that begins with the key."""
-    lines = [line.strip() for line in message.splitlines() if line.strip() and "_type=" not in line]
-    keys = [line.removeprefix("full_key: ") for line in lines if line.startswith("full_key: ")]
-    rest = "\n".join(line for line in lines if not line.startswith("full_key: "))
-    return f"{keys[0]}: {rest}" if keys else rest
-
-
-def did_you_mean(name: str, known: Sequence[str]) -> str:
-    """Return a question with the nearest of the known names, or all of them."""
-    near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
-    near += [key for key in known if key.split(".")[-1] == name and key not in near]
-    return f" Did you mean {' or '.join(near)}?" if near else f" There are: {', '.join(known)}"
 
 
 def _leaves(value: Any, prefix: str = "") -> list[str]:

@@ -1,0 +1,93 @@
+"""What a run is asked to do: frozen dataclasses, a module a group of conf/, validated once.
+
+Hydra composes these from `conf/` (see `pipelines/cli`); nothing here knows Hydra.
+"""
+
+from pipelines.config.algo import (
+    ALGORITHMS,
+    AlgoConfig,
+    ArsConfig,
+    ContinuousConfig,
+    DdpgConfig,
+    DqnConfig,
+    GradientConfig,
+    OffPolicyConfig,
+    OnPolicyConfig,
+    PpoConfig,
+    SacConfig,
+    Td3Config,
+    TrpoConfig,
+)
+from pipelines.config.budget import BudgetConfig
+from pipelines.config.checks import LARGEST_SEED
+from pipelines.config.env import EnvConfig, PidTerms
+from pipelines.config.method import (
+    METHOD_CONFIGS,
+    AugTreeConfig,
+    CdtConfig,
+    LmViperConfig,
+    MethodConfig,
+    NdpsConfig,
+    PidConfig,
+    PiPrlConfig,
+    ProgramConfig,
+    SdtConfig,
+    SoftConfig,
+    ViperConfig,
+)
+from pipelines.config.run import RunConfig
+from pipelines.config.stages import (
+    ActorConfig,
+    CertificationConfig,
+    EvaluateConfig,
+    ImitateConfig,
+    MapConfig,
+    PruneConfig,
+    SimplificationConfig,
+    TrainConfig,
+)
+from pipelines.config.trainer import TRAINERS, FleetConfig, TrainerConfig
+
+__all__ = [
+    "ALGORITHMS",
+    "LARGEST_SEED",
+    "METHOD_CONFIGS",
+    "TRAINERS",
+    "ActorConfig",
+    "AlgoConfig",
+    "ArsConfig",
+    "AugTreeConfig",
+    "BudgetConfig",
+    "CdtConfig",
+    "CertificationConfig",
+    "ContinuousConfig",
+    "DdpgConfig",
+    "DqnConfig",
+    "EnvConfig",
+    "EvaluateConfig",
+    "FleetConfig",
+    "GradientConfig",
+    "ImitateConfig",
+    "LmViperConfig",
+    "MapConfig",
+    "MethodConfig",
+    "NdpsConfig",
+    "OffPolicyConfig",
+    "OnPolicyConfig",
+    "PiPrlConfig",
+    "PidConfig",
+    "PidTerms",
+    "PpoConfig",
+    "ProgramConfig",
+    "PruneConfig",
+    "RunConfig",
+    "SacConfig",
+    "SdtConfig",
+    "SimplificationConfig",
+    "SoftConfig",
+    "Td3Config",
+    "TrainConfig",
+    "TrainerConfig",
+    "TrpoConfig",
+    "ViperConfig",
+]

@@ -1,0 +1,33 @@
+"""The environment of a run: a file of conf/env."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True)
+class PidTerms:
+    """How a PID policy observes an environment: [s, P, I, D] in place of the state s (`otr.control.pid_observation`).
+
+    Attributes:
+        goal: e, one number a component of the state.
+        n_history: states before s that I sums over.
+    """
+
+    goal: tuple[float, ...]
+    n_history: int
+
+
+@dataclass(frozen=True)
+class EnvConfig:
+    """One environment: its gymnasium id and the names that programs print.
+
+    `pid` is there where the method is a PID policy, which says so to whoever makes the environment.
+    """
+
+    name: str
+    task: str  # the row of the tables and of conf/budget; hopper_v5 has task hopper
+    id: str
+    kwargs: dict[str, Any] = field(default_factory=dict)
+    feature_names: list[str] = field(default_factory=list)
+    action_names: list[str] = field(default_factory=list)
+    pid: PidTerms | None = field(default=None, metadata={"omegaconf_ignore": True})

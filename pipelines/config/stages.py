@@ -1,0 +1,92 @@
+"""The actor, and what each stage of a run is told beside the method."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class ActorConfig:
+    """The actor beside its widths (`depth`).
+
+    Attributes:
+        negative_slope: 0 is ReLU, above 0 leaky ReLU.
+        rescale_inputs: train on states rescaled from the environment's box to [-1, 1]; the rescaling is affine and is
+            folded into the first layer afterwards, so the program reads the environment's own states.
+    """
+
+    negative_slope: float = 0.0
+    rescale_inputs: bool = False
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Training: environment steps in all, steps between evaluations, episodes per evaluation."""
+
+    steps: int
+    eval_interval_steps: int
+    n_selection_episodes: int
+    max_learning_starts: int
+
+
+@dataclass(frozen=True)
+class ImitateConfig:
+    """Imitation under DAgger: the oracle plays first, then the imitator, which is fitted anew after every round.
+
+    Attributes:
+        n_initial_episodes: episodes of the oracle.
+        n_rounds, n_episodes: rounds, and episodes of the imitator in each.
+        n_choice_episodes: episodes on which the last two candidates are compared; none of them is reported.
+    """
+
+    n_initial_episodes: int = 25
+    n_rounds: int = 50
+    n_episodes: int = 25
+    n_choice_episodes: int = 100
+
+
+@dataclass(frozen=True)
+class MapConfig:
+    """Mapping: up to `max_leaves` the tree is written out, beyond it is held as activation patterns."""
+
+    max_leaves: int
+
+
+@dataclass(frozen=True)
+class PruneConfig:
+    """Pruning: the paths reached in `n_episodes` are kept; with `k` only the k most frequent of them."""
+
+    n_episodes: int
+    k: int | None
+
+
+@dataclass(frozen=True)
+class CertificationConfig:
+    """The minimal tree and its certificate: no tree of more leaves, nor one that takes longer to find, is proved."""
+
+    max_leaves: int = 2**13
+    max_seconds: float = 600.0
+
+
+@dataclass(frozen=True)
+class SimplificationConfig:
+    """Simplifying: what the program may lose, on episodes that are not reported.
+
+    Attributes:
+        n_episodes: that decide.
+        return_loss: share of the mean return that may be lost on them.
+        action_bound: instead of that: no action may change by more, anywhere in the environment's box of states or,
+            where that is open, in the box around those visited.
+        refit: whether tests may be refitted by sparse linear discriminant analysis.
+    """
+
+    n_episodes: int = 100
+    return_loss: float = 0.02
+    action_bound: float | None = None
+    refit: bool = True
+
+
+@dataclass(frozen=True)
+class EvaluateConfig:
+    """Evaluation: episode i starts from `reset(seed=first_seed + i)`, for every method alike."""
+
+    n_episodes: int
+    first_seed: int

@@ -181,11 +181,6 @@ def _policy(config: ExportConfig, run: RunConfig, folder: Path) -> Any:
     verified_manifest(folder / stage)
     if config.tree == "compact":
         return load_actor(folder / stage)
-    if method == "pid" and config.tree != "constant_gains" and config.format not in ("text", "dot"):
-        raise ConfigError(
-            f"tree={config.tree}: gains that vary are written by format=text and format=dot alone; for "
-            f"format={config.format} add tree=constant_gains"
-        )
     tree = otr.load(folder / stage / ("constant_gains" if config.tree == "constant_gains" else "tree"))
     if isinstance(tree, otr.ObliqueTree):
         return tree

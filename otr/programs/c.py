@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from otr.head import Argmax, ClipBox, Sign, TanhBox
+from otr.head import Argmax, ClipBox, PidBox, Sign, TanhBox
 from otr.mapping import map_network
 from otr.network import ReluNetwork
 from otr.pattern_tree import PatternTree
-from otr.programs.c_network import network_code
+from otr.programs.c_network import network_code, outputs_array
 from otr.programs.c_tables import CType, Table, integer_table, integer_type, literal, real_table, row_table
 from otr.programs.parts import box_limits, check_policy, child, distinct_rows, give_labels, one_line, summary_of
 from otr.programs.text import names_of
@@ -72,7 +72,7 @@ def to_c(
     tables, body = network_code(policy, name, dtype) if isinstance(policy, ReluNetwork) else _tree(policy, name, dtype)
     head_tables, head = _head(policy, name, dtype)
     n_bytes = sum(table.n_bytes for table in (*tables, *head_tables))
-    needs_tanh = isinstance(policy.head, TanhBox) and not give_labels(policy)
+    needs_tanh = isinstance(policy.head, TanhBox | PidBox) and not give_labels(policy)
     declared = _signature(policy, name, dtype)
     lines = _comment(policy, declared, n_bytes, features, answers, needs_tanh)
     written = [line for table in (*tables, *head_tables) for line in table.lines]
@@ -85,7 +85,7 @@ def to_c(
 def _signature(policy: ObliqueTree | ReluNetwork, name: str, dtype: CType) -> str:
     if give_labels(policy):
         return f"{_label_type(policy)} {name}_label(const {dtype} x[{policy.n_inputs}])"
-    return f"void {name}(const {dtype} x[{policy.n_inputs}], {dtype} y[{policy.n_outputs}])"
+    return f"void {name}(const {dtype} x[{policy.n_inputs}], {dtype} y[{policy.head.n_answers(policy.n_outputs)}])"
 
 
 def _label_type(policy: ObliqueTree | ReluNetwork) -> str:
@@ -129,14 +129,14 @@ def _commented(name: str) -> str:
 
 
 def _range(policy: ObliqueTree | ReluNetwork, output: int) -> str:
-    if not isinstance(policy.head, ClipBox | TanhBox):
+    if not isinstance(policy.head, ClipBox | TanhBox | PidBox):
         return ""
     low, high = (float(limit[output]) for limit in box_limits(policy.head, policy.n_outputs))
     return f", in [{low:g}, {high:g}]"
 
 
 def _tree(tree: ObliqueTree, name: str, dtype: CType) -> tuple[list[Table], list[str]]:
-    """Return tables, and the lines that find the leaf and write its outputs to y, or return its label."""
+    """Return tables, and the lines that find the leaf and write its outputs, or return its label."""
     tables: list[Table] = []
     index = "int" if tree.n_leaves * tree.n_outputs < 2**15 else "long"
     body = []
@@ -163,19 +163,19 @@ def _tree(tree: ObliqueTree, name: str, dtype: CType) -> tuple[list[Table], list
     if not np.array_equal(row_of, np.arange(len(row_of))):
         tables.append(integer_table(f"{name}_leaves", row_of.reshape(tree.n_leaves, tree.n_outputs)))
         row = f"{name}_leaves[{leaf}][k]"
-    declared = [f"    {dtype} y[{tree.n_outputs}];"] if give_labels(tree) else []
+    array, declared = outputs_array(tree, dtype)
     return tables, [
         *declared,
         *body[:1],
         "    int k;",
         *body[1:],
         f"    for (k = 0; k < {tree.n_outputs}; k++)",
-        f"        y[k] = {name}_rows_at({row}, x);",
+        f"        {array}[k] = {name}_rows_at({row}, x);",
     ]
 
 
 def _head(policy: ObliqueTree | ReluNetwork, name: str, dtype: CType) -> tuple[list[Table], list[str]]:
-    """Return tables, and the lines that make the answer of the affine outputs in y."""
+    """Return tables, and the lines that make the answer of the affine outputs."""
     o = policy.n_outputs
     if isinstance(policy, ObliqueTree) and policy.labels is not None:
         return [], []
@@ -196,15 +196,35 @@ def _head(policy: ObliqueTree | ReluNetwork, name: str, dtype: CType) -> tuple[l
             f"    for (k = 0; k < {o}; k++)",
             f"        y[k] = y[k] < {lows} ? {lows} : y[k] > {highs} ? {highs} : y[k];",
         ]
+    if isinstance(policy.head, PidBox):
+        n_actions = len(policy.head.low)
+        n_terms = o // (n_actions + 1)
+        tables, squashed = _squashed(policy, name, dtype, "sum")
+        return tables, [
+            f"    for (k = 0; k < {n_actions}; k++) {{",
+            f"        const {dtype} *gains = u + {n_terms} * (k + 1);",
+            f"        {dtype} sum = 0;",
+            "        int j;",
+            f"        for (j = 0; j < {n_terms}; j++)",
+            "            sum += gains[j] * u[j];",
+            f"        y[k] = {squashed};",
+            "    }",
+        ]
     if isinstance(policy.head, TanhBox):
-        low, high = box_limits(policy.head, o)
-        half, middle = (high - low) / 2, low + (high - low) / 2
-        tanh = f"{'tanh' if dtype == 'double' else 'tanhf'}(y[k])"
-        if (half == 1).all() and (middle == 0).all():
-            return [], [f"    for (k = 0; k < {o}; k++)", f"        y[k] = {tanh};"]
-        tables, (halves, middles) = _per_output(name, {"half": half, "middle": middle}, dtype)
-        return tables, [f"    for (k = 0; k < {o}; k++)", f"        y[k] = {middles} + {halves} * {tanh};"]
+        tables, squashed = _squashed(policy, name, dtype, "y[k]")
+        return tables, [f"    for (k = 0; k < {o}; k++)", f"        y[k] = {squashed};"]
     return [], []
+
+
+def _squashed(policy: ObliqueTree | ReluNetwork, name: str, dtype: CType, value: str) -> tuple[list[Table], str]:
+    """Return tables, and an expression's tanh in the box of answer k."""
+    low, high = box_limits(policy.head, policy.n_outputs)
+    half, middle = (high - low) / 2, low + (high - low) / 2
+    tanh = f"{'tanh' if dtype == 'double' else 'tanhf'}({value})"
+    if (half == 1).all() and (middle == 0).all():
+        return [], tanh
+    tables, (halves, middles) = _per_output(name, {"half": half, "middle": middle}, dtype)
+    return tables, f"{middles} + {halves} * {tanh}"
 
 
 def _per_output(name: str, limits: dict[str, np.ndarray], dtype: CType) -> tuple[list[Table], list[str]]:

@@ -6,19 +6,29 @@ import itertools
 
 import numpy as np
 
+from otr.head import PidBox
 from otr.network import ReluNetwork
 from otr.programs.c_tables import CType, Table, literal, real_table
 from otr.programs.parts import give_labels
+from otr.tree import ObliqueTree
 
-__all__ = ["network_code"]
+__all__ = ["network_code", "outputs_array"]
 
 
 def network_code(network: ReluNetwork, name: str, dtype: CType) -> tuple[list[Table], list[str]]:
-    """Return tables, and the lines that write the affine outputs to y; one hidden layer at least."""
-    declared = [f"    {dtype} y[{network.n_outputs}];"] if give_labels(network) else []
+    """Return tables, and the lines that write the affine outputs to their array; one hidden layer at least."""
+    _, declared = outputs_array(network, dtype)
     one_layer = len(network.weights) == 2 and network.dense is False
     tables, lines = (_one_layer if one_layer else _layers)(network, name, dtype)
     return tables, [*declared, *lines]
+
+
+def outputs_array(policy: ObliqueTree | ReluNetwork, dtype: CType) -> tuple[str, list[str]]:
+    """Return the array of the affine outputs, and its declaration where that is not the answer's own."""
+    o = policy.n_outputs
+    if isinstance(policy.head, PidBox):
+        return "u", [f"    {dtype} u[{o}];  /* P, I and D, then each action's gains */"]
+    return "y", [f"    {dtype} y[{o}];"] if give_labels(policy) else []
 
 
 def _one_layer(network: ReluNetwork, name: str, dtype: CType) -> tuple[list[Table], list[str]]:
@@ -29,8 +39,8 @@ def _one_layer(network: ReluNetwork, name: str, dtype: CType) -> tuple[list[Tabl
         real_table(f"{name}_neurons", np.column_stack((W, b, V.T)), dtype),
         real_table(f"{name}_biases", a, dtype),
     ]
-    slope = network.negative_slope
-    adding = [f"for (k = 0; k < {o}; k++)", f"    y[k] += row[{d + 1} + k] * z;"]
+    slope, (y, _) = network.negative_slope, outputs_array(network, dtype)
+    adding = [f"for (k = 0; k < {o}; k++)", f"    {y}[k] += row[{d + 1} + k] * z;"]
     if slope:
         active = ["        if (!(z > 0))", f"            z *= {literal(slope, dtype)};"]
         active += [f"        {line}" for line in adding]
@@ -39,7 +49,7 @@ def _one_layer(network: ReluNetwork, name: str, dtype: CType) -> tuple[list[Tabl
     return tables, [
         "    int i, k;",
         f"    for (k = 0; k < {o}; k++)",
-        f"        y[k] = {name}_biases[k];",
+        f"        {y}[k] = {name}_biases[k];",
         f"    for (i = 0; i < {n}; i++) {{",
         f"        const {dtype} *row = {name}_neurons[i];",
         f"        {dtype} z = row[{d}];",
@@ -73,7 +83,7 @@ def _layers(network: ReluNetwork, name: str, dtype: CType) -> tuple[list[Table],
             weight = f"row[{n_read} + k]" if n_read else "row[k]"
             lines += [f"        for (k = 0; k < {d}; k++)", f"            z += {weight} * x[k];"]
         if layer == len(network.weights) - 1:
-            lines += ["        y[i] = z;", "    }"]
+            lines += [f"        {outputs_array(network, dtype)[0]}[i] = z;", "    }"]
         else:
             off = f"{literal(network.negative_slope, dtype)} * z" if network.negative_slope else "0"
             start = f"{starts[layer]} + " if starts[layer] else ""

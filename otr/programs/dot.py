@@ -38,7 +38,7 @@ def to_dot(
         TypeError: `tree` is no ObliqueTree.
         ValueError: the wrong number of names, or a number out of its range.
     """
-    names = names_for(tree, feature_names, output_names, any_head=True)
+    names = names_for(tree, feature_names, output_names)
     for argument, value in (("precision", precision), ("max_terms", max_terms)):
         if value < 1:
             raise ValueError(f"{argument} is {value}, expected at least 1")

@@ -1,4 +1,4 @@
-"""The leaves of a PID policy as text: vectors of gains, as in Orfanos 2023, Fig. 4.4."""
+"""PID policies in programs: their outputs are terms, then gains (Orfanos 2023, Fig. 4.4); an action joins them."""
 
 from __future__ import annotations
 
@@ -10,10 +10,25 @@ from otr.arrays import FloatArray
 from otr.head import PidBox
 from otr.tree import ObliqueTree
 
-__all__ = ["control_text", "gain_lines", "term_lines"]
+__all__ = ["control_text", "gain_lines", "gain_vectors", "joined", "pid_output_names", "term_lines", "term_vectors"]
 
 TERMS = ("P", "I", "D")
 AffineText = Callable[[FloatArray, float], str]
+
+
+def pid_output_names(tree: ObliqueTree, answers: Sequence[str]) -> list[str]:
+    """Return a name for every output of a PID policy: P0, ..., I0, ..., D0, ..., theta_P0, ... action by action."""
+    d = _n_terms(tree) // len(TERMS)
+    terms = [f"{term}{i}" for term in TERMS for i in range(d)]
+    suffixes = [f"_{answer}" if len(answers) > 1 else "" for answer in answers]
+    return [*terms, *(f"theta_{term}{suffix}" for suffix in suffixes for term in terms)]
+
+
+def joined(outputs: Sequence[str], n_actions: int) -> list[str]:
+    """Return what each action is before the tanh, from the outputs' names: ``theta_P0 * P0 + theta_P1 * P1 + ...``."""
+    n_terms = len(outputs) // (n_actions + 1)
+    gains = [outputs[(action + 1) * n_terms : (action + 2) * n_terms] for action in range(n_actions)]
+    return [" + ".join(f"{gain} * {term}" for gain, term in zip(own, outputs, strict=False)) for own in gains]
 
 
 def term_lines(tree: ObliqueTree, affine: AffineText) -> list[str]:
@@ -22,10 +37,24 @@ def term_lines(tree: ObliqueTree, affine: AffineText) -> list[str]:
     Raises:
         ValueError: the terms differ between leaves, which no PID policy does.
     """
+    return [f"{term} = [{', '.join(entries)}]" for term, entries in term_vectors(tree, affine)]
+
+
+def term_vectors(tree: ObliqueTree, affine: AffineText) -> list[tuple[str, list[str]]]:
+    """Return P, I and D, each with the texts of its components, which hold in all leaves.
+
+    Raises:
+        ValueError: the terms differ between leaves, which no PID policy does.
+    """
     n_terms = _n_terms(tree)
     if (tree.M[:, :n_terms] != tree.M[0, :n_terms]).any() or (tree.c[:, :n_terms] != tree.c[0, :n_terms]).any():
         raise ValueError("the terms P, I, D differ between leaves; a PID policy's leaves differ in their gains alone")
-    return [f"{term} = [{', '.join(entries)}]" for term, entries in _vectors(tree, 0, 0, affine)]
+    return _vectors(tree, 0, 0, affine)
+
+
+def gain_vectors(tree: ObliqueTree, leaf: int, action: int, affine: AffineText) -> list[tuple[str, list[str]]]:
+    """Return P, I and D, each with the texts of a leaf's gains for it, for one action."""
+    return _vectors(tree, leaf, (action + 1) * _n_terms(tree), affine)
 
 
 def gain_lines(tree: ObliqueTree, leaf: int, answers: Sequence[str], affine: AffineText) -> list[str]:
@@ -43,7 +72,7 @@ def gain_lines(tree: ObliqueTree, leaf: int, answers: Sequence[str], affine: Aff
         first = (action + 1) * _n_terms(tree)
         by_term = tree.M[leaf, first : first + _n_terms(tree)].reshape(len(TERMS), -1)
         varies = np.count_nonzero(by_term, axis=1).tolist()
-        for (term, entries), one_a_line in zip(_vectors(tree, leaf, first, affine), varies, strict=True):
+        for (term, entries), one_a_line in zip(gain_vectors(tree, leaf, action, affine), varies, strict=True):
             name = f"theta_{term}{suffix}"
             if one_a_line:
                 lines += [f"{name} = [", *(f"    {entry}," for entry in entries), "]"]

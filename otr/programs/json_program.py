@@ -21,7 +21,7 @@ def to_json(
         {"schema": "otr/program/1",
          "features": [d names],                           the components of a state x, in order
          "answer": "values" or "label",
-         "outputs": [names]                               of the o values, or of the labels 0, 1, ...
+         "outputs": [names]                               of the answer's values, or of the labels 0, 1, ...
          "head": {"name": "tanh_box", "low": ..., "high": ...},
          "root": 0,                                       or -1 in a tree of one leaf
          "nodes": [{"weights": [d], "offset": v, "left": r, "right": r}, ...],
@@ -31,7 +31,8 @@ def to_json(
     leaves[-1 - r]. If it has a label, that is the answer. Else its outputs are y = weights x + offsets, and the answer
     follows by head.name: identity y; clip_box min(max(y, low), high); tanh_box low + (tanh(y) + 1) / 2 * (high - low);
     sign 1 where y[0] > 0, else 0; argmax the first index of the largest y. low and high are a number for all outputs or
-    one for each. JSON's numbers are to be read as float64.
+    one for each. With the head pid_box, of a actions, y is 1 + a vectors of one length: the terms, then each action's
+    gains; an action is tanh_box of the sum of its gains times the terms. JSON's numbers are to be read as float64.
 
     Args:
         tree: any tree.

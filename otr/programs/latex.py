@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from otr.arrays import FloatArray
-from otr.head import Argmax, ClipBox, Sign, TanhBox
+from otr.head import Argmax, ClipBox, PidBox, Sign, TanhBox
+from otr.programs.gains import gain_vectors, term_vectors
 from otr.programs.parts import box_limits, label_name, names_for, one_line, summary_of, walk
 from otr.tree import ObliqueTree
 
@@ -54,6 +55,9 @@ def to_latex(
         raise ValueError(f"precision is {precision}, expected at least 1 significant digit")
     features = [math_name(name) for name in names.features]
     lines = [f"% {summary_of(tree)[3:].capitalize()}. Needs \\usepackage{{amsmath}}.", _PROLOGUE]
+    if isinstance(tree.head, PidBox):
+        terms = term_vectors(tree, lambda row, offset: _affine(row, offset, features, precision))
+        lines += [_line(0, f"${_vector(term, entries)}$") for term, entries in terms]
     for what, index, depth in walk(tree):
         if what == "if":
             test = _affine(tree.P[index], float(tree.v[index]), features, precision)
@@ -89,24 +93,49 @@ def _leaf(tree: ObliqueTree, leaf: int, features: Sequence[str], answers: Sequen
     """Return the lines that state a leaf's answer."""
     if tree.labels is not None:
         return [rf"\textbf{{return}} \textit{{{escaped(one_line(label_name(int(tree.labels[leaf]), answers)))}}}"]
-    values = [
-        _affine(tree.M[leaf, output], float(tree.c[leaf, output]), features, precision)
-        for output in range(tree.n_outputs)
-    ]
     outputs = [math_name(answer) for answer in answers]
+    if isinstance(tree.head, PidBox):
+        gains, values = _gains(tree, leaf, features, outputs, precision)
+    else:
+        gains, values = (
+            [],
+            [
+                _affine(tree.M[leaf, output], float(tree.c[leaf, output]), features, precision)
+                for output in range(tree.n_outputs)
+            ],
+        )
     if isinstance(tree.head, Sign):
         return [rf"\textbf{{return}} $1$ \textbf{{if}} ${values[0]} > 0$ \textbf{{else}} $0$"]
     if isinstance(tree.head, Argmax):
         assigned = [f"${output} \\gets {value}$" for output, value in zip(outputs, values, strict=True)]
         return [*assigned, rf"\textbf{{return}} $\operatorname{{arg\,max}}({', '.join(outputs)})$"]
     values = [_through_head(tree, output, value, precision) for output, value in enumerate(values)]
-    if tree.n_outputs == 1:
-        return [rf"\textbf{{return}} ${values[0]}$"]
-    return [f"${output} \\gets {value}$" for output, value in zip(outputs, values, strict=True)]
+    if len(values) == 1:
+        return [*gains, rf"\textbf{{return}} ${values[0]}$"]
+    return [*gains, *(f"${output} \\gets {value}$" for output, value in zip(outputs, values, strict=True))]
+
+
+def _gains(
+    tree: ObliqueTree, leaf: int, features: Sequence[str], outputs: Sequence[str], precision: int
+) -> tuple[list[str], list[str]]:
+    """Return the lines that state a leaf's gains, and what each action is before the tanh."""
+    lines, controls = [], []
+    for action, output in enumerate(outputs):
+        vectors = gain_vectors(tree, leaf, action, lambda row, offset: _affine(row, offset, features, precision))
+        suffix = rf",\,{output}" if len(outputs) > 1 else ""
+        named = [(rf"\theta_{{{term}{suffix}}}", term, gains) for term, gains in vectors]
+        lines += [f"${_vector(name, gains)}$" for name, _, gains in named]
+        controls.append(" + ".join(rf"{name} \cdot {term}" for name, term, _ in named))
+    return lines, controls
+
+
+def _vector(name: str, entries: Sequence[str]) -> str:
+    listed = r",\; ".join(entries)
+    return rf"{name} \gets ({listed})"
 
 
 def _through_head(tree: ObliqueTree, output: int, value: str, precision: int) -> str:
-    if not isinstance(tree.head, TanhBox | ClipBox):
+    if not isinstance(tree.head, TanhBox | ClipBox | PidBox):
         return value
     low, high = (float(limit[output]) for limit in box_limits(tree.head, tree.n_outputs))
     if isinstance(tree.head, ClipBox):

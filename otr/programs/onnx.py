@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from otr.head import Argmax, ClipBox, Sign, TanhBox
+from otr.head import Argmax, ClipBox, PidBox, Sign, TanhBox
 from otr.programs.parts import box_limits, child, distinct_rows, give_labels, names_for, summary_of
 from otr.tree import ObliqueTree
 
@@ -65,7 +65,11 @@ def to_onnx(
             graph.nodes,
             name,
             [helper.make_tensor_value_info("x", kind, ["n", tree.n_inputs])],
-            [helper.make_tensor_value_info(output, *(_label_info() if is_label else (kind, ["n", tree.n_outputs])))],
+            [
+                helper.make_tensor_value_info(
+                    output, *(_label_info() if is_label else (kind, ["n", len(names.answers)]))
+                )
+            ],
             graph.constants,
         ),
         opset_imports=[helper.make_opsetid("", OPSET)],
@@ -197,10 +201,17 @@ def _answer(graph: _Graph, tree: ObliqueTree, leaf: str) -> str:
         return graph.add("Cast", [above], to=TensorProto.INT64)
     if isinstance(tree.head, Argmax):
         return graph.add("ArgMax", [y], axis=1, keepdims=0)
+    if isinstance(tree.head, PidBox):
+        n_actions = len(tree.head.low)
+        shape = np.array([-1, 1 + n_actions, tree.n_outputs // (1 + n_actions)])
+        vectors = graph.add("Reshape", [y, graph.constant("vectors", shape)])
+        terms = graph.add("Gather", [vectors, graph.constant("of_terms", np.array([0]))], axis=1)
+        gains = graph.add("Gather", [vectors, graph.constant("of_gains", np.arange(1, 1 + n_actions))], axis=1)
+        y = graph.add("ReduceSum", [graph.add("Mul", [gains, terms]), column], keepdims=0)
     if isinstance(tree.head, ClipBox):
         low, high = box_limits(tree.head, tree.n_outputs)
         return graph.add("Min", [graph.add("Max", [y, graph.constant("low", low)]), graph.constant("high", high)])
-    if isinstance(tree.head, TanhBox):
+    if isinstance(tree.head, TanhBox | PidBox):
         low, high = box_limits(tree.head, tree.n_outputs)
         half, middle = (high - low) / 2, low + (high - low) / 2
         scaled = graph.add("Mul", [graph.add("Tanh", [y]), graph.constant("half", half)])

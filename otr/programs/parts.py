@@ -12,8 +12,9 @@ from typing import Literal
 import numpy as np
 
 from otr.arrays import FloatArray, IntArray
-from otr.head import Argmax, ClipBox, Head, Sign, TanhBox
+from otr.head import Argmax, ClipBox, Head, PidBox, Sign, TanhBox
 from otr.network import ReluNetwork
+from otr.programs.gains import pid_output_names
 from otr.programs.text import names_of
 from otr.tree import ObliqueTree
 
@@ -45,12 +46,19 @@ TIE = "\u00a0"  # a space at which `wrapped` breaks no line
 
 @dataclass(frozen=True)
 class Names:
-    """What a program calls things: names as given, and identifiers of the language made from them."""
+    """What a program calls things: names as given, and identifiers of the language made from them.
+
+    Attributes:
+        features, answers: as given.
+        feature_ids, output_ids: identifiers for the inputs and for the affine outputs.
+        answer_ids: identifiers for the values of the answer; the outputs' own, but for gains and terms.
+    """
 
     features: list[str]
     answers: list[str]
     feature_ids: list[str]
     output_ids: list[str]
+    answer_ids: list[str]
 
 
 def names_for(
@@ -60,36 +68,32 @@ def names_for(
     *,
     reserved: Collection[str] = (),
     ignore_case: bool = False,
-    any_head: bool = False,
 ) -> Names:
     """Return the names of a tree's inputs and answers, and identifiers for its inputs and its affine outputs.
 
     The identifiers of the outputs are made from `output_names` where these name outputs, and are y0, y1, ... where
-    they name labels. No two identifiers are the same.
+    they name labels; the terms and gains of a PID policy are P0, ..., theta_P0, ... No two identifiers are the same.
 
     Raises:
         TypeError: `tree` is no ObliqueTree.
-        ValueError: the wrong number of names, a tree without inputs, or one whose head needs `any_head`.
+        ValueError: the wrong number of names, or a tree without inputs.
     """
     if not isinstance(tree, ObliqueTree):
         raise TypeError(f"tree is a {type(tree).__name__}, expected an ObliqueTree; a PatternTree has to_tree()")
-    check_policy(tree, any_head=any_head)
+    check_policy(tree)
     features, answers = names_of(tree, feature_names, output_names)
     outputs = [f"y{i}" for i in range(tree.n_outputs)] if give_labels(tree) else answers
-    fallbacks = [f"x{i}" for i in range(len(features))] + [f"y{i}" for i in range(len(outputs))]
-    made = identifiers([*features, *outputs], fallbacks, reserved=reserved, ignore_case=ignore_case)
-    return Names(features, answers, made[: len(features)], made[len(features) :])
+    joined = pid_output_names(tree, answers) if isinstance(tree.head, PidBox) else []
+    fallbacks = [f"x{i}" for i in range(len(features))] + [f"y{i}" for i in range(len(outputs) + len(joined))]
+    made = identifiers([*features, *outputs, *joined], fallbacks, reserved=reserved, ignore_case=ignore_case)
+    d, o = len(features), len(features) + len(outputs)
+    return Names(features, answers, made[:d], made[o:] if joined else made[d:o], made[d:o])
 
 
-def check_policy(policy: ObliqueTree | ReluNetwork, *, any_head: bool = False) -> None:
-    """Raise ValueError for a policy that no format has a form for: without inputs, or with gains that vary."""
+def check_policy(policy: ObliqueTree | ReluNetwork) -> None:
+    """Raise ValueError for a policy that no format has a form for: without inputs."""
     if policy.n_inputs == 0:
         raise ValueError("the tree has no inputs; a program needs at least one")
-    if not (policy.head.acts_by_output or any_head):
-        raise ValueError(
-            f"the head {type(policy.head).__name__} multiplies terms and gains, which only to_text writes; "
-            "otr.control.constant_gains(tree, X) returns an affine tree with the gains averaged"
-        )
 
 
 def give_labels(policy: ObliqueTree | ReluNetwork) -> bool:
@@ -184,9 +188,10 @@ def distinct_rows(rows: FloatArray) -> tuple[FloatArray, IntArray]:
 
 
 def box_limits(head: Head, n_outputs: int) -> tuple[FloatArray, FloatArray]:
-    """Return a box head's limits for every output: low and high, (n_outputs,) each."""
-    assert isinstance(head, ClipBox | TanhBox)
-    return np.broadcast_to(head.low, (n_outputs,)), np.broadcast_to(head.high, (n_outputs,))
+    """Return a box head's limits for every value of the answer: low and high, (n_answers,) each."""
+    n_answers = head.n_answers(n_outputs)
+    assert isinstance(head, ClipBox | TanhBox | PidBox)
+    return np.broadcast_to(head.low, (n_answers,)), np.broadcast_to(head.high, (n_answers,))
 
 
 def affine_expression(

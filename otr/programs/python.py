@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from otr.head import Argmax, ClipBox, Sign, TanhBox
+from otr.head import Argmax, ClipBox, PidBox, Sign, TanhBox
+from otr.programs.gains import joined
 from otr.programs.parts import (
     MAX_NESTED_DEPTH,
     TIE,
@@ -65,7 +66,7 @@ def to_python(
     nested = tree.depth <= MAX_NESTED_DEPTH and n_terms <= MAX_TERMS
     body = [*(_nested(tree, names) if nested else _tables(tree)), *_head(tree, names, nested)]
     lines = [f"# {name}: {summary_of(tree)}.", *_interface(tree, names)]
-    if isinstance(tree.head, TanhBox) and not give_labels(tree):
+    if isinstance(tree.head, TanhBox | PidBox) and not give_labels(tree):
         lines += ["from math import tanh", ""]
     lines += ["", f"def {name}(state):", *(_INDENT + line if line else "" for line in body)]
     return "\n".join(lines) + "\n"
@@ -78,7 +79,7 @@ def _interface(tree: ObliqueTree, names: Names) -> list[str]:
     ]
     if give_labels(tree):
         return [*lines, "# The answer is the number of a label.", ""]
-    answers = zip(names.answers, names.output_ids, strict=True)
+    answers = zip(names.answers, names.answer_ids, strict=True)
     what = ", ".join(f"{identifier}{_original(name, identifier)}" for name, identifier in answers)
     return [*lines, f"# The answer is the list of: {what}", ""]
 
@@ -179,14 +180,19 @@ def _head(tree: ObliqueTree, names: Names, nested: bool) -> list[str]:
         if nested:
             return [f"outputs = [{', '.join(outputs)}]", "return outputs.index(max(outputs))"]
         return ["return outputs.index(max(outputs))"]
+    lines = []
+    if isinstance(tree.head, PidBox):
+        controls = zip(names.answer_ids, joined(outputs, len(names.answers)), strict=True)
+        lines = [line for answer, control in controls for line in _statement(f"{answer} = ", control, "", "")]
+        outputs = names.answer_ids
     if isinstance(tree.head, ClipBox):
         limits = zip(outputs, *(limit.tolist() for limit in box_limits(tree.head, tree.n_outputs)), strict=True)
         outputs = [f"min(max({value}, {low!r}), {high!r})" for value, low, high in limits]
-    if isinstance(tree.head, TanhBox):
+    if isinstance(tree.head, TanhBox | PidBox):
         low, high = box_limits(tree.head, tree.n_outputs)
         half, middle = (high - low) / 2, low + (high - low) / 2
         parts = zip(outputs, half.tolist(), middle.tolist(), strict=True)
         outputs = [
             f"tanh({value})" if (h, m) == (1.0, 0.0) else f"{m!r} + {h!r} * tanh({value})" for value, h, m in parts
         ]
-    return [f"return [{', '.join(outputs)}]"]
+    return [*lines, f"return [{', '.join(outputs)}]"]

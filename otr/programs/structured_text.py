@@ -7,7 +7,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from otr.head import Argmax, ClipBox, Sign, TanhBox
+from otr.head import Argmax, ClipBox, PidBox, Sign, TanhBox
+from otr.programs.gains import joined
 from otr.programs.parts import (
     MAX_NESTED_DEPTH,
     Names,
@@ -110,7 +111,7 @@ def _comment(name: str, identifier: str) -> str:
 def _outputs(tree: ObliqueTree, names: Names) -> list[str]:
     if give_labels(tree):
         return [f"label : {_integer_type(tree)};"]
-    return list(map(_declared, names.output_ids, names.answers))
+    return list(map(_declared, names.answer_ids, names.answers))
 
 
 def _integer_type(tree: ObliqueTree) -> str:
@@ -119,8 +120,8 @@ def _integer_type(tree: ObliqueTree) -> str:
 
 
 def _locals(tree: ObliqueTree, names: Names) -> list[str]:
-    """Return the declarations of outputs that are only steps towards a label."""
-    if tree.labels is None and give_labels(tree):
+    """Return the declarations of outputs that are only steps towards the answer."""
+    if tree.labels is None and (give_labels(tree) or isinstance(tree.head, PidBox)):
         return [f"{', '.join(names.output_ids)} : LREAL;"]
     return []
 
@@ -214,6 +215,10 @@ def _head(tree: ObliqueTree, names: Names) -> tuple[list[str], list[str]]:
     if isinstance(tree.head, ClipBox):
         limits = zip(outputs, *(limit.tolist() for limit in box_limits(tree.head, tree.n_outputs)), strict=True)
         return [], [f"{output} := LIMIT({number(low)}, {output}, {number(high)});" for output, low, high in limits]
+    if isinstance(tree.head, PidBox):
+        controls = zip(names.answer_ids, joined(outputs, len(names.answers)), strict=True)
+        lines = [line for answer, control in controls for line in wrapped(f"{answer} := {control};", "")]
+        return ["decay : LREAL;"], [*lines, *_tanh(tree, names.answer_ids)]
     if isinstance(tree.head, TanhBox):
         return ["decay : LREAL;"], _tanh(tree, outputs)
     return [], []

@@ -95,8 +95,8 @@ words:
                         onnx             standard operators, any number of states at once
                         json             nodes and leaves, for any other language
   tree=full             pruned (default; what the policy reaches), full, minimal (after certify=true), simplified
-                        (after simplify=true), constant_gains (of method=pid, whose varying gains only text shows) or,
-                        for format=c, compact: the network itself, the shortest form
+                        (after simplify=true), constant_gains (of method=pid: every leaf's gains averaged) or, for
+                        format=c, compact: the network itself, the shortest form
   out=policy.c          a file, whose folder is made, or a folder that is there; without it the program is printed
   name=hopper           of the function, block or graph (default: policy)
   dtype=float           double (default) or float, for c and onnx

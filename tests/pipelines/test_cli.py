@@ -225,12 +225,23 @@ def running_in_group(group):
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes under /proc")
+def in_foreground(command: list[str], cwd: Path) -> subprocess.Popen[str]:
+    """Start a command that ctrl-C stops, as in a terminal, also where these tests run in the background of a shell."""
+    return subprocess.Popen(
+        command,
+        cwd=cwd,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+
+
 def test_stopped_while_workers_play(tmp_path):
     words = ("env=halfcheetah", "depth=2", "budget=smoke", "prune.n_episodes=400", "n_workers=2")
     command = [str(Path(sys.executable).with_name("otr-run")), *words]
-    with subprocess.Popen(
-        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
-    ) as process:
+    with in_foreground(command, tmp_path) as process:
         for line in process.stdout:
             if line.startswith("map:"):
                 break
@@ -269,9 +280,7 @@ def test_experiment_brings_its_own_sweep(tmp_path):
 def test_ctrl_c_stops_cleanly_and_goes_on(tmp_path):
     words = ("env=pendulum", "depth=2", "budget=smoke", "train.steps=4000")
     command = [str(Path(sys.executable).with_name("otr-run")), *words]
-    with subprocess.Popen(
-        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
-    ) as process:
+    with in_foreground(command, tmp_path) as process:
         deadline = time.monotonic() + 120
         while not list((tmp_path / "results/checkpoints").glob("*/segment-*")) and time.monotonic() < deadline:
             time.sleep(0.05)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import otr
+from otr.control import pid_network
 from tests.core.strategies import make_network, worked_network
 
 RUNS = Path(__file__).parents[2] / "results" / "runs"
@@ -17,6 +18,7 @@ COMMITTED = {
     "lander": "lunarlander/otr/depth-2/thesis/seed-0/prune/tree",
     "viper": "lunarlander/viper/depth-6/quick/seed-0/prune/tree",
     "swimmer": "swimmer/sdt/depth-6/quick/seed-0/prune/tree",
+    "pid": "pendulum/pid/depth-1/quick/seed-0/prune/tree",
 }
 
 
@@ -73,6 +75,13 @@ def policies() -> dict[str, otr.ObliqueTree]:
     made["mixed"] = otr.ObliqueTree([~0], [~1], [[0.0, 0.0, 0.0]], [0.0],
                                     [[[0.0, 0.0, 2.0]], [[1.0, 0.0, 0.0]]], [[0.25], [1e20]])  # fmt: skip
     made["exact"] = otr.map_network(make_network(rng, (2, 2), n_outputs=2, exact=True))
+    for name, layers, n_inputs, low, high in (
+        ("pid", (2,), 2, [-2.0], [2.0]),
+        ("pid_of_two_actions", (2, 1), 1, [-1.0, 0.0], [1.0, 4.0]),
+        ("pid_of_one_leaf", (), 2, [-1.0], [1.0]),
+    ):
+        gains = make_network(rng, layers, n_inputs=n_inputs, n_outputs=3 * n_inputs * len(low))
+        made[name] = otr.map_network(pid_network(gains, low, high))
     made["stairs"] = chain(20, otr.ClipBox([-5.0, -8.0], [9.0, -1.0]))
     return made
 

@@ -12,10 +12,11 @@ import pytest
 from numpy.typing import NDArray
 
 import otr
+from otr.control import pid_network
 from otr.network import ReluNetwork
 from pipelines.store import load_actor
 from tests.core.strategies import make_network
-from tests.programs.policies import RUNS, assert_answers, chain, committed, policies, states_for
+from tests.programs.policies import COMMITTED, RUNS, assert_answers, chain, committed, policies, states_for
 
 COMPILER = shutil.which("gcc") or shutil.which("cc")
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler (gcc or cc) on the PATH")
@@ -69,7 +70,7 @@ def test_every_policy(tmp_path: Path) -> None:
 
 
 def test_ten_thousand_states_of_committed_policies(tmp_path: Path) -> None:
-    trees = {name: committed(name) for name in ("hopper", "lander", "viper", "swimmer")}
+    trees = {name: committed(name) for name in COMMITTED}
     sources = {name: otr.to_c(tree, name=name) for name, tree in trees.items()}
     library = compiled(sources, tmp_path)
     for name, tree in trees.items():
@@ -114,6 +115,8 @@ def networks() -> dict[str, ReluNetwork]:
         "dense_input": make_network(rng, (4, 3), n_outputs=2, dense="input"),
         "dense_all": make_network(rng, (4, 3, 2), n_outputs=2, dense="all"),
         "dense_one": make_network(rng, (4,), n_outputs=2, dense="all"),
+        "gains": pid_network(make_network(rng, (4,), n_inputs=2, n_outputs=12), [-1.0, -2.0], [1.0, 2.0]),
+        "constant_gains": pid_network(make_network(rng, (), n_inputs=2, n_outputs=6), [-1.0], [1.0]),
         "exact_net": make_network(rng, (4, 3), n_outputs=3, exact=True, head="argmax"),
     }
 

@@ -34,10 +34,14 @@ def answer(program: dict[str, Any], x: list[float]) -> Any:
         return y.index(max(y))
     if head["name"] == "identity":
         return y
+    if head["name"] == "pid_box":
+        m = len(y) // (1 + len(head["low"]))
+        terms, *gains = (y[i : i + m] for i in range(0, len(y), m))
+        y = [sum(gain * term for gain, term in zip(own, terms, strict=True)) for own in gains]
     lows, highs = (limit if isinstance(limit, list) else [limit] * len(y) for limit in (head["low"], head["high"]))
     if head["name"] == "clip_box":
         return [min(max(value, low), high) for value, low, high in zip(y, lows, highs, strict=True)]
-    assert head["name"] == "tanh_box"
+    assert head["name"] in ("tanh_box", "pid_box")
     return [low + (math.tanh(v) + 1) / 2 * (high - low) for v, low, high in zip(y, lows, highs, strict=True)]
 
 
@@ -59,8 +63,9 @@ def test_equals_the_network(case: Case) -> None:
     assert_same_answers(answers, case.network.predict(case.states), case.network, case)
 
 
-def test_ten_thousand_states_of_a_committed_policy() -> None:
-    tree = committed("hopper")
+@pytest.mark.parametrize("name", ["hopper", "pid"])
+def test_ten_thousand_states_of_a_committed_policy(name: str) -> None:
+    tree = committed(name)
     states, program = states_for(tree, 10_000), json.loads(otr.to_json(tree))
     assert_answers(tree, states, [answer(program, state) for state in states.tolist()])
 

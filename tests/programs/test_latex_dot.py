@@ -41,6 +41,12 @@ def test_the_program_of_the_thesis_in_latex() -> None:
         ("sign_of_one_leaf", r"\textbf{return} \textit{1}"),
         ("wide_tanh", r"\textbf{return} $2 + 2\,\tanh(1 - 900\,x_{0})$"),
         ("labels", r"\textbf{return} \textit{3000000000}"),
+        ("pid", r"\textbf{return} $2\,\tanh(\theta_{P} \cdot P + \theta_{I} \cdot I + \theta_{D} \cdot D)$"),
+        (
+            "pid_of_two_actions",
+            r"y_{1} \gets 2 + 2\,\tanh(\theta_{P,\,y_{1}} \cdot P + \theta_{I,\,y_{1}} \cdot I "
+            r"+ \theta_{D,\,y_{1}} \cdot D)",
+        ),
         ("stairs", r"y_{1} \gets \operatorname{clip}(-20,\, -8,\, -1)"),
     ],
 )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 import otr
 from tests.core.strategies import Case, assert_same_answers, cases, make_network
-from tests.programs.policies import assert_answers, chain, committed, policies, states_for
+from tests.programs.policies import COMMITTED, assert_answers, chain, committed, policies, states_for
 
 POLICIES = policies()
 
@@ -34,7 +34,7 @@ def test_equals_the_network(case: Case) -> None:
     assert_same_answers(answers, case.network.predict(case.states), case.network, case)
 
 
-@pytest.mark.parametrize("name", ["hopper", "lander", "viper", "swimmer"])
+@pytest.mark.parametrize("name", COMMITTED)
 def test_ten_thousand_states_of_committed_policies(name: str) -> None:
     tree = committed(name)
     states = states_for(tree, 10_000)

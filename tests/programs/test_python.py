@@ -10,7 +10,7 @@ from hypothesis import given, settings
 
 import otr
 from tests.core.strategies import Case, assert_same_answers, cases
-from tests.programs.policies import assert_answers, chain, committed, policies, states_for
+from tests.programs.policies import COMMITTED, assert_answers, chain, committed, policies, states_for
 
 POLICIES = policies()
 # Stands for a machine without numpy: no site-packages, nothing from the environment.
@@ -35,8 +35,8 @@ def function(program: str, name: str = "policy") -> Callable[[Any], Any]:
 
 
 def test_every_policy_in_a_bare_interpreter(tmp_path) -> None:
-    trees = {**POLICIES, "stairs_of_300": chain(300), "hopper": committed("hopper"), "lander": committed("lander")}
-    states = {name: states_for(tree, 10_000 if name in ("hopper", "lander") else 400) for name, tree in trees.items()}
+    trees = {**POLICIES, "stairs_of_300": chain(300), **{name: committed(name) for name in COMMITTED}}
+    states = {name: states_for(tree, 10_000 if name in COMMITTED else 400) for name, tree in trees.items()}
     jobs = [json.dumps({"program": otr.to_python(tree), "states": states[name].tolist()})
             for name, tree in trees.items()]  # fmt: skip
     (tmp_path / "jobs").write_text("\n".join(jobs))

@@ -2,7 +2,7 @@ import re
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 import otr
@@ -12,7 +12,7 @@ from tests.programs.controller import FunctionBlock
 from tests.programs.policies import assert_answers, chain, committed, policies, states_for, without_labels
 
 # blark's parser (Earley) takes a second for two kilobytes, so the trees are small.
-SMALL = ("worked", "wide_tanh", "labels", "one_label", "mixed", "sparse")
+SMALL = ("worked", "wide_tanh", "labels", "one_label", "mixed", "sparse", "pid", "pid_of_two_actions")
 POLICIES = {
     **{name: tree for name, tree in policies().items() if name in SMALL or name.endswith("of_one_leaf")},
     "argmax": chain(2, otr.Argmax()),
@@ -38,7 +38,7 @@ def test_every_policy(name: str) -> None:
     assert_answers(tree, states, answers_of(tree, states))
 
 
-@pytest.mark.parametrize("name", ["wide_tanh", "labels", "argmax", "clip", "sign"])
+@pytest.mark.parametrize("name", ["wide_tanh", "labels", "argmax", "clip", "sign", "pid"])
 def test_every_policy_as_tables(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(structured_text, "MAX_NESTED_DEPTH", 0)
     tree = POLICIES[name]
@@ -47,8 +47,9 @@ def test_every_policy_as_tables(name: str, monkeypatch: pytest.MonkeyPatch) -> N
     assert_answers(tree, states, answers_of(tree, states))
 
 
-def test_ten_thousand_states_of_a_committed_policy() -> None:
-    tree = committed("hopper")
+@pytest.mark.parametrize("name", ["hopper", "pid"])
+def test_ten_thousand_states_of_a_committed_policy(name: str) -> None:
+    tree = committed(name)
     states = states_for(tree, 10_000)
     assert_answers(tree, states, answers_of(tree, states))
 
@@ -60,7 +61,9 @@ def test_deep_trees_become_tables(depth: int, nested: bool) -> None:
     assert (f"child : ARRAY [0..{2 * depth - 1}] OF DINT" in text) != nested
 
 
-@given(st.floats(allow_nan=False, allow_infinity=False))
+@given(st.floats(allow_nan=False, allow_infinity=False, allow_subnormal=False))
+@example(5e-324)
+@example(-0.0)
 def test_literals_are_real_and_lose_nothing(value: float) -> None:
     text = number(value)
     assert re.fullmatch(r"-?\d+\.\d+(E[+-]?\d+)?", text)

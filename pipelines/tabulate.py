@@ -1,4 +1,4 @@
-"""Stage tabulate: the thesis's result tables from the finished runs, as Markdown, CSV and LaTeX."""
+"""Stage tabulate: tables from the finished runs, as Markdown and CSV, the thesis's as LaTeX, too."""
 
 import difflib
 from collections import defaultdict
@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from pipelines.certificate_table import write_certificates
 from pipelines.errors import ConfigError
 from pipelines.store import write_csv, write_text
 from pipelines.supervised.table import write_table_4_2
@@ -33,16 +34,16 @@ from pipelines.table_text import latex_row, markdown_table, tex
 
 
 def write_table(table: str, results_dir: Path) -> list[Path]:
-    """Write one of the thesis's tables under `results_dir/tables` from the runs under `results_dir/runs`.
+    """Write a table under `results_dir/tables` from the runs under `results_dir/runs`.
 
     The same runs give the same bytes.
 
     Args:
-        table: its number, such as 4.1.
+        table: its number in the thesis, 4.1 or 4.2, or `certificates`.
         results_dir: the folder that holds `runs`; a table of runs that are not there says "not run".
 
     Returns:
-        The Markdown, the CSV and the LaTeX file.
+        The Markdown and the CSV file, then the LaTeX file of a table of the thesis.
 
     Raises:
         ConfigError: there is no such table; lists those there are.
@@ -73,7 +74,11 @@ def write_table_4_1(results_dir: Path) -> list[Path]:
     return paths
 
 
-TABLES: dict[str, Callable[[Path], list[Path]]] = {"4.1": write_table_4_1, "4.2": write_table_4_2}
+TABLES: dict[str, Callable[[Path], list[Path]]] = {
+    "4.1": write_table_4_1,
+    "4.2": write_table_4_2,
+    "certificates": write_certificates,
+}
 
 
 def markdown(rows: Sequence[Sequence[Cell]], beyond: Sequence[Cell]) -> str:

@@ -75,7 +75,7 @@ Write a table of the thesis, ours beside the published numbers, as Markdown, CSV
 of its figures from the runs of +experiment=figure_4_6, under results/figures.
 
 words:
-  table=4.1             which table: 4.1 (control) or 4.2 (data)
+  table=4.1             which table: 4.1 (control), 4.2 (data) or certificates (what is proved of which policy)
   figure=4.6            instead of a table: 4.6 (the lander's return against depth; PNG, SVG, CSV) or 4.7 (a policy
                         of depth 2 as a program, before and after its tests are simplified)
   budget=quick          whose runs a figure shows; by default the thesis's if there are any, else quick

@@ -320,7 +320,7 @@ def test_latex_compiles(tmp_path: Path) -> None:
 
 
 def test_unknown_table_lists_those_there_are(tmp_path: Path) -> None:
-    known = r"Known tables: 4\.1, 4\.2$"
+    known = r"Known tables: 4\.1, 4\.2, certificates$"
     with pytest.raises(ConfigError, match=rf"table=4\.11 is not known\. Did you mean table=4\.1\? {known}"):
         write_table("4.11", tmp_path)
     with pytest.raises(ConfigError, match=rf"table=x is not known\. {known}"):

@@ -1,8 +1,9 @@
-"""The regions of a network: every activation pattern that some states have, found by walking the tree of its tests.
+"""The regions of a network: every activation pattern that some states have.
 
-All regions of a level are taken on together. Each knows an inner point, which tells one side of the next test that is
-not empty; whether the other side is, too, is asked of `largest_balls`. Each level's tests are written in the inputs, by
-layer: within a region of the layers before, a layer is an arrangement of hyperplanes.
+Those of one layer in few dimensions are found by their vertices (`otr.vertices`), all others by walking the tree of the
+network's tests. All regions of a level are taken on together. Each knows an inner point, which tells one side of the
+next test that is not empty; whether the other side is, too, is asked of `largest_balls`. Each level's tests are written
+in the inputs, by layer: within a region of the layers before, a layer is an arrangement of hyperplanes.
 """
 
 from __future__ import annotations
@@ -17,13 +18,14 @@ from numpy.typing import NDArray
 from otr.arrays import BoolArray, FloatArray, IntArray
 from otr.domain import Domain
 from otr.errors import TreeTooLargeError
-from otr.linear_programs import Bases, Rows, largest_balls, rounding_at
+from otr.linear_programs import Bases, Rows, check_tolerance, largest_balls, rounding_at
 from otr.network import ReluNetwork
 from otr.vertices import regions_at_vertices
 
 __all__ = ["Block", "Regions", "Walk", "find_regions"]
 
 _BLOCK = 2**13  # regions walked together; more are set aside, so that memory does not grow with their number
+_AT_VERTICES_S = 2.0  # vertices take less: with less time than that, only the walk keeps to it
 _CLEAR_SHARE = 0.05  # of its margin to other tests: an inner point so far from a new one is inner to its side
 
 
@@ -34,8 +36,8 @@ class Regions:
     Attributes:
         patterns: (k, n_bits) bool, each region's activation pattern and the outcomes of the head's tests.
         inner_points: (k, d), a state inside each.
-        n_linear_programs: solved to find them.
-        n_tests: pairs of a region and a test that were looked at.
+        n_linear_programs: solved to find them; none where vertices tell.
+        n_tests: pairs of a region and a test that the walk looked at.
     """
 
     patterns: BoolArray
@@ -98,8 +100,10 @@ def find_regions(
     Raises:
         TreeTooLargeError: a limit was met; the message says how far the walk came.
     """
-    if len(network.hidden_widths) == 1 and not network.head.n_tests(network.n_outputs):
-        regions = _regions_of_a_layer(network, domain, tolerance)
+    check_tolerance(tolerance)
+    is_one_layer = len(network.hidden_widths) == 1 and not network.head.n_tests(network.n_outputs)
+    if is_one_layer and (max_seconds is None or max_seconds >= _AT_VERTICES_S):
+        regions = _regions_of_a_layer(network, domain, tolerance, max_regions)
         if regions is not None and len(regions.patterns) <= max_regions:
             return regions
     rows = domain.rows()
@@ -117,7 +121,7 @@ def find_regions(
     )
 
 
-def _regions_of_a_layer(network: ReluNetwork, domain: Domain, tolerance: float) -> Regions | None:
+def _regions_of_a_layer(network: ReluNetwork, domain: Domain, tolerance: float, max_regions: int) -> Regions | None:
     """Return the regions of a network of one layer without a walk, if its tests are in general position and few."""
     tests = domain.rows_of(np.column_stack((network.weights[0], network.biases[0]))[None])
     a, b = tests.a[0], tests.b[0]
@@ -129,6 +133,7 @@ def _regions_of_a_layer(network: ReluNetwork, domain: Domain, tolerance: float) 
         np.concatenate((sides.b[0], b[~constant])),
         np.concatenate((side_of, np.full((~constant).sum(), -1))),
         tolerance,
+        max_regions,
     )
     if found is None:
         return None

@@ -34,6 +34,7 @@ __all__ = [
     "Bases",
     "LargestValues",
     "Rows",
+    "check_tolerance",
     "largest_balls",
     "largest_values",
     "rounding_at",
@@ -176,11 +177,7 @@ def largest_balls(rows: Rows, group: IntArray, signs: NDArray[np.int8], bases: B
     Raises:
         ValueError: the tolerance is negative, no number, or so large that whole regions would be lost.
     """
-    if not 0 <= tolerance <= _LARGEST_TOLERANCE:
-        raise ValueError(
-            f"tolerance is {tolerance}, expected a radius from 0 to {_LARGEST_TOLERANCE}, in the scale where a bounded "
-            "domain reaches from -1 to 1"
-        )
+    check_tolerance(tolerance)
     n, q = bases.rows.shape
     if not signs.shape[1]:  # no rows: any ball
         return Balls(np.zeros(n, dtype=np.bool_), bases.solution[:, :-1], np.full(n, LARGEST_RADIUS), bases, 0)
@@ -199,6 +196,15 @@ def largest_balls(rows: Rows, group: IntArray, signs: NDArray[np.int8], bases: B
         Bases.concatenate([part.bases for part in parts]),
         sum(part.n_solved_alone for part in parts),
     )
+
+
+def check_tolerance(tolerance: float) -> None:
+    """Raise ValueError where a tolerance is negative, no number, or so large that whole regions would be lost."""
+    if not 0 <= tolerance <= _LARGEST_TOLERANCE:
+        raise ValueError(
+            f"tolerance is {tolerance}, expected a radius from 0 to {_LARGEST_TOLERANCE}, in the scale where a bounded "
+            "domain reaches from -1 to 1"
+        )
 
 
 def _pivot_until_decided(rows: Rows, group: IntArray, signs: NDArray[np.int8], bases: Bases, tolerance: float) -> Balls:

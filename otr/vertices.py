@@ -1,9 +1,10 @@
 """The regions between hyperplanes in few dimensions, by their vertices: without a linear program.
 
-Where the normals span R^r, every region has a vertex. Where the hyperplanes are in general position, a vertex lies on r
-of them, and the regions around it have either side of those, in every combination, and its own side of all others. So
-the distinct signs around all vertices are the regions. Whether the position is general is checked, well beyond
-rounding; where it is not, or where the vertices are too many, the answer is None, and `otr.arrangement` walks instead.
+Where the normals span the space, every region has a vertex. Where the hyperplanes are in general position, a vertex
+lies on as many of them as there are dimensions, and the regions around it have either side of those, in every
+combination, and its own side of all others. So the distinct signs around all vertices are the regions. Whether that is
+so is checked, well beyond rounding; where it is not, or where there is too much to do, the answer is None, and
+`otr.arrangement` walks.
 """
 
 from __future__ import annotations
@@ -19,15 +20,16 @@ from otr.packed import pack_rows
 
 __all__ = ["regions_at_vertices"]
 
-_MAX_NUMBERS = 2**25  # signs around all vertices
-_MAX_SHARE = 16  # vertices of a region, on average: beyond, the walk is as fast
+_MAX_SIGNS = 2**25  # around all vertices: half a second
+_MAX_NUMBERS = 2**23  # of all regions
+_MAX_SHARE = 16  # signs around all vertices for a region: beyond, the walk is as fast
 _MAX_ROWS = 64  # whose signs fit into a word
 _SMALLEST_VOLUME = 1e-9  # spanned by unit normals: below, they may be dependent
 _ROUNDING = 1e-14
 
 
 def regions_at_vertices(
-    a: FloatArray, b: FloatArray, side_of: IntArray, tolerance: float
+    a: FloatArray, b: FloatArray, side_of: IntArray, tolerance: float, max_regions: int
 ) -> tuple[BoolArray, FloatArray] | None:
     """Return the signs (k, m) and inner points (k, d) of all regions between hyperplanes, or None: then look otherwise.
 
@@ -35,17 +37,20 @@ def regions_at_vertices(
         a, b: (m, d) and (m,), hyperplanes ``a . x + b = 0`` with normals of unit length.
         side_of: (m,) the input whose limit a hyperplane is, so that only its positive side counts; -1 for others.
         tolerance: each region must hold a ball of a larger radius.
+        max_regions: do not begin where there will be more.
     """
     m, d = a.shape
-    r = min(m, d)
-    n_regions, n_around = sum(comb(m, i) for i in range(r + 1)), comb(m, r) * 2**r
-    if not r or m > _MAX_ROWS or n_around > _MAX_SHARE * n_regions or n_around * m > _MAX_NUMBERS:
+    r, is_side = min(m, d), side_of >= 0
+    n_regions, n_around = sum(comb(m, i) for i in range(r + 1)), comb(m, r) * 2**r  # more than there are, in a box
+    if not r or m > _MAX_ROWS or (n_regions > max_regions and not is_side.any()):
+        return None
+    if n_around > _MAX_SHARE * n_regions or n_around * m > _MAX_SIGNS or n_regions * m > _MAX_NUMBERS:
         return None
     basis = np.eye(d) if m >= d else np.linalg.qr(a.T)[0].T  # of the space that the normals span
     a = a @ basis.T
 
     on = _meeting(r, side_of)
-    if (np.abs(np.linalg.det(a[on])) < _SMALLEST_VOLUME).any():
+    if not len(on) or (np.abs(np.linalg.det(a[on])) < _SMALLEST_VOLUME).any():
         return None
     inverse = np.linalg.inv(a[on])
     vertices = np.matmul(inverse, -b[on][:, :, None])[:, :, 0]
@@ -56,15 +61,15 @@ def regions_at_vertices(
     if (margins <= np.maximum(tolerance, _ROUNDING * r * np.abs(inverse).max(axis=(1, 2)) * size)).any():
         return None
 
-    inside = np.flatnonzero((values[:, side_of >= 0] > 0).all(axis=1))  # around others, all is outside
+    inside = np.flatnonzero((values[:, is_side] > 0).all(axis=1))  # around others, all is outside
     clearest = inside[np.argsort(-margins[inside], kind="stable")]
-    signs, vertex, turns = _signs_around(values[clearest] > 0, on[clearest], side_of >= 0)
-    if len(signs) != n_regions and (side_of < 0).all():
+    signs, vertex, turn = _signs_around(values[clearest] > 0, on[clearest], is_side)
+    if len(signs) != n_regions and not is_side.any():
         return None
     vertex = clearest[vertex]
 
     # From the vertex into the region, away from all of its r hyperplanes at the same pace.
-    directions = np.einsum("kij,kj->ki", inverse[vertex], 2.0 * turns - 1.0)
+    directions = np.matmul(inverse, 2.0 * _turns(r).T - 1.0)[vertex, :, turn]
     with np.errstate(divide="ignore"):
         lengths = np.abs(values[vertex] / (directions @ a.T)).min(axis=1) / 2
     centres = vertices[vertex] + np.minimum(lengths, LARGEST_RADIUS)[:, None] * directions
@@ -85,8 +90,14 @@ def _meeting(r: int, side_of: IntArray) -> IntArray:
     return meet
 
 
-def _signs_around(positive: BoolArray, on: IntArray, is_side: BoolArray) -> tuple[BoolArray, IntArray, BoolArray]:
-    """Return the distinct signs (k, m) around vertices, the first vertex (k,) of each and its sides there (k, r).
+def _turns(r: int) -> BoolArray:
+    """Return every combination of sides of r hyperplanes: (2**r, r)."""
+    turns: BoolArray = (np.arange(2**r)[:, None] >> np.arange(r) & 1).astype(np.bool_)
+    return turns
+
+
+def _signs_around(positive: BoolArray, on: IntArray, is_side: BoolArray) -> tuple[BoolArray, IntArray, IntArray]:
+    """Return the distinct signs (k, m) around vertices, the first vertex (k,) of each and which of `_turns` (k,) it is.
 
     Args:
         positive: (n, m), the signs of all hyperplanes at the vertices.
@@ -94,10 +105,9 @@ def _signs_around(positive: BoolArray, on: IntArray, is_side: BoolArray) -> tupl
         is_side: (m,) whether only the positive side of a hyperplane counts.
     """
     (n, m), r = positive.shape, on.shape[1]
-    turns = (np.arange(2**r)[:, None] >> np.arange(r) & 1).astype(np.bool_)
     signs = np.repeat(positive[:, None], 2**r, axis=1)
-    np.put_along_axis(signs, on[:, None].repeat(2**r, axis=1), turns[None].repeat(n, axis=0), axis=2)
+    np.put_along_axis(signs, on[:, None].repeat(2**r, axis=1), _turns(r)[None].repeat(n, axis=0), axis=2)
     signs = signs.reshape(-1, m)
     counting = np.flatnonzero(signs[:, is_side].all(axis=1))
     first = counting[np.unique(pack_rows(signs[counting])[:, 0], return_index=True)[1]]
-    return signs[first], first // 2**r, turns[first % 2**r]
+    return signs[first], first // 2**r, first % 2**r

@@ -5,13 +5,13 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from pipelines.store import read_json, write_csv, write_text
+from pipelines.store import corrupt, read_json, write_csv, write_text
 from pipelines.table_cells import METHODS, TASKS, beyond_order
 from pipelines.table_text import markdown_table
 
 CSV_COLUMNS = ("env", "method", "depth", "budget", "seed", "certified", "exact", "domain", "paths", "leaves",
                "max_error", "linear_programs", "find_s", "prove_s", "check_s", "reason")  # fmt: skip
-CELL = ("env", "method", "depth", "budget", "certified", "domain")
+CELL = ("env", "method", "depth", "budget", "certified", "domain", "reason")
 NOTES = (
     "Proved: on every state of the domain the minimal tree is the trained network, up to the error: a bound on the "
     "difference of any affine output, found in rational arithmetic. An error of 0 means the same function.",
@@ -48,7 +48,13 @@ def _counts(path: Path) -> bool:
 
 def _row(path: Path) -> dict[str, Any]:
     """Return the line of one run, by CSV_COLUMNS; empty where it has no certificate."""
-    summary = read_json(path)
+    try:
+        return _read(path, read_json(path))
+    except KeyError as error:
+        raise corrupt(path, error) from error
+
+
+def _read(path: Path, summary: dict[str, Any]) -> dict[str, Any]:
     report = summary.get("certify")
     if report is None:
         return {}
@@ -73,19 +79,24 @@ def _row(path: Path) -> dict[str, Any]:
 
 
 def _order(row: dict[str, Any]) -> tuple[Any, ...]:
-    return *beyond_order((row["env"], row["method"], row["depth"])), row["budget"], row["domain"], row["seed"]
+    return (
+        *beyond_order((row["env"], row["method"], row["depth"])),
+        row["budget"],
+        *(str(row[key]) for key in CELL[4:]),
+        row["seed"],
+    )
 
 
 def _markdown(rows: list[dict[str, Any]]) -> str:
     """Return the table, a line for the runs that differ in their seed alone, and the notes."""
     lines = [["Task", "Method", "Depth", "Budget", "Runs", "Paths", "Leaves", "Proved on", "Error at most",
               "Seconds: find", "prove", "check"]]  # fmt: skip
-    for (env, method, depth, budget, certified, domain), group in groupby(rows, key=lambda row: [row[k] for k in CELL]):
-        runs = list(group)
+    for cell, group in groupby(rows, key=lambda row: [row[key] for key in CELL]):
+        (env, method, depth, budget, certified, domain, reason), runs = cell, list(group)
         names = [TASKS.get(env, env), METHODS.get(method, method), depth, budget, str(len(runs))]
         paths = _range([run["paths"] for run in runs])
         if not certified:
-            lines.append([*names, paths, "", f"not proved: {runs[0]['reason']}", "", "", "", ""])
+            lines.append([*names, paths, "", f"not proved: {reason}", "", "", "", ""])
             continue
         error = _rounded_up(max(run["max_error"] for run in runs))
         leaves = _range([run["leaves"] for run in runs])

@@ -37,10 +37,10 @@ def to_c(
 ) -> str:
     """Return a C99 source file that answers as ``policy.predict`` does.
 
-    It defines ``void name(const double x[d], double y[o])`` or, where the answers are labels,
-    ``int name_label(const double x[d])``. It compiles without a warning under -Wall -Wextra -Werror -pedantic, uses
-    neither heap nor recursion, and all its data is constant, so that it lands in flash. Test rows and leaf rows that
-    repeat are stored once, dense or sparse, and indices have the smallest type that fits.
+    It defines ``void name(const double x[d], double y[n])``, of as many numbers as the answer has, or, where the
+    answers are labels, ``int name_label(const double x[d])``. It compiles without a warning under -Wall -Wextra
+    -Werror -pedantic, uses neither heap nor recursion, and all its data is constant, so that it lands in flash. Test
+    rows and leaf rows that repeat are stored once, dense or sparse, and indices have the smallest type that fits.
 
     A network is written in its own, compact form: every neuron is evaluated once and adds to what it feeds, which
     takes the fewest bytes, where a tree has a map for every leaf. A `PatternTree` of all paths is written as its

@@ -48,7 +48,7 @@ def to_latex(
 
     Raises:
         TypeError: `tree` is no ObliqueTree.
-        ValueError: the wrong number of names, or precision < 1.
+        ValueError: the wrong number of names, precision < 1, or a PID policy whose terms differ between leaves.
     """
     names = names_for(tree, feature_names, output_names)
     if precision < 1:
@@ -97,13 +97,9 @@ def _leaf(tree: ObliqueTree, leaf: int, features: Sequence[str], answers: Sequen
     if isinstance(tree.head, PidBox):
         gains, values = _gains(tree, leaf, features, outputs, precision)
     else:
-        gains, values = (
-            [],
-            [
-                _affine(tree.M[leaf, output], float(tree.c[leaf, output]), features, precision)
-                for output in range(tree.n_outputs)
-            ],
-        )
+        gains = []
+        maps = zip(tree.M[leaf], tree.c[leaf].tolist(), strict=True)
+        values = [_affine(row, offset, features, precision) for row, offset in maps]
     if isinstance(tree.head, Sign):
         return [rf"\textbf{{return}} $1$ \textbf{{if}} ${values[0]} > 0$ \textbf{{else}} $0$"]
     if isinstance(tree.head, Argmax):

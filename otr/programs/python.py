@@ -46,9 +46,9 @@ def to_python(
 ) -> str:
     """Return a Python module with the one function ``name(state)`` that answers as ``tree.predict(state)`` does.
 
-    The function takes d numbers and returns a list of o numbers or, where the answers are labels, an int. It is
-    written as nested ifs. A tree that is deeper than Python's parser bears, or that reads hundreds of inputs at once,
-    is written as tables and a loop. Numbers are written in their shortest exact form.
+    The function takes d numbers and returns the list of the answer's numbers or, where the answers are labels, an int.
+    It is written as nested ifs. A tree that is deeper than Python's parser bears, or that reads hundreds of inputs at
+    once, is written as tables and a loop. Numbers are written in their shortest exact form.
 
     Args:
         tree: any tree.
@@ -135,7 +135,7 @@ def _tables(tree: ObliqueTree) -> list[str]:
             "    offset, weights = tests[test_of[node]]",
             "    for i, w in weights:",
             "        offset += w * state[i]",
-            "    node = children[node][offset > 0]",
+            "    node = children[node][1 if offset > 0 else 0]",
         ]
     else:
         lines.append("node = -1")

@@ -42,7 +42,7 @@ def to_text(
 
     Raises:
         TypeError: `tree` is no ObliqueTree.
-        ValueError: the wrong number of names, or precision < 1.
+        ValueError: the wrong number of names, precision < 1, or a PID policy whose terms differ between leaves.
     """
     if not isinstance(tree, ObliqueTree):
         raise TypeError(f"tree is a {type(tree).__name__}, expected an ObliqueTree; a PatternTree has to_tree()")

@@ -71,8 +71,9 @@ examples:
   otr-fit -m data=bace,hiv method=otr "seed=range(0,10)"
   otr-fit +experiment=table_4_2 launcher=joblib""",
     "otr-tabulate": """\
-Write a table of the thesis, ours beside the published numbers, as Markdown, CSV and LaTeX under results/tables; or one
-of its figures from the runs of +experiment=figure_4_6, under results/figures.
+Write a table of the thesis, ours beside the published numbers, as Markdown, CSV and LaTeX under results/tables; or the
+table of the runs' certificates, as Markdown and CSV; or one of the thesis's figures from the runs of
++experiment=figure_4_6, under results/figures.
 
 words:
   table=4.1             which table: 4.1 (control), 4.2 (data) or certificates (what is proved of which policy)

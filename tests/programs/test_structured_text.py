@@ -6,6 +6,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import otr
+from otr.control import pid_network
 from otr.programs import structured_text
 from otr.programs.structured_text import number
 from tests.programs.controller import FunctionBlock
@@ -16,6 +17,9 @@ SMALL = ("worked", "wide_tanh", "labels", "one_label", "mixed", "sparse", "pid",
 POLICIES = {
     **{name: tree for name, tree in policies().items() if name in SMALL or name.endswith("of_one_leaf")},
     "argmax": chain(2, otr.Argmax()),
+    "one_gain": otr.map_network(
+        pid_network(otr.ReluNetwork([[[1.0]], [[2.0], [0.0], [0.0]]], [[-0.5], [0.25, 0.0, -1.0]]), [-2.0], [2.0])
+    ),
     "clip": chain(3, otr.ClipBox([-5.0, -2.0], [2.0, 0.0])),
     "sign": without_labels(otr.ObliqueTree([~0], [~1], [[1.0, 2.0]], [0.5], [[[1.0, 0.0]], [[0.0, -1.0]]],
                                            [[1.0], [0.0]]), otr.Sign()),
@@ -38,7 +42,7 @@ def test_every_policy(name: str) -> None:
     assert_answers(tree, states, answers_of(tree, states))
 
 
-@pytest.mark.parametrize("name", ["wide_tanh", "labels", "argmax", "clip", "sign", "pid"])
+@pytest.mark.parametrize("name", ["wide_tanh", "labels", "argmax", "clip", "sign", "one_gain"])
 def test_every_policy_as_tables(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(structured_text, "MAX_NESTED_DEPTH", 0)
     tree = POLICIES[name]

@@ -6,7 +6,7 @@ CPU seconds of one process are counted, affinitree's building of its input apart
 asked. The certificate of the same tree, and its verification, follow for the sizes that anyone would store.
 
 Targets: 32 neurons and 3 inputs in under 4 s; as many leaves as affinitree; no slower, and 3 times faster for 32 x 3
-and 16 x 8. With 6 neurons neither takes a millisecond; ours goes to the calls of numpy, and misses by a part of one.
+and 16 x 8. With 6 neurons neither takes more than a millisecond, ours for calls of numpy; it misses by a part of one.
 """
 
 import contextlib

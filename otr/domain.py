@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from otr.arrays import FloatArray, read_only
+from otr.arrays import BoolArray, FloatArray, as_batch, read_only
 from otr.linear_programs import Rows
 
 __all__ = ["Box", "Domain", "as_domain"]
@@ -74,6 +74,12 @@ class Domain:
                 f"input {i} has the limits {self.low[i]:g} and {self.high[i]:g}, expected a bounded box: give a finite "
                 "low and high for every input"
             )
+
+    def contains(self, X: ArrayLike) -> BoolArray:
+        """Return which of the states (n, d) lie in the box, sides included: (n,); NaN lies nowhere."""
+        states = as_batch(X, self.n_inputs)
+        inside: BoolArray = np.all((self.low <= states) & (states <= self.high), axis=1)
+        return inside
 
     def sides(self) -> tuple[FloatArray, tuple[str, ...]]:
         """Return the finite sides as affine forms [a | b] (m, d + 1), 0 or more inside, and their names; lows first."""

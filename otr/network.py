@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from otr.arrays import BoolArray, FloatArray, as_states, read_only
+from otr.domain import Box, Domain, as_domain
 from otr.errors import InvalidNetworkError
 from otr.head import Head, Identity
 
@@ -65,6 +66,8 @@ class ReluNetwork:
         negative_slope: slope of the activation below zero, 0 for ReLU.
         dense: False, "input" or "all".
         head: from y to the answer.
+        domain: where the network is what it stands for (`from_sb3` with a clip on the observations), the default of
+            functions that ask for a domain; None for all of R^d.
     """
 
     def __init__(
@@ -75,12 +78,14 @@ class ReluNetwork:
         negative_slope: float = 0.0,
         dense: bool | Literal["input", "all"] = False,
         head: Head | None = None,
+        domain: Domain | Box | None = None,
     ) -> None:
         """Copy and check the arrays; a single weight matrix makes a linear model, with no hidden layer.
 
         Raises:
             InvalidNetworkError: shapes that do not chain (the layer is named), numbers that are not finite, a slope
                 outside [0, 1), an unknown kind of dense links, or a head that does not fit.
+            ValueError: the domain is no box of as many inputs.
         """
         if dense not in (False, True, "input", "all"):
             raise InvalidNetworkError(f"dense is {dense!r}, expected False, True, 'input' or 'all'")
@@ -93,6 +98,7 @@ class ReluNetwork:
         self.head: Head = Identity() if head is None else head
         self.weights, self.biases = _checked_layers(weights, biases, self.dense)
         self.head.check(self.n_outputs)
+        self.domain = None if domain is None else as_domain(domain, self.n_inputs)
 
     @property
     def n_inputs(self) -> int:
@@ -196,10 +202,10 @@ class ReluNetwork:
             columns = np.concatenate((*read, np.ones(n_of_inputs, dtype=np.bool_)))
             weights.append(W[kept[layer]][:, columns])
             biases.append(b[kept[layer]])
-        return ReluNetwork(weights, biases, negative_slope=self.negative_slope, dense=self.dense, head=self.head)
+        return self._with_layers(weights, biases, self.domain)
 
     def fold_input_normalisation(self, mean: ArrayLike, scale: ArrayLike) -> ReluNetwork:
-        """Return the network that answers on raw x as this one does on (x - mean) / scale.
+        """Return the network that answers on raw x as this one does on (x - mean) / scale; so does its domain.
 
         Args:
             mean, scale: (d,) each, or numbers; scale finite and not zero.
@@ -222,7 +228,18 @@ class ReluNetwork:
             on_x = W[:, W.shape[1] - d :] / scale
             weights.append(np.concatenate((W[:, : W.shape[1] - d], on_x), axis=1))
             biases.append(b - on_x @ np.broadcast_to(mean, (d,)))
-        return ReluNetwork(weights, biases, negative_slope=self.negative_slope, dense=self.dense, head=self.head)
+        if self.domain is None:
+            return self._with_layers(weights, biases, None)
+        sides = np.sort((self.domain.low * scale + mean, self.domain.high * scale + mean), axis=0)
+        return self._with_layers(weights, biases, Domain(*sides))
+
+    def _with_layers(
+        self, weights: Sequence[FloatArray], biases: Sequence[FloatArray], domain: Domain | None
+    ) -> ReluNetwork:
+        """Return a network of the same kind of layers and head."""
+        return ReluNetwork(
+            weights, biases, negative_slope=self.negative_slope, dense=self.dense, head=self.head, domain=domain
+        )
 
     def __repr__(self) -> str:
         widths = " -> ".join(str(width) for width in (self.n_inputs, *self.hidden_widths, self.n_outputs))

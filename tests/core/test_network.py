@@ -120,3 +120,27 @@ def test_states_of_the_wrong_width_are_refused() -> None:
     for call in (worked_network().forward, otr.map_network(worked_network()).predict):
         with pytest.raises(ValueError, match=r"shape \(4, 3\), expected \(n, 2\)"):
             call(np.ones((4, 3)))
+
+
+def test_a_domain_goes_with_the_network() -> None:
+    domain = otr.Domain([0.0, -1.0], [2.0, np.inf])
+    net = worked_network()
+    assert net.domain is None and net.fold_input_normalisation(1.0, 2.0).domain is None
+    within = otr.ReluNetwork(net.weights, net.biases, domain=domain)
+    assert within.domain == domain
+    assert within.fold_input_normalisation([10.0, 20.0], [3.0, 2.0]).domain == otr.Domain([10.0, 18.0], [16.0, np.inf])
+    assert within.fold_input_normalisation(0.0, [-1.0, -1.0]).domain == otr.Domain([-2.0, -np.inf], [0.0, 1.0])
+    dead = [[[1.0, 0.0], [0.0, 1.0]], [[1.0, 0.0]]]
+    trimmed = otr.ReluNetwork(dead, [[0.0, 0.0], [0.0]], domain=domain).without_dead_neurons()
+    assert (trimmed.n_hidden, trimmed.domain) == (1, domain)
+    with pytest.raises(ValueError, match="the domain has 1 inputs, expected 2"):
+        otr.ReluNetwork(net.weights, net.biases, domain=([0.0], [1.0]))
+
+
+def test_a_domain_tells_which_states_it_holds() -> None:
+    domain = otr.Domain([0.0, -np.inf], [2.0, 5.0])
+    states = [[0, 5], [2, -1e300], [2.0000001, 0], [1, 5.1], [-0.1, 0], [np.nan, 0], [1, -np.inf]]
+    assert domain.contains(states).tolist() == [True, True, False, False, False, False, True]
+    assert domain.contains([1.0, 1.0]).tolist() == [True]
+    with pytest.raises(ValueError, match=r"shape \(3,\), expected \(n, 2\)"):
+        domain.contains([1.0, 1.0, 1.0])

@@ -13,8 +13,8 @@ from otr.network import ReluNetwork
 from otr.pattern_tree import PatternTree
 from otr.programs.c_network import network_code, outputs_array
 from otr.programs.c_tables import CType, Table, integer_table, integer_type, literal, real_table, row_table
-from otr.programs.parts import box_limits, check_policy, child, distinct_rows, give_labels, one_line, summary_of
-from otr.programs.text import names_of
+from otr.programs.names import check_policy, give_labels, in_comment, shown_names
+from otr.programs.parts import box_limits, child, distinct_rows, summary_of
 from otr.tree import ObliqueTree
 
 __all__ = ["to_c"]
@@ -68,7 +68,7 @@ def to_c(
     if isinstance(policy, ReluNetwork) and policy.n_hidden == 0:
         policy = map_network(policy)
     check_policy(policy)
-    features, answers = names_of(policy, feature_names, output_names)
+    features, answers = shown_names(policy, feature_names, output_names)
     tables, body = network_code(policy, name, dtype) if isinstance(policy, ReluNetwork) else _tree(policy, name, dtype)
     head_tables, head = _head(policy, name, dtype)
     n_bytes = sum(table.n_bytes for table in (*tables, *head_tables))
@@ -108,11 +108,11 @@ def _comment(
     else:
         what = f"a network of {policy.n_hidden} hidden neurons, which is a tree of {policy.n_hidden} tests on a path"
     lines = [f"/* {what[0].upper()}{what[1:]}.", " *", f" *     {declared};", " *"]
-    lines += [f" * x[{i}]  {_commented(feature)}" for i, feature in enumerate(features)]
+    lines += [f" * x[{i}]  {in_comment(feature)}" for i, feature in enumerate(features)]
     if give_labels(policy):
-        lines += [f" * {i:4d}  {_commented(answer)}" for i, answer in enumerate(answers) if answer != str(i)]
+        lines += [f" * {i:4d}  {in_comment(answer)}" for i, answer in enumerate(answers) if answer != str(i)]
     else:
-        lines += [f" * y[{i}]  {_commented(answer)}{_range(policy, i)}" for i, answer in enumerate(answers)]
+        lines += [f" * y[{i}]  {in_comment(answer)}{_range(policy, i)}" for i, answer in enumerate(answers)]
         lines += [" *", " * x and y must not overlap."]
     lines += [
         " *",
@@ -121,11 +121,6 @@ def _comment(
         " */",
     ]
     return lines
-
-
-def _commented(name: str) -> str:
-    """Return a name that neither ends the comment, nor opens another, nor holds a trigraph."""
-    return re.sub(r"\?(?=\?)", "? ", one_line(name).replace("*/", "* /").replace("/*", "/ *"))
 
 
 def _range(policy: ObliqueTree | ReluNetwork, output: int) -> str:

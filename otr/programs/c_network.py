@@ -9,7 +9,7 @@ import numpy as np
 from otr.head import PidBox
 from otr.network import ReluNetwork
 from otr.programs.c_tables import CType, Table, literal, real_table
-from otr.programs.parts import give_labels
+from otr.programs.names import give_labels
 from otr.tree import ObliqueTree
 
 __all__ = ["network_code", "outputs_array"]

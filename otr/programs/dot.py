@@ -6,7 +6,7 @@ import html
 from collections.abc import Sequence
 
 from otr.programs.boxes import Box, Style, head_note, tree_boxes
-from otr.programs.parts import names_for, one_line
+from otr.programs.names import names_for
 from otr.programs.picture import LABEL_COLOURS, SUBTREE_FILL, TEST_FILL, TEST_LINE, VALUE_COLOURS
 from otr.tree import ObliqueTree
 
@@ -44,9 +44,7 @@ def to_dot(
             raise ValueError(f"{argument} is {value}, expected at least 1")
     if max_depth is not None and max_depth < 0:
         raise ValueError(f"max_depth is {max_depth}, expected at least 0")
-    style = Style([one_line(name) for name in names.features], [one_line(name) for name in names.answers],
-                  precision, max_terms)  # fmt: skip
-    boxes = tree_boxes(tree, style, None, max_depth)
+    boxes = tree_boxes(tree, Style(names.features, names.answers, precision, max_terms), None, max_depth)
     note = head_note(tree)
     lines = [
         "digraph policy {",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 
-from otr.programs.parts import give_labels, names_for
+from otr.programs.names import give_labels, names_of, require_tree
 from otr.tree import ObliqueTree
 
 __all__ = ["PROGRAM_SCHEMA", "to_json"]
@@ -42,12 +42,13 @@ def to_json(
         TypeError: `tree` is no ObliqueTree.
         ValueError: the wrong number of names.
     """
-    names = names_for(tree, feature_names, output_names)
+    require_tree(tree)
+    features, answers = names_of(tree, feature_names, output_names)
     about = {
         "schema": PROGRAM_SCHEMA,
-        "features": names.features,
+        "features": features,
         "answer": "label" if give_labels(tree) else "values",
-        "outputs": names.answers,
+        "outputs": answers,
         "head": tree.head.to_dict(),
         "root": 0 if tree.n_nodes else -1,
     }
@@ -65,7 +66,7 @@ def to_json(
 
 
 def _json(value: object) -> str:
-    return json.dumps(value, allow_nan=False, ensure_ascii=False)
+    return json.dumps(value, allow_nan=False)
 
 
 def _rows(rows: Sequence[object]) -> str:

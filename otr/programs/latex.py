@@ -10,7 +10,8 @@ import numpy as np
 from otr.arrays import FloatArray
 from otr.head import Argmax, ClipBox, PidBox, Sign, TanhBox
 from otr.programs.gains import gain_vectors, term_vectors
-from otr.programs.parts import box_limits, label_name, names_for, one_line, summary_of, walk
+from otr.programs.names import label_name, names_for
+from otr.programs.parts import box_limits, summary_of, walk
 from otr.tree import ObliqueTree
 
 __all__ = ["to_latex"]
@@ -70,14 +71,13 @@ def to_latex(
 
 
 def math_name(name: str) -> str:
-    """Return a name for use in a formula: z as it is, x0 with an index, others as one word."""
-    text = one_line(name)
-    if re.fullmatch(r"[A-Za-z]", text):
-        return text
-    indexed = re.fullmatch(r"([A-Za-z])_?([0-9]+)", text)
+    """Return a name of one line for use in a formula: z as it is, x0 with an index, others as one word."""
+    if re.fullmatch(r"[A-Za-z]", name):
+        return name
+    indexed = re.fullmatch(r"([A-Za-z])_?([0-9]+)", name)
     if indexed:
         return f"{indexed[1]}_{{{indexed[2]}}}"
-    return rf"\textit{{{escaped(text)}}}"
+    return rf"\textit{{{escaped(name)}}}"
 
 
 def escaped(text: str) -> str:
@@ -92,7 +92,7 @@ def _line(depth: int, text: str) -> str:
 def _leaf(tree: ObliqueTree, leaf: int, features: Sequence[str], answers: Sequence[str], precision: int) -> list[str]:
     """Return the lines that state a leaf's answer."""
     if tree.labels is not None:
-        return [rf"\textbf{{return}} \textit{{{escaped(one_line(label_name(int(tree.labels[leaf]), answers)))}}}"]
+        return [rf"\textbf{{return}} \textit{{{escaped(label_name(int(tree.labels[leaf]), answers))}}}"]
     outputs = [math_name(answer) for answer in answers]
     if isinstance(tree.head, PidBox):
         gains, values = _gains(tree, leaf, features, outputs, precision)

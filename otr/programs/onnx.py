@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otr.head import Argmax, ClipBox, PidBox, Sign, TanhBox
-from otr.programs.parts import box_limits, child, distinct_rows, give_labels, names_for, summary_of
+from otr.programs.names import give_labels, names_of, one_line, require_tree
+from otr.programs.parts import box_limits, child, distinct_rows, summary_of
 from otr.tree import ObliqueTree
 
 if TYPE_CHECKING:
@@ -45,9 +46,13 @@ def to_onnx(
     Raises:
         ImportError: onnx is not installed.
         TypeError: `tree` is no ObliqueTree.
-        ValueError: the wrong number of names, another `dtype`, or a number that is too large for a float.
+        ValueError: the wrong number of names, a `name` that is no line of text, another `dtype`, or a number that is
+            too large for a float.
     """
-    names = names_for(tree, feature_names, output_names)
+    require_tree(tree)
+    features, answers = names_of(tree, feature_names, output_names)
+    if not name or name != one_line(name):
+        raise ValueError(f"name is {name!r}, expected one line of characters that print, as the name of the graph")
     if dtype not in ("double", "float"):
         raise ValueError(f"dtype is {dtype!r}, expected 'double' or 'float'")
     try:
@@ -65,11 +70,7 @@ def to_onnx(
             graph.nodes,
             name,
             [helper.make_tensor_value_info("x", kind, ["n", tree.n_inputs])],
-            [
-                helper.make_tensor_value_info(
-                    output, *(_label_info() if is_label else (kind, ["n", len(names.answers)]))
-                )
-            ],
+            [helper.make_tensor_value_info(output, *(_label_info() if is_label else (kind, ["n", len(answers)])))],
             graph.constants,
         ),
         opset_imports=[helper.make_opsetid("", OPSET)],
@@ -77,7 +78,7 @@ def to_onnx(
         producer_name="otr",
         doc_string=f"{name}: {summary_of(tree)}",
     )
-    metadata = {"features": names.features, "outputs": names.answers, "head": tree.head.to_dict()}
+    metadata = {"features": features, "outputs": answers, "head": tree.head.to_dict()}
     helper.set_model_props(model, {key: json.dumps(value) for key, value in metadata.items()})
     checker.check_model(model, full_check=True)
     return model

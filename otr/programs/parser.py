@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from otr.programs.language.cursor import Cursor
 from otr.programs.language.lowering import lower
-from otr.programs.language.scope import Scope
+from otr.programs.language.scope import FUNCTIONS, Scope
 from otr.programs.language.statements import read_program
-from otr.programs.language.tokens import KEYWORDS, Source, tokenize
+from otr.programs.language.tokens import Source, tokenize
 from otr.tree import ObliqueTree
 
 __all__ = ["parse_program"]
@@ -35,7 +35,9 @@ def parse_program(
     they are tests. Conditions compare (``< <= > >= == !=``, chains as ``0 < x <= 1``) and join with ``and or not``.
     A program answers with ``return``, with a value alone, or at its end with the values of its outputs,
     ``name = value``. A block is what is indented, what stands on the line, or what is in braces; ``then``, ``:`` and
-    brackets as in C may follow a condition; ``#`` and ``//`` begin comments.
+    brackets as in C may follow a condition; ``#`` and ``//`` begin comments. A name that is no word may stand between
+    backquotes, as `to_text` writes it: ``2 `50% quantile` ``; there a backslash and a backquote have a backslash before
+    them, and ``\\u{a}`` is the character of that code.
 
     Every way through the program is a path of the tree: a statement after an `if` is there once for each way through
     it, and what `max` or `and` decides is a test. All tests are ``P @ x + v <= 0``, with the boundary on the side that
@@ -61,13 +63,13 @@ def parse_program(
     Raises:
         ProgramError: the text is no program; has the line and the column.
         TreeTooLargeError: names the line at which there were too many paths.
-        ValueError: a name is given twice, or no program could use it.
+        ValueError: a name is given twice.
     """
     if max_leaves < 1:
         raise ValueError(f"max_leaves is {max_leaves}, expected at least 1")
     _check_names(feature_names, output_names or ())
     source = Source(text)
-    tokens = tokenize(source, [*feature_names, *(output_names or ())])
+    tokens = tokenize(source, [*feature_names, *(output_names or ())], FUNCTIONS)
     label_names = {name: label for label, name in enumerate(output_names or ())} if labels else {}
     scope = Scope(source, feature_names, label_names)
     block = read_program(Cursor(source, tokens), scope)
@@ -86,11 +88,10 @@ def _check_names(features: Sequence[str], outputs: Sequence[str]) -> None:
     for argument, names in (("feature_names", features), ("output_names", outputs)):
         if isinstance(names, str):
             raise ValueError(f"{argument} is the text {names!r}, expected a list of names")
-        for i, name in enumerate(names):
-            if name in names[:i]:
-                raise ValueError(f"{argument} has {name!r} twice")
-            if name in features and argument == "output_names":
-                raise ValueError(f"output_names has {name!r}, which is an input's name, too; give it another one")
-            if name.lower() in KEYWORDS or not any(character.isalpha() or character == "_" for character in name):
-                what = "is a word of the language" if name.lower() in KEYWORDS else "has no letter"
-                raise ValueError(f"{argument}[{i}] is {name!r}, which {what}; give it another name")
+        seen: set[str] = set()
+        for name in names:
+            if name in seen:
+                raise ValueError(f"{argument} has {name!r} twice; give one of them another name")
+            seen.add(name)
+    for name in set(features) & set(outputs):
+        raise ValueError(f"output_names has {name!r}, which is an input's name, too; give it another one")

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from otr.arrays import IntArray
 from otr.programs.boxes import Box, Style, head_note, tree_boxes
 from otr.programs.layout import tidy_layout
-from otr.programs.text import names_of
+from otr.programs.names import one_line, shown_names
 from otr.tree import ObliqueTree
 
 if TYPE_CHECKING:
@@ -76,10 +76,10 @@ def draw_tree(
         if value is not None and value < least:
             raise ValueError(f"{name} is {value}, expected at least {least}")
     _check_size(tree, max_depth)
-    features, answers = names_of(tree, feature_names, output_names)
+    features, answers = shown_names(tree, feature_names, output_names)
     rows = None if counts is None else _checked_counts(counts, tree.n_leaves)
     boxes = tree_boxes(tree, Style(features, answers, precision, max_terms), rows, max_depth)
-    return _Picture(boxes, title or "", head_note(tree)).figure()
+    return _Picture(boxes, one_line(title or ""), head_note(tree)).figure()
 
 
 def save_picture(figure: Figure, path: str | Path) -> None:

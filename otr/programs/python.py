@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import keyword
+import unicodedata
 from collections.abc import Sequence
 
 import numpy as np
 
 from otr.head import Argmax, ClipBox, PidBox, Sign, TanhBox
 from otr.programs.gains import joined
+from otr.programs.names import Names, give_labels, label_name, names_for
 from otr.programs.parts import (
     MAX_NESTED_DEPTH,
     TIE,
     WIDTH,
-    Names,
     affine_expression,
     box_limits,
     child,
     distinct_rows,
-    give_labels,
-    label_name,
-    names_for,
-    one_line,
     summary_of,
     walk,
     wrapped,
@@ -59,13 +56,17 @@ def to_python(
         TypeError: `tree` is no ObliqueTree.
         ValueError: the wrong number of names, or `name` is no identifier or one of the functions that are called.
     """
-    if not name.isidentifier() or keyword.iskeyword(name) or name in _CALLED:
+    read = unicodedata.normalize("NFKC", name)  # as Python reads an identifier
+    if not name.isidentifier() or keyword.iskeyword(read) or read in (*_CALLED, "__debug__"):
         raise ValueError(f"name is {name!r}, which cannot be the name of the Python function")
     names = names_for(tree, feature_names, output_names, reserved=(*_RESERVED, name))
     n_terms = max(np.count_nonzero(tree.P, axis=1).max(initial=0), np.count_nonzero(tree.M, axis=2).max())
     nested = tree.depth <= MAX_NESTED_DEPTH and n_terms <= MAX_TERMS
     body = [*(_nested(tree, names) if nested else _tables(tree)), *_head(tree, names, nested)]
-    lines = [f"# {name}: {summary_of(tree)}.", *_interface(tree, names)]
+    # Python looks for a declaration of the file's encoding in comments on the first two lines: no name stands there.
+    what = summary_of(tree)
+    lines = [f"# {what[0].upper()}{what[1:]}.", "# It needs nothing but the standard library.", "#"]
+    lines += _interface(tree, names)
     if isinstance(tree.head, TanhBox | PidBox) and not give_labels(tree):
         lines += ["from math import tanh", ""]
     lines += ["", f"def {name}(state):", *(_INDENT + line if line else "" for line in body)]
@@ -85,7 +86,7 @@ def _interface(tree: ObliqueTree, names: Names) -> list[str]:
 
 
 def _original(name: str, identifier: str) -> str:
-    return "" if name == identifier else f' ("{one_line(name)}")'
+    return "" if name == identifier else f' ("{name}")'
 
 
 def _nested(tree: ObliqueTree, names: Names) -> list[str]:
@@ -110,14 +111,18 @@ def _nested(tree: ObliqueTree, names: Names) -> list[str]:
 
 
 def _statement(before: str, expression: str, after: str, indent: str) -> list[str]:
-    """Return a statement in one line, or in several where that is too long: then its expression stands in brackets."""
+    """Return a statement in one line, or in several where that is too long: then its expression stands in brackets.
+
+    Only within these a line ends: however long a name is, what is around the brackets stays on their lines.
+    """
     fits = len(indent + before + expression + after) <= WIDTH
-    return wrapped(f"{before}{expression if fits else f'({expression})'}{after.replace(' ', TIE)}", indent)
+    inner = expression if fits else f"({expression})"
+    return wrapped(f"{before.replace(' ', TIE)}{inner}{after.replace(' ', TIE)}", indent)
 
 
 def _label_comment(label: int, names: Names) -> str:
     name = label_name(label, names.answers)
-    return "" if name == str(label) else f"  # {one_line(name)}"
+    return "" if name == str(label) else f"  # {name}"
 
 
 def _tables(tree: ObliqueTree) -> list[str]:

@@ -9,16 +9,12 @@ import numpy as np
 
 from otr.head import Argmax, ClipBox, PidBox, Sign, TanhBox
 from otr.programs.gains import joined
+from otr.programs.names import Names, give_labels, in_comment, label_name, names_for
 from otr.programs.parts import (
     MAX_NESTED_DEPTH,
-    Names,
     affine_expression,
     box_limits,
     distinct_rows,
-    give_labels,
-    label_name,
-    names_for,
-    one_line,
     summary_of,
     walk,
     wrapped,
@@ -104,8 +100,7 @@ def _declared(identifier: str, name: str) -> str:
 
 
 def _comment(name: str, identifier: str) -> str:
-    text = one_line(name).replace("(*", "( *").replace("*)", "* )")
-    return "" if name == identifier else f" (* {text} *)"
+    return "" if name == identifier else f" (* {in_comment(name)} *)"
 
 
 def _outputs(tree: ObliqueTree, names: Names) -> list[str]:

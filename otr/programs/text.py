@@ -8,11 +8,12 @@ import numpy as np
 
 from otr.arrays import FloatArray
 from otr.head import Argmax, ClipBox, PidBox, Sign, TanhBox
-from otr.network import ReluNetwork
 from otr.programs.gains import control_text, gain_lines, term_lines
+from otr.programs.language.tokens import written
+from otr.programs.names import names_of
 from otr.tree import ObliqueTree
 
-__all__ = ["affine_text", "names_of", "to_text"]
+__all__ = ["affine_text", "to_text"]
 
 _INDENT = "    "
 
@@ -32,7 +33,8 @@ def to_text(
             return -102.3 - 169.8 x + 5116.5 v
 
     Several outputs take one line each, ``name = expression``. Coefficients that are zero are left out. A PID policy's
-    leaf states its gains first (`otr.PidBox`), as in Fig. 4.4; what P, I and D are stands above the program.
+    leaf states its gains first (`otr.PidBox`), as in Fig. 4.4; what P, I and D are stands above the program. A name
+    that is not made of words stands between backquotes, where `parse_program` reads it back whatever it holds.
 
     Args:
         tree: any tree.
@@ -49,6 +51,9 @@ def to_text(
     if precision < 1:
         raise ValueError(f"precision is {precision}, expected at least 1 significant digit")
     features, answers = names_of(tree, feature_names, output_names)
+    features = [written(name) for name in features]
+    is_number = [tree.labels is not None and name == str(label) for label, name in enumerate(answers)]
+    answers = [name if own else written(name) for name, own in zip(answers, is_number, strict=True)]
     is_pid = isinstance(tree.head, PidBox)
     lines = term_lines(tree, lambda row, offset: affine_text(row, offset, features, precision)) if is_pid else []
     # What is still to be written, last first: (indentation, a line) or (indentation, a reference to a child).
@@ -81,26 +86,6 @@ def affine_text(coefficients: FloatArray, offset: float, names: Sequence[str], p
         sign = ("-" if value < 0 else "") if position == 0 else (" - " if value < 0 else " + ")
         text += sign + word
     return text
-
-
-def names_of(
-    policy: ObliqueTree | ReluNetwork, feature_names: Sequence[str] | None, output_names: Sequence[str] | None
-) -> tuple[list[str], list[str]]:
-    """Return the names of a policy's inputs and of its outputs or, where it decides labels, of these."""
-    # The tree that a network is decides its labels by tests.
-    by_head = isinstance(policy.head, Sign | Argmax)
-    labelled = policy.labels is not None if isinstance(policy, ObliqueTree) else by_head
-    n_answers = 2 if labelled and isinstance(policy.head, Sign) else policy.head.n_answers(policy.n_outputs)
-    features = _names(feature_names, policy.n_inputs, "x", "feature_names")
-    return features, _names(output_names, n_answers, "" if labelled else "y", "output_names")
-
-
-def _names(given: Sequence[str] | None, n: int, prefix: str, argument: str) -> list[str]:
-    if given is None:
-        return [f"{prefix}{i}" for i in range(n)]
-    if len(given) != n:
-        raise ValueError(f"{argument} has {len(given)} names, expected {n}")
-    return list(given)
 
 
 def _leaf_lines(

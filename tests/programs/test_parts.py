@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import otr
-from otr.programs.parts import distinct_rows, identifiers, one_line, walk, wrapped
+from otr.programs.names import identifiers, one_line
+from otr.programs.parts import distinct_rows, walk, wrapped
 from tests.programs.policies import chain
 
 

@@ -58,7 +58,9 @@ def test_the_text_of_a_small_policy() -> None:
     tree = otr.ObliqueTree([~0], [~1], [[-3.8, 114.3]], [-2.2], [[[0.0, 0.0]], [[-169.8, 5116.5]]], [[-6.1], [-102.3]],
                            head=otr.ClipBox(-1, 1))  # fmt: skip
     assert otr.to_python(tree, feature_names=["x", "the speed"], output_names=["if"]) == (
-        "# policy: an oblique decision tree of depth 1 with 2 leaves.\n"
+        "# An oblique decision tree of depth 1 with 2 leaves.\n"
+        "# It needs nothing but the standard library.\n"
+        "#\n"
         "# state[0]: x\n"
         '# state[1]: the_speed ("the speed")\n'
         '# The answer is the list of: if_2 ("if")\n'

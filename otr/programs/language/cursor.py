@@ -10,7 +10,9 @@ from otr.programs.language.tokens import Place, Source, Token
 
 __all__ = ["Cursor"]
 
-MAX_NESTING = 100  # of blocks and brackets together, far below Python's own limit of calls within calls
+# Of blocks, brackets and operators whose right-hand side is being read. A level takes at most eight of the 1,000 calls
+# within calls that Python allows, when it is read and when it is evaluated.
+MAX_NESTING = 100
 
 
 class Cursor:
@@ -105,7 +107,9 @@ class Cursor:
         """
         self._nesting += 1
         if self._nesting > MAX_NESTING:
-            raise self.error(f"more than {MAX_NESTING} blocks and brackets within each other")
+            raise self.error(
+                f"more than {MAX_NESTING} blocks and brackets within each other; give a part a name of its own"
+            )
         yield
         self._nesting -= 1
 

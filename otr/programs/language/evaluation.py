@@ -12,7 +12,7 @@ from otr.programs.language.syntax import Call, Chain, Choice, Comparison, Condit
 from otr.programs.language.tokens import Place, Source
 from otr.programs.language.values import Affine, Squashed, Value, clipped, constant
 
-__all__ = ["Evaluator"]
+__all__ = ["Evaluator", "appended"]
 
 ONLY_LAST = "tanh may only be scaled and shifted by constants, as the last step of an answer"
 NOT_AFFINE = {
@@ -22,6 +22,7 @@ NOT_AFFINE = {
 Worth = list[tuple[Path, Value]]
 AffineWorth = list[tuple[Path, Affine]]
 V = TypeVar("V", bound=Affine | Squashed)
+T = TypeVar("T")
 Split = tuple[list[Path], list[Path]]
 
 
@@ -129,7 +130,10 @@ class Evaluator:
         """Return what several expressions are worth, on each of the paths that all of them make of one."""
         worth: list[tuple[Path, list[Affine]]] = [(path, [])]
         for node in nodes:
-            worth = [(new, [*before, value]) for own, before in worth for new, value in self.affine(node, own)]
+            after: list[tuple[Path, list[Affine]]] = []
+            for own, before in worth:
+                after += appended(before, self.affine(node, own))
+            worth = after
         return worth
 
     def _named(self, node: Name, path: Path) -> Value:
@@ -149,17 +153,18 @@ class Evaluator:
         """A sum or a product, once all operands are known: a sum of thousands is added up in one go."""
         worth: list[tuple[Path, list[Affine | Squashed]]] = [(path, [])]
         for operand in (node.first, *(operand for _, operand, _ in node.rest)):
-            worth = [
-                (new, [*before, value])
-                for own, before in worth
-                for other, clipped in self.value(operand, own)
-                for new, value in self._operand(other, clipped, operand.at)
-            ]
+            after: list[tuple[Path, list[Affine | Squashed]]] = []
+            for own, before in worth:
+                after += appended(before, self._operand(operand, own))
+            worth = after
         result = self._sum if node.is_sum else self._product
         return [(own, result(values, node)) for own, values in worth]
 
-    def _operand(self, path: Path, value: Value, at: Place) -> Sequence[tuple[Path, Affine | Squashed]]:
-        return [(path, value)] if isinstance(value, Squashed) else self.unclipped(path, value, at)
+    def _operand(self, node: Expression, path: Path) -> list[tuple[Path, Affine | Squashed]]:
+        ends: list[tuple[Path, Affine | Squashed]] = []
+        for own, value in self.value(node, path):
+            ends += [(own, value)] if isinstance(value, Squashed) else self.unclipped(own, value, node.at)
+        return ends
 
     def _sum(self, values: Sequence[Affine | Squashed], node: Chain) -> Value:
         signs = [1.0, *(1.0 if operator == "+" else -1.0 for operator, _, _ in node.rest)]
@@ -278,3 +283,12 @@ class Evaluator:
         if not value.is_finite:
             raise self._source.error("the numbers here grow larger than a float64 can hold", at)
         return value
+
+
+def appended(values: list[T], ends: Sequence[tuple[Path, T]]) -> list[tuple[Path, list[T]]]:
+    """Return each of the paths that one has become, with its value after the `values`; take these for a single path."""
+    if len(ends) == 1:
+        ((path, value),) = ends
+        values.append(value)
+        return [(path, values)]
+    return [(path, [*values, value]) for path, value in ends]

@@ -47,7 +47,8 @@ class ExpressionReader:
         if not cursor.is_next("then", ":"):
             raise cursor.error(f"expected 'then' after the condition, found {cursor.found}")
         cursor.take()
-        first = self.expression()
+        with cursor.nested():
+            first = self.expression()
         if not cursor.is_next("elif"):
             return Choice(condition, first, self._other_value(), at)
         with cursor.nested():
@@ -79,7 +80,7 @@ class ExpressionReader:
                 if lowest > PRODUCT:
                     return left
                 self._check_divisor(left, token)
-                left = self._joined(left, "*", self._chain(SIGN), token.at)
+                left = self._joined(left, "*", self._right_hand(SIGN), token.at)
                 continue
             rank = RANKS.get(token.text, 0) if token.kind in ("symbol", "keyword") else 0
             if token.text == "^" and token.kind == "symbol":
@@ -103,7 +104,7 @@ class ExpressionReader:
 
     def _operation(self, left: Node, rank: int) -> Node:
         token = self._cursor.take()
-        right = self._chain(rank + 1)
+        right = self._right_hand(rank + 1)
         if rank > COMPARE:
             return self._joined(left, token.text, right, token.at)
         condition, operand = self._condition(left), self._condition(right)
@@ -126,8 +127,13 @@ class ExpressionReader:
         operands, signs = [self._number(first)], []
         while cursor.is_next(*COMPARISONS):
             signs.append(cursor.take().text)
-            operands.append(self._number(self._chain(SUM)))
+            operands.append(self._number(self._right_hand(SUM)))
         return Comparison(operands, signs, at)
+
+    def _right_hand(self, lowest: int) -> Node:
+        """Read what stands on the right of an operator: a level deeper, because the reader calls itself."""
+        with self._cursor.nested():
+            return self._chain(lowest)
 
     def _prefix(self) -> Node:
         cursor = self._cursor

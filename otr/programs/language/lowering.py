@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from otr.arrays import FloatArray
 from otr.errors import ProgramError
 from otr.head import Argmax, ClipBox, Head, Identity, TanhBox
-from otr.programs.language.evaluation import Evaluator
+from otr.programs.language.evaluation import Evaluator, appended
 from otr.programs.language.paths import GrowingTree, Path
 from otr.programs.language.scope import Scope
 from otr.programs.language.syntax import Assign, Block, Return, Statement
@@ -44,7 +45,7 @@ def lower(
 ) -> ObliqueTree:
     """Return the tree of a program's statements; the arguments are those of `otr.parse_program`."""
     lowering = _Lowering(source, scope, n_inputs, output_names, answers_labels, max_leaves)
-    for path in lowering.run(block, [Path((-1, 0), {}, {}, block[0].at)]):
+    for path in lowering.run(block, [Path((-1, 0), block[0].at)]):
         lowering.end_of_text(path)
     return lowering.label_tree() if answers_labels else lowering.value_tree()
 
@@ -77,10 +78,7 @@ class _Lowering:
         Raises:
             ProgramError: there are none, or some are missing.
         """
-        names = self._output_names if not self._answers_labels else None
-        if names is None:
-            numbered = (f"y{i}" for i in range(len(self._scope.variables)))
-            names = [name for name in numbered if name in self._scope.variables and not self._answers_labels]
+        names = self._outputs
         missing = [name for name in names if name not in path.values]
         if not names or len(missing) == len(names):
             raise self._source.error(
@@ -93,6 +91,16 @@ class _Lowering:
                 f"ways through the program that pass this give no value to the output {missing[0]!r}", path.at
             )
         self._answer(path, [path.values[name] for name in names], path.at)
+
+    @cached_property
+    def _outputs(self) -> Sequence[str]:
+        """The variables that hold the answer where a program ends without one."""
+        if self._answers_labels:
+            return []
+        if self._output_names is not None:
+            return self._output_names
+        numbered = (f"y{i}" for i in range(len(self._scope.variables)))
+        return [name for name in numbered if name in self._scope.variables]
 
     def _outputs_hint(self) -> str:
         """Return which names a program may give values to, as the end of a message."""
@@ -107,7 +115,7 @@ class _Lowering:
         if isinstance(statement, Assign):
             worth = self._evaluator.value(statement.value, path)
             for own, value in worth:
-                own.values[statement.name] = value
+                own.assign(statement.name, value)
             return [own for own, _ in worth]
         if isinstance(statement, Return):
             return self._return(statement, path)
@@ -122,9 +130,7 @@ class _Lowering:
     def _return(self, statement: Return, path: Path) -> list[Path]:
         ends: list[tuple[Path, list[Value]]] = [(path, [])]
         for node in statement.values:
-            ends = [
-                (own, [*values, value]) for before, values in ends for own, value in self._evaluator.value(node, before)
-            ]
+            ends = [end for own, values in ends for end in appended(values, self._evaluator.value(node, own))]
         for own, values in ends:
             self._answer(own, values, statement.values[0].at)
         return []
@@ -195,9 +201,9 @@ class _Lowering:
             ends: list[tuple[Path, list[Value]]] = [(answer.path, [])]
             for value in answer.values:
                 ends = [
-                    (own, [*values, affine])
-                    for before, values in ends
-                    for own, affine in self._evaluator.unclipped(before, value, answer.at)
+                    end
+                    for own, values in ends
+                    for end in appended(values, [*self._evaluator.unclipped(own, value, answer.at)])
                 ]
             decided += [_Answer(path, values, answer.at) for path, values in ends]
         return decided

@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
-from otr.programs.language.tokens import Place, Source
+from otr.programs.language.tokens import Place, Source, written
 
 __all__ = ["FUNCTIONS", "Scope"]
 
@@ -71,6 +71,6 @@ class Scope:
         near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
         near = near or [other for other in known if other.lower() == name.lower()]
         if near:
-            return f" Did you mean {' or '.join(near)}?"
-        shown = known if len(known) <= 20 else [*known[:20], "..."]
+            return f" Did you mean {' or '.join(map(written, near))}?"
+        shown = [*map(written, known[:20]), *(["..."] if len(known) > 20 else [])]
         return f" Known are: {', '.join(shown)}" if known else " There are no inputs"

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from otr.errors import ProgramError
 
-__all__ = ["KEYWORDS", "Place", "Source", "Token", "is_plain", "tokenize"]
+__all__ = ["Place", "Source", "Token", "tokenize", "written"]
 
 KEYWORDS = frozenset(("if", "then", "else", "elif", "end", "return", "and", "or", "not"))
 _OTHER_SPELLINGS = {
@@ -20,6 +21,8 @@ _OTHER_SPELLINGS = {
 _WORD = r"[^\W\d]\w*"
 _SYMBOLS = r"<=|>=|==|!=|:=|\*\*|&&|\|\||[-+*/^<>=(){}\[\],;:!≤≥≠−–×·⋅÷∧∨¬]"
 _NUMBER = r"(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+_ESCAPE = r"\\(?:u\{([0-9a-f]{1,5}|10[0-9a-f]{4})\}|[\\`])"
+_QUOTED = r"`(?:[^\\`]|\\.)*`"
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,23 +71,51 @@ class Source:
         return ProgramError(reason, at.line, at.column, self.lines[at.line - 1])
 
 
-def is_plain(name: str) -> bool:
-    """Return whether a name is a word: letters, digits and underscores, the first no digit."""
-    return re.fullmatch(_WORD, name) is not None
+def written(name: str) -> str:
+    """Return a name as a program's text has it: of words as it is, any other between backquotes.
+
+    Between these a backslash stands before a backslash or a backquote, and what does not print is ``\\u{code}``.
+    """
+    if _is_of_words(name):
+        return name
+    characters = (f"\\{c}" if c in "\\`" else c if c.isprintable() else f"\\u{{{ord(c):x}}}" for c in name)
+    return f"`{''.join(characters)}`"
 
 
-def tokenize(source: Source, names: Iterable[str]) -> list[Token]:
+def _unquoted(text: str) -> str:
+    """Return the name that stands between backquotes."""
+    return re.sub(_ESCAPE, lambda match: chr(int(match[1], 16)) if match[1] else match[0][1], text[1:-1])
+
+
+def _is_of_words(name: str) -> bool:
+    """Return whether a name is words with single spaces between them, none of which means something to the language.
+
+    Two words beside each other are no expression, so such a name is never mistaken for one.
+    """
+    words = name.split(" ")
+    is_of_words = re.fullmatch(_WORD, words[0]) and all(re.fullmatch(r"\w+", word) for word in words)
+    return bool(is_of_words) and not any(_spelled(word).lower() in KEYWORDS for word in words)
+
+
+def _spelled(text: str) -> str:
+    """Return the first of several spellings of a word or symbol."""
+    return _OTHER_SPELLINGS.get(text.lower(), text)
+
+
+def tokenize(source: Source, names: Sequence[str], functions: Collection[str]) -> list[Token]:
     """Return the tokens of a program, the last of kind `stop`.
 
     Args:
         source: the text.
-        names: names that may occur. One that is not plain, such as ``left contact``, is found wherever it stands as a
-            whole, and the longest of several is taken.
+        names: names that may occur. One that is no word, such as ``left contact``, is found wherever it stands as a
+            whole, and the longest of several is taken; but where its text is an expression of other names, such as
+            ``x - 1``, it is that, and the name is found between backquotes alone.
+        functions: the functions of the language.
 
     Raises:
         ProgramError: a character belongs to nothing, or tabs and spaces indent lines of one program.
     """
-    pattern = _pattern([name for name in names if not is_plain(name)])
+    pattern = _pattern(_found_bare(names, functions))
     tokens: list[Token] = []
     indented_by: dict[str, int] = {}  # the first line that each character indents
     for number, line in enumerate(source.lines, start=1):
@@ -105,12 +136,44 @@ def tokenize(source: Source, names: Iterable[str]) -> list[Token]:
     return [*tokens, Token("stop", "", at, at.column, 0)]
 
 
+def _found_bare(names: Sequence[str], functions: Collection[str]) -> list[str]:
+    """Return the names that are no words and are found without backquotes.
+
+    These are those of several words, and those that hold what no expression does: a character without a meaning, or a
+    word that is no other name's, none of the language's and no default name of an output.
+    """
+    usual = _pattern([])
+    words = [_words_of(name, usual) for name in names]
+    n_names = Counter(word for own in words for word in own or ())
+
+    def is_known(word: str) -> bool:
+        is_default = re.fullmatch(r"y[0-9]+", word) is not None
+        return n_names[word] > 1 or word in functions or is_default or _spelled(word).lower() in KEYWORDS
+
+    return [
+        name
+        for name, own in zip(names, words, strict=True)
+        if not re.fullmatch(_WORD, name)
+        and "`" not in name
+        and (_is_of_words(name) or own is None or not all(map(is_known, own)))
+    ]
+
+
+def _words_of(name: str, usual: re.Pattern[str]) -> set[str] | None:
+    """Return the words in a name; None where it holds a character that has no meaning in an expression."""
+    pieces = list(usual.finditer(name))
+    if sum(len(piece.group()) for piece in pieces) < len(name) or any(p.lastgroup == "comment" for p in pieces):
+        return None
+    return {piece.group() for piece in pieces if piece.lastgroup == "word"}
+
+
 def _pattern(odd_names: list[str]) -> re.Pattern[str]:
     alternatives = [
         re.escape(name) + (r"(?!\w)" if re.match(r"\w", name[-1]) else "")
         for name in sorted(odd_names, key=len, reverse=True)
     ]
     odd = [f"(?P<odd>{'|'.join(alternatives)})"] if alternatives else []
+    quoted = f"(?P<quoted>{_QUOTED})"
     usual = [
         r"(?P<space>\s+)",
         r"(?P<comment>(?:#|//).*)",
@@ -118,16 +181,18 @@ def _pattern(odd_names: list[str]) -> re.Pattern[str]:
         f"(?P<word>{_WORD})",
         f"(?P<symbol>{_SYMBOLS})",
     ]
-    return re.compile("|".join((*odd, *usual)))
+    return re.compile("|".join((quoted, *odd, *usual)))
 
 
 def _token(match: re.Match[str], at: Place, indent: int) -> Token:
     text, end = match.group(), match.end() + 1
     if match.lastgroup == "odd":
         return Token("name", text, at, end, indent)
+    if match.lastgroup == "quoted":
+        return Token("name", _unquoted(text), at, end, indent)
     if match.lastgroup == "number":
         return Token("number", text, at, end, indent)
-    usual = _OTHER_SPELLINGS.get(text.lower(), text)
+    usual = _spelled(text)
     if usual.lower() in KEYWORDS:
         return Token("keyword", usual.lower(), at, end, indent)
     return Token("name" if match.lastgroup == "word" else "symbol", usual, at, end, indent)

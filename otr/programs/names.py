@@ -1,0 +1,185 @@
+"""Names of inputs and answers, which may be any text, as programs take them: identifiers, and text of one line."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+from otr.head import Argmax, PidBox, Sign
+from otr.network import ReluNetwork
+from otr.programs.gains import pid_output_names
+from otr.tree import ObliqueTree
+
+__all__ = [
+    "Names",
+    "check_policy",
+    "give_labels",
+    "identifiers",
+    "in_comment",
+    "label_name",
+    "names_for",
+    "names_of",
+    "one_line",
+    "require_tree",
+    "shown_names",
+]
+
+# What ends a comment in C or structured text, opens one there, or begins a trigraph: a space goes between.
+_MARKS = re.compile(r"(?<=\*)(?=[/)])|(?<=[/(])(?=\*)|(?<=\?)(?=\?)")
+
+
+@dataclass(frozen=True)
+class Names:
+    """What a program calls things.
+
+    Attributes:
+        features, answers: as given, in one line that prints (`shown_names`): for comments, labels and formulas.
+        feature_ids, output_ids: identifiers for the inputs and for the affine outputs.
+        answer_ids: identifiers for the values of the answer; the outputs' own, but for gains and terms.
+    """
+
+    features: list[str]
+    answers: list[str]
+    feature_ids: list[str]
+    output_ids: list[str]
+    answer_ids: list[str]
+
+
+def names_for(
+    tree: ObliqueTree,
+    feature_names: Sequence[str] | None,
+    output_names: Sequence[str] | None,
+    *,
+    reserved: Collection[str] = (),
+    ignore_case: bool = False,
+) -> Names:
+    """Return the names of a tree's inputs and answers, and identifiers for its inputs and its affine outputs.
+
+    The identifiers of the outputs are made from `output_names` where these name outputs, and are y0, y1, ... where
+    they name labels; the terms and gains of a PID policy are P0, ..., theta_P0, ... No two identifiers are the same.
+
+    Raises:
+        TypeError: `tree` is no ObliqueTree, or a name is no text.
+        ValueError: the wrong number of names, or a tree without inputs.
+    """
+    require_tree(tree)
+    features, answers = shown_names(tree, feature_names, output_names)
+    outputs = [f"y{i}" for i in range(tree.n_outputs)] if give_labels(tree) else answers
+    joined = pid_output_names(tree, answers) if isinstance(tree.head, PidBox) else []
+    fallbacks = [f"x{i}" for i in range(len(features))] + [f"y{i}" for i in range(len(outputs) + len(joined))]
+    made = identifiers([*features, *outputs, *joined], fallbacks, reserved=reserved, ignore_case=ignore_case)
+    d, o = len(features), len(features) + len(outputs)
+    return Names(features, answers, made[:d], made[o:] if joined else made[d:o], made[d:o])
+
+
+def names_of(
+    policy: ObliqueTree | ReluNetwork, feature_names: Sequence[str] | None, output_names: Sequence[str] | None
+) -> tuple[list[str], list[str]]:
+    """Return the names, as given, of a policy's inputs and of its outputs or, where it decides labels, of these.
+
+    Raises:
+        TypeError: a name is no text.
+        ValueError: the wrong number of names.
+    """
+    # The tree that a network is decides its labels by tests.
+    by_head = isinstance(policy.head, Sign | Argmax)
+    labelled = policy.labels is not None if isinstance(policy, ObliqueTree) else by_head
+    n_answers = 2 if labelled and isinstance(policy.head, Sign) else policy.head.n_answers(policy.n_outputs)
+    features = _names(feature_names, policy.n_inputs, "x", "feature_names")
+    return features, _names(output_names, n_answers, "" if labelled else "y", "output_names")
+
+
+def shown_names(
+    policy: ObliqueTree | ReluNetwork, feature_names: Sequence[str] | None, output_names: Sequence[str] | None
+) -> tuple[list[str], list[str]]:
+    """Return the names of `names_of` in one line each; where nothing of a name prints, the one it has without names."""
+    given, usual = names_of(policy, feature_names, output_names), names_of(policy, None, None)
+    features, answers = (
+        [one_line(name) or plain for name, plain in zip(*both, strict=True)] for both in zip(given, usual, strict=True)
+    )
+    return features, answers
+
+
+def _names(given: Sequence[str] | None, n: int, prefix: str, argument: str) -> list[str]:
+    if given is None:
+        return [f"{prefix}{i}" for i in range(n)]
+    if len(given) != n:
+        raise ValueError(f"{argument} has {len(given)} names, expected {n}")
+    for i, name in enumerate(given):
+        if not isinstance(name, str):
+            raise TypeError(f"{argument}[{i}] is {name!r} of type {type(name).__name__}, expected a str")
+    return list(given)
+
+
+def require_tree(tree: ObliqueTree) -> None:
+    """Raise TypeError for what is no tree, and as `check_policy` does."""
+    if not isinstance(tree, ObliqueTree):
+        raise TypeError(f"tree is a {type(tree).__name__}, expected an ObliqueTree; a PatternTree has to_tree()")
+    check_policy(tree)
+
+
+def check_policy(policy: ObliqueTree | ReluNetwork) -> None:
+    """Raise ValueError for a policy that no format has a form for: without inputs."""
+    if policy.n_inputs == 0:
+        raise ValueError("the tree has no inputs; a program needs at least one")
+
+
+def give_labels(policy: ObliqueTree | ReluNetwork) -> bool:
+    """Return whether the answers of a tree or network are labels."""
+    decided = isinstance(policy, ObliqueTree) and policy.labels is not None
+    return decided or isinstance(policy.head, Sign | Argmax)
+
+
+def label_name(label: int, answers: Sequence[str]) -> str:
+    """Return a label's name, or its number where it has none."""
+    return answers[label] if 0 <= label < len(answers) else str(label)
+
+
+def identifiers(
+    names: Sequence[str], fallbacks: Sequence[str], *, reserved: Collection[str] = (), ignore_case: bool = False
+) -> list[str]:
+    """Return an identifier for each name: ASCII letters, digits and single underscores, a letter first, all distinct.
+
+    A name that already is one, and taken by nobody, stays as it is. Accents are dropped, what is neither letter nor
+    digit becomes an underscore, and a number is appended to what is taken or reserved.
+
+    Args:
+        names: any text.
+        fallbacks: what to call a name of which nothing is left.
+        reserved: words of the language and what else the program uses.
+        ignore_case: whether names that differ in case alone are the same.
+    """
+    key = str.lower if ignore_case else str
+    plain = [_plain(name, fallback) for name, fallback in zip(names, fallbacks, strict=True)]
+    kept = {key(name) for name, simple in zip(names, plain, strict=True) if name == simple}
+    taken = {key(word) for word in reserved}
+    made = []
+    for name, simple in zip(names, plain, strict=True):
+        identifier, n = simple, 1
+        # Another name's own spelling is left to that name.
+        while key(identifier) in taken or (identifier != name and key(identifier) in kept):
+            n += 1
+            identifier = f"{simple}_{n}"
+        taken.add(key(identifier))
+        made.append(identifier)
+    return made
+
+
+def _plain(name: str, fallback: str) -> str:
+    ascii_only = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
+    simple = re.sub(r"[^A-Za-z0-9]+", "_", ascii_only).strip("_")
+    if not simple:
+        return fallback
+    return simple if simple[0].isalpha() else f"{fallback[0]}_{simple}"
+
+
+def one_line(name: str) -> str:
+    """Return a name in one line of characters that print: breaks, controls, surrogates and the like become spaces."""
+    return " ".join("".join(" " if unicodedata.category(c)[0] in "CZ" else c for c in name).split())
+
+
+def in_comment(name: str) -> str:
+    """Return a name of one line so that it neither ends a comment of C or structured text, nor opens one in it."""
+    return _MARKS.sub(" ", name)

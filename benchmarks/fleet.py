@@ -5,8 +5,8 @@ physics, replay and updates included, evaluations and checkpoints left out on al
 would train them, in fleets of `runs_per_process`. The peers train one run. All take turns, round after round, and of
 each the fastest round counts.
 
-The floor is the time of the float32 matrix products alone that an update needs, batched over five runs in the shapes
-that occur, without a single addition, activation, transition or environment step.
+The floor is the time of the float32 matrix products alone that an update needs, of five runs in the shapes that occur
+and in stacks like theirs, without a single addition, activation, transition or environment step.
 
 Targets: 2.2 times the peer and 0.6 of the floor in float32, 3 times the peer with bfloat16 products, ahead of SBX.
 
@@ -35,6 +35,7 @@ from pipelines.fleet.groups import fleets
 from pipelines.fleet.progress import FleetProgress
 from pipelines.fleet.run import FleetRun
 from pipelines.fleet.sac import FleetSac, Minibatch, RunSettings, Shapes
+from pipelines.fleet.stacks import multiply, new_stack
 from pipelines.fleet.train import FleetTrainer, Task
 
 N_RUNS = 10
@@ -148,22 +149,27 @@ def sbx_rate(python: str, n_steps: int) -> float:
 def floor_seconds(n_runs: int = 5, repeats: int = 100) -> float:
     """Return the CPU-seconds a run of an update's matrix products: three forward passes, two backward."""
     n, rows, d_in, width = 2 * n_runs, 100, 14, 256
-    x, h = torch.randn(n, rows, d_in), torch.randn(n, rows, width)
-    W1, W2, W3 = torch.randn(n, d_in, width), torch.randn(n, width, width), torch.randn(n, width, 1)
-    out1, out2, out3 = torch.empty(n, rows, width), torch.empty(n, rows, width), torch.empty(n, rows, 1)
-    gradients = [torch.empty_like(weight) for weight in (W1, W2, W3)]
+
+    def stack(*shape: int) -> torch.Tensor:
+        return new_stack(n, *shape, device=CPU).normal_()
+
+    x, h = stack(rows, d_in), stack(rows, width)
+    W1, W2, W3 = stack(d_in, width), stack(width, width), stack(width, 1)
+    out1, out2, out3 = stack(rows, width), stack(rows, width), stack(rows, 1)
+    gradients = [stack(*weight.shape[1:]) for weight in (W1, W2, W3)]
+    d_actions = stack(rows, 3)
 
     def products() -> None:
         for _ in range(3):  # targets; critics on the batch; critics on the policy's actions
-            torch.bmm(x, W1, out=out1)
-            torch.bmm(h, W2, out=out2)
-            torch.bmm(h, W3, out=out3)
+            multiply(x, W1, out1)
+            multiply(h, W2, out2)
+            multiply(h, W3, out3)
         for inputs, delta, gradient in ((x, out1, gradients[0]), (h, out2, gradients[1]), (h, out3, gradients[2])):
-            torch.bmm(inputs.transpose(1, 2), delta, out=gradient)
+            multiply(inputs.transpose(1, 2), delta, gradient)
         for _ in range(2):  # back through the critics, for themselves and for the actions
-            torch.bmm(out3, W3.transpose(1, 2), out=out2)
-            torch.bmm(out2, W2.transpose(1, 2), out=out1)
-        torch.bmm(out1, W1[:, 11:].transpose(1, 2))
+            multiply(out3, W3.transpose(1, 2), out2)
+            multiply(out2, W2.transpose(1, 2), out1)
+        multiply(out1, W1[:, 11:].transpose(1, 2), d_actions)
 
     products()
     return min(alternate(products, rounds=1, repeats=repeats)) / n_runs

@@ -1,4 +1,4 @@
-"""Adam over stacks: torch's fused kernel on whole flat vectors, with gradients and moments in storage of our own.
+"""Adam over stacks: torch's fused kernel on whole stacks, with gradients and moments in storage of our own.
 
 The kernel is called directly, because what `torch.optim.Adam` does around it costs several percent of an update of
 these small networks. It is the one that `torch.optim.Adam(fused=True)` calls.
@@ -10,19 +10,17 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pipelines.fleet.mlp import Layers
-
 BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
 
 
 @dataclass(frozen=True)
 class AdamGroup:
-    """Parameters that share a learning rate and a weight decay, tensor by tensor with gradients and moments.
+    """Parameters that share a learning rate and a weight decay, with their gradients and moments.
 
     Attributes:
         learning_rate, weight_decay: as Stable-Baselines3 gives them to Adam.
-        tensors: the lists of parameters, gradients, first and second moments.
-        steps: a counter for each parameter, as the kernel wants it.
+        tensors: parameters, gradients, first and second moments, in the kernel's lists of one each.
+        steps: the counter, likewise.
     """
 
     learning_rate: float
@@ -31,13 +29,11 @@ class AdamGroup:
     steps: list[Tensor]
 
     @classmethod
-    def of(
-        cls, learning_rate: float, weight_decay: float, tensors: Sequence[list[Tensor]], n_steps: int
-    ) -> "AdamGroup":
-        """Return a group that has done `n_steps` steps."""
+    def of(cls, learning_rate: float, weight_decay: float, tensors: Sequence[Tensor], n_steps: int) -> "AdamGroup":
+        """Return a group that has done `n_steps` steps; of the parameters, gradients and two moments it is given."""
+        steps = [torch.tensor(float(n_steps), device=tensors[0].device, dtype=torch.float32)]
         parameters, gradients, moments1, moments2 = tensors
-        steps = [torch.tensor(float(n_steps), device=tensor.device) for tensor in parameters]
-        return cls(learning_rate, weight_decay, (parameters, gradients, moments1, moments2), steps)
+        return cls(learning_rate, weight_decay, ([parameters], [gradients], [moments1], [moments2]), steps)
 
     def step(self) -> None:
         """Do one step."""
@@ -54,10 +50,3 @@ class AdamGroup:
             amsgrad=False,
             maximize=False,
         )
-
-
-def stack_tensors(layers: Layers, networks: slice) -> list[Tensor]:
-    """Return the parameters of some networks of a stack: its flat vector where it is all of them."""
-    if networks == slice(None):
-        return [layers.flat]
-    return [tensor[networks] for tensor in (*layers.weights, *layers.biases)]

@@ -1,22 +1,23 @@
-"""Stacks of small multilayer perceptrons of one shape: forward and backward as batched products, written by hand.
+"""Stacks of small multilayer perceptrons of one shape: forward and backward passes written by hand.
 
-Every parameter of a stack is a view into one flat vector, so that an optimiser, a copy or a target's update is one
-operation. Activations live in a workspace that passes share one after another, which keeps them in the cache.
+Every parameter of a stack is a view into one array with a row a network, so that an optimiser, a copy or a target's
+update is one operation. Activations live in a workspace that passes share one after another, which keeps them in the
+cache. A network's bits do not depend on how many there are (`pipelines/fleet/stacks.py`).
 
 With `precision="bf16"` the products between wide layers, where almost all arithmetic is, take bfloat16 factors and sum
 in float32; parameters, first and last layers and everything elementwise stay float32.
 """
 
 import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from pipelines.fleet.stacks import multiply, new_stack, padded
+
 WIDE = 64  # layers at least this wide on both sides take part in precision="bf16"
-FLAT_MULTIPLE = 64  # flat vectors are padded, so that no run's numbers fall into a vector loop's scalar rest
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class Layers:
     """A stack of n networks with layer widths w0, ..., wk, as views into `flat`.
 
     Attributes:
-        flat: (padded,), every weight, then every bias, layer by layer and within a layer network by network.
+        flat: (n, padded), a network's weights, then its biases, layer by layer, each with zeros behind it.
         weights: (n, w[i], w[i+1]) each: inputs times weights, which the products are faster with than transposed.
         biases: (n, 1, w[i+1]) each.
         factors: the weights as they enter products: the weights themselves, or their bfloat16 copies.
@@ -36,10 +37,10 @@ class Layers:
     factors: list[Tensor]
 
     def only(self, network: int) -> "Layers":
-        """Return one network as a stack of its own, in the same memory; it has no flat vector."""
+        """Return one network as a stack of its own, in the same memory."""
         one = slice(network, network + 1)
         parts = ([tensor[one] for tensor in tensors] for tensors in (self.weights, self.biases, self.factors))
-        return Layers(self.flat[:0], *parts)
+        return Layers(self.flat[one], *parts)
 
     def refresh(self) -> None:
         """Bring the bfloat16 copies up to date; to be called after every change of the weights."""
@@ -49,18 +50,19 @@ class Layers:
 
 
 def new_layers(n: int, widths: Sequence[int], device: torch.device, precision: str = "fp32") -> Layers:
-    """Return a stack of n networks, all zeros."""
+    """Return a stack of n networks, all zeros, of torch's default type (float32 unless a test sets another)."""
     shapes = list(itertools.pairwise(widths))
-    sizes = [n * w_out * w_in for w_in, w_out in shapes]
-    bias_sizes = [n * w_out for w_out in widths[1:]]
-    total = sum(sizes) + sum(bias_sizes)
-    flat = torch.zeros(math.ceil(total / FLAT_MULTIPLE) * FLAT_MULTIPLE, device=device)
-    parts = iter(torch.split(flat[:total], [*sizes, *bias_sizes]))
-    weights = [next(parts).view(n, w_in, w_out) for w_in, w_out in shapes]
-    biases = [next(parts).view(n, 1, w_out) for _, w_out in shapes]
+    parts = [*shapes, *((1, w_out) for w_out in widths[1:])]
+    sizes = [w_in * w_out for w_in, w_out in parts]
+    flat = torch.zeros(n, sum(map(padded, sizes)), device=device)
+    rows = torch.split(flat, [padded(size) for size in sizes], dim=1)
+    tensors = [row[:, :size].view(n, *part) for row, size, part in zip(rows, sizes, parts, strict=True)]
+    weights, biases = tensors[: len(shapes)], tensors[len(shapes) :]
     factors = [
-        torch.zeros_like(weight, dtype=torch.bfloat16) if precision == "bf16" and is_wide(weight) else weight
-        for weight in weights
+        new_stack(n, *weight.shape[1:], device=device, dtype=torch.bfloat16)
+        if precision == "bf16" and 0 < i < len(shapes) - 1 and is_wide(weight)
+        else weight
+        for i, weight in enumerate(weights)
     ]
     return Layers(flat, weights, biases, factors)
 
@@ -83,24 +85,16 @@ class StackedMlp:
     def __init__(
         self, layers: Layers, n_rows: int, negative_slope: float = 0.0, n_back_rows: int | None = None
     ) -> None:
-        n, device = len(layers.weights[0]), layers.flat.device
         self.n_rows = n_rows
+        self._n_networks, self._device = len(layers.flat), layers.flat.device
         self._slope = negative_slope
-        self._back_rows = slice(n_rows if n_back_rows is None else n_back_rows)
-        widths = [weight.shape[2] for weight in layers.weights]
+        self._n_back_rows = n_rows if n_back_rows is None else n_back_rows
+        self._stacks: dict[tuple[str, int], Tensor] = {}
         # What a layer gives out has the type of what the next one multiplies.
-        types = [factor.dtype for factor in layers.factors[1:]] + [torch.float32]
+        types = [factor.dtype for factor in layers.factors[1:]] + [layers.flat.dtype]
         self._outputs = [
-            torch.empty(n, n_rows, width, device=device, dtype=dtype)
-            for width, dtype in zip(widths, types, strict=True)
-        ]
-        self._deltas = [torch.empty_like(output[:, self._back_rows]) for output in self._outputs[:-1]]
-        self._scratch = [  # products in bfloat16 whose results are wanted in float32, and the other way round
-            torch.empty(n, n_rows, width, device=device, dtype=factor.dtype) if factor.dtype != dtype else None
-            for width, factor, dtype in zip(widths, layers.factors, types, strict=True)
-        ]
-        self._weight_scratch = [
-            torch.empty_like(factor) if factor.dtype != torch.float32 else None for factor in layers.factors
+            self._stack("output", i, (n_rows, weight.shape[2]), dtype)
+            for i, (weight, dtype) in enumerate(zip(layers.weights, types, strict=True))
         ]
 
     @property
@@ -109,14 +103,16 @@ class StackedMlp:
         return self._outputs[-1]
 
     def forward(self, layers: Layers, inputs: Tensor) -> Tensor:
-        """Return the outputs (n, n_rows, w_last) of inputs (n, n_rows, w0); they are overwritten by the next pass."""
+        """Return the outputs (n, n_rows, w_last) of inputs (n, n_rows, w0), a stack of `new_stack`.
+
+        The next pass overwrites them.
+        """
         x = inputs
         last = len(self._outputs) - 1
         for i, (factor, bias, output) in enumerate(zip(layers.factors, layers.biases, self._outputs, strict=True)):
-            scratch = self._scratch[i]
-            product = output if scratch is None else scratch
-            torch.bmm(x, factor, out=product)
-            torch.add(product, bias, out=output)
+            same = factor.dtype == output.dtype
+            product = output if same else self._stack("product", i, output.shape[1:], factor.dtype)
+            torch.add(multiply(x, factor, product), bias, out=output)
             if i < last:
                 self._activate(output)
             x = output
@@ -135,37 +131,47 @@ class StackedMlp:
         Args:
             layers: as in forward.
             inputs: as in forward.
-            d_outputs: (n, n_back_rows, w_last), the loss's derivative by the outputs.
+            d_outputs: (n, n_back_rows, w_last), the loss's derivative by the outputs, a stack of `new_stack`.
             gradients: where the derivatives by weights and biases are written; None where they are not wanted.
             inputs_from: the derivative by the inputs from this column on is returned; None where it is not wanted.
 
         Returns:
-            (n, n_back_rows, w0 - inputs_from), or None.
+            (n, n_back_rows, w0 - inputs_from), or None; the next pass overwrites it.
         """
         delta = d_outputs
         for i in reversed(range(len(layers.weights))):
-            x = (self._outputs[i - 1] if i else inputs)[:, self._back_rows]
+            x = (self._outputs[i - 1] if i else inputs)[:, : self._n_back_rows]
             factor = layers.factors[i]
             if delta.dtype != factor.dtype:
-                delta = delta.to(factor.dtype)
+                delta = self._stack("copy", i, delta.shape[1:], factor.dtype).copy_(delta)
             if gradients is not None:
-                scratch = self._weight_scratch[i]
-                if scratch is None:
-                    torch.bmm(x.transpose(1, 2), delta, out=gradients.weights[i])
-                else:
-                    torch.bmm(x.transpose(1, 2), delta, out=scratch)
-                    gradients.weights[i].copy_(scratch)
-                torch.sum(delta, 1, keepdim=True, dtype=torch.float32, out=gradients.biases[i])
+                self._weight_gradient(i, x, delta, gradients)
+            if i == 0 and inputs_from is None:
+                return None
+            factor = factor if i else factor[:, inputs_from:]
+            below = self._stack("delta", i, (self._n_back_rows, factor.shape[1]), factor.dtype)
+            multiply(delta, factor.transpose(1, 2), below)
             if i == 0:
-                return None if inputs_from is None else torch.bmm(delta, factor[:, inputs_from:].transpose(1, 2))
-            below = self._deltas[i - 1]
-            if below.dtype == factor.dtype:
-                torch.bmm(delta, factor.transpose(1, 2), out=below)
-            else:
-                below.copy_(torch.bmm(delta, factor.transpose(1, 2)))
+                return below
             self._activate_backward(below, x)
             delta = below
         raise AssertionError("a network has layers")
+
+    def _weight_gradient(self, i: int, x: Tensor, delta: Tensor, gradients: Layers) -> None:
+        """Write the derivatives by layer i's weights and biases."""
+        weight = gradients.weights[i]
+        if delta.dtype == weight.dtype:
+            multiply(x.transpose(1, 2), delta, weight)
+        else:
+            product = self._stack("weight", i, weight.shape[1:], delta.dtype)
+            weight.copy_(multiply(x.transpose(1, 2), delta, product))
+        torch.sum(delta, 1, keepdim=True, dtype=weight.dtype, out=gradients.biases[i])
+
+    def _stack(self, use: str, layer: int, shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
+        """Return the memory of a use in a layer, (n, *shape), made the first time."""
+        if (use, layer) not in self._stacks:
+            self._stacks[use, layer] = new_stack(self._n_networks, *shape, device=self._device, dtype=dtype)
+        return self._stacks[use, layer]
 
     def _activate(self, values: Tensor) -> None:
         if self._slope == 0.0:

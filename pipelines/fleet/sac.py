@@ -1,9 +1,9 @@
 """Soft actor-critic for R independent runs at once, with Stable-Baselines3's semantics and hand-written gradients.
 
 Run r owns row r of every stack (its critics the rows 2r and 2r + 1), its own temperature, discount and learning rate;
-nothing is ever summed over runs. Haarnoja et al. 2018, with the automatic temperature, as `stable_baselines3.SAC`:
-log-probabilities are corrected for tanh by log(1 - tanh(u)^2 + 1e-6), log standard deviations are clipped to [-20, 2],
-losses are means over the batch, the temperature that a step uses is the one before the step.
+nothing is ever summed over runs, and on a processor a run's bits do not depend on the others
+(`pipelines/fleet/stacks.py`). Haarnoja et al. 2018, with the automatic temperature, as `stable_baselines3.SAC`: losses
+are means over the batch, the temperature that a step uses is the one before the step.
 """
 
 import math
@@ -13,12 +13,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pipelines.fleet.adam import AdamGroup, stack_tensors
+from pipelines.fleet.adam import AdamGroup
 from pipelines.fleet.mlp import Layers, StackedMlp, new_layers
+from pipelines.fleet.squashed import SquashedActions
+from pipelines.fleet.stacks import ROW_MULTIPLE, new_stack
 
-LOG_STD_MIN, LOG_STD_MAX = -20.0, 2.0
-SQUASH_EPSILON = 1e-6
-HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
 N_CRITICS = 2
 
 
@@ -88,29 +87,33 @@ class FleetSac:
         self.actor = stack(n, actor_widths)
         self.critics = stack(N_CRITICS * n, critic_widths, shapes.precision)
         self.targets = stack(N_CRITICS * n, critic_widths, shapes.precision)
-        self.log_temperature = torch.zeros(n, device=device)
+        # A run's temperature, its gradient and its moments begin rows of their own, as its parameters do.
+        temperature_rows = [torch.zeros(n, ROW_MULTIPLE, device=device) for _ in range(4)]
+        self.log_temperature, self._temperature_gradient, *self.temperature_moments = (
+            rows[:, 0] for rows in temperature_rows
+        )
+        self._temperature_rows = temperature_rows
         # Gradients and Adam's two moments have the layout of the parameters.
         self.actor_gradients, *self.actor_moments = (stack(n, actor_widths) for _ in range(3))
         self.critic_gradients, *self.critic_moments = (stack(N_CRITICS * n, critic_widths) for _ in range(3))
-        self.temperature_moments = [torch.zeros(n, device=device) for _ in range(2)]
         self._n_updates_before = n_updates
-        self._temperature_gradient = torch.zeros(n, device=device)
         self._groups: tuple[list[AdamGroup], list[AdamGroup]] | None = None
 
         self._actor_pass = StackedMlp(self.actor, 2 * rows, shapes.negative_slope, n_back_rows=rows)
         self._critic_pass = StackedMlp(self.critics, rows, shapes.negative_slope)
-        self._acting_pass: StackedMlp | None = None
+        self._actions = SquashedActions(n, 2 * rows, shapes.n_actions, device)
+        self._acting: tuple[StackedMlp, Tensor, SquashedActions] | None = None
 
         def column(values: Sequence[float]) -> Tensor:
-            return torch.tensor(values, dtype=torch.float32, device=device).view(n, 1)
+            return torch.tensor(values, device=device).view(n, 1)
 
         self._gamma = column([run.gamma for run in runs])
         self._automatic = torch.tensor([float(run.temperature is None) for run in runs], device=device)
-        self._actor_inputs = torch.empty(n, 2 * rows, shapes.n_inputs, device=device)
-        self._critic_inputs = torch.empty(n, N_CRITICS, rows, critic_widths[0], device=device)
-        self._target_inputs = torch.empty_like(self._critic_inputs)
-        self._d_actor = torch.zeros(n, rows, 2 * shapes.n_actions, device=device)
-        self._d_critics = torch.empty(n, N_CRITICS, rows, device=device)
+        self._actor_inputs = new_stack(n, 2 * rows, shapes.n_inputs, device=device)
+        self._critic_inputs = new_stack(N_CRITICS * n, rows, critic_widths[0], device=device)
+        self._target_inputs = torch.zeros_like(self._critic_inputs)
+        self._d_actor = new_stack(n, rows, 2 * shapes.n_actions, device=device)
+        self._d_critics = new_stack(N_CRITICS * n, rows, 1, device=device)
 
     # -- parameters of one run ------------------------------------------------------------------------------------
 
@@ -188,17 +191,21 @@ class FleetSac:
             states: (R, E, n_inputs).
             noise: (R, E, n_actions), standard normal; None for the deterministic action.
         """
-        if self._acting_pass is None or self._acting_pass.n_rows != states.shape[1]:
-            self._acting_pass = StackedMlp(self.actor, states.shape[1], self.shapes.negative_slope)
-        mean, log_std = self._acting_pass.forward(self.actor, states).chunk(2, dim=2)
-        if noise is None:
-            return torch.tanh(mean)
-        return torch.tanh(mean + log_std.clamp(LOG_STD_MIN, LOG_STD_MAX).exp() * noise)
+        n, n_envs, n_inputs = states.shape
+        if self._acting is None or self._acting[0].n_rows != n_envs:
+            self._acting = (
+                StackedMlp(self.actor, n_envs, self.shapes.negative_slope),
+                new_stack(n, n_envs, n_inputs, device=self.device),
+                SquashedActions(n, n_envs, self.shapes.n_actions, self.device),
+            )
+        network, inputs, actions = self._acting
+        return actions.sample(network.forward(self.actor, inputs.copy_(states)), noise).clone()
 
     def answers(self, run: int, states: Tensor) -> Tensor:
         """Return one run's deterministic actions in [-1, 1], (n, n_actions), in states (n, n_inputs)."""
         actor = self.actor.only(run)
-        outputs = StackedMlp(actor, len(states), self.shapes.negative_slope).forward(actor, states.unsqueeze(0))
+        inputs = new_stack(1, *states.shape, device=self.device).copy_(states)
+        outputs = StackedMlp(actor, len(states), self.shapes.negative_slope).forward(actor, inputs)
         return torch.tanh(outputs[0, :, : self.shapes.n_actions])
 
     # -- learning -------------------------------------------------------------------------------------------------
@@ -216,37 +223,37 @@ class FleetSac:
         self._actor_inputs[:, :rows] = batch.states
         self._actor_inputs[:, rows:] = batch.next_states
         answers = self._actor_pass.forward(self.actor, self._actor_inputs)
-        raw_log_std = answers[:, :, shapes.n_actions :]
-        std = raw_log_std.clamp(LOG_STD_MIN, LOG_STD_MAX).exp_()
-        squashed = torch.addcmul(answers[:, :, : shapes.n_actions], std, noise).tanh_()
-        slope = 1 - squashed * squashed  # of tanh
-        log_probability = self._log_probability(raw_log_std, noise, slope)
-        temperature = self.log_temperature.exp().view(n, 1)
+        actions = self._actions.sample(answers, noise)
+        log_probability = self._actions.log_probability(answers, noise)
+        temperature = self._temperature_rows[0].exp()[:, :1]
 
         # Critics, against the targets' least value of the next state.
-        self._target_inputs[..., :d] = batch.next_states.unsqueeze(1)
-        self._target_inputs[..., d:] = squashed[:, rows:].unsqueeze(1)
+        target_inputs, critic_inputs, d_critics = (
+            stack.view(n, N_CRITICS, rows, -1) for stack in (self._target_inputs, self._critic_inputs, self._d_critics)
+        )
+        target_inputs[..., :d] = batch.next_states.unsqueeze(1)
+        target_inputs[..., d:] = actions[:, rows:].unsqueeze(1)
         values = self._values(self.targets, self._target_inputs).amin(1) - temperature * log_probability[:, rows:]
         goal = batch.rewards + batch.continues * self._gamma * values
-        self._critic_inputs[..., :d] = batch.states.unsqueeze(1)
-        self._critic_inputs[..., d:] = batch.actions.unsqueeze(1)
-        torch.sub(self._values(self.critics, self._critic_inputs), goal.unsqueeze(1), out=self._d_critics)
+        critic_inputs[..., :d] = batch.states.unsqueeze(1)
+        critic_inputs[..., d:] = batch.actions.unsqueeze(1)
+        torch.sub(self._values(self.critics, self._critic_inputs), goal.unsqueeze(1), out=d_critics[..., 0])
         self._d_critics.div_(rows)
-        self._back(self._critic_inputs, self.critic_gradients, None)
+        self._critic_pass.backward(self.critics, self._critic_inputs, self._d_critics, self.critic_gradients)
         critic_adam, actor_adam = self._adam()
         for group in critic_adam:
             group.step()
         self.critics.refresh()
 
         # Actor and temperature, against the critics just updated.
-        self._critic_inputs[..., d:] = squashed[:, :rows].unsqueeze(1)
+        critic_inputs[..., d:] = actions[:, :rows].unsqueeze(1)
         first, second = self._values(self.critics, self._critic_inputs).unbind(1)
-        least_is_first = (first <= second).to(torch.float32)
-        torch.mul(least_is_first, -1 / rows, out=self._d_critics[:, 0])
-        torch.sub(-1 / rows, self._d_critics[:, 0], out=self._d_critics[:, 1])
-        d_squashed = self._back(self._critic_inputs, None, d)
-        assert d_squashed is not None
-        self._actor_gradient(d_squashed, squashed, slope, std, noise, temperature)
+        torch.mul(first <= second, -1 / rows, out=d_critics[:, 0, :, 0])
+        torch.sub(-1 / rows, d_critics[:, 0], out=d_critics[:, 1])
+        d_actions = self._critic_pass.backward(self.critics, self._critic_inputs, self._d_critics, None, d)
+        assert d_actions is not None
+        d_actions = d_actions.view(n, N_CRITICS, rows, -1).sum(1)
+        self._actions.gradient(answers, noise, temperature, d_actions, self._d_actor)
         self._actor_pass.backward(self.actor, self._actor_inputs, self._d_actor, self.actor_gradients)
         target_entropy = -float(shapes.n_actions)
         mean_log_probability = log_probability[:, :rows].mean(1)
@@ -256,65 +263,26 @@ class FleetSac:
         self.targets.flat.lerp_(self.critics.flat, shapes.tau)
         self.targets.refresh()
 
+    def _values(self, layers: Layers, inputs: Tensor) -> Tensor:
+        """Return the critics' values, (R, 2, B)."""
+        return self._critic_pass.forward(layers, inputs).view(len(self.runs), N_CRITICS, -1)
+
     def _adam(self) -> tuple[list[AdamGroup], list[AdamGroup]]:
         """Return Adam's groups of the critics, and those of actors and temperatures, made at the first update.
 
-        Runs that share learning rate and weight decay share a group of whole flat vectors.
+        Runs that share learning rate and weight decay share a group.
         """
         if self._groups is None:
             alike = len({(run.learning_rate, run.weight_decay) for run in self.runs}) == 1
             critics = [self.critics, self.critic_gradients, *self.critic_moments]
             actors = [self.actor, self.actor_gradients, *self.actor_moments]
-            temperatures = [self.log_temperature, self._temperature_gradient, *self.temperature_moments]
             self._groups = [], []
             for run, settings in enumerate(self.runs[:1] if alike else self.runs):
                 one = slice(None) if alike else slice(run, run + 1)
                 two = slice(None) if alike else slice(N_CRITICS * run, N_CRITICS * (run + 1))
                 rate, decay, n_updates = settings.learning_rate, settings.weight_decay, self._n_updates_before
-                of_critics = [stack_tensors(layers, two) for layers in critics]
-                of_actors = [stack_tensors(layers, one) for layers in actors]
-                of_temperatures = [[vector[one]] for vector in temperatures]
-                self._groups[0].append(AdamGroup.of(rate, decay, of_critics, n_updates))
-                self._groups[1].append(AdamGroup.of(rate, decay, of_actors, n_updates))
+                of_temperatures = [rows[one] for rows in self._temperature_rows]
+                self._groups[0].append(AdamGroup.of(rate, decay, [layers.flat[two] for layers in critics], n_updates))
+                self._groups[1].append(AdamGroup.of(rate, decay, [layers.flat[one] for layers in actors], n_updates))
                 self._groups[1].append(AdamGroup.of(rate, 0.0, of_temperatures, n_updates))
         return self._groups
-
-    def _log_probability(self, raw_log_std: Tensor, noise: Tensor, slope: Tensor) -> Tensor:
-        """Return log pi of the squashed actions, (R, 2 B)."""
-        terms = noise * noise * -0.5
-        terms -= raw_log_std.clamp(LOG_STD_MIN, LOG_STD_MAX)
-        terms -= (slope + SQUASH_EPSILON).log_()
-        return terms.sum(2).sub_(self.shapes.n_actions * HALF_LOG_2PI)
-
-    def _actor_gradient(
-        self, d_squashed: Tensor, squashed: Tensor, slope: Tensor, std: Tensor, noise: Tensor, temperature: Tensor
-    ) -> None:
-        """Write the actor's loss's derivative by its answers in the states.
-
-        The loss is mean(temperature * log pi - least value); d_squashed is the derivative of its second term.
-        """
-        rows, n_actions = self.shapes.batch_size, self.shapes.n_actions
-        squashed, slope, std, noise = (tensor[:, :rows] for tensor in (squashed, slope, std, noise))
-        share = (temperature / rows).unsqueeze(2)  # of one transition's entropy in the mean
-        d_mean = self._d_actor[:, :, :n_actions]
-        torch.mul(squashed / (slope + SQUASH_EPSILON), 2 * share, out=d_mean)
-        d_mean += d_squashed
-        d_mean *= slope
-        d_log_std = self._d_actor[:, :, n_actions:]
-        torch.mul(d_mean, std * noise, out=d_log_std)
-        d_log_std -= share
-        raw = self._actor_pass.outputs[:, :rows, n_actions:]
-        d_log_std *= (raw >= LOG_STD_MIN) & (raw <= LOG_STD_MAX)
-
-    def _values(self, layers: Layers, inputs: Tensor) -> Tensor:
-        """Return the critics' values, (R, 2, B)."""
-        n, rows = len(self.runs), self.shapes.batch_size
-        return self._critic_pass.forward(layers, inputs.view(N_CRITICS * n, rows, -1)).view(n, N_CRITICS, rows)
-
-    def _back(self, inputs: Tensor, gradients: Layers | None, inputs_from: int | None) -> Tensor | None:
-        """Go back through the critics; return the derivative by the inputs summed over a run's critics, (R, B, .)."""
-        n, rows = len(self.runs), self.shapes.batch_size
-        d_values = self._d_critics.view(N_CRITICS * n, rows, 1)
-        flat_inputs = inputs.view(N_CRITICS * n, rows, -1)
-        d_inputs = self._critic_pass.backward(self.critics, flat_inputs, d_values, gradients, inputs_from)
-        return None if d_inputs is None else d_inputs.view(n, N_CRITICS, rows, -1).sum(1)

@@ -1,0 +1,44 @@
+"""Stacks of tensors, one a network, on which every network gets the same bits however many there are.
+
+Three things would tie a network's rounding to its company, and are avoided here:
+
+* A batched product chooses its kernel by the number of matrices: there is one product a network instead.
+* MKL sums in an order that depends on where a matrix begins: every network begins at a multiple of 64 bytes.
+* A vectorised loop computes what is left over with other instructions: a gap between networks ends the loop, so that
+  it never runs from one into the next; rows with their gaps are a multiple of ROW_MULTIPLE, which leaves nothing over.
+"""
+
+import math
+
+import torch
+from torch import Tensor
+
+ROW_MULTIPLE = 64  # elements: 64 bytes in every type, and what a vectorised loop takes at a time
+
+
+def padded(n_elements: int) -> int:
+    """Return what `n_elements` take with the gap behind them."""
+    return (n_elements // ROW_MULTIPLE + 1) * ROW_MULTIPLE
+
+
+def new_stack(n: int, *shape: int, device: torch.device, dtype: torch.dtype | None = None) -> Tensor:
+    """Return zeros (n, *shape) with a gap behind each of the n; of torch's default type where none is given."""
+    size = math.prod(shape)
+    return torch.zeros(n, padded(size), device=device, dtype=dtype)[:, :size].view(n, *shape)
+
+
+def multiply(left: Tensor, right: Tensor, out: Tensor) -> Tensor:
+    """Write left[i] @ right[i] into out[i] for each network i, and return `out`.
+
+    On a GPU it is one batched product, because one a network is slower there; nothing is promised of its bits.
+
+    Args:
+        left: (n, k, l), from `new_stack`, or its transposed view.
+        right: (n, l, m), likewise.
+        out: (n, k, m), likewise.
+    """
+    if out.device.type != "cpu":
+        return torch.bmm(left, right, out=out)
+    for one_left, one_right, one_out in zip(left.unbind(), right.unbind(), out.unbind(), strict=True):
+        torch.mm(one_left, one_right, out=one_out)
+    return out

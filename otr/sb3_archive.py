@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import io
 import json
-import os
+import math
 import pickle
 import re
 import zipfile
-import zlib
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,68 +21,84 @@ from numpy.typing import ArrayLike
 from otr.arrays import FloatArray
 from otr.errors import ArtefactError, InvalidNetworkError
 from otr.head import Argmax, ClipBox, Head, TanhBox
+from otr.network import ReluNetwork
+from otr.sb3_model import require_widths
+from otr.torch_layers import RELU_REMEDY, real_values
+from otr.zip_members import read_members
 
-__all__ = ["ArchivedActor", "read_actor"]
+__all__ = ["network_of_file"]
 
 _RELU = "<class 'torch.nn.modules.activation.ReLU'>"
 _LEAKY_RELU = "<class 'torch.nn.modules.activation.LeakyReLU'>"
 _LEAKY_RELU_SLOPE = 0.01  # torch's default
 
-_ON_POLICY_PARTS = ("mlp_extractor.", "action_net.", "value_net.", "log_std")
+# Before version 1.8, Stable-Baselines3 let actor and critic share their first layers.
+_SHARED, _POLICY = "mlp_extractor.shared_net.", "mlp_extractor.policy_net."
+_ON_POLICY_PARTS = (_SHARED, _POLICY, "mlp_extractor.value_net.", "action_net.", "value_net.", "log_std")
 _OFF_POLICY_PARTS = ("actor.latent_pi.", "actor.mu.", "actor.log_std.", "actor_target.", "critic.", "critic_target.",
                      "q_net.q_net.", "q_net_target.")  # fmt: skip
+_DATA_BYTES = 2**24  # of text; its lists and dictionaries take twenty times as much memory
+
+Tensors = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class ArchivedActor:
-    """An actor's layers, as `ReluNetwork` takes them."""
-
-    weights: list[FloatArray]
-    biases: list[FloatArray]
-    negative_slope: float
-    head: Head
-
-
-def read_actor(
-    path: str | os.PathLike[str],
-    *,
-    action_low: ArrayLike | None,
-    action_high: ArrayLike | None,
-    negative_slope: float | None,
-) -> ArchivedActor:
+def network_of_file(
+    path: Path, action_low: ArrayLike | None, action_high: ArrayLike | None, negative_slope: float | None
+) -> ReluNetwork:
     """Return the actor in the zip file at `path`; `otr.from_sb3` documents arguments and errors."""
-    tensors, data = _read_members(Path(path))
+    tensors, data = _read(path)
     on_policy = any(name.startswith("action_net.") for name in tensors)
     _refuse_other_policies(tensors, data, _ON_POLICY_PARTS if on_policy else _OFF_POLICY_PARTS)
     weights, biases = _actor_layers(tensors, on_policy)
     slope = _slope(data, on_policy, negative_slope) if len(weights) > 1 else 0.0
-    return ArchivedActor(weights, biases, slope, _head(data, on_policy, len(biases[-1]), action_low, action_high))
+    head = _head(data, on_policy, len(biases[-1]), action_low, action_high)
+    network = ReluNetwork(weights, biases, negative_slope=slope, head=head)
+    n_observed, n_actions = _count(data, "observation_space"), _count(data, "action_space")
+    require_widths(network.n_inputs, network.n_outputs, n_observed, n_actions)
+    return network
 
 
-def _read_members(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
+def _read(path: Path) -> tuple[Tensors, dict[str, Any]]:
     """Return the tensors of `policy.pth` by name, and the JSON of `data`."""
-    import torch
-
     if not path.exists() and path.suffix != ".zip":
         path = path.with_name(path.name + ".zip")
     try:
-        with zipfile.ZipFile(path) as archive:
-            data = json.loads(archive.read("data"))
-            tensors = torch.load(io.BytesIO(archive.read("policy.pth")), map_location="cpu", weights_only=True)
+        members = dict(read_members(path, str(path), ["data"], limit_bytes=_DATA_BYTES))
+        members |= read_members(path, str(path), ["policy.pth"])
+        data = json.loads(members["data"])
     except FileNotFoundError as error:
         raise ArtefactError(f"{path} does not exist; give the path of a saved Stable-Baselines3 model") from error
-    except KeyError as error:
-        raise ArtefactError(f"{path} is no saved Stable-Baselines3 model: {error}") from error
+    except (ValueError, RecursionError) as error:
+        raise ArtefactError(f"{path} cannot be read: data is no JSON ({error}); save the model again") from error
+    tensors = _load_tensors(members["policy.pth"], f"policy.pth in {path}")
+    if not isinstance(data, dict):
+        raise ArtefactError(f"{path} is no saved Stable-Baselines3 model: data is no dictionary")
+    return tensors, data
+
+
+def _load_tensors(content: bytes, label: str) -> Tensors:
+    """Return what torch saved, which is a zip file itself, without running anything in it."""
+    import torch
+
+    if content.startswith(b"PK"):
+        # Written again, so that torch unpacks the members that were checked, and no others.
+        checked = io.BytesIO()
+        with zipfile.ZipFile(checked, "w") as archive:
+            for name, member in read_members(io.BytesIO(content), label):
+                archive.writestr(name, member)
+        content = checked.getvalue()
+    try:
+        tensors = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
-        raise ArtefactError(f"policy.pth in {path} holds more than tensors, and was not loaded: {error}") from error
-    except (OSError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
-        raise ArtefactError(f"{path} cannot be read ({error}); save the model again") from error
-    if not isinstance(data, dict) or not isinstance(tensors, dict):
-        raise ArtefactError(f"{path} is no saved Stable-Baselines3 model: data or policy.pth is no dictionary")
-    return {name: tensor.double().numpy() for name, tensor in tensors.items() if torch.is_tensor(tensor)}, data
+        raise ArtefactError(f"{label} holds more than tensors, and was not loaded: {error}") from error
+    except Exception as error:  # torch can fail in any way on what it did not write
+        raise ArtefactError(f"{label} cannot be read ({error}); save the model again") from error
+    if not isinstance(tensors, dict) or not all(isinstance(k, str) and torch.is_tensor(v) for k, v in tensors.items()):
+        raise ArtefactError(f"{label} is no dictionary of tensors by name; give a saved Stable-Baselines3 model")
+    return tensors
 
 
-def _refuse_other_policies(tensors: dict[str, FloatArray], data: dict[str, Any], parts: tuple[str, ...]) -> None:
+def _refuse_other_policies(tensors: Tensors, data: dict[str, Any], parts: tuple[str, ...]) -> None:
     """Raise InvalidNetworkError unless the policy is an MlpPolicy on a vector, as far as the file tells."""
     if data.get("use_sde"):
         raise InvalidNetworkError("the model uses gSDE; train with use_sde=False")
@@ -111,40 +125,55 @@ def _refuse_other_policies(tensors: dict[str, FloatArray], data: dict[str, Any],
         raise InvalidNetworkError(f"the observations are {space.get(':type:')}; only vectors of inputs can be mapped")
 
 
-def _actor_layers(tensors: dict[str, FloatArray], on_policy: bool) -> tuple[list[FloatArray], list[FloatArray]]:
+def _actor_layers(tensors: Tensors, on_policy: bool) -> tuple[list[FloatArray], list[FloatArray]]:
     """Return the actor's weights and biases, in order of the layers."""
-    if "action_net.0.weight" in tensors:  # ARS's LinearPolicy, whose offsets are optional
-        W = tensors["action_net.0.weight"]
-        return [W], [tensors.get("action_net.0.bias", np.zeros(len(W)))]
-    hidden, last = ("mlp_extractor.policy_net.", "action_net") if on_policy else ("actor.latent_pi.", "actor.mu")
-    if not on_policy and "actor.mu.weight" not in tensors:
-        # TD3, DDPG and DQN hold all layers in one Sequential.
-        hidden, last = "q_net.q_net." if "q_net.q_net.0.weight" in tensors else "actor.mu.", ""
-    positions = sorted(
-        int(match[1]) for name in tensors if (match := re.fullmatch(re.escape(hidden) + r"(\d+)\.weight", name))
-    )
+    parts: tuple[str, ...]
+    if on_policy:
+        parts, last = (_SHARED, _POLICY), ["action_net.0" if "action_net.0.weight" in tensors else "action_net"]
+    elif "actor.mu.weight" in tensors:
+        parts, last = ("actor.latent_pi.",), ["actor.mu"]
+    else:  # TD3, DDPG and DQN hold all layers in one Sequential
+        parts, last = ("q_net.q_net." if "q_net.q_net.0.weight" in tensors else "actor.mu.",), []
+    names = [name for part in parts for name in _linear_layers(tensors, part)] + last
+    if not names:
+        raise InvalidNetworkError(f"no actor among the tensors {sorted(tensors)[:5]} ...; is this a PPO or SAC model?")
+    used = {f"{name}.{kind}" for name in names for kind in ("weight", "bias")}
+    unused = sorted(name for name in tensors if name.startswith((*parts, *last)) and name not in used)
+    if unused:
+        raise InvalidNetworkError(f"the actor has the tensor {unused[0]!r}, which no Linear layer has; use 'MlpPolicy'")
+    optional = {"action_net.0.bias"}  # ARS's LinearPolicy
+    missing = sorted(used - tensors.keys() - optional)
+    if missing:
+        raise InvalidNetworkError(f"the actor's tensor {missing[0]!r} is missing; is this a PPO, SAC or TD3 model?")
+    weights = [real_values(tensors[f"{name}.weight"], f"{name}.weight") for name in names]
+    biases = [
+        real_values(tensors[f"{name}.bias"], f"{name}.bias") if f"{name}.bias" in tensors else np.zeros(len(W))
+        for name, W in zip(names, weights, strict=True)
+    ]
+    return weights, biases
+
+
+def _linear_layers(tensors: Tensors, part: str) -> list[str]:
+    """Return the names of a Sequential's layers with weights, in order."""
+    found = (re.fullmatch(re.escape(part) + r"(\d+)\.weight", name) for name in tensors)
+    positions = sorted(int(match[1]) for match in found if match)
     # create_mlp alternates Linear and activation; anything else, such as a normalisation layer, shows in the numbers.
     if positions != list(range(0, 2 * len(positions), 2)):
-        raise InvalidNetworkError(f"the layers {hidden}* with weights are {positions}, expected 0, 2, 4, ...")
-    names = [f"{hidden}{position}" for position in positions] + ([last] if last else [])
-    try:
-        layers = [(tensors[f"{name}.weight"], tensors[f"{name}.bias"]) for name in names]
-    except KeyError as error:
-        raise InvalidNetworkError(f"the actor's tensor {error} is missing; is this a PPO, SAC or TD3 model?") from error
-    if not layers:
-        raise InvalidNetworkError(f"no actor among the tensors {sorted(tensors)[:5]} ...; is this a PPO or SAC model?")
-    return [W for W, _ in layers], [b for _, b in layers]
+        raise InvalidNetworkError(f"the layers {part}* with weights are {positions}, expected 0, 2, 4, ...")
+    return [f"{part}{position}" for position in positions]
 
 
 def _slope(data: dict[str, Any], on_policy: bool, given: float | None) -> float:
     """Return the activation's negative slope, from the readable account of `policy_kwargs`."""
+    if not isinstance(data.get("policy_kwargs"), dict):
+        raise InvalidNetworkError("the file does not tell the policy's arguments, nor so the activation; save it again")
     default = "<class 'torch.nn.modules.activation.Tanh'>" if on_policy else _RELU
     activation = str(_readable(data, "policy_kwargs").get("activation_fn", default))
     known = {_RELU: 0.0, _LEAKY_RELU: _LEAKY_RELU_SLOPE}.get(activation)
     if known is None and not (given is not None and "LeakyReLU" in activation):
         raise InvalidNetworkError(
-            f"the activation is {activation}; a tree needs activation_fn=nn.ReLU or nn.LeakyReLU"
-            + (" (for this LeakyReLU, give negative_slope=)" if "LeakyReLU" in activation else "")
+            f"the activation is {activation}; "
+            + ("for this LeakyReLU, give negative_slope=" if "LeakyReLU" in activation else RELU_REMEDY)
         )
     if known is not None and given is not None and known != given:
         raise InvalidNetworkError(f"negative_slope is {given}, the file says {activation}, whose slope is {known}")
@@ -162,6 +191,19 @@ def _head(data: dict[str, Any], on_policy: bool, n_outputs: int, low: ArrayLike 
     low = _limits(space, "low", n_outputs) if low is None else low
     high = _limits(space, "high", n_outputs) if high is None else high
     return ClipBox(low, high) if on_policy else TanhBox(low, high)
+
+
+def _count(data: dict[str, Any], name: str) -> int:
+    """Return how many numbers a state has, or how many actions there are."""
+    space = _readable(data, name)
+    size = space["n"] if "n" in space else space.get("_shape", space.get("shape"))
+    try:
+        return math.prod(map(int, size)) if isinstance(size, list) else int(str(size))
+    except (TypeError, ValueError) as error:
+        raise InvalidNetworkError(
+            f"the file does not tell the size of the {name} (it reads {size!r}); load the model with "
+            "Stable-Baselines3 and give it in place of the path"
+        ) from error
 
 
 def _limits(space: dict[str, Any], name: str, n_outputs: int) -> FloatArray:

@@ -131,9 +131,9 @@ def test_action_limits_can_be_given(tmp_path: Path) -> None:
 def test_policies_that_are_no_relu_network_are_refused(tmp_path: Path) -> None:
     pi, qf = {"vf": [8]}, {"qf": [8]}
     refused = [
-        (build(PPO, "Pendulum-v1", pi, [4], nn.Tanh), "activation_fn=nn.ReLU"),
-        (PPO("MlpPolicy", "Pendulum-v1", device="cpu"), "activation_fn=nn.ReLU"),
-        (build(SAC, "Pendulum-v1", qf, [4], nn.ELU), "Linear, ReLU and LeakyReLU|activation_fn=nn.ReLU"),
+        (build(PPO, "Pendulum-v1", pi, [4], nn.Tanh), "activation_fn=torch.nn.ReLU"),
+        (PPO("MlpPolicy", "Pendulum-v1", device="cpu"), "activation_fn=torch.nn.ReLU"),
+        (build(SAC, "Pendulum-v1", qf, [4], nn.ELU), "Linear, ReLU and LeakyReLU|activation_fn=torch.nn.ReLU"),
         (build(PPO, "Pendulum-v1", pi, [4], use_sde=True), "gSDE"),
         (build(SAC, "Pendulum-v1", qf, [4], use_sde=True), "gSDE"),
         (build(PPO, TwoDiscrete(), pi, [4]), "only Box and Discrete"),
@@ -158,7 +158,7 @@ def test_things_that_are_no_model_are_refused(tmp_path: Path) -> None:
         otr.from_sb3(tmp_path / "text")
     with zipfile.ZipFile(tmp_path / "other.zip", "w") as archive:
         archive.writestr("data", "{}")
-    with pytest.raises(otr.ArtefactError, match="no saved Stable-Baselines3 model"):
+    with pytest.raises(otr.ArtefactError, match=r"holds no 'policy.pth', only \['data'\]"):
         otr.from_sb3(tmp_path / "other")
 
 

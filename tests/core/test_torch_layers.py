@@ -1,0 +1,165 @@
+"""Torch modules that do something else than their layers say."""
+
+import copy
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+import otr
+
+torch.set_num_threads(1)
+
+
+def plain() -> nn.Sequential:
+    torch.manual_seed(0)
+    return nn.Sequential(nn.Linear(3, 4), nn.ReLU(), nn.Linear(4, 2))
+
+
+def hooked(part: int | None, hook: Callable, *, before: bool = False) -> nn.Module:
+    module = plain()
+    target = module if part is None else module[part]
+    (target.register_forward_pre_hook if before else target.register_forward_hook)(hook)
+    return module
+
+
+class Doubled(nn.Sequential):
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return 2 * super().forward(x)
+
+
+class Absolute(nn.Identity):
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return x.abs()
+
+
+class Noisy(nn.Dropout):
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return x + 1
+
+
+class Shifted(nn.Linear):
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return super().forward(x) + 1
+
+
+class Called(nn.Linear):
+    def __call__(self, x: torch.Tensor) -> torch.Tensor:
+        return super().__call__(x) + 1
+
+
+def with_old_norm(norm: Callable, *, change: float = 1.0) -> nn.Module:
+    module = plain()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        norm(module[0])
+    module(torch.ones(1, 3))
+    with torch.no_grad():
+        for name, parameter in module[0].named_parameters():
+            if name == "weight_g":
+                parameter.mul_(change)
+    return module
+
+
+def with_own_forward() -> nn.Module:
+    module = plain()
+    module[0].forward = lambda x: torch.zeros(len(x), 4, dtype=x.dtype)
+    return module
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Doubled(*plain()), r"answers otherwise than its layers: in state .*module has a forward of its own"),
+        (lambda: nn.Sequential(Doubled(*plain())), r"module\[0\] has a forward of its own"),
+        (with_own_forward, r"module\[0\] has a forward of its own"),
+        (lambda: nn.Sequential(nn.Linear(3, 2), Absolute()), r"module\[1\] is Absolute\(\); .*torch's own forward"),
+        (lambda: nn.Sequential(Noisy(), nn.Linear(3, 2)), r"module\[0\] is Noisy"),
+        (lambda: nn.Sequential(Shifted(3, 2)), r"module\[0\] is Shifted"),
+        (lambda: nn.Sequential(Called(3, 2)), r"largest difference of 257 states: 1\); .*a changed __call__"),
+        (lambda: hooked(0, lambda _m, _i, out: 1.001 * out), r"module\[0\] has a forward hook \(function\): remove"),
+        (lambda: hooked(1, lambda _m, _i, out: out.clamp(max=6)), r"module\[1\] has a forward hook"),
+        (lambda: hooked(None, lambda _m, i: (i[0] + 1e-3,), before=True), "module has a forward hook"),
+        (lambda: hooked(None, lambda _m, _i, out: out[:1]), r"answers 257 states with shape \(1, 2\), .*\(257, 2\)"),
+        (lambda: hooked(None, lambda _m, _i, out: {"out": out}), "cannot be run on 257 states of 3 inputs in float64"),
+        (lambda: hooked(2, lambda _m, _i, out: out * float("nan")), "answers otherwise"),
+        (lambda: with_old_norm(nn.utils.weight_norm, change=2), r"forward hook \(WeightNorm\).*remove_weight_norm"),
+        (lambda: with_old_norm(nn.utils.spectral_norm), r"forward hook \(SpectralNorm\)"),
+        (lambda: nn.Sequential(nn.Flatten(0), nn.Linear(3, 2)), "cannot be run on 257 states"),
+    ],
+)
+def test_a_module_that_does_something_else_is_refused(make: Callable, message: str) -> None:
+    with pytest.raises(otr.InvalidNetworkError, match=message):
+        otr.from_torch(make())
+
+
+def test_a_softmax_over_another_axis_is_refused() -> None:
+    with pytest.raises(otr.InvalidNetworkError, match="Softmax over another axis"):
+        otr.from_torch(nn.Sequential(nn.Linear(3, 2), nn.Softmax(dim=0)), head=otr.Argmax())
+
+
+def test_a_hook_on_all_modules_is_seen() -> None:
+    handle = nn.modules.module.register_module_forward_hook(lambda _m, _i, out: out + 1)
+    try:
+        with pytest.raises(otr.InvalidNetworkError, match="a hook on all modules"):
+            otr.from_torch(plain())
+    finally:
+        handle.remove()
+
+
+def parametrised(norm: Callable, part: int) -> nn.Module:
+    module = plain()
+    norm(module[part])
+    return module
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: hooked(1, lambda _m, _i, _out: None),
+        lambda: parametrised(nn.utils.parametrizations.weight_norm, 0),
+        lambda: parametrised(nn.utils.parametrizations.spectral_norm, 0),
+        lambda: parametrised(nn.utils.parametrizations.orthogonal, 2),
+        lambda: plain().to(torch.bfloat16),
+        lambda: nn.Sequential(*(layer for _ in range(6) for layer in (nn.Linear(64, 64), nn.ReLU()))),
+        lambda: nn.Sequential(*(nn.Linear(64, 64) for _ in range(6))),
+    ],
+    ids=["a hook that looks on", "weight norm", "spectral norm", "orthogonal", "bfloat16", "deep", "linear layers"],
+)
+def test_what_does_as_its_layers_is_read(make: Callable) -> None:
+    module = make()
+    before = copy.deepcopy(module.state_dict())
+    network = otr.from_torch(module)
+    assert module.training
+    assert all(torch.equal(value, before[name]) for name, value in module.state_dict().items()), "left as it was"
+    X = np.random.default_rng(3).normal(size=(50, network.n_inputs))
+    with torch.no_grad():
+        expected = copy.deepcopy(module).double().eval()(torch.from_numpy(X)).numpy()
+    np.testing.assert_allclose(network.forward(X), expected, atol=1e-9)
+
+
+def with_weight(weight: torch.Tensor) -> nn.Module:
+    module = plain()
+    module[0].weight = nn.Parameter(weight)
+    return module
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: nn.Linear(3, 2, dtype=torch.complex64), r"'weight' holds complex numbers \(torch.complex64\)"),
+        (lambda: with_weight(torch.ones(4, 3).to_sparse()), r"'0.weight' has the layout torch.sparse_coo"),
+        (lambda: nn.Linear(3, 2, device="meta"), "'weight' is on the device 'meta'"),
+        (lambda: nn.Sequential(nn.LazyLinear(2)), "'0.weight' is a UninitializedParameter"),
+        (
+            lambda: with_weight(torch.ones(1).expand(10**6, 10**6)),
+            r"'0.weight' is expanded: its shape is \(1000000, 1000000\), 4 bytes are stored",
+        ),
+    ],
+)
+def test_tensors_that_are_no_matrices_of_numbers_are_refused(make: Callable, message: str) -> None:
+    with pytest.raises(otr.InvalidNetworkError, match=message):
+        otr.from_torch(make())

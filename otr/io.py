@@ -3,28 +3,34 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
+import math
 import os
+import tokenize
 import uuid
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from reprlib import repr as shortened
 from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from otr.errors import ArtefactError, InvalidNetworkError, InvalidTreeError
+from otr.domain import Domain
+from otr.errors import ArtefactError
 from otr.head import head_from_dict
 from otr.network import ReluNetwork
 from otr.pattern_tree import PatternTree
 from otr.tree import ObliqueTree
+from otr.zip_members import read_members
 
 __all__ = ["SCHEMA", "load", "save"]
 
 SCHEMA = "otr/tree/1"
 
 Arrays = dict[str, NDArray[Any]]
+_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 _TREE_ARRAYS = ("children_left", "children_right", "P", "v", "M", "c")
 
 
@@ -40,8 +46,13 @@ def save(tree: ObliqueTree | PatternTree, path: str | os.PathLike[str]) -> Path:
 
     Returns:
         The path of the JSON file.
+
+    Raises:
+        ArtefactError: there is no such folder.
     """
     npz_path, json_path = _paths_of(path)
+    if not npz_path.parent.is_dir():
+        raise ArtefactError(f"there is no folder {npz_path.parent} to save {npz_path.name} in; make it first")
     if isinstance(tree, PatternTree):
         description, arrays = _describe_pattern_tree(tree)
     else:
@@ -78,11 +89,11 @@ def load(path: str | os.PathLike[str]) -> ObliqueTree | PatternTree:
         "pattern_tree": _restore_pattern_tree,
     }
     kind = description.get("kind")
-    if kind not in readers:
-        raise ArtefactError(f"{json_path} holds the kind {kind!r}, expected one of {sorted(readers)}")
+    if not isinstance(kind, str) or kind not in readers:
+        raise ArtefactError(f"{json_path} holds the kind {shortened(kind)}, expected one of {sorted(readers)}")
     try:
         return readers[kind](description, arrays)
-    except (KeyError, TypeError, InvalidTreeError, InvalidNetworkError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise ArtefactError(f"{npz_path} does not hold a valid {kind}: {error}; save the tree again") from error
 
 
@@ -95,12 +106,12 @@ def _describe_tree(tree: ObliqueTree) -> tuple[dict[str, Any], Arrays]:
 
 def _restore_tree(description: dict[str, Any], arrays: Arrays) -> ObliqueTree:
     core = (arrays[name] for name in _TREE_ARRAYS)
-    return ObliqueTree(*core, labels=arrays.get("labels"), head=head_from_dict(description["head"]))
+    return ObliqueTree(*core, labels=arrays.get("labels"), head=head_from_dict(_field(description, "head", dict)))
 
 
 def _describe_pattern_tree(tree: PatternTree) -> tuple[dict[str, Any], Arrays]:
     network = tree.network
-    description = {
+    description: dict[str, Any] = {
         "kind": "pattern_tree",
         "head": network.head.to_dict(),
         "n_layers": len(network.weights),
@@ -108,6 +119,8 @@ def _describe_pattern_tree(tree: PatternTree) -> tuple[dict[str, Any], Arrays]:
         "dense": network.dense,
         "is_restricted": tree.is_restricted,
     }
+    if network.domain is not None:
+        description["domain"] = network.domain.to_dict()
     arrays: Arrays = {"patterns": np.packbits(tree.patterns, axis=1), "counts": tree.counts}
     for layer, (W, b) in enumerate(zip(network.weights, network.biases, strict=True)):
         arrays[f"weight_{layer}"], arrays[f"bias_{layer}"] = W, b
@@ -115,19 +128,36 @@ def _describe_pattern_tree(tree: PatternTree) -> tuple[dict[str, Any], Arrays]:
 
 
 def _restore_pattern_tree(description: dict[str, Any], arrays: Arrays) -> PatternTree:
-    layers = range(description["n_layers"])
+    layers = range(_field(description, "n_layers", int))
     network = ReluNetwork(
         [arrays[f"weight_{layer}"] for layer in layers],
         [arrays[f"bias_{layer}"] for layer in layers],
-        negative_slope=description["negative_slope"],
-        dense=description["dense"],
-        head=head_from_dict(description["head"]),
+        negative_slope=_field(description, "negative_slope", float, int),
+        dense=_field(description, "dense", bool, str),
+        head=head_from_dict(_field(description, "head", dict)),
+        domain=Domain.from_dict(description["domain"]) if "domain" in description else None,
     )
     full = PatternTree(network)
     patterns = np.unpackbits(arrays["patterns"], axis=1, count=full.n_bits).view(np.bool_)
-    if description["is_restricted"]:
-        return PatternTree(network, patterns, arrays["counts"])
-    return full.observe_paths(patterns, arrays["counts"])
+    counts = arrays["counts"]
+    if counts.shape != patterns.shape[:1]:
+        raise ValueError(f"counts have shape {counts.shape}, expected {patterns.shape[:1]}: one for each path")
+    if _field(description, "is_restricted", bool):
+        return PatternTree(network, patterns, counts)
+    return full.observe_paths(patterns, counts)
+
+
+def _field(description: dict[str, Any], name: str, *types: type) -> Any:
+    """Return an entry of the JSON file.
+
+    Raises:
+        ValueError: it is missing or of another type.
+    """
+    value = description.get(name)
+    if type(value) not in types:
+        expected = " or ".join(kind.__name__ for kind in types)
+        raise ValueError(f"{name} is {shortened(value)} in the JSON file, expected {expected}")
+    return value
 
 
 def _paths_of(path: str | os.PathLike[str]) -> tuple[Path, Path]:
@@ -152,27 +182,52 @@ def _digest(description: dict[str, Any], arrays: Arrays) -> str:
 
 def _read_description(path: Path) -> dict[str, Any]:
     try:
-        description = json.loads(path.read_text())
+        description = json.loads(path.read_text(encoding="utf-8"))
+        json.dumps(description, sort_keys=True)  # as for the digest: fails for what is nested almost too deeply to load
     except FileNotFoundError as error:
         raise ArtefactError(f"{path} does not exist; save a tree there first") from error
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ArtefactError(f"{path} cannot be read as JSON ({error}); restore it or save the tree again") from error
     schema = description.get("schema") if isinstance(description, dict) else None
     if not isinstance(description, dict) or schema != SCHEMA:
-        raise ArtefactError(f"{path} has the schema {schema!r}, expected {SCHEMA!r}; save the tree with this version")
+        raise ArtefactError(
+            f"{path} has the schema {shortened(schema)}, expected {SCHEMA!r}; save the tree with this version"
+        )
     return description
 
 
 def _read_arrays(path: Path) -> Arrays:
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
+        return {name.removesuffix(".npy"): _array_of(content) for name, content in read_members(path, str(path))}
     except FileNotFoundError as error:
         raise ArtefactError(f"{path} does not exist, though its JSON file does; restore it or save again") from error
-    except (OSError, ValueError, EOFError, AttributeError, NotImplementedError, zipfile.BadZipFile) as error:
+    except ValueError as error:
         raise ArtefactError(
             f"{path} cannot be read ({error}); it is cut off or changed: save the tree again"
         ) from error
+
+
+def _array_of(content: bytes) -> NDArray[Any]:
+    """Return the array of numbers that a file in numpy's format holds.
+
+    Raises:
+        ValueError: it holds something else, or more or fewer bytes than its header says; nothing is allocated before.
+    """
+    stream = io.BytesIO(content)
+    version = np.lib.format.read_magic(stream)
+    if version not in _HEADERS:
+        raise ValueError(f"an array has the format {version}, expected one of {sorted(_HEADERS)}")
+    try:
+        shape, is_fortran, dtype = _HEADERS[version](stream)
+    except (SyntaxError, TypeError, AttributeError, tokenize.TokenError, RecursionError, MemoryError) as error:
+        raise ValueError(f"an array's header is broken: {error}") from error
+    if dtype.kind not in "biuf" or any(type(n) is not int or n < 0 for n in shape):
+        raise ValueError(f"an array has the type {dtype} and the shape {shape}, expected numbers")
+    n_bytes, start = math.prod(shape) * dtype.itemsize, stream.tell()
+    if n_bytes != len(content) - start:
+        raise ValueError(f"an array of shape {shape} takes {n_bytes} bytes, the file has {len(content) - start}")
+    flat = np.frombuffer(content, dtype, offset=start)
+    return flat.reshape(shape, order="F" if is_fortran else "C").copy()  # a copy is aligned
 
 
 def _write_atomically(path: Path, write: Callable[[IO[bytes]], Any]) -> None:

@@ -1,11 +1,17 @@
+import io
 import json
+import tracemalloc
+import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import otr
+from otr.io import _digest
 from tests.core.strategies import Case, cases, make_network, worked_network
 from tests.core.test_tree import random_tree
 
@@ -136,3 +142,181 @@ def test_pickled_arrays_are_refused(tmp_path: Path) -> None:
     np.savez(tmp_path / "tree.npz", P=np.array([{}], dtype=object))
     with pytest.raises(otr.ArtefactError, match="cannot be read"):
         otr.load(tmp_path)
+
+
+def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(otr.ArtefactError, match=f"there is no folder {tmp_path / 'missing'} to save x.npz in; make it"):
+        otr.save(otr.map_network(worked_network()), tmp_path / "missing" / "x")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_domain_of_a_network_is_kept(tmp_path: Path) -> None:
+    network = otr.ReluNetwork([[[1.0, 2.0]], [[1.0]]], [[0.5], [0.0]], domain=([-1.0, -np.inf], [1.0, 3.0]))
+    otr.save(otr.PatternTree(network), tmp_path)
+    again = otr.load(tmp_path)
+    assert isinstance(again, otr.PatternTree)
+    assert again.network.domain == otr.Domain([-1.0, -np.inf], [1.0, 3.0])
+
+
+def rewritten(folder: Path, name: str, *, encrypted: bool = False, content: bytes | None = None) -> None:
+    """Write tree.npz again with a member marked as encrypted, or of other content."""
+    path = folder / "tree.npz"
+    with zipfile.ZipFile(path) as archive:
+        members = {member: archive.read(member) for member in archive.namelist()}
+    with zipfile.ZipFile(path, "w") as archive:
+        for member, held in members.items():
+            archive.writestr(member, content if content is not None and member == name else held)
+    if encrypted:
+        whole = bytearray(path.read_bytes())
+        for magic, offset in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+            whole[whole.index(magic) + offset] |= 1
+        path.write_bytes(bytes(whole))
+
+
+def npy(shape: str, kind: str = "<f8", n_bytes: int = 64, version: int = 1) -> bytes:
+    """Return a file in numpy's format whose header holds `shape` as it is."""
+    header = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    return b"\x93NUMPY" + bytes([version, 0]) + len(header).to_bytes(2, "little") + header + bytes(n_bytes)
+
+
+def test_an_encrypted_member_is_refused(tmp_path: Path) -> None:
+    otr.save(otr.map_network(worked_network()), tmp_path / "tree")
+    rewritten(tmp_path, "P.npy", encrypted=True)
+    with pytest.raises(otr.ArtefactError, match="is encrypted"):
+        otr.load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (npy("(1000000000000,)"), "takes 8000000000000 bytes, the file has 64"),
+        (npy("(8,)", n_bytes=65), "takes 64 bytes, the file has 65"),
+        (npy("(True, 8)"), r"the shape \(True, 8\), expected numbers"),
+        (npy("(-1, -8)"), r"the shape \(-1, -8\), expected numbers"),
+        (npy("(8,)", kind="|O"), "the type object"),
+        (npy("(8,)", kind="<c8"), "the type complex64"),
+        (npy("(8,)", version=9), r"the format \(9, 0\), expected one of"),
+        (npy("(8,"), "header is broken"),
+        (npy("(" * 5000), "header is broken"),
+        (npy("8"), "shape is not valid|header is broken"),
+        (npy("(8,)", kind="nonsense"), "descr is not a valid dtype|header is broken"),
+        (b"\x93NUMPY", "EOF|magic"),
+        (b"not an array", "magic string"),
+        (b"", "EOF|magic"),
+    ],
+)
+def test_headers_are_checked_before_anything_is_allocated(tmp_path: Path, content: bytes, words: str) -> None:
+    otr.save(otr.map_network(worked_network()), tmp_path / "tree")
+    rewritten(tmp_path, "P.npy", content=content)
+    tracemalloc.start()
+    with pytest.raises(otr.ArtefactError, match=rf"tree\.npz cannot be read .*({words})"):
+        otr.load(tmp_path)
+    assert tracemalloc.get_traced_memory()[1] < 5e6
+    tracemalloc.stop()
+
+
+def signed(folder: Path, changes: dict[str, Any], arrays: dict[str, Any] | None = None) -> None:
+    """Change the JSON file of a saved tree, and the arrays, under a digest that fits."""
+    description = json.loads((folder / "tree.json").read_text()) | changes
+    with np.load(folder / "tree.npz") as archive:
+        held = dict(archive) | (arrays or {})
+    description["sha256"] = _digest(description, held)
+    np.savez(folder / "tree.npz", **held)
+    (folder / "tree.json").write_text(json.dumps(description))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"head": None}, "head is None in the JSON file, expected dict"),
+        ({"head": [[[]]]}, r"head is \[\[\[\]\]\] in the JSON file, expected dict"),
+        ({"head": {"name": []}}, "unhashable"),
+        ({"head": {"name": "clip_box", "low": 10**400, "high": 1}}, "too large to convert"),
+        ({"kind": []}, r"holds the kind \[\], expected one of"),
+        ({"kind": "tree"}, "holds the kind 'tree', expected one of"),
+        ({"schema": {}}, r"has the schema \{\}, expected 'otr/tree/1'"),
+        ({"n_layers": 1.0}, "n_layers is 1.0 in the JSON file, expected int"),
+        ({"dense": 1}, "dense is 1 in the JSON file, expected bool or str"),
+        ({"is_restricted": "no"}, "is_restricted is 'no' in the JSON file, expected bool"),
+        ({"domain": {"low": [0], "high": [1]}}, "the domain has 1 inputs, expected 2"),
+    ],
+)
+def test_a_description_that_makes_no_sense_is_refused(tmp_path: Path, changes: dict[str, Any], words: str) -> None:
+    otr.save(otr.PatternTree(worked_network()), tmp_path / "tree")
+    signed(tmp_path, changes)
+    with pytest.raises(otr.ArtefactError, match=words):
+        otr.load(tmp_path)
+
+
+@pytest.mark.parametrize("counts", [np.array(3), np.array([3]), np.array([[3], [4]])])
+def test_counts_that_do_not_fit_the_paths_are_refused(tmp_path: Path, counts: np.ndarray) -> None:
+    otr.save(otr.PatternTree(worked_network()).observe([[-9.0, 0.0], [9.0, 9.0]]), tmp_path / "tree")
+    signed(tmp_path, {}, {"counts": counts})
+    with pytest.raises(otr.ArtefactError, match=r"counts have shape .*, expected \(2,\): one for each path"):
+        otr.load(tmp_path)
+
+
+@pytest.mark.parametrize("depth", [*range(300, 1000, 25), 200_000])
+def test_json_nested_however_deeply_is_refused(tmp_path: Path, depth: int) -> None:
+    otr.save(otr.map_network(worked_network()), tmp_path / "tree")
+    text = (tmp_path / "tree.json").read_text().replace('"head"', f'"head": {"[" * depth}{"]" * depth}, "was"')
+    for changed in (text, "[" * depth):
+        (tmp_path / "tree.json").write_text(changed)
+        with pytest.raises(otr.ArtefactError, match=r"tree\.json"):
+            otr.load(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    network = make_network(np.random.default_rng(0), (2, 2), n_outputs=2, head="clip_box")
+    folders = [tmp_path_factory.mktemp(name) for name in ("tree", "labels", "patterns")]
+    labels = make_network(np.random.default_rng(1), (2,), n_outputs=3, head="argmax")
+    paths = otr.PatternTree(network).observe(np.random.default_rng(2).normal(size=(50, 3)))
+    for tree, folder in zip((otr.map_network(network), otr.map_network(labels), paths), folders, strict=True):
+        otr.save(tree, folder / "tree")
+    return folders
+
+
+JUNK = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=3) | st.just(10**400)
+    | st.sampled_from(["identity", "tanh_box", "argmax", "all"]),
+    lambda inner: st.lists(inner, max_size=3)
+    | st.dictionaries(st.sampled_from(["name", "low", "high", "x"]), inner, max_size=3),
+    max_leaves=5,
+)  # fmt: skip
+SHAPES = st.sampled_from(["(8,)", "(0, 8)", "()", "(2, 4)", "(8, 1)", "(1, 8)"])
+ARRAYS = st.builds(
+    npy, SHAPES, st.sampled_from(["<f8", ">f8", "<i8", "|b1", "<f2", "|u1"]), st.sampled_from([0, 8, 64])
+)
+
+
+@settings(max_examples=300)
+@given(data=st.data())
+def test_whatever_was_changed_a_tree_or_the_library_s_error(saved: list[Path], data: st.DataObject) -> None:
+    folder = data.draw(st.sampled_from(saved))
+    written = {path.name: path.read_bytes() for path in folder.iterdir()}
+    try:
+        way = data.draw(st.sampled_from(["bytes", "description", "array"]))
+        if way == "bytes":
+            name = data.draw(st.sampled_from(sorted(written)))
+            start, length = (data.draw(st.integers(0, n)) for n in (len(written[name]), 30))
+            other = data.draw(st.binary(max_size=10))
+            (folder / name).write_bytes(written[name][:start] + other + written[name][start + length :])
+        elif way == "description":
+            keys = sorted(json.loads(written["tree.json"]))
+            signed(folder, data.draw(st.dictionaries(st.sampled_from([*keys, "domain"]), JUNK, min_size=1, max_size=2)))
+        else:
+            with np.load(folder / "tree.npz") as archive:
+                held = dict(archive)
+            name, content = data.draw(st.sampled_from(sorted(held))), data.draw(ARRAYS)
+            try:
+                signed(folder, {}, {name: np.load(io.BytesIO(content))})
+            except ValueError:  # fewer bytes than the shape asks for: numpy reads none
+                rewritten(folder, f"{name}.npy", content=content)
+        tree = otr.load(folder)
+        tree.predict(np.zeros((2, tree.n_inputs)))
+    except otr.ArtefactError:
+        pass
+    finally:
+        for name, content in written.items():
+            (folder / name).write_bytes(content)

@@ -14,6 +14,7 @@ from otr.network import ReluNetwork
 from otr.sb3_archive import network_of_file
 from otr.sb3_model import network_of_model
 from otr.torch_layers import network_of_module
+from otr.vec_normalize import fold_observation_statistics
 
 if TYPE_CHECKING:
     import torch
@@ -50,33 +51,44 @@ def from_sb3(
     action_low: ArrayLike | None = None,
     action_high: ArrayLike | None = None,
     negative_slope: float | None = None,
+    vec_normalize: Any = None,
 ) -> ReluNetwork:
     """Return the deterministic actor of a Stable-Baselines3 model, or of sb3-contrib's TRPO and ARS.
 
     SAC, TD3 and DDPG end in `TanhBox`, the others in `ClipBox` or, with discrete actions, `Argmax`; DQN's actor is the
     network of its action values, and of ARS `LinearPolicy` without squashed outputs is read. Stable-Baselines3 computes
-    in float32, so its answers differ from the network's by about 1e-7 of the action box. A model trained under
-    VecNormalize expects normalised states: `ReluNetwork.fold_input_normalisation` takes that in.
+    in float32, so its answers differ from the network's by about 1e-7 of the action box. A live model is run on fixed
+    states: where it predicts otherwise than its layers, nothing is returned.
+
+    A model trained under VecNormalize expects normalised states. With `vec_normalize`, mean and variance go into the
+    first layer and the network takes raw states. VecNormalize also clips the normalised state to +-clip_obs, which the
+    network does not: it is the policy inside the box ``mean +- clip_obs * sqrt(variance + epsilon)`` and not outside.
+    That box is the network's `domain`; `network.domain.contains(X)` tells which states lie in it.
 
     From the path of a saved model, only tensors (torch's ``weights_only`` loading) and plain text are read, and no
-    code in the file is run. That text prints the action box to eight decimals.
+    code in the file is run, nor in the file of statistics. That text prints the action box to eight decimals.
 
     Args:
         model: a live model, or the path of the zip file that `model.save` wrote, with or without ".zip".
         action_low, action_high: (o,) limits of the action box in place of the model's.
         negative_slope: of LeakyReLU, for a file that does not tell; must agree with what can be known.
+        vec_normalize: the path of the file that `VecNormalize.save` wrote, a live VecNormalize, or
+            `ObservationStatistics(mean, variance, epsilon, clip)`; None where the model saw raw states.
 
     Raises:
         InvalidNetworkError: a policy that is no ReLU network on a vector of inputs: other activations, gSDE, images,
-            feature extractors, dictionaries, several discrete actions; or something that the file does not tell.
-        ArtefactError: the file is missing, cut off, or holds more than tensors in its `policy.pth`.
+            feature extractors, dictionaries, several discrete actions; widths other than the spaces' or the
+            statistics'; or something that the file does not tell.
+        ArtefactError: a file is missing, cut off, unpacks to more than 256 MiB, or holds more than tensors in its
+            `policy.pth`, or no VecNormalize.
     """
     if isinstance(model, str | os.PathLike):
-        return network_of_file(Path(model), action_low, action_high, negative_slope)
-    network = network_of_model(model, action_low, action_high)
-    if negative_slope is not None and network.n_hidden and network.negative_slope != negative_slope:
-        raise InvalidNetworkError(f"negative_slope is {negative_slope}, the model's is {network.negative_slope}")
-    return network
+        network = network_of_file(Path(model), action_low, action_high, negative_slope)
+    else:
+        network = network_of_model(model, action_low, action_high)
+        if negative_slope is not None and network.n_hidden and network.negative_slope != negative_slope:
+            raise InvalidNetworkError(f"negative_slope is {negative_slope}, the model's is {network.negative_slope}")
+    return network if vec_normalize is None else fold_observation_statistics(network, vec_normalize)
 
 
 def from_sklearn(mlp: Any) -> ReluNetwork:

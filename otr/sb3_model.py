@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from typing import Any
 
@@ -122,15 +121,18 @@ def _require_same_answers(model: Any, network: ReluNetwork) -> None:
     """Raise InvalidNetworkError where the model predicts something else than the network, beyond float32's rounding."""
     states = probe_states(network.n_inputs).astype(np.float32)
     outputs = network.forward(states)
+    modes = [(part, part.training) for part in model.policy.modules()]  # predict switches to evaluation
     try:
-        policy = copy.deepcopy(model.policy)  # predict switches to evaluation mode
-        found = policy.predict(states.reshape(-1, *model.observation_space.shape), deterministic=True)[0]
+        found = model.policy.predict(states.reshape(-1, *model.observation_space.shape), deterministic=True)[0]
         found = found.reshape(len(states), -1)
     except Exception as error:  # foreign code can fail in any way
         raise InvalidNetworkError(
             f"the model cannot predict {len(states)} states of {network.n_inputs} inputs, so its layers cannot be "
             f"compared with it: {error}; take hooks and other changes out of its policy"
         ) from error
+    finally:
+        for part, mode in modes:
+            part.training = mode
     rounding = _ROUNDING * reach(zip(network.weights, network.biases, strict=True), states.astype(np.float64))
     if isinstance(network.head, Argmax):
         # How far the label's output lies below the largest.

@@ -116,6 +116,18 @@ def test_a_live_model_that_predicts_something_else_is_refused() -> None:
             otr.from_sb3(model)
 
 
+@pytest.mark.parametrize("algorithm", [PPO, SAC])
+def test_a_model_that_was_trained_is_read_and_stays_as_it_is(algorithm: type) -> None:
+    critic, options = ({"vf": [8]}, {"n_steps": 8, "batch_size": 8}) if algorithm is PPO else ({"qf": [8]}, {})
+    model = build(algorithm, WideBox(), critic, [4], **options).learn(16)
+    for mode in (True, False):
+        model.policy.set_training_mode(mode)
+        before = [part.training for part in model.policy.modules()]
+        network = otr.from_sb3(model)
+        assert [part.training for part in model.policy.modules()] == before
+        assert_predicts_as(model, network)
+
+
 def replaced(name: str, tensor: object) -> Callable[[dict], dict]:
     return lambda tensors: {**tensors, name: tensor}
 

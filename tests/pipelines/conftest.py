@@ -1,6 +1,8 @@
 """Runs the commands as a user does, and gives tests a small configuration."""
 
+import contextlib
 import dataclasses
+import io
 import os
 import signal
 import subprocess
@@ -58,8 +60,8 @@ def tiny(tmp_path: Path) -> Callable[..., RunConfig]:
     return make
 
 
-def otr_command(program: str, *words: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run one of the installed commands and return what it printed."""
+def otr_program(program: str, *words: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run one of the installed commands in a process of its own and return what it printed."""
     executable = Path(sys.executable).with_name(program)
     return subprocess.run(
         [str(executable), *words],
@@ -78,17 +80,27 @@ class Done:
     stderr: str
 
 
+def otr_command(program: str, *words: str, cwd: Path, **environment: str) -> Done:
+    """Do the same in this process, which spares the seconds in which another would import torch."""
+    stdout, stderr = io.StringIO(), io.StringIO()
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        contextlib.redirect_stdout(stdout),
+        contextlib.redirect_stderr(stderr),
+        pytest.raises(SystemExit) as ended,
+    ):
+        patch.setattr(signal, "signal", lambda *_: None)
+        patch.setattr(sys, "argv", [program, *words])
+        patch.chdir(cwd)
+        for name, value in environment.items():
+            patch.setenv(name, value)
+        getattr(cli, program.removeprefix("otr-"))()
+    code = ended.value.code
+    assert code is None or isinstance(code, int)
+    return Done(code or 0, stdout.getvalue(), stderr.getvalue())
+
+
 @pytest.fixture
-def command(monkeypatch, capsys):
-    """Return what gives a command in this process, which spares the seconds of starting another."""
-    monkeypatch.setattr(signal, "signal", lambda *_: None)
-
-    def run(program: str, *words: str) -> Done:
-        monkeypatch.setattr(sys, "argv", [f"otr-{program}", *words])
-        try:
-            getattr(cli, program)()
-        except SystemExit as stopped:
-            return Done(stopped.code or 0, *capsys.readouterr())
-        raise AssertionError("a command ends with an exit code")
-
-    return run
+def command() -> Callable[..., Done]:
+    """Return what gives a command, without its "otr-", in this process and folder."""
+    return lambda program, *words: otr_command(f"otr-{program}", *words, cwd=Path.cwd())

@@ -1,16 +1,32 @@
-"""Helpers of the tests of sweeps: start one, wait for it, count what it made."""
+"""Helpers of the tests of sweeps and kills: start a process, wait for it, count what it made."""
 
 import json
+import multiprocessing
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
-THREE = ("-m", "env=pendulum", "depth=1,2,3", "budget=smoke")
+SMALL = ("budget=smoke", "algo.critic=[16]")
+THREE = ("-m", "env=pendulum", "depth=1,2,3", *SMALL)
 STAGES = ("train", "map", "prune", "evaluate")
 TIMED = ("progress.csv",)  # holds seconds
+
+
+# Children of a server that has imported torch and Stable-Baselines3: each alone would import them for seconds.
+SERVER = multiprocessing.get_context("forkserver")
+SERVER.set_forkserver_preload(["pipelines.train", "torch._dynamo"])
+
+
+def run_until_killed(function, *args):
+    """Call a function that ends its process by SIGKILL in a process of its own."""
+    child = SERVER.Process(target=function, args=args)
+    child.start()
+    child.join(timeout=120)
+    assert child.exitcode == -signal.SIGKILL
 
 
 def digests(results):

@@ -13,7 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.pipelines.conftest import otr_command
+from pipelines.cli.runs import run_config
+from pipelines.conf_dir import CONF_DIR
+from tests.pipelines.conftest import otr_command, otr_program
+from tests.pipelines.sweeps import children, wait_for
 
 SMOKE = ("env=pendulum", "depth=3", "budget=smoke", "n_workers=1")
 RUN = Path("results/runs/pendulum/otr/depth-3/smoke/seed-0")
@@ -23,7 +26,7 @@ RUN = Path("results/runs/pendulum/otr/depth-3/smoke/seed-0")
 def finished(tmp_path_factory):
     """One smoke run of the main job, and what it printed."""
     folder = tmp_path_factory.mktemp("finished")
-    done = otr_command("otr-run", *SMOKE, cwd=folder)
+    done = otr_program("otr-run", *SMOKE, cwd=folder)
     assert done.returncode == 0, done.stderr
     return folder, done.stdout
 
@@ -187,24 +190,25 @@ def test_full_disk_is_told_and_the_same_command_goes_on(tmp_path):
     assert (tmp_path / RUN / "summary.json").exists()
 
 
-@pytest.mark.parametrize("launcher", ["basic", "joblib"])
-def test_failing_job_does_not_stop_a_sweep(tmp_path, launcher):
-    (tmp_path / "results/runs/pendulum/otr/depth-2/smoke").mkdir(parents=True)
-    (tmp_path / "results/runs/pendulum/otr/depth-2/smoke/seed-0").write_text("in the way")
-    done = otr_command(
-        "otr-run", "-m", "env=pendulum", "depth=2,1", "budget=smoke", f"launcher={launcher}", cwd=tmp_path
-    )
+@pytest.mark.parametrize(("launcher", "runner"), [("basic", otr_command), ("joblib", otr_program)])
+def test_failing_job_does_not_stop_a_sweep(tmp_path, launcher, runner):
+    runs = tmp_path / "results/runs/pendulum/linear/depth-0/smoke-ars"
+    runs.mkdir(parents=True)
+    (runs / "seed-1").write_text("in the way")
+    words = ("-m", "env=pendulum", "method=linear", "depth=0", "algo=ars", "budget=smoke", "seed=1,0")
+    done = runner("otr-run", *words, f"launcher={launcher}", cwd=tmp_path)
     assert done.returncode == 1
     assert "2 jobs: 1 done, 1 failed" in done.stdout, done.stdout + done.stderr
-    assert "runs/pendulum/otr/depth-2/smoke/seed-0" in done.stdout
-    assert (tmp_path / "results/runs/pendulum/otr/depth-1/smoke/seed-0/summary.json").exists()
+    assert "runs/pendulum/linear/depth-0/smoke-ars/seed-1" in done.stdout
+    assert (runs / "seed-0/summary.json").exists()
     (failure,) = (tmp_path / "results/failures").rglob("*.txt")
-    assert "Traceback" in failure.read_text() and "depth=2" in failure.read_text()
+    assert "Traceback" in failure.read_text() and "seed=1" in failure.read_text()
 
 
+@pytest.mark.slow  # two sweeps on one folder (test_sweep.py) wait for each other's trainings as well
 def test_jobs_that_share_a_training_train_once(tmp_path):
     words = ("env=pendulum", "depth=3", "budget=smoke", "evaluate.n_episodes=2,3")
-    done = otr_command("otr-run", "-m", *words, "launcher=joblib", "hydra.launcher.n_jobs=2", cwd=tmp_path)
+    done = otr_program("otr-run", "-m", *words, "launcher=joblib", "hydra.launcher.n_jobs=2", cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "2 jobs: 2 done, 0 failed" in done.stdout
     actors = [path.read_bytes() for path in (tmp_path / "results/runs").rglob("actor.safetensors")]
@@ -224,7 +228,6 @@ def running_in_group(group):
     return found
 
 
-@pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes under /proc")
 def in_foreground(command: list[str], cwd: Path) -> subprocess.Popen[str]:
     """Start a command that ctrl-C stops, as in a terminal, also where these tests run in the background of a shell."""
     return subprocess.Popen(
@@ -238,22 +241,21 @@ def in_foreground(command: list[str], cwd: Path) -> subprocess.Popen[str]:
     )
 
 
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes under /proc")
 def test_stopped_while_workers_play(tmp_path):
-    words = ("env=halfcheetah", "depth=2", "budget=smoke", "prune.n_episodes=400", "n_workers=2")
-    command = [str(Path(sys.executable).with_name("otr-run")), *words]
+    words = ("env=halfcheetah", "method=linear", "depth=0", "algo=ars", "budget=smoke", "n_workers=2")
+    command = [str(Path(sys.executable).with_name("otr-run")), *words, "prune.n_episodes=400"]
     with in_foreground(command, tmp_path) as process:
         for line in process.stdout:
             if line.startswith("map:"):
                 break
-        time.sleep(3)
+        wait_for(lambda: len(children(process.pid, "spawn_main")) == 2)
+        time.sleep(1)  # they import, then play
         os.killpg(process.pid, signal.SIGINT)
         printed, _ = process.communicate(timeout=60)
     assert process.returncode == 130, printed
     assert "the same command goes on" in printed and "Traceback" not in printed
-    deadline = time.monotonic() + 20
-    while (left := running_in_group(process.pid)) and time.monotonic() < deadline:
-        time.sleep(0.2)
-    assert left == []
+    wait_for(lambda: not running_in_group(process.pid), seconds=20)
 
 
 def test_table_without_runs_is_refused(tmp_path):
@@ -261,16 +263,16 @@ def test_table_without_runs_is_refused(tmp_path):
     assert done.returncode == 2 and "there is no folder nope/runs" in done.stderr
 
 
-def test_a_reader_that_has_seen_enough(tmp_path):
+def test_a_reader_that_has_seen_enough(finished):
     program = Path(sys.executable).with_name("otr-run")
-    line = f"{program} {' '.join(SMOKE)} | head -1; exit ${{PIPESTATUS[0]}}"
-    done = subprocess.run(["bash", "-c", line], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    line = f"{program} {' '.join(SMOKE)} | head -0; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", line], cwd=finished[0], capture_output=True, text=True, timeout=120)
     assert (done.returncode, done.stderr) == (141, "")
 
 
 def test_experiment_brings_its_own_sweep(tmp_path):
-    done = otr_command("otr-plan", "+experiment=table_4_1", "column=otr_6,otr_32", "env=hopper,ant", cwd=tmp_path)
-    assert "40 jobs: 0 to skip, 40 left" in done.stdout, done.stderr
+    done = otr_command("otr-plan", "+experiment=table_4_1", "column=otr_32", "env=hopper,ant", cwd=tmp_path)
+    assert "20 jobs: 0 to skip, 20 left" in done.stdout, done.stderr
     assert done.stdout.count("runs/hopper/otr/depth-32/thesis/seed-") == 10
     done = otr_command("otr-plan", "+experiment=smoke", cwd=tmp_path)
     assert "runs/hopper/otr/depth-6/smoke/seed-0 " in done.stdout
@@ -278,12 +280,10 @@ def test_experiment_brings_its_own_sweep(tmp_path):
 
 
 def test_ctrl_c_stops_cleanly_and_goes_on(tmp_path):
-    words = ("env=pendulum", "depth=2", "budget=smoke", "train.steps=4000")
+    words = ("env=pendulum", "depth=2", "budget=smoke", "train.steps=800")
     command = [str(Path(sys.executable).with_name("otr-run")), *words]
     with in_foreground(command, tmp_path) as process:
-        deadline = time.monotonic() + 120
-        while not list((tmp_path / "results/checkpoints").glob("*/segment-*")) and time.monotonic() < deadline:
-            time.sleep(0.05)
+        wait_for(lambda: list((tmp_path / "results/checkpoints").glob("*/segment-*")))
         process.send_signal(signal.SIGINT)
         printed, _ = process.communicate(timeout=60)
     assert process.returncode == 130
@@ -293,14 +293,19 @@ def test_ctrl_c_stops_cleanly_and_goes_on(tmp_path):
     assert "going on from step" in done.stdout
 
 
-def test_every_environment_and_budget_composes(tmp_path):
-    from pipelines.conf_dir import CONF_DIR
-
+@pytest.mark.parametrize(
+    "budget", ["quick", pytest.param("thesis", marks=pytest.mark.slow), pytest.param("smoke", marks=pytest.mark.slow)]
+)
+def test_every_environment_and_budget_composes(tmp_path, budget):
     names = sorted(path.stem for path in (CONF_DIR / "env").glob("*.yaml"))
     assert len(names) == 16
-    for budget in ("thesis", "quick", "smoke"):
-        done = otr_command("otr-plan", "-m", f"env={','.join(names)}", f"budget={budget}", cwd=tmp_path)
-        assert "16 jobs: 0 to skip, 16 left" in done.stdout, done.stderr
+    done = otr_command("otr-plan", "-m", f"env={','.join(names)}", f"budget={budget}", cwd=tmp_path)
+    assert "16 jobs: 0 to skip, 16 left" in done.stdout, done.stderr
+
+
+def test_every_budget_has_every_environment_s_steps():
+    steps = [set(run_config(["env=pendulum", f"budget={name}"]).budget.steps) for name in ("thesis", "quick", "smoke")]
+    assert steps[0] == steps[1] == steps[2] and len(steps[0]) == 10
 
 
 def test_help_names_the_words():

@@ -2,8 +2,6 @@
 
 import dataclasses
 import json
-import multiprocessing
-import signal
 
 import numpy as np
 import pytest
@@ -24,6 +22,7 @@ from pipelines.store import load_actor
 from pipelines.training import train_settings, trained_steps
 from tests.control.pids import thesis_policy
 from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM, otr_command
+from tests.pipelines.sweeps import run_until_killed
 from tests.pipelines.test_train import DDPG, train_until_killed
 
 PID = PidConfig("pid", [1.0, 0.0, 0.0], 3, 2.5, 4.0, 0.01)
@@ -160,12 +159,7 @@ def test_killed_and_resumed_equals_uninterrupted(pid, tmp_path):
     for out in outs:
         out.mkdir()
     train_module.train({}, alone, outs[0])
-    child = multiprocessing.get_context("spawn").Process(
-        target=train_until_killed, args=(killed, outs[1], "after saving")
-    )
-    child.start()
-    child.join(timeout=120)
-    assert child.exitcode == -signal.SIGKILL
+    run_until_killed(train_until_killed, killed, outs[1], "after saving")
     assert 0 < trained_steps(killed) < 300
     train_module.train({}, killed, outs[1])
     for name in ("actor.safetensors", "actor.json", "evaluations.csv"):

@@ -1,7 +1,6 @@
 """Training: a run killed with SIGKILL and resumed equals one that was left alone, bit for bit."""
 
 import dataclasses
-import multiprocessing
 import os
 import signal
 
@@ -22,6 +21,7 @@ from pipelines.stages import STAGES
 from pipelines.store import load_actor, read_csv
 from pipelines.training import estimated_bytes, segment_steps, train_settings, trained_steps
 from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM, PPO, SAC
+from tests.pipelines.sweeps import run_until_killed
 
 DDPG = DdpgConfig("ddpg", 1e-3, 32, 0.99, [16], 0.0, 150, 50, 0.005, 1, 1, "ornstein_uhlenbeck", 0.5, 0.3)
 TD3 = Td3Config("td3", 1e-3, 32, 0.99, [16], 0.0, 1000, 50, 0.005, 1, 1, "normal", 0.1, 0.01, 2, 0.2, 0.5)
@@ -76,10 +76,7 @@ def test_killed_and_resumed_equals_uninterrupted(tiny, tmp_path, algorithm, wher
     for out in outs:
         out.mkdir()
     train_module.train({}, alone, outs[0])
-    child = multiprocessing.get_context("spawn").Process(target=train_until_killed, args=(killed, outs[1], where))
-    child.start()
-    child.join(timeout=120)
-    assert child.exitcode == -signal.SIGKILL
+    run_until_killed(train_until_killed, killed, outs[1], where)
     assert 0 < trained_steps(killed) < 300
     train_module.train({}, killed, outs[1])
     for name in ("actor.safetensors", "actor.json", "evaluations.csv"):

@@ -56,6 +56,7 @@ def test_one_run_alone_and_other_company_leave_the_same_bytes(in_one_process, tm
     assert found.items() <= expected.items()
 
 
+@pytest.mark.slow  # test_train.py kills a fleet and resumes it, tests/pipelines/test_sweep.py kills a sweep's worker
 def test_a_killed_worker_costs_a_segment_of_its_fleet(in_one_process, tmp_path):
     results = tmp_path / "results"
     words = (*WORDS, "launcher=joblib", "hydra.launcher.n_jobs=2")

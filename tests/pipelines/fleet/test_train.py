@@ -1,7 +1,6 @@
 """Fleet training: runs that do not touch each other, what lies in the replay buffer, kills, divergence, groups."""
 
 import dataclasses
-import multiprocessing
 import os
 import signal
 
@@ -22,6 +21,7 @@ from pipelines.fleet.train import FleetTrainer, Task, backend, train, train_flee
 from pipelines.store import load_actor, read_csv
 from pipelines.training import checkpoint_folder, train_settings, trained_steps
 from tests.pipelines.conftest import HOPPER, LANDER, PPO, SAC
+from tests.pipelines.sweeps import run_until_killed
 
 FLEET = FleetConfig("fleet", 1, "fp32", "gymnasium", "cpu", 5)
 WRAPPING_SAC = dataclasses.replace(SAC, buffer_size=150)  # wraps round within 300 steps
@@ -110,10 +110,7 @@ def test_killed_and_resumed_equals_uninterrupted(fleet_run, tmp_path, where):
     outs = [tmp_path / "a", tmp_path / "b"]
     for out in outs:
         out.mkdir()
-    child = multiprocessing.get_context("spawn").Process(target=train_until_killed, args=(killed, outs, where))
-    child.start()
-    child.join(timeout=120)
-    assert child.exitcode == -signal.SIGKILL
+    run_until_killed(train_until_killed, killed, outs, where)
     done = [trained_steps(config) for config in killed]
     assert done == ([200, 200] if where == "in a segment" else [200, 100])
     assert train_fleet(killed, outs) == [None, None]

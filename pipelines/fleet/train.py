@@ -2,7 +2,8 @@
 
 As in `pipelines/train.py` a segment is the steps between two evaluations and starts with new environments and random
 streams that the run and the segment alone decide. So a killed and resumed run equals an uninterrupted one, and a run
-equals itself in whatever company it was trained.
+equals itself in whatever company it was trained, bit for bit on one type of processor with the same package versions
+(between two types float32 rounds differently, and training multiplies the difference).
 """
 
 import functools
@@ -38,7 +39,6 @@ from pipelines.store import actor_files
 from pipelines.training import learning_starts, segment_steps
 
 torch.set_num_threads(1)  # two threads make these small networks a hundred times slower
-torch.set_flush_denormal(True)
 
 Played = tuple[otr.ReluNetwork, Rollout]
 PlayAll = Callable[[Sequence[otr.ReluNetwork], Sequence[RunConfig]], list[Played]]
@@ -159,6 +159,19 @@ class Collected:
     lengths: list[list[int]]
 
 
+@contextmanager
+def _flushed_denormals() -> Iterator[None]:
+    """Take denormal numbers, which are slow, as zero for a while.
+
+    Not for the whole process: what else it trains must not depend on whether this module was imported.
+    """
+    torch.set_flush_denormal(True)
+    try:
+        yield
+    finally:
+        torch.set_flush_denormal(False)
+
+
 class FleetTrainer:
     """A cohort of runs at the same step, stacked: trains a segment at a time, until it is closed.
 
@@ -234,6 +247,7 @@ class FleetTrainer:
         on_device = torch.from_numpy(states).to(self._device)
         return self._unscale(self._learner.answers(r, on_device).cpu().numpy())
 
+    @_flushed_denormals()
     @torch.no_grad()
     def train_segment(self, progress: FleetProgress) -> Collected:
         """Collect a segment's transitions and do its updates; the rows are on the disk afterwards."""

@@ -10,8 +10,9 @@ import sys
 import time
 from pathlib import Path
 
-SMALL = ("budget=smoke", "algo.critic=[16]")
-THREE = ("-m", "env=pendulum", "depth=1,2,3", *SMALL)
+THREE = ("-m", "env=pendulum", "depth=1,2,3", "budget=smoke", "algo.critic=[16]")
+# Two jobs that train nothing and do not import torch, where it is enough that jobs are done.
+PROGRAMS = ("-m", "env=mountaincar", "program=mountaincar,mountaincar_simplified", "budget=smoke", "n_workers=1")
 STAGES = ("train", "map", "prune", "evaluate")
 TIMED = ("progress.csv",)  # holds seconds
 

@@ -16,7 +16,7 @@ import pytest
 from pipelines.cli.runs import run_config
 from pipelines.conf_dir import CONF_DIR
 from tests.pipelines.conftest import otr_command, otr_program
-from tests.pipelines.sweeps import children, wait_for
+from tests.pipelines.sweeps import PROGRAMS, children, wait_for
 
 SMOKE = ("env=pendulum", "depth=3", "budget=smoke", "n_workers=1")
 RUN = Path("results/runs/pendulum/otr/depth-3/smoke/seed-0")
@@ -192,17 +192,18 @@ def test_full_disk_is_told_and_the_same_command_goes_on(tmp_path):
 
 @pytest.mark.parametrize(("launcher", "runner"), [("basic", otr_command), ("joblib", otr_program)])
 def test_failing_job_does_not_stop_a_sweep(tmp_path, launcher, runner):
-    runs = tmp_path / "results/runs/pendulum/linear/depth-0/smoke-ars"
-    runs.mkdir(parents=True)
-    (runs / "seed-1").write_text("in the way")
-    words = ("-m", "env=pendulum", "method=linear", "depth=0", "algo=ars", "budget=smoke", "seed=1,0")
-    done = runner("otr-run", *words, f"launcher={launcher}", cwd=tmp_path)
+    assert otr_command("otr-run", *PROGRAMS, cwd=tmp_path).returncode == 0
+    summaries = {json.loads(path.read_text())["program"]: path for path in tmp_path.glob("results/**/summary.json")}
+    for path in summaries.values():
+        shutil.rmtree(path.parent)
+    summaries["mountaincar"].parent.write_text("in the way")
+    done = runner("otr-run", *PROGRAMS, f"launcher={launcher}", cwd=tmp_path)
     assert done.returncode == 1
     assert "2 jobs: 1 done, 1 failed" in done.stdout, done.stdout + done.stderr
-    assert "runs/pendulum/linear/depth-0/smoke-ars/seed-1" in done.stdout
-    assert (runs / "seed-0/summary.json").exists()
+    assert str(summaries["mountaincar"].parent.relative_to(tmp_path / "results")) in done.stdout
+    assert summaries["mountaincar_simplified"].exists()
     (failure,) = (tmp_path / "results/failures").rglob("*.txt")
-    assert "Traceback" in failure.read_text() and "seed=1" in failure.read_text()
+    assert "Traceback" in failure.read_text() and "program=mountaincar " in failure.read_text()
 
 
 @pytest.mark.slow  # two sweeps on one folder (test_sweep.py) wait for each other's trainings as well
@@ -243,11 +244,11 @@ def in_foreground(command: list[str], cwd: Path) -> subprocess.Popen[str]:
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes under /proc")
 def test_stopped_while_workers_play(tmp_path):
-    words = ("env=halfcheetah", "method=linear", "depth=0", "algo=ars", "budget=smoke", "n_workers=2")
-    command = [str(Path(sys.executable).with_name("otr-run")), *words, "prune.n_episodes=400"]
+    words = ("env=mountaincar", "program=mountaincar", "prune.n_episodes=20000", "n_workers=2")
+    command = [str(Path(sys.executable).with_name("otr-run")), *words]
     with in_foreground(command, tmp_path) as process:
         for line in process.stdout:
-            if line.startswith("map:"):
+            if line.startswith("parse:"):
                 break
         wait_for(lambda: len(children(process.pid, "spawn_main")) == 2)
         time.sleep(1)  # they import, then play

@@ -14,9 +14,10 @@ import pytest
 
 from pipelines.errors import ConfigError
 from pipelines.run import RunJob, run_job
+from pipelines.store import read_json
 from pipelines.sweep import Outcome, check_launcher, is_done, job_command, quoted, run_sweep
 from tests.pipelines.conftest import otr_command, otr_program
-from tests.pipelines.sweeps import SMALL, STAGES, THREE, children, digests, start, times_made, wait_for
+from tests.pipelines.sweeps import PROGRAMS, STAGES, THREE, children, digests, start, times_made, wait_for
 
 LINUX = pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes under /proc")
 
@@ -164,19 +165,21 @@ def test_missing_plugin_is_told_on_the_command_line(tmp_path):
 
 def test_jobs_file_does_the_jobs_that_are_left(tmp_path):
     results = tmp_path / "it's here, = there"  # what shells and Hydra both must not take apart
-    words = ("-m", "env=pendulum", "depth=1,2", *SMALL, "stages=[train]", "launcher=joblib")
+    words = (*PROGRAMS, "launcher=joblib")
     planned = otr_command("otr-plan", *words, "--jobs", "jobs.txt", cwd=tmp_path, OTR_RESULTS_DIR=str(results))
     assert planned.returncode == 0, planned.stderr
     assert "xargs -0 -P 8" in planned.stdout and "sbatch --array=1-2 " in planned.stdout
     lines = (tmp_path / "jobs.txt").read_text().splitlines()
-    assert [shlex.split(line)[:6] for line in lines] == [
-        ["otr-run", "env=pendulum", f"depth={depth}", *SMALL, "stages=[train]"] for depth in (1, 2)
+    assert [shlex.split(line)[:5] for line in lines] == [
+        ["otr-run", "env=mountaincar", "method=program", f"method.program={name}", "budget=smoke"]
+        for name in ("mountaincar", "mountaincar_simplified")
     ]
     (use,) = (line.strip() for line in planned.stdout.splitlines() if "xargs" in line)
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     (tmp_path / "jobs.txt").write_text(f"{lines[0]}\n")
     subprocess.run(["sh", "-c", use], cwd=tmp_path, env={**os.environ, "PATH": path}, check=True, timeout=120)
-    assert len(list(results.glob("runs/pendulum/otr/depth-1/smoke/seed-0~*/train/manifest.json"))) == 1
+    (summary,) = results.glob("runs/mountaincar/**/summary.json")
+    assert read_json(summary)["program"] == "mountaincar"
     otr_command("otr-plan", *words, "--jobs", "jobs.txt", cwd=tmp_path, OTR_RESULTS_DIR=str(results))
     assert (tmp_path / "jobs.txt").read_text().splitlines() == lines[1:]
 
@@ -240,14 +243,14 @@ echo Submitted batch job 12
 }
 
 
-def test_slurm_is_handed_one_array(one_by_one, tmp_path):
+def test_slurm_is_handed_one_array(tmp_path):
     for name, text in FAKES.items():
         program = tmp_path / "bin" / name
         program.parent.mkdir(exist_ok=True)
         program.write_text(f"#!/bin/bash\n{text}")
         program.chmod(program.stat().st_mode | stat.S_IXUSR)
     done = otr_program(
-        "otr-run", "-m", "env=pendulum", "depth=1,2", *SMALL, "launcher=slurm", "hydra.launcher.partition=cpu",
+        "otr-run", *PROGRAMS, "launcher=slurm", "hydra.launcher.partition=cpu",
         cwd=tmp_path, PATH=f"{tmp_path / 'bin'}:{os.environ['PATH']}", FAKE_SLURM=str(tmp_path),
         OTR_RESULTS_DIR="elsewhere",
     )  # fmt: skip
@@ -256,5 +259,6 @@ def test_slurm_is_handed_one_array(one_by_one, tmp_path):
     text = re.sub(r"(%t_log.err) .*", r"\1 PYTHON", text)
     text = text.replace(str(tmp_path / "elsewhere/sweeps/.submitit"), "FOLDER")
     assert text == SBATCH
-    expected = {name: digest for name, digest in one_by_one.items() if "depth-3" not in name}
-    assert digests(tmp_path / "elsewhere") == expected
+    assert otr_command("otr-run", *PROGRAMS, cwd=tmp_path).returncode == 0
+    expected = digests(tmp_path / "results")
+    assert len(expected) == 18 and digests(tmp_path / "elsewhere") == expected

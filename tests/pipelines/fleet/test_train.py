@@ -314,3 +314,11 @@ def test_rescaled_states_are_folded_into_the_actor(fleet_run, tmp_path):
     # Velocities span 0.14, positions 1.8: rescaled, both columns are of one size; folded, they differ by that factor.
     half_width = (space.high - space.low) / 2
     assert first[:, 1].mean() / first[:, 0].mean() > 0.2 * half_width[0] / half_width[1]
+
+
+def test_denormals_are_zero_in_segments_alone(fleet_run, tmp_path):
+    trained([fleet_run()], tmp_path)
+    tiniest = torch.tensor([1e-40])
+    assert (tiniest * 0.5).item() > 0
+    with fleet_module._flushed_denormals():
+        assert (tiniest * 0.5).item() == 0

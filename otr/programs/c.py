@@ -13,17 +13,13 @@ from otr.network import ReluNetwork
 from otr.pattern_tree import PatternTree
 from otr.programs.c_network import network_code, outputs_array
 from otr.programs.c_tables import CType, Table, integer_table, integer_type, literal, real_table, row_table
+from otr.programs.c_words import is_function_name
 from otr.programs.names import check_policy, give_labels, in_comment, shown_names
 from otr.programs.parts import box_limits, child, distinct_rows, summary_of
 from otr.tree import ObliqueTree
 
 __all__ = ["to_c"]
 
-_KEYWORDS = frozenset(
-    {"auto", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum", "extern", "float",
-     "for", "goto", "if", "inline", "int", "long", "register", "restrict", "return", "short", "signed", "sizeof",
-     "static", "struct", "switch", "typedef", "union", "unsigned", "void", "volatile", "while", "main", "tanh", "tanhf"}
-)  # fmt: skip
 _OF_STDINT = ("static const int", "static const uint")
 
 
@@ -59,7 +55,7 @@ def to_c(
     """
     if not isinstance(policy, ObliqueTree | PatternTree | ReluNetwork):
         raise TypeError(f"policy is a {type(policy).__name__}, expected an ObliqueTree, a PatternTree or a ReluNetwork")
-    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) or name in _KEYWORDS:
+    if not is_function_name(name):
         raise ValueError(f"name is {name!r}, which cannot be the name of a C function")
     if dtype not in ("double", "float"):
         raise ValueError(f"dtype is {dtype!r}, expected 'double' or 'float'")

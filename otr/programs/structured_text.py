@@ -23,19 +23,21 @@ from otr.tree import ObliqueTree
 
 __all__ = ["to_structured_text"]
 
-# IEC 61131-3 (2013), Table 4, without what has a digit or two words; then the types, the standard functions that
-# controllers know, and the block's own variables.
+# IEC 61131-3 (2013), Table 4, without what has a digit, and words of the dialects; what ends a block of these; then the
+# types, the standard functions that controllers know, and the block's own variables.
 _KEYWORDS = """
-    abstract action and array at by case class configuration constant continue do else elsif en end_if eno exit extends
-    f_edge false final for from function function_block goto if implements interface internal interval jmp method mod
-    namespace non_retain not null of on or override overlap persistent pointer priority private program property
-    protected public r_edge read_only read_write ref reference refto repeat resource retain return single step struct
-    super task then this to transition true type union until using var var_access var_config var_external var_global
-    var_in_out var_input var_inst var_output var_stat var_temp while with xor
+    abstract action and and_then array at by case class configuration constant continue do else elsif en eno exit
+    extends f_edge false final for from function function_block functionblock goto if implements initial_step interface
+    internal interval jmp method mod namespace non_retain not null of on or or_else override overlap persistent pointer
+    priority private program property protected public r_edge read_only read_write ref reference refto repeat resource
+    retain return single step struct super task then this to transition true type union until using var var_access
+    var_config var_external var_global var_in_out var_input var_inst var_output var_stat var_temp while with xor
 """
+_ENDS = " ".join(f"end_{word}" for word in _KEYWORDS.split())
 _TYPES = """
-    any bit bool byte char date date_and_time dint dt dword int lint lreal lword real sint string time time_of_day tod
-    udint uint ulint usint wchar word wstring
+    any any_bit any_chars any_date any_derived any_elementary any_int any_magnitude any_num any_real any_string bit bool
+    byte char date date_and_time dint dt dword int ldate ldate_and_time ldt lint lreal ltime ltime_of_day ltod lword
+    real sint string time time_of_day tod udint uint ulint usint wchar word wstring
 """
 _FUNCTIONS = """
     abs acos add adr asin atan concat cos ctd ctu ctud delete div dt eq exp expt f_trig find ge gt insert le left len
@@ -43,7 +45,7 @@ _FUNCTIONS = """
     sub tan tof ton tp trunc
 """
 _OWN = "decay label best inputs tests test_of child label_of rows row_of node first total column"
-_RESERVED = tuple(f"{_KEYWORDS} {_TYPES} {_FUNCTIONS} {_OWN}".split())
+_RESERVED = tuple(f"{_KEYWORDS} {_ENDS} {_TYPES} {_FUNCTIONS} {_OWN}".split())
 _INDENT = "    "
 
 

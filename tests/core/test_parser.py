@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import textwrap
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -238,6 +239,37 @@ def test_elif_chains_are_not_nested() -> None:
     tree = parse("\n".join([*lines, f"else return {n}"]))
     assert tree.depth == n
     assert tree.predict([[-5.0, 0, 0], [7.5, 0, 0], [1000.0, 0, 0]])[:, 0].tolist() == [0, 8, n]
+
+
+def elif_chain(n: int) -> str:
+    lines = [f"{'elif' if i else 'if'} x <= {i} then return {i}" for i in range(n)]
+    return "\n".join([*lines, f"else return {n}"])
+
+
+def test_a_chain_of_thousands_takes_memory_by_its_length() -> None:
+    def peak(n: int) -> int:
+        tracemalloc.start()
+        tree = otr.parse_program(elif_chain(n), NAMES)
+        n_bytes = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert (tree.depth, tree.predict([n - 0.5, 0, 0]).item()) == (n, n)
+        return n_bytes
+
+    assert peak(4000) < 2.3 * peak(2000)
+    with pytest.raises(otr.TreeTooLargeError, match="more than 3000 leaves"):
+        otr.parse_program(elif_chain(4000), NAMES, max_leaves=3000)
+
+
+def test_what_a_path_has_decided_is_found_however_far_above() -> None:
+    n = 150
+    chain = "\n".join(f"{'elif' if i else 'if'} {'x' if i % 3 else '-x'} <= {i}: u = {i}" for i in range(n))
+    again = "\n".join(f"{'elif' if i else 'if'} {'x' if i % 3 else '-x'} <= {i}: w = u - {i}" for i in range(n))
+    tree = otr.parse_program(f"{chain}\nelse: u = {n}\n{again}\nelse: w = u - {n}\nreturn w", NAMES)
+    assert (tree.n_leaves, np.unique(tree.c).tolist()) == (n + 1, [0.0])  # every path knows its own tests again
+    doors = "\n".join(f"if x > {i}: u = u + 1" for i in range(6))  # many nodes make each of these tests
+    tree = otr.parse_program(f"u = 0\n{doors}\n{doors}\nreturn u", NAMES)
+    assert tree.n_leaves == 2**6
+    np.testing.assert_array_equal(tree.predict(GRID)[:, 0], 2 * sum(GRID[:, 0] > i for i in range(6)))
 
 
 def test_a_hundred_blocks_and_brackets_within_each_other() -> None:

@@ -74,6 +74,10 @@ REFUSED = [
     ("if velocity > 0 then return 1, 2 else return 3", 1, 46, "this answer has 1 values, expected 2"),
     ("return " + "(" * 200 + "1" + ")" * 200, 1, 108, "more than 100 blocks and brackets"),
     ("return " + "-" * 300 + "1", 1, 109, "more than 100 blocks and brackets"),
+    ("return " + "if velocity > 0 then " * 350 + "1" + " else 2" * 350, 1, 2122, "more than 100 blocks and brackets"),
+    ("return " + "1 if velocity > 0 else " * 350 + "1", 1, 2324, "more than 100 blocks and brackets"),
+    ("return `velocity", 1, 8, "the character '`' has no meaning here"),
+    ("return `veloc\\u{69}t`", 1, 8, "unknown name 'velocit'. Did you mean velocity?"),
 ]  # fmt: skip
 
 
@@ -146,6 +150,34 @@ def test_whatever_the_text_a_tree_or_an_error_with_its_place(pieces: list[str], 
         pass
     else:
         tree.check()
+
+
+# The longest ways that the reader, and what evaluates, call themselves by.
+CYCLES = [
+    ("(", ")"), ("2 (", ")"), ("max(1, ", ")"), ("2 clip(0, ", ", 1)"), ("2 clip(", ", 0, 1)"), ("1 + 2 * (", ")"),
+    ("(1 if 0 < ", " else 0)"), ("(1 if position<0 or position>1 and not 0 < 1+2*", " else 0)"), ("-", ""), ("[", "]"),
+    ("if 0 < ", " then 1 else 2"), ("max(2 clip(0, 1 + (1 if 0 < ", " else 0), 1), 2)"), ("argmax(0, ", ")"),
+    ("if position > 0 then ", " else 1"), ("1 if velocity > 0 else ", ""), ("if position > 0:\n", ""), ("not (", ")"),
+    ("if position > 0 then 1 elif velocity > ", ""),
+]  # fmt: skip
+
+
+@settings(max_examples=100)
+@given(
+    st.sampled_from(CYCLES), st.integers(1, 400), st.sampled_from(["return ", "u = ", "if ", ""]), st.integers(0, 200)
+)
+def test_nesting_never_meets_pythons_own_limit(cycle: tuple[str, str], n: int, start: str, n_calls: int) -> None:
+    opening, closing = cycle
+
+    def parse(n_calls: int) -> otr.ObliqueTree:
+        if n_calls:
+            return parse(n_calls - 1)
+        return otr.parse_program(f"{start}{opening * n}position{closing * n}", NAMES, max_leaves=256)
+
+    try:
+        parse(n_calls).check()
+    except (otr.ProgramError, otr.TreeTooLargeError) as error:
+        assert str(error)
 
 
 def test_too_many_paths() -> None:

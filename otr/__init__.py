@@ -46,6 +46,7 @@ from otr.pruning import prune_to_k, prune_unreached
 from otr.refit import refit_tests
 from otr.simplify import simplify, within
 from otr.tree import ObliqueTree
+from otr.vec_normalize import ObservationStatistics
 from otr.verification import verify
 
 __version__ = "0.1.0"
@@ -63,6 +64,7 @@ __all__ = [
     "InvalidNetworkError",
     "InvalidTreeError",
     "ObliqueTree",
+    "ObservationStatistics",
     "OtrError",
     "PatternTree",
     "PidBox",

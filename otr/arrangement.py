@@ -2,8 +2,12 @@
 
 Those of one layer in few dimensions are found by their vertices (`otr.vertices`), all others by walking the tree of the
 network's tests. All regions of a level are taken on together. Each knows an inner point, which tells one side of the
-next test that is not empty; whether the other side is, too, is asked of `largest_balls`. Each level's tests are written
-in the inputs, by layer: within a region of the layers before, a layer is an arrangement of hyperplanes.
+next test that is not empty; whether the other side is, too, is asked of `largest_balls`. Where floating point cannot
+tell, the side is kept, without an inner point. Each level's tests are written in the inputs, by layer: within a region
+of the layers before, a layer is an arrangement of hyperplanes.
+
+Of open inputs, those that a domain does not bound, only the directions matter that the network's weights on them span:
+they are taken as inputs instead (`_in_fewer_inputs`), so that wide inputs cost no more than narrow ones.
 """
 
 from __future__ import annotations
@@ -18,14 +22,16 @@ from numpy.typing import NDArray
 from otr.arrays import BoolArray, FloatArray, IntArray
 from otr.domain import Domain
 from otr.errors import TreeTooLargeError
-from otr.linear_programs import Bases, Rows, check_tolerance, largest_balls, rounding_at
-from otr.network import ReluNetwork
+from otr.linear_programs import Bases, Rows, largest_balls, rounding_at
+from otr.network import ReluNetwork, UnitForm
+from otr.rational import independent_rows
 from otr.vertices import regions_at_vertices
 
 __all__ = ["Block", "Regions", "Walk", "find_regions"]
 
 _BLOCK = 2**13  # regions walked together; more are set aside, so that memory does not grow with their number
 _AT_VERTICES_S = 2.0  # vertices take less: with less time than that, only the walk keeps to it
+_INDEPENDENT = 1e-6  # singular value of rows whose largest number is 1: beyond, they are beyond doubt
 _CLEAR_SHARE = 0.05  # of its margin to other tests: an inner point so far from a new one is inner to its side
 
 
@@ -35,7 +41,7 @@ class Regions:
 
     Attributes:
         patterns: (k, n_bits) bool, each region's activation pattern and the outcomes of the head's tests.
-        inner_points: (k, d), a state inside each.
+        inner_points: (k, d), a state inside each; NaN where rounding left none to be found.
         n_linear_programs: solved to find them; none where vertices tell.
         n_tests: pairs of a region and a test that the walk looked at.
     """
@@ -56,7 +62,8 @@ class Block:
         signs: (n, n_rows) int8, of the rows in a region's group; 0 where a row does not bound it.
         group: (n,) int64.
         rows: those that the walk started from, then a row a test: the earlier layers' and this layer's.
-        centres, radii: inner points (n, d), and how far all rows are from them (n,); in the domain's scale.
+        centres, radii: inner points (n, d), and how far all rows are from them (n,); in the domain's scale. A radius of
+            0 says that there is no inner point, and that the region may be empty.
         bases: of the linear programs.
         n_ahead: tests of this layer that are still to come; they are the last rows.
     """
@@ -81,49 +88,71 @@ _BY_REGION = ("origin", "outcomes", "signs", "group", "centres", "radii")
 
 
 def find_regions(
-    network: ReluNetwork,
-    domain: Domain,
-    *,
-    tolerance: float = 1e-9,
-    max_regions: int = 2**20,
-    max_seconds: float | None = None,
+    network: ReluNetwork, domain: Domain, *, max_regions: int = 2**20, max_seconds: float | None = None
 ) -> Regions:
-    """Return every region of `network` in `domain` into which a ball of a radius above `tolerance` fits.
+    """Return every region of `network` in `domain`, but those that `largest_balls` calls empty.
 
     Args:
         network: n hidden neurons; the tests of its head count as further ones.
         domain: where to look.
-        tolerance: radius, in units of the domain's scale (half the box's width in each input; 1 where it has none).
         max_regions: refuse to find more.
         max_seconds: refuse to look longer.
 
     Raises:
         TreeTooLargeError: a limit was met; the message says how far the walk came.
     """
-    check_tolerance(tolerance)
+    units, domain, embedding = _in_fewer_inputs(network.unit_form(), domain)
     is_one_layer = len(network.hidden_widths) == 1 and not network.head.n_tests(network.n_outputs)
     if is_one_layer and (max_seconds is None or max_seconds >= _AT_VERTICES_S):
-        regions = _regions_of_a_layer(network, domain, tolerance, max_regions)
+        regions = _regions_of_a_layer(units, domain, network.n_hidden, max_regions)
         if regions is not None and len(regions.patterns) <= max_regions:
-            return regions
+            return replace(regions, inner_points=regions.inner_points @ embedding)
     rows = domain.rows()
     signs, group = np.ones((1, rows.n_rows), dtype=np.int8), np.zeros(1, dtype=np.int64)
-    balls = largest_balls(rows, group, signs, Bases.start(1, network.n_inputs), tolerance)
+    balls = largest_balls(rows, group, signs, Bases.start(1, domain.n_inputs))
     outcomes = np.zeros((1, 0), dtype=np.bool_)
     whole = Block(group, outcomes, signs, group, rows, balls.centres, balls.radii, balls.bases)
-    walk = Walk(network, domain, tolerance, max_regions, max_seconds)
+    walk = Walk(network, units, domain, max_regions, max_seconds)
     blocks = walk.run(whole)
+    centres = [np.where(block.radii[:, None] > 0, block.centres, np.nan) for block in blocks]
     return Regions(
         np.concatenate([block.outcomes for block in blocks]),
-        domain.unscaled(np.concatenate([block.centres for block in blocks])),
+        domain.unscaled(np.concatenate(centres)) @ embedding,
         walk.n_linear_programs,
         walk.n_tests,
     )
 
 
-def _regions_of_a_layer(network: ReluNetwork, domain: Domain, tolerance: float, max_regions: int) -> Regions | None:
+def _in_fewer_inputs(units: UnitForm, domain: Domain) -> tuple[UnitForm, Domain, FloatArray]:
+    """Return the network with independent products of its weights with the open inputs in the place of these.
+
+    The regions are the same, as x of open inputs only counts as these products, which take all values. With it come the
+    domain of these inputs, and the matrix (n_fewer, d) that gives a state of every one of theirs.
+    """
+    is_open = np.isinf(domain.low) & np.isinf(domain.high)
+    of_open = units.inputs[:, is_open]
+    reading = np.flatnonzero(of_open.any(axis=1))
+    if not len(reading) or len(reading) >= is_open.sum():
+        return units, domain, np.eye(domain.n_inputs)
+    lengths = np.abs(of_open[reading]).max(axis=1, keepdims=True)
+    if np.linalg.svd(of_open[reading] / lengths, compute_uv=False).min(initial=1.0) > _INDEPENDENT:
+        chosen, sums = list(range(len(reading))), np.eye(len(reading))
+    else:
+        chosen, sums = independent_rows(of_open[reading])
+    products = np.zeros((len(of_open), len(chosen)))
+    products[reading] = sums
+    n_closed = domain.n_inputs - int(is_open.sum())
+    embedding = np.zeros((n_closed + len(chosen), domain.n_inputs))
+    embedding[:n_closed, ~is_open] = np.eye(n_closed)
+    embedding[n_closed:, is_open] = np.linalg.pinv(of_open[reading[chosen]]).T
+    inputs = np.concatenate((units.inputs[:, ~is_open], products), axis=1)
+    low, high = (np.append(limits[~is_open], np.full(len(chosen), np.inf)) for limits in (-domain.low, domain.high))
+    return replace(units, inputs=inputs), Domain(-low, high), embedding
+
+
+def _regions_of_a_layer(units: UnitForm, domain: Domain, n_hidden: int, max_regions: int) -> Regions | None:
     """Return the regions of a network of one layer without a walk, if its tests are in general position and few."""
-    tests = domain.rows_of(np.column_stack((network.weights[0], network.biases[0]))[None])
+    tests = domain.rows_of(np.column_stack((units.inputs, units.offsets))[None, :n_hidden])
     a, b = tests.a[0], tests.b[0]
     constant = domain.reach(a) < np.abs(b)
     sides = domain.rows()
@@ -132,7 +161,6 @@ def _regions_of_a_layer(network: ReluNetwork, domain: Domain, tolerance: float, 
         np.concatenate((sides.a[0], a[~constant])),
         np.concatenate((sides.b[0], b[~constant])),
         np.concatenate((side_of, np.full((~constant).sum(), -1))),
-        tolerance,
         max_regions,
     )
     if found is None:
@@ -147,12 +175,12 @@ class Walk:
     """A walk through the tests of a network, from regions of the inputs to the regions of the network inside them."""
 
     def __init__(
-        self, network: ReluNetwork, domain: Domain, tolerance: float, max_regions: int, max_seconds: float | None
+        self, network: ReluNetwork, units: UnitForm, domain: Domain, max_regions: int, max_seconds: float | None
     ) -> None:
-        """Take the arguments of `find_regions`."""
-        self.network, self.domain, self.tolerance = network, domain, tolerance
+        """Take the arguments of `find_regions`, and the units of the network in the inputs of the domain."""
+        self.network, self.units, self.domain = network, units, domain
         self.max_regions, self.max_seconds = max_regions, max_seconds
-        self.units = network.unit_form()
+        self._sizes = UnitForm(np.abs(units.links), np.abs(units.inputs), np.abs(units.offsets), units.layer_starts)
         self.n_bits = network.n_hidden + network.head.n_tests(network.n_outputs)
         self.n_linear_programs = self.n_tests = self.n_found = 0
 
@@ -194,30 +222,35 @@ class Walk:
     def _next_layer(self, block: Block) -> Iterator[Block]:
         """Yield the block, in pieces, with the tests of the next layer, or the head's next one, among its rows."""
         if block.outcomes.shape[1] == 0:
-            forms = self._tests(np.zeros((1, 0), dtype=np.bool_))
-            yield self._with_tests(block, forms)
+            yield self._with_tests(block, np.zeros((1, 0), dtype=np.bool_))
             return
-        n_numbers = (block.signs.shape[1] + len(self.units.inputs)) * (self.network.n_inputs + 1)
+        n_numbers = (block.signs.shape[1] + len(self.units.inputs)) * (self.domain.n_inputs + 1)
         size = max(1, _BLOCK * 64 // n_numbers)
         for start in range(0, len(block.group), size):
             piece = block.take(slice(start, start + size))
             own_rows = piece.rows.take(piece.rows.of(piece.group))
             piece = replace(piece, rows=own_rows, group=np.arange(len(piece.group)))
-            yield self._with_tests(piece, self._tests(piece.outcomes))
+            yield self._with_tests(piece, piece.outcomes)
 
-    def _tests(self, outcomes: BoolArray) -> FloatArray:
-        """Return the affine forms [P | v] of the next layer's tests, or the head's next one: (n, n_tests, d + 1)."""
+    def _tests(self, outcomes: BoolArray) -> tuple[FloatArray, FloatArray]:
+        """Return the affine forms [P | v] (n, n_tests, d + 1) of the next layer's tests, or the head's next one.
+
+        Beside them, as many numbers: the size of the terms whose sums they are, the larger the more terms.
+        """
         network, n_done = self.network, outcomes.shape[1]
-        starts = self.units.layer_starts
-        if n_done < network.n_hidden:
-            layer = starts.index(n_done)
-            return self.units.forms(outcomes, network.negative_slope, layer + 1)[:, n_done:]
-        outputs = self.units.forms(outcomes[:, : network.n_hidden], network.negative_slope)[:, network.n_hidden :]
-        return network.head.next_test(outputs, outcomes[:, network.n_hidden :])[:, None]
+        n, slope, starts = network.n_hidden, network.negative_slope, self.units.layer_starts
+        n_layers = starts.index(n_done) + 1 if n_done < n else None
+        forms, sizes = (units.forms(outcomes[:, :n], slope, n_layers) for units in (self.units, self._sizes))
+        sizes *= 1 + min(n_done, n) / 8
+        if n_done < n:
+            return forms[:, n_done:], sizes[:, n_done:]
+        test = network.head.next_test(forms[:, n:], outcomes[:, n:])[:, None]
+        return test, np.broadcast_to(2 * sizes[:, n:].max(axis=1, keepdims=True), test.shape)
 
-    def _with_tests(self, block: Block, forms: FloatArray) -> Block:
-        """Return the block with tests (n_groups or 1, n_tests, d + 1) added to its rows."""
-        rows = block.rows.followed_by(self.domain.rows_of(forms))
+    def _with_tests(self, block: Block, outcomes: BoolArray) -> Block:
+        """Return the block with the tests that follow `outcomes`, (n_groups or 1, n_done), added to its rows."""
+        forms, sizes = self._tests(outcomes)
+        rows = block.rows.followed_by(self.domain.rows_of(forms, sizes))
         signs = np.zeros((len(block.group), rows.n_rows), dtype=np.int8)
         signs[:, : block.signs.shape[1]] = block.signs
         return replace(block, signs=signs, rows=rows, n_ahead=forms.shape[1])
@@ -232,16 +265,16 @@ class Walk:
         near = values > 0
         constant = self.domain.reach(rows.a[of_group, test]) < np.abs(rows.b[of_group, test])
         unclear = np.maximum(_CLEAR_SHARE * block.radii, rounding_at(block.centres))
-        is_clear = constant | (np.abs(values) > np.maximum(self.tolerance, unclear))
+        is_clear = constant | ((block.radii > 0) & (np.abs(values) > unclear))
         asked = np.concatenate((np.flatnonzero(~constant), np.flatnonzero(~is_clear)))
         right = np.concatenate((~near[~constant], near[~is_clear]))
         signs = block.signs[asked, : test + 1]
         signs[:, test] = np.where(right, 1, -1)
-        balls = largest_balls(rows, block.group[asked], signs, block.bases.take(asked), self.tolerance)
+        balls = largest_balls(rows, block.group[asked], signs, block.bases.take(asked), test)
         self.n_linear_programs += len(asked)
         found = np.flatnonzero(~balls.is_empty)
         n_found = np.bincount(asked[found], minlength=len(near)) + is_clear
-        kept = np.flatnonzero(is_clear | (n_found == 0))  # with neither side wide enough, the region stays as it is
+        kept = np.flatnonzero(is_clear | (n_found == 0))  # a test that is 0 up to rounding does not split it
         parents = np.concatenate((kept, asked[found]))
         outcomes = np.concatenate((near[kept], right[found]))
         is_split = n_found[parents] == 2

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from otr.arrays import BoolArray, FloatArray, as_batch, read_only
-from otr.linear_programs import Rows
+from otr.linear_programs import Rows, rounding_of_terms
 
 __all__ = ["Box", "Domain", "as_domain"]
 
 Box = tuple[ArrayLike, ArrayLike]  # low (d,), high (d,)
 _WIDEST = 1e100
-_ROUNDING = 1e-14  # of an affine form's terms
+_FARTHEST = 1e150  # a hyperplane beyond meets nothing
 
 
 class Domain:
@@ -99,19 +99,33 @@ class Domain:
         P = forms[..., :-1]
         return np.concatenate((P * self._scale, (forms[..., -1] + P @ self._middle)[..., None]), axis=-1)
 
-    def rows_of(self, forms: FloatArray) -> Rows:
+    def rows_of(self, forms: FloatArray, sizes: FloatArray | None = None) -> Rows:
         """Return affine forms [P | v] (n_groups, m, d + 1) as rows in scaled coordinates.
 
         A form without a slope, up to rounding, becomes a row whose normal is 0 and whose value is 1 or -1, by its sign.
+
+        Args:
+            forms: the forms.
+            sizes: of the terms whose sums the forms' numbers are; None where these are exact.
         """
-        scaled = self.scaled(forms)
+        sizes = np.abs(forms) if sizes is None else sizes
+        # By powers of two, so that no square overflows and none is lost.
+        exponents = np.frexp(np.maximum(sizes[..., :-1] * self._scale, np.finfo(np.float64).tiny).max(axis=-1))[1]
+        unit = np.ldexp(1.0, -np.clip(exponents, -1000, 1000))[..., None]
+        scaled, sizes = self.scaled(forms * unit), sizes * unit
         a, b = scaled[..., :-1], scaled[..., -1]
+        rounding = rounding_of_terms(self.n_inputs)
+        slopes = rounding * sizes[..., :-1]
+        a = np.where(np.abs(a) <= slopes * self._scale, 0.0, a)
+        fixed = rounding * sizes[..., -1] + slopes @ np.abs(self._middle)
         length = np.sqrt(np.einsum("...d,...d->...", a, a))
-        flat = length <= _ROUNDING * np.abs(b)
+        flat = length * _FARTHEST <= np.abs(b)
         length = np.where(flat, 1.0, length)
+        errors = np.concatenate((slopes * self._scale, fixed[..., None]), axis=-1) / length[..., None]
         a, b = a / length[..., None], b / length
-        a[flat], b[flat] = 0.0, np.where(b[flat] > 0, 1.0, -1.0)
-        return Rows(a, b, length)
+        a[flat], b[flat], errors[flat] = 0.0, np.where(b[flat] > 0, 1.0, -1.0), 0.0
+        is_open = ~(np.isfinite(self.low) & np.isfinite(self.high))
+        return Rows(a, b, length / unit[..., 0], errors, is_open)
 
     def reach(self, a: FloatArray) -> FloatArray:
         """Return the largest |a . x| over the domain, scaled, for normals (..., d); inf where it is open."""

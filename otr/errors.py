@@ -1,5 +1,7 @@
 """Errors that the library raises; each message says what was wrong, where, and what to do."""
 
+from fractions import Fraction
+
 __all__ = [
     "ArtefactError",
     "CertificateError",
@@ -28,7 +30,21 @@ class TreeTooLargeError(OtrError):
 
 
 class CertificateError(OtrError):
-    """A tree and a network are not the same function, or a certificate does not prove that they are."""
+    """A tree and a network are not the same function, or a certificate does not prove that they are.
+
+    Attributes:
+        leaf: of the tree, where that is; None where it is of no single one.
+        state: (d,) fractions, a point of that leaf where the two differ, checked in exact arithmetic; None where none
+            is known.
+    """
+
+    def __init__(self, message: str, leaf: int | None = None, state: tuple[Fraction, ...] | None = None) -> None:
+        """Keep all arguments as the exception's own, so that it can be pickled."""
+        super().__init__(message, leaf, state)
+        self.leaf, self.state = leaf, state
+
+    def __str__(self) -> str:
+        return str(self.args[0])
 
 
 class ArtefactError(OtrError):

@@ -11,8 +11,9 @@ and its dual
 
 The simplex method is run on the dual, in d + 1 rows, for all problems side by side: a basis stays feasible when a row
 is added to its polytope, so a child in a tree of polytopes goes on from its parent's basis and needs few pivots. It
-stops as soon as the answer is known: at a point well inside all rows, or at multipliers with an objective of nearly
-nothing, which are a Farkas certificate that there is no ball.
+stops as soon as the answer is known. What it answers is then checked from the rows themselves, their rounding reckoned
+with: a point must be inside by more than that, and multipliers, a Farkas certificate, must leave no state that matters.
+What cannot be told in floating point is answered as undecided; no answer hangs on how well the pivots went.
 """
 
 from __future__ import annotations
@@ -30,24 +31,28 @@ from otr.errors import OtrError
 __all__ = [
     "FREE",
     "LARGEST_RADIUS",
+    "NEGLIGIBLE",
     "Balls",
     "Bases",
     "LargestValues",
     "Rows",
-    "check_tolerance",
     "largest_balls",
     "largest_values",
     "rounding_at",
+    "rounding_of_terms",
 ]
 
+NEGLIGIBLE = 1e-12  # value of a test, in units of its slope, up to which a side of it may be left out
+_ROUNDED = 1e-10  # the same, of what rounding may add
 LARGEST_RADIUS = 1.0  # of a ball, so that unbounded polytopes have one
 FREE = -1  # in a basis: the place of a coordinate that no row has fixed yet
 _CAP = -2  # in a basis: the row t <= LARGEST_RADIUS
 _GOOD_SHARE = 0.2  # of the bound on the radius: a point with such a margin is good enough
-_ROUNDING = 1e-13  # of a row's value, beside the size of the state
+_ROUNDING = 1e-13  # of a row's value, beside the size of the state, while pivoting
+_UNIT = 2.0**-52  # of rounding
+_TERMS = 8  # of a sum beside two for each input: how often, at least, a number may have been rounded
+_TOUCHING = 1e-9  # radius of the largest ball in a polytope that may be a point, or none
 _SMALLEST_PIVOT = 1e-9
-_LARGEST_TOLERANCE = 1e-2
-_DRIFT = 1e-9  # of multipliers
 _FEASIBLE = 1e-11  # what a row may be violated by
 _MAX_PIVOTS = 200  # afterwards HiGHS takes over
 _CHUNK_NUMBERS = 2**17  # of the inverses in work at a time; they should stay in the cache
@@ -61,11 +66,15 @@ class Rows:
         a: (n_groups, m, d), each row of unit length, or 0.
         b: (n_groups, m).
         lengths: (n_groups, m), of the rows before they were made of unit length.
+        rounding: (n_groups, m, d + 1), how far each number of a row [a | b] may be off.
+        is_open: (d,) whether an input has no limits.
     """
 
     a: FloatArray
     b: FloatArray
     lengths: FloatArray
+    rounding: FloatArray
+    is_open: BoolArray
 
     @property
     def n_rows(self) -> int:
@@ -74,15 +83,16 @@ class Rows:
 
     def take(self, groups: IntArray | slice, rows: slice = slice(None)) -> Rows:
         """Return some groups, with some of their rows."""
-        return Rows(self.a[groups, rows], self.b[groups, rows], self.lengths[groups, rows])
+        a, b, lengths, rounding = (part[groups, rows] for part in (self.a, self.b, self.lengths, self.rounding))
+        return Rows(a, b, lengths, rounding, self.is_open)
 
     def followed_by(self, other: Rows) -> Rows:
         """Return the groups, which are as many, with the rows of both; a single group is repeated."""
         n = max(len(self.b), len(other.b))
         parts = [part if len(part.b) == n else part.take(np.zeros(n, dtype=np.int64)) for part in (self, other)]
-        return Rows(
-            *(np.concatenate([getattr(part, name) for part in parts], axis=1) for name in ("a", "b", "lengths"))
-        )
+        names = ("a", "b", "lengths", "rounding")
+        a, b, lengths, rounding = (np.concatenate([getattr(part, name) for part in parts], axis=1) for name in names)
+        return Rows(a, b, lengths, rounding, self.is_open)
 
     def of(self, group: IntArray) -> IntArray:
         """Return groups (n,) as indices into `a` and `b`: with a single one, every polytope is of that."""
@@ -149,10 +159,10 @@ class Balls:
     """What `largest_balls` found.
 
     Attributes:
-        is_empty: (n,) whether no ball of a radius above the tolerance fits.
-        centres: (n, d), inner points; of no meaning where there are none.
-        radii: (n,) of a ball around the centre that fits, though hardly ever the largest; where there is none, a bound
-            on the largest one's, which may be below zero.
+        is_empty: (n,) whether it was shown that the polytope has no state that matters.
+        centres: (n, d), inner points; of no meaning where the radius is 0.
+        radii: (n,) of a ball around the centre that fits, though hardly ever the largest; 0 where none was found, and
+            the polytope, unless it is empty, is undecided: it is thinner than rounding tells.
         bases: to go on from; where a polytope is empty, the proof.
         n_solved_alone: problems that were given to HiGHS.
     """
@@ -164,20 +174,21 @@ class Balls:
     n_solved_alone: int
 
 
-def largest_balls(rows: Rows, group: IntArray, signs: NDArray[np.int8], bases: Bases, tolerance: float) -> Balls:
-    """Return whether a ball of a radius above `tolerance` fits into each polytope, and one that does.
+def largest_balls(
+    rows: Rows, group: IntArray, signs: NDArray[np.int8], bases: Bases, asked: int | None = None
+) -> Balls:
+    """Return whether each polytope is empty, and a ball inside those where one is found.
+
+    A polytope is called empty where its rows, wrong by as much as rounding may have made them, leave no state or, with
+    a row asked about, none where that row is above `NEGLIGIBLE` (on an open domain, times 1 + max |x_j|).
 
     Args:
         rows: of m rows in d dimensions.
         group: (n,) the group whose rows a polytope has.
         signs: (n, m) int8: 1, -1, or 0 where a polytope does without the row.
         bases: to start from: `Bases.start`, or those of polytopes that had some of the rows with the same signs.
-        tolerance: at least 0.
-
-    Raises:
-        ValueError: the tolerance is negative, no number, or so large that whole regions would be lost.
+        asked: the row, of all polytopes, whose side they are.
     """
-    check_tolerance(tolerance)
     n, q = bases.rows.shape
     if not signs.shape[1]:  # no rows: any ball
         return Balls(np.zeros(n, dtype=np.bool_), bases.solution[:, :-1], np.full(n, LARGEST_RADIUS), bases, 0)
@@ -185,7 +196,7 @@ def largest_balls(rows: Rows, group: IntArray, signs: NDArray[np.int8], bases: B
     chunk = max(64, _CHUNK_NUMBERS // (q * q))
     for start in range(0, max(n, 1), chunk):
         part = slice(start, start + chunk)
-        balls = _pivot_until_decided(rows, group[part], signs[part], bases.take(part), tolerance)
+        balls = _pivot_until_decided(rows, group[part], signs[part], bases.take(part), asked)
         parts.append(balls)
     if len(parts) == 1:
         return parts[0]
@@ -198,17 +209,10 @@ def largest_balls(rows: Rows, group: IntArray, signs: NDArray[np.int8], bases: B
     )
 
 
-def check_tolerance(tolerance: float) -> None:
-    """Raise ValueError where a tolerance is negative, no number, or so large that whole regions would be lost."""
-    if not 0 <= tolerance <= _LARGEST_TOLERANCE:
-        raise ValueError(
-            f"tolerance is {tolerance}, expected a radius from 0 to {_LARGEST_TOLERANCE}, in the scale where a bounded "
-            "domain reaches from -1 to 1"
-        )
-
-
-def _pivot_until_decided(rows: Rows, group: IntArray, signs: NDArray[np.int8], bases: Bases, tolerance: float) -> Balls:
-    """Solve one chunk; what stays undecided, or was decided on numbers that have drifted, is solved alone."""
+def _pivot_until_decided(
+    rows: Rows, group: IntArray, signs: NDArray[np.int8], bases: Bases, asked: int | None
+) -> Balls:
+    """Solve one chunk; what stays undecided, or was decided on numbers that have drifted, is tried alone."""
     n, q = bases.rows.shape
     d = q - 1
     is_empty, centres, radii = np.zeros(n, dtype=np.bool_), np.zeros((n, d)), np.zeros(n)
@@ -222,13 +226,13 @@ def _pivot_until_decided(rows: Rows, group: IntArray, signs: NDArray[np.int8], b
         tightest = margins.argmin(axis=1)
         margin = margins[np.arange(len(margins)), tightest]
         radius = bases.solution[:, d]
-        empty = radius <= tolerance
-        enough = np.maximum(tolerance, _GOOD_SHARE * radius)
-        decided = empty | (margin > np.maximum(enough, rounding_at(bases.solution[:, :d])))
+        rounding = rounding_at(bases.solution[:, :d])
+        empty = _is_far_below(bases, asked)
+        decided = empty | (margin > np.maximum(_GOOD_SHARE * radius, rounding)) | (margin > radius - rounding)
         if decided.any():
             these, left = problems[decided], np.flatnonzero(~decided)
             is_empty[these], centres[these] = empty[decided], bases.solution[decided, :d]
-            radii[these] = np.where(empty, radius, np.minimum(margin, LARGEST_RADIUS))[decided]
+            radii[these] = np.where(empty, 0.0, np.clip(margin, 0.0, LARGEST_RADIUS))[decided]
             done.put(these, bases.take(decided))
             problems, of_group, signed, absent = problems[left], of_group[left], signed[left], absent[left]
             bases, tightest, margin = bases.take(left), tightest[left], margin[left]
@@ -238,60 +242,109 @@ def _pivot_until_decided(rows: Rows, group: IntArray, signs: NDArray[np.int8], b
         sign = signed[np.arange(len(problems)), tightest]
         np.multiply(rows.a[rows.of(of_group), tightest], -sign[:, None], out=column[:, :d])
         _pivot(bases, column, margin - bases.solution[:, d], tightest, bases.multipliers)
-    alone = np.concatenate((problems, _drifted(rows, group, signs, is_empty, done)))
-    for problem in alone.tolist():
-        ball = _solve_alone(rows.a[rows.of(group)[problem]], rows.b[rows.of(group)[problem]], signs[problem], tolerance)
-        is_empty[problem], centres[problem], radii[problem] = ball[:3]
-        done.put(np.array([problem]), ball[3])
+    radii[_within_rounding(rows, group, signs, centres, radii)] = 0.0
+    is_empty = is_empty & _leaves_nothing(rows, group, signs, done, asked)
+    # At a largest ball of next to no radius nobody can tell; elsewhere the pivots went wrong.
+    gone_wrong = np.abs(done.solution[:, d]) > _TOUCHING
+    gone_wrong[problems] = True
+    alone = np.flatnonzero(~is_empty & (radii == 0.0) & gone_wrong)
+    if len(alone):
+        solved = [_solve_alone(rows.a[g], rows.b[g], signs[i]) for i, g in
+                  zip(alone.tolist(), rows.of(group)[alone].tolist(), strict=True)]  # fmt: skip
+        centres[alone], radii[alone] = np.stack([x for x, _, _ in solved]), [radius for _, radius, _ in solved]
+        done.put(alone, Bases.concatenate([basis for _, _, basis in solved]))
+        at = (rows, group[alone], signs[alone])
+        radii[alone[_within_rounding(*at, centres[alone], radii[alone])]] = 0.0
+        is_empty[alone] = (radii[alone] == 0.0) & _leaves_nothing(*at, done.take(alone), asked)
     return Balls(is_empty, centres, radii, done, len(alone))
 
 
 def rounding_at(X: FloatArray) -> FloatArray:
-    """Return up to where the value of a row at each state (n, d) may be rounding alone: (n,)."""
-    rounding: FloatArray = _ROUNDING * np.abs(X).max(axis=1, initial=0.0)
+    """Return up to where the value of a row at each state (n, d) is rounding, for a start: (n,)."""
+    rounding: FloatArray = _ROUNDING * (1e-2 + np.abs(X).max(axis=1, initial=0.0))
     return rounding
 
 
-def _drifted(rows: Rows, group: IntArray, signs: NDArray[np.int8], is_empty: BoolArray, bases: Bases) -> IntArray:
-    """Return the problems called empty whose multipliers, after many updates of the inverse, prove nothing any more."""
-    problems = np.flatnonzero(is_empty)
-    basis, multipliers = bases.rows[problems], bases.multipliers[problems]
-    of_rows = basis >= 0
-    row = np.where(of_rows, basis, 0).astype(np.int64)
-    weights = np.where(of_rows, multipliers * np.take_along_axis(signs[problems], row, axis=1), 0.0)
-    normals = rows.a[rows.of(group[problems])[:, None], row]
-    residual = np.abs(np.einsum("nq,nqd->nd", weights, normals)).max(axis=1, initial=0.0)
-    of_free = np.abs(np.where(basis == FREE, multipliers, 0.0)).max(axis=1, initial=0.0)
-    wrong = (residual > _DRIFT) | (multipliers.min(axis=1, initial=0.0) < -_DRIFT) | (of_free > _DRIFT)
-    return np.asarray(problems[wrong])
+def rounding_of_terms(n_inputs: int) -> float:
+    """Return how far a sum over so many inputs may be off, as a share of the size of its terms."""
+    return _UNIT * (_TERMS + 2 * n_inputs)
 
 
-def _solve_alone(
-    a: FloatArray, b: FloatArray, signs: NDArray[np.int8], tolerance: float
-) -> tuple[bool, FloatArray, float, Bases]:
-    """Return whether one polytope, of rows a (m, d) and b (m,), is empty, its centre, radius and basis, by HiGHS."""
+def _multiplier_of(bases: Bases, row: int | None) -> FloatArray:
+    """Return the multiplier (n,) of one row in each basis; 0 where it has none."""
+    multipliers: FloatArray = np.where(bases.rows == row, np.maximum(bases.multipliers, 0.0), 0.0).sum(axis=1)
+    return multipliers
+
+
+def _is_far_below(bases: Bases, asked: int | None) -> BoolArray:
+    """Return whether bases look like a proof that there is no state that matters."""
+    below = bases.solution[:, -1] < NEGLIGIBLE
+    at = np.flatnonzero(below)
+    if at.size:
+        radius = bases.solution[at, -1]
+        multiplier = _multiplier_of(bases.take(at), asked)
+        below[at] = (radius < NEGLIGIBLE * multiplier) & (radius + _ROUNDING < _ROUNDED * multiplier)
+    return below
+
+
+def _within_rounding(
+    rows: Rows, group: IntArray, signs: NDArray[np.int8], centres: FloatArray, radii: FloatArray
+) -> IntArray:
+    """Return the problems whose centres may, by rounding, be on a wrong side of a row."""
+    sizes = np.column_stack((np.abs(centres), np.ones(len(centres))))
+    near = np.flatnonzero(radii <= sizes @ rows.rounding.max(axis=(0, 1), initial=0.0))
+    if not near.size:
+        return near
+    margins = rows.values(group[near], centres[near]) * signs[near]
+    rounding = np.einsum("nmd,nd->nm", rows.rounding[rows.of(group[near])], sizes[near])
+    return np.asarray(near[((margins <= rounding) & (signs[near] != 0)).any(axis=1)])
+
+
+def _leaves_nothing(rows: Rows, group: IntArray, signs: NDArray[np.int8], bases: Bases, asked: int | None) -> BoolArray:
+    """Return whether the multipliers of bases show that there is no state that matters, as `largest_balls` says."""
+    at = np.where(bases.rows >= 0, bases.rows, 0).astype(np.int64)
+    weights = np.where(bases.rows >= 0, np.maximum(bases.multipliers, 0.0), 0.0)
+    of_group = rows.of(group)[:, None]
+    signed = weights * np.take_along_axis(signs, at, axis=1)
+    normals, multiplier = rows.a[of_group, at], _multiplier_of(bases, asked)
+    errors = np.einsum("nq,nqd->nd", weights, rows.rounding[of_group, at])
+    slopes = errors[:, :-1] + np.abs(np.einsum("nq,nqd->nd", signed, normals))
+    highest = np.einsum("nq,nq->n", signed, rows.b[of_group, at])
+    nothing = highest + errors[:, -1] + slopes.sum(axis=1) < _ROUNDED * multiplier
+    nothing &= (highest < NEGLIGIBLE * multiplier) & (weights.sum(axis=1) > 0.5)
+    if rows.is_open.any():
+        terms = errors[:, :-1] / rounding_of_terms(slopes.shape[1])
+        small = slopes <= _ROUNDED * multiplier[:, None] * terms
+        nothing &= small[:, rows.is_open].all(axis=1)
+    return np.asarray(nothing)
+
+
+def _solve_alone(a: FloatArray, b: FloatArray, signs: NDArray[np.int8]) -> tuple[FloatArray, float, Bases]:
+    """Return one polytope's centre (d,), margin and basis, by HiGHS; the margin is 0 where it finds none.
+
+    Args:
+        a, b: (m, d) and (m,), the rows.
+        signs: (m,).
+    """
     used, d = np.flatnonzero(signs), a.shape[1]
     s = signs[used].astype(np.float64)
     constraints = np.column_stack((-s[:, None] * a[used], np.ones(len(used))))
     objective = np.append(np.zeros(d), -1.0)
     bounds = [(None, None)] * d + [(None, LARGEST_RADIUS)]
     solved = linprog(objective, A_ub=constraints, b_ub=s * b[used], bounds=bounds, method="highs")
-    if solved.status != 0:
-        raise OtrError(
-            f"HiGHS could not solve a linear program of {len(used)} rows in {d} dimensions: {solved.message}"
-        )
-    radius = float(solved.x[d])
     basis = Bases.start(1, d)
-    if radius > tolerance:
-        margin = float((s * (a[used] @ solved.x[:d] + b[used])).min(initial=LARGEST_RADIUS))
-        return False, solved.x[:d], margin, basis
+    if solved.status != 0:
+        return np.zeros(d), 0.0, basis
+    margin = float((s * (a[used] @ solved.x[:d] + b[used])).min(initial=LARGEST_RADIUS))
+    if margin > 0:
+        return solved.x[:d], margin, basis
     multipliers = -np.asarray(solved.ineqlin.marginals)
     largest = np.argsort(-multipliers, kind="stable")[: d + 1]
     basis.rows[0], basis.inverse[0] = FREE, 0.0
     basis.rows[0, : len(largest)] = used[largest]
     basis.inverse[0, : len(largest), d] = multipliers[largest]
     basis.solution[0] = solved.x
-    return True, solved.x[:d], radius, basis
+    return solved.x[:d], 0.0, basis
 
 
 @dataclass(frozen=True)

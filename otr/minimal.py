@@ -30,16 +30,17 @@ def minimal_tree(
     *,
     order: Order = "layers",
     X: ArrayLike | None = None,
-    tolerance: float = 1e-9,
     max_leaves: int = 2**20,
     max_seconds: float | None = None,
 ) -> ObliqueTree:
     """Return the tree that computes the same function as `network` on `domain` and has no empty path.
 
-    A path is empty if its region has no inside, precisely: if no ball of a radius above `tolerance` fits into it. So a
-    neuron that is parallel to another, equal to it or at the domain's edge adds no path that rounding alone keeps open.
-    Of a state in a region that is left out, the answer is that of the region next to it, with which it shares its
-    boundary; `otr.certify` bounds the difference. Two leaves that are each other's siblings and hold the same map (or
+    At every state the tree equals the network to 1e-9 of the size of the terms that its outputs are sums of, rounding
+    included, however thin the region. A side of a test is left out only where no state has it, the rounding of all rows
+    reckoned with, or where the test is above 0 there by less than 1e-10 in units of its slope: so a neuron that is
+    parallel to another, equal to it or at the domain's edge adds no path that rounding alone keeps open. What floating
+    point cannot decide is kept, so that among regions of the width of rounding a path may be empty after all;
+    `otr.certify` decides in rational arithmetic. Two leaves that are each other's siblings and hold the same map (or
     label) are one. Where their maps differ, a leaf of several regions with one label has ``M = 0`` and the scores ``c``
     that its label alone has.
 
@@ -47,11 +48,10 @@ def minimal_tree(
 
     Args:
         network: any; neurons without outgoing weight are left out.
-        domain: all of R^d if None, or a box (low, high) of which any side may be infinite.
+        domain: a box (low, high) of which any side may be infinite; None is the network's own domain, or all of R^d.
         order: of the tests within a layer. "layers" takes the neurons as they stand; "balanced" the one that parts the
             regions most evenly, which makes for short paths; "visits" the one that parts the states X most evenly.
         X: (n, d) states, for "visits".
-        tolerance: radius, where 1 is half the domain's width in each input, and 1 where it has none.
         max_leaves, max_seconds: refuse to build a larger tree or to look for longer.
 
     Raises:
@@ -64,9 +64,9 @@ def minimal_tree(
         raise ValueError("order='visits' needs states X, and no other order does")
     if not isinstance(network, ReluNetwork):
         raise TypeError(f"network is a {type(network).__name__}, expected a ReluNetwork; a PatternTree has .network")
-    box = as_domain(domain, network.n_inputs)
+    box = as_domain(network.domain if domain is None else domain, network.n_inputs)
     network = network.without_dead_neurons()
-    regions = find_regions(network, box, tolerance=tolerance, max_regions=max_leaves, max_seconds=max_seconds)
+    regions = find_regions(network, box, max_regions=max_leaves, max_seconds=max_seconds)
     if order == "layers":
         return merge_equal_leaves(PatternTree(network, regions.patterns).to_tree())
     packed, _ = count_rows(pack_rows(regions.patterns), np.ones(len(regions.patterns), dtype=np.int64))

@@ -1,7 +1,8 @@
 """Questions about a tree on a box, answered exactly: the range of its actions, and whether a linear condition holds.
 
-Each leaf's region is a polytope and its outputs are affine there, so every question is a linear program a leaf. A head
-that clips is affine in pieces; tanh is bounded by lines, and a piece is cut in two where these are too loose
+A leaf counts if a real point reaches it, however thin its region: where floating point cannot tell, rational arithmetic
+does. Each leaf's region is a polytope and its outputs are affine there, so every question is a linear program a leaf. A
+head that clips is affine in pieces; tanh is bounded by lines, and a piece is cut in two where these are too loose
 (branch and bound).
 """
 
@@ -10,14 +11,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from otr.arrays import FloatArray, IntArray
-from otr.branch_and_bound import Condition, Search, Verdict
+from otr.branch_and_bound import Search
 from otr.domain import Box, Domain, as_domain
-from otr.linear_programs import Bases, Rows, largest_balls, largest_values
+from otr.exact_cells import decide, largest_over, stacked
+from otr.linear_programs import Bases, largest_balls, largest_values
 from otr.regions import leaf_rows
+from otr.statement import TreeOnDomain
 from otr.tree import ObliqueTree
+from otr.verdict import Condition, Question, Verdict
 
 __all__ = ["Condition", "OutputRange", "Verdict", "check_verdict", "find_violation", "output_range", "reachable_labels"]
 
@@ -39,11 +42,10 @@ class OutputRange:
     high_states: FloatArray
 
 
-def output_range(tree: ObliqueTree, box: Box | Domain, *, tolerance: float = 1e-9) -> OutputRange:
-    """Return the exact minimum and maximum of every action over a box, to the accuracy of a linear program.
+def output_range(tree: ObliqueTree, box: Box | Domain) -> OutputRange:
+    """Return the minimum and maximum of every action over a box, to the rounding of a linear program.
 
-    Regions are closed: where the tree jumps at a test, the value on either side counts. Leaves into which no ball of a
-    radius above `tolerance` fits, in the box's scale, do not.
+    Regions are closed: where the tree jumps at a test, the value on either side counts.
 
     Raises:
         ValueError: the box is unbounded, the head multiplies outputs, or the tree has labels (then `reachable_labels`
@@ -53,29 +55,29 @@ def output_range(tree: ObliqueTree, box: Box | Domain, *, tolerance: float = 1e-
     if tree.labels is not None:
         raise ValueError("the tree answers with labels, which have no range; use reachable_labels(tree, box)")
     domain = _bounded(tree, box)
-    leaves, rows, signs = _reached(tree, domain, tolerance)
-    n, o = len(leaves), tree.n_outputs
-    forms = domain.scaled(np.concatenate((tree.M[leaves], tree.c[leaves][:, :, None]), axis=2))
-    objectives = np.concatenate((-forms, forms), axis=1).reshape(n * 2 * o, -1)
-    best = largest_values(rows, np.repeat(np.arange(n), 2 * o), np.repeat(signs, 2 * o, axis=0), objectives)
-    values = best.values.reshape(n, 2 * o)
-    at = values.argmax(axis=0)
-    states = np.clip(domain.unscaled(best.states), domain.low, domain.high)
-    states = states.reshape(n, 2 * o, -1)[at, np.arange(2 * o)]
+    wide, thin = _reached(tree, domain)
+    o = tree.n_outputs
+    rows, signs = leaf_rows(tree, domain, wide)
+    forms = domain.scaled(np.concatenate((tree.M[wide], tree.c[wide][:, :, None]), axis=2))
+    objectives = np.concatenate((-forms, forms), axis=1).reshape(len(wide) * 2 * o, -1)
+    best = largest_values(rows, np.repeat(np.arange(len(wide)), 2 * o), np.repeat(signs, 2 * o, axis=0), objectives)
+    of_wide = np.clip(domain.unscaled(best.states), domain.low, domain.high).reshape(len(wide), 2 * o, -1)
+    of_thin = _largest_outputs(TreeOnDomain(tree, domain), thin)
+    values = np.concatenate((best.values.reshape(len(wide), 2 * o), of_thin[0]))
+    states = np.concatenate((of_wide, of_thin[1]))[values.argmax(axis=0), np.arange(2 * o)]
     low, high = (np.asarray(tree.head(y)) for y in (-values.max(axis=0)[:o], values.max(axis=0)[o:]))
     return OutputRange(low, high, states[:o], states[o:])
 
 
-def reachable_labels(tree: ObliqueTree, box: Box | Domain | None = None, *, tolerance: float = 1e-9) -> IntArray:
-    """Return the labels of the leaves whose regions have an inside in a box, ascending.
+def reachable_labels(tree: ObliqueTree, box: Box | Domain | None = None) -> IntArray:
+    """Return the labels of the leaves that some real point of a box reaches, ascending.
 
     Raises:
         ValueError: the tree has no labels.
     """
     if tree.labels is None:
         raise ValueError("the tree has no labels; use output_range(tree, box)")
-    leaves, _, _ = _reached(tree, as_domain(box, tree.n_inputs), tolerance)
-    return np.unique(tree.labels[leaves])
+    return np.unique(tree.labels[np.concatenate(_reached(tree, as_domain(box, tree.n_inputs)))])
 
 
 def find_violation(
@@ -88,7 +90,7 @@ def find_violation(
 ) -> Verdict:
     """Return a proof that a condition holds for all states of a box, or a state where it fails.
 
-    The states are those of the regions with an inside, as in `output_range`.
+    It holds where it does at every real point of the box; a state that fails it does so under the tree's own answer.
 
     Args:
         tree: any tree.
@@ -102,18 +104,18 @@ def find_violation(
         OtrError: more than `max_pieces` regions would have to be looked at.
     """
     _require_known_head(tree)
-    return Search(tree, condition, _bounded(tree, box), tolerance).run(max_pieces)
+    return Search(Question(tree, condition, _bounded(tree, box)), tolerance).run(max_pieces)
 
 
 def check_verdict(verdict: Verdict, tree: ObliqueTree, condition: Condition, box: Box | Domain) -> None:
-    """Check what `find_violation` answered, without a solver: its pieces and multipliers, or the state where it fails.
+    """Check what `find_violation` answered, in exact arithmetic and without a solver: its proof, or where it fails.
 
     Raises:
         CertificateError: it is not shown; the message names the leaf.
         ValueError: as in `find_violation`.
     """
     _require_known_head(tree)
-    Search(tree, condition, _bounded(tree, box), verdict.tolerance).check(verdict)
+    Question(tree, condition, _bounded(tree, box)).check(verdict)
 
 
 def _require_known_head(tree: ObliqueTree) -> None:
@@ -132,9 +134,23 @@ def _bounded(tree: ObliqueTree, box: Box | Domain) -> Domain:
     return domain
 
 
-def _reached(tree: ObliqueTree, domain: Domain, tolerance: float) -> tuple[IntArray, Rows, NDArray[np.int8]]:
-    """Return the leaves with an inside, and the rows and signs of their regions."""
+def _reached(tree: ObliqueTree, domain: Domain) -> tuple[IntArray, IntArray]:
+    """Return the leaves that some real point reaches: those in which a ball was found, and the thinner ones."""
     rows, signs = leaf_rows(tree, domain, np.arange(tree.n_leaves))
-    balls = largest_balls(rows, np.arange(tree.n_leaves), signs, Bases.start(tree.n_leaves, tree.n_inputs), tolerance)
-    leaves = np.flatnonzero(~balls.is_empty)
-    return leaves, rows.take(leaves), signs[leaves]
+    balls = largest_balls(rows, np.arange(tree.n_leaves), signs, Bases.start(tree.n_leaves, tree.n_inputs))
+    undecided = np.flatnonzero(~balls.is_empty & (balls.radii == 0)).tolist()
+    exact = TreeOnDomain(tree, domain) if undecided else None
+    thin = [leaf for leaf in undecided if exact and isinstance(decide(exact.rows_of_leaf(leaf), tree.n_inputs), tuple)]
+    return np.flatnonzero(balls.radii > 0), np.array(thin, dtype=np.int64)
+
+
+def _largest_outputs(exact: TreeOnDomain, leaves: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return the largest values (n, 2 o) of leaves' negative outputs, then of their outputs, and the states where."""
+    tree = exact.tree
+    n_values = 2 * tree.n_outputs
+    values, states = np.zeros((len(leaves), n_values)), np.zeros((len(leaves), n_values, tree.n_inputs))
+    for at, leaf in enumerate(leaves.tolist()):
+        rows, forms = stacked(exact.rows_of_leaf(leaf), tree.n_inputs), np.column_stack((tree.M[leaf], tree.c[leaf]))
+        for i, form in enumerate((*-forms, *forms)):
+            values[at, i], states[at, i] = largest_over(rows, form, exact.domain)
+    return values, states

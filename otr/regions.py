@@ -71,12 +71,12 @@ class Region:
         inside: BoolArray = (right == (self.signs > 0)).all(axis=1)
         return inside & (states >= self.domain.low).all(axis=1) & (states <= self.domain.high).all(axis=1)
 
-    def inner_point(self, tolerance: float = 1e-9) -> FloatArray | None:
-        """Return a state inside (d,), or None if no ball of a radius above `tolerance`, in the domain's scale, fits."""
+    def inner_point(self) -> FloatArray | None:
+        """Return a state inside (d,), beyond rounding from every side; None if floating point finds none."""
         rows, signs = self._rows()
         start = Bases.start(1, self.domain.n_inputs)
-        balls = largest_balls(rows, np.zeros(1, dtype=np.int64), signs, start, tolerance)
-        return None if balls.is_empty[0] else self.domain.unscaled(balls.centres)[0]
+        balls = largest_balls(rows, np.zeros(1, dtype=np.int64), signs, start)
+        return None if balls.radii[0] == 0 else self.domain.unscaled(balls.centres)[0]
 
     def bounds(self, form: ArrayLike) -> tuple[float, float]:
         """Return the smallest and the largest value of ``form @ (x, 1)``, form (d + 1,), over the region's closure.

@@ -25,18 +25,18 @@ _MAX_NUMBERS = 2**23  # of all regions
 _MAX_SHARE = 16  # signs around all vertices for a region: beyond, the walk is as fast
 _MAX_ROWS = 64  # whose signs fit into a word
 _SMALLEST_VOLUME = 1e-9  # spanned by unit normals: below, they may be dependent
+_APART = 1e-9  # a vertex from all other hyperplanes, at least
 _ROUNDING = 1e-14
 
 
 def regions_at_vertices(
-    a: FloatArray, b: FloatArray, side_of: IntArray, tolerance: float, max_regions: int
+    a: FloatArray, b: FloatArray, side_of: IntArray, max_regions: int
 ) -> tuple[BoolArray, FloatArray] | None:
     """Return the signs (k, m) and inner points (k, d) of all regions between hyperplanes, or None: then look otherwise.
 
     Args:
         a, b: (m, d) and (m,), hyperplanes ``a . x + b = 0`` with normals of unit length.
         side_of: (m,) the input whose limit a hyperplane is, so that only its positive side counts; -1 for others.
-        tolerance: each region must hold a ball of a larger radius.
         max_regions: do not begin where there will be more.
     """
     m, d = a.shape
@@ -58,7 +58,7 @@ def regions_at_vertices(
     np.put_along_axis(values, on, np.inf, axis=1)
     margins = np.abs(values).min(axis=1)
     size = 1 + np.abs(b).max() + np.abs(vertices).max(axis=1)
-    if (margins <= np.maximum(tolerance, _ROUNDING * r * np.abs(inverse).max(axis=(1, 2)) * size)).any():
+    if (margins <= np.maximum(_APART, _ROUNDING * r * np.abs(inverse).max(axis=(1, 2)) * size)).any():
         return None
 
     inside = np.flatnonzero((values[:, is_side] > 0).all(axis=1))  # around others, all is outside
@@ -75,7 +75,7 @@ def regions_at_vertices(
     centres = vertices[vertex] + np.minimum(lengths, LARGEST_RADIUS)[:, None] * directions
     values = centres @ a.T + b
     radii = np.where(signs, values, -values).min(axis=1)
-    if (radii <= np.maximum(tolerance, rounding_at(centres))).any():
+    if (radii <= rounding_at(centres)).any():
         return None
     return signs, centres @ basis
 

@@ -9,12 +9,12 @@ from pipelines.store import corrupt, read_json, write_csv, write_text
 from pipelines.table_cells import METHODS, TASKS, beyond_order
 from pipelines.table_text import markdown_table
 
-CSV_COLUMNS = ("env", "method", "depth", "budget", "seed", "certified", "exact", "domain", "paths", "leaves",
+CSV_COLUMNS = ("env", "method", "depth", "budget", "seed", "certified", "domain", "paths", "leaves",
                "max_error", "linear_programs", "find_s", "prove_s", "check_s", "reason")  # fmt: skip
 CELL = ("env", "method", "depth", "budget", "certified", "domain", "reason")
 NOTES = (
-    "Proved: on every state of the domain the minimal tree is the trained network, up to the error: a bound on the "
-    "difference of any affine output, found in rational arithmetic. An error of 0 means the same function.",
+    "Proved: at every real point of the domain the minimal tree is the trained network, up to the error: a bound on "
+    "the difference of any affine output, found in rational arithmetic. An error of 0 means the same function.",
     "Paths: of the full tree. Leaves: of the minimal one. Both are ranges where runs differ.",
     "The environment's box is gymnasium's observation space; the box around the states of episodes is stated in each "
     "run's certify/report.json.",
@@ -66,7 +66,6 @@ def _read(path: Path, summary: dict[str, Any]) -> dict[str, Any]:
         "budget": path.parts[-3],
         "seed": summary["seed"],
         "certified": report["certified"],
-        "exact": report.get("exact", ""),
         "domain": report["domain"],
         "paths": summary["n_leaves"],
         "leaves": report.get("n_leaves", ""),

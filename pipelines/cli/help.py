@@ -115,7 +115,6 @@ the number of a leaf.
 
 words:
   run=FOLDER            a run's folder: results/runs/pendulum/otr/depth-6/quick/seed-0 or, shorter, what follows runs/
-  exact=false           in float64, which is faster; by default in rational arithmetic
   certificate=FILE      instead of the run's own; so tree=FILE (tree.json) and actor=FOLDER (of actor.json)
   results_dir=PATH      where the runs lie (default: results, or OTR_RESULTS_DIR)
 

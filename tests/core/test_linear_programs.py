@@ -10,7 +10,7 @@ from otr import linear_programs
 from otr.domain import as_domain
 from otr.linear_programs import FREE, LARGEST_RADIUS, Bases, Rows, largest_balls, largest_values
 
-TOLERANCE = 1e-9
+CLOSE = 1e-9
 
 
 def radius_by_highs(a: np.ndarray, b: np.ndarray, signs: np.ndarray) -> float:
@@ -33,7 +33,8 @@ def random_rows(rng: np.random.Generator, n_groups: int, m: int, d: int, degener
     else:
         a, b = rng.normal(size=(n_groups, m, d)), rng.normal(size=(n_groups, m))
     length = np.linalg.norm(a, axis=2)
-    return Rows(a / length[..., None], b / length, length)
+    rounding = np.full((n_groups, m, d + 1), 1e-15)
+    return Rows(a / length[..., None], b / length, length, rounding, np.zeros(d, dtype=bool))
 
 
 def assert_balls_are_right(rows: Rows, group: np.ndarray, signs: np.ndarray, balls: linear_programs.Balls) -> None:
@@ -41,18 +42,20 @@ def assert_balls_are_right(rows: Rows, group: np.ndarray, signs: np.ndarray, bal
         largest = radius_by_highs(rows.a[g], rows.b[g], signs[p])
         used = signs[p] != 0
         if balls.is_empty[p]:
-            assert largest <= TOLERANCE + 1e-9
+            assert largest <= CLOSE
             basis, multipliers = balls.bases.rows[p], balls.bases.multipliers[p]
             of_rows = basis >= 0
             assert used[basis[of_rows]].all()
             assert (multipliers > -1e-9).all() and multipliers.sum() == pytest.approx(1)
             weights = multipliers[of_rows] * signs[p, basis[of_rows]]
             np.testing.assert_allclose(weights @ rows.a[g, basis[of_rows]], 0, atol=1e-8)
-            assert weights @ rows.b[g, basis[of_rows]] <= TOLERANCE + 1e-8
+            assert weights @ rows.b[g, basis[of_rows]] < 0
             assert (np.abs(multipliers[basis == FREE]) < 1e-9).all()
+        elif balls.radii[p] == 0:  # undecided: the largest ball is a point
+            assert abs(largest) <= CLOSE
         else:
             margins = signs[p, used] * (rows.a[g, used] @ balls.centres[p] + rows.b[g, used])
-            assert TOLERANCE < balls.radii[p] <= min(margins.min(initial=LARGEST_RADIUS), largest) + 1e-9
+            assert 0 < balls.radii[p] <= min(margins.min(initial=LARGEST_RADIUS), largest) + 1e-9
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 5), st.integers(0, 12), st.booleans(), st.booleans())
@@ -61,8 +64,8 @@ def test_equals_highs(seed: int, d: int, m: int, degenerate: bool, in_groups: bo
     n = 12
     rows = random_rows(rng, n if in_groups else 1, m, d, degenerate)
     group, signs = np.arange(n) if in_groups else np.zeros(n, dtype=int), rng.integers(-1, 2, (n, m)).astype(np.int8)
-    balls = largest_balls(rows, group, signs, Bases.start(n, d), TOLERANCE)
-    assert balls.n_solved_alone == 0
+    balls = largest_balls(rows, group, signs, Bases.start(n, d))
+    assert balls.n_solved_alone == ((balls.radii == 0) & ~balls.is_empty).sum()
     assert_balls_are_right(rows, group, signs, balls)
 
 
@@ -75,9 +78,9 @@ def test_goes_on_from_the_bases_of_fewer_rows(seed: int, d: int, m: int, degener
     bases = Bases.start(n, d)
     for used in range(1, m + 1):
         fewer = rows.take(slice(None), slice(used))
-        balls = largest_balls(fewer, group, signs[:, :used], bases, TOLERANCE)
+        balls = largest_balls(fewer, group, signs[:, :used], bases)
         assert_balls_are_right(fewer, group, signs[:, :used], balls)
-        go_on = np.flatnonzero(~balls.is_empty)
+        go_on = np.flatnonzero(balls.radii > 0)
         signs, group, bases = signs[go_on], group[go_on], balls.bases.take(go_on)
 
 
@@ -88,7 +91,7 @@ def test_what_the_simplex_method_leaves_is_solved_by_highs(seed: int, degenerate
     signs = rng.choice([-1, 1], (6, 7)).astype(np.int8)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(linear_programs, "_MAX_PIVOTS", 1)
-        balls = largest_balls(rows, group, signs, Bases.start(6, 3), TOLERANCE)
+        balls = largest_balls(rows, group, signs, Bases.start(6, 3))
     assert balls.n_solved_alone > 0
     assert_balls_are_right(rows, group, signs, balls)
 
@@ -97,9 +100,9 @@ def test_many_problems_are_solved_in_chunks(monkeypatch: pytest.MonkeyPatch) -> 
     rng = np.random.default_rng(0)
     rows, group = random_rows(rng, 1, 8, 3, False), np.zeros(500, dtype=int)
     signs = rng.choice([-1, 1], (500, 8)).astype(np.int8)
-    whole = largest_balls(rows, group, signs, Bases.start(500, 3), TOLERANCE)
+    whole = largest_balls(rows, group, signs, Bases.start(500, 3))
     monkeypatch.setattr(linear_programs, "_CHUNK_NUMBERS", 1)
-    chunked = largest_balls(rows, group, signs, Bases.start(500, 3), TOLERANCE)
+    chunked = largest_balls(rows, group, signs, Bases.start(500, 3))
     np.testing.assert_array_equal(whole.is_empty, chunked.is_empty)
     np.testing.assert_allclose(whole.centres[~whole.is_empty], chunked.centres[~whole.is_empty], atol=1e-12)
 

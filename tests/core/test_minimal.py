@@ -54,11 +54,11 @@ def assert_same_patterns(network: otr.ReluNetwork, X: np.ndarray, patterns: np.n
     np.testing.assert_array_equal(network.patterns(X)[clear], patterns[clear])
 
 
-def patterns_by_brute_force(network: otr.ReluNetwork, domain: Domain) -> set[bytes]:
-    """The paths of the full tree whose region HiGHS finds to have an inside, one by one."""
+def patterns_by_brute_force(network: otr.ReluNetwork, domain: Domain) -> tuple[set[bytes], set[bytes]]:
+    """The paths of the full tree whose region HiGHS finds to have an inside, and those it finds to be next to none."""
     tree = otr.map_network(network)
     n_bits = tree.depth
-    rows, found = domain.rows(), set()
+    rows, found, thin = domain.rows(), set(), set()
     for leaf in range(tree.n_leaves):
         node, forms, signs, path = 0, [], [], []
         for bit in range(n_bits):
@@ -68,7 +68,7 @@ def patterns_by_brute_force(network: otr.ReluNetwork, domain: Domain) -> set[byt
             path.append(bool(right))
             node = 2 * node + 1 + right
         if n_bits == 0:
-            return {b""}
+            return {b""}, set()
         tests = domain.rows_of(np.array(forms)[None])
         a, b = tests.a[0], tests.b[0]
         flat = ~a.any(axis=1)
@@ -77,9 +77,10 @@ def patterns_by_brute_force(network: otr.ReluNetwork, domain: Domain) -> set[byt
         kept = ~flat
         a, b = np.concatenate((rows.a[0], a[kept])), np.concatenate((rows.b[0], b[kept]))
         signs_of_rows = np.concatenate((np.ones(len(rows.b[0])), np.array(signs)[kept]))
-        if radius_by_highs(a, b, signs_of_rows) > 1e-9:
-            found.add(np.array(path).tobytes())
-    return found
+        radius = radius_by_highs(a, b, signs_of_rows)
+        if radius > -1e-9:
+            (found if radius > 1e-9 else thin).add(np.array(path).tobytes())
+    return found, thin
 
 
 @pytest.mark.parametrize(("n", "d"), [(1, 1), (6, 2), (8, 3), (32, 3), (9, 5), (10, 17), (12, 8)])
@@ -109,7 +110,9 @@ def test_regions_are_those_of_brute_force(case: Case, in_box: bool) -> None:
     regions = find_regions(network, domain)
     found = {row.tobytes() for row in regions.patterns}
     assert len(found) == len(regions.patterns)
-    assert found == patterns_by_brute_force(network, domain)
+    expected, thin = patterns_by_brute_force(network, domain)
+    assert expected <= found <= expected | thin
+    assert len(found - expected) <= np.isnan(regions.inner_points).any(axis=1).sum()
 
 
 @given(cases(), st.sampled_from(ORDERS), st.booleans())
@@ -121,10 +124,11 @@ def test_computes_the_same_function(case: Case, order: str, in_box: bool) -> Non
     tree = otr.minimal_tree(network, domain, order=order, X=X if order == "visits" else None)
     regions = find_regions(network, as_domain(domain, network.n_inputs))
     assert tree.n_leaves <= len(regions.patterns)
-    inner = regions.inner_points
-    assert_same_patterns(network, inner, regions.patterns[:, : network.n_hidden])
+    known = np.isfinite(regions.inner_points).all(axis=1)
+    inner = regions.inner_points[known]
+    assert_same_patterns(network, inner, regions.patterns[known, : network.n_hidden])
     assert_same_function(tree, network, np.concatenate((X, inner)))
-    assert len(np.unique(tree.apply(inner))) == tree.n_leaves
+    assert tree.n_leaves - len(np.unique(tree.apply(inner))) <= (~known).sum()
 
 
 def test_a_neuron_that_is_zero_throughout_a_region_is_inactive_there() -> None:
@@ -173,10 +177,10 @@ def test_parallel_duplicate_and_boundary_neurons_add_no_path(order: str) -> None
     assert_same_function(tree, network, X)
 
 
-def test_almost_parallel_neurons_within_the_tolerance() -> None:
-    network = otr.ReluNetwork([[[1.0], [1.0]], [[1.0, 1.0]]], [[0.0, 1e-6], [0.0]])
-    assert otr.minimal_tree(network).n_leaves == 3
-    assert otr.minimal_tree(network, tolerance=1e-6).n_leaves == 2
+def test_almost_parallel_neurons_part_the_states_until_it_does_not_matter() -> None:
+    for apart, n_leaves in ((1e-6, 3), (1e-11, 3), (1e-13, 2)):
+        network = otr.ReluNetwork([[[1.0], [1.0]], [[1.0, 1.0]]], [[0.0, apart], [0.0]])
+        assert otr.minimal_tree(network).n_leaves == n_leaves
 
 
 def test_a_domain_with_open_sides() -> None:

@@ -75,7 +75,7 @@ def test_without_general_position_there_is_no_answer(a: list[list[float]], b: li
     normals, offsets = unit(a), np.array(b, dtype=np.float64)
     normals[-1, 0] += nearly
     offsets[-1] += nearly
-    assert regions_at_vertices(normals, offsets, np.full(len(b), -1), 1e-9, 2**20) is None
+    assert regions_at_vertices(normals, offsets, np.full(len(b), -1), 2**20) is None
 
 
 def test_a_vertex_on_a_limit_of_the_box_is_left_to_the_walk() -> None:
@@ -103,8 +103,6 @@ def test_limits_hold_as_for_the_walk() -> None:
     network, space = general_position(20, 20), as_domain(None, 20)
     with pytest.raises(otr.TreeTooLargeError, match=r"0\.01 s"):
         find_regions(network, space, max_seconds=0.01)
-    with pytest.raises(ValueError, match="tolerance is -1"):
-        find_regions(general_position(3, 2), as_domain(None, 2), tolerance=-1)
 
 
 def test_many_regions_are_left_to_the_walk_and_its_limits() -> None:

@@ -136,11 +136,13 @@ def test_a_network_does_not_depend_on_its_company(fingerprints, settings):
     X, Y = fingerprints
     valid = {"X_valid": X[:100], "Y_valid": Y[:100]}
     together = train_many(X, Y, [3, 1, 4, 1], settings, **valid)
-    assert _equal(together.networks[2][1], together.networks[2][3])
+    # Up to rounding: torch's products sum in an order that depends on where a matrix lies.
+    networks = [together.networks[2][position].forward(X) for position in (1, 3, 0)]
     alone = train_many(X, Y[:, 2], [1], settings, X_valid=X[:100], Y_valid=Y[:100, 2])
-    assert _equal(alone.networks[0][0], together.networks[2][1])
-    assert alone.scores[0, 0] == together.scores[2, 1]
-    assert not _equal(together.networks[2][0], together.networks[2][1])
+    for network in networks[:2]:
+        np.testing.assert_allclose(network, alone.networks[0][0].forward(X), atol=1e-4)
+    assert alone.scores[0, 0] == pytest.approx(together.scores[2, 1], abs=1e-3)
+    assert np.abs(networks[2] - networks[0]).max() > 0.01  # another seed
 
 
 def test_dense_inputs_are_independent_up_to_rounding():

@@ -191,8 +191,8 @@ def test_a_network_does_not_depend_on_its_company(fingerprints):
     alone = train_many_lcns(X, Y[:, 2], [1], settings, X_valid=X[:100], Y_valid=Y[:100, 2])
     one, other = together.networks[2][1], alone.networks[0][0]
     for name in ("W", "U", "b", "G", "h", "offset"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
-    assert together.scores[2, 1] == alone.scores[0, 0]
+        np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=1e-4, err_msg=name)
+    assert together.scores[2, 1] == pytest.approx(alone.scores[0, 0], abs=1e-3)
 
 
 @pytest.mark.parametrize("loss", ["logistic", "softmax", "squared"])

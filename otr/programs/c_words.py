@@ -6,7 +6,7 @@ import re
 
 __all__ = ["is_function_name"]
 
-# Of C99 to C23 and C++, which may include the file; then what the program itself calls its variables.
+# Of C99 to C23, and of C++, which may include the file.
 _KEYWORDS = """
     alignas alignof and and_eq asm auto bitand bitor bool break case catch char class compl concept const const_cast
     consteval constexpr constinit continue co_await co_return co_yield decltype default delete do double dynamic_cast
@@ -15,7 +15,6 @@ _KEYWORDS = """
     short signed sizeof static static_assert static_cast struct switch template this thread_local throw true try typedef
     typeid typename typeof typeof_unqual union unsigned using virtual void volatile wchar_t while xor xor_eq
 """
-_OWN = "x y u a z i j k node row sum odd best gains"
 # Functions of the standard library that compilers know without a header; those of numbers also end in f and l.
 _OF_NUMBERS = """
     acos acosh asin asinh atan atan2 atanh cabs cacos cacosh carg casin casinh catan catanh cbrt ccos ccosh ceil cexp
@@ -36,7 +35,7 @@ _CLASSES = r"isw?(alnum|alpha|blank|cntrl|digit|graph|lower|print|punct|space|up
 _DEFINED = (
     r"u?int\w*_t|float_t|double_t|U?INT\w*_(C|MAX|MIN)|[A-Z]+_(MAX|MIN)|FP_[A-Z]+|HUGE_VAL[FL]?|INFINITY|NAN|M_\w+"
 )
-_TAKEN = frozenset(f"{_KEYWORDS} {_OWN} {_FUNCTIONS}".split()) | {
+_TAKEN = frozenset(f"{_KEYWORDS} {_FUNCTIONS}".split()) | {
     f"{word}{suffix}" for word in _OF_NUMBERS.split() for suffix in ("", "f", "l")
 }
 

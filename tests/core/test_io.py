@@ -256,14 +256,16 @@ def test_counts_that_do_not_fit_the_paths_are_refused(tmp_path: Path, counts: np
         otr.load(tmp_path)
 
 
-@pytest.mark.parametrize("depth", [*range(300, 1000, 25), 200_000])
-def test_json_nested_however_deeply_is_refused(tmp_path: Path, depth: int) -> None:
+def test_json_nested_however_deeply_is_refused(tmp_path: Path) -> None:
     otr.save(otr.map_network(worked_network()), tmp_path / "tree")
-    text = (tmp_path / "tree.json").read_text().replace('"head"', f'"head": {"[" * depth}{"]" * depth}, "was"')
-    for changed in (text, "[" * depth):
-        (tmp_path / "tree.json").write_text(changed)
+    text = (tmp_path / "tree.json").read_text()
+    for depth in (300, *range(800, 1000), 200_000):  # at some of these Python reads the text and cannot write it again
+        (tmp_path / "tree.json").write_text(text.replace('"head"', f'"head": {"[" * depth}{"]" * depth}, "was"'))
         with pytest.raises(otr.ArtefactError, match=r"tree\.json"):
             otr.load(tmp_path)
+    (tmp_path / "tree.json").write_text("[" * 200_000)
+    with pytest.raises(otr.ArtefactError, match=r"tree\.json cannot be read as JSON"):
+        otr.load(tmp_path)
 
 
 @pytest.fixture(scope="module")

@@ -183,7 +183,6 @@ def _digest(description: dict[str, Any], arrays: Arrays) -> str:
 def _read_description(path: Path) -> dict[str, Any]:
     try:
         description = json.loads(path.read_text(encoding="utf-8"))
-        json.dumps(description, sort_keys=True)  # as for the digest: fails for what is nested almost too deeply to load
     except FileNotFoundError as error:
         raise ArtefactError(f"{path} does not exist; save a tree there first") from error
     except (OSError, ValueError, RecursionError) as error:

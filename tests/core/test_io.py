@@ -259,7 +259,7 @@ def test_counts_that_do_not_fit_the_paths_are_refused(tmp_path: Path, counts: np
 def test_json_nested_however_deeply_is_refused(tmp_path: Path) -> None:
     otr.save(otr.map_network(worked_network()), tmp_path / "tree")
     text = (tmp_path / "tree.json").read_text()
-    for depth in (300, *range(800, 1000), 200_000):  # at some of these Python reads the text and cannot write it again
+    for depth in (300, *range(800, 1000), 200_000):
         (tmp_path / "tree.json").write_text(text.replace('"head"', f'"head": {"[" * depth}{"]" * depth}, "was"'))
         with pytest.raises(otr.ArtefactError, match=r"tree\.json"):
             otr.load(tmp_path)

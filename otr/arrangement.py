@@ -113,14 +113,11 @@ def find_regions(
     outcomes = np.zeros((1, 0), dtype=np.bool_)
     whole = Block(group, outcomes, signs, group, rows, balls.centres, balls.radii, balls.bases)
     walk = Walk(network, units, domain, max_regions, max_seconds)
-    blocks = walk.run(whole)
-    centres = [np.where(block.radii[:, None] > 0, block.centres, np.nan) for block in blocks]
-    return Regions(
-        np.concatenate([block.outcomes for block in blocks]),
-        domain.unscaled(np.concatenate(centres)) @ embedding,
-        walk.n_linear_programs,
-        walk.n_tests,
-    )
+    patterns, points = [], []
+    for block in walk.run(whole):
+        patterns.append(block.outcomes)
+        points.append(domain.unscaled(np.where(block.radii[:, None] > 0, block.centres, np.nan)))
+    return Regions(np.concatenate(patterns), np.concatenate(points) @ embedding, walk.n_linear_programs, walk.n_tests)
 
 
 def _in_fewer_inputs(units: UnitForm, domain: Domain) -> tuple[UnitForm, Domain, FloatArray]:
@@ -184,20 +181,20 @@ class Walk:
         self.n_bits = network.n_hidden + network.head.n_tests(network.n_outputs)
         self.n_linear_programs = self.n_tests = self.n_found = 0
 
-    def run(self, start: Block) -> list[Block]:
-        """Return all regions in those of `start`, which have no outcomes yet.
+    def run(self, start: Block) -> Iterator[Block]:
+        """Yield all regions in those of `start`, which have no outcomes yet, in blocks.
 
         Raises:
             TreeTooLargeError: as in `find_regions`.
         """
         self.began = time.monotonic()
-        waiting, finished = [start], []
+        waiting = [start]
         while waiting:
             block = waiting.pop()
             self._check_limits(block, sum(len(other.group) for other in waiting))
             if block.outcomes.shape[1] == self.n_bits:
                 self.n_found += len(block.group)
-                finished.append(block)
+                yield block
             elif not block.n_ahead:
                 waiting += self._next_layer(block)
             else:
@@ -205,7 +202,6 @@ class Walk:
                 n = len(block.group)
                 parts = [slice(None)] if n <= _BLOCK else [slice(n // 2), slice(n // 2, None)]
                 waiting += [block.take(part) for part in parts]
-        return finished
 
     def _check_limits(self, block: Block, n_open: int) -> None:
         seconds = time.monotonic() - self.began

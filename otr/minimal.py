@@ -116,8 +116,9 @@ def _same_answers(tree: ObliqueTree, leaves: IntArray, others: IntArray) -> Bool
     if tree.labels is not None:
         equal: BoolArray = tree.labels[leaves] == tree.labels[others]
         return equal
-    size = max(np.abs(tree.M).max(initial=0.0), np.abs(tree.c).max(initial=0.0))
-    slopes = np.abs(tree.M[leaves] - tree.M[others]).max(axis=(1, 2), initial=0.0)
+    M = tree.M_of_basis
+    size = max(np.abs(M).max(initial=0.0), np.abs(tree.c).max(initial=0.0))
+    slopes = np.abs(M[leaves] - M[others]).max(axis=(1, 2), initial=0.0)
     offsets = np.abs(tree.c[leaves] - tree.c[others]).max(axis=1, initial=0.0)
     same: BoolArray = np.maximum(slopes, offsets) <= _SAME_MAP * size
     return same
@@ -126,12 +127,11 @@ def _same_answers(tree: ObliqueTree, leaves: IntArray, others: IntArray) -> Bool
 def _with_label_scores(tree: ObliqueTree, merged: BoolArray) -> ObliqueTree:
     """Return the tree whose merged leaves (n_leaves,) hold no map, but scores that have their label."""
     assert tree.labels is not None
-    M, c = tree.M.copy(), tree.c.copy()
+    M, c = tree.M_of_basis.copy(), tree.c.copy()
     M[merged] = 0.0
     c[merged] = label_scores(tree.labels[merged], tree.n_outputs)
-    return ObliqueTree(
-        tree.children_left, tree.children_right, tree.P, tree.v, M, c, labels=tree.labels, head=tree.head
-    )
+    arrays = (tree.children_left, tree.children_right, tree.P_of_basis, tree.v, M, c)
+    return ObliqueTree(*arrays, labels=tree.labels, head=tree.head, basis=tree.basis)
 
 
 def label_scores(labels: IntArray, n_outputs: int) -> FloatArray:

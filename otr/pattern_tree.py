@@ -7,6 +7,7 @@ one, `Argmax` o - 1). Test j sends a state right where bit j is 1. P, v, M, c fo
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,13 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from otr.arrays import BoolArray, FloatArray, IntArray, as_batch
 from otr.mapping import map_network
-from otr.network import ReluNetwork
+from otr.network import ReluNetwork, UnitForm
 from otr.packed import PackedRows, count_rows, pack_rows, unpack_rows
 from otr.tree import ObliqueTree
 
 __all__ = ["PatternTree", "tree_of_paths"]
 
 _CHUNK_STATES = 2**16
+_WIDE = 64  # inputs, from which on a tree is held in the basis of the weights on them
 _CHUNK_BYTES = 2**24
 
 
@@ -213,11 +215,11 @@ def tree_of_paths(
 
     Test node i asks for bit `bits[i]`, in the form that it has on the path `paths[i]`: (k - 1,) each.
     """
-    k, d, o = len(patterns), network.n_inputs, network.n_outputs
+    units, basis = _units_and_basis(network)
+    k, d, o = len(patterns), units.inputs.shape[1], network.n_outputs
     P, v = np.empty((k - 1, d)), np.empty(k - 1)
     M, c = np.empty((k, o, d)), np.empty((k, o))
     by_path = np.argsort(paths, kind="stable")
-    units = network.unit_form()
     chunk = max(1, _CHUNK_BYTES // (8 * (d + 1) * (network.n_hidden + o)))
     for start in range(0, k, chunk):
         rows = slice(start, min(start + chunk, k))
@@ -227,7 +229,21 @@ def tree_of_paths(
         tests = _test_forms(network, forms[paths[nodes] - start], patterns[paths[nodes]], bits[nodes])
         P[nodes], v[nodes] = tests[:, :d], tests[:, d]
     labels = network.head.labels(patterns[:, network.n_hidden :])
-    return ObliqueTree(left, right, P, v, M, c, labels=labels, head=network.head)
+    return ObliqueTree(left, right, P, v, M, c, labels=labels, head=network.head, basis=basis)
+
+
+def _units_and_basis(network: ReluNetwork) -> tuple[UnitForm, FloatArray | None]:
+    """Return a network unit by unit, and the rows (r, d) of which its inputs are products, None for x itself.
+
+    Of many inputs a few units read, all tests and maps are sums of these units' weights.
+    """
+    units = network.unit_form()
+    reading = np.flatnonzero(units.inputs.any(axis=1))
+    if network.n_inputs < _WIDE or 2 * len(reading) > network.n_inputs:
+        return units, None
+    products = np.zeros((len(units.inputs), len(reading)))
+    products[reading, np.arange(len(reading))] = 1.0
+    return replace(units, inputs=products), units.inputs[reading]
 
 
 def _trie_children(first_difference: IntArray) -> tuple[IntArray, IntArray, IntArray]:

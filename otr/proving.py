@@ -111,15 +111,14 @@ class _Search:
         """Return the cells, by leaf, that a walk in floating point finds in those that have an inner point."""
         network, domain = self.statement.network, self.statement.domain
         walk = Walk(network, network.unit_form(), domain, self.max_regions, self.max_seconds)
-        blocks = walk.run(_start(rows, signs, balls))
-        self.n_programs += walk.n_linear_programs
         by_leaf: dict[int, list[Cell]] = {}
-        for block in blocks:
+        for block in walk.run(_start(rows, signs, balls)):
             self._check_answers(block)
             found, n_solved = _cells(block, names, rows.n_rows, domain)
             self.n_programs += n_solved
             for cell in found:
                 by_leaf.setdefault(cell.leaf, []).append(cell)
+        self.n_programs += walk.n_linear_programs
         return by_leaf
 
     def _check_answers(self, block: Block) -> None:

@@ -85,12 +85,13 @@ def keep_leaves(tree: ObliqueTree, keep: BoolArray) -> ObliqueTree:
     return ObliqueTree(
         new_reference[stand_in[left[nodes]]],
         new_reference[stand_in[right[nodes]]],
-        tree.P[nodes],
+        tree.P_of_basis[nodes],
         tree.v[nodes],
-        tree.M[leaves],
+        tree.M_of_basis[leaves],
         tree.c[leaves],
         labels=None if tree.labels is None else tree.labels[leaves],
         head=tree.head,
+        basis=tree.basis,
     )
 
 

@@ -155,9 +155,14 @@ class ExactTree:
     def __init__(self, tree: ObliqueTree) -> None:
         """Take a tree apart."""
         self.tree = tree
-        parts = integers(np.column_stack((tree.P, tree.v))), integers(np.concatenate((tree.M, tree.c[:, :, None]), 2))
+        (P, of_P), (M, of_M) = integers(tree.P_of_basis), integers(tree.M_of_basis)
+        if tree.basis is not None:
+            basis, of_basis = integers(tree.basis)
+            P, M, of_P, of_M = P @ basis, M @ basis, of_P + of_basis, of_M + of_basis
+        parts = [(P, of_P), (M, of_M), integers(tree.v), integers(tree.c)]
         self.power = max(power for _, power in parts)
-        self.tests, self.maps = common_integers(parts, self.power)
+        P, M, v, c = common_integers(parts, self.power)
+        self.tests, self.maps = np.column_stack((P, v)), np.concatenate((M, c[:, :, None]), axis=2)
 
     def leaf(self, point: Point) -> int:
         """Return the leaf that a point reaches."""

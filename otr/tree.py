@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-from otr.arrays import FloatArray, IntArray, as_batch, as_states, read_only
+from otr.arrays import FloatArray, IntArray, as_states, read_only
 from otr.errors import InvalidTreeError
 from otr.head import Head, Identity
 from otr.leaves import LeafMaps
@@ -39,6 +39,9 @@ class ObliqueTree:
         P, v: (n_nodes, d) and (n_nodes,) float64, the tests.
         M, c: (n_leaves, o, d) and (n_leaves, o) float64, the leaves.
         labels: (n_leaves,) int64, or None.
+        basis: (r, d), where tests and maps are held as sums of few rows, so that wide inputs take little memory; else
+            None. `P` and `M` are worked out when they are asked for.
+        P_of_basis, M_of_basis: (n_nodes, r) and (n_leaves, o, r), tests and maps of ``basis @ x``; P and M without one.
         head: from a leaf's value to the answer.
     """
 
@@ -53,21 +56,35 @@ class ObliqueTree:
         *,
         labels: ArrayLike | None = None,
         head: Head | None = None,
+        basis: ArrayLike | None = None,
     ) -> None:
         """Keep the arrays, uncopied where they already are float64 or int64 and contiguous, and check them.
+
+        With `basis` (r, d), `P` is (n_nodes, r) and `M` (n_leaves, o, r): the tests and maps of ``basis @ x``.
 
         Raises:
             InvalidTreeError: an invariant is broken.
         """
         self.children_left = _array(children_left, np.int64)
         self.children_right = _array(children_right, np.int64)
-        self.P: FloatArray = _array(P, np.float64)
+        self.basis: FloatArray | None = None if basis is None else _array(basis, np.float64)
+        self.P_of_basis: FloatArray = _array(P, np.float64)
         self.v: FloatArray = _array(v, np.float64)
-        self.M: FloatArray = _array(M, np.float64)
+        self.M_of_basis: FloatArray = _array(M, np.float64)
         self.c: FloatArray = _array(c, np.float64)
         self.labels: IntArray | None = None if labels is None else _array(labels, np.int64)
         self.head: Head = Identity() if head is None else head
         self.check()
+
+    @cached_property
+    def P(self) -> FloatArray:
+        """The tests' normals (n_nodes, d)."""
+        return self.P_of_basis if self.basis is None else read_only(self.P_of_basis @ self.basis)
+
+    @cached_property
+    def M(self) -> FloatArray:
+        """The leaves' maps (n_leaves, o, d)."""
+        return self.M_of_basis if self.basis is None else read_only(self.M_of_basis @ self.basis)
 
     @property
     def n_nodes(self) -> int:
@@ -82,12 +99,12 @@ class ObliqueTree:
     @property
     def n_inputs(self) -> int:
         """Number of inputs d."""
-        return int(self.M.shape[2])
+        return int((self.M_of_basis if self.basis is None else self.basis).shape[-1])
 
     @property
     def n_outputs(self) -> int:
         """Number of affine outputs o."""
-        return int(self.M.shape[1])
+        return int(self.M_of_basis.shape[1])
 
     @cached_property
     def depth(self) -> int:
@@ -113,35 +130,40 @@ class ObliqueTree:
 
     def forward(self, X: ArrayLike) -> FloatArray:
         """Return the leaves' affine outputs, before the head: (n, o), or (o,) for one state (d,)."""
-        states = as_states(X, self.n_inputs)
+        states = self._in_basis(X)
         if states.ndim == 1:
             leaf = self._router.leaf_of(states)
-            outputs: FloatArray = self.M[leaf].dot(states)
+            outputs: FloatArray = self.M_of_basis[leaf].dot(states)
             outputs += self.c[leaf]
             return outputs
         return self._leaf_maps(states, self._router.leaves_of(states))
 
     def apply(self, X: ArrayLike) -> IntArray:
         """Return the leaf that each state ends in: (n,) int64, or a 0-d array for one state (d,)."""
-        states = as_states(X, self.n_inputs)
+        states = self._in_basis(X)
         if states.ndim == 1:
             return np.asarray(self._router.leaf_of(states), dtype=np.int64)
         return self._router.leaves_of(states)
 
     def decision_path(self, X: ArrayLike) -> sparse.csr_matrix:
         """Return the test nodes that each state passes: a sparse 0/1 matrix (n, n_nodes), node ids ascending by row."""
-        states = as_batch(X, self.n_inputs)
+        states = np.atleast_2d(self._in_basis(X))
         rows, nodes = self._router.paths_of(states)
         shape = (len(states), self.n_nodes)
         return sparse.csr_matrix((np.ones(len(rows), dtype=np.int8), (rows, nodes)), shape=shape)
 
+    def _in_basis(self, X: ArrayLike) -> FloatArray:
+        """Return states as the tests and maps are held."""
+        states = as_states(X, self.n_inputs)
+        return states if self.basis is None else np.asarray(states @ self.basis.T)
+
     @cached_property
     def _router(self) -> Router:
-        return Router(self.children_left, self.children_right, self.P, self.v)
+        return Router(self.children_left, self.children_right, self.P_of_basis, self.v)
 
     @cached_property
     def _leaf_maps(self) -> LeafMaps:
-        return LeafMaps(self.M, self.c)
+        return LeafMaps(self.M_of_basis, self.c)
 
     def check(self) -> None:
         """Verify the invariants in the class's docstring.
@@ -150,8 +172,9 @@ class ObliqueTree:
             InvalidTreeError: names the array and what is wrong with it.
         """
         self._check_shapes()
-        for name in ("P", "v", "M", "c"):
-            if not np.isfinite(getattr(self, name)).all():
+        numbers = {"P": self.P_of_basis, "v": self.v, "M": self.M_of_basis, "c": self.c, "basis": self.basis}
+        for name, array in numbers.items():
+            if array is not None and not np.isfinite(array).all():
                 raise InvalidTreeError(f"{name} holds a number that is not finite (NaN or infinite)")
         n_nodes = self.n_nodes
         children = np.stack((self.children_left, self.children_right), axis=1)
@@ -174,12 +197,15 @@ class ObliqueTree:
             raise InvalidTreeError(f"{what} has {n_parents} parents, expected one (the root node: none)")
 
     def _check_shapes(self) -> None:
-        if self.M.ndim != 3 or self.P.ndim != 2 or self.v.ndim != 1:
+        P, M = self.P_of_basis, self.M_of_basis
+        if M.ndim != 3 or P.ndim != 2 or self.v.ndim != 1:
             raise InvalidTreeError(
-                f"P, v, M have {self.P.ndim}, {self.v.ndim}, {self.M.ndim} axes, expected 2, 1, 3: "
+                f"P, v, M have {P.ndim}, {self.v.ndim}, {M.ndim} axes, expected 2, 1, 3: "
                 "(n_nodes, d), (n_nodes,), (n_leaves, o, d)"
             )
-        n_leaves, o, d = self.M.shape
+        n_leaves, o, d = M.shape
+        if self.basis is not None and (self.basis.ndim != 2 or len(self.basis) != d):
+            raise InvalidTreeError(f"basis has shape {self.basis.shape}, expected ({d}, n_inputs): M has {d} columns")
         n_nodes = n_leaves - 1
         expected = {
             "children_left": (n_nodes,),
@@ -191,9 +217,10 @@ class ObliqueTree:
         if self.labels is not None:
             expected["labels"] = (n_leaves,)
         for name, shape in expected.items():
-            if getattr(self, name).shape != shape:
+            array = P if name == "P" else getattr(self, name)
+            if array.shape != shape:
                 raise InvalidTreeError(
-                    f"{name} has shape {getattr(self, name).shape}, expected {shape} "
+                    f"{name} has shape {array.shape}, expected {shape} "
                     f"in a tree of {n_leaves} leaves, {o} outputs and {d} inputs"
                 )
         if n_leaves == 0 or o == 0:

@@ -159,7 +159,7 @@ def test_runs_of_dagger_are_timed():
 
 
 def test_minimal_trees_have_as_many_leaves_as_the_peer_s():
-    network = exact.random_network(8, 3)
+    network = exact.network_of(3, 8, 1)
     _, n_leaves = exact.affinitree_seconds(network)
     assert n_leaves == otr.minimal_tree(network).n_leaves == 93
 

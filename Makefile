@@ -27,11 +27,12 @@ help:  ## list the targets
 run: .venv/.installed  ## train, map, prune and evaluate a depth-6 policy for Pendulum in minutes
 	$(BIN)/otr-run env=pendulum depth=6 budget=quick results_dir=results/local $(ARGS)
 
+# A file's tests run in one process, so that what a file sets up is made once.
 test: .venv/.installed  ## the tests (under 8 minutes on 2 cores)
-	$(BIN)/python -m pytest -n 2 $(ARGS)
+	$(BIN)/python -m pytest -n 2 --dist loadfile $(ARGS)
 
 test-all: .venv/.installed-all  ## the tests, with more random examples, and the slow ones
-	$(BIN)/python -m pytest -n 2 -m "slow or not slow" --hypothesis-profile=thorough $(ARGS)
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "slow or not slow" --hypothesis-profile=thorough $(ARGS)
 
 lint: .venv/.installed  ## ruff, mypy and the direction of imports
 	$(BIN)/ruff check .

@@ -87,7 +87,7 @@ class ReluNetwork:
                 outside [0, 1), an unknown kind of dense links, or a head that does not fit.
             ValueError: the domain is no box of as many inputs.
         """
-        if dense not in (False, True, "input", "all"):
+        if not isinstance(dense, bool) and dense not in ("input", "all"):
             raise InvalidNetworkError(f"dense is {dense!r}, expected False, True, 'input' or 'all'")
         if not 0.0 <= negative_slope < 1.0:
             raise InvalidNetworkError(f"negative_slope is {negative_slope}, expected 0 <= negative_slope < 1")

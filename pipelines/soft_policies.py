@@ -3,7 +3,7 @@
 The tree gives the logits, or the means of the Gaussian, itself; the critic is the usual MLP. What changes in the course
 of training (how hard the tests are, which of pi-PRL's parameters learn, when its structure is chosen) is decided at the
 start of each rollout by the steps done so far alone, so that a resumed run is bit for bit the run that was not
-interrupted.
+interrupted, on one type of processor with the same package versions.
 """
 
 import copy

@@ -4,7 +4,8 @@
     for r = 0 .. n_rounds:  fit tree r to the oracle's answers on D;  add the states that tree r visits to D
 
 The environment is the caller's: `play` plays episodes. All that a run has done lies in its folder, committed once a
-round, so that a killed run goes on from its last whole round and ends with the same result, bit for bit.
+round, so that a killed run goes on from its last whole round and ends with the same result, bit for bit on one type of
+processor with the same package versions.
 """
 
 from __future__ import annotations

@@ -3,8 +3,7 @@
 Networks that read the same rows at the same time lie side by side in one table of weights, (d, C) with C the columns of
 all of them, and tables of different groups (seeds) lie below each other, (G * d, C). A binary row with k ones out of d
 adds k rows of its table, which is d / k times less arithmetic than the product: for a molecule's fingerprint about
-forty times. The sums run in the order of the inputs in every column by itself, so that a column's numbers do not depend
-on which other columns stand beside it, not in the last bit.
+forty times. The sums run in the order of the inputs in every column by itself.
 """
 
 from __future__ import annotations

@@ -2,8 +2,7 @@
 
 A stack holds S x L models: S seeds, L labels. All models of a seed see the same mini-batches, so that their first
 layers are one product; everything random about a model (first weights, order, dropout) follows from its seed alone. A
-model is therefore the same whatever labels and seeds are trained with it: to the last bit where the inputs are sparse
-(see `otr/learners/rows.py`), else up to rounding.
+model is therefore the same, up to rounding, whatever labels and seeds are trained with it.
 
 A row whose label is missing has weight zero in that label's loss, and the others of the mini-batch share the weight:
 the loss of a step is the mean over the rows with a label, B times the share of labels in expectation. Against dropping

@@ -18,7 +18,7 @@ from otr.arrays import FloatArray
 from otr.domain import Domain
 from otr.errors import CertificateError
 from otr.head import Identity
-from otr.rational import Integers, Point, integers
+from otr.rational import Integers, Point, as_point, integers, nearest_state
 from otr.rational_programs import inner_point, largest_value
 from otr.statement import Row, Statement
 
@@ -167,7 +167,10 @@ def counterexample(statement: Statement, cell: ExactCell, max_error: Fraction) -
     for point in candidates:
         leaf, gap = statement.gap(point)
         if leaf == cell.leaf and gap > max_error * statement.unit_at(point):
-            rounded = tuple(Fraction(float(value)) for value in point)
+            state = nearest_state(point)
+            if state is None:
+                return point
+            rounded = as_point(state)
             leaf, gap = statement.gap(rounded)
             shows_it = leaf == cell.leaf and gap > max_error * statement.unit_at(rounded)
             return rounded if shows_it and statement.is_inside(rounded) else point

@@ -29,6 +29,7 @@ __all__ = [
     "common_integers",
     "independent_rows",
     "integers",
+    "nearest_state",
 ]
 
 Integers = NDArray[Any]  # of Python's int
@@ -85,6 +86,14 @@ def independent_rows(rows: FloatArray) -> tuple[list[int], FloatArray]:
 def as_point(state: FloatArray) -> Point:
     """Return a state (d,) of float64 as fractions."""
     return tuple(Fraction(value) for value in state.tolist())
+
+
+def nearest_state(point: Point) -> FloatArray | None:
+    """Return the state (d,) of float64 nearest to a point; None where a number is too large for that."""
+    try:
+        return np.array([float(value) for value in point])
+    except OverflowError:
+        return None
 
 
 def at(forms: Integers, power: int, point: Point) -> list[Fraction]:

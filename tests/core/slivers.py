@@ -7,6 +7,7 @@ import numpy as np
 import otr
 from otr.domain import as_domain
 from otr.exact_cells import cells_of_leaf
+from otr.rational import nearest_state
 from otr.statement import Statement
 
 DOMAINS = (None, (-1.0, 1.0), (-10.0, 10.0), (-1000.0, 1000.0))
@@ -41,7 +42,8 @@ def states_in_cells(network: otr.ReluNetwork, domain: tuple[float, float] | None
     d, o = network.n_inputs, network.n_outputs
     single = otr.ObliqueTree([], [], np.zeros((0, d)), [], np.zeros((1, o, d)), np.zeros((1, o)), head=network.head)
     cells = cells_of_leaf(Statement(single, network, as_domain(domain, d)), 0)
-    X = np.array([[float(value) for value in cell.point] for cell in cells])
+    states = [nearest_state(cell.point) for cell in cells]
+    X = np.array([state for state in states if state is not None and np.abs(state).max() < 1e100])
     X = np.concatenate((X, np.nextafter(X, np.inf), np.nextafter(X, -np.inf)))
     return X if domain is None else np.clip(X, *domain)
 

@@ -315,6 +315,16 @@ def test_a_leaf_of_a_single_point_counts(text: str, box: tuple[float, float] | N
     assert leaf == refusal.value.leaf and gap > 1
 
 
+def test_a_leaf_beyond_all_floats_counts() -> None:
+    """Its test turns at x = 2e323, where no float64 is."""
+    network = otr.ReluNetwork([[[1.0]]], [[0.0]])
+    tree = otr.ObliqueTree([~0], [~1], [[5e-324]], [-1.0], [[[1.0]], [[3.0]]], [[0.0], [0.0]])
+    with pytest.raises(otr.CertificateError, match=r"leaf 1: at the state \[about 2\*\*\d+\]") as refusal:
+        otr.certify(tree, network)
+    assert Statement(tree, network, as_domain(None, 1)).leaf_at(refusal.value.state) == 1
+    assert otr.certify(tree, network, (-1e100, 1e100)).n_empty == 1
+
+
 def test_thin_leaves_that_are_right_are_covered() -> None:
     """The network is cut along y inside the leaf x == 0, which has no inside."""
     network = otr.ReluNetwork([[[1.0, 0.0], [0.0, 1.0]], [[1.0, 1.0]]], [[0.0, 0.0], [0.0]])

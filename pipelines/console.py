@@ -25,6 +25,11 @@ def show_result(summary: dict[str, Any], run_dir: Path) -> None:
         f"{_count(summary['patterns'], paths)} reached, estimated pruned depth {summary['pruned_depth']:.1f}; "
         f"the pruned tree acts as the {whole} in {100 * summary['fidelity']:.2f} % of the states"
     )
+    if "n_outside_domain" in summary:
+        console.print(
+            f"{summary['n_outside_domain']:,} of {summary['n_states']:,} visited states lie outside the box in which the "
+            "network is the trained policy, whose observations are clipped there"
+        )
     if "oracle" in summary:
         console.print(_likeness(summary["oracle"]))
     if "certify" in summary:

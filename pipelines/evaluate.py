@@ -70,7 +70,8 @@ def evaluate(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     """Play the fixed episodes with each form of the policy; write an episodes file each and `report.json`.
 
     `episodes.csv` is the tree's. Fidelity is the share of the visited states in which the pruned tree does the same as
-    the policy that it was pruned from: the network, or the tree where there is none.
+    the policy that it was pruned from: the network, or the tree where there is none. Of a network that stands for its
+    policy on a domain only, the visited states outside that are counted.
 
     Raises:
         PolicyMismatchError: network and tree act differently in a state; the message shows it.
@@ -92,6 +93,9 @@ def evaluate(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     }
     if "oracle" in policies:
         report["oracle"] = likeness(answers, policies["oracle"].predict(states))
+    domain = getattr(policies[whole], "domain", None)
+    if domain is not None:
+        report["n_outside_domain"] = int((~domain.contains(states)).sum())
     write_json(out / "report.json", report)
 
 

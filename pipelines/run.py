@@ -174,6 +174,8 @@ def summarise(job: RunJob) -> dict[str, Any]:
     if "imitate" in names:
         summary["oracle"] = {"hidden_widths": list(config.oracle), **evaluated["oracle"]}
         summary["imitate"] = {name: made[name] for name in ("round", "n_rows", "n_steps")}
+    if "n_outside_domain" in evaluated:
+        summary |= {name: evaluated[name] for name in ("n_outside_domain", "n_states")}
     if "parse" in names:
         summary |= {"program": made["program"], "algorithm": "none", "steps": 0}
     return summary | {extra: read_json(run_dir / extra / "report.json") for extra in extras}

@@ -64,7 +64,7 @@ def read_csv(path: Path) -> list[dict[str, str]]:
 
 
 def actor_files(network: otr.ReluNetwork) -> dict[str, bytes]:
-    """Return `actor.safetensors` (float64 weights and biases) and `actor.json` (slope, dense links, head)."""
+    """Return `actor.safetensors` (float64 weights and biases) and `actor.json` (slope, dense links, head, domain)."""
     tensors: dict[str, np.ndarray] = {}
     for layer, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
         tensors[f"weight_{layer}"] = np.ascontiguousarray(weight)
@@ -77,6 +77,8 @@ def actor_files(network: otr.ReluNetwork) -> dict[str, bytes]:
         "dense": network.dense,
         "head": network.head.to_dict(),
     }
+    if network.domain is not None:
+        about["domain"] = network.domain.to_dict()
     return {"actor.safetensors": safetensors_bytes(tensors), "actor.json": json_text(about).encode()}
 
 
@@ -105,6 +107,7 @@ def load_actor(folder: Path) -> otr.ReluNetwork:
             negative_slope=about["negative_slope"],
             dense=about["dense"],
             head=head_from_dict(about["head"]),
+            domain=otr.Domain.from_dict(about["domain"]) if "domain" in about else None,
         )
     except (OSError, SafetensorError, KeyError, TypeError, ValueError, otr.OtrError) as error:
         raise corrupt(folder / "actor.safetensors", error) from error

@@ -51,6 +51,20 @@ def test_three_forms_of_one_policy_play_alike(tiny, chain, tmp_path, max_leaves,
     assert [row["seed"] for row in read_csv(out / "episodes_network.csv")] == ["1000", "1001", "1002"]
 
 
+def test_states_outside_the_network_s_domain_are_counted(tiny, chain, tmp_path):
+    network, domain = random_network(PENDULUM, seed=1, width=6), ([-1.0, -1.0, -2.0], [1.0, 1.0, 2.0])
+    folders = chain(
+        tiny(), otr.ReluNetwork(network.weights, network.biases, head=network.head, domain=otr.Domain(*domain))
+    )
+    assert load_actor(folders["train"]).domain == otr.Domain(*domain)
+    out = tmp_path / "evaluate"
+    out.mkdir()
+    evaluate(folders, tiny(), out)
+    report = json.loads((out / "report.json").read_text())
+    played = play({"network": network}, tiny(), keep_states_of="network")["network"].states
+    assert report["n_outside_domain"] == (np.abs(played[:, 2]) > 2).sum() > 0
+
+
 def test_patterns_are_those_of_the_network(tiny, chain):
     config = tiny(prune=PruneConfig(3, None))
     folders = chain(config)

@@ -27,8 +27,8 @@ def show_result(summary: dict[str, Any], run_dir: Path) -> None:
     )
     if "n_outside_domain" in summary:
         console.print(
-            f"{summary['n_outside_domain']:,} of {summary['n_states']:,} visited states lie outside the box in which the "
-            "network is the trained policy, whose observations are clipped there"
+            f"{summary['n_outside_domain']:,} of {summary['n_states']:,} visited states lie outside the box in which "
+            "the network is the trained policy, whose observations are clipped there"
         )
     if "oracle" in summary:
         console.print(_likeness(summary["oracle"]))

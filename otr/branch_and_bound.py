@@ -21,14 +21,13 @@ from otr.exact_cells import decide
 from otr.head import ClipBox
 from otr.head_lines import half_and_middle, limits_of_head, line_above
 from otr.linear_programs import LargestValues, Rows, largest_values
-from otr.rational import Point
+from otr.rational import Point, as_point
 from otr.regions import leaf_rows
 from otr.statement import Row
 from otr.verdict import Piece, Question, Verdict
+from otr.verification import rounded_up
 
 __all__ = ["Search"]
-
-_NEARER = (1e-12, 1e-9, 1e-6, 1e-4, 1e-2, 0.1, 0.5)  # to a point inside: where a state is looked for
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,7 @@ class Search:
                     leaf,
                     tuple(waiting.low[i].tolist()),
                     tuple(waiting.high[i].tolist()),
-                    tuple((float(slope[i]), float(offset[i])) for slope, offset in lines),
+                    tuple(self._exact_line(at, slope[i], offset[i]) for at, (slope, offset) in enumerate(lines)),
                     self._sum(best, i, leaf, rows),
                     is_empty=False,
                 )
@@ -110,7 +109,10 @@ class Search:
             numbers = np.array([int(value * denominator) for value in beyond], dtype=object)
             found = decide(rows | {"beyond": Row(numbers, True)}, self.tree.n_inputs)
             if isinstance(found, tuple):
-                point = found if point is None else point
+                if point is None:  # well inside, if there is an inside, where float64 finds it, too
+                    strict = {name: Row(row.numbers, True) for name, row in rows.items()}
+                    deeper = decide(strict | {"beyond": Row(numbers, True)}, self.tree.n_inputs)
+                    point = deeper if isinstance(deeper, tuple) else found
                 continue
             own = found.pop("beyond", Fraction(0)) * int(denominator)
             if not own:
@@ -137,30 +139,15 @@ class Search:
         return None
 
     def _failed(self, point: Point) -> Verdict:
-        """Return the verdict that a condition fails at a point, with a state of float64 that shows it if there is one.
-
-        The states tried lie between the point and one inside its leaf's region, where rounding does not reach.
-        """
+        """Return the verdict that a condition fails at a point, or at the state of float64 nearest to it."""
         question = self.question
         leaf, value, _ = question.value(point)
-        closed = question.rows_of_leaf(leaf)
-        inside = decide({name: Row(row.numbers, True) for name, row in closed.items()}, self.tree.n_inputs)
-        targets = [inside] if isinstance(inside, tuple) else []
-        candidates = [point] + [
-            tuple(a + (b - a) * Fraction(share) for a, b in zip(point, target, strict=True))
-            for target in targets
-            for share in _NEARER
-        ]
-        for candidate in candidates:
-            state = np.array([float(value) for value in candidate])
-            exact = tuple(map(Fraction, state.tolist()))
-            if question.fails_in_float64(state) and question.leaf_at(exact) == leaf:
-                return Verdict(
-                    False, float(question.value(exact)[1]), leaf, state, question.own_action(state), exact, (),
-                    self.tolerance,
-                )  # fmt: skip
         state = np.array([float(value) for value in point])
-        return Verdict(False, float(value), leaf, state, question.own_action(state), point, (), self.tolerance)
+        exact = as_point(state)
+        if question.fails_in_float64(state) and question.leaf_at(exact) == leaf:
+            point, (_, value, _) = exact, question.value(exact)
+        action = question.own_action(state)
+        return Verdict(False, rounded_up(value), leaf, state, action, point, (), self.tolerance)
 
     def _sum(self, best: LargestValues, i: int, leaf: int, rows: Rows) -> Sum:
         """Return the sum of rows, by name, that a linear program ended with."""
@@ -244,6 +231,15 @@ class Search:
         """Return slope and offset (n,) of lines above a weighed output's share in the condition, on intervals (n,)."""
         output = self.weighed[i]
         return line_above(self.tree.head, self.tree.n_outputs, output, self.question.action[output], low, high)
+
+    def _exact_line(self, i: int, slope: float, offset: float) -> tuple[float, float | Fraction]:
+        """Return a line's slope and offset, that of a clip's end without the rounding of its product."""
+        if not isinstance(self.tree.head, ClipBox) or slope != 0:
+            return float(slope), float(offset)
+        output = self.weighed[i]
+        weight = self.question.action[output]
+        ends = limits_of_head(self.tree.head, self.tree.n_outputs, output)
+        return 0.0, next(Fraction(weight) * Fraction(end) for end in ends if weight * end == offset)
 
     def _gap(self, i: int, y: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
         """Return how far the line of a weighed output is above what it bounds, at outputs y (n,)."""

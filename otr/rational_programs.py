@@ -2,10 +2,11 @@
 
     max t   subject to   a_i . x + b_i >= w_i t   for every row i,   t <= cap
 
-With w_i = 1 for the rows that must be above 0 and 0 for those that may be 0, a largest t above 0 comes with a point of
-the polytope, and one of at most 0 with a proof that it has none. With a single w_i = 1 the largest t is that row's
-largest value over the others. The dual simplex method runs on integers: the inverse of the basis is kept as the matrix
-of its cofactors, which are integers, and its determinant (Edmonds 1967), so that nothing is rounded or reduced.
+With w_i the size of a_i for the rows that must be above 0, and 0 for those that may be 0, a largest t above 0 comes
+with a point of the polytope, well inside the former rows, and one of at most 0 with a proof that there is none. With a
+single w_i = 1 the largest t is that row's largest value over the others. The dual simplex method runs on integers: the
+inverse of the basis is kept as the matrix of its cofactors, which are integers, and its determinant (Edmonds 1967), so
+that nothing is rounded or reduced.
 """
 
 from __future__ import annotations
@@ -52,7 +53,9 @@ def inner_point(rows: Integers, strict: Sequence[bool], likely: Sequence[int] = 
         With ``t > 0`` a point. Else the sum of the rows with the multipliers is the same at all x, and it is below 0,
         or 0 with a strict row in it.
     """
-    return _largest_t(rows, [int(is_strict) for is_strict in strict], Fraction(1), likely)
+    sizes = [max(map(abs, row[:-1]), default=0) or 1 for row in rows.tolist()]
+    weights = [size if is_strict else 0 for size, is_strict in zip(sizes, strict, strict=True)]
+    return _largest_t(rows, weights, Fraction(1), likely)
 
 
 def largest_value(rows: Integers, form: Sequence[int], cap: Fraction, likely: Sequence[int] = ()) -> Optimum:
@@ -73,7 +76,7 @@ def largest_value(rows: Integers, form: Sequence[int], cap: Fraction, likely: Se
 
 
 def _largest_t(rows: Integers, weights: Sequence[int], cap: Fraction, likely: Sequence[int]) -> Optimum:
-    """Return the largest t, as at the head of this file; `weights` are the w_i, 0 or 1."""
+    """Return the largest t, as at the head of this file; `weights` are the w_i."""
     d = rows.shape[1] - 1
     q = d + 1  # places of the basis, and unknowns (x, t): over them a row is [a | -w], its offset b
     normals, offsets = np.column_stack((rows[:, :d], [-weight for weight in weights])), rows[:, d]

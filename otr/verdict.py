@@ -60,7 +60,7 @@ class Piece:
     leaf: int
     low: tuple[float, ...]
     high: tuple[float, ...]
-    lines: tuple[tuple[float, float], ...]
+    lines: tuple[tuple[float, float | Fraction], ...]
     proof: Sum
     is_empty: bool
 
@@ -130,7 +130,7 @@ class Question(TreeOnDomain):
                     rows[f"output {output} {name}"] = Row(numbers, False)
         return rows
 
-    def left_side(self, leaf: int, lines: Sequence[tuple[float, float]]) -> Integers:
+    def left_side(self, leaf: int, lines: Sequence[tuple[float, float | Fraction]]) -> Integers:
         """Return what lines make of the condition's left side in a leaf: fractions (d + 1,), times 2**power."""
         form = np.array([Fraction(value) for value in [*self.state.tolist(), self.of_label(leaf)]], dtype=object)
         form *= 2**self.power

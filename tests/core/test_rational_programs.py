@@ -61,7 +61,7 @@ def test_strict_rows_that_only_touch_leave_no_point() -> None:
     assert nothing.t == 0 and set(nothing.multipliers) == {0, 1}
 
 
-@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=5))
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False, allow_subnormal=False), min_size=1, max_size=5))
 def test_integers_are_the_floats(values: list[float]) -> None:
     exact, power = integers(np.array(values))
     assert [Fraction(value, 2**power) for value in exact.tolist()] == [Fraction(value) for value in values]

@@ -28,11 +28,11 @@ __all__ = [
     "cells_of_leaf",
     "counterexample",
     "decide",
-    "difference",
     "find_cells",
     "largest_gap",
     "largest_over",
     "refusal",
+    "refused_at",
     "stacked",
 ]
 
@@ -184,11 +184,11 @@ def refusal(error: CertificateError, statement: Statement, max_error: float) -> 
     for cell in islice(cells_of_leaf(statement, error.leaf), _MAX_CELLS):
         point = counterexample(statement, cell, Fraction(max_error))
         if point is not None:
-            return difference(statement, error.leaf, point)
+            return refused_at(statement, error.leaf, point)
     return error
 
 
-def difference(statement: Statement, leaf: int, point: Point) -> CertificateError:
+def refused_at(statement: Statement, leaf: int, point: Point) -> CertificateError:
     """Return the error that says that tree and network differ at a point of a leaf."""
     tree, network = statement.tree, statement.network
     if tree.labels is None:

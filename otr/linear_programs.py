@@ -180,7 +180,8 @@ def largest_balls(
     """Return whether each polytope is empty, and a ball inside those where one is found.
 
     A polytope is called empty where its rows, wrong by as much as rounding may have made them, leave no state or, with
-    a row asked about, none where that row is above `NEGLIGIBLE` (on an open domain, times 1 + max |x_j|).
+    a row asked about, none where that row is above `NEGLIGIBLE`, or above 1e-10 where rounding may add that much; on an
+    open domain, times the size of the rows' terms.
 
     Args:
         rows: of m rows in d dimensions.

@@ -19,7 +19,7 @@ from otr.arrays import FloatArray, IntArray
 from otr.certificate import Cell, Certificate, Sum
 from otr.domain import Box, Domain, as_domain
 from otr.errors import CertificateError, TreeTooLargeError
-from otr.exact_cells import ExactCell, Multipliers, counterexample, decide, difference, find_cells, largest_gap
+from otr.exact_cells import ExactCell, Multipliers, counterexample, decide, find_cells, largest_gap, refused_at
 from otr.linear_programs import Balls, Bases, Rows, largest_balls
 from otr.network import ReluNetwork
 from otr.rational import Point, as_point
@@ -133,7 +133,7 @@ class _Search:
             point = as_point(x)
             leaf, gap = self.statement.gap(point)
             if self.statement.is_inside(point) and gap > self.max_error * self.statement.unit_at(point):
-                raise difference(self.statement, leaf, point)
+                raise refused_at(self.statement, leaf, point)
 
     def _cells_of_thin_leaf(self, leaf: int, balls: Balls, rows: Rows, names: list[str]) -> list[Cell]:
         """Return the proof that a leaf's region is empty, or the cells in it, found in exact arithmetic."""
@@ -214,7 +214,7 @@ class _Search:
             if not self._is_proved(cell) and not self._is_proved(cell := self._bounded(cell, exact)):
                 found = counterexample(self.statement, exact, self.max_error)
                 if found is not None:
-                    raise difference(self.statement, leaf, found)
+                    raise refused_at(self.statement, leaf, found)
                 raise CertificateError(
                     f"leaf {leaf}: tree and network may differ by {rounded_up(self.checker.error(cell)):.3g} where the "
                     f"neurons are {cell.outcomes!r}; they may well be the same function, but no proof to "

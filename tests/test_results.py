@@ -69,11 +69,18 @@ def test_committed_runs_have_learnt(run, least):
     assert json.loads((RESULTS / "runs" / run / "summary.json").read_text())["return_mean"] >= least
 
 
+def takes_seconds(certificate):
+    """Whether a certificate has megabytes; of these seed 0's alone is checked every time."""
+    return certificate.stat().st_size > 2**20 and certificate.parents[1].name != "seed-0"
+
+
 CERTIFICATES = sorted(RESULTS.glob("runs/*/*/depth-*/*/seed-*/certify/certificate.json"))
 
 
 @pytest.mark.parametrize(
-    "path", CERTIFICATES, ids=lambda path: path.parents[1].relative_to(RESULTS / "runs").as_posix()
+    "path",
+    [pytest.param(path, marks=pytest.mark.slow if takes_seconds(path) else ()) for path in CERTIFICATES],
+    ids=lambda path: path.parents[1].relative_to(RESULTS / "runs").as_posix(),
 )
 def test_committed_certificates_prove_what_they_claim(path):
     certificate, network = otr.load_certificate(path), load_actor(path.parents[1] / "train")

@@ -100,8 +100,8 @@ def check_changes(k: int, n_changes: int) -> tuple[int, int]:
 
 
 def test_changes_that_are_accepted_are_true() -> None:
-    counts = np.array([check_changes(k, 3) for k in range(10)])
-    assert (counts.sum(axis=0) > 4).all()
+    counts = np.array([check_changes(k, 3) for k in range(8)])
+    assert (counts.sum(axis=0) > 3).all()
 
 
 @pytest.mark.slow

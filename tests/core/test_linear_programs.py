@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
@@ -69,6 +69,7 @@ def test_equals_highs(seed: int, d: int, m: int, degenerate: bool, in_groups: bo
     assert_balls_are_right(rows, group, signs, balls)
 
 
+@settings(max_examples=50)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 4), st.integers(1, 10), st.booleans())
 def test_goes_on_from_the_bases_of_fewer_rows(seed: int, d: int, m: int, degenerate: bool) -> None:
     rng = np.random.default_rng(seed)

@@ -43,6 +43,7 @@ def test_slurms_launcher_leaves_the_same_bytes(one_by_one, tmp_path):
 
 
 @LINUX
+@pytest.mark.slow  # test_stage.py has two processes at one stage
 def test_two_sweeps_on_one_folder_do_each_job_once(one_by_one, tmp_path):
     launchers = (("launcher=basic",), ("launcher=joblib", "hydra.launcher.n_jobs=2"))
     sweeps = [start(*THREE, *launcher, cwd=tmp_path) for launcher in launchers]

@@ -31,7 +31,6 @@ from otr.errors import OtrError
 __all__ = [
     "FREE",
     "LARGEST_RADIUS",
-    "NEGLIGIBLE",
     "Balls",
     "Bases",
     "LargestValues",
@@ -42,8 +41,8 @@ __all__ = [
     "rounding_of_terms",
 ]
 
-NEGLIGIBLE = 1e-12  # value of a test, in units of its slope, up to which a side of it may be left out
-_ROUNDED = 1e-10  # the same, of what rounding may add
+_ROUNDED = 1e-10  # value of a test, in units of its slope, that rounding may hide on a side that is left out
+_SLACK = 8.0  # times the rounding of a sum, for that of its multipliers
 LARGEST_RADIUS = 1.0  # of a ball, so that unbounded polytopes have one
 FREE = -1  # in a basis: the place of a coordinate that no row has fixed yet
 _CAP = -2  # in a basis: the row t <= LARGEST_RADIUS
@@ -52,6 +51,7 @@ _ROUNDING = 1e-13  # of a row's value, beside the size of the state, while pivot
 _UNIT = 2.0**-52  # of rounding
 _TERMS = 8  # of a sum beside two for each input: how often, at least, a number may have been rounded
 _TOUCHING = 1e-9  # radius of the largest ball in a polytope that may be a point, or none
+_NOTHING = 1e-14  # radius or multiplier that rounding may have left
 _SMALLEST_PIVOT = 1e-9
 _FEASIBLE = 1e-11  # what a row may be violated by
 _MAX_PIVOTS = 200  # afterwards HiGHS takes over
@@ -180,8 +180,8 @@ def largest_balls(
     """Return whether each polytope is empty, and a ball inside those where one is found.
 
     A polytope is called empty where its rows, wrong by as much as rounding may have made them, leave no state or, with
-    a row asked about, none where that row is above `NEGLIGIBLE`, or above 1e-10 where rounding may add that much; on an
-    open domain, times the size of the rows' terms.
+    a row asked about, where but for rounding that row is nowhere above 0, and with it below 1e-10; on an open domain,
+    times the size of the rows' terms.
 
     Args:
         rows: of m rows in d dimensions.
@@ -279,12 +279,12 @@ def _multiplier_of(bases: Bases, row: int | None) -> FloatArray:
 
 def _is_far_below(bases: Bases, asked: int | None) -> BoolArray:
     """Return whether bases look like a proof that there is no state that matters."""
-    below = bases.solution[:, -1] < NEGLIGIBLE
+    below = bases.solution[:, -1] < _ROUNDING
     at = np.flatnonzero(below)
     if at.size:
         radius = bases.solution[at, -1]
         multiplier = _multiplier_of(bases.take(at), asked)
-        below[at] = (radius < NEGLIGIBLE * multiplier) & (radius + _ROUNDING < _ROUNDED * multiplier)
+        below[at] = (radius < _NOTHING) & (radius + _ROUNDING < _ROUNDED * multiplier)
     return below
 
 
@@ -304,15 +304,19 @@ def _within_rounding(
 def _leaves_nothing(rows: Rows, group: IntArray, signs: NDArray[np.int8], bases: Bases, asked: int | None) -> BoolArray:
     """Return whether the multipliers of bases show that there is no state that matters, as `largest_balls` says."""
     at = np.where(bases.rows >= 0, bases.rows, 0).astype(np.int64)
-    weights = np.where(bases.rows >= 0, np.maximum(bases.multipliers, 0.0), 0.0)
+    weights = np.where((bases.rows >= 0) & (bases.multipliers > _NOTHING), bases.multipliers, 0.0)
     of_group = rows.of(group)[:, None]
     signed = weights * np.take_along_axis(signs, at, axis=1)
     normals, multiplier = rows.a[of_group, at], _multiplier_of(bases, asked)
     errors = np.einsum("nq,nqd->nd", weights, rows.rounding[of_group, at])
-    slopes = errors[:, :-1] + np.abs(np.einsum("nq,nqd->nd", signed, normals))
+    residual = np.abs(np.einsum("nq,nqd->nd", signed, normals))
+    slopes = errors[:, :-1] + residual
     highest = np.einsum("nq,nq->n", signed, rows.b[of_group, at])
-    nothing = highest + errors[:, -1] + slopes.sum(axis=1) < _ROUNDED * multiplier
-    nothing &= (highest < NEGLIGIBLE * multiplier) & (weights.sum(axis=1) > 0.5)
+    total = highest + errors[:, -1] + slopes.sum(axis=1)
+    # What is left over may be nothing but rounding, number by number.
+    is_rounding = (highest <= _SLACK * errors[:, -1]) & (residual <= _SLACK * errors[:, :-1]).all(axis=1)
+    nothing = (total < 0) | (is_rounding & (total < _ROUNDED * multiplier))
+    nothing &= weights.sum(axis=1) > 0.5
     if rows.is_open.any():
         terms = errors[:, :-1] / rounding_of_terms(slopes.shape[1])
         small = slopes <= _ROUNDED * multiplier[:, None] * terms

@@ -37,8 +37,8 @@ def minimal_tree(
 
     At every state the tree equals the network to 1e-9 of the size of the terms that its outputs are sums of, rounding
     included, however thin the region. A side of a test is left out only where no state has it, the rounding of all rows
-    reckoned with, or where the test is above 0 there by less than 1e-10 in units of its slope: so a neuron that is
-    parallel to another, equal to it or at the domain's edge adds no path that rounding alone keeps open. What floating
+    reckoned with, or where nothing but rounding, and that by less than 1e-10 in units of its slope, can make the test
+    have it: so a neuron that is parallel to another, equal to it or at the domain's edge adds no path. What floating
     point cannot decide is kept, so that among regions of the width of rounding a path may be empty after all;
     `otr.certify` decides in rational arithmetic. Two leaves that are each other's siblings and hold the same map (or
     label) are one. Where their maps differ, a leaf of several regions with one label has ``M = 0`` and the scores ``c``

@@ -177,8 +177,8 @@ def test_parallel_duplicate_and_boundary_neurons_add_no_path(order: str) -> None
     assert_same_function(tree, network, X)
 
 
-def test_almost_parallel_neurons_part_the_states_until_it_does_not_matter() -> None:
-    for apart, n_leaves in ((1e-6, 3), (1e-11, 3), (1e-13, 2)):
+def test_neurons_that_are_not_quite_equal_part_the_states() -> None:
+    for apart, n_leaves in ((1e-6, 3), (1e-13, 3), (1e-200, 3), (0.0, 2)):
         network = otr.ReluNetwork([[[1.0], [1.0]], [[1.0, 1.0]]], [[0.0, apart], [0.0]])
         assert otr.minimal_tree(network).n_leaves == n_leaves
 

@@ -249,7 +249,8 @@ def test_latex(case: Named) -> None:
     shown = names_for(*case)
     formulas = [math_name(name) for name in (*shown.features, *shown.answers)]
     for name, formula in zip((*shown.features, *shown.answers), formulas, strict=True):
-        assert read_by_tex(formula).replace("_", "") == name.replace("''", '"').replace("_", "")
+        written_out, given_name = (each.replace('"', "''").replace("_", "") for each in (read_by_tex(formula), name))
+        assert written_out == given_name  # TeX sets two apostrophes where a quotation mark was
     words = [f"word{'abcdef'[i]}" for i in range(tree.n_inputs + 2)]
     plain = otr.to_latex(tree, feature_names=words[:-2], output_names=words[-2:], precision=17)
     by_word = dict(zip(words, formulas, strict=True))

@@ -21,9 +21,9 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.measure import Entry
-from pipelines.console import duration
-from pipelines.provenance import git_revision, versions
-from pipelines.store import write_json
+from pipelines.engine.console import duration
+from pipelines.engine.provenance import git_revision, versions
+from pipelines.engine.store import write_json
 
 NAMES = (
     "mapping", "prediction", "evaluation", "training", "fleet", "sweeps", "supervised", "control", "exact", "latency",

@@ -23,11 +23,11 @@ from torch import nn
 
 from benchmarks.measure import Entry, alternate, repeats_for
 from otr.control import AugTreeFit, CartFit, DaggerSettings, RelaxedProgram, SoftTree, run_dagger
-from otr.control.dagger import Fit
+from otr.control.dagger.loop import Fit
 from pipelines.config import EnvConfig
-from pipelines.rollout import Policy, Rollout, rollout
-from pipelines.seeding import episode_seeds
-from pipelines.store import load_actor
+from pipelines.engine.seeding import episode_seeds
+from pipelines.engine.store import load_actor
+from pipelines.play.rollout import Policy, Rollout, rollout
 
 torch.set_num_threads(1)
 

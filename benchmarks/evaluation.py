@@ -22,9 +22,9 @@ from stable_baselines3.common.monitor import Monitor
 import otr
 from benchmarks.measure import Entry
 from benchmarks.peers import HOPPER, sac_with_actor
-from pipelines.envs import make_env
-from pipelines.rollout import rollout
-from pipelines.store import load_actor
+from pipelines.engine.store import load_actor
+from pipelines.play.environments import make_env
+from pipelines.play.rollout import rollout
 
 COMMITTED = Path("results/runs/hopper/otr/depth-6/quick/seed-0/train")
 

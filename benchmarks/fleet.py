@@ -31,12 +31,12 @@ from benchmarks.measure import Entry, alternate
 from benchmarks.training import plain_trainer
 from pipelines.cli import runs
 from pipelines.config import RunConfig
-from pipelines.fleet.groups import fleets
-from pipelines.fleet.progress import FleetProgress
-from pipelines.fleet.run import FleetRun
-from pipelines.fleet.sac import FleetSac, Minibatch, RunSettings, Shapes
-from pipelines.fleet.stacks import multiply, new_stack
-from pipelines.fleet.train import FleetTrainer, Task
+from pipelines.training.fleet.fleet_run import FleetRun
+from pipelines.training.fleet.groups import fleets
+from pipelines.training.fleet.progress import FleetProgress
+from pipelines.training.fleet.sac import FleetSac, Minibatch, RunSettings, Shapes
+from pipelines.training.fleet.stacked_tensors import multiply, new_stack
+from pipelines.training.fleet.train import FleetTrainer, Task
 
 N_RUNS = 10
 N_RANDOM = 100

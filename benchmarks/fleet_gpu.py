@@ -46,15 +46,15 @@ from pipelines.config import (
     SacConfig,
     TrainConfig,
 )
-from pipelines.fleet.progress import FleetProgress
-from pipelines.fleet.replay import FleetReplay, RowLayout
-from pipelines.fleet.run import FleetRun
-from pipelines.fleet.sac import FleetSac, RunSettings, Shapes
-from pipelines.fleet.train import FleetTrainer, Task
-from pipelines.fleet.updates import EAGER_CALLS, Updates
-from pipelines.fleet.vector_env import make_vector_env
-from pipelines.rollout import available_cores
-from pipelines.store import write_json
+from pipelines.engine.store import write_json
+from pipelines.play.rollout import available_cores
+from pipelines.training.fleet.fleet_run import FleetRun
+from pipelines.training.fleet.progress import FleetProgress
+from pipelines.training.fleet.replay_buffer import FleetReplay, RowLayout
+from pipelines.training.fleet.sac import FleetSac, RunSettings, Shapes
+from pipelines.training.fleet.train import FleetTrainer, Task
+from pipelines.training.fleet.updates import EAGER_CALLS, Updates
+from pipelines.training.fleet.vector_environments import make_vector_env
 
 HOPPER = EnvConfig("hopper", "hopper", "Hopper-v4")
 THESIS_SAC = SacConfig(

@@ -23,8 +23,8 @@ import numpy as np
 import otr
 from benchmarks.measure import Entry, alternate
 from benchmarks.peers import HOPPER, sac_with_actor
-from pipelines.rollout import rollout
-from pipelines.store import load_actor
+from pipelines.engine.store import load_actor
+from pipelines.play.rollout import rollout
 
 RUN = Path(__file__).parent.parent / "results" / "runs" / "hopper" / "otr" / "depth-6" / "quick" / "seed-0"
 DTYPES = {"double": np.float64, "float": np.float32}

@@ -11,7 +11,7 @@ from stable_baselines3.common.monitor import Monitor
 
 import otr
 from pipelines.config import EnvConfig
-from pipelines.envs import make_env
+from pipelines.play.environments import make_env
 
 torch.set_num_threads(1)
 

@@ -36,8 +36,8 @@ from torch import nn
 from torch.utils.data import DataLoader, TensorDataset
 
 from benchmarks.measure import Entry, alternate, repeats_for
-from otr.learners.batched_mlp import MlpSettings, train_many
-from otr.learners.rows import SparseRows, new_rows
+from otr.learners.networks.batched_mlp import MlpSettings, train_many
+from otr.learners.networks.first_layer import SparseRows, new_rows
 from pipelines.datasets import load_dataset
 from pipelines.errors import MissingInputError
 

@@ -22,14 +22,14 @@ from stable_baselines3.common.noise import NormalActionNoise
 from torch import nn
 
 from benchmarks.measure import Entry
-from pipelines.algorithms import build_model
-from pipelines.checkpoint import History
 from pipelines.cli import runs
 from pipelines.config import PpoConfig, RunConfig, SacConfig
-from pipelines.envs import make_env
-from pipelines.progress import TrainingProgress
-from pipelines.sb3_checkpoint import save_checkpoint
-from pipelines.train import _train_segment
+from pipelines.play.environments import make_env
+from pipelines.stages.train import _train_segment
+from pipelines.training.checkpoints import History
+from pipelines.training.progress import TrainingProgress
+from pipelines.training.sb3_checkpoints import save_checkpoint
+from pipelines.training.sb3_models import build_model
 
 Segment = Callable[[], Any]
 

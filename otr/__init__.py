@@ -9,8 +9,14 @@ ObliqueTree(n_leaves=8, depth=3, n_inputs=2, n_outputs=1, head=Identity())
 array([3.5])
 """
 
-from otr.certificate import Certificate, load_certificate
-from otr.domain import Domain
+from otr.core.domain import Domain
+from otr.core.head import Argmax, ClipBox, Head, Identity, PidBox, Sign, TanhBox, head_from_dict
+from otr.core.io import load, save
+from otr.core.mapping import map_network
+from otr.core.network import ReluNetwork
+from otr.core.pattern_tree import PatternTree
+from otr.core.pruning import prune_to_k, prune_unreached
+from otr.core.tree import ObliqueTree
 from otr.errors import (
     ArtefactError,
     CertificateError,
@@ -20,13 +26,9 @@ from otr.errors import (
     ProgramError,
     TreeTooLargeError,
 )
-from otr.head import Argmax, ClipBox, Head, Identity, PidBox, Sign, TanhBox, head_from_dict
+from otr.geometry.minimal_tree import minimal_tree
 from otr.importers import from_sb3, from_sklearn, from_torch
-from otr.io import load, save
-from otr.mapping import map_network
-from otr.minimal import minimal_tree
-from otr.network import ReluNetwork
-from otr.pattern_tree import PatternTree
+from otr.importers.vec_normalize import ObservationStatistics
 from otr.programs import (
     draw_tree,
     parse_program,
@@ -40,14 +42,12 @@ from otr.programs import (
     to_structured_text,
     to_text,
 )
-from otr.properties import Condition, check_verdict, find_violation, output_range, reachable_labels
-from otr.proving import certify
-from otr.pruning import prune_to_k, prune_unreached
-from otr.refit import refit_tests
-from otr.simplify import simplify, within
-from otr.tree import ObliqueTree
-from otr.vec_normalize import ObservationStatistics
-from otr.verification import verify
+from otr.proof.certificate import Certificate, load_certificate
+from otr.proof.certify import certify
+from otr.proof.properties import Condition, check_verdict, find_violation, output_range, reachable_labels
+from otr.proof.verify import verify
+from otr.shorten.refit_tests import refit_tests
+from otr.shorten.simplify import simplify, within
 
 __version__ = "0.1.0"
 

@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 
 import otr
-from pipelines.methods import METHODS
-from pipelines.oracle import load_oracle
-from pipelines.stage import verified_manifest
-from pipelines.store import load_actor, read_csv
-from pipelines.tabulate import write_table
+from pipelines.config.methods import METHODS
+from pipelines.engine.stage import verified_manifest
+from pipelines.engine.store import load_actor, read_csv
+from pipelines.report.tabulate import write_table
+from pipelines.stages.oracle import load_oracle
 from tests.pipelines.conftest import otr_command
 
 RESULTS = Path(__file__).parent.parent / "results"

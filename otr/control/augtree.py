@@ -9,16 +9,16 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from otr.arrays import FloatArray, IntArray
-from otr.control.bins import quantised, with_thresholds_between
-from otr.control.features import AffineFeatures, deep_features, first_layer_features
-from otr.control.sampling import draw_rows
-from otr.control.screening import best_columns
+from otr.control.dagger.row_sampling import draw_rows
+from otr.control.features.binned import quantised, with_thresholds_between
+from otr.control.features.hidden_units import AffineFeatures, deep_features, first_layer_features
+from otr.control.features.screening import best_columns
 from otr.control.viper import Criterion, centred, fit_cart, with_head
+from otr.core.arrays import FloatArray, IntArray
+from otr.core.network import ReluNetwork
+from otr.core.tree import ObliqueTree
 from otr.learners.augtree import on_inputs
 from otr.learners.model_tree import LinearModelTreeRegressor, grow_models
-from otr.network import ReluNetwork
-from otr.tree import ObliqueTree
 
 __all__ = ["AugTreeFit"]
 

@@ -6,11 +6,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from otr.arrays import FloatArray
-from otr.control.graft import graft
+from otr.control.grafting import graft
 from otr.control.soft_tree import SoftTree
-from otr.head import Head
-from otr.tree import ObliqueTree
+from otr.core.arrays import FloatArray
+from otr.core.head import Head
+from otr.core.tree import ObliqueTree
 
 __all__ = ["CascadingTree"]
 

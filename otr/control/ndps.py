@@ -12,11 +12,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from otr.arrays import BoolArray, FloatArray, IntArray
-from otr.control.sampling import draw_rows
+from otr.control.dagger.row_sampling import draw_rows
 from otr.control.soft_tree import SoftTree
-from otr.head import Argmax, ClipBox, Head
-from otr.tree import ObliqueTree
+from otr.core.arrays import BoolArray, FloatArray, IntArray
+from otr.core.head import Argmax, ClipBox, Head
+from otr.core.tree import ObliqueTree
 
 __all__ = ["NdpsFit", "NdpsImitator", "NdpsSettings", "fit_ndps"]
 

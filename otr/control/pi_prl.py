@@ -8,8 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from otr.arrays import FloatArray
-from otr.control.leaves import argmax_leaves
+from otr.control.label_leaves import argmax_leaves
 from otr.control.path_probabilities import path_probabilities
 from otr.control.soft_tree import (
     LEAF_SCALE,
@@ -20,8 +19,9 @@ from otr.control.soft_tree import (
     substitute_inputs,
     with_ones,
 )
-from otr.head import Argmax, Head
-from otr.tree import ObliqueTree
+from otr.core.arrays import FloatArray
+from otr.core.head import Argmax, Head
+from otr.core.tree import ObliqueTree
 
 __all__ = ["Learns", "RelaxedProgram"]
 

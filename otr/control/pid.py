@@ -18,11 +18,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from otr.arrays import FloatArray, as_batch
+from otr.core.arrays import FloatArray, as_batch
+from otr.core.head import PidBox, TanhBox
+from otr.core.network import ReluNetwork
+from otr.core.tree import ObliqueTree
 from otr.errors import InvalidNetworkError, InvalidTreeError
-from otr.head import PidBox, TanhBox
-from otr.network import ReluNetwork
-from otr.tree import ObliqueTree
 
 __all__ = ["constant_gains", "pid_network", "pid_observation", "pid_observation_names"]
 

@@ -9,12 +9,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from otr.arrays import FloatArray
-from otr.control.leaves import argmax_leaves
+from otr.control.label_leaves import argmax_leaves
 from otr.control.path_probabilities import path_probabilities, reach, reach_gradient
-from otr.head import Argmax, Head
-from otr.mapping import perfect_tree_children
-from otr.tree import ObliqueTree
+from otr.core.arrays import FloatArray
+from otr.core.head import Argmax, Head
+from otr.core.mapping import perfect_tree_children
+from otr.core.tree import ObliqueTree
 
 __all__ = [
     "LEAF_SCALE",

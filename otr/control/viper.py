@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.tree import DecisionTreeClassifier, DecisionTreeRegressor
 
-from otr.arrays import FloatArray, IntArray
-from otr.control.leaves import argmax_leaves
-from otr.control.sampling import draw_rows
-from otr.head import Argmax, ClipBox, Head, TanhBox
+from otr.control.dagger.row_sampling import draw_rows
+from otr.control.label_leaves import argmax_leaves
+from otr.core.arrays import FloatArray, IntArray
+from otr.core.head import Argmax, ClipBox, Head, TanhBox
+from otr.core.tree import ObliqueTree
 from otr.learners.cart import from_sklearn_tree
 from otr.learners.model_tree import LinearModelTreeRegressor
-from otr.tree import ObliqueTree
 
 __all__ = ["CartFit", "Criterion", "LinearModelTreeFit", "box_of", "centred", "fit_cart", "label_tree", "with_head"]
 

@@ -13,13 +13,13 @@ from sklearn.neural_network import MLPClassifier, MLPRegressor
 from sklearn.tree import DecisionTreeClassifier, DecisionTreeRegressor
 from sklearn.utils.validation import check_random_state
 
-from otr.arrays import FloatArray
+from otr.core.arrays import FloatArray
+from otr.core.network import ReluNetwork
+from otr.core.tree import ObliqueTree
 from otr.importers import from_sklearn
 from otr.learners.cart import from_sklearn_tree
-from otr.learners.grown import GrownClassifier, GrownRegressor
+from otr.learners.growing.estimators import GrownClassifier, GrownRegressor
 from otr.learners.model_tree import LinearModelTreeRegressor
-from otr.network import ReluNetwork
-from otr.tree import ObliqueTree
 
 __all__ = ["AugTreeClassifier", "AugTreeRegressor", "on_inputs"]
 

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 from sklearn.tree import BaseDecisionTree, DecisionTreeClassifier, DecisionTreeRegressor
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from otr.learners.grown import GrownClassifier, GrownRegressor, class_tree, constant_tree
-from otr.tree import ObliqueTree
+from otr.core.tree import ObliqueTree
+from otr.learners.growing.estimators import GrownClassifier, GrownRegressor, class_tree, constant_tree
 
 __all__ = ["CARTClassifier", "CARTRegressor", "from_sklearn_tree"]
 

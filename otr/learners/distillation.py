@@ -21,7 +21,7 @@ from scipy.sparse import csr_matrix
 from sklearn.ensemble import ExtraTreesRegressor, RandomForestRegressor
 from sklearn.linear_model import LogisticRegression
 
-from otr.arrays import FloatArray
+from otr.core.arrays import FloatArray
 
 __all__ = ["Teacher", "distillation_set"]
 

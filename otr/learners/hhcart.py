@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from sklearn.utils.validation import check_random_state
 
-from otr.arrays import BoolArray, FloatArray, IntArray
-from otr.learners.eigen import dominant_direction
-from otr.learners.grown import GrownClassifier, GrownRegressor, class_tree, constant_tree
-from otr.learners.growth import Skeleton, Test, grow
-from otr.learners.splits import TIE, AxisSplit, best_bit_split, best_split
-from otr.tree import ObliqueTree
+from otr.core.arrays import BoolArray, FloatArray, IntArray
+from otr.core.tree import ObliqueTree
+from otr.learners.growing.eigenvector import dominant_direction
+from otr.learners.growing.estimators import GrownClassifier, GrownRegressor, class_tree, constant_tree
+from otr.learners.growing.greedy import Skeleton, Test, grow
+from otr.learners.growing.splits import TIE, AxisSplit, best_bit_split, best_split
 
 __all__ = ["HHCARTClassifier", "HHCARTRegressor", "householder_normal"]
 

@@ -7,10 +7,10 @@ from typing import Literal
 
 import numpy as np
 
-from otr.learners.base import NetworkLearner, Problem, TreeClassifier, TreeRegressor
-from otr.learners.batched_lcn import LcnSettings, TrainedLcns, train_many_lcns
-from otr.learners.lcn_network import LcnNetwork
-from otr.learners.stacks import Schedule
+from otr.learners.networks.batched_lcn import LcnSettings, TrainedLcns, train_many_lcns
+from otr.learners.networks.batched_training import Schedule
+from otr.learners.networks.estimators import NetworkLearner, Problem, TreeClassifier, TreeRegressor
+from otr.learners.networks.lcn_network import LcnNetwork
 
 __all__ = ["LCNClassifier", "LCNRegressor"]
 

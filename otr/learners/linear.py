@@ -8,10 +8,10 @@ from typing import Literal
 import numpy as np
 from sklearn.linear_model import LogisticRegression, Ridge
 
-from otr.arrays import FloatArray
-from otr.head import Argmax, Head, Identity, Sign
-from otr.learners.base import Problem, TreeClassifier, TreeLearner, TreeRegressor
-from otr.tree import ObliqueTree
+from otr.core.arrays import FloatArray
+from otr.core.head import Argmax, Head, Identity, Sign
+from otr.core.tree import ObliqueTree
+from otr.learners.networks.estimators import Problem, TreeClassifier, TreeLearner, TreeRegressor
 
 __all__ = ["LinearTreeClassifier", "LinearTreeRegressor", "linear_tree"]
 

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from sklearn.utils.validation import check_random_state
 
-from otr.arrays import FloatArray, IntArray
-from otr.learners.grown import GrownRegressor
-from otr.learners.growth import Skeleton, Test, grow
-from otr.tree import ObliqueTree
+from otr.core.arrays import FloatArray, IntArray
+from otr.core.tree import ObliqueTree
+from otr.learners.growing.estimators import GrownRegressor
+from otr.learners.growing.greedy import Skeleton, Test, grow
 
 __all__ = ["GrownModels", "LinearModelTreeRegressor", "grow_models", "ridge_objectives"]
 

@@ -7,14 +7,14 @@ from typing import Literal
 
 import numpy as np
 
-from otr.learners.base import NetworkLearner, Problem, TreeClassifier, TreeRegressor
-from otr.learners.batched_mlp import MlpSettings, TrainedNetworks, train_many
+from otr.core.mapping import map_network
+from otr.core.network import ReluNetwork
+from otr.core.pattern_tree import PatternTree
+from otr.core.tree import ObliqueTree
 from otr.learners.distillation import Teacher, distillation_set
-from otr.learners.stacks import Schedule
-from otr.mapping import map_network
-from otr.network import ReluNetwork
-from otr.pattern_tree import PatternTree
-from otr.tree import ObliqueTree
+from otr.learners.networks.batched_mlp import MlpSettings, TrainedNetworks, train_many
+from otr.learners.networks.batched_training import Schedule
+from otr.learners.networks.estimators import NetworkLearner, Problem, TreeClassifier, TreeRegressor
 
 __all__ = ["OTRClassifier", "OTRRegressor", "tree_of"]
 

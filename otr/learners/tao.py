@@ -14,12 +14,12 @@ from sklearn.svm import LinearSVC
 from sklearn.tree import DecisionTreeClassifier
 from sklearn.utils.validation import check_random_state
 
-from otr.arrays import BoolArray, FloatArray, IntArray
+from otr.core.arrays import BoolArray, FloatArray, IntArray
+from otr.core.pruning import prune_unreached
+from otr.core.tree import ObliqueTree
 from otr.learners.cart import from_sklearn_tree
-from otr.learners.grown import GrownClassifier, class_tree, constant_tree
-from otr.learners.growth import Test, grow
-from otr.pruning import prune_unreached
-from otr.tree import ObliqueTree
+from otr.learners.growing.estimators import GrownClassifier, class_tree, constant_tree
+from otr.learners.growing.greedy import Test, grow
 
 __all__ = ["TAOClassifier"]
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import html
 from collections.abc import Sequence
 
-from otr.programs.boxes import Box, Style, head_note, tree_boxes
+from otr.core.tree import ObliqueTree
 from otr.programs.names import names_for
-from otr.programs.picture import LABEL_COLOURS, SUBTREE_FILL, TEST_FILL, TEST_LINE, VALUE_COLOURS
-from otr.tree import ObliqueTree
+from otr.programs.picture.boxes import Box, Style, head_note, tree_boxes
+from otr.programs.picture.drawing import LABEL_COLOURS, SUBTREE_FILL, TEST_FILL, TEST_LINE, VALUE_COLOURS
 
 __all__ = ["to_dot"]
 

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from otr.arrays import FloatArray
-from otr.head import Argmax, ClipBox, PidBox, Sign, TanhBox
-from otr.programs.gains import gain_vectors, term_vectors
+from otr.core.arrays import FloatArray
+from otr.core.head import Argmax, ClipBox, PidBox, Sign, TanhBox
+from otr.core.tree import ObliqueTree
 from otr.programs.names import label_name, names_for
-from otr.programs.parts import box_limits, summary_of, walk
-from otr.tree import ObliqueTree
+from otr.programs.pid_gains import gain_vectors, term_vectors
+from otr.programs.walk import box_limits, summary_of, walk
 
 __all__ = ["to_latex"]
 

@@ -7,10 +7,10 @@ import unicodedata
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from otr.head import Argmax, PidBox, Sign
-from otr.network import ReluNetwork
-from otr.programs.gains import pid_output_names
-from otr.tree import ObliqueTree
+from otr.core.head import Argmax, PidBox, Sign
+from otr.core.network import ReluNetwork
+from otr.core.tree import ObliqueTree
+from otr.programs.pid_gains import pid_output_names
 
 __all__ = [
     "Names",

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from otr.head import Argmax, ClipBox, PidBox, Sign, TanhBox
+from otr.core.head import Argmax, ClipBox, PidBox, Sign, TanhBox
+from otr.core.tree import ObliqueTree
 from otr.programs.names import give_labels, names_of, one_line, require_tree
-from otr.programs.parts import box_limits, child, distinct_rows, summary_of
-from otr.tree import ObliqueTree
+from otr.programs.walk import box_limits, child, distinct_rows, summary_of
 
 if TYPE_CHECKING:
     from onnx import ModelProto, NodeProto

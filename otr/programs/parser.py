@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from otr.core.tree import ObliqueTree
 from otr.programs.language.cursor import Cursor
 from otr.programs.language.lowering import lower
 from otr.programs.language.scope import FUNCTIONS, Scope
 from otr.programs.language.statements import read_program
 from otr.programs.language.tokens import Source, tokenize
-from otr.tree import ObliqueTree
 
 __all__ = ["parse_program"]
 

@@ -8,10 +8,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from otr.head import Argmax, ClipBox, PidBox, Sign, TanhBox
-from otr.programs.gains import joined
+from otr.core.head import Argmax, ClipBox, PidBox, Sign, TanhBox
+from otr.core.tree import ObliqueTree
 from otr.programs.names import Names, give_labels, label_name, names_for
-from otr.programs.parts import (
+from otr.programs.pid_gains import joined
+from otr.programs.walk import (
     MAX_NESTED_DEPTH,
     TIE,
     WIDTH,
@@ -23,7 +24,6 @@ from otr.programs.parts import (
     walk,
     wrapped,
 )
-from otr.tree import ObliqueTree
 
 __all__ = ["to_python"]
 

@@ -7,19 +7,11 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from otr.head import Argmax, ClipBox, PidBox, Sign, TanhBox
-from otr.programs.gains import joined
+from otr.core.head import Argmax, ClipBox, PidBox, Sign, TanhBox
+from otr.core.tree import ObliqueTree
 from otr.programs.names import Names, give_labels, in_comment, label_name, names_for
-from otr.programs.parts import (
-    MAX_NESTED_DEPTH,
-    affine_expression,
-    box_limits,
-    distinct_rows,
-    summary_of,
-    walk,
-    wrapped,
-)
-from otr.tree import ObliqueTree
+from otr.programs.pid_gains import joined
+from otr.programs.walk import MAX_NESTED_DEPTH, affine_expression, box_limits, distinct_rows, summary_of, walk, wrapped
 
 __all__ = ["to_structured_text"]
 

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from otr.arrays import FloatArray
-from otr.head import Argmax, ClipBox, PidBox, Sign, TanhBox
-from otr.programs.gains import control_text, gain_lines, term_lines
+from otr.core.arrays import FloatArray
+from otr.core.head import Argmax, ClipBox, PidBox, Sign, TanhBox
+from otr.core.tree import ObliqueTree
 from otr.programs.language.tokens import written
 from otr.programs.names import names_of
-from otr.tree import ObliqueTree
+from otr.programs.pid_gains import control_text, gain_lines, term_lines
 
 __all__ = ["affine_text", "to_text"]
 

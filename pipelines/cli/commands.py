@@ -25,16 +25,16 @@ from pipelines.cli.runs import RUN, load_config
 from pipelines.cli.sweeps import do_sweep, sweep_name
 from pipelines.cli.workflow import Workflow
 from pipelines.config import BudgetConfig
+from pipelines.engine.job import record_failure
+from pipelines.engine.sweep import how_to_use, quoted, write_jobs
 from pipelines.errors import ConfigError, PipelineError
-from pipelines.export import ExportConfig, check_export, find_run, program_of, write_program
-from pipelines.figure_runs import EXPERIMENT, FIGURES, RUNS_OF_FIGURE, budget_of_runs, check_figure
-from pipelines.job import record_failure
-from pipelines.plan import print_plan
-from pipelines.replay import replay
-from pipelines.run import RunJob
-from pipelines.sweep import how_to_use, quoted, write_jobs
-from pipelines.tabulate import write_table
-from pipelines.verify import VerifyConfig, verify_run
+from pipelines.report.export import ExportConfig, check_export, find_run, program_of, write_program
+from pipelines.report.figure_runs import EXPERIMENT, FIGURES, RUNS_OF_FIGURE, budget_of_runs, check_figure
+from pipelines.report.plan import print_plan
+from pipelines.report.replay import replay
+from pipelines.report.tabulate import write_table
+from pipelines.report.verify import VerifyConfig, verify_run
+from pipelines.stages.run import RunJob
 
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE, EXIT_TERMINATED = 1, 2, 130, 141, 143
 

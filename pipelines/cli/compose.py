@@ -16,9 +16,9 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 
 from pipelines.cli.messages import readable
-from pipelines.conf_dir import CONF_DIR
+from pipelines.config.conf_dir import CONF_DIR
+from pipelines.engine.sweep import check_launcher, quoted
 from pipelines.errors import ConfigError, did_you_mean
-from pipelines.sweep import check_launcher, quoted
 
 
 @dataclass(frozen=True)

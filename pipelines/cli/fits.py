@@ -8,7 +8,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from pipelines.cli.compose import Composer, to_object
 from pipelines.cli.workflow import Workflow, command_of
-from pipelines.job import Job
+from pipelines.engine.job import Job
 from pipelines.supervised.config import LEARNERS, DataConfig, FitConfig, fit_folder
 from pipelines.supervised.run import FitJob, fit_groups, fit_job, fit_jobs
 

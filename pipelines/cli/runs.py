@@ -11,17 +11,17 @@ from omegaconf.errors import OmegaConfBaseException
 from pipelines import config as schemas
 from pipelines.cli.compose import Composer, schema_of, to_object
 from pipelines.cli.workflow import Workflow, command_of
-from pipelines.conf_dir import CONF_DIR
 from pipelines.config import RunConfig
+from pipelines.config.conf_dir import CONF_DIR
+from pipelines.config.methods import METHODS, imitates, is_soft
+from pipelines.config.settings import run_folder
+from pipelines.engine.store import corrupt
 from pipelines.errors import ConfigError
-from pipelines.fleet.groups import fleets
-from pipelines.methods import METHODS, imitates, is_soft
-from pipelines.parse import policy_tree
-from pipelines.program_files import read_program
-from pipelines.run import RunJob, run_job, run_jobs
-from pipelines.settings import run_folder
-from pipelines.store import corrupt
-from pipelines.tracking import check_tracking
+from pipelines.stages.parse import policy_tree
+from pipelines.stages.run import RunJob, run_job, run_jobs
+from pipelines.stages.shipped_programs import read_program
+from pipelines.tracking.tracker import check_tracking
+from pipelines.training.fleet.groups import fleets
 
 # The groups and keys that decide how an oracle is trained, and where and how that is done.
 OF_TRAINING = ("env", "algo", "actor", "trainer", "budget", "train", "seed", "experiment", "results_dir", "n_workers",

@@ -20,9 +20,9 @@ from pipelines.cli.fits import FIT
 from pipelines.cli.messages import message_of
 from pipelines.cli.runs import RUN
 from pipelines.cli.workflow import Workflow
+from pipelines.engine.job import Job, record_failure
+from pipelines.engine.sweep import Outcome, is_sweep_word, quoted, run_sweep, side_by_side
 from pipelines.errors import ConfigError
-from pipelines.job import Job, record_failure
-from pipelines.sweep import Outcome, is_sweep_word, quoted, run_sweep, side_by_side
 
 # What a job's settings depend on outside of its words; a cluster's processes have not inherited it. No secrets here:
 # launchers write tasks to disk.

@@ -8,7 +8,7 @@ from typing import Any
 from omegaconf import DictConfig
 
 from pipelines.cli.compose import Composer, parse
-from pipelines.job import Job
+from pipelines.engine.job import Job
 
 
 @dataclass(frozen=True)

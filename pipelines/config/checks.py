@@ -15,8 +15,8 @@ from pipelines.config.algo import (
     OnPolicyConfig,
     SacConfig,
 )
+from pipelines.config.methods import EXTRAS, METHODS, imitates, is_mapped, is_soft
 from pipelines.errors import ConfigError
-from pipelines.methods import EXTRAS, METHODS, imitates, is_mapped, is_soft
 
 if TYPE_CHECKING:
     from pipelines.config.run import RunConfig

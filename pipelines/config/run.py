@@ -9,6 +9,7 @@ from pipelines.config.budget import BudgetConfig
 from pipelines.config.checks import check
 from pipelines.config.env import EnvConfig, PidTerms
 from pipelines.config.method import MethodConfig, PidConfig
+from pipelines.config.methods import EXTRAS, METHODS, is_written
 from pipelines.config.stages import (
     ActorConfig,
     CertificationConfig,
@@ -20,7 +21,6 @@ from pipelines.config.stages import (
     TrainConfig,
 )
 from pipelines.config.trainer import FleetConfig, TrainerConfig
-from pipelines.methods import EXTRAS, METHODS, is_written
 
 
 @dataclass(frozen=True)

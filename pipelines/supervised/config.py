@@ -9,9 +9,9 @@ from itertools import product
 from typing import Any
 
 from pipelines.config import LARGEST_SEED
+from pipelines.config.settings import digest, setting_differences
 from pipelines.datasets.catalogue import files_of
 from pipelines.errors import ConfigError
-from pipelines.settings import digest, setting_differences
 
 STAGES = ("tune", "fit", "score")
 

@@ -6,7 +6,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from pipelines.console import SHORT_PROGRAM, duration
+from pipelines.engine.console import SHORT_PROGRAM, duration
 from pipelines.supervised.metrics import METRICS
 
 

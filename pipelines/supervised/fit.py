@@ -8,7 +8,7 @@ from typing import Any
 
 import otr
 from pipelines.datasets.dataset import Dataset
-from pipelines.store import read_json, write_csv
+from pipelines.engine.store import read_json, write_csv
 from pipelines.supervised.config import FitConfig, with_settings
 from pipelines.supervised.data import dataset_of
 from pipelines.supervised.learners import FittedTree, check_learner, fit_trees, usable_labels

@@ -44,7 +44,7 @@ def outputs_of(tree: "ObliqueTree | PatternTree", X: np.ndarray) -> np.ndarray:
 def score(metric: str, outputs: np.ndarray, y: np.ndarray) -> float:
     """Return the score of outputs for the labels (n,); NaN for an AUC where there is one class only."""
     if metric == "auc":
-        from otr.learners.scores import areas_under_curve
+        from otr.learners.networks.validation_scores import areas_under_curve
 
         return float(areas_under_curve(outputs, y.astype(np.float64)))
     if metric == "accuracy":

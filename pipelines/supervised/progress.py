@@ -2,7 +2,7 @@
 
 import time
 
-from pipelines.console import duration
+from pipelines.engine.console import duration
 from pipelines.supervised.config import FitConfig
 
 EVERY_S = 10.0

@@ -4,11 +4,11 @@ import shutil
 from collections.abc import Sequence
 from typing import Any
 
-from pipelines.console import duration
-from pipelines.job import Job, disk_errors_explained, is_done
-from pipelines.settings import digest
-from pipelines.stage import MANIFEST, Stage, StageResult, run_stage, run_stage_together
-from pipelines.store import read_json, write_json, write_text
+from pipelines.config.settings import digest
+from pipelines.engine.console import duration
+from pipelines.engine.job import Job, disk_errors_explained, is_done
+from pipelines.engine.stage import MANIFEST, Stage, StageResult, run_stage, run_stage_together
+from pipelines.engine.store import read_json, write_json, write_text
 from pipelines.supervised.config import FitConfig, settings
 from pipelines.supervised.console import show_fit
 from pipelines.supervised.stages import stages_of

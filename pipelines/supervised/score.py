@@ -8,7 +8,7 @@ import numpy as np
 
 import otr
 from pipelines.datasets.dataset import PARTS
-from pipelines.store import read_csv, write_csv, write_json, write_text
+from pipelines.engine.store import read_csv, write_csv, write_json, write_text
 from pipelines.supervised.config import FitConfig
 from pipelines.supervised.data import dataset_of
 from pipelines.supervised.metrics import metric_of, outputs_of, score, size_of

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from pipelines.stage import Stage
+from pipelines.engine.stage import Stage
 from pipelines.supervised.config import FitConfig, fit_settings, settings, tune_settings
 
 

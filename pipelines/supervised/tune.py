@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from pipelines.config.settings import digest
 from pipelines.datasets.dataset import Dataset
-from pipelines.settings import digest
-from pipelines.store import read_json, write_csv, write_json
+from pipelines.engine.store import read_json, write_csv, write_json
 from pipelines.supervised.config import FitConfig, combinations, tune_settings, with_settings
 from pipelines.supervised.data import dataset_of
 from pipelines.supervised.learners import check_learner, fit_trees, usable_labels

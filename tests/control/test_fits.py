@@ -6,9 +6,9 @@ from sklearn.tree import DecisionTreeClassifier
 
 import otr
 from otr.control import AugTreeFit, CartFit, LinearModelTreeFit
-from otr.control.bins import quantised, with_thresholds_between
-from otr.control.features import AffineFeatures, deep_features, first_layer_features, unit_forms
-from otr.control.screening import best_columns
+from otr.control.features.binned import quantised, with_thresholds_between
+from otr.control.features.hidden_units import AffineFeatures, deep_features, first_layer_features, unit_forms
+from otr.control.features.screening import best_columns
 from otr.learners import LinearModelTreeRegressor, from_sklearn_tree
 from tests.core.strategies import make_network
 

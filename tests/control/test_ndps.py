@@ -4,7 +4,7 @@ import torch
 
 import otr
 from otr.control.ndps import NdpsFit, NdpsSettings, fit_ndps
-from otr.mapping import perfect_tree_children
+from otr.core.mapping import perfect_tree_children
 
 torch.set_num_threads(1)
 

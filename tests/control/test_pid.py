@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 import otr
 from otr.control import constant_gains, pid_network, pid_observation, pid_observation_names
-from otr.programs.boxes import Style, head_note, tree_boxes
+from otr.programs.picture.boxes import Style, head_note, tree_boxes
 from tests.control.pids import GAINS, NAMES, PROGRAM, gains_network, thesis_policy
 from tests.core.strategies import make_network
 

@@ -5,8 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import otr
-from otr.control.graft import graft
-from otr.control.leaves import argmax_leaves
+from otr.control.grafting import graft
+from otr.control.label_leaves import argmax_leaves
 from otr.control.path_probabilities import path_probabilities
 from otr.control.soft_tree import SoftTree
 

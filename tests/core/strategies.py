@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import otr
-from otr.head import Head
+from otr.core.head import Head
 
 HEADS = ("identity", "tanh_box", "clip_box", "sign", "argmax")
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 
 import otr
-from otr import pattern_tree
+from otr.core import pattern_tree
 from tests.core.strategies import Case, assert_same_answers, cases, make_network, worked_network
 
 

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import otr
-from otr.pruning import keep_leaves
+from otr.core.pruning import keep_leaves
 from tests.core.strategies import Case, assert_same_answers, cases, worked_network
 from tests.core.test_tree import naive_walk, random_tree
 

@@ -4,7 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import otr
-from otr import leaves, routing
+from otr.core import leaf_maps as leaves
+from otr.core import routing
 from tests.core.strategies import Case, cases, make_network
 
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from otr.learners.batched_mlp import MlpSettings, MlpStack, train_many
-from otr.learners.rows import new_rows
-from otr.learners.scores import areas_under_curve
-from otr.learners.stacks import DivergedError, Schedule, SeedStreams
+from otr.learners.networks.batched_mlp import MlpSettings, MlpStack, train_many
+from otr.learners.networks.batched_training import DivergedError, Schedule, SeedStreams
+from otr.learners.networks.first_layer import new_rows
+from otr.learners.networks.validation_scores import areas_under_curve
 
 QUICK = Schedule(epochs=4)
 

@@ -7,10 +7,10 @@ import pytest
 from sklearn.ensemble import RandomForestClassifier
 
 from otr.learners import OTRClassifier, OTRRegressor, distillation
-from otr.learners.batched_mlp import MlpSettings, train_many
 from otr.learners.distillation import Teacher, distillation_set
-from otr.learners.scores import areas_under_curve
-from otr.learners.stacks import Schedule
+from otr.learners.networks.batched_mlp import MlpSettings, train_many
+from otr.learners.networks.batched_training import Schedule
+from otr.learners.networks.validation_scores import areas_under_curve
 
 QUICK = Teacher(n_estimators=10, n_copies=2)
 

@@ -21,9 +21,9 @@ from otr.learners import (
     OTRClassifier,
     OTRRegressor,
 )
-from otr.learners.base import seed_of
-from otr.learners.batched_mlp import MlpSettings, train_many
-from otr.learners.stacks import Schedule
+from otr.learners.networks.batched_mlp import MlpSettings, train_many
+from otr.learners.networks.batched_training import Schedule
+from otr.learners.networks.estimators import seed_of
 
 CLASSIFIERS = [OTRClassifier(), LCNClassifier(), LinearTreeClassifier()]
 REGRESSORS = [OTRRegressor(), LCNRegressor(), LinearTreeRegressor()]

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from sklearn.tree import DecisionTreeClassifier, DecisionTreeRegressor
 
 from otr.learners import CARTClassifier, HHCARTClassifier, HHCARTRegressor
-from otr.learners.eigen import dominant_direction
+from otr.learners.growing.eigenvector import dominant_direction
+from otr.learners.growing.splits import best_bit_split, best_split
 from otr.learners.hhcart import householder_normal
-from otr.learners.splits import best_bit_split, best_split
 from tests.learners.problems import halves, strips
 
 
@@ -111,7 +111,7 @@ def test_bits_need_no_sort(seed, n, min_leaf, one_hot):
 def test_blocks_and_threads_change_nothing(monkeypatch):
     X, y, _ = halves(300, 6)
     whole = HHCARTClassifier(random_state=0).fit(X, y).tree_
-    monkeypatch.setattr("otr.learners.splits._BLOCK_ENTRIES", 600)
+    monkeypatch.setattr("otr.learners.growing.splits._BLOCK_ENTRIES", 600)
     in_blocks = HHCARTClassifier(random_state=0, n_jobs=2).fit(X, y).tree_
     assert np.array_equal(whole.P, in_blocks.P)
     assert np.array_equal(whole.v, in_blocks.v)

@@ -7,10 +7,10 @@ import pytest
 import torch
 
 import otr
-from otr.learners.batched_lcn import LcnSettings, LcnStack, train_many_lcns
-from otr.learners.lcn_network import LcnNetwork
-from otr.learners.rows import new_rows
-from otr.learners.stacks import Schedule, SeedStreams
+from otr.learners.networks.batched_lcn import LcnSettings, LcnStack, train_many_lcns
+from otr.learners.networks.batched_training import Schedule, SeedStreams
+from otr.learners.networks.first_layer import new_rows
+from otr.learners.networks.lcn_network import LcnNetwork
 
 
 def _random_network(seed: int, *, hidden: int = 0, n_outputs: int = 1, head: otr.Head | None = None) -> LcnNetwork:

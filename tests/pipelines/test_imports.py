@@ -7,7 +7,12 @@ import pytest
 
 
 @pytest.mark.parametrize(
-    "modules", ["otr", "pipelines.stages, pipelines.tabulate, pipelines.replay, pipelines.plan", "pipelines.cli"]
+    "modules",
+    [
+        "otr",
+        "pipelines.stages.table, pipelines.report.tabulate, pipelines.report.replay, pipelines.report.plan",
+        "pipelines.cli",
+    ],
 )
 def test_heavy_packages_are_not_loaded(modules):
     heavy = ("torch", "stable_baselines3", "sklearn", "matplotlib", "onnx")

@@ -8,16 +8,16 @@ from functools import cached_property
 
 import numpy as np
 
-from otr.arrays import FloatArray
+from otr.core.arrays import FloatArray
+from otr.core.head import Argmax, ClipBox, Head, Identity, TanhBox
+from otr.core.tree import ObliqueTree
 from otr.errors import ProgramError
-from otr.head import Argmax, ClipBox, Head, Identity, TanhBox
 from otr.programs.language.evaluation import Evaluator, appended
 from otr.programs.language.paths import GrowingTree, Path
 from otr.programs.language.scope import Scope
 from otr.programs.language.syntax import Assign, Block, Return, Statement
 from otr.programs.language.tokens import Place, Source
 from otr.programs.language.values import Affine, Clipped, Squashed, Value
-from otr.tree import ObliqueTree
 
 __all__ = ["lower"]
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from otr.arrays import FloatArray, IntArray
+from otr.core.arrays import FloatArray, IntArray
 from otr.errors import TreeTooLargeError
 from otr.programs.language.tokens import Place
 from otr.programs.language.values import Affine, Value

@@ -11,9 +11,9 @@ from sklearn.metrics import roc_auc_score
 import otr
 from otr.learners import OTRClassifier
 from pipelines.datasets.load import load_dataset
+from pipelines.engine.job import is_done
+from pipelines.engine.store import read_csv, read_json
 from pipelines.errors import ConfigError
-from pipelines.job import is_done
-from pipelines.store import read_csv, read_json
 from pipelines.supervised.fit import fit
 from pipelines.supervised.run import FitJob, fit_job, fit_jobs
 from pipelines.supervised.tune import best_of, checkpoint_folder, tune

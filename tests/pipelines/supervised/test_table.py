@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from pipelines.errors import PipelineError
-from pipelines.supervised.table import read_cell, write_table_4_2
+from pipelines.report.table_4_2 import read_cell, write_table_4_2
 
 
 def add_fit(results: Path, data: str, method: str, seed: int, test: float, **changes: object) -> Path:

@@ -1,0 +1,386 @@
+"""DAgger: an oracle is imitated on the states that its imitators visit (Ross, Gordon & Bagnell 2011).
+
+    D = states of the oracle's own episodes
+    for r = 0 .. n_rounds:  fit tree r to the oracle's answers on D;  add the states that tree r visits to D
+
+The environment is the caller's: `play` plays episodes. All that a run has done lies in its folder, committed once a
+round, so that a killed run goes on from its last whole round and ends with the same result, bit for bit on one type of
+processor with the same package versions.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otr.control.dagger.aggregated_data import GrowingArray
+from otr.control.dagger.iterate_selection import successive_halving
+from otr.core.arrays import FloatArray
+from otr.core.head import Argmax, Sign
+from otr.core.io import load, save
+from otr.core.network import ReluNetwork
+from otr.core.tree import ObliqueTree
+from otr.errors import ArtefactError, InvalidNetworkError
+
+__all__ = ["DaggerResult", "DaggerSettings", "Episodes", "Fit", "Iterate", "Play", "Progress", "run_dagger"]
+
+SCHEMA = "otr/dagger/1"
+_LABELLING_ROWS = 2**14
+
+Policy = Callable[[FloatArray], NDArray[Any]]
+EpisodeSeeds = Callable[[str, int, int], Sequence[int]]  # (name, index, n) -> n reset seeds
+
+
+class Episodes(Protocol):
+    """What `Play` returns: states (sum of lengths, d), episode after episode, returns (m,) and lengths (m,)."""
+
+    @property
+    def states(self) -> FloatArray: ...
+    @property
+    def returns(self) -> FloatArray: ...
+    @property
+    def lengths(self) -> NDArray[np.int64]: ...
+
+
+class Play(Protocol):
+    """Plays one episode a seed with a policy that acts on batches of states; `keep_states` asks for the states."""
+
+    def __call__(self, policy: Policy, seeds: Sequence[int], keep_states: bool, /) -> Episodes: ...
+
+
+class Fit(Protocol):
+    """Fits a tree to states X (n, d), memory-mapped, and the oracle's answers on them.
+
+    For an oracle of labels, answers (n, o) are its affine outputs, whose argmax is the label, and weights (n,) say how
+    much a row matters; else answers (n, o) are its actions and weights are None. All randomness is the generator's.
+    """
+
+    def __call__(
+        self, X: FloatArray, answers: FloatArray, weights: FloatArray | None, generator: np.random.Generator, /
+    ) -> ObliqueTree: ...
+
+
+@dataclass(frozen=True)
+class DaggerSettings:
+    """How much is played.
+
+    Attributes:
+        n_rounds: rounds in which a tree plays and the next one is fitted; n_rounds + 1 trees in all.
+        n_episodes: episodes a tree plays in a round; they are its first selection episodes, too.
+        n_initial_episodes: episodes of the oracle that the first tree is fitted to.
+        n_selection_episodes: episodes on which the last two candidates are compared, those of the round counted.
+    """
+
+    n_rounds: int = 50
+    n_episodes: int = 25
+    n_initial_episodes: int = 25
+    n_selection_episodes: int = 100
+
+    def __post_init__(self) -> None:
+        if self.n_rounds < 0 or min(self.n_episodes, self.n_initial_episodes) < 1 or self.n_selection_episodes < 0:
+            raise ValueError(
+                f"{self}: expected n_rounds and n_selection_episodes of at least 0, n_episodes and n_initial_episodes "
+                "of at least 1"
+            )
+
+
+@dataclass(frozen=True)
+class Progress:
+    """A round that is done: in round r the oracle (r = 0) or tree r - 1 played, and tree r was fitted.
+
+    Attributes:
+        round: r.
+        n_rounds: as in `DaggerSettings`.
+        n_rows: rows that tree r was fitted to.
+        n_steps: environment steps so far.
+        return_mean: of the episodes played in this round.
+        n_leaves, depth: of tree r.
+        seconds: the round took.
+    """
+
+    round: int
+    n_rounds: int
+    n_rows: int
+    n_steps: int
+    return_mean: float
+    n_leaves: int
+    depth: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Iterate:
+    """One of DAgger's trees.
+
+    Attributes:
+        round: its number, from 0.
+        n_rows: rows that it was fitted to.
+        rollout_mean: mean return of the episodes that it played to gather states.
+        selection_mean: mean return of all its selection episodes, among them those.
+        n_selection_episodes: their number.
+        n_leaves, depth: of the tree.
+        seconds: its round took: the episodes before it, and its fit.
+    """
+
+    round: int
+    n_rows: int
+    rollout_mean: float
+    selection_mean: float
+    n_selection_episodes: int
+    n_leaves: int
+    depth: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class DaggerResult:
+    """What DAgger came to.
+
+    Attributes:
+        tree: the iterate chosen.
+        round: its number.
+        oracle_mean: mean return of the oracle's episodes.
+        iterates: all of them.
+        n_steps: environment steps, those of the selection included.
+    """
+
+    tree: ObliqueTree
+    round: int
+    oracle_mean: float
+    iterates: tuple[Iterate, ...]
+    n_steps: int
+
+
+def run_dagger(
+    oracle: ReluNetwork,
+    fit: Fit,
+    play: Play,
+    episode_seeds: EpisodeSeeds,
+    settings: DaggerSettings,
+    seed: np.random.SeedSequence,
+    folder: Path,
+    *,
+    on_round: Callable[[Progress], None] | None = None,
+) -> DaggerResult:
+    """Imitate `oracle` under DAgger and return the iterate that is best on selection episodes.
+
+    The weight of a state is the largest of the oracle's affine outputs less the smallest: V - min Q for action values
+    and, as the outputs of a PPO actor are log-probabilities up to a constant, the largest log-probability less the
+    smallest for those (Bastani et al. 2018, section 3). The choice is by successive halving: an iterate's first
+    selection episodes are those that it plays in the next round, which it was not fitted to.
+
+    Args:
+        oracle: its head is `Argmax` for labels; continuous actions have `TanhBox`, `ClipBox` or `Identity`.
+        fit: from states, answers and weights to a tree; see `Fit`.
+        play: plays episodes; must depend on policy and seeds alone.
+        episode_seeds: gives reset seeds. Asked for "oracle" with index 0, "dagger" with the playing tree's number as
+            index, and "selection" with the stage of the halving as index; no two of these may share a seed, nor any of
+            them one with episodes that are reported.
+        settings: how much is played.
+        seed: root of the fits' randomness; tree r draws from its child (..., r).
+        folder: of the working files, made if it is not there: states.f64, answers.f64, weights.f64, dagger.json and
+            iterate-<r>.npz and .json.
+        on_round: called after every round of this call.
+
+    Raises:
+        InvalidNetworkError: the oracle's head is `Sign`.
+        ArtefactError: the folder holds a run of another oracle, seed or settings, or a file of it is gone or cut off.
+    """
+    if isinstance(oracle.head, Sign):
+        raise InvalidNetworkError("the oracle's head is Sign; give it two outputs and Argmax")
+    run = _Run(oracle, fit, play, episode_seeds, settings, seed, folder)
+    while run.n_trees <= settings.n_rounds:
+        progress = run.round()
+        if on_round is not None:
+            on_round(progress)
+    return run.choose()
+
+
+class _Run:
+    """A run and its folder. `_state` is what dagger.json holds; it is replaced as a whole, after the other files."""
+
+    def __init__(
+        self,
+        oracle: ReluNetwork,
+        fit: Fit,
+        play: Play,
+        episode_seeds: EpisodeSeeds,
+        settings: DaggerSettings,
+        seed: np.random.SeedSequence,
+        folder: Path,
+    ) -> None:
+        self._oracle, self._fit, self._play, self._episode_seeds = oracle, fit, play, episode_seeds
+        self._settings, self._seed, self._folder = settings, seed, folder
+        self._has_labels = isinstance(oracle.head, Argmax)
+        folder.mkdir(parents=True, exist_ok=True)
+        self._states = GrowingArray(folder / "states.f64", oracle.n_inputs)
+        self._answers = GrowingArray(folder / "answers.f64", oracle.n_outputs)
+        self._weights = GrowingArray(folder / "weights.f64", 1)
+        self._state = self._restore()
+
+    @property
+    def n_trees(self) -> int:
+        return len(self._state["trees"])
+
+    def round(self) -> Progress:
+        """Let the oracle or the newest tree play, fit the next tree, and commit."""
+        start, r = time.perf_counter(), self.n_trees
+        episodes = self._rollout(r)
+        n_rows = self._append(episodes.states)
+        tree = self._fit_tree(r, n_rows)
+        save(tree, self._tree_path(r))
+        progress = Progress(
+            round=r,
+            n_rounds=self._settings.n_rounds,
+            n_rows=n_rows,
+            n_steps=self._state["n_steps"] + _n_steps(episodes),
+            return_mean=float(np.mean(episodes.returns)),
+            n_leaves=tree.n_leaves,
+            depth=tree.depth,
+            seconds=time.perf_counter() - start,
+        )
+        row = {name: getattr(progress, name) for name in ("n_rows", "n_leaves", "depth", "seconds")}
+        self._commit(
+            n_rows=n_rows,
+            n_steps=progress.n_steps,
+            rollouts=[*self._state["rollouts"], _floats(episodes.returns)],
+            trees=[*self._state["trees"], row],
+        )
+        return progress
+
+    def choose(self) -> DaggerResult:
+        """Return the best tree; each candidate's episodes of a stage are committed as they are played."""
+        if len(self._state["rollouts"]) == self.n_trees:  # the last tree has not played yet
+            episodes = self._rollout(self.n_trees, keep_states=False)
+            self._commit(
+                n_steps=self._state["n_steps"] + _n_steps(episodes),
+                rollouts=[*self._state["rollouts"], _floats(episodes.returns)],
+            )
+        oracle_returns, *first_returns = self._state["rollouts"]
+        best, returns = successive_halving(first_returns, self._settings.n_selection_episodes, self._stage_returns)
+        iterates = tuple(
+            Iterate(
+                round=r,
+                rollout_mean=float(np.mean(first_returns[r])),
+                selection_mean=float(np.mean(returns[r])),
+                n_selection_episodes=len(returns[r]),
+                **row,
+            )
+            for r, row in enumerate(self._state["trees"])
+        )
+        oracle_mean = float(np.mean(oracle_returns))
+        return DaggerResult(self._tree(best), best, oracle_mean, iterates, self._state["n_steps"])
+
+    def _rollout(self, r: int, keep_states: bool = True) -> Episodes:
+        """Play round r's episodes: the oracle's for r = 0, else tree r - 1's."""
+        if r == 0:
+            seeds = self._episode_seeds("oracle", 0, self._settings.n_initial_episodes)
+            return self._play(self._oracle.predict, seeds, keep_states)
+        seeds = self._episode_seeds("dagger", r - 1, self._settings.n_episodes)
+        return self._play(self._tree(r - 1).predict, seeds, keep_states)
+
+    def _stage_returns(self, stage: int, candidate: int, n_episodes: int) -> list[float]:
+        key = f"{stage}/{candidate}"
+        if key not in self._state["selection"]:
+            seeds = self._episode_seeds("selection", stage, n_episodes)
+            episodes = self._play(self._tree(candidate).predict, seeds, False)
+            self._commit(
+                n_steps=self._state["n_steps"] + _n_steps(episodes),
+                selection={**self._state["selection"], key: _floats(episodes.returns)},
+            )
+        returns: list[float] = self._state["selection"][key]
+        return returns
+
+    def _append(self, states: FloatArray) -> int:
+        """Label states, put them behind the committed rows, and return the new number of rows."""
+        n_rows: int = self._state["n_rows"]
+        answers, weights = _label(self._oracle, np.asarray(states, dtype=np.float64), self._has_labels)
+        self._answers.append(n_rows, answers)
+        if weights is not None:
+            self._weights.append(n_rows, weights[:, None])
+        return self._states.append(n_rows, states)
+
+    def _fit_tree(self, r: int, n_rows: int) -> ObliqueTree:
+        weights = self._weights.view(n_rows)[:, 0] if self._has_labels else None
+        child = np.random.SeedSequence(self._seed.entropy, spawn_key=(*self._seed.spawn_key, r))
+        return self._fit(self._states.view(n_rows), self._answers.view(n_rows), weights, np.random.default_rng(child))
+
+    def _tree_path(self, r: int) -> Path:
+        return self._folder / f"iterate-{r:03d}.json"
+
+    def _tree(self, r: int) -> ObliqueTree:
+        tree = load(self._tree_path(r))
+        if not isinstance(tree, ObliqueTree):
+            raise ArtefactError(f"{self._tree_path(r)} holds a {type(tree).__name__}, expected an ObliqueTree")
+        return tree
+
+    @property
+    def _state_path(self) -> Path:
+        return self._folder / "dagger.json"
+
+    def _restore(self) -> dict[str, Any]:
+        asked = {
+            "schema": SCHEMA,
+            "oracle": _digest(self._oracle),
+            "seed": [str(self._seed.entropy), [int(key) for key in self._seed.spawn_key]],
+            "settings": asdict(self._settings),
+        }
+        if not self._state_path.exists():
+            return {**asked, "n_rows": 0, "n_steps": 0, "rollouts": [], "trees": [], "selection": {}}
+        try:
+            state: dict[str, Any] = json.loads(self._state_path.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise ArtefactError(
+                f"{self._state_path} cannot be read: {error}; delete the folder to begin again"
+            ) from error
+        for name, value in asked.items():
+            if state.get(name) != value:
+                raise ArtefactError(
+                    f"{self._state_path} belongs to another run: its {name} is {state.get(name)}, {value} was asked "
+                    "for; take another folder, or delete this one"
+                )
+        return state
+
+    def _commit(self, **changes: Any) -> None:
+        """Replace dagger.json by one with the changes, atomically."""
+        state = {**self._state, **changes}
+        temporary = self._state_path.with_name(f".dagger.{os.getpid()}.tmp")
+        with temporary.open("w", encoding="utf-8") as file:
+            json.dump(state, file, allow_nan=False)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(self._state_path)
+        self._state = state
+
+
+def _label(oracle: ReluNetwork, X: FloatArray, has_labels: bool) -> tuple[FloatArray, FloatArray | None]:
+    """Return answers (n, o) and, for labels, weights (n,): the largest output less the smallest."""
+    parts = [oracle.forward(X[start : start + _LABELLING_ROWS]) for start in range(0, len(X), _LABELLING_ROWS)]
+    outputs = np.concatenate(parts)
+    if has_labels:
+        return outputs, outputs.max(axis=1) - outputs.min(axis=1)
+    return oracle.head(outputs), None
+
+
+def _n_steps(episodes: Episodes) -> int:
+    return int(np.sum(episodes.lengths))
+
+
+def _floats(returns: FloatArray) -> list[float]:
+    return [float(value) for value in returns]
+
+
+def _digest(oracle: ReluNetwork) -> str:
+    digest = hashlib.sha256(f"{oracle.negative_slope} {oracle.dense} {oracle.head!r}".encode())
+    for array in (*oracle.weights, *oracle.biases):
+        digest.update(f"{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()

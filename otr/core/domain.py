@@ -1,0 +1,188 @@
+"""The states that a question is asked about: all of R^d, or a box."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from otr.core.arrays import BoolArray, FloatArray, as_batch, read_only
+from otr.core.half_spaces import HalfSpaces, rounding_of_terms
+
+__all__ = ["Box", "Domain", "as_domain"]
+
+Box = tuple[ArrayLike, ArrayLike]  # low (d,), high (d,)
+_WIDEST = 1e100
+_FARTHEST = 1e150  # a hyperplane beyond meets nothing
+
+
+class Domain:
+    """A box [low, high] in R^d, any side of which may be infinite; in scaled coordinates a finite one is [-1, 1].
+
+    Attributes:
+        low, high: (d,) float64.
+    """
+
+    def __init__(self, low: ArrayLike, high: ArrayLike) -> None:
+        """Keep the limits.
+
+        Raises:
+            ValueError: a limit is NaN, low is not below high, a finite side is too wide, or the shapes differ.
+        """
+        self.low: FloatArray = read_only(np.array(low, dtype=np.float64))
+        self.high: FloatArray = read_only(np.array(high, dtype=np.float64))
+        if self.low.shape != self.high.shape or self.low.ndim != 1:
+            raise ValueError(
+                f"low has shape {self.low.shape} and high {self.high.shape}, expected (n_inputs,) for both"
+            )
+        wrong = np.flatnonzero(~(self.low < self.high))
+        if wrong.size:
+            i = int(wrong[0])
+            raise ValueError(
+                f"input {i} has the limits {self.low[i]:g} and {self.high[i]:g}, expected low < high; "
+                "a domain needs an inside"
+            )
+        finite = np.isfinite(self.low) & np.isfinite(self.high)
+        wide = np.flatnonzero(finite & (np.maximum(np.abs(self.low), np.abs(self.high)) > _WIDEST))
+        if wide.size:
+            i = int(wide[0])
+            raise ValueError(
+                f"input {i} has the limits {self.low[i]:g} and {self.high[i]:g}, wider than {_WIDEST:g}; "
+                "leave such a side open: -inf, inf"
+            )
+        with np.errstate(invalid="ignore"):
+            self._scale = np.where(finite, (self.high - self.low) / 2, 1.0)
+            self._middle = np.where(finite, self.low + self._scale, 0.0)
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of inputs d."""
+        return len(self.low)
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether every side is finite."""
+        return bool(np.isfinite(self.low).all() and np.isfinite(self.high).all())
+
+    def require_bounded(self) -> None:
+        """Raise ValueError unless every side is finite."""
+        if not self.is_bounded:
+            i = int(np.flatnonzero(~(np.isfinite(self.low) & np.isfinite(self.high)))[0])
+            raise ValueError(
+                f"input {i} has the limits {self.low[i]:g} and {self.high[i]:g}, expected a bounded box: give a finite "
+                "low and high for every input"
+            )
+
+    def contains(self, X: ArrayLike) -> BoolArray:
+        """Return which of the states (n, d) lie in the box, sides included: (n,); NaN lies nowhere."""
+        states = as_batch(X, self.n_inputs)
+        inside: BoolArray = np.all((self.low <= states) & (states <= self.high), axis=1)
+        return inside
+
+    def sides(self) -> tuple[FloatArray, tuple[str, ...]]:
+        """Return the finite sides as affine forms [a | b] (m, d + 1), 0 or more inside, and their names; lows first."""
+        identity = np.eye(self.n_inputs)
+        lows, highs = np.flatnonzero(np.isfinite(self.low)), np.flatnonzero(np.isfinite(self.high))
+        forms = np.concatenate(
+            (np.column_stack((identity[lows], -self.low[lows])), np.column_stack((-identity[highs], self.high[highs])))
+        )
+        return forms, (*(f"low {i}" for i in lows.tolist()), *(f"high {i}" for i in highs.tolist()))
+
+    def rows(self) -> HalfSpaces:
+        """Return the finite sides as rows in scaled coordinates, one group, in the order of `sides`."""
+        return self.rows_of(self.sides()[0][None])
+
+    def scaled(self, forms: FloatArray) -> FloatArray:
+        """Return affine forms [P | v] (..., d + 1) in scaled coordinates, of the same values."""
+        P = forms[..., :-1]
+        return np.concatenate((P * self._scale, (forms[..., -1] + P @ self._middle)[..., None]), axis=-1)
+
+    def rows_of(self, forms: FloatArray, sizes: FloatArray | None = None) -> HalfSpaces:
+        """Return affine forms [P | v] (n_groups, m, d + 1) as rows in scaled coordinates.
+
+        A form without a slope, up to rounding, becomes a row whose normal is 0 and whose value is 1 or -1, by its sign.
+
+        Args:
+            forms: the forms.
+            sizes: of the terms whose sums the forms' numbers are; None where these are exact.
+        """
+        sizes = np.abs(forms) if sizes is None else sizes
+        # By powers of two, so that no square overflows and none is lost.
+        exponents = np.frexp(np.maximum(sizes[..., :-1] * self._scale, np.finfo(np.float64).tiny).max(axis=-1))[1]
+        unit = np.ldexp(1.0, -np.clip(exponents, -1000, 1000))[..., None]
+        scaled, sizes = self.scaled(forms * unit), sizes * unit
+        a, b = scaled[..., :-1], scaled[..., -1]
+        rounding = rounding_of_terms(self.n_inputs)
+        slopes = rounding * sizes[..., :-1]
+        a = np.where(np.abs(a) <= slopes * self._scale, 0.0, a)
+        fixed = rounding * sizes[..., -1] + slopes @ np.abs(self._middle)
+        length = np.sqrt(np.einsum("...d,...d->...", a, a))
+        flat = length * _FARTHEST <= np.abs(b)
+        length = np.where(flat, 1.0, length)
+        errors = np.concatenate((slopes * self._scale, fixed[..., None]), axis=-1) / length[..., None]
+        a, b = a / length[..., None], b / length
+        a[flat], b[flat], errors[flat] = 0.0, np.where(b[flat] > 0, 1.0, -1.0), 0.0
+        is_open = ~(np.isfinite(self.low) & np.isfinite(self.high))
+        return HalfSpaces(a, b, length / unit[..., 0], errors, is_open)
+
+    def reach(self, a: FloatArray) -> FloatArray:
+        """Return the largest |a . x| over the domain, scaled, for normals (..., d); inf where it is open."""
+        is_open = ~(np.isfinite(self.low) & np.isfinite(self.high))
+        reach: FloatArray = np.abs(a[..., ~is_open]).sum(axis=-1)
+        return np.where(a[..., is_open].any(axis=-1), np.inf, reach)
+
+    def length(self, form: FloatArray) -> float:
+        """Return the length of the normal of an affine form (d + 1,) in scaled coordinates."""
+        return float(np.linalg.norm(form[:-1] * self._scale))
+
+    def unscaled(self, X: FloatArray) -> FloatArray:
+        """Return scaled states (n, d) in the inputs' own units."""
+        states: FloatArray = X * self._scale + self._middle
+        return states
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready description; an infinite side is None."""
+
+        def listed(limits: FloatArray) -> list[float | None]:
+            return [value if np.isfinite(value) else None for value in limits.tolist()]
+
+        return {"low": listed(self.low), "high": listed(self.high)}
+
+    @classmethod
+    def from_dict(cls, description: dict[str, Sequence[float | None]]) -> Domain:
+        """Return the domain that `to_dict` described."""
+        low = [-np.inf if value is None else value for value in description["low"]]
+        high = [np.inf if value is None else value for value in description["high"]]
+        return cls(low, high)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Domain) and self.to_dict() == other.to_dict()
+
+    def __hash__(self) -> int:
+        return hash((tuple(self.low.tolist()), tuple(self.high.tolist())))
+
+    def __repr__(self) -> str:
+        return f"Domain({self.low.tolist()}, {self.high.tolist()})"
+
+
+def as_domain(domain: Domain | Box | None, n_inputs: int) -> Domain:
+    """Return `domain` as a `Domain`: None is all of R^d, a pair (low, high) a box; numbers hold for every input.
+
+    Raises:
+        ValueError: it is of other dimensions than `n_inputs`, or no box.
+    """
+    if domain is None:
+        return Domain(np.full(n_inputs, -np.inf), np.full(n_inputs, np.inf))
+    if not isinstance(domain, Domain):
+        if not isinstance(domain, tuple | list) or len(domain) != 2:
+            raise ValueError(f"the domain is {domain!r}, expected None, a pair (low, high) or an otr.Domain")
+        low, high = domain
+        shape = (n_inputs,)
+        if np.ndim(low) == 0 and np.ndim(high) == 0:
+            low, high = np.broadcast_to(low, shape), np.broadcast_to(high, shape)
+        domain = Domain(low, high)
+    if domain.n_inputs != n_inputs:
+        raise ValueError(f"the domain has {domain.n_inputs} inputs, expected {n_inputs}")
+    return domain

@@ -1,0 +1,300 @@
+"""Heads: from a policy's affine outputs y (n, o) to its answers.
+
+A head that decides a label (`Sign`, `Argmax`) does so by affine tests on y, which OTR appends to the tree below the
+tests of the hidden neurons (Orfanos 2023, section on classification). The other heads leave the tree as it is and are
+applied to the value of the leaf.
+"""
+
+from __future__ import annotations
+
+import json
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from otr.core.arrays import BoolArray, FloatArray, IntArray, read_only
+from otr.errors import ArtefactError, InvalidNetworkError
+
+__all__ = ["Argmax", "ClipBox", "Head", "Identity", "PidBox", "Sign", "TanhBox", "head_from_dict"]
+
+
+class Head(ABC):
+    """The last step of a policy; two heads are equal when their `to_dict` are.
+
+    Attributes:
+        name: in files.
+        acts_by_output: whether an action is a function of one output alone, which never falls as that rises.
+    """
+
+    name: str
+    acts_by_output = True
+
+    @abstractmethod
+    def __call__(self, Y: FloatArray) -> NDArray[Any]:
+        """Return the answers for affine outputs Y of shape (n, o) or (o,)."""
+
+    def check(self, n_outputs: int) -> None:
+        """Raise InvalidNetworkError unless the head fits `n_outputs` affine outputs."""
+        if n_outputs < 1:
+            raise InvalidNetworkError(f"{type(self).__name__} needs at least 1 output, the network has {n_outputs}")
+
+    def n_answers(self, n_outputs: int) -> int:
+        """Return how many numbers, or labels, are named in a printed answer."""
+        return n_outputs
+
+    def n_tests(self, n_outputs: int) -> int:
+        """Return the number of tests on y that decide the label; 0 for a head without labels."""
+        return 0
+
+    def tests(self, Y: FloatArray) -> BoolArray:
+        """Return the outcomes, True is right, of the head's tests: (n, n_tests)."""
+        return np.zeros((len(Y), 0), dtype=np.bool_)
+
+    def labels(self, outcomes: BoolArray) -> IntArray | None:
+        """Return the label (n,) that test outcomes (n, n_tests) lead to; None for a head without labels."""
+        return None
+
+    def champions(self, outcomes: BoolArray) -> IntArray:
+        """Return, for every test, the output subtracted in it: test k asks `y_(challenger k) - y_(champion) <= 0`.
+
+        Args:
+            outcomes: (n, n_tests); the champion of test k depends on the outcomes before k only.
+
+        Returns:
+            (n, n_tests) output indices; -1 where nothing is subtracted.
+        """
+        return np.zeros(outcomes.shape, dtype=np.int64)
+
+    @property
+    def first_challenger(self) -> int:
+        """Output that the head's first test asks about; test k asks about `first_challenger + k`."""
+        return 0
+
+    def next_test(self, outputs: FloatArray, outcomes: BoolArray) -> FloatArray:
+        """Return the affine form of the test that comes after k others.
+
+        Args:
+            outputs: (n, o, d + 1) affine forms of the outputs.
+            outcomes: (n, k) of the tests before.
+
+        Returns:
+            (n, d + 1)
+        """
+        n, k = outcomes.shape
+        champions = self.champions(np.column_stack((outcomes, np.zeros((n, 1), dtype=np.bool_))))[:, k]
+        test: FloatArray = outputs[:, self.first_challenger + k].copy()
+        beaten = np.flatnonzero(champions >= 0)
+        test[beaten] -= outputs[beaten, champions[beaten]]
+        return test
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready description, read back by `head_from_dict`."""
+        return {"name": self.name}
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Head) and self.to_dict() == other.to_dict()
+
+    def __hash__(self) -> int:
+        return hash(json.dumps(self.to_dict(), sort_keys=True))
+
+    def __repr__(self) -> str:
+        arguments = ", ".join(f"{key}={value}" for key, value in self.to_dict().items() if key != "name")
+        return f"{type(self).__name__}({arguments})"
+
+
+class Identity(Head):
+    """The affine outputs are the answer."""
+
+    name = "identity"
+
+    def __call__(self, Y: FloatArray) -> NDArray[Any]:
+        return Y
+
+
+class _Box(Head):
+    """A head whose answers lie in the box [low, high]."""
+
+    def __init__(self, low: ArrayLike, high: ArrayLike) -> None:
+        """Keep the limits, each a number or of shape (o,).
+
+        Raises:
+            InvalidNetworkError: a limit is not finite, low is not below high, or the shapes differ.
+        """
+        self.low: FloatArray = read_only(np.array(low, dtype=np.float64))
+        self.high: FloatArray = read_only(np.array(high, dtype=np.float64))
+        if self.low.shape != self.high.shape or self.low.ndim > 1:
+            raise InvalidNetworkError(
+                f"{type(self).__name__}: low has shape {self.low.shape} and high {self.high.shape}; "
+                "give two numbers or two arrays of shape (n_outputs,)"
+            )
+        if not (np.isfinite(self.low).all() and np.isfinite(self.high).all() and (self.low < self.high).all()):
+            raise InvalidNetworkError(
+                f"{type(self).__name__}: need finite low < high in every output, "
+                f"got low={self.low.tolist()}, high={self.high.tolist()}"
+            )
+
+    def check(self, n_outputs: int) -> None:
+        if self.low.ndim == 1 and len(self.low) != n_outputs:
+            raise InvalidNetworkError(
+                f"{type(self).__name__} has limits for {len(self.low)} outputs, the network has {n_outputs}"
+            )
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"name": self.name, "low": self.low.tolist(), "high": self.high.tolist()}
+
+
+class TanhBox(_Box):
+    """low + (tanh(y) + 1) / 2 * (high - low): the action of a SAC, TD3 or DDPG actor."""
+
+    name = "tanh_box"
+
+    def __init__(self, low: ArrayLike, high: ArrayLike) -> None:
+        super().__init__(low, high)
+        self._half = (self.high - self.low) / 2
+        self._middle = self.low + self._half
+
+    def __call__(self, Y: FloatArray) -> NDArray[Any]:
+        answers: FloatArray = np.tanh(Y)
+        answers *= self._half
+        answers += self._middle
+        return answers
+
+
+class ClipBox(_Box):
+    """min(max(y, low), high): the deterministic action of a PPO or A2C actor."""
+
+    name = "clip_box"
+
+    def __call__(self, Y: FloatArray) -> NDArray[Any]:
+        # np.clip costs several times this on a single state.
+        return np.minimum(np.maximum(Y, self.low), self.high)
+
+
+class PidBox(_Box):
+    """A PID controller's action, squashed into the box [low, high] as `TanhBox` does (Orfanos 2023, Fig. 4.3).
+
+    Of the outputs y the first 3 d are the terms phi = [P, I, D] and every further 3 d the gains theta_j of one action:
+
+        u_j = theta_j . phi = theta_P . P + theta_I . I + theta_D . D
+        answer_j = low + (tanh(u_j) + 1) / 2 * (high - low)
+
+    so a leaf holds gains, which may be affine in the state, and the policy is an `ObliqueTree` like any other.
+    """
+
+    name = "pid_box"
+    acts_by_output = False
+
+    def __init__(self, low: ArrayLike, high: ArrayLike) -> None:
+        """Keep the limits, of shape (a,) each: their length is the number of actions.
+
+        Raises:
+            InvalidNetworkError: as for the other boxes, or the limits are single numbers.
+        """
+        super().__init__(low, high)
+        if self.low.ndim != 1:
+            raise InvalidNetworkError(f"PidBox: low is {self.low.tolist()}; give arrays of one number an action")
+        self._squash = TanhBox(self.low, self.high)
+
+    def __call__(self, Y: FloatArray) -> NDArray[Any]:
+        return self._squash(self.controls(Y))
+
+    def controls(self, Y: FloatArray) -> FloatArray:
+        """Return u = theta . phi, the actions before the tanh: (n, a) for outputs Y (n, o), or (a,) for (o,)."""
+        blocks = Y.reshape(*Y.shape[:-1], len(self.low) + 1, -1)
+        controls: FloatArray = np.einsum("...am,...m->...a", blocks[..., 1:, :], blocks[..., 0, :])
+        return controls
+
+    def n_answers(self, n_outputs: int) -> int:
+        return len(self.low)
+
+    def check(self, n_outputs: int) -> None:
+        unit = 3 * (len(self.low) + 1)
+        if n_outputs == 0 or n_outputs % unit:
+            raise InvalidNetworkError(
+                f"PidBox with {len(self.low)} actions needs a multiple of {unit} outputs, the terms P, I, D and each "
+                f"action's gains; the network has {n_outputs}"
+            )
+
+
+class Sign(Head):
+    """Binary label of one output: 0 where y <= 0, else 1."""
+
+    name = "sign"
+
+    def __call__(self, Y: FloatArray) -> NDArray[Any]:
+        return (Y[..., 0] > 0).astype(np.int64)
+
+    def check(self, n_outputs: int) -> None:
+        if n_outputs != 1:
+            raise InvalidNetworkError(f"Sign needs 1 output, the network has {n_outputs}; use Argmax for several")
+
+    def n_tests(self, n_outputs: int) -> int:
+        return 1
+
+    def tests(self, Y: FloatArray) -> BoolArray:
+        return Y > 0
+
+    def labels(self, outcomes: BoolArray) -> IntArray | None:
+        return outcomes[:, 0].astype(np.int64)
+
+    def champions(self, outcomes: BoolArray) -> IntArray:
+        return np.full(outcomes.shape, -1, dtype=np.int64)
+
+
+class Argmax(Head):
+    """Label of the largest output; a tie goes to the lowest index, as in numpy.
+
+    As tests it is a tournament: champion i = 0, and for challenger j = 1 .. o-1 the test `y_j - y_i <= 0` keeps the
+    champion on the left and puts j in its place on the right.
+    """
+
+    name = "argmax"
+
+    def __call__(self, Y: FloatArray) -> NDArray[Any]:
+        return np.asarray(Y.argmax(axis=-1))
+
+    def n_tests(self, n_outputs: int) -> int:
+        return n_outputs - 1
+
+    def tests(self, Y: FloatArray) -> BoolArray:
+        best = np.maximum.accumulate(Y, axis=1)
+        return Y[:, 1:] > best[:, :-1]
+
+    def labels(self, outcomes: BoolArray) -> IntArray | None:
+        if outcomes.shape[1] == 0:
+            return np.zeros(len(outcomes), dtype=np.int64)
+        last_win = outcomes.shape[1] - outcomes[:, ::-1].argmax(axis=1)
+        return np.where(outcomes.any(axis=1), last_win, 0)
+
+    def champions(self, outcomes: BoolArray) -> IntArray:
+        champions = np.zeros(outcomes.shape, dtype=np.int64)
+        challengers = np.arange(1, outcomes.shape[1], dtype=np.int64)
+        champions[:, 1:] = np.maximum.accumulate(np.where(outcomes[:, :-1], challengers, 0), axis=1)
+        return champions
+
+    @property
+    def first_challenger(self) -> int:
+        return 1
+
+
+_HEADS: dict[str, type[Head]] = {head.name: head for head in (Identity, TanhBox, ClipBox, PidBox, Sign, Argmax)}
+
+
+def head_from_dict(description: Mapping[str, Any]) -> Head:
+    """Return the head that `Head.to_dict` described.
+
+    Raises:
+        ArtefactError: the name is unknown or the limits are missing.
+        InvalidNetworkError: the limits are no box.
+    """
+    arguments = {key: value for key, value in description.items() if key != "name"}
+    name = description.get("name")
+    if name not in _HEADS:
+        raise ArtefactError(f"unknown head {name!r}; known heads: {', '.join(sorted(_HEADS))}")
+    try:
+        return _HEADS[name](**arguments)
+    except TypeError as error:
+        raise ArtefactError(f"head {name!r} cannot be made from {arguments}: {error}") from error

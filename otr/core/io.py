@@ -1,0 +1,241 @@
+"""Trees on disk: `<name>.npz` for the arrays, `<name>.json` for the rest and a digest of both. No pickle anywhere."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import math
+import os
+import tokenize
+import uuid
+from collections.abc import Callable
+from pathlib import Path
+from reprlib import repr as shortened
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otr.core.domain import Domain
+from otr.core.head import head_from_dict
+from otr.core.network import ReluNetwork
+from otr.core.pattern_tree import PatternTree
+from otr.core.tree import ObliqueTree
+from otr.core.zip_members import read_members
+from otr.errors import ArtefactError
+
+__all__ = ["SCHEMA", "load", "save"]
+
+SCHEMA = "otr/tree/1"
+
+Arrays = dict[str, NDArray[Any]]
+_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+_TREE_ARRAYS = ("children_left", "children_right", "P", "v", "M", "c")
+
+
+def save(tree: ObliqueTree | PatternTree, path: str | os.PathLike[str]) -> Path:
+    """Write `tree` as two files beside each other; the same tree always gives the same bytes.
+
+    Each file is written under a temporary name and renamed. A `PatternTree` is saved as its network, its paths and
+    their counts.
+
+    Args:
+        tree: what to save.
+        path: a name with or without ".npz" or ".json", or an existing folder, where the name is "tree".
+
+    Returns:
+        The path of the JSON file.
+
+    Raises:
+        ArtefactError: there is no such folder.
+    """
+    npz_path, json_path = _paths_of(path)
+    if not npz_path.parent.is_dir():
+        raise ArtefactError(f"there is no folder {npz_path.parent} to save {npz_path.name} in; make it first")
+    if isinstance(tree, PatternTree):
+        description, arrays = _describe_pattern_tree(tree)
+    else:
+        description, arrays = _describe_tree(tree)
+    description["schema"] = SCHEMA
+    description["shapes"] = {name: list(array.shape) for name, array in sorted(arrays.items())}
+    description["sha256"] = _digest(description, arrays)
+    text = json.dumps(description, indent=2, sort_keys=True) + "\n"
+    # np.savez stamps every member with the same date, so its bytes depend on the arrays alone.
+    _write_atomically(npz_path, lambda file: np.savez(file, allow_pickle=False, **arrays))
+    _write_atomically(json_path, lambda file: file.write(text.encode()))
+    return json_path
+
+
+def load(path: str | os.PathLike[str]) -> ObliqueTree | PatternTree:
+    """Read what `save` wrote, and check it.
+
+    Args:
+        path: as given to `save`, or either of the two files.
+
+    Raises:
+        ArtefactError: a file is missing, cut off, changed since it was written, or of another schema.
+    """
+    npz_path, json_path = _paths_of(path)
+    description = _read_description(json_path)
+    arrays = _read_arrays(npz_path)
+    if _digest(description, arrays) != description.get("sha256"):
+        raise ArtefactError(
+            f"{npz_path} and {json_path} do not belong together, or one was changed: the digest over both is not the "
+            "one recorded; restore the two files or save the tree again"
+        )
+    readers: dict[str, Callable[[dict[str, Any], Arrays], ObliqueTree | PatternTree]] = {
+        "oblique_tree": _restore_tree,
+        "pattern_tree": _restore_pattern_tree,
+    }
+    kind = description.get("kind")
+    if not isinstance(kind, str) or kind not in readers:
+        raise ArtefactError(f"{json_path} holds the kind {shortened(kind)}, expected one of {sorted(readers)}")
+    try:
+        return readers[kind](description, arrays)
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise ArtefactError(f"{npz_path} does not hold a valid {kind}: {error}; save the tree again") from error
+
+
+def _describe_tree(tree: ObliqueTree) -> tuple[dict[str, Any], Arrays]:
+    arrays: Arrays = {name: getattr(tree, name) for name in _TREE_ARRAYS}
+    if tree.labels is not None:
+        arrays["labels"] = tree.labels
+    return {"kind": "oblique_tree", "head": tree.head.to_dict()}, arrays
+
+
+def _restore_tree(description: dict[str, Any], arrays: Arrays) -> ObliqueTree:
+    core = (arrays[name] for name in _TREE_ARRAYS)
+    return ObliqueTree(*core, labels=arrays.get("labels"), head=head_from_dict(_field(description, "head", dict)))
+
+
+def _describe_pattern_tree(tree: PatternTree) -> tuple[dict[str, Any], Arrays]:
+    network = tree.network
+    description: dict[str, Any] = {
+        "kind": "pattern_tree",
+        "head": network.head.to_dict(),
+        "n_layers": len(network.weights),
+        "negative_slope": network.negative_slope,
+        "dense": network.dense,
+        "is_restricted": tree.is_restricted,
+    }
+    if network.domain is not None:
+        description["domain"] = network.domain.to_dict()
+    arrays: Arrays = {"patterns": np.packbits(tree.patterns, axis=1), "counts": tree.counts}
+    for layer, (W, b) in enumerate(zip(network.weights, network.biases, strict=True)):
+        arrays[f"weight_{layer}"], arrays[f"bias_{layer}"] = W, b
+    return description, arrays
+
+
+def _restore_pattern_tree(description: dict[str, Any], arrays: Arrays) -> PatternTree:
+    layers = range(_field(description, "n_layers", int))
+    network = ReluNetwork(
+        [arrays[f"weight_{layer}"] for layer in layers],
+        [arrays[f"bias_{layer}"] for layer in layers],
+        negative_slope=_field(description, "negative_slope", float, int),
+        dense=_field(description, "dense", bool, str),
+        head=head_from_dict(_field(description, "head", dict)),
+        domain=Domain.from_dict(description["domain"]) if "domain" in description else None,
+    )
+    full = PatternTree(network)
+    patterns = np.unpackbits(arrays["patterns"], axis=1, count=full.n_bits).view(np.bool_)
+    counts = arrays["counts"]
+    if counts.shape != patterns.shape[:1]:
+        raise ValueError(f"counts have shape {counts.shape}, expected {patterns.shape[:1]}: one for each path")
+    if _field(description, "is_restricted", bool):
+        return PatternTree(network, patterns, counts)
+    return full.observe_paths(patterns, counts)
+
+
+def _field(description: dict[str, Any], name: str, *types: type) -> Any:
+    """Return an entry of the JSON file.
+
+    Raises:
+        ValueError: it is missing or of another type.
+    """
+    value = description.get(name)
+    if type(value) not in types:
+        expected = " or ".join(kind.__name__ for kind in types)
+        raise ValueError(f"{name} is {shortened(value)} in the JSON file, expected {expected}")
+    return value
+
+
+def _paths_of(path: str | os.PathLike[str]) -> tuple[Path, Path]:
+    """Return the paths of the npz and the JSON file."""
+    base = Path(path)
+    if base.is_dir():
+        base = base / "tree"
+    elif base.suffix in (".npz", ".json"):
+        base = base.with_suffix("")
+    return base.with_name(base.name + ".npz"), base.with_name(base.name + ".json")
+
+
+def _digest(description: dict[str, Any], arrays: Arrays) -> str:
+    """Return the SHA-256 over the description, without its own digest, and over every array's type, shape and bytes."""
+    covered = {key: value for key, value in description.items() if key != "sha256"}
+    digest = hashlib.sha256(json.dumps(covered, sort_keys=True).encode())
+    for name, array in sorted(arrays.items()):
+        digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def _read_description(path: Path) -> dict[str, Any]:
+    try:
+        description = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise ArtefactError(f"{path} does not exist; save a tree there first") from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise ArtefactError(f"{path} cannot be read as JSON ({error}); restore it or save the tree again") from error
+    schema = description.get("schema") if isinstance(description, dict) else None
+    if not isinstance(description, dict) or schema != SCHEMA:
+        raise ArtefactError(
+            f"{path} has the schema {shortened(schema)}, expected {SCHEMA!r}; save the tree with this version"
+        )
+    return description
+
+
+def _read_arrays(path: Path) -> Arrays:
+    try:
+        return {name.removesuffix(".npy"): _array_of(content) for name, content in read_members(path, str(path))}
+    except FileNotFoundError as error:
+        raise ArtefactError(f"{path} does not exist, though its JSON file does; restore it or save again") from error
+    except ValueError as error:
+        raise ArtefactError(
+            f"{path} cannot be read ({error}); it is cut off or changed: save the tree again"
+        ) from error
+
+
+def _array_of(content: bytes) -> NDArray[Any]:
+    """Return the array of numbers that a file in numpy's format holds.
+
+    Raises:
+        ValueError: it holds something else, or more or fewer bytes than its header says; nothing is allocated before.
+    """
+    stream = io.BytesIO(content)
+    version = np.lib.format.read_magic(stream)
+    if version not in _HEADERS:
+        raise ValueError(f"an array has the format {version}, expected one of {sorted(_HEADERS)}")
+    try:
+        shape, is_fortran, dtype = _HEADERS[version](stream)
+    except (SyntaxError, TypeError, AttributeError, tokenize.TokenError, RecursionError, MemoryError) as error:
+        raise ValueError(f"an array's header is broken: {error}") from error
+    if dtype.kind not in "biuf" or any(type(n) is not int or n < 0 for n in shape):
+        raise ValueError(f"an array has the type {dtype} and the shape {shape}, expected numbers")
+    n_bytes, start = math.prod(shape) * dtype.itemsize, stream.tell()
+    if n_bytes != len(content) - start:
+        raise ValueError(f"an array of shape {shape} takes {n_bytes} bytes, the file has {len(content) - start}")
+    flat = np.frombuffer(content, dtype, offset=start)
+    return flat.reshape(shape, order="F" if is_fortran else "C").copy()  # a copy is aligned
+
+
+def _write_atomically(path: Path, write: Callable[[IO[bytes]], Any]) -> None:
+    """Write a file under a temporary name in the same folder, then rename it."""
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
+    try:
+        with temporary.open("xb") as file:
+            write(file)
+        temporary.replace(path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise

@@ -1,0 +1,417 @@
+"""Many small linear programs at once: is there a ball inside each of thousands of polytopes, and where?
+
+The polytope of problem p is ``{x : s_i (a_i . x + b_i) >= 0}`` over the rows i with sign s_i = +1 or -1, a_i of unit
+length. Its largest ball, of centre x and radius t <= `LARGEST_RADIUS`, solves
+
+    max t   subject to   s_i (a_i . x + b_i) >= t,   t <= LARGEST_RADIUS
+
+and its dual
+
+    min sum_i mu_i s_i b_i + mu_0 LARGEST_RADIUS   subject to   sum_i mu_i s_i a_i = 0,  sum_i mu_i + mu_0 = 1,  mu >= 0
+
+The simplex method is run on the dual, in d + 1 rows, for all problems side by side: a basis stays feasible when a row
+is added to its polytope, so a child in a tree of polytopes goes on from its parent's basis and needs few pivots. It
+stops as soon as the answer is known. What it answers is then checked from the rows themselves, their rounding reckoned
+with: a point must be inside by more than that, and multipliers, a Farkas certificate, must leave no state that matters.
+What cannot be told in floating point is answered as undecided; no answer hangs on how well the pivots went.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+
+from otr.core.arrays import BoolArray, FloatArray, IntArray
+from otr.core.half_spaces import HalfSpaces, rounding_of_terms
+from otr.errors import OtrError
+
+__all__ = [
+    "FREE",
+    "LARGEST_RADIUS",
+    "Balls",
+    "Bases",
+    "LargestValues",
+    "largest_balls",
+    "largest_values",
+    "rounding_at",
+]
+
+_ROUNDED = 1e-10  # value of a test, in units of its slope, that rounding may hide on a side that is left out
+_SLACK = 8.0  # times the rounding of a sum, for that of its multipliers
+LARGEST_RADIUS = 1.0  # of a ball, so that unbounded polytopes have one
+FREE = -1  # in a basis: the place of a coordinate that no row has fixed yet
+_CAP = -2  # in a basis: the row t <= LARGEST_RADIUS
+_GOOD_SHARE = 0.2  # of the bound on the radius: a point with such a margin is good enough
+_ROUNDING = 1e-13  # of a row's value, beside the size of the state, while pivoting
+_TOUCHING = 1e-9  # radius of the largest ball in a polytope that may be a point, or none
+_NOTHING = 1e-14  # radius or multiplier that rounding may have left
+_SMALLEST_PIVOT = 1e-9
+_FEASIBLE = 1e-11  # what a row may be violated by
+_MAX_PIVOTS = 200  # afterwards HiGHS takes over
+_CHUNK_NUMBERS = 2**17  # of the inverses in work at a time; they should stay in the cache
+
+
+@dataclass(frozen=True)
+class Bases:
+    """Where the simplex method stands in n problems; q = d + 1.
+
+    Attributes:
+        rows: (n, q) int16, the row at each place, `FREE` or the radius's own.
+        inverse: (n, q, q), of the matrix whose columns are (-s a, 1); its last column is the multipliers mu.
+        solution: (n, q), centre and radius (x, t) of the basis.
+    """
+
+    rows: NDArray[np.int16]
+    inverse: FloatArray
+    solution: FloatArray
+
+    @classmethod
+    def start(cls, n: int, d: int) -> Bases:
+        """Return the basis of polytopes without rows: a ball of the largest radius around 0."""
+        rows = np.full((n, d + 1), FREE, dtype=np.int16)
+        rows[:, d] = _CAP
+        solution = np.zeros((n, d + 1))
+        solution[:, d] = LARGEST_RADIUS
+        return cls(rows, np.tile(np.eye(d + 1), (n, 1, 1)), solution)
+
+    def take(self, problems: Any) -> Bases:
+        """Return the bases of some problems."""
+        return Bases(self.rows[problems], self.inverse[problems], self.solution[problems])
+
+    @classmethod
+    def concatenate(cls, parts: list[Bases]) -> Bases:
+        """Return the bases of several lists of problems as one."""
+        return cls(
+            *(np.concatenate([getattr(part, name) for part in parts]) for name in ("rows", "inverse", "solution"))
+        )
+
+    def put(self, problems: IntArray, bases: Bases) -> None:
+        """Write `bases` in the place of some problems'."""
+        self.rows[problems], self.inverse[problems] = bases.rows, bases.inverse
+        self.solution[problems] = bases.solution
+
+    @property
+    def multipliers(self) -> FloatArray:
+        """The multipliers mu (n, q) of the rows in the basis; they sum to 1."""
+        return self.inverse[:, :, -1]
+
+
+@dataclass(frozen=True)
+class Balls:
+    """What `largest_balls` found.
+
+    Attributes:
+        is_empty: (n,) whether it was shown that the polytope has no state that matters.
+        centres: (n, d), inner points; of no meaning where the radius is 0.
+        radii: (n,) of a ball around the centre that fits, though hardly ever the largest; 0 where none was found, and
+            the polytope, unless it is empty, is undecided: it is thinner than rounding tells.
+        bases: to go on from; where a polytope is empty, the proof.
+        n_solved_alone: problems that were given to HiGHS.
+    """
+
+    is_empty: BoolArray
+    centres: FloatArray
+    radii: FloatArray
+    bases: Bases
+    n_solved_alone: int
+
+
+def largest_balls(
+    rows: HalfSpaces, group: IntArray, signs: NDArray[np.int8], bases: Bases, asked: int | None = None
+) -> Balls:
+    """Return whether each polytope is empty, and a ball inside those where one is found.
+
+    A polytope is called empty where its rows, wrong by as much as rounding may have made them, leave no state or, with
+    a row asked about, where but for rounding that row is nowhere above 0, and with it below 1e-10; on an open domain,
+    times the size of the rows' terms.
+
+    Args:
+        rows: of m rows in d dimensions.
+        group: (n,) the group whose rows a polytope has.
+        signs: (n, m) int8: 1, -1, or 0 where a polytope does without the row.
+        bases: to start from: `Bases.start`, or those of polytopes that had some of the rows with the same signs.
+        asked: the row, of all polytopes, whose side they are.
+    """
+    n, q = bases.rows.shape
+    if not signs.shape[1]:  # no rows: any ball
+        return Balls(np.zeros(n, dtype=np.bool_), bases.solution[:, :-1], np.full(n, LARGEST_RADIUS), bases, 0)
+    parts = []
+    chunk = max(64, _CHUNK_NUMBERS // (q * q))
+    for start in range(0, max(n, 1), chunk):
+        part = slice(start, start + chunk)
+        balls = _pivot_until_decided(rows, group[part], signs[part], bases.take(part), asked)
+        parts.append(balls)
+    if len(parts) == 1:
+        return parts[0]
+    return Balls(
+        np.concatenate([part.is_empty for part in parts]),
+        np.concatenate([part.centres for part in parts]),
+        np.concatenate([part.radii for part in parts]),
+        Bases.concatenate([part.bases for part in parts]),
+        sum(part.n_solved_alone for part in parts),
+    )
+
+
+def _pivot_until_decided(
+    rows: HalfSpaces, group: IntArray, signs: NDArray[np.int8], bases: Bases, asked: int | None
+) -> Balls:
+    """Solve one chunk; what stays undecided, or was decided on numbers that have drifted, is tried alone."""
+    n, q = bases.rows.shape
+    d = q - 1
+    is_empty, centres, radii = np.zeros(n, dtype=np.bool_), np.zeros((n, d)), np.zeros(n)
+    done = Bases.start(n, d)
+    absent, signed = np.where(signs == 0, np.inf, 0.0), signs.astype(np.float64)
+    problems, of_group = np.arange(n), group
+    for _ in range(_MAX_PIVOTS):
+        margins = rows.values(of_group, bases.solution[:, :d])
+        margins *= signed
+        margins += absent
+        tightest = margins.argmin(axis=1)
+        margin = margins[np.arange(len(margins)), tightest]
+        radius = bases.solution[:, d]
+        rounding = rounding_at(bases.solution[:, :d])
+        empty = _is_far_below(bases, asked)
+        decided = empty | (margin > np.maximum(_GOOD_SHARE * radius, rounding)) | (margin > radius - rounding)
+        if decided.any():
+            these, left = problems[decided], np.flatnonzero(~decided)
+            is_empty[these], centres[these] = empty[decided], bases.solution[decided, :d]
+            radii[these] = np.where(empty, 0.0, np.clip(margin, 0.0, LARGEST_RADIUS))[decided]
+            done.put(these, bases.take(decided))
+            problems, of_group, signed, absent = problems[left], of_group[left], signed[left], absent[left]
+            bases, tightest, margin = bases.take(left), tightest[left], margin[left]
+        if not problems.size:
+            break
+        column = np.ones((len(problems), q))
+        sign = signed[np.arange(len(problems)), tightest]
+        np.multiply(rows.a[rows.of(of_group), tightest], -sign[:, None], out=column[:, :d])
+        _pivot(bases, column, margin - bases.solution[:, d], tightest, bases.multipliers)
+    radii[_within_rounding(rows, group, signs, centres, radii)] = 0.0
+    is_empty = is_empty & _leaves_nothing(rows, group, signs, done, asked)
+    # At a largest ball of next to no radius nobody can tell; elsewhere the pivots went wrong.
+    gone_wrong = np.abs(done.solution[:, d]) > _TOUCHING
+    gone_wrong[problems] = True
+    alone = np.flatnonzero(~is_empty & (radii == 0.0) & gone_wrong)
+    if len(alone):
+        solved = [_solve_alone(rows.a[g], rows.b[g], signs[i]) for i, g in
+                  zip(alone.tolist(), rows.of(group)[alone].tolist(), strict=True)]  # fmt: skip
+        centres[alone], radii[alone] = np.stack([x for x, _, _ in solved]), [radius for _, radius, _ in solved]
+        done.put(alone, Bases.concatenate([basis for _, _, basis in solved]))
+        at = (rows, group[alone], signs[alone])
+        radii[alone[_within_rounding(*at, centres[alone], radii[alone])]] = 0.0
+        is_empty[alone] = (radii[alone] == 0.0) & _leaves_nothing(*at, done.take(alone), asked)
+    return Balls(is_empty, centres, radii, done, len(alone))
+
+
+def rounding_at(X: FloatArray) -> FloatArray:
+    """Return up to where the value of a row at each state (n, d) is rounding, for a start: (n,)."""
+    rounding: FloatArray = _ROUNDING * (1e-2 + np.abs(X).max(axis=1, initial=0.0))
+    return rounding
+
+
+def _multiplier_of(bases: Bases, row: int | None) -> FloatArray:
+    """Return the multiplier (n,) of one row in each basis; 0 where it has none."""
+    multipliers: FloatArray = np.where(bases.rows == row, np.maximum(bases.multipliers, 0.0), 0.0).sum(axis=1)
+    return multipliers
+
+
+def _is_far_below(bases: Bases, asked: int | None) -> BoolArray:
+    """Return whether bases look like a proof that there is no state that matters."""
+    below = bases.solution[:, -1] < _ROUNDING
+    at = np.flatnonzero(below)
+    if at.size:
+        radius = bases.solution[at, -1]
+        multiplier = _multiplier_of(bases.take(at), asked)
+        below[at] = (radius < _NOTHING) & (radius + _ROUNDING < _ROUNDED * multiplier)
+    return below
+
+
+def _within_rounding(
+    rows: HalfSpaces, group: IntArray, signs: NDArray[np.int8], centres: FloatArray, radii: FloatArray
+) -> IntArray:
+    """Return the problems whose centres may, by rounding, be on a wrong side of a row."""
+    sizes = np.column_stack((np.abs(centres), np.ones(len(centres))))
+    near = np.flatnonzero(radii <= sizes @ rows.rounding.max(axis=(0, 1), initial=0.0))
+    if not near.size:
+        return near
+    margins = rows.values(group[near], centres[near]) * signs[near]
+    rounding = np.einsum("nmd,nd->nm", rows.rounding[rows.of(group[near])], sizes[near])
+    return np.asarray(near[((margins <= rounding) & (signs[near] != 0)).any(axis=1)])
+
+
+def _leaves_nothing(
+    rows: HalfSpaces, group: IntArray, signs: NDArray[np.int8], bases: Bases, asked: int | None
+) -> BoolArray:
+    """Return whether the multipliers of bases show that there is no state that matters, as `largest_balls` says."""
+    at = np.where(bases.rows >= 0, bases.rows, 0).astype(np.int64)
+    weights = np.where((bases.rows >= 0) & (bases.multipliers > _NOTHING), bases.multipliers, 0.0)
+    of_group = rows.of(group)[:, None]
+    signed = weights * np.take_along_axis(signs, at, axis=1)
+    normals, multiplier = rows.a[of_group, at], _multiplier_of(bases, asked)
+    errors = np.einsum("nq,nqd->nd", weights, rows.rounding[of_group, at])
+    residual = np.abs(np.einsum("nq,nqd->nd", signed, normals))
+    slopes = errors[:, :-1] + residual
+    highest = np.einsum("nq,nq->n", signed, rows.b[of_group, at])
+    total = highest + errors[:, -1] + slopes.sum(axis=1)
+    # What is left over may be nothing but rounding, number by number.
+    is_rounding = (highest <= _SLACK * errors[:, -1]) & (residual <= _SLACK * errors[:, :-1]).all(axis=1)
+    nothing = (total < 0) | (is_rounding & (total < _ROUNDED * multiplier))
+    nothing &= weights.sum(axis=1) > 0.5
+    if rows.is_open.any():
+        terms = errors[:, :-1] / rounding_of_terms(slopes.shape[1])
+        small = slopes <= _ROUNDED * multiplier[:, None] * terms
+        nothing &= small[:, rows.is_open].all(axis=1)
+    return np.asarray(nothing)
+
+
+def _solve_alone(a: FloatArray, b: FloatArray, signs: NDArray[np.int8]) -> tuple[FloatArray, float, Bases]:
+    """Return one polytope's centre (d,), margin and basis, by HiGHS; the margin is 0 where it finds none.
+
+    Args:
+        a, b: (m, d) and (m,), the rows.
+        signs: (m,).
+    """
+    used, d = np.flatnonzero(signs), a.shape[1]
+    s = signs[used].astype(np.float64)
+    constraints = np.column_stack((-s[:, None] * a[used], np.ones(len(used))))
+    objective = np.append(np.zeros(d), -1.0)
+    bounds = [(None, None)] * d + [(None, LARGEST_RADIUS)]
+    solved = linprog(objective, A_ub=constraints, b_ub=s * b[used], bounds=bounds, method="highs")
+    basis = Bases.start(1, d)
+    if solved.status != 0:
+        return np.zeros(d), 0.0, basis
+    margin = float((s * (a[used] @ solved.x[:d] + b[used])).min(initial=LARGEST_RADIUS))
+    if margin > 0:
+        return solved.x[:d], margin, basis
+    multipliers = -np.asarray(solved.ineqlin.marginals)
+    largest = np.argsort(-multipliers, kind="stable")[: d + 1]
+    basis.rows[0], basis.inverse[0] = FREE, 0.0
+    basis.rows[0, : len(largest)] = used[largest]
+    basis.inverse[0, : len(largest), d] = multipliers[largest]
+    basis.solution[0] = solved.x
+    return solved.x[:d], 0.0, basis
+
+
+@dataclass(frozen=True)
+class LargestValues:
+    """What `largest_values` found.
+
+    Attributes:
+        values: (n,), -inf where the polytope is empty.
+        states: (n, d) where they are taken; of no meaning where there are none.
+        rows: (n, d) int16, the rows that bind there.
+        multipliers: (n, d): the objective is its value less the rows' sum with these, each of which is at least 0.
+    """
+
+    values: FloatArray
+    states: FloatArray
+    rows: NDArray[np.int16]
+    multipliers: FloatArray
+
+
+def largest_values(rows: HalfSpaces, group: IntArray, signs: NDArray[np.int8], objectives: FloatArray) -> LargestValues:
+    """Return the largest value of an affine function over each polytope, by the dual simplex method side by side.
+
+    Args:
+        rows: in scaled coordinates; the first 2 d are the sides of a bounded domain, as `Domain.rows` gives them.
+        group, signs: as in `largest_balls`.
+        objectives: (n, d + 1) affine forms [f | f0] in scaled coordinates.
+    """
+    n, d = len(objectives), objectives.shape[1] - 1
+    f, f0 = objectives[:, :d], objectives[:, d]
+    # The corner of the box where the objective is largest is feasible in the dual.
+    upper = f > 0
+    normals = np.where(upper, 1.0, -1.0)
+    bases = Bases(
+        (np.arange(d) + d * upper).astype(np.int16), normals[:, :, None] * np.eye(d), normals.astype(np.float64)
+    )
+    found = LargestValues(np.full(n, -np.inf), np.zeros((n, d)), np.zeros((n, d), np.int16), np.zeros((n, d)))
+    problems, absent, signed = np.arange(n), np.where(signs == 0, np.inf, 0.0), signs.astype(np.float64)
+    for _ in range(_MAX_PIVOTS):
+        margins = rows.values(group, bases.solution) * signed + absent
+        tightest = margins.argmin(axis=1)
+        margin = margins[np.arange(len(margins)), tightest]
+        multipliers = np.einsum("nij,nj->ni", bases.inverse, f)
+        done = margin >= -_FEASIBLE
+        these = problems[done]
+        found.values[these] = np.einsum("nd,nd->n", f[done], bases.solution[done]) + f0[done]
+        found.states[these], found.rows[these] = bases.solution[done], bases.rows[done]
+        found.multipliers[these] = multipliers[done]
+        left = np.flatnonzero(~done)
+        problems, group, signed, absent = problems[left], group[left], signed[left], absent[left]
+        f, f0 = f[left], f0[left]
+        if not left.size:
+            return found
+        bases, tightest = bases.take(left), tightest[left]
+        column = -signed[np.arange(len(left)), tightest][:, None] * rows.a[rows.of(group), tightest]
+        stuck = _pivot(bases, column, margin[left], tightest, multipliers[left])
+        go_on = np.flatnonzero(~stuck)
+        problems, group, signed, absent = problems[go_on], group[go_on], signed[go_on], absent[go_on]
+        f, f0, bases = f[go_on], f0[go_on], bases.take(go_on)
+        if not go_on.size:
+            return found
+    for at, problem in enumerate(problems.tolist()):
+        g = rows.of(group)[at]
+        optimum = _largest_value_alone(rows.a[g], rows.b[g], signed[at], f[at])
+        if optimum is not None:
+            found.states[problem], found.rows[problem], found.multipliers[problem] = optimum
+            found.values[problem] = f[at] @ found.states[problem] + f0[at]
+    return found
+
+
+def _largest_value_alone(
+    a: FloatArray, b: FloatArray, signs: FloatArray, f: FloatArray
+) -> tuple[FloatArray, IntArray, FloatArray] | None:
+    """Return the state, rows and multipliers of the largest f . x over one polytope, by HiGHS; None if it is empty."""
+    used, d = np.flatnonzero(signs), len(f)
+    s = signs[used]
+    solved = linprog(-f, A_ub=-s[:, None] * a[used], b_ub=s * b[used], bounds=[(None, None)] * d, method="highs")
+    if solved.status == 2:
+        return None
+    if solved.status != 0:
+        raise OtrError(
+            f"HiGHS could not solve a linear program of {len(used)} rows in {d} dimensions: {solved.message}"
+        )
+    multipliers = -np.asarray(solved.ineqlin.marginals)
+    binding = np.argsort(-multipliers, kind="stable")[:d]
+    return np.asarray(solved.x), used[binding], multipliers[binding]
+
+
+def _pivot(
+    bases: Bases, column: FloatArray, value: FloatArray, entering: IntArray, multipliers: FloatArray
+) -> BoolArray:
+    """Let a row into each basis, in place.
+
+    Args:
+        bases: n of them, of q places.
+        column: (n, q), the row's normal, turned outwards.
+        value: (n,) of the row at the present solution, below 0.
+        entering: (n,) its index.
+        multipliers: (n, q), of the rows in the basis.
+
+    Returns:
+        (n,) whether no place can be left, which shows that the polytope is empty; such a basis is of no use any more.
+    """
+    basis, inverse, solution = bases.rows, bases.inverse, bases.solution
+    each = np.arange(len(basis))
+    direction = np.matmul(inverse, column[:, :, None])[:, :, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.maximum(multipliers, 0.0) / direction
+    free = basis == FREE
+    ratio[free | (direction <= _SMALLEST_PIVOT)] = np.inf
+    # A free place holds a multiplier of zero that must stay zero: it leaves first, the largest pivot before others.
+    leaves_free = free & (np.abs(direction) > _SMALLEST_PIVOT)
+    ratio[leaves_free] = -np.abs(direction[leaves_free])
+    leaving = ratio.argmin(axis=1)
+    stuck: BoolArray = np.isinf(ratio[each, leaving])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        row = inverse[each, leaving] / direction[each, leaving, None]
+    row[stuck] = 0.0
+    inverse -= direction[:, :, None] * row[:, None, :]
+    inverse[each, leaving] = row
+    solution += value[:, None] * row
+    basis[each, leaving] = entering
+    return stuck

@@ -1,0 +1,142 @@
+"""The minimal tree of a network: only the paths that some states of a domain take, tests in a good order."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from otr.core.arrays import BoolArray, FloatArray, IntArray, as_batch
+from otr.core.domain import Box, Domain, as_domain
+from otr.core.network import ReluNetwork
+from otr.core.packed_bits import count_rows, pack_rows, unpack_rows
+from otr.core.pattern_tree import PatternTree
+from otr.core.pruning import keep_leaves
+from otr.core.tree import ObliqueTree
+from otr.geometry.arrangement import find_regions
+from otr.geometry.test_order import balanced_tree
+
+__all__ = ["Order", "merge_equal_leaves", "minimal_tree"]
+
+Order = Literal["layers", "balanced", "visits"]
+_SAME_MAP = 1e-12  # of the largest coefficient: leaves that differ by less are the same
+_UNSEEN = 1e-3  # visits that all regions together count for beside those of X
+
+
+def minimal_tree(
+    network: ReluNetwork,
+    domain: Domain | Box | None = None,
+    *,
+    order: Order = "layers",
+    X: ArrayLike | None = None,
+    max_leaves: int = 2**20,
+    max_seconds: float | None = None,
+) -> ObliqueTree:
+    """Return the tree that computes the same function as `network` on `domain` and has no empty path.
+
+    At every state the tree equals the network to 1e-9 of the size of the terms that its outputs are sums of, rounding
+    included, however thin the region. A side of a test is left out only where no state has it, the rounding of all rows
+    reckoned with, or where nothing but rounding, and that by less than 1e-10 in units of its slope, can make the test
+    have it: so a neuron that is parallel to another, equal to it or at the domain's edge adds no path. What floating
+    point cannot decide is kept, so that among regions of the width of rounding a path may be empty after all;
+    `otr.certify` decides in rational arithmetic. Two leaves that are each other's siblings and hold the same map (or
+    label) are one. Where their maps differ, a leaf of several regions with one label has ``M = 0`` and the scores ``c``
+    that its label alone has.
+
+    n hyperplanes in general position in R^d make sum_{i <= d} C(n, i) leaves (Zaslavsky 1975).
+
+    Args:
+        network: any; neurons without outgoing weight are left out.
+        domain: a box (low, high) of which any side may be infinite; None is the network's own domain, or all of R^d.
+        order: of the tests within a layer. "layers" takes the neurons as they stand; "balanced" the one that parts the
+            regions most evenly, which makes for short paths; "visits" the one that parts the states X most evenly.
+        X: (n, d) states, for "visits".
+        max_leaves, max_seconds: refuse to build a larger tree or to look for longer.
+
+    Raises:
+        TreeTooLargeError: a limit was met; the message says how far the walk came.
+        ValueError: the domain does not fit the network or has no inside, the order is unknown or X is missing.
+    """
+    if order not in ("layers", "balanced", "visits"):
+        raise ValueError(f"order is {order!r}, expected 'layers', 'balanced' or 'visits'")
+    if (X is None) is (order == "visits"):
+        raise ValueError("order='visits' needs states X, and no other order does")
+    if not isinstance(network, ReluNetwork):
+        raise TypeError(f"network is a {type(network).__name__}, expected a ReluNetwork; a PatternTree has .network")
+    box = as_domain(network.domain if domain is None else domain, network.n_inputs)
+    network = network.without_dead_neurons()
+    regions = find_regions(network, box, max_regions=max_leaves, max_seconds=max_seconds)
+    if order == "layers":
+        return merge_equal_leaves(PatternTree(network, regions.patterns).to_tree())
+    packed, _ = count_rows(pack_rows(regions.patterns), np.ones(len(regions.patterns), dtype=np.int64))
+    patterns = unpack_rows(packed, regions.patterns.shape[1])
+    weights = np.full(len(patterns), 1 / len(patterns))
+    if X is not None:
+        in_order = PatternTree(network, patterns).to_tree()
+        states = as_batch(X, network.n_inputs)
+        weights = _UNSEEN * weights + np.bincount(in_order.apply(states), minlength=len(patterns)) / max(len(states), 1)
+    return merge_equal_leaves(balanced_tree(network, patterns, weights))
+
+
+def merge_equal_leaves(tree: ObliqueTree) -> ObliqueTree:
+    """Return the tree in which every subtree whose leaves all hold the same map, or label, is one leaf."""
+    n_nodes = tree.n_nodes
+    on_leaves = (tree.children_left < 0) & (tree.children_right < 0)
+    if not _same_answers(tree, ~tree.children_left[on_leaves], ~tree.children_right[on_leaves]).any():
+        return tree
+    # What stands for each node, then each leaf: a leaf that it is equal to throughout, or -1.
+    stands_for = np.concatenate((np.full(n_nodes, -1), np.arange(tree.n_leaves)))
+    left, right = (np.where(side >= 0, side, n_nodes + ~side) for side in (tree.children_left, tree.children_right))
+    for level in reversed(tree.levels):
+        on_left, on_right = stands_for[left[level]], stands_for[right[level]]
+        equal = (on_left >= 0) & (on_right >= 0)
+        equal[equal] = _same_answers(tree, on_left[equal], on_right[equal])
+        stands_for[level[equal]] = on_left[equal]
+    merged = _pass_down(tree, np.where(stands_for < 0, np.arange(-1, -1 - len(stands_for), -1), stands_for))
+    members = np.bincount(merged, minlength=tree.n_leaves)
+    smaller = keep_leaves(tree, members > 0)
+    return smaller if tree.labels is None else _with_label_scores(smaller, members[members > 0] > 1)
+
+
+def _pass_down(tree: ObliqueTree, stands_for: IntArray) -> IntArray:
+    """Return for every leaf the one that stands for the largest subtree around it that is equal throughout."""
+    n_nodes = tree.n_nodes
+    result = stands_for.copy()
+    for level in tree.levels:
+        for side in (tree.children_left, tree.children_right):
+            children = np.where(side[level] >= 0, side[level], n_nodes + ~side[level])
+            uniform = result[level] >= 0
+            result[children[uniform]] = result[level[uniform]]
+    return result[n_nodes:]
+
+
+def _same_answers(tree: ObliqueTree, leaves: IntArray, others: IntArray) -> BoolArray:
+    """Return whether pairs of leaves, (n,) each, hold the same label or, to within rounding, the same map."""
+    if tree.labels is not None:
+        equal: BoolArray = tree.labels[leaves] == tree.labels[others]
+        return equal
+    M = tree.M_of_basis
+    size = max(np.abs(M).max(initial=0.0), np.abs(tree.c).max(initial=0.0))
+    slopes = np.abs(M[leaves] - M[others]).max(axis=(1, 2), initial=0.0)
+    offsets = np.abs(tree.c[leaves] - tree.c[others]).max(axis=1, initial=0.0)
+    same: BoolArray = np.maximum(slopes, offsets) <= _SAME_MAP * size
+    return same
+
+
+def _with_label_scores(tree: ObliqueTree, merged: BoolArray) -> ObliqueTree:
+    """Return the tree whose merged leaves (n_leaves,) hold no map, but scores that have their label."""
+    assert tree.labels is not None
+    M, c = tree.M_of_basis.copy(), tree.c.copy()
+    M[merged] = 0.0
+    c[merged] = label_scores(tree.labels[merged], tree.n_outputs)
+    arrays = (tree.children_left, tree.children_right, tree.P_of_basis, tree.v, M, c)
+    return ObliqueTree(*arrays, labels=tree.labels, head=tree.head, basis=tree.basis)
+
+
+def label_scores(labels: IntArray, n_outputs: int) -> FloatArray:
+    """Return outputs (n, o) that have the labels (n,): 1 at the label; of a single output, 1 or -1."""
+    if n_outputs == 1:
+        return np.where(labels > 0, 1.0, -1.0)[:, None]
+    scores: FloatArray = np.eye(n_outputs)[labels]
+    return scores

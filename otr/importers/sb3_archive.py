@@ -1,0 +1,226 @@
+"""The actor in a Stable-Baselines3 zip file, read without running anything that the file contains.
+
+Such a file holds `policy.pth`, tensors that torch can load with ``weights_only=True``, and `data`, JSON in which Python
+objects appear as a pickle (":serialized:", never touched here) beside a readable account of themselves.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import pickle
+import re
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from otr.core.arrays import FloatArray
+from otr.core.head import Argmax, ClipBox, Head, TanhBox
+from otr.core.network import ReluNetwork
+from otr.core.zip_members import read_members
+from otr.errors import ArtefactError, InvalidNetworkError
+from otr.importers.sb3_model import require_widths
+from otr.importers.torch_modules import RELU_REMEDY, real_values
+
+__all__ = ["network_of_file"]
+
+_RELU = "<class 'torch.nn.modules.activation.ReLU'>"
+_LEAKY_RELU = "<class 'torch.nn.modules.activation.LeakyReLU'>"
+_LEAKY_RELU_SLOPE = 0.01  # torch's default
+
+# Before version 1.8, Stable-Baselines3 let actor and critic share their first layers.
+_SHARED, _POLICY = "mlp_extractor.shared_net.", "mlp_extractor.policy_net."
+_ON_POLICY_PARTS = (_SHARED, _POLICY, "mlp_extractor.value_net.", "action_net.", "value_net.", "log_std")
+_OFF_POLICY_PARTS = ("actor.latent_pi.", "actor.mu.", "actor.log_std.", "actor_target.", "critic.", "critic_target.",
+                     "q_net.q_net.", "q_net_target.")  # fmt: skip
+_DATA_BYTES = 2**24  # of text; its lists and dictionaries take twenty times as much memory
+
+Tensors = dict[str, Any]
+
+
+def network_of_file(
+    path: Path, action_low: ArrayLike | None, action_high: ArrayLike | None, negative_slope: float | None
+) -> ReluNetwork:
+    """Return the actor in the zip file at `path`; `otr.from_sb3` documents arguments and errors."""
+    tensors, data = _read(path)
+    on_policy = any(name.startswith("action_net.") for name in tensors)
+    _refuse_other_policies(tensors, data, _ON_POLICY_PARTS if on_policy else _OFF_POLICY_PARTS)
+    weights, biases = _actor_layers(tensors, on_policy)
+    slope = _slope(data, on_policy, negative_slope) if len(weights) > 1 else 0.0
+    head = _head(data, on_policy, len(biases[-1]), action_low, action_high)
+    network = ReluNetwork(weights, biases, negative_slope=slope, head=head)
+    n_observed, n_actions = _count(data, "observation_space"), _count(data, "action_space")
+    require_widths(network.n_inputs, network.n_outputs, n_observed, n_actions)
+    return network
+
+
+def _read(path: Path) -> tuple[Tensors, dict[str, Any]]:
+    """Return the tensors of `policy.pth` by name, and the JSON of `data`."""
+    if not path.exists() and path.suffix != ".zip":
+        path = path.with_name(path.name + ".zip")
+    try:
+        members = dict(read_members(path, str(path), ["data"], limit_bytes=_DATA_BYTES))
+        members |= read_members(path, str(path), ["policy.pth"])
+        data = json.loads(members["data"])
+    except FileNotFoundError as error:
+        raise ArtefactError(f"{path} does not exist; give the path of a saved Stable-Baselines3 model") from error
+    except (ValueError, RecursionError) as error:
+        raise ArtefactError(f"{path} cannot be read: data is no JSON ({error}); save the model again") from error
+    tensors = _load_tensors(members["policy.pth"], f"policy.pth in {path}")
+    if not isinstance(data, dict):
+        raise ArtefactError(f"{path} is no saved Stable-Baselines3 model: data is no dictionary")
+    return tensors, data
+
+
+def _load_tensors(content: bytes, label: str) -> Tensors:
+    """Return what torch saved, which is a zip file itself, without running anything in it."""
+    import torch
+
+    if content.startswith(b"PK"):
+        # Written again, so that torch unpacks the members that were checked, and no others.
+        checked = io.BytesIO()
+        with zipfile.ZipFile(checked, "w") as archive:
+            for name, member in read_members(io.BytesIO(content), label):
+                archive.writestr(name, member)
+        content = checked.getvalue()
+    try:
+        tensors = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+    except pickle.UnpicklingError as error:
+        raise ArtefactError(f"{label} holds more than tensors, and was not loaded: {error}") from error
+    except Exception as error:  # torch can fail in any way on what it did not write
+        raise ArtefactError(f"{label} cannot be read ({error}); save the model again") from error
+    if not isinstance(tensors, dict) or not all(isinstance(k, str) and torch.is_tensor(v) for k, v in tensors.items()):
+        raise ArtefactError(f"{label} is no dictionary of tensors by name; give a saved Stable-Baselines3 model")
+    return tensors
+
+
+def _refuse_other_policies(tensors: Tensors, data: dict[str, Any], parts: tuple[str, ...]) -> None:
+    """Raise InvalidNetworkError unless the policy is an MlpPolicy on a vector, as far as the file tells."""
+    if data.get("use_sde"):
+        raise InvalidNetworkError("the model uses gSDE; train with use_sde=False")
+    others = sorted(name for name in tensors if not name.startswith(parts))
+    if others:
+        raise InvalidNetworkError(
+            f"the policy has the tensor {others[0]!r}; only PPO, A2C, TRPO, DQN, SAC, TD3 and DDPG with "
+            "'MlpPolicy' and ARS with 'LinearPolicy', and no feature extractor with weights, can be mapped"
+        )
+    module = _readable(data, "policy_class").get("__module__", "")
+    is_linear = tensors.keys() <= {"action_net.0.weight", "action_net.0.bias"}
+    expected = r"sb3_contrib\.ars\.policies" if is_linear else r"stable_baselines3\.(common|dqn|sac|td3)\.policies"
+    if is_linear and _readable(data, "policy_kwargs").get("squash_output"):
+        raise InvalidNetworkError("the policy squashes its outputs; train with squash_output=False")
+    if not re.fullmatch(expected, str(module)):
+        raise InvalidNetworkError(
+            f"the policy's class is from {module!r}; train with 'MlpPolicy', or ARS with 'LinearPolicy'"
+        )
+    extractor = str(_readable(data, "policy_kwargs").get("features_extractor_class", "FlattenExtractor"))
+    if "stable_baselines3.common.torch_layers.FlattenExtractor" not in extractor and extractor != "FlattenExtractor":
+        raise InvalidNetworkError(f"the policy has the feature extractor {extractor}; leave it at FlattenExtractor")
+    space = _readable(data, "observation_space")
+    if "spaces.box.Box" not in str(space.get(":type:")) or len(space.get("_shape") or ()) > 2:
+        raise InvalidNetworkError(f"the observations are {space.get(':type:')}; only vectors of inputs can be mapped")
+
+
+def _actor_layers(tensors: Tensors, on_policy: bool) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Return the actor's weights and biases, in order of the layers."""
+    parts: tuple[str, ...]
+    if on_policy:
+        parts, last = (_SHARED, _POLICY), ["action_net.0" if "action_net.0.weight" in tensors else "action_net"]
+    elif "actor.mu.weight" in tensors:
+        parts, last = ("actor.latent_pi.",), ["actor.mu"]
+    else:  # TD3, DDPG and DQN hold all layers in one Sequential
+        parts, last = ("q_net.q_net." if "q_net.q_net.0.weight" in tensors else "actor.mu.",), []
+    names = [name for part in parts for name in _linear_layers(tensors, part)] + last
+    if not names:
+        raise InvalidNetworkError(f"no actor among the tensors {sorted(tensors)[:5]} ...; is this a PPO or SAC model?")
+    used = {f"{name}.{kind}" for name in names for kind in ("weight", "bias")}
+    unused = sorted(name for name in tensors if name.startswith((*parts, *last)) and name not in used)
+    if unused:
+        raise InvalidNetworkError(f"the actor has the tensor {unused[0]!r}, which no Linear layer has; use 'MlpPolicy'")
+    optional = {"action_net.0.bias"}  # ARS's LinearPolicy
+    missing = sorted(used - tensors.keys() - optional)
+    if missing:
+        raise InvalidNetworkError(f"the actor's tensor {missing[0]!r} is missing; is this a PPO, SAC or TD3 model?")
+    weights = [real_values(tensors[f"{name}.weight"], f"{name}.weight") for name in names]
+    biases = [
+        real_values(tensors[f"{name}.bias"], f"{name}.bias") if f"{name}.bias" in tensors else np.zeros(len(W))
+        for name, W in zip(names, weights, strict=True)
+    ]
+    return weights, biases
+
+
+def _linear_layers(tensors: Tensors, part: str) -> list[str]:
+    """Return the names of a Sequential's layers with weights, in order."""
+    found = (re.fullmatch(re.escape(part) + r"(\d+)\.weight", name) for name in tensors)
+    positions = sorted(int(match[1]) for match in found if match)
+    # create_mlp alternates Linear and activation; anything else, such as a normalisation layer, shows in the numbers.
+    if positions != list(range(0, 2 * len(positions), 2)):
+        raise InvalidNetworkError(f"the layers {part}* with weights are {positions}, expected 0, 2, 4, ...")
+    return [f"{part}{position}" for position in positions]
+
+
+def _slope(data: dict[str, Any], on_policy: bool, given: float | None) -> float:
+    """Return the activation's negative slope, from the readable account of `policy_kwargs`."""
+    if not isinstance(data.get("policy_kwargs"), dict):
+        raise InvalidNetworkError("the file does not tell the policy's arguments, nor so the activation; save it again")
+    default = "<class 'torch.nn.modules.activation.Tanh'>" if on_policy else _RELU
+    activation = str(_readable(data, "policy_kwargs").get("activation_fn", default))
+    known = {_RELU: 0.0, _LEAKY_RELU: _LEAKY_RELU_SLOPE}.get(activation)
+    if known is None and not (given is not None and "LeakyReLU" in activation):
+        raise InvalidNetworkError(
+            f"the activation is {activation}; "
+            + ("for this LeakyReLU, give negative_slope=" if "LeakyReLU" in activation else RELU_REMEDY)
+        )
+    if known is not None and given is not None and known != given:
+        raise InvalidNetworkError(f"negative_slope is {given}, the file says {activation}, whose slope is {known}")
+    return float(known if known is not None else given)  # type: ignore[arg-type]
+
+
+def _head(data: dict[str, Any], on_policy: bool, n_outputs: int, low: ArrayLike | None, high: ArrayLike | None) -> Head:
+    """Return the head that the readable account of the action space asks for."""
+    space = _readable(data, "action_space")
+    kind = str(space.get(":type:"))
+    if "spaces.discrete.Discrete" in kind and str(space.get("start", "0")) == "0":
+        return Argmax()
+    if "spaces.box.Box" not in kind:
+        raise InvalidNetworkError(f"the actions are {kind}; only Box and Discrete (start=0) can be mapped")
+    low = _limits(space, "low", n_outputs) if low is None else low
+    high = _limits(space, "high", n_outputs) if high is None else high
+    return ClipBox(low, high) if on_policy else TanhBox(low, high)
+
+
+def _count(data: dict[str, Any], name: str) -> int:
+    """Return how many numbers a state has, or how many actions there are."""
+    space = _readable(data, name)
+    size = space["n"] if "n" in space else space.get("_shape", space.get("shape"))
+    try:
+        return math.prod(map(int, size)) if isinstance(size, list) else int(str(size))
+    except (TypeError, ValueError) as error:
+        raise InvalidNetworkError(
+            f"the file does not tell the size of the {name} (it reads {size!r}); load the model with "
+            "Stable-Baselines3 and give it in place of the path"
+        ) from error
+
+
+def _limits(space: dict[str, Any], name: str, n_outputs: int) -> FloatArray:
+    """Return the action limits printed in the file, (n_outputs,)."""
+    text = str(space.get(name))
+    try:
+        limits = np.array(text.replace("[", " ").replace("]", " ").split(), dtype=str(space.get("dtype", "float32")))
+    except (TypeError, ValueError):
+        limits = np.zeros(0)
+    if limits.shape != (n_outputs,):
+        raise InvalidNetworkError(
+            f"the action space's {name} reads {text!r}, expected {n_outputs} numbers; give action_{name}="
+        )
+    return limits.astype(np.float64)
+
+
+def _readable(data: dict[str, Any], name: str) -> dict[str, Any]:
+    """Return the readable account of an object in `data`, without its pickle."""
+    account = data.get(name)
+    return {key: value for key, value in account.items() if key != ":serialized:"} if isinstance(account, dict) else {}

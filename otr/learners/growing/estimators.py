@@ -1,0 +1,103 @@
+"""Base of the learners that grow one tree: checks at the door, predictions through `tree_`, constant leaves.
+
+The learners of several labels at once, networks and linear models, are built on `otr/learners/base.py`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from sklearn.base import BaseEstimator, ClassifierMixin, MultiOutputMixin, RegressorMixin
+from sklearn.utils.multiclass import check_classification_targets
+from sklearn.utils.validation import check_is_fitted, validate_data
+
+from otr.core.arrays import FloatArray, IntArray
+from otr.core.head import Argmax
+from otr.core.tree import ObliqueTree
+
+__all__ = ["GrownClassifier", "GrownRegressor", "class_tree", "constant_tree"]
+
+# Bits are kept in float32 where the caller gives them so: half the memory, and no bit is lost.
+_FLOATS = [np.float64, np.float32]
+
+
+class _GrownEstimator(BaseEstimator):  # type: ignore[misc]
+    """An estimator that answers through `tree_`."""
+
+    tree_: ObliqueTree
+    n_features_in_: int
+
+    def apply(self, X: ArrayLike) -> IntArray:
+        """Return the leaf of `tree_` that each row of X (n, d) ends in: (n,) int64."""
+        return self.tree_.apply(self._checked(X))
+
+    def _checked(self, X: ArrayLike) -> NDArray[Any]:
+        check_is_fitted(self, "tree_")
+        return np.asarray(validate_data(self, X, reset=False, dtype=_FLOATS))
+
+
+class GrownClassifier(ClassifierMixin, _GrownEstimator):  # type: ignore[misc]
+    """A classifier whose `tree_` has class shares in its leaves and positions in `classes_` as labels."""
+
+    classes_: NDArray[Any]
+
+    def predict(self, X: ArrayLike) -> NDArray[Any]:
+        """Return the classes (n,): the largest share in the leaf, ties to the class that comes first."""
+        X = self._checked(X)
+        return np.asarray(self.classes_[self.tree_.predict(X)])
+
+    def predict_proba(self, X: ArrayLike) -> FloatArray:
+        """Return the training shares (n, n_classes) of the classes in each row's leaf."""
+        X = self._checked(X)
+        return np.asarray(self.tree_.c[self.tree_.apply(X)])
+
+    def _checked_fit(self, X: ArrayLike, y: ArrayLike) -> tuple[NDArray[Any], IntArray]:
+        """Return X and, for each row, the position of its class in `classes_`, which is set here."""
+        checked, classes = validate_data(self, X, y, dtype=_FLOATS)
+        check_classification_targets(classes)
+        self.classes_, labels = np.unique(classes, return_inverse=True)
+        return checked, labels
+
+
+class GrownRegressor(MultiOutputMixin, RegressorMixin, _GrownEstimator):  # type: ignore[misc]
+    """A regressor of one target (n,) or several (n, o)."""
+
+    _is_flat: bool
+
+    def predict(self, X: ArrayLike) -> FloatArray:
+        """Return the values: (n,) if the targets were given so, else (n, o)."""
+        X = self._checked(X)
+        values = self.tree_.predict(X)
+        return np.asarray(values[:, 0] if self._is_flat else values)
+
+    def _checked_fit(self, X: ArrayLike, y: ArrayLike) -> tuple[NDArray[Any], FloatArray]:
+        """Return X and the targets (n, o) as float64."""
+        checked, values = validate_data(self, X, y, dtype=_FLOATS, multi_output=True, y_numeric=True)
+        targets: FloatArray = np.asarray(values, dtype=np.float64)
+        self._is_flat = targets.ndim == 1
+        return checked, targets.reshape(len(targets), -1)
+
+
+def constant_tree(
+    children_left: ArrayLike,
+    children_right: ArrayLike,
+    P: ArrayLike,
+    v: ArrayLike,
+    values: FloatArray,
+    *,
+    n_inputs: int,
+) -> ObliqueTree:
+    """Return the tree whose leaf k answers values[k], of shape (n_leaves, o)."""
+    P = np.reshape(P, (-1, n_inputs))
+    return ObliqueTree(children_left, children_right, P, v, np.zeros((*values.shape, n_inputs)), values)
+
+
+def class_tree(tree: ObliqueTree, shares: FloatArray) -> ObliqueTree:
+    """Return `tree`'s tests over leaves with class shares (n_leaves, n_classes) as outputs, their argmax as label."""
+    M = np.zeros((*shares.shape, tree.n_inputs))
+    head = Argmax()
+    return ObliqueTree(
+        tree.children_left, tree.children_right, tree.P, tree.v, M, shares, labels=head(shares), head=head
+    )

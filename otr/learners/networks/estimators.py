@@ -1,0 +1,332 @@
+"""Base of the learners of one tree for every label, networks and linear models: scikit-learn's contract.
+
+The learners that grow a tree are built on `otr/learners/grown.py`.
+"""
+
+from __future__ import annotations
+
+import copy
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from sklearn.base import BaseEstimator, ClassifierMixin, RegressorMixin
+from sklearn.utils import check_array, check_random_state
+from sklearn.utils.multiclass import check_classification_targets, type_of_target
+from sklearn.utils.validation import check_is_fitted, column_or_1d, validate_data
+
+from otr.core.arrays import FloatArray
+from otr.core.pattern_tree import PatternTree
+from otr.core.pruning import prune_unreached
+from otr.core.tree import ObliqueTree
+
+__all__ = ["NetworkLearner", "Problem", "TreeClassifier", "TreeLearner", "TreeRegressor", "only", "seed_of"]
+
+Validation = tuple[ArrayLike, ArrayLike] | None
+
+
+class Problem:
+    """A learning problem after the checks at the door.
+
+    Attributes:
+        X: (n, d) float64, shifted and scaled by `mean` and `scale`.
+        Y: (n, L), NaN where missing: 0 and 1 (logistic), class numbers (softmax), standardised targets (squared).
+        loss: "logistic", "softmax" or "squared".
+        n_classes: of the softmax loss.
+        X_valid, Y_valid: the same for the rows that choose the epoch, or None.
+        mean, scale: (d,), what X was shifted and scaled by.
+        y_mean, y_scale: (L,), what the targets were shifted and scaled by.
+    """
+
+    def __init__(self, X: FloatArray, Y: FloatArray, loss: Literal["logistic", "softmax", "squared"]) -> None:
+        self.X, self.Y, self.loss = X, Y, loss
+        self.n_classes = 2
+        self.X_valid: FloatArray | None = None
+        self.Y_valid: FloatArray | None = None
+        self.mean, self.scale = np.zeros(X.shape[1]), np.ones(X.shape[1])
+        self.y_mean, self.y_scale = np.zeros(Y.shape[1]), np.ones(Y.shape[1])
+
+    def standardise_inputs(self) -> None:
+        """Shift and scale X to mean 0 and standard deviation 1 on the training rows."""
+        self.mean = self.X.mean(axis=0)
+        self.scale = _scale_of(self.X)
+        self.X = (self.X - self.mean) / self.scale
+        if self.X_valid is not None:
+            self.X_valid = (self.X_valid - self.mean) / self.scale
+
+    def standardise_targets(self) -> None:
+        """Do the same to Y."""
+        self.y_mean = np.nanmean(self.Y, axis=0)
+        self.y_scale = _scale_of(self.Y)
+        self.Y = (self.Y - self.y_mean) / self.y_scale
+        if self.Y_valid is not None:
+            self.Y_valid = (self.Y_valid - self.y_mean) / self.y_scale
+
+
+def _scale_of(values: FloatArray) -> FloatArray:
+    deviation: FloatArray = np.nanstd(values, axis=0)
+    # What is constant up to rounding stays as it is.
+    deviation[deviation <= 1e-12 * np.maximum(1.0, np.abs(np.nanmean(values, axis=0)))] = 1.0
+    return deviation
+
+
+class TreeLearner(BaseEstimator, ABC):  # type: ignore[misc]
+    """Base of the estimators that hold one tree for every label.
+
+    Attributes:
+        trees_: one tree a label.
+        tree_: the tree, where there is one label.
+        n_features_in_: number of inputs.
+    """
+
+    standardize: bool | Literal["auto"]
+    trees_: list[ObliqueTree | PatternTree]
+
+    @property
+    def tree_(self) -> ObliqueTree | PatternTree:
+        """The tree of an estimator of one label."""
+        tree: ObliqueTree | PatternTree = only(self.trees_, "tree")
+        return tree
+
+    @abstractmethod
+    def _problem(self, X: ArrayLike, y: ArrayLike, validation: Validation) -> Problem:
+        """Return the problem after the checks at the door, and set what they find, such as `classes_`."""
+
+    @abstractmethod
+    def _fit_problem(self, problem: Problem) -> None:
+        """Set `trees_`, in terms of the inputs and targets as they were before standardising."""
+
+    def prune(self, X: ArrayLike) -> list[ObliqueTree]:
+        """Return, for every label, the tree of the paths that the rows X (n, d) reach: OTR-hat.
+
+        Raises:
+            sklearn.exceptions.NotFittedError: before `fit`.
+        """
+        check_is_fitted(self)
+        rows = validate_data(self, X, dtype=np.float64, reset=False)
+        return [prune_unreached(tree, rows) for tree in self.trees_]
+
+    def _outputs(self, X: ArrayLike) -> FloatArray:
+        """Return the leaves' outputs: (n, L, o)."""
+        check_is_fitted(self)
+        rows = validate_data(self, X, dtype=np.float64, reset=False)
+        return np.stack([tree.forward(rows) for tree in self.trees_], axis=1)
+
+    def _standardises(self, X: FloatArray) -> bool:
+        if self.standardize not in (True, False, "auto"):
+            raise ValueError(f"standardize is {self.standardize!r}, expected True, False or 'auto'")
+        if self.standardize == "auto":
+            return not bool(((X == 0) | (X == 1)).all())
+        return self.standardize is True
+
+    def _standardised(self, problem: Problem, validation: Validation, encoded_valid: FloatArray | None) -> Problem:
+        """Return the problem with its validation rows, inputs and targets shifted and scaled as is asked."""
+        if validation is not None:
+            problem.X_valid = validate_data(self, validation[0], dtype=np.float64, reset=False)
+            problem.Y_valid = encoded_valid
+            if encoded_valid is not None and len(encoded_valid) != len(problem.X_valid):
+                raise ValueError(f"validation has {len(problem.X_valid)} rows of X and {len(encoded_valid)} of y")
+        if self._standardises(problem.X):
+            problem.standardise_inputs()
+        if problem.loss == "squared":
+            problem.standardise_targets()
+        return problem
+
+
+class NetworkLearner(TreeLearner):
+    """Base of the learners of networks, which many labels and seeds train together.
+
+    Attributes:
+        networks_, network_: the trained networks, or the one.
+        best_epochs_, validation_scores_: one entry a label, see `train_many`.
+    """
+
+    random_state: int | np.random.RandomState | None
+    networks_: list[Any]
+
+    @property
+    def network_(self) -> Any:
+        """The network of an estimator of one label."""
+        return only(self.networks_, "network")
+
+    def fit_seeds(
+        self, X: ArrayLike, y: ArrayLike, seeds: Sequence[int], *, validation: Validation = None
+    ) -> list[Self]:
+        """Return an estimator fitted with each seed as its `random_state`, all of them trained as one batched model.
+
+        Each comes out as `fit` alone would make it, up to rounding. Arguments and errors are those of `fit`.
+        """
+        problem = self._problem(X, y, validation)
+        trained = self._train(problem, seeds)
+        fitted = []
+        for position, seed in enumerate(seeds):
+            one = copy.copy(self)
+            one.random_state = seed
+            one._take(trained, position, problem)
+            fitted.append(one)
+        return fitted
+
+    def _fit_problem(self, problem: Problem) -> None:
+        self._take(self._train(problem, [seed_of(self.random_state)]), 0, problem)
+
+    @abstractmethod
+    def _train(self, problem: Problem, seeds: Sequence[int]) -> Any:
+        """Return the networks [label][seed] with scores and epochs, see `TrainedNetworks`."""
+
+    @abstractmethod
+    def _take(self, trained: Any, position: int, problem: Problem) -> None:
+        """Set the fitted attributes from the networks of the seed at this position."""
+
+
+class TreeClassifier(ClassifierMixin, TreeLearner):  # type: ignore[misc]
+    """Base of the classifiers: binary, multi-class, and multi-label with one tree a label.
+
+    Multi-label targets are 0 and 1, (n, L); NaN is a missing label, and its row is left out for that label.
+    """
+
+    classes_: NDArray[Any]
+
+    def fit(self, X: ArrayLike, y: ArrayLike, *, validation: Validation = None) -> TreeClassifier:
+        """Fit the trees.
+
+        Args:
+            X: (n, d).
+            y: (n,) labels of two or more classes, or (n, L) of 0, 1 and NaN.
+            validation: (X, y) of rows on which the best epoch is chosen; without, the last is kept.
+
+        Raises:
+            ValueError: y has one class only, or shapes do not agree.
+        """
+        self._fit_problem(self._problem(X, y, validation))
+        return self
+
+    def _problem(self, X: ArrayLike, y: ArrayLike, validation: Validation) -> Problem:
+        shape = np.asarray(y).shape
+        multilabel = len(shape) == 2 and shape[1] > 1
+        rows: FloatArray
+        if multilabel:
+            rows = validate_data(self, X, dtype=np.float64)
+            encode = self._encode_labels
+            Y = encode(y)
+            self.classes_ = np.arange(Y.shape[1])
+        else:
+            rows, labels = validate_data(self, X, y, dtype=np.float64)
+            labels = column_or_1d(labels, warn=True)
+            check_classification_targets(labels)
+            self.classes_ = np.unique(labels)
+            if len(self.classes_) < 2:
+                only_class = self.classes_.tolist()[0]
+                raise ValueError(f"y has the one class {only_class!r}; a classifier needs at least two classes")
+            encode = self._encode_classes
+            Y = encode(labels)
+        if len(Y) != len(rows):
+            raise ValueError(f"X has {len(rows)} rows and y {len(Y)}")
+        self.multilabel_ = multilabel
+        problem = Problem(rows, Y, "softmax" if not multilabel and len(self.classes_) > 2 else "logistic")
+        problem.n_classes = len(self.classes_)
+        return self._standardised(problem, validation, None if validation is None else encode(validation[1]))
+
+    def _encode_labels(self, y: ArrayLike) -> FloatArray:
+        Y: FloatArray = check_array(y, dtype=np.float64, ensure_all_finite="allow-nan", input_name="y")
+        if not np.isin(Y[~np.isnan(Y)], (0.0, 1.0)).all():
+            kind = type_of_target(np.nan_to_num(Y))
+            raise ValueError(f"y has several columns and is of type {kind!r}; multi-label targets are 0, 1 and NaN")
+        return Y
+
+    def _encode_classes(self, y: ArrayLike) -> FloatArray:
+        labels = column_or_1d(y)
+        unknown = np.setdiff1d(labels, self.classes_)
+        if len(unknown):
+            raise ValueError(f"validation has the class {unknown[:1].tolist()[0]!r}, which y does not have")
+        numbers: FloatArray = np.searchsorted(self.classes_, labels).astype(np.float64)[:, None]
+        return numbers
+
+    def decision_function(self, X: ArrayLike) -> FloatArray:
+        """Return the leaves' outputs, logits: (n,) for two classes, (n, c) for c classes or labels."""
+        outputs = self._outputs(X)
+        if self.multilabel_:
+            return outputs[:, :, 0]
+        return outputs[:, 0, 0] if len(self.classes_) == 2 else outputs[:, 0]
+
+    def predict_proba(self, X: ArrayLike) -> FloatArray:
+        """Return the probabilities behind the leaves' outputs: (n, c) of classes, or (n, L) of ones of the labels."""
+        logits = self.decision_function(X)
+        if not self.multilabel_ and logits.ndim == 2:
+            odds = np.exp(logits - logits.max(axis=1, keepdims=True))
+            shares: FloatArray = odds / odds.sum(axis=1, keepdims=True)
+            return shares
+        ones = np.exp(-np.logaddexp(0.0, -logits))
+        return ones if self.multilabel_ else np.column_stack((1 - ones, ones))
+
+    def predict(self, X: ArrayLike) -> NDArray[Any]:
+        """Return the labels that the trees answer: (n,) of the classes, or (n, L) of 0 and 1."""
+        check_is_fitted(self)
+        rows = validate_data(self, X, dtype=np.float64, reset=False)
+        answers = np.stack([tree.predict(rows) for tree in self.trees_], axis=1)
+        return answers if self.multilabel_ else np.asarray(self.classes_[answers[:, 0]])
+
+    def __sklearn_tags__(self) -> Any:
+        tags = super().__sklearn_tags__()
+        tags.classifier_tags.multi_label = True
+        tags.target_tags.single_output = True
+        return tags
+
+
+class TreeRegressor(RegressorMixin, TreeLearner):  # type: ignore[misc]
+    """Base of the regressors, with one tree a target."""
+
+    def fit(self, X: ArrayLike, y: ArrayLike, *, validation: Validation = None) -> TreeRegressor:
+        """Fit the trees.
+
+        Args:
+            X: (n, d).
+            y: (n,) or (n, L).
+            validation: (X, y) of rows on which the best epoch is chosen; without, the last is kept.
+
+        Raises:
+            ValueError: shapes do not agree.
+        """
+        self._fit_problem(self._problem(X, y, validation))
+        return self
+
+    def _problem(self, X: ArrayLike, y: ArrayLike, validation: Validation) -> Problem:
+        rows, targets = validate_data(self, X, y, dtype=np.float64, multi_output=True, y_numeric=True)
+        if targets.ndim == 2 and targets.shape[1] == 1:
+            targets = column_or_1d(targets, warn=True)
+        self.one_target_ = targets.ndim == 1
+        encoded = None
+        if validation is not None:
+            encoded = check_array(validation[1], ensure_2d=False, dtype=np.float64, input_name="y of validation")
+        problem = Problem(rows, _columns(targets), "squared")
+        return self._standardised(problem, validation, None if encoded is None else _columns(encoded))
+
+    def predict(self, X: ArrayLike) -> FloatArray:
+        """Return the leaves' outputs: (n,), or (n, L) for several targets."""
+        outputs = self._outputs(X)[:, :, 0]
+        return outputs[:, 0] if self.one_target_ else outputs
+
+    def __sklearn_tags__(self) -> Any:
+        tags = super().__sklearn_tags__()
+        tags.target_tags.multi_output = True
+        return tags
+
+
+def _columns(y: ArrayLike) -> FloatArray:
+    Y: FloatArray = np.asarray(y, dtype=np.float64)
+    return Y[:, None] if Y.ndim == 1 else Y
+
+
+def only(things: list[Any], what: str) -> Any:
+    """Return the one thing, or raise AttributeError that names the attribute with all of them."""
+    if len(things) != 1:
+        raise AttributeError(f"there are {len(things)} {what}s, one for each label; see {what}s_")
+    return things[0]
+
+
+def seed_of(random_state: int | np.random.RandomState | None) -> int:
+    """Return an integer seed: `random_state` itself where it is one, else a number drawn from it."""
+    if isinstance(random_state, int | np.integer) and not isinstance(random_state, bool) and random_state >= 0:
+        return int(random_state)
+    return int(check_random_state(random_state).randint(2**31 - 1))

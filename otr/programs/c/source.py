@@ -1,0 +1,230 @@
+"""A policy as one C99 source file: constant tables, a loop, no heap, no recursion, no state."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from otr.core.head import Argmax, ClipBox, PidBox, Sign, TanhBox
+from otr.core.mapping import map_network
+from otr.core.network import ReluNetwork
+from otr.core.pattern_tree import PatternTree
+from otr.core.tree import ObliqueTree
+from otr.programs.c.network import network_code, outputs_array
+from otr.programs.c.reserved_words import is_function_name
+from otr.programs.c.tables import CType, Table, integer_table, integer_type, literal, real_table, row_table
+from otr.programs.names import check_policy, give_labels, in_comment, shown_names
+from otr.programs.walk import box_limits, child, distinct_rows, summary_of
+
+__all__ = ["to_c"]
+
+_OF_STDINT = ("static const int", "static const uint")
+
+
+def to_c(
+    policy: ObliqueTree | PatternTree | ReluNetwork,
+    *,
+    name: str = "policy",
+    dtype: CType = "double",
+    feature_names: Sequence[str] | None = None,
+    output_names: Sequence[str] | None = None,
+) -> str:
+    """Return a C99 source file that answers as ``policy.predict`` does.
+
+    It defines ``void name(const double x[d], double y[n])``, of as many numbers as the answer has, or, where the
+    answers are labels, ``int name_label(const double x[d])``. It compiles without a warning under -Wall -Wextra
+    -Werror -pedantic, uses neither heap nor recursion, and all its data is constant, so that it lands in flash. Test
+    rows and leaf rows that repeat are stored once, dense or sparse, and indices have the smallest type that fits.
+
+    A network is written in its own, compact form: every neuron is evaluated once and adds to what it feeds, which
+    takes the fewest bytes, where a tree has a map for every leaf. A `PatternTree` of all paths is written as its
+    network; one that is restricted to some paths, as the tree of these.
+
+    Args:
+        policy: a tree, or a network.
+        name: prefix of everything that the file defines.
+        dtype: "double", or "float" for controllers that have no unit for more; numbers are rounded to it.
+        feature_names, output_names: as in `to_text`, for the comment at the top.
+
+    Raises:
+        TypeError: `policy` is something else.
+        ValueError: the wrong number of names, a `name` that C does not take, another `dtype`, or a number that is too
+            large for a float.
+    """
+    if not isinstance(policy, ObliqueTree | PatternTree | ReluNetwork):
+        raise TypeError(f"policy is a {type(policy).__name__}, expected an ObliqueTree, a PatternTree or a ReluNetwork")
+    if not is_function_name(name):
+        raise ValueError(f"name is {name!r}, which cannot be the name of a C function")
+    if dtype not in ("double", "float"):
+        raise ValueError(f"dtype is {dtype!r}, expected 'double' or 'float'")
+    if isinstance(policy, PatternTree):
+        policy = policy.to_tree() if policy.is_restricted else policy.network
+    if isinstance(policy, ReluNetwork) and policy.n_hidden == 0:
+        policy = map_network(policy)
+    check_policy(policy)
+    features, answers = shown_names(policy, feature_names, output_names)
+    tables, body = network_code(policy, name, dtype) if isinstance(policy, ReluNetwork) else _tree(policy, name, dtype)
+    head_tables, head = _head(policy, name, dtype)
+    n_bytes = sum(table.n_bytes for table in (*tables, *head_tables))
+    needs_tanh = isinstance(policy.head, TanhBox | PidBox) and not give_labels(policy)
+    declared = _signature(policy, name, dtype)
+    lines = _comment(policy, declared, n_bytes, features, answers, needs_tanh)
+    written = [line for table in (*tables, *head_tables) for line in table.lines]
+    lines += ["#include <math.h>"] if needs_tanh else []
+    lines += ["#include <stdint.h>"] if any(line.startswith(_OF_STDINT) for line in written) else []
+    lines += ["", *written, "", f"{declared};  /* so that no compiler misses a prototype */", "", declared]
+    return re.sub("\n{3,}", "\n\n", "\n".join([*lines, "{", *body, *head, "}"])) + "\n"
+
+
+def _signature(policy: ObliqueTree | ReluNetwork, name: str, dtype: CType) -> str:
+    if give_labels(policy):
+        return f"{_label_type(policy)} {name}_label(const {dtype} x[{policy.n_inputs}])"
+    return f"void {name}(const {dtype} x[{policy.n_inputs}], {dtype} y[{policy.head.n_answers(policy.n_outputs)}])"
+
+
+def _label_type(policy: ObliqueTree | ReluNetwork) -> str:
+    labels = policy.labels if isinstance(policy, ObliqueTree) and policy.labels is not None else np.zeros(1, np.int64)
+    n_bytes = integer_type(np.append(labels, -1))[1]
+    return {1: "int", 2: "int", 4: "long", 8: "long long"}[n_bytes]
+
+
+def _comment(
+    policy: ObliqueTree | ReluNetwork,
+    declared: str,
+    n_bytes: int,
+    features: Sequence[str],
+    answers: Sequence[str],
+    needs_tanh: bool,
+) -> list[str]:
+    """Return the comment at the top: how to call, inputs, outputs, sizes."""
+    if isinstance(policy, ObliqueTree):
+        what = summary_of(policy)
+    else:
+        what = f"a network of {policy.n_hidden} hidden neurons, which is a tree of {policy.n_hidden} tests on a path"
+    lines = [f"/* {what[0].upper()}{what[1:]}.", " *", f" *     {declared};", " *"]
+    lines += [f" * x[{i}]  {in_comment(feature)}" for i, feature in enumerate(features)]
+    if give_labels(policy):
+        lines += [f" * {i:4d}  {in_comment(answer)}" for i, answer in enumerate(answers) if answer != str(i)]
+    else:
+        lines += [f" * y[{i}]  {in_comment(answer)}{_range(policy, i)}" for i, answer in enumerate(answers)]
+        lines += [" *", " * x and y must not overlap."]
+    lines += [
+        " *",
+        f" * {n_bytes:,} bytes of constant tables. No heap, no recursion, no variable that outlives a call.",
+        *([" * Link with the mathematical library (-lm) for tanh."] if needs_tanh else []),
+        " */",
+    ]
+    return lines
+
+
+def _range(policy: ObliqueTree | ReluNetwork, output: int) -> str:
+    if not isinstance(policy.head, ClipBox | TanhBox | PidBox):
+        return ""
+    low, high = (float(limit[output]) for limit in box_limits(policy.head, policy.n_outputs))
+    return f", in [{low:g}, {high:g}]"
+
+
+def _tree(tree: ObliqueTree, name: str, dtype: CType) -> tuple[list[Table], list[str]]:
+    """Return tables, and the lines that find the leaf and write its outputs, or return its label."""
+    tables: list[Table] = []
+    index = "int" if tree.n_leaves * tree.n_outputs < 2**15 else "long"
+    body = []
+    if tree.n_nodes:
+        tests, test_of = distinct_rows(np.column_stack((tree.P, tree.v)))
+        tables = [row_table(f"{name}_tests", tests, dtype), integer_table(f"{name}_children", child(tree))]
+        test = "node"
+        if not np.array_equal(test_of, np.arange(tree.n_nodes)):
+            tables.append(integer_table(f"{name}_test", test_of))
+            test = f"{name}_test[node]"
+        body = [
+            f"    {index} node = 0;",
+            "    while (node >= 0)  /* a negative child is the leaf ~child */",
+            f"        node = ({index}){name}_children[node][{name}_tests_at({test}, x) > 0];",
+        ]
+    leaf = "~node" if tree.n_nodes else "0"
+    if tree.labels is not None:
+        tables.append(integer_table(f"{name}_labels", tree.labels))
+        unused = [] if tree.n_nodes else ["    (void)x;"]
+        return tables, [*body, *unused, f"    return {name}_labels[{leaf}];"]
+    rows, row_of = distinct_rows(np.concatenate((tree.M, tree.c[:, :, None]), axis=2).reshape(-1, tree.n_inputs + 1))
+    tables.append(row_table(f"{name}_rows", rows, dtype))
+    row = f"{tree.n_outputs}L * ({leaf}) + k"
+    if not np.array_equal(row_of, np.arange(len(row_of))):
+        tables.append(integer_table(f"{name}_leaves", row_of.reshape(tree.n_leaves, tree.n_outputs)))
+        row = f"{name}_leaves[{leaf}][k]"
+    array, declared = outputs_array(tree, dtype)
+    return tables, [
+        *declared,
+        *body[:1],
+        "    int k;",
+        *body[1:],
+        f"    for (k = 0; k < {tree.n_outputs}; k++)",
+        f"        {array}[k] = {name}_rows_at({row}, x);",
+    ]
+
+
+def _head(policy: ObliqueTree | ReluNetwork, name: str, dtype: CType) -> tuple[list[Table], list[str]]:
+    """Return tables, and the lines that make the answer of the affine outputs."""
+    o = policy.n_outputs
+    if isinstance(policy, ObliqueTree) and policy.labels is not None:
+        return [], []
+    if isinstance(policy.head, Sign):
+        return [], ["    return y[0] > 0;"]
+    if isinstance(policy.head, Argmax):
+        best = [
+            "    {",
+            "        int best = 0;",
+            f"        for (k = 1; k < {o}; k++)",
+            "            if (y[k] > y[best])",
+        ]
+        return [], [*best, "                best = k;", "        return best;", "    }"]
+    if isinstance(policy.head, ClipBox):
+        low, high = box_limits(policy.head, o)
+        tables, (lows, highs) = _per_output(name, {"low": low, "high": high}, dtype)
+        return tables, [
+            f"    for (k = 0; k < {o}; k++)",
+            f"        y[k] = y[k] < {lows} ? {lows} : y[k] > {highs} ? {highs} : y[k];",
+        ]
+    if isinstance(policy.head, PidBox):
+        n_actions = len(policy.head.low)
+        n_terms = o // (n_actions + 1)
+        tables, squashed = _squashed(policy, name, dtype, "sum")
+        return tables, [
+            f"    for (k = 0; k < {n_actions}; k++) {{",
+            f"        const {dtype} *gains = u + {n_terms} * (k + 1);",
+            f"        {dtype} sum = 0;",
+            "        int j;",
+            f"        for (j = 0; j < {n_terms}; j++)",
+            "            sum += gains[j] * u[j];",
+            f"        y[k] = {squashed};",
+            "    }",
+        ]
+    if isinstance(policy.head, TanhBox):
+        tables, squashed = _squashed(policy, name, dtype, "y[k]")
+        return tables, [f"    for (k = 0; k < {o}; k++)", f"        y[k] = {squashed};"]
+    return [], []
+
+
+def _squashed(policy: ObliqueTree | ReluNetwork, name: str, dtype: CType, value: str) -> tuple[list[Table], str]:
+    """Return tables, and an expression's tanh in the box of answer k."""
+    low, high = box_limits(policy.head, policy.n_outputs)
+    half, middle = (high - low) / 2, low + (high - low) / 2
+    tanh = f"{'tanh' if dtype == 'double' else 'tanhf'}({value})"
+    if (half == 1).all() and (middle == 0).all():
+        return [], tanh
+    tables, (halves, middles) = _per_output(name, {"half": half, "middle": middle}, dtype)
+    return tables, f"{middles} + {halves} * {tanh}"
+
+
+def _per_output(name: str, limits: dict[str, np.ndarray], dtype: CType) -> tuple[list[Table], list[str]]:
+    """Return each limit of output k as an expression: a literal where all outputs share it, else from a table."""
+    tables, expressions = [], []
+    for what, values in limits.items():
+        if (values == values[0]).all():
+            expressions.append(literal(float(values[0]), dtype))
+        else:
+            tables.append(real_table(f"{name}_{what}", np.ascontiguousarray(values), dtype))
+            expressions.append(f"{name}_{what}[k]")
+    return tables, expressions

@@ -1,0 +1,104 @@
+"""What several program formats share: the walk over a tree, rows that are stored once, what a head needs."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable, Iterator, Sequence
+from typing import Literal
+
+import numpy as np
+
+from otr.core.arrays import FloatArray, IntArray
+from otr.core.head import ClipBox, Head, PidBox, TanhBox
+from otr.core.tree import ObliqueTree
+
+__all__ = [
+    "MAX_NESTED_DEPTH",
+    "TIE",
+    "WIDTH",
+    "affine_expression",
+    "box_limits",
+    "child",
+    "distinct_rows",
+    "summary_of",
+    "walk",
+    "wrapped",
+]
+
+# Nested ifs up to this depth; Python's parser bears 100 indentations, and nobody reads as many.
+MAX_NESTED_DEPTH = 64
+WIDTH = 110  # of a line of code
+TIE = "\u00a0"  # a space at which `wrapped` breaks no line
+
+
+def summary_of(tree: ObliqueTree) -> str:
+    """Return what a program's first line says of the tree."""
+    leaves = "1 leaf" if tree.n_leaves == 1 else f"{tree.n_leaves:,} leaves"
+    return f"an oblique decision tree of depth {tree.depth} with {leaves}"
+
+
+def walk(tree: ObliqueTree) -> Iterator[tuple[Literal["if", "else", "end", "leaf"], int, int]]:
+    """Yield (what, node or leaf, depth) in the order in which nested ifs are written, however deep the tree is."""
+    pending: list[tuple[Literal["if", "else", "end", "leaf"], int, int]] = [_event(0 if tree.n_nodes else ~0, 0)]
+    while pending:
+        what, index, depth = pending.pop()
+        yield what, index, depth
+        if what == "if":
+            pending.append(("end", index, depth))
+            pending.append(_event(int(tree.children_right[index]), depth + 1))
+            pending.append(("else", index, depth))
+            pending.append(_event(int(tree.children_left[index]), depth + 1))
+
+
+def _event(reference: int, depth: int) -> tuple[Literal["if", "leaf"], int, int]:
+    return ("if", reference, depth) if reference >= 0 else ("leaf", ~reference, depth)
+
+
+def child(tree: ObliqueTree) -> IntArray:
+    """Return the references of the children, (n_nodes, 2): left, right."""
+    return np.stack((tree.children_left, tree.children_right), axis=1)
+
+
+def distinct_rows(rows: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Return the distinct rows in the order in which they first occur, and for each row which of them it is."""
+    unique, first, index = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return unique[order], rank[index.reshape(-1)]
+
+
+def box_limits(head: Head, n_outputs: int) -> tuple[FloatArray, FloatArray]:
+    """Return a box head's limits for every value of the answer: low and high, (n_answers,) each."""
+    n_answers = head.n_answers(n_outputs)
+    assert isinstance(head, ClipBox | TanhBox | PidBox)
+    return np.broadcast_to(head.low, (n_answers,)), np.broadcast_to(head.high, (n_answers,))
+
+
+def affine_expression(
+    coefficients: FloatArray, offset: float, names: Sequence[str], number: Callable[[float], str]
+) -> str:
+    """Return ``offset + coefficient * name - ...`` in the notation of most languages; zeros are left out.
+
+    The spaces within a term are ties.
+    """
+    terms = [] if offset == 0 else [(float(offset), "")]
+    terms += [(float(coefficients[i]), f"{TIE}*{TIE}{names[i]}") for i in np.flatnonzero(coefficients).tolist()]
+    if not terms:
+        return number(0.0)
+    (first, name), *rest = terms
+    signed = (f" {'-' if value < 0 else '+'}{TIE}{number(abs(value))}{name}" for value, name in rest)
+    return f"{number(first)}{name}{''.join(signed)}"
+
+
+def wrapped(text: str, indent: str) -> list[str]:
+    """Return code as lines of at most WIDTH, broken at spaces, the further ones indented by eight more."""
+    lines = textwrap.wrap(
+        text,
+        width=max(WIDTH, len(indent) + 60),
+        initial_indent=indent,
+        subsequent_indent=f"{indent}        ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    return [line.replace(TIE, " ") for line in lines]

@@ -1,0 +1,251 @@
+"""Whether a linear condition on state and action holds: branch and bound over pieces of leaves' regions.
+
+On a piece the condition's left side is bounded by an affine function, whose largest value a linear program finds; where
+tanh's lines are too loose the piece is cut in two. What floating point finds counts when exact arithmetic confirms it
+(`otr.verdict`); else the piece is decided by a program in rational arithmetic, however thin it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otr.core.arrays import FloatArray, IntArray
+from otr.core.half_spaces import HalfSpaces
+from otr.core.head import ClipBox
+from otr.errors import CertificateError, OtrError
+from otr.geometry.linear_programs import LargestValues, largest_values
+from otr.geometry.rational import Point, as_point
+from otr.geometry.regions import leaf_rows
+from otr.proof.certificate import Sum
+from otr.proof.exact_cells import decide
+from otr.proof.head_bounds import half_and_middle, limits_of_head, line_above
+from otr.proof.statement import Row
+from otr.proof.verdict import Piece, Question, Verdict
+from otr.proof.verify import rounded_up
+
+__all__ = ["Search"]
+
+
+@dataclass(frozen=True)
+class _Open:
+    """Pieces that are still to be proved: leaves (n,) and limits of the weighed outputs (n, n_weighed)."""
+
+    leaves: IntArray
+    low: FloatArray
+    high: FloatArray
+
+
+class Search:
+    """The search for the answer to a question."""
+
+    def __init__(self, question: Question, tolerance: float) -> None:
+        """Take a question, and what a condition may fail by under tanh."""
+        self.question, self.tolerance = question, tolerance
+        self.tree, self.domain, self.weighed = question.tree, question.domain, question.weighed
+        self.rows, self.signs = leaf_rows(self.tree, self.domain, np.arange(self.tree.n_leaves))
+        self.outputs = np.concatenate((self.tree.M, self.tree.c[:, :, None]), axis=2)[:, self.weighed]
+
+    def run(self, max_pieces: int) -> Verdict:
+        """Return the answer.
+
+        Raises:
+            OtrError: more than `max_pieces` pieces would have to be looked at.
+        """
+        waiting, pieces = self._first_pieces(max_pieces), list[Piece]()
+        largest, where = Fraction(-(10**400)), 0
+        while len(waiting.leaves):
+            if len(pieces) + len(waiting.leaves) > max_pieces:
+                raise OtrError(f"the question needs more than {max_pieces:,} pieces; ask about a smaller box")
+            rows, signs, objectives, lines = self._programs(waiting)
+            best = largest_values(rows, np.arange(len(waiting.leaves)), signs, objectives)
+            states = np.clip(self.domain.unscaled(best.states), self.domain.low, self.domain.high)
+            failure = self._failure_among(waiting.leaves, states)
+            if failure is not None:
+                return self._failed(failure)
+            to_cut = []
+            for i, leaf in enumerate(waiting.leaves.tolist()):
+                piece = Piece(
+                    leaf,
+                    tuple(waiting.low[i].tolist()),
+                    tuple(waiting.high[i].tolist()),
+                    tuple(self._exact_line(at, slope[i], offset[i]) for at, (slope, offset) in enumerate(lines)),
+                    self._sum(best, i, leaf, rows),
+                    is_empty=False,
+                )
+                proved = self._settled(piece)
+                if isinstance(proved, tuple):
+                    if self.question.fails(proved):
+                        return self._failed(proved)
+                    states[i] = [float(value) for value in proved]
+                    to_cut.append(i)
+                    continue
+                pieces.append(proved)
+                highest = self.question.highest(proved)
+                if highest is not None and highest > largest:
+                    largest, where = highest, leaf
+            at = np.array(to_cut, dtype=np.int64)
+            waiting = self._cut(_Open(waiting.leaves[at], waiting.low[at], waiting.high[at]), states[at])
+        return Verdict(True, float(largest), where, None, None, None, tuple(pieces), self.tolerance)
+
+    def _settled(self, piece: Piece) -> Piece | Point:
+        """Return the piece with a proof that holds, or a point of it where its lines allow more than they may."""
+        allowed = self.question.allowed(0.0)
+        if self._is_shown(piece, allowed):
+            return piece
+        rows = self.question.rows(piece.leaf, piece.low, piece.high)
+        form = self.question.left_side(piece.leaf, piece.lines)
+        tolerances = (0.0, self.tolerance) if self.question.is_tanh else (0.0,)
+        point: Point | None = None
+        for tolerance in tolerances:
+            # The rounding of tanh's lines is in what is allowed, too, so that the check finds no more.
+            limit = self.question.allowed(tolerance) - (Fraction(tolerance) / 10 if tolerance else 0)
+            beyond = form.copy()
+            beyond[-1] -= limit * 2**self.question.power
+            denominator = np.lcm.reduce([value.denominator for value in beyond.tolist()])
+            numbers = np.array([int(value * denominator) for value in beyond], dtype=object)
+            found = decide(rows | {"beyond": Row(numbers, True)}, self.tree.n_inputs)
+            if isinstance(found, tuple):
+                if point is None:  # well inside, if there is an inside, where float64 finds it, too
+                    strict = {name: Row(row.numbers, True) for name, row in rows.items()}
+                    deeper = decide(strict | {"beyond": Row(numbers, True)}, self.tree.n_inputs)
+                    point = deeper if isinstance(deeper, tuple) else found
+                continue
+            own = found.pop("beyond", Fraction(0)) * int(denominator)
+            if not own:
+                return replace(piece, proof=Sum(tuple(found), tuple(found.values())), is_empty=True)
+            shown = {name: multiplier / own for name, multiplier in found.items()}
+            proved = replace(piece, proof=Sum(tuple(shown), tuple(shown.values())))
+            if self._is_shown(proved, self.question.allowed(self.tolerance)):
+                return proved
+        assert point is not None
+        return point
+
+    def _is_shown(self, piece: Piece, allowed: Fraction) -> bool:
+        try:
+            highest = self.question.highest(piece)
+        except CertificateError:
+            return False
+        return highest is None or highest <= allowed
+
+    def _failure_among(self, leaves: IntArray, states: FloatArray) -> Point | None:
+        """Return a state, of those found, where the condition fails, or None."""
+        for state in states:
+            if self.question.fails_in_float64(state):
+                return tuple(map(Fraction, state.tolist()))
+        return None
+
+    def _failed(self, point: Point) -> Verdict:
+        """Return the verdict that a condition fails at a point, or at the state of float64 nearest to it."""
+        question = self.question
+        leaf, value, _ = question.value(point)
+        state = np.array([float(value) for value in point])
+        exact = as_point(state)
+        if question.fails_in_float64(state) and question.leaf_at(exact) == leaf:
+            point, (_, value, _) = exact, question.value(exact)
+        action = question.own_action(state)
+        return Verdict(False, rounded_up(value), leaf, state, action, point, (), self.tolerance)
+
+    def _sum(self, best: LargestValues, i: int, leaf: int, rows: HalfSpaces) -> Sum:
+        """Return the sum of rows, by name, that a linear program ended with."""
+        if not np.isfinite(best.values[i]):
+            return Sum((), ())
+        used = np.flatnonzero((best.rows[i] >= 0) & (best.multipliers[i] > 0))
+        at = best.rows[i, used].astype(np.int64)
+        weights = best.multipliers[i, used] / rows.lengths[rows.of(np.array([i]))[0], at]
+        names = self._names(leaf)
+        by_name: dict[str, float] = {}
+        for row, weight in zip(at.tolist(), weights.tolist(), strict=True):
+            if np.isfinite(weight):
+                by_name[names[row]] = by_name.get(names[row], 0.0) + weight
+        return Sum(tuple(by_name), tuple(by_name.values()))
+
+    def _names(self, leaf: int) -> list[str]:
+        """Return the names of the rows of a leaf's pieces, in the order of `_programs`."""
+        of_leaf = list(self.question.rows_of_leaf(leaf))
+        filler = [""] * (self.rows.n_rows - len(of_leaf))  # of shorter paths
+        return [
+            *of_leaf, *filler, *(f"output {k} low" for k in self.weighed), *(f"output {k} high" for k in self.weighed)
+        ]  # fmt: skip
+
+    def _first_pieces(self, max_pieces: int) -> _Open:
+        """Return a piece for every leaf, or the three parts of each clip."""
+        n, m = self.tree.n_leaves, len(self.weighed)
+        leaves = np.arange(n)
+        if isinstance(self.tree.head, ClipBox) and m:
+            limits = [limits_of_head(self.tree.head, self.tree.n_outputs, k) for k in self.weighed]
+            if n * 3**m > max_pieces:
+                raise OtrError(f"{m} clipped outputs make {n * 3**m:,} pieces; weigh fewer of them at a time")
+            parts = product(*(((-np.inf, a), (a, b), (b, np.inf)) for a, b in limits))
+            chosen = np.array(list(parts), dtype=np.float64)
+            return _Open(np.repeat(leaves, 3**m), np.tile(chosen[..., 0], (n, 1)), np.tile(chosen[..., 1], (n, 1)))
+        both = [self.question.limits(leaf) for leaf in leaves.tolist()]
+        low, high = (np.array([pair[side] for pair in both], dtype=np.float64).reshape(n, m) for side in (0, 1))
+        return _Open(leaves, low, high)
+
+    def _programs(
+        self, waiting: _Open
+    ) -> tuple[HalfSpaces, NDArray[np.int8], FloatArray, list[tuple[FloatArray, FloatArray]]]:
+        """Return rows, signs and objectives of pieces, the largest value of what lines make of the condition's left
+        side, and the lines, slopes and offsets, of each weighed output."""
+        leaves, low, high = waiting.leaves, waiting.low, waiting.high
+        n, m = low.shape
+        objectives = np.tile(np.append(self.question.state, 0.0), (n, 1))
+        objectives[:, -1] += [self.question.of_label(leaf) for leaf in leaves.tolist()]
+        outputs = self.outputs[leaves]
+        lines = [self._line(i, low[:, i], high[:, i]) for i in range(m)]
+        for i, (slope, offset) in enumerate(lines):
+            objectives += slope[:, None] * outputs[:, i]
+            objectives[:, -1] += offset
+        # As tests that go left, low - y <= 0 and y - high <= 0, so that a constant output may lie on the edge.
+        sides = np.concatenate((-outputs, outputs), axis=1)
+        sides[:, :m, -1] += np.where(np.isfinite(low), low, 0.0)
+        sides[:, m:, -1] -= np.where(np.isfinite(high), high, 0.0)
+        rows = self.rows.take(leaves).followed_by(self.domain.rows_of(sides))
+        used = np.isfinite(np.concatenate((low, high), axis=1))
+        signs = np.concatenate((self.signs[leaves], np.where(used, -1, 0).astype(np.int8)), axis=1)
+        return rows, signs, self.domain.scaled(objectives), lines
+
+    def _cut(self, waiting: _Open, states: FloatArray) -> _Open:
+        """Return both halves of each piece, cut in the output whose line is loosest at the state found."""
+        leaves, low, high = waiting.leaves, waiting.low, waiting.high
+        if not len(leaves):
+            return waiting
+        outputs = self.outputs[leaves]
+        y = np.einsum("nod,nd->no", outputs[..., :-1], states) + outputs[..., -1]
+        gaps = np.stack([self._gap(i, y[:, i], low[:, i], high[:, i]) for i in range(low.shape[1])], axis=1)
+        loosest, each = gaps.argmax(axis=1), np.arange(len(leaves))
+        a, b = low[each, loosest], high[each, loosest]
+        # Near the state found, but never so near an end that the pieces shrink to nothing.
+        cut = np.clip(y[each, loosest], a + 0.1 * (b - a), b - 0.1 * (b - a))
+        left_high, right_low = high.copy(), low.copy()
+        left_high[each, loosest], right_low[each, loosest] = cut, cut
+        return _Open(
+            np.concatenate((leaves, leaves)), np.concatenate((low, right_low)), np.concatenate((left_high, high))
+        )
+
+    def _line(self, i: int, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return slope and offset (n,) of lines above a weighed output's share in the condition, on intervals (n,)."""
+        output = self.weighed[i]
+        return line_above(self.tree.head, self.tree.n_outputs, output, self.question.action[output], low, high)
+
+    def _exact_line(self, i: int, slope: float, offset: float) -> tuple[float, float | Fraction]:
+        """Return a line's slope and offset, that of a clip's end without the rounding of its product."""
+        if not isinstance(self.tree.head, ClipBox) or slope != 0:
+            return float(slope), float(offset)
+        output = self.weighed[i]
+        weight = self.question.action[output]
+        ends = limits_of_head(self.tree.head, self.tree.n_outputs, output)
+        return 0.0, next(Fraction(weight) * Fraction(end) for end in ends if weight * end == offset)
+
+    def _gap(self, i: int, y: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+        """Return how far the line of a weighed output is above what it bounds, at outputs y (n,)."""
+        output = self.weighed[i]
+        slope, offset = self._line(i, low, high)
+        half, middle = half_and_middle(self.tree.head, self.tree.n_outputs, output)
+        gap: FloatArray = slope * y + offset - self.question.action[output] * (middle + half * np.tanh(y))
+        return gap

@@ -1,0 +1,199 @@
+"""Certificates: the proof that a tree and a network compute the same function on a domain, as a JSON file.
+
+For each leaf the certificate lists the network's cells inside the leaf's region, and for each cell and each hidden
+neuron whose boundary does not cut it, Farkas multipliers: in the cell the neuron's pre-activation, in the direction of
+its sign, is a sum of the cell's rows with weights that are not negative, up to a remainder that is bounded over the
+domain. So the neuron cannot be on the other side by more than that remainder, the missing branch is empty, and the
+network is an affine map there, which is compared with the leaf's. A leaf that no state reaches, or a cell that holds
+none, comes with multipliers that show it. `otr.certify` (otr/proving.py) finds the proof, `otr.verify`
+(otr/verification.py) checks it without a solver.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from otr.core.domain import Domain
+from otr.errors import ArtefactError
+
+__all__ = ["SCHEMA", "Cell", "Certificate", "Sum", "load_certificate"]
+
+SCHEMA = "otr/certificate/2"
+
+
+@dataclass(frozen=True)
+class Sum:
+    """A sum of rows with multipliers that are not negative.
+
+    Attributes:
+        rows: names of rows, as in otr/statement.py: "low i", "high i", "test i", "neuron i".
+        multipliers: one each; a fraction where no float64 would do.
+    """
+
+    rows: tuple[str, ...]
+    multipliers: tuple[float | Fraction, ...]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What some outcomes of the network's tests leave of a leaf's region.
+
+    Attributes:
+        leaf: the leaf.
+        outcomes: a character for each of the network's tests, hidden neurons first, then the head's: "1" for above 0.
+            An empty cell has those up to its last split.
+        splits: the tests whose boundary cuts the leaf's region; they bound the cell.
+        proofs: for every other test, in order: its value, in the direction of its outcome, is this sum and a remainder.
+        bounds: for every difference of leaf and network in the cell, and its negative: with this sum it is a form that
+            is small over the domain. None where the differences themselves are.
+        empty: of a cell that no state is in: a sum that is nowhere above 0, and not 0 where the rows hold.
+    """
+
+    leaf: int
+    outcomes: str
+    splits: tuple[int, ...]
+    proofs: tuple[Sum, ...] = ()
+    bounds: tuple[Sum, ...] = ()
+    empty: Sum | None = None
+
+
+@dataclass(frozen=True, repr=False)
+class Certificate:
+    """The proof that a tree and a network compute the same function on a domain: at every real point of it.
+
+    The numbers of both are taken as they are stored, and nothing in the proof is rounded. A state is in a leaf where
+    all tests on its path say so, at most 0 on the left and above 0 on the right.
+
+    Attributes:
+        domain: where.
+        max_error: bound on the difference of any output, before the head, at every real point of the domain. Of labels:
+            where they differ, no output of the network is above that of the tree's label by more. On a domain with open
+            sides all bounds are to be multiplied by 1 + the sum of |x_i| over the open inputs.
+        n_leaves, n_empty, n_regions: leaves; those that no state reaches; cells of the network in the others.
+        n_linear_programs: solved to find the proof.
+        cells: the proof.
+    """
+
+    domain: Domain
+    max_error: float
+    n_leaves: int
+    n_linear_programs: int
+    cells: tuple[Cell, ...]
+
+    @property
+    def n_regions(self) -> int:
+        """Cells of the network in the leaves, without those that no state is in."""
+        return sum(cell.empty is None for cell in self.cells)
+
+    @property
+    def n_empty(self) -> int:
+        """Leaves that no state reaches."""
+        return sum(cell.empty is not None and not cell.outcomes for cell in self.cells)
+
+    def __repr__(self) -> str:
+        where = "R^d" if not self.domain.is_bounded else "a box"
+        return (
+            f"Certificate({self.n_leaves:,} leaves, {self.n_empty:,} of them empty, {self.n_regions:,} regions, "
+            f"max_error={self.max_error:.3g} on {where} of {self.domain.n_inputs} inputs)"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready description."""
+        return {
+            "schema": SCHEMA,
+            "domain": self.domain.to_dict(),
+            "max_error": self.max_error,
+            "n_leaves": self.n_leaves,
+            "n_empty": self.n_empty,
+            "n_regions": self.n_regions,
+            "n_linear_programs": self.n_linear_programs,
+            "cells": [_described(cell) for cell in self.cells],
+        }
+
+    @classmethod
+    def from_dict(cls, description: dict[str, Any]) -> Certificate:
+        """Return what `to_dict` described.
+
+        Raises:
+            ArtefactError: it is of another schema, or something is missing.
+        """
+        if not isinstance(description, dict) or description.get("schema") != SCHEMA:
+            schema = description.get("schema") if isinstance(description, dict) else None
+            raise ArtefactError(
+                f"the certificate has the schema {schema!r}, expected {SCHEMA!r}; certify the tree again"
+            )
+        try:
+            return cls(
+                Domain.from_dict(description["domain"]),
+                float(description["max_error"]),
+                int(description["n_leaves"]),
+                int(description["n_linear_programs"]),
+                tuple(_cell(cell) for cell in description["cells"]),
+            )
+        except (AttributeError, KeyError, TypeError, ValueError, ZeroDivisionError, OverflowError) as error:
+            raise ArtefactError(f"the certificate cannot be read: {error!r}; certify the tree again") from error
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the certificate as JSON, a line for each cell."""
+        description = self.to_dict()
+        cells = description.pop("cells")
+        lines = ",".join("\n    " + json.dumps(cell) for cell in cells)
+        target = Path(path)
+        target.write_text(json.dumps(description, indent=2)[:-2] + f',\n  "cells": [{lines}\n  ]\n}}\n')
+        return target
+
+
+def load_certificate(path: str | os.PathLike[str]) -> Certificate:
+    """Read what `Certificate.save` wrote.
+
+    Raises:
+        ArtefactError: the file is missing, no JSON, or no certificate.
+    """
+    try:
+        description = json.loads(Path(path).read_text())
+    except (OSError, ValueError, RecursionError) as error:
+        raise ArtefactError(f"{path} cannot be read as JSON ({error}); certify the tree again") from error
+    return Certificate.from_dict(description)
+
+
+def _described(cell: Cell) -> dict[str, Any]:
+    description: dict[str, Any] = {"leaf": cell.leaf, "outcomes": cell.outcomes, "splits": list(cell.splits)}
+    if cell.empty is not None:
+        return description | {"empty": _listed(cell.empty)}
+    description["proofs"] = [_listed(proof) for proof in cell.proofs]
+    return description | ({"bounds": [_listed(bound) for bound in cell.bounds]} if cell.bounds else {})
+
+
+def _cell(description: dict[str, Any]) -> Cell:
+    return Cell(
+        int(description["leaf"]),
+        str(description["outcomes"]),
+        tuple(map(int, description["splits"])),
+        tuple(_sum(proof) for proof in description.get("proofs", ())),
+        tuple(_sum(bound) for bound in description.get("bounds", ())),
+        _sum(description["empty"]) if "empty" in description else None,
+    )
+
+
+def _listed(proof: Sum) -> dict[str, float | str]:
+    """Return multipliers by row; a fraction as hexadecimal text, since its numbers may be long."""
+    return {
+        row: multiplier if isinstance(multiplier, float) else f"{multiplier.numerator:#x}/{multiplier.denominator:#x}"
+        for row, multiplier in zip(proof.rows, proof.multipliers, strict=True)
+    }
+
+
+def _sum(description: dict[str, float | str]) -> Sum:
+    return Sum(tuple(map(str, description)), tuple(_multiplier(value) for value in description.values()))
+
+
+def _multiplier(value: float | str) -> float | Fraction:
+    if not isinstance(value, str):
+        return float(value)
+    numerator, denominator = value.split("/")
+    return Fraction(int(numerator, 16), int(denominator, 16))

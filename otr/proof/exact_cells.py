@@ -1,0 +1,229 @@
+"""The cells of a network inside a leaf's region, in exact arithmetic: however thin, with a point in each.
+
+A cell is what the outcomes of the network's tests leave of the leaf's region; "0" is at most 0, "1" above it. One point
+of a cell tells a side of the next test that is not empty, and a linear program in rational arithmetic tells whether the
+other side is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import islice
+
+import numpy as np
+
+from otr.core.arrays import FloatArray
+from otr.core.domain import Domain
+from otr.core.head import Identity
+from otr.errors import CertificateError
+from otr.geometry.rational import Integers, Point, as_point, integers, nearest_state
+from otr.geometry.rational_linear_programs import inner_point, largest_value
+from otr.proof.statement import Row, Statement
+
+__all__ = [
+    "ExactCell",
+    "Multipliers",
+    "cells_of_leaf",
+    "counterexample",
+    "decide",
+    "find_cells",
+    "largest_gap",
+    "largest_over",
+    "refusal",
+    "refused_at",
+    "stacked",
+]
+
+_MAX_CELLS = 1000  # looked at for a point that shows a refusal
+
+Multipliers = dict[str, Fraction]  # of rows, by name
+
+
+@dataclass(frozen=True)
+class ExactCell:
+    """A cell of a network inside a leaf's region.
+
+    Attributes:
+        leaf: the leaf.
+        outcomes: of the network's tests, in order.
+        rows: that bound it, by name: those of the leaf's region, and the tests that split it, as "neuron i".
+        proofs: for every other test: in the direction of its outcome it is at least the sum of rows with these.
+        point: of the cell.
+        forms: of the network's units in it.
+    """
+
+    leaf: int
+    outcomes: tuple[bool, ...]
+    rows: dict[str, Row]
+    proofs: dict[int, Multipliers]
+    point: Point
+    forms: Integers
+
+
+def decide(rows: dict[str, Row], n_inputs: int) -> Point | Multipliers:
+    """Return a point at which all rows hold, or multipliers that show that there is none."""
+    names = list(rows)
+    found = inner_point(stacked(rows, n_inputs), [rows[name].is_strict for name in names])
+    if found.t is not None and found.t > 0 and found.point is not None:
+        return found.point
+    return {names[row]: multiplier for row, multiplier in found.multipliers.items()}
+
+
+def cells_of_leaf(statement: Statement, leaf: int) -> Iterator[ExactCell]:
+    """Yield the network's cells in a leaf's region; none if it is empty."""
+    rows = statement.rows_of_leaf(leaf)
+    point = decide(rows, statement.network.n_inputs)
+    if isinstance(point, tuple):
+        yield from find_cells(statement, leaf, rows, point)
+
+
+def find_cells(statement: Statement, leaf: int, rows: dict[str, Row], point: Point) -> Iterator[ExactCell]:
+    """Yield the network's cells in a leaf's region of these rows, in which a point lies, depth first."""
+    n = statement.network.n_hidden
+    starts = set(statement.network.unit_form().layer_starts)
+    waiting: list[tuple[tuple[bool, ...], dict[str, Row], dict[int, Multipliers], Point, Integers]] = [
+        ((), rows, {}, point, np.empty((0, 0), dtype=object))
+    ]
+    while waiting:
+        outcomes, rows, proofs, point, forms = waiting.pop()
+        test = len(outcomes)
+        if test <= n and test in starts:
+            forms = statement.forms(outcomes)
+        if test == statement.n_tests:
+            yield ExactCell(leaf, outcomes, rows, proofs, point, forms)
+            continue
+        padded = (*outcomes, *(False for _ in range(statement.n_tests - test)))
+        form = forms[test] if test < n else statement.head_tests(forms, padded)[test - n]
+        near = statement.values(form[None], point)[0] > 0
+        name = f"neuron {test}"
+        sides = {outcome: rows | {name: Row(form if outcome else -form, outcome)} for outcome in (False, True)}
+        far = decide(sides[not near], statement.network.n_inputs)
+        if isinstance(far, tuple):
+            waiting.append(((*outcomes, not near), sides[not near], proofs, far, forms))
+            waiting.append(((*outcomes, near), sides[near], proofs, point, forms))
+            continue
+        own = far.pop(name)  # above 0, since the region itself is not empty
+        proof = {row: multiplier / own for row, multiplier in far.items()}
+        waiting.append(((*outcomes, near), rows, proofs | {test: proof}, point, forms))
+
+
+def largest_gap(statement: Statement, cell: ExactCell) -> list[tuple[list[Point], Multipliers]]:
+    """Return where each difference of leaf and network in a cell, and its negative, is largest, and what bounds it.
+
+    These are points of the cell's closure, and multipliers of its rows. On a domain with open sides it is largest in
+    units of 1 + the size of the open inputs, which may be reached only ever farther in a direction.
+    """
+    rows, domain = stacked(cell.rows, statement.network.n_inputs), statement.domain
+    names, is_open = list(cell.rows), np.isinf(domain.low) | np.isinf(domain.high)
+    widest = Fraction(float(np.abs([domain.low[~is_open], domain.high[~is_open]]).max(initial=1.0)))
+    if is_open.any():  # x / s for x, with |x_i| <= 1 where it is open and 0 <= s <= 1
+        limits = [np.eye(len(is_open) + 2, dtype=np.int64)[i] for i in (*np.flatnonzero(is_open), len(is_open))]
+        ones = np.eye(len(is_open) + 2, dtype=np.int64)[-1]
+        bounds = [*(ones - limit for limit in limits), *(ones + limit for limit in limits[:-1]), limits[-1]]
+        rows = np.concatenate((np.column_stack((rows, [0] * len(rows))), np.array(bounds).astype(object)))
+    found = []
+    for form in statement.differences(cell.leaf, cell.forms, cell.outcomes):
+        for signed in (form, -form):
+            numbers = [*signed.tolist(), 0] if is_open.any() else signed.tolist()
+            best = largest_value(rows, numbers, sum(map(abs, numbers)) * (widest + 1) + 1)
+            assert best.point is not None  # the cell is not empty
+            multipliers = {names[row]: multiplier for row, multiplier in best.multipliers.items() if row < len(names)}
+            points = [best.point]
+            if is_open.any():
+                *x, s = best.point
+                steps = [tuple(10**k * value for value in x) for k in (0, 3, 6, 9, 12)]
+                beyond = [tuple(a + b for a, b in zip(cell.point, step, strict=True)) for step in steps]
+                points = [tuple(value / s for value in x)] if s > 0 else beyond
+            found.append((points, multipliers))
+    return found
+
+
+def largest_over(rows: Integers, form: FloatArray, domain: Domain) -> tuple[float, FloatArray]:
+    """Return the largest value of a form (d + 1,) where no row (m, d + 1) is below 0, and a state (d,) where it is.
+
+    Args:
+        rows: of integers, up to a factor; they leave a point.
+        form: of float64, taken as it is.
+        domain: bounded; the rows hold its sides.
+    """
+    numbers, power = integers(form)
+    widest = Fraction(float(max(np.abs(domain.low).max(), np.abs(domain.high).max())))
+    best = largest_value(rows, numbers.tolist(), sum(map(abs, numbers.tolist())) * (widest + 1) + 1)
+    assert best.t is not None and best.point is not None
+    return float(best.t / 2**power), np.array([float(value) for value in best.point])
+
+
+def counterexample(statement: Statement, cell: ExactCell, max_error: Fraction) -> Point | None:
+    """Return a point of a cell where leaf and network differ by more than `max_error`, or None.
+
+    On a domain with open sides the error is relative, and a point is looked for among few.
+    """
+    candidates = [cell.point]
+    for points, _ in largest_gap(statement, cell):
+        # The farthest point may lie on a side that the cell is without: from it, ever nearer to the point inside.
+        candidates += [_between(far, cell.point, Fraction(1, 2**k)) for far in points for k in (60, 30, 10, 3, 1)]
+    for point in candidates:
+        leaf, gap = statement.gap(point)
+        if leaf == cell.leaf and gap > max_error * statement.unit_at(point):
+            state = nearest_state(point)
+            if state is None:
+                return point
+            rounded = as_point(state)
+            leaf, gap = statement.gap(rounded)
+            shows_it = leaf == cell.leaf and gap > max_error * statement.unit_at(rounded)
+            return rounded if shows_it and statement.is_inside(rounded) else point
+    return None
+
+
+def refusal(error: CertificateError, statement: Statement, max_error: float) -> CertificateError:
+    """Return a refusal with a point of its leaf where tree and network differ, or as it was if none is found soon."""
+    if error.leaf is None or not 0 <= error.leaf < statement.tree.n_leaves:
+        return error
+    for cell in islice(cells_of_leaf(statement, error.leaf), _MAX_CELLS):
+        point = counterexample(statement, cell, Fraction(max_error))
+        if point is not None:
+            return refused_at(statement, error.leaf, point)
+    return error
+
+
+def refused_at(statement: Statement, leaf: int, point: Point) -> CertificateError:
+    """Return the error that says that tree and network differ at a point of a leaf."""
+    tree, network = statement.tree, statement.network
+    if tree.labels is None:
+        ours: object = [_shown(value) for value in statement.outputs(leaf, point)]
+        theirs: object = [_shown(value) for value in statement.units.outputs(point)]
+    else:
+        outputs = statement.units.outputs(point)
+        ours = int(tree.labels[leaf])
+        theirs = int(outputs[0] > 0) if len(outputs) == 1 else max(range(len(outputs)), key=outputs.__getitem__)
+    what = "answers" if tree.labels is not None or isinstance(network.head, Identity) else "computes, before its head,"
+    state = ", ".join(_shown(value) for value in point)
+    text = f"leaf {leaf}: at the state [{state}] the tree {what} {_listed(ours)} and the network {_listed(theirs)}"
+    return CertificateError(f"{text}; they are not the same function", leaf, point)
+
+
+def _listed(answer: object) -> str:
+    return f"[{', '.join(answer)}]" if isinstance(answer, list) else str(answer)
+
+
+def _shown(value: Fraction) -> str:
+    """Return a number as text: as a float64 if it is one or nearly so, else as a fraction."""
+    try:
+        rounded = float(value)
+    except OverflowError:
+        return str(value) if value.numerator.bit_length() < 1000 else f"about 2**{value.numerator.bit_length()}"
+    if rounded == value:
+        return repr(rounded)
+    digits = len(f"{value.numerator:x}") + len(f"{value.denominator:x}")
+    return f"{rounded!r}..." if digits > 40 else f"{value.numerator}/{value.denominator}"
+
+
+def _between(point: Point, other: Point, share: Fraction) -> Point:
+    return tuple(a + (b - a) * share for a, b in zip(point, other, strict=True))
+
+
+def stacked(rows: dict[str, Row], n_inputs: int) -> Integers:
+    """Return rows as one array (m, d + 1)."""
+    return np.array([row.numbers for row in rows.values()], dtype=object).reshape(len(rows), n_inputs + 1)

@@ -1,0 +1,151 @@
+"""What a certificate is about, in exact arithmetic: a tree and a network on a domain, as rows of integers.
+
+A row is an affine form [a | b] that is at least 0, or above 0, where it bounds something. It has a name, which is what
+certificates call it: "low i", "high i" for a side of the domain, ``x_i - low_i >= 0`` or ``high_i - x_i >= 0``;
+"test i" for a leaf's path at test node i, ``P[i] . x + v[i]`` with the sign of the path; "neuron i" for a test of the
+network, in the order of `otr.PatternTree`'s bits, with the sign of its outcome.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+
+from otr.core.domain import Domain
+from otr.core.network import ReluNetwork
+from otr.core.tree import ObliqueTree
+from otr.geometry.rational import ExactTree, ExactUnits, Integers, Point, at, common_integers, integers
+from otr.geometry.regions import leaf_paths
+
+__all__ = ["Row", "Statement", "TreeOnDomain"]
+
+
+class Row(NamedTuple):
+    """A row: integers (d + 1,) over the statement's power of two, and whether it must be above 0, not just at it."""
+
+    numbers: Integers
+    is_strict: bool
+
+
+class TreeOnDomain:
+    """A tree on a domain in exact arithmetic.
+
+    Attributes:
+        tree, domain: these.
+        power: all rows and forms here are integers over 2**power.
+        sides: the domain's, by name.
+        maps: (n_leaves, o, d + 1), the leaves' forms.
+    """
+
+    def __init__(self, tree: ObliqueTree, domain: Domain, power: int = 0) -> None:
+        """Take tree and domain apart; `power` is the least that is wanted."""
+        self.tree, self.domain = tree, domain
+        self._exact = ExactTree(tree)
+        forms, names = domain.sides()
+        sides, of_sides = integers(forms)
+        self.power = max(power, self._exact.power, of_sides)
+        (sides,) = common_integers([(sides, of_sides)], self.power)
+        self.sides = {name: Row(row, False) for name, row in zip(names, sides, strict=True)}
+        parts = [(self._exact.tests, self._exact.power), (self._exact.maps, self._exact.power)]
+        self._tests, self.maps = common_integers(parts, self.power)
+        self._paths = leaf_paths(tree)
+
+    def rows_of_leaf(self, leaf: int) -> dict[str, Row]:
+        """Return the rows of the leaf's region: the domain's sides and the tests on its path."""
+        path = zip(self._paths.nodes[leaf].tolist(), self._paths.signs[leaf].tolist(), strict=True)
+        tests = {
+            f"test {node}": Row(self._tests[node] if sign > 0 else -self._tests[node], sign > 0)
+            for node, sign in path
+            if node >= 0
+        }
+        return self.sides | tests
+
+    def leaf_at(self, point: Point) -> int:
+        """Return the leaf that a point reaches."""
+        return self._exact.leaf(point)
+
+    def outputs(self, leaf: int, point: Point) -> list[Fraction]:
+        """Return the affine outputs of a leaf at a point."""
+        return self._exact.outputs(leaf, point)
+
+    def is_inside(self, point: Point) -> bool:
+        """Return whether a point is in the domain."""
+        limits = zip(self.domain.low.tolist(), point, self.domain.high.tolist(), strict=True)
+        return all(low <= value <= high for low, value, high in limits)
+
+    def values(self, forms: Integers, point: Point) -> list[Fraction]:
+        """Return the values of forms (m, d + 1) at a point."""
+        return at(forms, self.power, point)
+
+
+class Statement(TreeOnDomain):
+    """A tree and a network that are said to be the same function on a domain.
+
+    Attributes:
+        network: the network, of the tree's inputs and outputs.
+        n_tests: of the network, its head's among them.
+    """
+
+    def __init__(self, tree: ObliqueTree, network: ReluNetwork, domain: Domain) -> None:
+        """Take tree, network and domain apart."""
+        self.network, self.units = network, ExactUnits(network)
+        super().__init__(tree, domain, self.units.power)
+        self.n_tests = network.n_hidden + network.head.n_tests(network.n_outputs)
+
+    def forms(self, outcomes: Sequence[bool]) -> Integers:
+        """Return the forms of all units, in order, up to the first layer that `outcomes` do not feed: (n, d + 1)."""
+        return np.asarray(self.units.forms(outcomes) * 2 ** (self.power - self.units.power))
+
+    def pairs(self, outcomes: Sequence[bool]) -> list[tuple[int, int]]:
+        """Return, for each of the head's tests, the output asked about and the one subtracted, -1 for none.
+
+        Args:
+            outcomes: of all tests; a head's later ones do not count for its earlier ones.
+        """
+        head, of_head = self.network.head, np.array([outcomes[self.network.n_hidden :]], dtype=np.bool_)
+        champions = head.champions(of_head)[0].tolist()
+        return [(head.first_challenger + test, champion) for test, champion in enumerate(champions)]
+
+    def head_tests(self, forms: Integers, outcomes: Sequence[bool]) -> list[Integers]:
+        """Return the forms of the head's tests, given those of all units."""
+        outputs = forms[self.network.n_hidden :]
+        return [outputs[i] - outputs[j] if j >= 0 else outputs[i] for i, j in self.pairs(outcomes)]
+
+    def differences(self, leaf: int, forms: Integers, outcomes: Sequence[bool]) -> Integers:
+        """Return the forms (m, d + 1) whose largest absolute value is the difference of a leaf and the network.
+
+        Of a tree with labels these are the outputs by which the network prefers its own label to the leaf's: none where
+        it has the same.
+        """
+        outputs, labels = forms[self.network.n_hidden :], self.tree.labels
+        if labels is None:
+            return np.asarray(outputs - self.maps[leaf])
+        ours, theirs = int(labels[leaf]), self.label(outcomes)
+        if ours == theirs:
+            return outputs[:0]
+        return outputs[:1] if len(outputs) == 1 else outputs[theirs : theirs + 1] - outputs[ours]
+
+    def label(self, outcomes: Sequence[bool]) -> int:
+        """Return the label that the network's tests lead to."""
+        labels = self.network.head.labels(np.array([outcomes[self.network.n_hidden :]], dtype=np.bool_))
+        assert labels is not None
+        return int(labels[0])
+
+    def gap(self, point: Point) -> tuple[int, Fraction]:
+        """Return the leaf that a point reaches, and the difference of tree and network there."""
+        leaf, outputs = self.leaf_at(point), self.units.outputs(point)
+        if self.tree.labels is None:
+            theirs = self.outputs(leaf, point)
+            return leaf, max(abs(a - b) for a, b in zip(outputs, theirs, strict=True))
+        ours = int(self.tree.labels[leaf])
+        if len(outputs) == 1:
+            return leaf, abs(outputs[0]) if (outputs[0] > 0) != bool(ours) else Fraction(0)
+        return leaf, max(outputs) - outputs[ours]
+
+    def unit_at(self, point: Point) -> Fraction:
+        """Return what differences are counted in: 1, or 1 + the sum of |x_i| over the open inputs."""
+        is_open = np.isinf(self.domain.low) | np.isinf(self.domain.high)
+        return Fraction(1) + sum((abs(point[i]) for i in np.flatnonzero(is_open).tolist()), Fraction(0))

@@ -1,0 +1,323 @@
+"""Whether a linear condition on state and action holds on a box: the answer, and its check without a solver.
+
+The proof cuts every leaf's region into pieces by the outputs that the condition weighs. On a piece, lines above the
+head's answers make the condition's left side an affine function of the state at most, and a sum of the piece's rows
+bounds that function over the box. All but tanh is exact: the numbers are taken as they are stored, and a state is in a
+leaf where all tests on its path say so, at most 0 on the left and above 0 on the right.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from otr.core.arrays import FloatArray
+from otr.core.domain import Domain
+from otr.core.head import ClipBox, Sign, TanhBox
+from otr.core.tree import ObliqueTree
+from otr.errors import CertificateError
+from otr.geometry.rational import Integers, Point, as_point
+from otr.proof.certificate import Sum
+from otr.proof.head_bounds import limits_of_head
+from otr.proof.statement import Row, TreeOnDomain
+
+__all__ = ["Condition", "Piece", "Question", "Verdict"]
+
+_TANH = Fraction(1, 10**12)  # of an action's range: up to where float64 knows a tanh
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A linear condition on state and action: ``state @ x + action @ u <= bound``.
+
+    In a tree with labels, u is 1 at the label and 0 elsewhere; of a sign head it is the label, 0 or 1.
+    """
+
+    state: ArrayLike
+    action: ArrayLike
+    bound: float
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A part of a leaf's region on which the condition is proved, or that no state is in.
+
+    Attributes:
+        leaf: the leaf.
+        low, high: limits of the outputs that the condition weighs, in order.
+        lines: slope and offset, for each of these, of a line that is nowhere below its share in the condition.
+        proof: a sum of rows: the box's "low i" and "high i", the leaf's "test i", and "output k low" and "output k
+            high". With what the lines make of the condition's left side it is nowhere above what is allowed; of an
+            empty piece it is nowhere above 0, and not 0 where the rows hold.
+        is_empty: whether no state is in it.
+    """
+
+    leaf: int
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    lines: tuple[tuple[float, float | Fraction], ...]
+    proof: Sum
+    is_empty: bool
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a condition holds at every real point of a box.
+
+    Attributes:
+        holds: whether it does.
+        value: where it holds, a bound on ``state @ x + action @ u`` over the box, to within the tolerance the largest
+            value; else the value at the state found.
+        leaf: the leaf where that is.
+        state, action: (d,), (o,) a state where the condition fails, and the tree's own answer there; None where it
+            holds. Where float64 is too coarse for such a state, the nearest to `point`.
+        point: the state as fractions, at which the condition fails in exact arithmetic; None where it holds.
+        pieces: the proof that it holds, which `otr.check_verdict` checks.
+        tolerance: what the condition may fail by all the same, under tanh.
+    """
+
+    holds: bool
+    value: float
+    leaf: int
+    state: FloatArray | None
+    action: FloatArray | None
+    point: Point | None
+    pieces: tuple[Piece, ...]
+    tolerance: float
+
+
+class Question(TreeOnDomain):
+    """A condition asked of a tree on a bounded box, in exact arithmetic."""
+
+    def __init__(self, tree: ObliqueTree, condition: Condition, domain: Domain) -> None:
+        """Take tree, condition and box apart.
+
+        Raises:
+            ValueError: the condition does not fit the tree, or is of numbers that are not finite.
+        """
+        super().__init__(tree, domain)
+        self.state, self.action = (np.asarray(part, dtype=np.float64) for part in (condition.state, condition.action))
+        if self.state.shape != (tree.n_inputs,) or self.action.shape != (tree.n_outputs,):
+            raise ValueError(
+                f"the condition has coefficients of shape {self.state.shape} and {self.action.shape}, expected "
+                f"({tree.n_inputs},) of the state and ({tree.n_outputs},) of the action"
+            )
+        self.bound = float(condition.bound)
+        if not (np.isfinite(self.state).all() and np.isfinite(self.action).all() and np.isfinite(self.bound)):
+            raise ValueError("the condition has a coefficient or a bound that is no finite number")
+        self.weighed = np.flatnonzero(self.action).tolist() if tree.labels is None else []
+        self.is_tanh = isinstance(tree.head, TanhBox) and bool(self.weighed)
+
+    def allowed(self, tolerance: float) -> Fraction:
+        """Return what the condition's left side may be."""
+        return Fraction(self.bound) + (Fraction(tolerance) if self.is_tanh else 0)
+
+    def rows(self, leaf: int, low: Sequence[float], high: Sequence[float]) -> dict[str, Row]:
+        """Return the rows of a piece, by name."""
+        rows = self.rows_of_leaf(leaf)
+        for output, least, most in zip(self.weighed, low, high, strict=True):
+            for name, limit, sign in (("low", least, 1), ("high", most, -1)):
+                if math.isfinite(limit):
+                    form = np.array([Fraction(int(value)) for value in self.maps[leaf, output]], dtype=object)
+                    form[-1] -= Fraction(limit) * 2**self.power
+                    denominator = form[-1].denominator
+                    numbers = np.array([int(value * denominator) * sign for value in form], dtype=object)
+                    rows[f"output {output} {name}"] = Row(numbers, False)
+        return rows
+
+    def left_side(self, leaf: int, lines: Sequence[tuple[float, float | Fraction]]) -> Integers:
+        """Return what lines make of the condition's left side in a leaf: fractions (d + 1,), times 2**power."""
+        form = np.array([Fraction(value) for value in [*self.state.tolist(), self.of_label(leaf)]], dtype=object)
+        form *= 2**self.power
+        for output, (slope, offset) in zip(self.weighed, lines, strict=True):
+            form += Fraction(slope) * self.maps[leaf, output]
+            form[-1] += Fraction(offset) * 2**self.power
+        return form
+
+    def of_label(self, leaf: int) -> float:
+        """Return a leaf's label's share in the condition; 0 in a tree without labels."""
+        if self.tree.labels is None:
+            return 0.0
+        label = int(self.tree.labels[leaf])
+        return float(self.action[0]) * label if isinstance(self.tree.head, Sign) else float(self.action[label])
+
+    def value(self, point: Point) -> tuple[int, Fraction, Fraction]:
+        """Return a point's leaf, the condition's left side there, and how far that may be off: 0 without tanh."""
+        leaf = self.leaf_at(point)
+        value = Fraction(self.of_label(leaf))
+        value += sum((Fraction(a) * x for a, x in zip(self.state.tolist(), point, strict=True)), Fraction(0))
+        off = Fraction(0)
+        outputs = self.outputs(leaf, point)
+        for output in self.weighed:
+            answer, error = self.answer(output, outputs[output])
+            value += Fraction(self.action[output]) * answer
+            off += abs(Fraction(self.action[output])) * error
+        return leaf, value, off
+
+    def answer(self, output: int, y: Fraction) -> tuple[Fraction, Fraction]:
+        """Return the action for an output, and how far it may be off: 0 without tanh."""
+        head = self.tree.head
+        if not isinstance(head, ClipBox | TanhBox):
+            return y, Fraction(0)
+        low, high = map(Fraction, limits_of_head(head, self.tree.n_outputs, output))
+        if isinstance(head, ClipBox):
+            return min(max(y, low), high), Fraction(0)
+        squashed = Fraction(math.tanh(min(max(y, Fraction(-40)), Fraction(40))))
+        return low + (squashed + 1) / 2 * (high - low), _TANH * (high - low)
+
+    def check(self, verdict: Verdict) -> None:
+        """Raise CertificateError unless a verdict is shown."""
+        if not verdict.holds:
+            self._check_failure(verdict)
+            return
+        by_leaf: dict[int, list[Piece]] = {}
+        for piece in verdict.pieces:
+            by_leaf.setdefault(piece.leaf, []).append(piece)
+        for leaf in range(self.tree.n_leaves):
+            pieces = by_leaf.get(leaf, [])
+            if not covers(pieces, *self.limits(leaf)):
+                raise CertificateError(f"leaf {leaf}: the pieces of the proof do not cover it", leaf)
+            for piece in pieces:
+                highest = self.highest(piece)
+                if highest is not None and highest > self.allowed(verdict.tolerance):
+                    raise CertificateError(
+                        f"leaf {leaf}: a piece allows {float(highest):.6g}, more than "
+                        f"{float(self.allowed(verdict.tolerance)):.6g}",
+                        leaf,
+                    )
+
+    def limits(self, leaf: int) -> tuple[list[float], list[float]]:
+        """Return limits (n_weighed,) of the outputs that pieces must cover: all, or under tanh what the box leaves."""
+        if not self.is_tanh:
+            return [-math.inf] * len(self.weighed), [math.inf] * len(self.weighed)
+        limits: tuple[list[float], list[float]] = ([], [])
+        for output in self.weighed:
+            form = self.maps[leaf, output]
+            for side, sign in ((0, -1), (1, 1)):
+                reach = sign * self._highest(np.asarray(sign * form)) / 2**self.power
+                nearest = float(reach)
+                outwards = math.nextafter(nearest, sign * math.inf)
+                limits[side].append(outwards)
+        return limits
+
+    def highest(self, piece: Piece) -> Fraction | None:
+        """Return a bound on the condition's left side in a piece; None if it is empty.
+
+        Raises:
+            CertificateError: the piece's numbers make no sense, or do not show what they should.
+        """
+        leaf, proof = piece.leaf, piece.proof
+        m = len(self.weighed)
+        sizes = {len(piece.low), len(piece.high), *([] if piece.is_empty else [len(piece.lines)])}
+        rows = self.rows(leaf, piece.low, piece.high) if sizes == {m} else {}
+        numbers = zip(proof.rows, proof.multipliers, strict=False)
+        if len(proof.rows) != len(proof.multipliers) or not all(
+            name in rows and 0 <= multiplier < math.inf for name, multiplier in numbers
+        ):
+            raise CertificateError(f"leaf {leaf}: the multipliers of a piece are not those of its rows", leaf)
+        total = np.array([Fraction(0)] * (self.tree.n_inputs + 1), dtype=object)
+        for name, multiplier in zip(proof.rows, proof.multipliers, strict=True):
+            total += Fraction(multiplier) * rows[name].numbers
+        if piece.is_empty:
+            highest = self._highest(total)
+            used = [rows[name] for name, value in zip(proof.rows, proof.multipliers, strict=True) if value > 0]
+            if highest < 0 or (highest == 0 and any(row.is_strict for row in used)):
+                return None
+            raise CertificateError(f"leaf {leaf}: a piece is said to be empty, but its rows allow states", leaf)
+        below = sum((self._line_below(piece, at) for at in range(m)), Fraction(0))
+        largest: Fraction = self._highest(total + self.left_side(leaf, piece.lines)) / 2**self.power + below
+        return largest
+
+    def _highest(self, form: Integers) -> Fraction:
+        """Return the largest value of a form (d + 1,) over the box."""
+        highest = Fraction(form[-1])
+        for slope, low, high in zip(form[:-1], self.domain.low.tolist(), self.domain.high.tolist(), strict=True):
+            highest += slope * Fraction(high if slope > 0 else low)
+        return highest
+
+    def _line_below(self, piece: Piece, at: int) -> Fraction:
+        """Return how far a piece's line is, at most, below what it should bound: 0 without tanh.
+
+        Raises:
+            CertificateError: it is below, and by more than float64 knows a tanh.
+        """
+        output, (slope, offset) = self.weighed[at], piece.lines[at]
+        low, high, weight = piece.low[at], piece.high[at], Fraction(self.action[output])
+        if not (math.isfinite(slope) and math.isfinite(offset)):
+            raise CertificateError(f"leaf {piece.leaf}: a line of a piece is of no finite numbers", piece.leaf)
+        places, is_above = {y for y in (low, high) if math.isfinite(y)}, True
+        if self.is_tanh:
+            share = slope / (float(weight) * float(self._half(output)))
+            root = math.sqrt(1 - share) if 0 < share < 1 else 1.0
+            if root < 1:  # where the line is parallel to the curve
+                places |= {y for y in (-math.atanh(root), math.atanh(root)) if low < y < high}
+            is_above = math.isfinite(low) and math.isfinite(high)
+        elif isinstance(self.tree.head, ClipBox):
+            places |= {y for y in limits_of_head(self.tree.head, self.tree.n_outputs, output) if low < y < high}
+            is_above = (math.isfinite(low) or slope <= 0) and (math.isfinite(high) or slope >= 0)
+        else:
+            places |= {0.0}
+            is_above = Fraction(slope) == weight
+        worst = Fraction(0)
+        for y in places:
+            answer, error = self.answer(output, Fraction(y))
+            short = weight * answer - (Fraction(slope) * Fraction(y) + Fraction(offset))
+            is_above = is_above and short <= 10 * abs(weight) * error
+            worst = max(worst, short + abs(weight) * error if self.is_tanh else Fraction(0))
+        if not is_above:
+            raise CertificateError(f"leaf {piece.leaf}: a line of a piece is below what it should bound", piece.leaf)
+        return worst
+
+    def _half(self, output: int) -> Fraction:
+        low, high = limits_of_head(self.tree.head, self.tree.n_outputs, output)
+        return (Fraction(high) - Fraction(low)) / 2
+
+    def _check_failure(self, verdict: Verdict) -> None:
+        """Check that the point lies in the box and fails the condition under the tree's answer, and the state, too."""
+        if verdict.point is None or verdict.state is None or not self.fails(verdict.point):
+            raise CertificateError(
+                f"leaf {verdict.leaf}: the condition does not fail at the state {verdict.state}", verdict.leaf
+            )
+        if self.leaf_at(verdict.point) != verdict.leaf:
+            raise CertificateError(f"leaf {verdict.leaf}: the state is not in it", verdict.leaf)
+
+    def fails(self, point: Point) -> bool:
+        """Return whether the condition fails at a point of the box, beyond what a tanh may be off."""
+        _, value, off = self.value(point)
+        return self.is_inside(point) and value - off > Fraction(self.bound)
+
+    def fails_in_float64(self, state: FloatArray) -> bool:
+        """Return whether the condition fails at a state (d,) under the tree's own `predict` as in exact arithmetic."""
+        return float(self.state @ state + self.own_action(state) @ self.action) > self.bound and self.fails(
+            as_point(state)
+        )
+
+    def own_action(self, state: FloatArray) -> FloatArray:
+        """Return the tree's own answer to a state (d,), as a condition weighs it: (o,)."""
+        answer = self.tree.predict(state)
+        if self.tree.labels is None:
+            return np.asarray(answer, dtype=np.float64)
+        if isinstance(self.tree.head, Sign):
+            return np.array([float(answer)])
+        return np.asarray(np.eye(self.tree.n_outputs)[int(answer)])
+
+
+def covers(pieces: Sequence[Piece], low: Sequence[float], high: Sequence[float]) -> bool:
+    """Return whether pieces make up the box [low, high] of outputs: one that holds it, or the two sides of a cut."""
+    for piece in pieces:
+        lows, highs = zip(piece.low, low, strict=True), zip(piece.high, high, strict=True)
+        if all(a <= b for a, b in lows) and all(a >= b for a, b in highs):
+            return True
+    for i in range(len(low)):
+        for cut in sorted({piece.high[i] for piece in pieces if low[i] < piece.high[i] < high[i]}):
+            below = [piece for piece in pieces if piece.high[i] <= cut]
+            above = [piece for piece in pieces if piece.low[i] >= cut]
+            if len(below) + len(above) == len(pieces):
+                middle = [*high[:i], cut, *high[i + 1 :]], [*low[:i], cut, *low[i + 1 :]]
+                return covers(below, low, middle[0]) and covers(above, middle[1], high)
+    return False

@@ -1,8 +1,0 @@
-"""Where the configuration files lie."""
-
-from pathlib import Path
-
-__all__ = ["CONF_DIR"]
-
-_PACKAGED = Path(__file__).parent / "conf"  # in a wheel; in a checkout conf/ is beside the packages
-CONF_DIR = _PACKAGED if _PACKAGED.is_dir() else Path(__file__).parent.parent / "conf"

@@ -1,0 +1,84 @@
+"""Which settings decide what comes out of a run: the keys of its stages and the name of its folder."""
+
+import dataclasses
+import hashlib
+import json
+from dataclasses import asdict
+from typing import Any
+
+from pipelines.config import EnvConfig, ProgramConfig, RunConfig
+from pipelines.config.methods import imitates, is_written
+
+# Settings younger than committed results, with the value that means "as before": keyed only where they differ from it.
+YOUNGER_SETTINGS: dict[tuple[str, str], Any] = {
+    ("actor", "rescale_inputs"): False,
+    ("algo", "use_sde"): False,
+    ("algo", "sde_sample_freq"): -1,
+}
+
+EXECUTION_FIELDS = ("results_dir", "stages", "n_workers", "side_by_side", "debug", "tracking", "folder", "oracle_run",
+                    "program_text", "certify", "simplify")  # fmt: skip
+IMITATION_FIELDS = ("oracle", "imitate")  # of no concern to methods without an oracle
+TRAINING_FIELDS = ("algo", "actor", "train", "map")  # of no concern to programs
+FLEET_EXECUTION_FIELDS = ("name", "device", "runs_per_process")
+
+
+def run_folder(config: RunConfig, baseline: RunConfig) -> str:
+    """Return the run's folder below `results_dir`: `runs/<env>/<method>/depth-<d>/<budget>/seed-<s>[~<digest>]`.
+
+    `baseline` is what the same env, method, depth, budget and seed give without any other override; whatever differs
+    from it goes into the digest, so that other settings never share a folder.
+    """
+    depth = "-".join(str(width) for width in config.hidden_widths) or "0"
+    differences = setting_differences(settings(config), settings(baseline))
+    suffix = f"~{digest(differences)[:8]}" if differences else ""
+    return f"runs/{config.env.name}/{config.method.name}/depth-{depth}/{config.budget_level}/seed-{config.seed}{suffix}"
+
+
+def settings(config: RunConfig) -> dict[str, Any]:
+    """Return the resolved settings that decide what comes out, as plain JSON-able data.
+
+    The budget's table of steps is left out but for its name: `train`, `prune` and `evaluate` hold what it gave.
+    """
+    left_out = EXECUTION_FIELDS if imitates(config.method.name) else (*EXECUTION_FIELDS, *IMITATION_FIELDS)
+    left_out = (*left_out, *TRAINING_FIELDS) if is_written(config.method.name) else left_out
+    plain = {key: value for key, value in asdict(dataclasses.replace(config, oracle_run=None)).items()
+             if key not in left_out}  # fmt: skip
+    del plain["env"]["pid"]  # `method` tells
+    plain["budget"] = config.budget.name
+    plain["depth"] = list(config.hidden_widths)
+    if isinstance(config.method, ProgramConfig):
+        plain["method"] = {"name": config.method.name}
+    if config.program_text is not None:
+        plain["program_sha256"] = hashlib.sha256(config.program_text.encode()).hexdigest()
+    trainer = plain.pop("trainer")
+    if config.fleet:
+        plain["trainer"] = {key: value for key, value in trainer.items() if key not in FLEET_EXECUTION_FIELDS}
+    for (section, name), as_before in YOUNGER_SETTINGS.items():
+        if section in plain and plain[section].get(name, ...) == as_before:
+            del plain[section][name]
+    return plain
+
+
+def env_settings(env: EnvConfig) -> dict[str, Any]:
+    """Return what decides how an environment behaves, for the keys of stages that play in it."""
+    pid = {} if env.pid is None else {"pid": {"goal": list(env.pid.goal), "n_history": env.pid.n_history}}
+    return {"id": env.id, "kwargs": env.kwargs, **pid}
+
+
+def digest(value: Any) -> str:
+    """Return the sha256, in hex, of JSON-able data; key order does not matter."""
+    text = json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def setting_differences(new: dict[str, Any], old: dict[str, Any], prefix: str = "") -> dict[str, list[Any]]:
+    """Return {dotted key: [new, old]} for every leaf that differs; None stands for a key that is not there."""
+    found: dict[str, list[Any]] = {}
+    for key in sorted(new.keys() | old.keys()):
+        mine, other = new.get(key), old.get(key)
+        if isinstance(mine, dict) and isinstance(other, dict):
+            found |= setting_differences(mine, other, f"{prefix}{key}.")
+        elif mine != other:
+            found[f"{prefix}{key}"] = [mine, other]
+    return found

@@ -1,0 +1,1 @@
+"""Stages, jobs, sweeps and their store: knows nothing of policies."""

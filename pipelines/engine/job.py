@@ -1,0 +1,118 @@
+"""A job: one configuration, the folder that it names, the stages it takes, and what is kept of a failure."""
+
+import errno
+import traceback
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pipelines.engine.stage import MANIFEST, Stage, stage_key, stage_status, verified_manifest
+from pipelines.engine.store import write_text
+from pipelines.errors import PipelineError
+
+
+@dataclass(frozen=True)
+class Job(ABC):
+    """What is done in one folder.
+
+    Attributes:
+        config: what is asked: a `RunConfig` or a `FitConfig`.
+        folder: the job's folder, relative to `config.results_dir`.
+        config_yaml: the resolved configuration as text.
+        command: the command that does this job and all its stages.
+    """
+
+    config: Any
+    folder: str
+    config_yaml: str
+    command: str
+
+    @property
+    def run_dir(self) -> Path:
+        """The job's folder."""
+        return Path(self.config.results_dir) / self.folder
+
+    @property
+    @abstractmethod
+    def stages(self) -> tuple[Stage, ...]:
+        """The stages that are asked for, in order."""
+
+    @property
+    @abstractmethod
+    def ends_with(self) -> str:
+        """The stage after which the job's summary is written."""
+
+    def found_done(self) -> None:  # noqa: B027 - nothing to do for most
+        """Do what a job that is found done needs all the same."""
+
+
+def is_done(job: Job) -> bool:
+    """Return whether nothing of a job is left to do, having compared every file with its recorded sha256."""
+    ends = any(stage.name == job.ends_with for stage in job.stages)
+    if ends and not (job.run_dir / "summary.json").is_file():
+        return False
+    gone = {stage.name for stage in job.stages if _is_gone(job, stage)}
+    try:
+        return all(_is_stage_done(job, stage, gone) for stage in job.stages if stage.name not in gone)
+    except PipelineError:  # damaged: doing the job tells what is wrong
+        return False
+
+
+def _is_gone(job: Job, stage: Stage) -> bool:
+    """Return whether a stage's result was there for the stages after it alone, which are done."""
+    later = [other for other in job.stages if stage.name in other.inputs]
+    return (
+        stage.is_transient
+        and not (job.run_dir / stage.name / MANIFEST).exists()
+        and bool(later)
+        and all(stage_status(other, job.run_dir / other.name, job.config) == "done" for other in later)
+    )
+
+
+def _is_stage_done(job: Job, stage: Stage, gone: set[str]) -> bool:
+    folder = job.run_dir / stage.name
+    if stage_status(stage, folder, job.config) != "done":
+        return False
+    verified_manifest(folder)
+    if gone.intersection(stage.inputs):
+        return True
+    inputs = {name: job.run_dir / name for name in stage.inputs}
+    return stage_status(stage, folder, job.config, stage_key(stage, job.config, inputs)) == "done"
+
+
+def record_failure(job: Job, error: BaseException, sweep: str) -> str:
+    """Write a failed job's traceback to `results/failures/<sweep>/` and to the job's `error.log`.
+
+    Returns:
+        The former's path, or why it could not be written.
+    """
+    text = f"{job.command}\n\n{''.join(traceback.format_exception(error))}"
+    path = Path(job.config.results_dir) / "failures" / sweep / f"{job.folder.replace('/', '_')}.txt"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_text(path, text)
+        if job.run_dir.is_dir():
+            write_text(job.run_dir / "error.log", text)
+    except OSError as reason:
+        return f"not written ({reason.strerror}); debug=true shows it"
+    return str(path)
+
+
+@contextmanager
+def disk_errors_explained(job: Job) -> Iterator[None]:
+    """Turn an error of the operating system into a message with the way out."""
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+        remedy = "Make room there or choose" if full else "Choose"
+        raise PipelineError(
+            f"{job.run_dir}: {error.strerror or error}{f' ({error.filename})' if error.filename else ''}\n"
+            f"{remedy} another place with results_dir=PATH; finished stages and checkpoints are kept, and the same "
+            "command goes on from them."
+        ) from error

@@ -1,0 +1,321 @@
+"""Stages: pure functions of inputs and settings whose results are kept, found again and never half written.
+
+A stage is keyed by the sha256 of its name, its version, its settings and its inputs' digests. `run_stage` skips what is
+done, waits where another process is at it, writes into a temporary folder, writes `manifest.json` last and renames.
+"""
+
+import hashlib
+import shutil
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+from filelock import FileLock, Timeout
+
+from pipelines.config.settings import digest, setting_differences
+from pipelines.engine import provenance
+from pipelines.engine.store import corrupt, read_json, write_json
+from pipelines.errors import MissingInputError, OtherSettingsError, PipelineError
+
+MANIFEST = "manifest.json"
+MANIFEST_FIELDS = {"stage", "version", "key", "settings", "outputs", "output_digest", "seconds"}
+
+
+class StageConfig(Protocol):
+    """What a stage's machinery reads of a configuration."""
+
+    @property
+    def results_dir(self) -> str:
+        """The folder below which all results lie."""
+
+
+C = TypeVar("C", bound=StageConfig)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One step of a method.
+
+    Attributes:
+        name: its folder's name.
+        version: raised when the same inputs and settings would give something else.
+        inputs: the stages whose folders it reads.
+        settings: picks, from the run's configuration, what decides the result; JSON-able.
+        run: `(inputs, config, out)` writes the result's files into the empty folder `out`.
+        is_transient: its result is large and serves the stages after it; it may be gone once these are done.
+    """
+
+    name: str
+    version: int
+    inputs: tuple[str, ...]
+    settings: Callable[[Any], dict[str, Any]]
+    run: Callable[[Mapping[str, Path], Any, Path], None]
+    is_transient: bool = False
+
+
+@dataclass(frozen=True)
+class StageResult:
+    """Where a stage's files lie, whether they were there before, and the seconds that making them took."""
+
+    folder: Path
+    skipped: bool
+    seconds: float
+
+
+def run_stage(stage: Stage, run_dir: Path, config: StageConfig, rerun_command: str) -> StageResult:
+    """Bring a stage's folder up to date and return it.
+
+    Raises:
+        MissingInputError: an input stage has not been done; names the command that does it.
+        OtherSettingsError: the folder holds the result of other settings.
+        PipelineError: an input or the finished folder was damaged.
+    """
+    inputs = {name: _input_folder(run_dir, name, stage, rerun_command) for name in stage.inputs}
+    wanted = stage_key(stage, config, inputs)
+    folder = run_dir / stage.name
+    with _lock(run_dir / f".{stage.name}.lock", f"{run_dir}: another process is at stage {stage.name}"):
+        status = stage_status(stage, folder, config, wanted)
+        if status == "other settings":
+            raise _other_settings(stage, folder, config)
+        if status == "done":
+            manifest = verified_manifest(folder)
+            return StageResult(folder, skipped=True, seconds=manifest["seconds"])
+        # Runs that differ in later stages alone share this result: one of them makes it, the others take it over.
+        with _lock(_result_lock(config, stage, wanted), f"another run is making the {stage.name} of {run_dir}"):
+            twin = _twin(run_dir, stage.name, wanted)
+            if twin is not None:
+                _copy_twin(twin, folder)
+                return StageResult(folder, skipped=True, seconds=read_manifest(folder)["seconds"])
+            return _make(stage, folder, config, inputs, wanted)
+
+
+def run_stage_together(
+    stage: Stage,
+    requests: Sequence[tuple[Path, C]],
+    run: Callable[[Sequence[Mapping[str, Path]], Sequence[C], Sequence[Path]], Sequence[Exception | None]],
+) -> list[Exception | None]:
+    """Make the results of a stage for several runs in one go, where nothing is in the way.
+
+    Runs that have theirs, that another process is at, or whose result another run holds are left for `run_stage`, which
+    knows what to do. What one run fails at does not touch the others.
+
+    Args:
+        stage: the stage; what it reads is done in every run folder.
+        requests: run folder and configuration of each run.
+        run: `(inputs, configs, outs)` writes each run's files into its folder and returns what it failed with, if it
+            did.
+
+    Returns:
+        For each request what it failed with, or None.
+    """
+    errors: list[Exception | None] = [None] * len(requests)
+    with ExitStack() as stack:
+        chosen: list[tuple[int, Path, str]] = []
+        inputs = [{name: run_dir / name for name in stage.inputs} for run_dir, _ in requests]
+        for i, (run_dir, config) in enumerate(requests):
+            folder, wanted = run_dir / stage.name, stage_key(stage, config, inputs[i])
+            lock = stack.enter_context(_try_lock(run_dir / f".{stage.name}.lock"))
+            if not lock or stage_status(stage, folder, config, wanted) in ("done", "other settings"):
+                continue
+            is_first = stack.enter_context(_try_lock(_result_lock(config, stage, wanted)))
+            if is_first and _twin(run_dir, stage.name, wanted) is None:
+                chosen.append((i, folder, wanted))
+        if not chosen:
+            return errors
+        origin, start = _origin(), time.monotonic()
+        folders = [stack.enter_context(_unfinished(folder)) for _, folder, _ in chosen]
+        failures = run([inputs[i] for i, _, _ in chosen], [requests[i][1] for i, _, _ in chosen], folders)
+        share = round((time.monotonic() - start) / len(chosen), 3)
+        for (i, folder, wanted), temporary, failure in zip(chosen, folders, failures, strict=True):
+            errors[i] = failure
+            if failure is None:
+                _finish(stage, folder, temporary, requests[i][1], wanted, share, origin)
+    return errors
+
+
+def stage_key(stage: Stage, config: StageConfig, inputs: Mapping[str, Path]) -> str:
+    """Return the key of a stage's result: what it is made by, with and from."""
+    digests = {name: verified_manifest(folder)["output_digest"] for name, folder in inputs.items()}
+    return digest({"stage": stage.name, "version": stage.version, "settings": stage.settings(config), "in": digests})
+
+
+def stage_status(stage: Stage, folder: Path, config: StageConfig, wanted: str | None = None) -> str:
+    """Return `missing`, `done`, `stale` (inputs or code changed since) or `other settings`.
+
+    Without the `wanted` key only the settings are compared.
+    """
+    if not (folder / MANIFEST).exists():
+        return "missing"
+    manifest = read_manifest(folder)
+    if manifest["settings"] != stage.settings(config):
+        return "other settings"
+    current = manifest["version"] == stage.version if wanted is None else manifest["key"] == wanted
+    return "done" if current else "stale"
+
+
+def verified_manifest(folder: Path) -> dict[str, Any]:
+    """Return a finished folder's manifest after comparing every file in it with its recorded sha256."""
+    manifest = read_manifest(folder)
+    for name, recorded in manifest["outputs"].items():
+        path = folder / name
+        found = file_digest(path) if path.is_file() else "no file"
+        if found != recorded:
+            raise PipelineError(
+                f"{path} is not what was written: its sha256 is {found[:12]}, the manifest has {recorded[:12]}\n"
+                f"Restore it, or delete the folder {folder} and run the same command again to make it."
+            )
+    return manifest
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """Return a finished folder's manifest; one that is broken or lacks a field is an error that names it."""
+    manifest: dict[str, Any] = read_json(folder / MANIFEST)
+    missing = MANIFEST_FIELDS - manifest.keys() if isinstance(manifest, dict) else MANIFEST_FIELDS
+    if missing:
+        raise corrupt(folder / MANIFEST, ValueError(f"it has no {', '.join(sorted(missing))}"))
+    return manifest
+
+
+def file_digest(path: Path) -> str:
+    """Return the sha256 of a file's bytes, in hex."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _make(stage: Stage, folder: Path, config: StageConfig, inputs: Mapping[str, Path], wanted: str) -> StageResult:
+    with _unfinished(folder) as temporary:
+        start = time.monotonic()
+        origin = _origin()
+        stage.run(inputs, config, temporary)
+        seconds = round(time.monotonic() - start, 3)
+        _finish(stage, folder, temporary, config, wanted, seconds, origin)
+    return StageResult(folder, skipped=False, seconds=seconds)
+
+
+@contextmanager
+def _unfinished(folder: Path) -> Iterator[Path]:
+    """Give an empty folder beside `folder` to write a result into; whatever is still there afterwards is removed."""
+    temporary = folder.with_name(f".{folder.name}.tmp")
+    shutil.rmtree(temporary, ignore_errors=True)
+    temporary.mkdir(parents=True)
+    try:
+        yield temporary
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _origin() -> dict[str, Any]:
+    """Return who makes a result: of the code that is running, so asked before a run of hours and not after it."""
+    return {
+        "command": provenance.command_line(),
+        "git_revision": provenance.git_revision(),
+        "versions": provenance.versions(),
+    }
+
+
+def _finish(
+    stage: Stage,
+    folder: Path,
+    temporary: Path,
+    config: StageConfig,
+    wanted: str,
+    seconds: float,
+    origin: dict[str, Any],
+) -> None:
+    """Write the manifest of a result and put the result in its place."""
+    outputs = {path.name: file_digest(path) for path in sorted(temporary.iterdir())}
+    write_json(
+        temporary / MANIFEST,
+        {
+            "stage": stage.name,
+            "version": stage.version,
+            "key": wanted,
+            "settings": stage.settings(config),
+            "outputs": outputs,
+            "output_digest": digest(outputs),
+            "seconds": seconds,
+            **origin,
+        },
+    )
+    if folder.exists():  # stale: made by an older version of the stage or from inputs that have changed
+        shutil.rmtree(folder)
+    temporary.rename(folder)
+
+
+def _input_folder(run_dir: Path, name: str, stage: Stage, rerun_command: str) -> Path:
+    folder = run_dir / name
+    if not (folder / MANIFEST).exists():
+        raise MissingInputError(
+            f"stage {stage.name} needs stage {name}, and {folder} holds no finished result of it\nRun: {rerun_command}"
+        )
+    return folder
+
+
+def _other_settings(stage: Stage, folder: Path, config: StageConfig) -> OtherSettingsError:
+    old = read_manifest(folder)["settings"]
+    changes = setting_differences(stage.settings(config), old)
+    lines = [f"  {key}: there was {was!r}, asked for {now!r}" for key, (now, was) in changes.items()]
+    return OtherSettingsError(
+        "\n".join([f"{folder} was made with other settings, which are never overwritten:", *lines])
+        + "\nGive the change on the command line (it gets a folder of its own), set results_dir=PATH, "
+        "or delete the folder."
+    )
+
+
+def _twin(run_dir: Path, name: str, wanted: str) -> Path | None:
+    """Return the folder of a sibling run (same place, other overrides) that already holds this very result."""
+    for manifest in sorted(run_dir.parent.glob(f"*/{name}/{MANIFEST}")):
+        with suppress(PipelineError):  # a damaged sibling is its own run's trouble
+            if read_manifest(manifest.parent)["key"] == wanted:
+                return manifest.parent
+    return None
+
+
+def _copy_twin(twin: Path, folder: Path) -> None:
+    verified_manifest(twin)
+    temporary = folder.with_name(f".{folder.name}.tmp")
+    shutil.rmtree(temporary, ignore_errors=True)
+    shutil.copytree(twin, temporary)
+    if folder.exists():
+        shutil.rmtree(folder)
+    temporary.rename(folder)
+
+
+def _result_lock(config: StageConfig, stage: Stage, wanted: str) -> Path:
+    """Return the lock of a result, whichever run makes it."""
+    return Path(config.results_dir) / "locks" / f"{stage.name}-{wanted[:16]}.lock"
+
+
+@contextmanager
+def _try_lock(path: Path) -> Iterator[bool]:
+    """Hold a lock file where it is free, and tell whether it was."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(path)
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        yield False
+        return
+    try:
+        yield True
+    finally:
+        lock.release()
+
+
+@contextmanager
+def _lock(path: Path, busy: str) -> Iterator[None]:
+    """Hold a lock file; say so once where another process has it, then wait for that process."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(path)
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        print(f"{busy}; waiting for it", flush=True)
+        lock.acquire()
+    try:
+        yield
+    finally:
+        lock.release()

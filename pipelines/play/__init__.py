@@ -1,0 +1,1 @@
+"""Environments, episodes in them, and the comparison of what two policies do."""

@@ -1,0 +1,71 @@
+"""The evaluations of training: the exported network plays the selection episodes and is compared with what was trained.
+
+Which actor is kept is decided here, on episodes of a stream of their own, never on the ones that are reported.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+import otr
+from pipelines.config import RunConfig
+from pipelines.engine.seeding import episode_seeds
+from pipelines.errors import PipelineError, PolicyMismatchError
+from pipelines.play.agreement import answers_agree
+from pipelines.play.environments import state_box
+from pipelines.play.rollout import Policy, Rollout, rollout
+
+TOLERANCE = 1e-5  # between the float64 network and the trainer's float32 one, relative
+FLOAT32_ROUNDING = 1e-6  # of the sum of all terms' sizes: some eight roundings
+
+Predict = Callable[[np.ndarray], np.ndarray]
+
+
+def play_selection_episodes(network: otr.ReluNetwork, config: RunConfig) -> tuple[otr.ReluNetwork, Rollout]:
+    """Return the actor as it reads the environment's own states, and what came of its selection episodes."""
+    if config.actor.rescale_inputs:
+        network = network.fold_input_normalisation(*state_box(config.env))
+    return network, play_episodes(network.predict, config)
+
+
+def play_episodes(policy: Policy, config: RunConfig) -> Rollout:
+    """Play the selection episodes, their states kept."""
+    seeds = episode_seeds(config.seed, "selection", config.train.n_selection_episodes)
+    return rollout(policy, config.env, seeds, keep_states=True, n_workers=1)
+
+
+def compare_with_trained(network: otr.ReluNetwork, trained: Predict, states: np.ndarray, config: RunConfig) -> None:
+    """Raise PolicyMismatchError where network and trainer disagree by more than TOLERANCE on a state.
+
+    The trainer computes in float32, whose rounding grows with the terms that are summed up, not with their sum; that
+    much is allowed for, as bounded by the network of the absolute weights on the absolute states.
+
+    Args:
+        network: the exported network.
+        trained: the trainer's own deterministic actions on states (n, d) float32, as it was trained on them.
+        states: (n, d), as the network reads them.
+        config: the run, which says whether training rescales the states.
+    """
+    middle, half_width = state_box(config.env) if config.actor.rescale_inputs else (0.0, 1.0)
+    ours, outputs = network.predict(states), network.forward(states)
+    theirs = trained(((states - middle) / half_width).astype(np.float32))
+    sizes = otr.ReluNetwork(
+        [np.abs(weight) for weight in network.weights], [np.abs(bias) for bias in network.biases], dense=network.dense
+    ).forward(np.abs(states))
+    if isinstance(network.head, otr.PidBox):  # whose answers are sums of the outputs' products
+        sizes = network.head.controls(sizes)
+    wrong = ~answers_agree(ours, theirs, outputs, TOLERANCE, slack=FLOAT32_ROUNDING * sizes)
+    if wrong.any():
+        i = int(np.flatnonzero(wrong)[0])
+        raise PolicyMismatchError(
+            f"the exported network is not the trained policy: in state {states[i].tolist()} the network does "
+            f"{ours[i].tolist()}, the trained policy {theirs[i].tolist()}"
+        )
+
+
+def diverged(step: int, reason: object) -> PipelineError:
+    """Return the error for a training whose numbers are no longer finite."""
+    return PipelineError(
+        f"the actor after step {step:,} is no network ({reason}); if numbers are not finite, the training diverged: "
+        "try a smaller algo.learning_rate"
+    )

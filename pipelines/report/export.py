@@ -1,0 +1,214 @@
+"""The policy of a finished run as a program in another language, with the environment's names."""
+
+import difflib
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import otr
+from pipelines.config import RunConfig
+from pipelines.config.methods import EXTRAS, MAPPED, METHODS, tree_stage
+from pipelines.engine.stage import MANIFEST, verified_manifest
+from pipelines.engine.store import load_actor
+from pipelines.errors import ConfigError, MissingInputError, PipelineError
+from pipelines.play.environments import action_names, feature_names
+
+TREES = ("pruned", "full", "minimal", "simplified", "constant_gains", "compact")
+
+
+@dataclass(frozen=True)
+class ExportConfig:
+    """What `otr-export` takes; None is the format's own default."""
+
+    run: str
+    format: str
+    tree: str
+    out: str | None
+    name: str | None
+    dtype: str | None
+    precision: int | None
+    results_dir: str
+    debug: bool
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format: its files' suffix, what writes it, and which of the options name, dtype and precision that takes."""
+
+    suffix: str
+    write: Callable[..., Any]
+    options: tuple[str, ...] = ()
+
+
+FORMATS = {
+    "text": Format(".txt", otr.to_text, ("precision",)),
+    "python": Format(".py", otr.to_python, ("name",)),
+    "c": Format(".c", otr.to_c, ("name", "dtype")),
+    "structured_text": Format(".st", otr.to_structured_text, ("name",)),
+    "latex": Format(".tex", otr.to_latex, ("precision",)),
+    "dot": Format(".dot", otr.to_dot, ("precision",)),
+    "onnx": Format(".onnx", otr.to_onnx, ("name", "dtype")),
+    "json": Format(".json", otr.to_json),
+}
+
+
+def check_export(config: ExportConfig) -> None:
+    """Raise ConfigError where the request cannot be met, whatever the run."""
+    check_run(config.run)
+    if not config.format:
+        raise ConfigError(f"which format? Add format=NAME with one of: {', '.join(FORMATS)}")
+    _check_name("format", config.format, list(FORMATS))
+    _check_name("tree", config.tree, TREES)
+    if config.tree == "compact" and config.format != "c":
+        raise ConfigError(f"tree=compact: only format=c writes the network itself, not format={config.format}")
+    if config.format == "onnx" and config.out is None:
+        raise ConfigError("format=onnx is no text for a terminal; add out=policy.onnx")
+    for option in ("name", "dtype", "precision"):
+        if getattr(config, option) is not None and option not in FORMATS[config.format].options:
+            takes = [name for name, known in FORMATS.items() if option in known.options]
+            raise ConfigError(f"{option}={getattr(config, option)}: format={config.format} has none; "
+                              f"these have: {', '.join(takes)}")  # fmt: skip
+    if config.dtype not in (None, "double", "float"):
+        raise ConfigError(f"dtype={config.dtype}: expected double or float")
+
+
+def check_run(run: str) -> None:
+    """Raise ConfigError where no run is named."""
+    if not run:
+        raise ConfigError("which run? Add run=FOLDER, such as run=hopper/otr/depth-6/quick/seed-0")
+
+
+def find_run(run: str, results_dir: str) -> Path:
+    """Return a run's folder: as given, or below results_dir, or below results_dir/runs.
+
+    Raises:
+        ConfigError: none is named, or there is no such folder; names the nearest runs and the
+            command that makes this one.
+        PipelineError: what lies there is no run of otr-run.
+    """
+    check_run(run)
+    given, runs = Path(run), Path(results_dir) / "runs"
+    tried = [given] if given.is_absolute() else [given, Path(results_dir) / given, runs / given]
+    folder = next((path for path in tried if path.is_dir()), None)
+    if folder is None:
+        raise ConfigError(_no_such_run(run, runs))
+    if not (folder / "config.yaml").is_file():
+        command = run_command(folder)
+        how = f"the run there did not come to its end\nRun: {command}" if command else "it is not the folder of a run"
+        raise PipelineError(f"{folder} holds no config.yaml: {how}")
+    if not re.search(r"^env:", (folder / "config.yaml").read_text(encoding="utf-8"), re.M):
+        raise PipelineError(
+            f"{folder} is a fit of otr-fit, not a run of otr-run; its trees are read and written in Python: "
+            'otr.to_c(otr.load("PATH"))'
+        )
+    return folder
+
+
+def run_command(folder: Path) -> str | None:
+    """Return the otr-run command that makes a run's folder, as far as its path tells; None where it tells nothing."""
+    if len(folder.parts) < 5:
+        return None
+    env, method, depth, budget, seed = folder.parts[-5:]
+    if not (re.fullmatch(r"depth-[\d-]+", depth) and re.fullmatch(r"seed-\d+(~[0-9a-f]+)?", seed)):
+        return None
+    widths = depth.removeprefix("depth-").split("-")
+    words = [f"env={env}", f"depth={widths[0]}" if len(widths) == 1 else f'"depth=[{",".join(widths)}]"']
+    words += [] if method == "otr" else [f"method={method}"]
+    name, *others = budget.split("-")
+    words += [f"budget={name}", *(f"algo={word}" if word == "ars" else f"trainer={word}" for word in others)]
+    number, _, digest = seed.removeprefix("seed-").partition("~")
+    words.append(f"seed={number}")
+    return f"otr-run {' '.join(words)}{' and the settings that made the digest ~' + digest if digest else ''}"
+
+
+def program_of(config: ExportConfig, run: RunConfig, folder: Path) -> str | bytes:
+    """Return the program that was asked for, as text, or as bytes where the format is not text.
+
+    Raises:
+        ConfigError: an option that the format refuses, or a tree that it cannot hold.
+        MissingInputError: the stage that makes the tree is not finished; names the command.
+        PipelineError: a file was changed, or a package is missing.
+    """
+    policy = _policy(config, run, folder)
+    options = {name: getattr(config, name) for name in FORMATS[config.format].options}
+    try:
+        written = FORMATS[config.format].write(
+            policy,
+            feature_names=feature_names(run.env, policy.n_inputs),
+            output_names=action_names(run.env, policy.head.n_answers(policy.n_outputs)),
+            **{name: value for name, value in options.items() if value is not None},
+        )
+    except ImportError as error:
+        raise PipelineError(str(error)) from error
+    except ValueError as error:
+        raise ConfigError(f"format={config.format}: {error}") from error
+    return written if isinstance(written, str) else bytes(written.SerializeToString())
+
+
+def write_program(config: ExportConfig, program: str | bytes) -> Path:
+    """Write a program to `out`, a file or a folder that is there, and return the file."""
+    assert config.out is not None
+    path = Path(config.out)
+    if path.is_dir():
+        path /= f"{config.name or 'policy'}{FORMATS[config.format].suffix}"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(program.encode() if isinstance(program, str) else program)
+    return path
+
+
+def _policy(config: ExportConfig, run: RunConfig, folder: Path) -> Any:
+    """Return the tree that was asked for, or the network behind it."""
+    method = run.method.name
+    if config.tree == "compact" and METHODS[method] is not MAPPED:
+        raise ConfigError(f"tree=compact: a tree of method={method} stands for no network; use tree=full")
+    if config.tree == "constant_gains" and method != "pid":
+        raise ConfigError(f"tree=constant_gains: gains are of method=pid, not of method={method}; use tree=pruned")
+    stages = {
+        "pruned": "prune",
+        "constant_gains": "prune",
+        "full": tree_stage(method),
+        "minimal": "certify",
+        "simplified": "simplify",
+    }
+    stage = stages.get(config.tree, "train")
+    if not (folder / stage / MANIFEST).exists():
+        raise MissingInputError(
+            f"{folder}: stage {stage}, which makes tree={config.tree}, is not finished there\nRun: "
+            f"{run_command(folder.absolute()) or 'the command that made the run'}{_extra_word(stage)}"
+        )
+    verified_manifest(folder / stage)
+    if config.tree == "compact":
+        return load_actor(folder / stage)
+    tree = otr.load(folder / stage / ("constant_gains" if config.tree == "constant_gains" else "tree"))
+    if isinstance(tree, otr.ObliqueTree):
+        return tree
+    if config.format != "c":
+        raise ConfigError(
+            f"tree=full: it has {tree.n_paths:,} leaves, held as activation patterns, which no file can list; "
+            "use tree=pruned, or format=c, which writes the network that the tree is"
+        )
+    return tree.network
+
+
+def _extra_word(stage: str) -> str:
+    return f" {stage}=true" if stage in EXTRAS else ""
+
+
+def _check_name(word: str, value: str, known: Sequence[str]) -> None:
+    if value not in known:
+        near = difflib.get_close_matches(value, known, n=2, cutoff=0.5)
+        hint = f"Did you mean {' or '.join(near)}?" if near else f"There are: {', '.join(known)}"
+        raise ConfigError(f"{word}={value}: there is no such {word}. {hint}")
+
+
+def _no_such_run(run: str, runs: Path) -> str:
+    there = [path.relative_to(runs).as_posix() for path in runs.glob("*/*/depth-*/*/seed-*")]
+    wanted = re.sub(r"^.*runs/", "", Path(run).as_posix())
+    near = difflib.get_close_matches(wanted, there, n=3, cutoff=0.6)
+    lines = [f"run={run}: there is no such folder, here or below {runs}."]
+    lines += [f"Did you mean {' or '.join(near)}?"] if near else []
+    command = run_command(Path("runs") / wanted)
+    lines.append(f"To make it: {command}" if command else "A run's folder is runs/ENV/METHOD/depth-D/BUDGET/seed-S.")
+    return "\n".join(lines)

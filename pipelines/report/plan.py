@@ -1,0 +1,68 @@
+"""What a sweep would do: run, resume or skip for every job, and the time that is left."""
+
+from collections.abc import Sequence
+
+from rich.console import Console
+from rich.table import Table
+
+from pipelines.engine.console import duration
+from pipelines.engine.stage import stage_status
+from pipelines.stages import imitation
+from pipelines.stages.run import RunJob
+from pipelines.training import estimates as training
+from pipelines.training.estimates import trained_steps
+
+
+def job_plan(job: RunJob, planned: set[str]) -> tuple[str, float]:
+    """Return what is to be done for a job, in words, and the seconds of training and imitating it leaves.
+
+    Args:
+        job: the job.
+        planned: folders of the oracles that jobs before it train; its own is added.
+    """
+    config = job.config
+    statuses = {stage.name: stage_status(stage, job.run_dir / stage.name, config) for stage in job.stages}
+    if "other settings" in statuses.values():
+        names = [name for name, status in statuses.items() if status == "other settings"]
+        return f"refused: {', '.join(names)} there has other settings", 0.0
+    left = [name for name, status in statuses.items() if status != "done"]
+    if not left:
+        return "skip", 0.0
+    if "train" in left:
+        done = trained_steps(config)
+        return (f"resume at step {done:,}" if done else "run"), training.estimated_seconds(config)
+    seconds = imitation.estimated_seconds(config) if "imitate" in left else 0.0
+    if job.oracle and "oracle" in left:
+        what, oracle_seconds = _oracle_plan(job.oracle, planned)
+        return f"run, {what}", seconds + oracle_seconds
+    return f"run {', '.join(left)}", seconds
+
+
+def _oracle_plan(oracle: RunJob, planned: set[str]) -> tuple[str, float]:
+    """Return what becomes of a job's oracle and the seconds that it takes; jobs that share one train it once."""
+    name = oracle.folder.removeprefix("runs/")
+    if stage_status(oracle.stages[0], oracle.run_dir / "train", oracle.config) == "done":
+        return f"oracle {name} is there", 0.0
+    if oracle.folder in planned:
+        return f"oracle {name} as above", 0.0
+    planned.add(oracle.folder)
+    done = trained_steps(oracle.config)
+    how = f"resume at step {done:,}" if done else "train"
+    return f"{how} oracle {name}", training.estimated_seconds(oracle.config)
+
+
+def print_plan(jobs: Sequence[RunJob]) -> None:
+    """Print one line a job and the sum."""
+    table = Table("job", "plan", "time", box=None)
+    total, n_skipped = 0.0, 0
+    planned: set[str] = set()
+    for job in jobs:
+        what, seconds = job_plan(job, planned)
+        total += seconds
+        n_skipped += what == "skip"
+        table.add_row(job.folder, what, duration(seconds) if seconds else "")
+    console = Console(highlight=False, soft_wrap=True)
+    console.print(table)
+    console.print(
+        f"{len(jobs)} jobs: {n_skipped} to skip, {len(jobs) - n_skipped} left, about {duration(total)} of one core"
+    )

@@ -1,0 +1,32 @@
+"""Play a finished run's evaluation episodes again from its stored policies and compare them with what was recorded."""
+
+from pathlib import Path
+
+from pipelines.config import RunConfig
+from pipelines.config.methods import METHODS
+from pipelines.engine.store import read_csv
+from pipelines.stages.evaluate import EPISODES_FILES, episode_rows, load_policies, play
+
+TOLERANCE = 1e-6  # of the return, relative
+
+
+def replay(config: RunConfig, run_dir: Path) -> int:
+    """Print one line a policy form and return how many of a run's episodes came out differently.
+
+    Other versions of the simulators give other episodes; on the recorded versions all of them come back.
+    """
+    inputs = {name: run_dir / name for name in METHODS[config.method.name]}
+    played = play(load_policies(inputs, config), config)
+    n_different = 0
+    for name in played:
+        recorded = [float(row["return"]) for row in read_csv(run_dir / "evaluate" / EPISODES_FILES[name])]
+        again = [row["return"] for row in episode_rows(played[name])]
+        different = [
+            i
+            for i, (old, new) in enumerate(zip(recorded, again, strict=True))
+            if abs(old - new) > TOLERANCE * max(1.0, abs(old))
+        ]
+        n_different += len(different)
+        verdict = f"{len(different)} differ, the first is episode {different[0]}" if different else "as recorded"
+        print(f"{run_dir}: {name.replace('_', ' ')}: {len(again)} episodes played again, {verdict}", flush=True)
+    return n_different

@@ -1,0 +1,62 @@
+"""Certificates of finished runs, checked again without a solver."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import otr
+from pipelines.config import RunConfig
+from pipelines.engine.store import load_actor
+from pipelines.errors import MissingInputError, PipelineError
+from pipelines.play.environments import state_limits
+
+
+@dataclass(frozen=True)
+class VerifyConfig:
+    """What `otr-verify` takes; None is the run's own."""
+
+    run: str
+    certificate: str | None
+    tree: str | None
+    actor: str | None
+    results_dir: str
+    debug: bool
+
+
+def verify_run(config: VerifyConfig, run: RunConfig, folder: Path) -> str:
+    """Check a run's certificate against its tree and its actor, and return what it proves, in words.
+
+    Raises:
+        MissingInputError: the run has no certificate; names the word that makes one.
+        PipelineError: the certificate's domain is smaller than the environment's box of states.
+        otr.OtrError: the certificate, the tree or the actor was tampered with; names the leaf.
+    """
+    path = Path(config.certificate or folder / "certify" / "certificate.json")
+    if not path.is_file():
+        raise MissingInputError(
+            f"{path} is not there: the run has no certificate\nAdd certify=true to the command that made the run; "
+            "nothing is trained anew. A tree that was too large for one says so in certify/report.json."
+        )
+    certificate = otr.load_certificate(path)
+    limits, domain = state_limits(run.env), certificate.domain
+    if limits and not ((domain.low <= limits[0]).all() and (domain.high >= limits[1]).all()):
+        raise PipelineError(
+            f"{path} is of the box {_box(domain)}, which is smaller than the environment's, "
+            f"{_box(otr.Domain(*limits))}: it was changed, or is of another environment"
+        )
+    tree = otr.load(config.tree or folder / "certify" / "tree")
+    if not isinstance(tree, otr.ObliqueTree):
+        raise otr.CertificateError(f"{config.tree} holds a {type(tree).__name__}, certificates are of an ObliqueTree")
+    network = load_actor(Path(config.actor or folder / "train"))
+    bound = otr.verify(certificate, tree, network)
+    whose = "the environment's box of states" if limits else "the box of the certificate"
+    return (
+        f"verified: {certificate.n_leaves:,} leaves, {certificate.n_regions:,} regions of the network; on {whose}, "
+        f"{_box(domain)}, tree and network differ by at most {bound:.3g} at every real "
+        "point (in rational arithmetic)"
+    )
+
+
+def _box(domain: otr.Domain) -> str:
+    """Return a box as people read it."""
+    sides = zip(domain.low.tolist(), domain.high.tolist(), strict=True)
+    return " x ".join(f"[{low:.4g}, {high:.4g}]" for low, high in sides)

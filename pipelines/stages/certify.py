@@ -1,0 +1,90 @@
+"""Stage certify: the minimal tree of a mapped actor on its environment's states, and the proof that it is exact."""
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import otr
+from pipelines.config import RunConfig
+from pipelines.config.settings import env_settings
+from pipelines.engine.seeding import episode_seeds
+from pipelines.engine.store import load_actor, write_json
+from pipelines.play.environments import state_limits
+from pipelines.play.rollout import rollout
+from pipelines.stages.program_files import write_program
+
+VERSION = 2
+MARGIN = 0.05  # of the width of what was visited, on either side
+
+
+def certify_settings(config: RunConfig) -> dict[str, Any]:
+    """Return what decides the minimal tree and its certificate."""
+    return {
+        "env": env_settings(config.env),
+        "n_episodes": config.prune.n_episodes,
+        "seed": config.seed,
+        "max_leaves": config.certification.max_leaves,
+        "max_seconds": config.certification.max_seconds,
+    }
+
+
+def certify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
+    """Write the minimal tree, its `program.txt`, `certificate.json` and `report.json`.
+
+    The domain is the box of states that the environment declares (gymnasium's observation space, which not every
+    environment keeps to) where that is bounded, else the box around the states of the pruning episodes and 5 % more on
+    either side. A tree that would be too large, or take too long, is told in the report.
+    """
+    network = load_actor(inputs["train"])
+    domain, whence = _domain(inputs, config)
+    report: dict[str, Any] = {"domain": whence} | domain.to_dict()
+    limits = config.certification
+    began = time.monotonic()
+    try:
+        tree = otr.minimal_tree(
+            network, domain, order="balanced", max_leaves=limits.max_leaves, max_seconds=limits.max_seconds
+        )
+    except otr.TreeTooLargeError as error:
+        write_json(out / "report.json", {"certified": False, "reason": str(error)} | report)
+        return
+    built = time.monotonic()
+    certificate = otr.certify(tree, network, domain)
+    certified = time.monotonic()
+    otr.verify(certificate, tree, network)
+    verified = time.monotonic()
+    otr.save(tree, out / "tree")
+    write_program(tree, config.env, out)
+    certificate.save(out / "certificate.json")
+    write_json(
+        out / "report.json",
+        {
+            "certified": True,
+            "max_error": certificate.max_error,
+            "n_leaves": tree.n_leaves,
+            "depth": tree.depth,
+            "n_regions": certificate.n_regions,
+            "n_linear_programs": certificate.n_linear_programs,
+            **report,
+            "seconds": {
+                "minimal_tree": round(built - began, 3),
+                "certify": round(certified - built, 3),
+                "verify": round(verified - certified, 3),
+            },
+        },
+    )
+
+
+def _domain(inputs: Mapping[str, Path], config: RunConfig) -> tuple[otr.Domain, str]:
+    """Return the box on which the tree is proved, and what it is."""
+    limits = state_limits(config.env)
+    if limits is not None:
+        return otr.Domain(*limits), "the environment's box of states"
+    tree: Any = otr.load(inputs["map"] / "tree")
+    seeds = episode_seeds(config.seed, "prune", config.prune.n_episodes)
+    states = rollout(tree.predict, config.env, seeds, keep_states=True, n_workers=config.n_workers).states
+    low, high = states.min(axis=0), states.max(axis=0)
+    margin = MARGIN * (high - low) + np.finfo(np.float32).eps * np.maximum(1.0, np.abs(high))
+    return otr.Domain(low - margin, high + margin), f"the box around the states of {config.prune.n_episodes} episodes"

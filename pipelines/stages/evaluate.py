@@ -1,0 +1,146 @@
+"""Stage evaluate: network, tree and pruned tree on the same fixed episodes."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import otr
+from pipelines.config import RunConfig
+from pipelines.config.methods import tree_stage
+from pipelines.config.settings import env_settings
+from pipelines.engine.seeding import evaluation_seeds
+from pipelines.engine.store import load_actor, write_csv, write_json
+from pipelines.errors import PolicyMismatchError
+from pipelines.play.agreement import answers_agree
+from pipelines.play.rollout import Rollout, rollout
+from pipelines.stages.oracle import load_oracle
+
+VERSION = 1
+TOLERANCE = 1e-6
+EPISODE_COLUMNS = ("episode", "seed", "return", "length", "terminated", "truncated")
+EPISODES_FILES = {
+    "network": "episodes_network.csv",
+    "oracle": "episodes_oracle.csv",
+    "soft": "episodes_soft.csv",
+    "tree": "episodes.csv",
+    "pruned_tree": "episodes_pruned_tree.csv",
+    "discretised": "episodes_discretised.csv",
+    "constant_gains": "episodes_constant_gains.csv",
+}
+
+
+def evaluate_settings(config: RunConfig) -> dict[str, Any]:
+    """Return what decides the evaluation."""
+    return {
+        "env": env_settings(config.env),
+        "n_episodes": config.evaluate.n_episodes,
+        "first_seed": config.evaluate.first_seed,
+    }
+
+
+def load_policies(inputs: Mapping[str, Path], config: RunConfig) -> dict[str, Any]:
+    """Return the forms of the policy that a run left: what the tree stands for, the tree and the pruned tree.
+
+    The first is the actor's network where it was mapped, the oracle where one was imitated, and the soft tree where
+    that was hardened; the latter's authors' own discretisation comes last, as does a PID policy's tree with its leaves'
+    gains averaged. A program's tree stands for nothing else.
+    """
+    policies: dict[str, Any] = {}
+    if "harden" in inputs:
+        from pipelines.training.soft_policies import SoftPolicy, load_soft  # imports torch
+
+        hard: Any = otr.load(inputs["harden"] / "tree")
+        policies["soft"] = SoftPolicy(load_soft(inputs["train"]), hard.head)
+    elif "imitate" in inputs:
+        policies["oracle"] = load_oracle(inputs["oracle"], Path(config.results_dir))
+    elif "map" in inputs:
+        policies["network"] = load_actor(inputs["train"])
+    policies["tree"] = otr.load(inputs[tree_stage(config.method.name)] / "tree")
+    policies["pruned_tree"] = otr.load(inputs["prune"] / "tree")
+    if (inputs["prune"] / "constant_gains.json").is_file():
+        policies["constant_gains"] = otr.load(inputs["prune"] / "constant_gains")
+    if "harden" in inputs and (inputs["harden"] / "discretised.json").is_file():
+        policies["discretised"] = otr.load(inputs["harden"] / "discretised")
+    return policies
+
+
+def evaluate(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
+    """Play the fixed episodes with each form of the policy; write an episodes file each and `report.json`.
+
+    `episodes.csv` is the tree's. Fidelity is the share of the visited states in which the pruned tree does the same as
+    the policy that it was pruned from: the network, or the tree where there is none. Of a network that stands for its
+    policy on a domain only, the visited states outside that are counted.
+
+    Raises:
+        PolicyMismatchError: network and tree act differently in a state; the message shows it.
+    """
+    policies = load_policies(inputs, config)
+    whole = "network" if "network" in policies else "tree"
+    played = play(policies, config, keep_states_of=whole)
+    states = played[whole].states
+    answers, outputs = policies[whole].predict(states), policies[whole].forward(states)
+    if whole == "network":
+        _require_agreement(states, answers, policies["tree"].predict(states), outputs)
+    alike = answers_agree(answers, policies["pruned_tree"].predict(states), outputs, TOLERANCE)
+    for name, result in played.items():
+        write_csv(out / EPISODES_FILES[name], episode_rows(result), EPISODE_COLUMNS)
+    report = {
+        "fidelity": float(alike.mean()),
+        "n_states": len(states),
+        "policies": {n: moments(r) for n, r in played.items()},
+    }
+    if "oracle" in policies:
+        report["oracle"] = likeness(answers, policies["oracle"].predict(states))
+    domain = getattr(policies[whole], "domain", None)
+    if domain is not None:
+        report["n_outside_domain"] = int((~domain.contains(states)).sum())
+    write_json(out / "report.json", report)
+
+
+def likeness(ours: np.ndarray, theirs: np.ndarray) -> dict[str, float]:
+    """Return how like an oracle's the answers are: the share of equal labels, or the mean absolute difference."""
+    if ours.ndim == 1:
+        return {"equal_labels": float((ours == theirs).mean())}
+    return {"mean_difference": float(np.abs(ours - theirs).mean())}
+
+
+def play(policies: Mapping[str, Any], config: RunConfig, keep_states_of: str = "") -> dict[str, Rollout]:
+    """Play the evaluation episodes with each policy; the states of one are kept."""
+    seeds = evaluation_seeds(config.evaluate.first_seed, config.evaluate.n_episodes)
+    return {
+        name: rollout(policy.predict, config.env, seeds, keep_states=name == keep_states_of, n_workers=config.n_workers)
+        for name, policy in policies.items()
+    }
+
+
+def episode_rows(played: Rollout) -> list[dict[str, Any]]:
+    """Return the rows of an episodes file."""
+    return [
+        {
+            "episode": i,
+            "seed": int(played.seeds[i]),
+            "return": float(played.returns[i]),
+            "length": int(played.lengths[i]),
+            "terminated": bool(played.terminated[i]),
+            "truncated": bool(played.truncated[i]),
+        }
+        for i in range(len(played.seeds))
+    ]
+
+
+def moments(played: Rollout) -> dict[str, Any]:
+    """Return mean and standard deviation of the return over episodes (the sample's, ddof 0), and their number."""
+    returns = played.returns
+    return {"return_mean": float(returns.mean()), "return_std": float(returns.std()), "n_episodes": len(returns)}
+
+
+def _require_agreement(states: np.ndarray, network: np.ndarray, tree: np.ndarray, outputs: np.ndarray) -> None:
+    agreement = answers_agree(network, tree, outputs, TOLERANCE)
+    if not agreement.all():
+        i = int(np.flatnonzero(~agreement)[0])
+        raise PolicyMismatchError(
+            f"network and tree differ in {np.count_nonzero(~agreement)} of {len(states)} states; the first is "
+            f"{states[i].tolist()}: the network does {network[i].tolist()}, the tree {tree[i].tolist()}"
+        )

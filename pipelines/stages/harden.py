@@ -1,0 +1,29 @@
+"""Stage harden: the trained soft tree with its tests decided, which is the policy from here on."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import otr
+from pipelines.config import PiPrlConfig, RunConfig
+from pipelines.engine.store import write_json
+from pipelines.play.environments import make_env
+from pipelines.stages.program_files import write_program
+from pipelines.training.soft_policies import harden, load_soft
+
+
+def harden_actor(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
+    """Write the hard tree, its program and `report.json`.
+
+    Of SDT and CDT the authors' own discretisation too, `discretised.npz`: each test keeps its largest weight alone.
+    """
+    module = load_soft(inputs["train"])
+    env = make_env(config.env)
+    env.close()
+    tree = harden(module, env.action_space)
+    report: dict[str, Any] = {"n_leaves": tree.n_leaves, "depth": tree.depth}
+    otr.save(tree, out / "tree")
+    write_program(tree, config.env, out)
+    if not isinstance(config.method, PiPrlConfig):
+        otr.save(harden(module, env.action_space, axis_aligned=True), out / "discretised")
+    write_json(out / "report.json", report)

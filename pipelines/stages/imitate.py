@@ -1,0 +1,117 @@
+"""Stage imitate: a tree that imitates the oracle, under DAgger, and the choice of one of its iterates.
+
+A killed run goes on from its last whole round; its working files lie with the checkpoints until the stage is done.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import otr
+from otr.control.augtree import AugTreeFit
+from otr.control.dagger.loop import DaggerSettings, Fit, Play, Progress, run_dagger
+from otr.control.viper import CartFit, LinearModelTreeFit, box_of
+from pipelines.config import AugTreeConfig, LmViperConfig, NdpsConfig, RunConfig, ViperConfig
+from pipelines.engine.console import duration
+from pipelines.engine.seeding import episode_seeds, stream
+from pipelines.engine.store import write_csv, write_json
+from pipelines.play.rollout import Policy, Rollout, rollout
+from pipelines.stages.imitation import working_folder
+from pipelines.stages.oracle import load_oracle
+from pipelines.stages.program_files import write_program
+
+STREAM_ELEMENTS = {"oracle": 0, "dagger": 1, "selection": 2, "fit": 3}
+ITERATE_COLUMNS = ("round", "n_rows", "rollout_mean", "selection_mean", "n_selection_episodes", "n_leaves", "depth",
+                   "seconds", "chosen")  # fmt: skip
+REPORT_EVERY = 10  # rounds
+
+
+def imitate(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
+    """Imitate the oracle; write the chosen tree, its program, `iterates.csv` and `report.json`.
+
+    The working files stay: whoever has put `out` in its place deletes them.
+    """
+    oracle = load_oracle(inputs["oracle"], Path(config.results_dir))
+    imitation, folder = config.imitate, working_folder(config, inputs["oracle"])
+    result = run_dagger(
+        oracle,
+        _fit(config, oracle, folder),
+        _player(config),
+        lambda name, index, n: episode_seeds(config.seed, "imitate", n, STREAM_ELEMENTS[name], index),
+        DaggerSettings(
+            imitation.n_rounds, imitation.n_episodes, imitation.n_initial_episodes, imitation.n_choice_episodes
+        ),
+        stream(config.seed, "imitate", STREAM_ELEMENTS["fit"]),
+        folder,
+        on_round=lambda progress: _show(progress, config),
+    )
+    otr.save(result.tree, out / "tree")
+    write_program(result.tree, config.env, out)
+    rows = [{**asdict(iterate), "chosen": iterate.round == result.round} for iterate in result.iterates]
+    write_csv(out / "iterates.csv", [{**row, "seconds": round(row["seconds"], 3)} for row in rows], ITERATE_COLUMNS)
+    write_json(
+        out / "report.json",
+        {
+            "n_leaves": result.tree.n_leaves,
+            "depth": result.tree.depth,
+            "round": result.round,
+            "oracle_return": result.oracle_mean,
+            "n_rows": result.iterates[result.round].n_rows,
+            "n_steps": result.n_steps,
+        },
+    )
+
+
+def _fit(config: RunConfig, oracle: otr.ReluNetwork, folder: Path) -> Fit:
+    """Return the learner of a method's trees."""
+    method = config.method
+    options: dict[str, Any] = {name: value for name, value in asdict(method).items() if name != "name"}
+    if isinstance(method, ViperConfig):
+        return CartFit(config.depth, **options)
+    if isinstance(method, LmViperConfig):
+        return LinearModelTreeFit(oracle.head, config.depth, **options)
+    if isinstance(method, NdpsConfig):
+        return _ndps(method, config.depth, oracle, folder)
+    assert isinstance(method, AugTreeConfig)
+    return AugTreeFit(oracle, config.depth, **options)
+
+
+def _ndps(method: NdpsConfig, depth: int, oracle: otr.ReluNetwork, folder: Path) -> Fit:
+    import torch
+
+    from otr.control.ndps import NdpsImitator, NdpsSettings
+
+    torch.set_num_threads(1)
+    settings = NdpsSettings(
+        depth=depth,
+        n_updates=method.n_updates,
+        batch_size=method.batch_size,
+        learning_rate=method.learning_rate,
+        beta_first=method.beta_first,
+        beta_last=method.beta_last,
+        ridge=method.ridge,
+    )
+    head = oracle.head if isinstance(oracle.head, otr.Argmax) else box_of(oracle.head)
+    return NdpsImitator(head, settings, method.n_updates_next, method.max_samples, folder)
+
+
+def _player(config: RunConfig) -> Play:
+    def play(policy: Policy, seeds: Sequence[int], keep_states: bool) -> Rollout:
+        return rollout(policy, config.env, seeds, keep_states=keep_states, n_workers=1)
+
+    return play
+
+
+def _show(progress: Progress, config: RunConfig) -> None:
+    """Print a line every few rounds."""
+    r, n_rounds = progress.round, progress.n_rounds
+    if r % REPORT_EVERY and r != n_rounds:
+        return
+    prefix = f"{config.env.name} {config.method.name} depth {config.depth} seed {config.seed}: " * config.side_by_side
+    left = duration((n_rounds - r) * progress.seconds)
+    print(
+        f"{prefix}imitate: round {r}/{n_rounds}  {progress.n_rows:,} states  return {progress.return_mean:.1f}  "
+        f"{progress.n_leaves} leaves  about {left} left",
+        flush=True,
+    )

@@ -1,0 +1,39 @@
+"""Stage map: the trained actor as an oblique tree, exactly."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import otr
+from pipelines.config import RunConfig
+from pipelines.engine.store import load_actor, write_json
+from pipelines.stages.program_files import write_program
+
+VERSION = 1
+
+
+def map_settings(config: RunConfig) -> dict[str, Any]:
+    """Return what decides the mapped tree and its printed program."""
+    return {
+        "max_leaves": config.map.max_leaves,
+        "feature_names": config.env.feature_names,
+        "action_names": config.env.action_names,
+    }
+
+
+def map_actor(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
+    """Map the actor and write `tree.npz` with `tree.json`, `report.json`, and `program.txt` where the tree is explicit.
+
+    A tree of more than `map.max_leaves` leaves is held as activation patterns and never written out.
+    """
+    network = load_actor(inputs["train"])
+    n_tests = network.n_hidden + network.head.n_tests(network.n_outputs)
+    explicit = 2**n_tests <= config.map.max_leaves
+    tree = otr.map_network(network, max_leaves=config.map.max_leaves) if explicit else otr.PatternTree(network)
+    otr.save(tree, out / "tree")
+    if isinstance(tree, otr.ObliqueTree):
+        write_program(tree, config.env, out)
+    write_json(
+        out / "report.json",
+        {"kind": "oblique_tree" if explicit else "pattern_tree", "n_leaves": 2**n_tests, "depth": n_tests},
+    )

@@ -1,0 +1,58 @@
+"""Stage oracle: which trained network a run imitates.
+
+The oracle of a run is the actor of another run: method=otr with depth=<the oracle's layers>, of the same environment,
+budget, seed and settings of training. Whichever run needs it first trains it; the others find it there. This stage
+keeps where it lies and what it was, so that what is made from it is keyed by its content.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import otr
+from pipelines.config import RunConfig
+from pipelines.engine.stage import verified_manifest
+from pipelines.engine.store import load_actor, read_csv, read_json, write_json
+from pipelines.errors import PipelineError
+from pipelines.training.estimates import train_settings
+
+VERSION = 1
+REFERENCE = "oracle.json"
+
+
+def oracle_settings(config: RunConfig) -> dict[str, Any]:
+    """Return what decides the oracle: the settings of its training."""
+    assert config.oracle_run is not None
+    return train_settings(config.oracle_run)
+
+
+def refer(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
+    """Write `oracle.json`: the trained oracle's folder below the results, its digest and its selection return."""
+    assert config.oracle_run is not None
+    folder = Path(config.oracle_run.folder) / "train"
+    trained = Path(config.results_dir) / folder
+    evaluations = read_csv(trained / "evaluations.csv")
+    write_json(
+        out / REFERENCE,
+        {
+            "folder": folder.as_posix(),
+            "output_digest": verified_manifest(trained)["output_digest"],
+            "hidden_widths": list(config.oracle),
+            "selection_return": max(float(row["return_mean"]) for row in evaluations),
+        },
+    )
+
+
+def load_oracle(reference: Path, results_dir: Path) -> otr.ReluNetwork:
+    """Return the network that the stage's folder `reference` names.
+
+    Raises:
+        PipelineError: it is gone, or another one lies there now.
+    """
+    about = read_json(reference / REFERENCE)
+    folder = results_dir / about["folder"]
+    if not (folder / "manifest.json").is_file():
+        raise PipelineError(f"the oracle {folder} is gone; delete {reference} and run the same command to train it")
+    if verified_manifest(folder)["output_digest"] != about["output_digest"]:
+        raise PipelineError(f"{folder} holds another oracle than the run's; delete {reference} to imitate that one")
+    return load_actor(folder)

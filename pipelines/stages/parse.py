@@ -1,0 +1,90 @@
+"""Stage parse: a program that somebody wrote, as an oblique tree."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import otr
+from pipelines.config import EnvConfig, ProgramConfig, RunConfig
+from pipelines.config.settings import settings
+from pipelines.engine.store import write_json, write_text
+from pipelines.errors import ConfigError
+from pipelines.play.environments import action_names, feature_names, spaces
+from pipelines.stages.program_files import write_program
+
+VERSION = 1
+ROUNDING = 1e-9
+
+
+def parse_settings(config: RunConfig) -> dict[str, Any]:
+    """Return what decides the tree: the program's text, and what the environment makes of its answers."""
+    return {
+        "env": {"id": config.env.id, "kwargs": config.env.kwargs},
+        "program_sha256": settings(config)["program_sha256"],
+        "feature_names": config.env.feature_names,
+        "action_names": config.env.action_names,
+    }
+
+
+def parse(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
+    """Write the program as it is, its tree, the tree's own program and `report.json`."""
+    assert isinstance(config.method, ProgramConfig) and config.program_text is not None
+    tree = policy_tree(config.program_text, config.env, config.method.program)
+    write_text(out / "source.txt", config.program_text)
+    otr.save(tree, out / "tree")
+    write_program(tree, config.env, out)
+    write_json(
+        out / "report.json",
+        {
+            "kind": "oblique_tree",
+            "program": Path(config.method.program).name,
+            "n_leaves": tree.n_leaves,
+            "depth": tree.depth,
+        },
+    )
+
+
+def policy_tree(text: str, env: EnvConfig, where: str) -> otr.ObliqueTree:
+    """Return a program as a policy: its answers are labels, or actions clipped to the environment's box.
+
+    Args:
+        text: the program, over the names in the environment's file.
+        env: the environment.
+        where: the program's name or file, for errors.
+
+    Raises:
+        ConfigError: the text is no program, or no policy for this environment; begins with where:line:column.
+    """
+    space = spaces(env)
+    try:
+        tree = otr.parse_program(
+            text,
+            feature_names(env, space.n_inputs),
+            output_names=action_names(env, space.n_actions),
+            labels=space.box is None,
+        )
+    except otr.ProgramError as error:
+        place = f"{where}:{error.line}:{error.column}"
+        raise ConfigError(f"{place}: {error.reason}\n{error.excerpt}") from error
+    except (otr.TreeTooLargeError, ValueError) as error:
+        raise ConfigError(f"{where}: {error}") from error
+    return tree if space.box is None else _clipped(tree, *space.box, where)
+
+
+def _clipped(tree: otr.ObliqueTree, low: np.ndarray, high: np.ndarray, where: str) -> otr.ObliqueTree:
+    """Return a tree whose actions are clipped to the box, on top of its own head."""
+    if isinstance(tree.head, otr.TanhBox):
+        if (tree.head.low < low - ROUNDING).any() or (tree.head.high > high + ROUNDING).any():
+            raise ConfigError(
+                f"{where}: the answers go through tanh to {tree.head.low.tolist()} .. {tree.head.high.tolist()}, the "
+                f"actions are {low.tolist()} .. {high.tolist()}; scale the tanh to these"
+            )
+        return tree
+    if isinstance(tree.head, otr.ClipBox):
+        low, high = np.clip(tree.head.low, low, high), np.clip(tree.head.high, low, high)
+        if (low >= high).any():
+            raise ConfigError(f"{where}: a clip of the program leaves none of the actions that the environment has")
+    core = (tree.children_left, tree.children_right, tree.P, tree.v, tree.M, tree.c)
+    return otr.ObliqueTree(*core, head=otr.ClipBox(low, high))

@@ -1,0 +1,25 @@
+"""The printed program beside a tree, with the environment's own names."""
+
+from pathlib import Path
+
+import otr
+from pipelines.config import EnvConfig
+from pipelines.engine.store import write_text
+from pipelines.play.environments import action_names, feature_names
+
+LARGEST_PROGRAM = 256  # leaves; nobody reads a longer one, and it would outweigh all other artefacts of a run
+
+
+def write_program(tree: otr.ObliqueTree, env: EnvConfig, out: Path) -> None:
+    """Write `program.txt` unless the tree is too large for anyone to read."""
+    if tree.n_leaves <= LARGEST_PROGRAM:
+        write_text(out / "program.txt", program_text(tree, env))
+
+
+def program_text(tree: otr.ObliqueTree, env: EnvConfig) -> str:
+    """Return the tree as nested if-then-else over the environment's feature names."""
+    return otr.to_text(
+        tree,
+        feature_names=feature_names(env, tree.n_inputs),
+        output_names=action_names(env, tree.head.n_answers(tree.n_outputs)),
+    )

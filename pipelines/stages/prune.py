@@ -1,0 +1,82 @@
+"""Stage prune: the paths that the policy reaches in its environment, OTR-hat, or the k most frequent of them."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import otr
+from otr.control import constant_gains
+from pipelines.config import RunConfig
+from pipelines.config.methods import tree_stage
+from pipelines.config.settings import env_settings
+from pipelines.engine.seeding import episode_seeds
+from pipelines.engine.store import load_actor, write_json, write_text
+from pipelines.errors import PolicyMismatchError
+from pipelines.play.agreement import answers_agree
+from pipelines.play.rollout import rollout
+from pipelines.stages.program_files import program_text, write_program
+
+VERSION = 1
+TOLERANCE = 1e-6
+
+
+def prune_settings(config: RunConfig) -> dict[str, Any]:
+    """Return what decides the pruned tree."""
+    return {
+        "env": env_settings(config.env),
+        "n_episodes": config.prune.n_episodes,
+        "k": config.prune.k,
+        "seed": config.seed,
+    }
+
+
+def prune(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
+    """Play `prune.n_episodes` episodes, keep the paths they reach, and write the pruned tree and its report.
+
+    The episodes are the run's own and not the ones it is evaluated on. A path is an activation pattern where the tree
+    is a mapped network's, and a leaf of the tree where it is not. Of a PID policy also `constant_gains`, the pruned
+    tree with each leaf's gains averaged over the states that these episodes bring to it.
+
+    Raises:
+        PolicyMismatchError: the pruned tree differs from the policy on a state that it was pruned with.
+    """
+    policy: Any
+    tree: Any = otr.load(inputs[tree_stage(config.method.name)] / "tree")
+    seeds = episode_seeds(config.seed, "prune", config.prune.n_episodes)
+    states = rollout(tree.predict, config.env, seeds, keep_states=True, n_workers=config.n_workers).states
+    if "map" in inputs:
+        network = load_actor(inputs["train"])
+        policy, patterns = network, otr.PatternTree(network).observe(states).n_patterns
+    else:
+        policy, patterns = tree, len(np.unique(tree.apply(states)))
+    if config.prune.k is None:
+        pruned = otr.prune_unreached(tree, states)
+        agreement = answers_agree(policy.predict(states), pruned.predict(states), policy.forward(states), TOLERANCE)
+        if not agreement.all():
+            i = int(np.flatnonzero(~agreement)[0])
+            raise PolicyMismatchError(
+                f"the pruned tree differs from the policy in a state it kept: {states[i].tolist()}"
+            )
+    else:
+        pruned = otr.prune_to_k(tree, states, config.prune.k)
+    otr.save(pruned, out / "tree")
+    write_program(pruned, config.env, out)
+    if isinstance(pruned.head, otr.PidBox):
+        constant = constant_gains(pruned, states)
+        otr.save(constant, out / "constant_gains")
+        write_text(out / "constant_gains.txt", program_text(constant, config.env))
+    write_json(
+        out / "report.json",
+        {
+            "n_leaves": pruned.n_leaves,
+            "depth": pruned.depth,
+            "patterns": patterns,
+            "pruned_depth": math.log2(patterns),
+            "n_episodes": config.prune.n_episodes,
+            "n_states": len(states),
+            "k": config.prune.k,
+        },
+    )

@@ -1,0 +1,173 @@
+"""Stage simplify: a shorter program of the pruned tree, as far as the return in the environment allows."""
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import otr
+from otr.shorten.simplify import Judge, Simplification
+from pipelines.config import RunConfig
+from pipelines.config.settings import env_settings
+from pipelines.engine.seeding import episode_seeds, evaluation_seeds
+from pipelines.engine.store import write_csv, write_json
+from pipelines.play.environments import spaces, state_limits
+from pipelines.play.rollout import rollout
+from pipelines.stages.program_files import write_program
+
+VERSION = 1
+MAX_ATTEMPTS = 4
+FIRST_LOOK = 0.2  # of the deciding episodes: a tree that loses clearly on these is not played on
+ANNOUNCE_S = 10.0
+CLOSE = 0.05  # of an action's range: nearer than that, actions count as the same
+
+
+def simplify_settings(config: RunConfig) -> dict[str, Any]:
+    """Return what decides the simpler tree."""
+    return {
+        "env": env_settings(config.env),
+        "seed": config.seed,
+        "n_episodes": config.simplification.n_episodes,
+        "return_loss": config.simplification.return_loss,
+        "action_bound": config.simplification.action_bound,
+        "refit": config.simplification.refit,
+        "evaluate": {"n_episodes": config.evaluate.n_episodes, "first_seed": config.evaluate.first_seed},
+    }
+
+
+def simplify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
+    """Write the simpler tree, its `program.txt`, its `episodes.csv` on the evaluation seeds, and `report.json`.
+
+    A change is allowed if on the deciding episodes the mean return falls by no more than `return_loss` of its size, one
+    standard error of the paired differences included, and the outcome is checked on as many others. With `action_bound`
+    it is allowed if no action changes by more than that on the environment's box of states or, where that is open, on
+    the box around those visited. Reported are other episodes again, the evaluation's.
+    """
+    # Of a PID policy the form with constant gains, the affine one.
+    name = "constant_gains" if (inputs["prune"] / "constant_gains.json").is_file() else "tree"
+    tree = otr.load(inputs["prune"] / name)
+    if not isinstance(tree, otr.ObliqueTree):  # pruned trees are explicit
+        raise TypeError(f"{inputs['prune']} holds a {type(tree).__name__}, expected an ObliqueTree")
+    seeds = episode_seeds(config.seed, "simplify", config.simplification.n_episodes, 0)
+    before = rollout(tree.predict, config.env, seeds, keep_states=True, n_workers=config.n_workers)
+    judge = _Judge(config, seeds, before.returns)
+    if config.simplification.action_bound is not None:
+        box = state_limits(config.env) or _box_around(before.states)
+        allows: Judge = otr.within(tree, box, config.simplification.action_bound)
+        simpler, n_attempts = otr.simplify(tree, allows, before.states, refit=config.simplification.refit), 1
+    else:
+        simpler, n_attempts = _simplest(tree, judge, before.states, config)
+    otr.save(simpler.tree, out / "tree")
+    write_program(simpler.tree, config.env, out)
+    _report(tree, simpler, judge, n_attempts, config, out)
+
+
+def _simplest(
+    tree: otr.ObliqueTree, judge: "_Judge", states: np.ndarray, config: RunConfig
+) -> tuple[Simplification, int]:
+    """Return the simpler tree, and the number of attempts that it took.
+
+    A search that tries hundreds of trees on the same episodes flatters what it keeps. So its outcome plays as many
+    others; where it loses more than is allowed on them, the search is done again with half the allowance.
+    """
+    seeds = episode_seeds(config.seed, "simplify", config.simplification.n_episodes, 1)
+    check = _Judge(config, seeds, rollout(tree.predict, config.env, seeds, n_workers=config.n_workers).returns)
+    n_attempts = 0
+    while True:
+        n_attempts += 1
+        simpler = otr.simplify(tree, judge, states, refit=config.simplification.refit)
+        if check.mean_loss(simpler.tree) <= check.allowed or n_attempts == MAX_ATTEMPTS:
+            return simpler, n_attempts
+        judge.allowed /= 2
+
+
+class _Judge:
+    """Whether a tree's returns on the deciding episodes are almost the original's; tells how far the search is."""
+
+    def __init__(self, config: RunConfig, seeds: Sequence[int], returns: np.ndarray) -> None:
+        self.config, self.seeds, self.returns = config, list(seeds), returns
+        self.allowed = config.simplification.return_loss * abs(float(returns.mean()))
+        self.n_played = self.n_tried = 0
+        self.announced = time.monotonic()
+
+    def __call__(self, tree: otr.ObliqueTree) -> bool:
+        self.n_tried += 1
+        first = max(1, round(FIRST_LOOK * len(self.seeds)))
+        losses = self._losses(tree, 0, first)
+        accepted = False
+        if first == len(self.seeds) or losses.mean() - 2 * _standard_error(losses) <= self.allowed:
+            losses = np.concatenate((losses, self._losses(tree, first, len(self.seeds))))
+            accepted = bool(losses.mean() + _standard_error(losses) <= self.allowed)
+        if time.monotonic() - self.announced >= ANNOUNCE_S:
+            self.announced = time.monotonic()
+            print(f"simplify: {self.n_tried} changes tried, {self.n_played:,} episodes played", flush=True)
+        return accepted
+
+    def mean_loss(self, tree: otr.ObliqueTree) -> float:
+        """Return how much less the tree earns than the original, on average."""
+        return float(self._losses(tree, 0, len(self.seeds)).mean())
+
+    def _losses(self, tree: otr.ObliqueTree, start: int, stop: int) -> np.ndarray:
+        """Return how much less the tree earns than the original, episode by episode."""
+        if start == stop:
+            return np.zeros(0)
+        played = rollout(tree.predict, self.config.env, self.seeds[start:stop], n_workers=self.config.n_workers)
+        self.n_played += stop - start
+        return np.asarray(self.returns[start:stop] - played.returns)
+
+
+def _standard_error(values: np.ndarray) -> float:
+    return float(values.std(ddof=1) / math.sqrt(len(values))) if len(values) > 1 else 0.0
+
+
+def _box_around(states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    margin = np.finfo(np.float32).eps * np.maximum(1.0, np.abs(states).max(axis=0))
+    return states.min(axis=0) - margin, states.max(axis=0) + margin
+
+
+def _report(
+    tree: otr.ObliqueTree, simpler: Simplification, judge: _Judge, n_attempts: int, config: RunConfig, out: Path
+) -> None:
+    """Play the evaluation episodes with both trees and write what came out."""
+    seeds = evaluation_seeds(config.evaluate.first_seed, config.evaluate.n_episodes)
+    before = rollout(tree.predict, config.env, seeds, keep_states=True, n_workers=config.n_workers)
+    after = rollout(simpler.tree.predict, config.env, seeds, n_workers=config.n_workers)
+    states = before.states
+    ours, theirs = (np.asarray(each.predict(states), dtype=np.float64) for each in (simpler.tree, tree))
+    box = spaces(config.env).box
+    close = 0.0 if box is None else CLOSE * (box[1] - box[0])
+    same = (np.abs(ours - theirs) <= close).reshape(len(states), -1).all(axis=1)
+    write_csv(
+        out / "episodes.csv",
+        ({"episode": i, "seed": seed, "return": float(value)}
+         for i, (seed, value) in enumerate(zip(seeds, after.returns, strict=True))),
+        ("episode", "seed", "return"),
+    )  # fmt: skip
+    print(f"simplify: {simpler.n_tried} changes tried, {simpler.n_kept} kept", flush=True)
+    write_json(
+        out / "report.json",
+        {
+            "n_leaves_before": tree.n_leaves,
+            "n_leaves": simpler.tree.n_leaves,
+            "depth": simpler.tree.depth,
+            "n_numbers_before": simpler.n_numbers_before,
+            "n_numbers": simpler.n_numbers,
+            "n_tried": simpler.n_tried,
+            "n_kept": simpler.n_kept,
+            "n_attempts": n_attempts,
+            "n_deciding_episodes": len(judge.seeds),
+            "return_loss": config.simplification.return_loss,
+            "action_bound": config.simplification.action_bound,
+            "n_episodes": len(seeds),
+            "return_mean_before": float(before.returns.mean()),
+            "return_std_before": float(before.returns.std()),
+            "return_mean": float(after.returns.mean()),
+            "return_std": float(after.returns.std()),
+            "fidelity": float(same.mean()),
+            "fidelity_tolerance": 0.0 if box is None else CLOSE,
+            "mean_difference": float(np.abs(ours - theirs).mean()),
+        },
+    )

@@ -1,0 +1,146 @@
+"""Runs logged to TensorBoard or MLflow as well: settings, learning curves as they grow, final returns, artefacts.
+
+A tracker is a window on a run and never part of it: nothing is read back from one, it changes no result, and one that
+fails is named once and given up until the run's end, where what it has missed is logged from the run's files.
+"""
+
+import functools
+import json
+import os
+from collections.abc import Callable, Mapping
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from pipelines.config import RunConfig
+from pipelines.config.settings import settings
+from pipelines.engine.store import read_csv, read_json
+from pipelines.errors import ConfigError
+from pipelines.tracking.backends import Backend, Mlflow, TensorBoard
+
+Row = Mapping[str, Any]
+SERVER_VARIABLE = "MLFLOW_TRACKING_URI"
+
+
+def check_tracking(config: RunConfig) -> None:
+    """Raise ConfigError where the tracker that is asked for cannot be used here, with what to do about it."""
+    name = config.tracking
+    if name != "none" and not find_spec(name):
+        raise ConfigError(f"tracking={name} needs the extra {name}: pip install 'otr[{name}]'")
+    if name == "mlflow" and not os.environ.get(SERVER_VARIABLE):
+        raise ConfigError(
+            f"tracking=mlflow: {SERVER_VARIABLE} is not set. Start a server (mlflow server --port 5000), then "
+            f"export {SERVER_VARIABLE}=http://127.0.0.1:5000"
+        )
+
+
+def open_tracker(config: RunConfig) -> "Tracker":
+    """Return the tracker of one run, `config.folder`; with tracking=none it does nothing.
+
+    A process that trains many runs holds one for each.
+    """
+    return Tracker(config)
+
+
+class Tracker:
+    """Logs one run; no method ever raises for a tracker's sake."""
+
+    def __init__(self, config: RunConfig) -> None:
+        self._config = config
+        self._backend: Backend | None = None
+        self._last_step = 0
+        self._is_off = config.tracking == "none"
+
+    def segment_done(self, progress: Row, evaluation: Row) -> None:
+        """Log a segment's rows of `progress.csv` and `evaluations.csv`; one that was logged before is passed over."""
+        self._try(lambda: self._log_segment(progress, evaluation))
+
+    def finish(self, summary: Mapping[str, Any], run_dir: Path) -> None:
+        """Log what is still missing of a finished run; nothing where all of it is there already."""
+        self._is_off = self._config.tracking == "none"
+        self._try(lambda: self._complete(summary, run_dir))
+
+    def _log_segment(self, progress: Row, evaluation: Row) -> None:
+        step = int(progress["steps"])
+        if self._backend is None:
+            self._backend = _open_backend(self._config)
+            if self._backend.result() is not None:  # complete, but here it is being trained: made anew
+                self._backend.start(_parameters(self._config))
+            self._last_step = self._backend.last_step()
+        if step > self._last_step:
+            self._backend.log(step, _curves(progress, evaluation))
+            self._last_step = step
+
+    def _complete(self, summary: Mapping[str, Any], run_dir: Path) -> None:
+        backend = _open_backend(self._config)
+        result = _result(run_dir)
+        if backend.result() == result:
+            return
+        if backend.result() is not None:
+            backend.start(_parameters(self._config))
+        step = backend.last_step()
+        names = (
+            ("progress", "evaluations") if (run_dir / "train").is_dir() else ()
+        )  # not of what imitates or is written
+        rows = (read_csv(run_dir / "train" / f"{name}.csv") for name in names)
+        for progress, evaluation in zip(*rows, strict=True):
+            if int(progress["steps"]) > step:
+                step = int(progress["steps"])
+                backend.log(step, _curves(progress, evaluation))
+        backend.complete(step, _numbers(_flat(summary), "final/"), run_dir, result)
+
+    def _try(self, action: Callable[[], None]) -> None:
+        if self._is_off:
+            return
+        try:
+            action()
+        except Exception as error:  # whatever a tracker does, the run goes on
+            self._is_off = True
+            _warn_once(self._config.tracking, self._config.folder, f"{type(error).__name__}: {error}".splitlines()[0])
+
+
+@functools.cache
+def _warn_once(tracker: str, folder: str, reason: str) -> None:
+    print(
+        f"tracking={tracker} does not work and is left out for {folder} ({reason[:200]}); once it works, the same "
+        "command logs what is missing",
+        flush=True,
+    )
+
+
+def _open_backend(config: RunConfig) -> Backend:
+    kind = Mlflow if config.tracking == "mlflow" else TensorBoard
+    return kind(config, _parameters(config))
+
+
+def _parameters(config: RunConfig) -> dict[str, str]:
+    values = _flat(settings(config))
+    return {name: value if isinstance(value, str) else json.dumps(value) for name, value in values.items()}
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested mappings as one, with dotted keys."""
+    flat: dict[str, Any] = {}
+    for name, value in values.items():
+        flat |= _flat(value, f"{prefix}{name}.") if isinstance(value, Mapping) else {f"{prefix}{name}": value}
+    return flat
+
+
+def _curves(progress: Row, evaluation: Row) -> dict[str, float]:
+    return _numbers(progress, "train/") | _numbers(evaluation, "selection/")
+
+
+def _numbers(row: Row, prefix: str) -> dict[str, float]:
+    """Return the numbers of a row, of a CSV file's too, under prefixed names; what is no number is left out."""
+    numbers = {}
+    for name, value in row.items():
+        try:
+            numbers[f"{prefix}{name}"] = float(value == "True" if value in ("True", "False") else value)
+        except (TypeError, ValueError):
+            continue
+    return numbers
+
+
+def _result(run_dir: Path) -> str:
+    digest: str = read_json(run_dir / "evaluate" / "manifest.json")["key"]
+    return digest

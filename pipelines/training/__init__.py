@@ -1,0 +1,1 @@
+"""Actors trained: by Stable-Baselines3, by a fleet of our own, by random search; with checkpoints and progress."""

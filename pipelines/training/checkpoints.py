@@ -1,0 +1,108 @@
+"""Checkpoints of a training run: whole segments, so that a killed run goes on bit for bit as if it had not been.
+
+A checkpoint is a folder `segment-<n>` with the learner's state, its counters, the history and the best actor so far. It
+is written beside the last one and renamed, then the last one is removed. What the trainers put in it is their own
+(`pipelines/sb3_checkpoint.py`, `pipelines/fleet/checkpoint.py`).
+"""
+
+import shutil
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipelines.engine.store import read_json, write_csv, write_files, write_json
+from pipelines.play.rollout import Rollout
+
+EVALUATION_COLUMNS = ("steps", "return_mean", "return_std", "n_episodes", "best")
+PROGRESS_COLUMNS = ("steps", "seconds", "steps_per_s", "n_episodes", "episode_return_mean", "episode_length_mean")
+
+
+@dataclass
+class History:
+    """What a run has come to after `n_segments` whole segments."""
+
+    n_segments: int = 0
+    progress: list[dict[str, Any]] = field(default_factory=list)
+    evaluations: list[dict[str, Any]] = field(default_factory=list)
+    best: dict[str, bytes] = field(default_factory=dict)  # the files of the best actor so far
+
+    def segment_done(self, progress_row: dict[str, Any], actor: dict[str, bytes], played: Rollout) -> None:
+        """Add a segment, and keep its actor's files where it did better than all before."""
+        mean = float(played.returns.mean())
+        best = all(mean > row["return_mean"] for row in self.evaluations)
+        self.n_segments += 1
+        self.progress.append(progress_row)
+        self.evaluations.append(
+            {
+                "steps": progress_row["steps"],
+                "return_mean": mean,
+                "return_std": float(played.returns.std()),
+                "n_episodes": len(played.returns),
+                "best": best,
+            }
+        )
+        if best:
+            self.best = actor
+
+    def write(self, out: Path) -> None:
+        """Write a finished run's best actor, `evaluations.csv` and `progress.csv`."""
+        write_files(self.best, out)
+        write_csv(out / "evaluations.csv", self.evaluations, EVALUATION_COLUMNS)
+        write_csv(out / "progress.csv", self.progress, PROGRESS_COLUMNS)
+
+
+def progress_row(steps: int, start: int, seconds: float, returns: np.ndarray, lengths: np.ndarray) -> dict[str, Any]:
+    """Return the row of `progress.csv` of a segment that began at step `start`, from its finished episodes."""
+    return {
+        "steps": steps,
+        "seconds": round(seconds, 3),
+        "steps_per_s": round((steps - start) / seconds, 1),
+        "n_episodes": len(returns),
+        "episode_return_mean": float(returns.mean()) if len(returns) else None,
+        "episode_length_mean": float(lengths.mean()) if len(lengths) else None,
+    }
+
+
+def write_segment(folder: Path, history: History, counters: dict[str, int], state: tuple[str, bytes]) -> None:
+    """Write the checkpoint of a segment's end beside the last one, then make it the current one.
+
+    Args:
+        folder: the run's checkpoint folder.
+        history: the history, the segment included.
+        counters: what the trainer counts; `num_timesteps` among them.
+        state: name and content of the file that holds the learner's state.
+    """
+    temporary = folder / "next"
+    shutil.rmtree(temporary, ignore_errors=True)
+    temporary.mkdir(parents=True)
+    (temporary / state[0]).write_bytes(state[1])
+    write_json(
+        temporary / "history.json",
+        {
+            "n_segments": history.n_segments,
+            "counters": counters,
+            "progress": history.progress,
+            "evaluations": history.evaluations,
+            "best": list(history.best),
+        },
+    )
+    write_files(history.best, temporary)
+    final = folder / f"segment-{history.n_segments:06d}"
+    temporary.rename(final)
+    for old in folder.glob("segment-*"):
+        if old != final:
+            shutil.rmtree(old)
+
+
+def last_segment(folder: Path) -> Path | None:
+    """Return the folder of the last whole segment; None before the first."""
+    return max(folder.glob("segment-*"), default=None)
+
+
+def read_segment(segment: Path) -> tuple[History, dict[str, int]]:
+    """Return a checkpoint's history and counters."""
+    about = read_json(segment / "history.json")
+    best = {name: (segment / name).read_bytes() for name in about["best"]}
+    return History(about["n_segments"], about["progress"], about["evaluations"], best), about["counters"]

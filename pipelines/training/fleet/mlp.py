@@ -1,0 +1,187 @@
+"""Stacks of small multilayer perceptrons of one shape: forward and backward passes written by hand.
+
+Every parameter of a stack is a view into one array with a row a network, so that an optimiser, a copy or a target's
+update is one operation. Activations live in a workspace that passes share one after another, which keeps them in the
+cache. A network's bits do not depend on how many there are (`pipelines/fleet/stacks.py`).
+
+With `precision="bf16"` the products between wide layers, where almost all arithmetic is, take bfloat16 factors and sum
+in float32; parameters, first and last layers and everything elementwise stay float32.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from pipelines.training.fleet.stacked_tensors import multiply, new_stack, padded
+
+WIDE = 64  # layers at least this wide on both sides take part in precision="bf16"
+
+
+@dataclass(frozen=True)
+class Layers:
+    """A stack of n networks with layer widths w0, ..., wk, as views into `flat`.
+
+    Attributes:
+        flat: (n, padded), a network's weights, then its biases, layer by layer, each with zeros behind it.
+        weights: (n, w[i], w[i+1]) each: inputs times weights, which the products are faster with than transposed.
+        biases: (n, 1, w[i+1]) each.
+        factors: the weights as they enter products: the weights themselves, or their bfloat16 copies.
+    """
+
+    flat: Tensor
+    weights: list[Tensor]
+    biases: list[Tensor]
+    factors: list[Tensor]
+
+    def only(self, network: int) -> "Layers":
+        """Return one network as a stack of its own, in the same memory."""
+        one = slice(network, network + 1)
+        parts = ([tensor[one] for tensor in tensors] for tensors in (self.weights, self.biases, self.factors))
+        return Layers(self.flat[one], *parts)
+
+    def refresh(self) -> None:
+        """Bring the bfloat16 copies up to date; to be called after every change of the weights."""
+        for factor, weight in zip(self.factors, self.weights, strict=True):
+            if factor is not weight:
+                factor.copy_(weight)
+
+
+def new_layers(n: int, widths: Sequence[int], device: torch.device, precision: str = "fp32") -> Layers:
+    """Return a stack of n networks, all zeros, of torch's default type (float32 unless a test sets another)."""
+    shapes = list(itertools.pairwise(widths))
+    parts = [*shapes, *((1, w_out) for w_out in widths[1:])]
+    sizes = [w_in * w_out for w_in, w_out in parts]
+    flat = torch.zeros(n, sum(map(padded, sizes)), device=device)
+    rows = torch.split(flat, [padded(size) for size in sizes], dim=1)
+    tensors = [row[:, :size].view(n, *part) for row, size, part in zip(rows, sizes, parts, strict=True)]
+    weights, biases = tensors[: len(shapes)], tensors[len(shapes) :]
+    factors = [
+        new_stack(n, *weight.shape[1:], device=device, dtype=torch.bfloat16)
+        if precision == "bf16" and 0 < i < len(shapes) - 1 and is_wide(weight)
+        else weight
+        for i, weight in enumerate(weights)
+    ]
+    return Layers(flat, weights, biases, factors)
+
+
+def is_wide(weight: Tensor) -> bool:
+    """Return whether products with this weight may take bfloat16 factors."""
+    return min(weight.shape[1:]) >= WIDE
+
+
+class StackedMlp:
+    """The workspace for n (leaky) ReLU networks of one shape on `n_rows` inputs each.
+
+    Args:
+        layers: any stack of the shape that will pass through; only its shapes and types matter.
+        n_rows: inputs per network.
+        negative_slope: 0 is ReLU.
+        n_back_rows: the first so many inputs take part in `backward`; None for all.
+    """
+
+    def __init__(
+        self, layers: Layers, n_rows: int, negative_slope: float = 0.0, n_back_rows: int | None = None
+    ) -> None:
+        self.n_rows = n_rows
+        self._n_networks, self._device = len(layers.flat), layers.flat.device
+        self._slope = negative_slope
+        self._n_back_rows = n_rows if n_back_rows is None else n_back_rows
+        self._stacks: dict[tuple[str, int], Tensor] = {}
+        # What a layer gives out has the type of what the next one multiplies.
+        types = [factor.dtype for factor in layers.factors[1:]] + [layers.flat.dtype]
+        self._outputs = [
+            self._stack("output", i, (n_rows, weight.shape[2]), dtype)
+            for i, (weight, dtype) in enumerate(zip(layers.weights, types, strict=True))
+        ]
+
+    @property
+    def outputs(self) -> Tensor:
+        """What the last `forward` returned."""
+        return self._outputs[-1]
+
+    def forward(self, layers: Layers, inputs: Tensor) -> Tensor:
+        """Return the outputs (n, n_rows, w_last) of inputs (n, n_rows, w0), a stack of `new_stack`.
+
+        The next pass overwrites them.
+        """
+        x = inputs
+        last = len(self._outputs) - 1
+        for i, (factor, bias, output) in enumerate(zip(layers.factors, layers.biases, self._outputs, strict=True)):
+            same = factor.dtype == output.dtype
+            product = output if same else self._stack("product", i, output.shape[1:], factor.dtype)
+            torch.add(multiply(x, factor, product), bias, out=output)
+            if i < last:
+                self._activate(output)
+            x = output
+        return x
+
+    def backward(
+        self,
+        layers: Layers,
+        inputs: Tensor,
+        d_outputs: Tensor,
+        gradients: Layers | None,
+        inputs_from: int | None = None,
+    ) -> Tensor | None:
+        """Go back through the last `forward`.
+
+        Args:
+            layers: as in forward.
+            inputs: as in forward.
+            d_outputs: (n, n_back_rows, w_last), the loss's derivative by the outputs, a stack of `new_stack`.
+            gradients: where the derivatives by weights and biases are written; None where they are not wanted.
+            inputs_from: the derivative by the inputs from this column on is returned; None where it is not wanted.
+
+        Returns:
+            (n, n_back_rows, w0 - inputs_from), or None; the next pass overwrites it.
+        """
+        delta = d_outputs
+        for i in reversed(range(len(layers.weights))):
+            x = (self._outputs[i - 1] if i else inputs)[:, : self._n_back_rows]
+            factor = layers.factors[i]
+            if delta.dtype != factor.dtype:
+                delta = self._stack("copy", i, delta.shape[1:], factor.dtype).copy_(delta)
+            if gradients is not None:
+                self._weight_gradient(i, x, delta, gradients)
+            if i == 0 and inputs_from is None:
+                return None
+            factor = factor if i else factor[:, inputs_from:]
+            below = self._stack("delta", i, (self._n_back_rows, factor.shape[1]), factor.dtype)
+            multiply(delta, factor.transpose(1, 2), below)
+            if i == 0:
+                return below
+            self._activate_backward(below, x)
+            delta = below
+        raise AssertionError("a network has layers")
+
+    def _weight_gradient(self, i: int, x: Tensor, delta: Tensor, gradients: Layers) -> None:
+        """Write the derivatives by layer i's weights and biases."""
+        weight = gradients.weights[i]
+        if delta.dtype == weight.dtype:
+            multiply(x.transpose(1, 2), delta, weight)
+        else:
+            product = self._stack("weight", i, weight.shape[1:], delta.dtype)
+            weight.copy_(multiply(x.transpose(1, 2), delta, product))
+        torch.sum(delta, 1, keepdim=True, dtype=weight.dtype, out=gradients.biases[i])
+
+    def _stack(self, use: str, layer: int, shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
+        """Return the memory of a use in a layer, (n, *shape), made the first time."""
+        if (use, layer) not in self._stacks:
+            self._stacks[use, layer] = new_stack(self._n_networks, *shape, device=self._device, dtype=dtype)
+        return self._stacks[use, layer]
+
+    def _activate(self, values: Tensor) -> None:
+        if self._slope == 0.0:
+            values.relu_()
+        else:
+            torch.nn.functional.leaky_relu_(values, self._slope)
+
+    def _activate_backward(self, delta: Tensor, outputs: Tensor) -> None:
+        """Multiply `delta` in place with the activation's derivative, read off its outputs."""
+        if self._slope == 0.0:
+            torch.ops.aten.threshold_backward.grad_input(delta, outputs, 0.0, grad_input=delta)
+        else:
+            torch.ops.aten.leaky_relu_backward.grad_input(delta, outputs, self._slope, True, grad_input=delta)

@@ -1,0 +1,288 @@
+"""Soft actor-critic for R independent runs at once, with Stable-Baselines3's semantics and hand-written gradients.
+
+Run r owns row r of every stack (its critics the rows 2r and 2r + 1), its own temperature, discount and learning rate;
+nothing is ever summed over runs, and on a processor a run's bits do not depend on the others
+(`pipelines/fleet/stacks.py`). Haarnoja et al. 2018, with the automatic temperature, as `stable_baselines3.SAC`: losses
+are means over the batch, the temperature that a step uses is the one before the step.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from pipelines.training.fleet.adam import AdamGroup
+from pipelines.training.fleet.mlp import Layers, StackedMlp, new_layers
+from pipelines.training.fleet.squashed_gaussian import SquashedActions
+from pipelines.training.fleet.stacked_tensors import ROW_MULTIPLE, new_stack
+
+N_CRITICS = 2
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """What all runs of a fleet have in common.
+
+    Attributes:
+        n_inputs, n_actions: of the environment.
+        actor, critic: widths of the hidden layers.
+        batch_size: transitions an update.
+        negative_slope: of the actor's and critics' activation.
+        tau: share of the online critics that goes into their targets at each update.
+        precision: fp32 or bf16 (see `pipelines/fleet/mlp.py`).
+    """
+
+    n_inputs: int
+    n_actions: int
+    actor: tuple[int, ...]
+    critic: tuple[int, ...]
+    batch_size: int
+    negative_slope: float = 0.0
+    tau: float = 0.005
+    precision: str = "fp32"
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """What runs of a fleet may differ in. `temperature` None is the automatic one, a number keeps it fixed."""
+
+    learning_rate: float
+    gamma: float
+    weight_decay: float = 0.0
+    temperature: float | None = None
+
+
+@dataclass
+class Minibatch:
+    """Transitions for one update: (R, B, .) each; `continues` is 0 where the successor is terminal, else 1."""
+
+    states: Tensor
+    actions: Tensor
+    rewards: Tensor
+    next_states: Tensor
+    continues: Tensor
+
+
+class FleetSac:
+    """The learner of R runs: `act` and `update`.
+
+    Args:
+        shapes: common to all runs.
+        runs: one row each.
+        device: where everything lies.
+        n_updates: done before, by what `load` will bring.
+    """
+
+    def __init__(self, shapes: Shapes, runs: Sequence[RunSettings], device: torch.device, n_updates: int = 0) -> None:
+        self.shapes, self.runs, self.device = shapes, tuple(runs), device
+        n, rows = len(runs), shapes.batch_size
+        actor_widths = (shapes.n_inputs, *shapes.actor, 2 * shapes.n_actions)  # means, then log standard deviations
+        critic_widths = (shapes.n_inputs + shapes.n_actions, *shapes.critic, 1)
+
+        def stack(n_networks: int, widths: Sequence[int], precision: str = "fp32") -> Layers:
+            return new_layers(n_networks, widths, device, precision)
+
+        self.actor = stack(n, actor_widths)
+        self.critics = stack(N_CRITICS * n, critic_widths, shapes.precision)
+        self.targets = stack(N_CRITICS * n, critic_widths, shapes.precision)
+        # A run's temperature, its gradient and its moments begin rows of their own, as its parameters do.
+        temperature_rows = [torch.zeros(n, ROW_MULTIPLE, device=device) for _ in range(4)]
+        self.log_temperature, self._temperature_gradient, *self.temperature_moments = (
+            rows[:, 0] for rows in temperature_rows
+        )
+        self._temperature_rows = temperature_rows
+        # Gradients and Adam's two moments have the layout of the parameters.
+        self.actor_gradients, *self.actor_moments = (stack(n, actor_widths) for _ in range(3))
+        self.critic_gradients, *self.critic_moments = (stack(N_CRITICS * n, critic_widths) for _ in range(3))
+        self._n_updates_before = n_updates
+        self._groups: tuple[list[AdamGroup], list[AdamGroup]] | None = None
+
+        self._actor_pass = StackedMlp(self.actor, 2 * rows, shapes.negative_slope, n_back_rows=rows)
+        self._critic_pass = StackedMlp(self.critics, rows, shapes.negative_slope)
+        self._actions = SquashedActions(n, 2 * rows, shapes.n_actions, device)
+        self._acting: tuple[StackedMlp, Tensor, SquashedActions] | None = None
+
+        def column(values: Sequence[float]) -> Tensor:
+            return torch.tensor(values, device=device).view(n, 1)
+
+        self._gamma = column([run.gamma for run in runs])
+        self._automatic = torch.tensor([float(run.temperature is None) for run in runs], device=device)
+        self._actor_inputs = new_stack(n, 2 * rows, shapes.n_inputs, device=device)
+        self._critic_inputs = new_stack(N_CRITICS * n, rows, critic_widths[0], device=device)
+        self._target_inputs = torch.zeros_like(self._critic_inputs)
+        self._d_actor = new_stack(n, rows, 2 * shapes.n_actions, device=device)
+        self._d_critics = new_stack(N_CRITICS * n, rows, 1, device=device)
+
+    # -- parameters of one run ------------------------------------------------------------------------------------
+
+    def tensors(self, run: int) -> dict[str, Tensor]:
+        """Return views of everything that run `run` has learnt, by name; writing into them changes the run."""
+        critics = slice(N_CRITICS * run, N_CRITICS * (run + 1))
+        stacks = {
+            "actor": (self.actor, slice(run, run + 1)),
+            "actor.moment1": (self.actor_moments[0], slice(run, run + 1)),
+            "actor.moment2": (self.actor_moments[1], slice(run, run + 1)),
+            "critics": (self.critics, critics),
+            "critics.moment1": (self.critic_moments[0], critics),
+            "critics.moment2": (self.critic_moments[1], critics),
+            "targets": (self.targets, critics),
+        }
+        views = {
+            f"{name}.{kind}{layer}": tensor[rows]
+            for name, (stacked, rows) in stacks.items()
+            for kind, tensors in (("weight", stacked.weights), ("bias", stacked.biases))
+            for layer, tensor in enumerate(tensors)
+        }
+        views["log_temperature"] = self.log_temperature[run : run + 1]
+        for i, moment in enumerate(self.temperature_moments, start=1):
+            views[f"log_temperature.moment{i}"] = moment[run : run + 1]
+        return views
+
+    def initialise(self, run: int, generator: torch.Generator) -> None:
+        """Draw the run's networks as torch's Linear does, from a generator of the CPU."""
+        tensors = self.tensors(run)
+        for name in ("actor", "critics"):
+            layers = self.actor if name == "actor" else self.critics
+            for layer, weight in enumerate(layers.weights):
+                limit = 1 / math.sqrt(weight.shape[1])
+                for kind in ("weight", "bias"):
+                    view = tensors[f"{name}.{kind}{layer}"]
+                    view.copy_((2 * torch.rand(view.shape, generator=generator) - 1) * limit)
+        temperature = self.runs[run].temperature
+        self.log_temperature[run] = 0.0 if temperature is None else math.log(temperature)
+        for layer in range(len(self.critics.weights)):
+            for kind in ("weight", "bias"):
+                tensors[f"targets.{kind}{layer}"].copy_(tensors[f"critics.{kind}{layer}"])
+        self.refresh()
+
+    def load(self, run: int, saved: dict[str, Tensor]) -> None:
+        """Take over what a run had learnt, as `tensors` named it; to be called before the first update."""
+        for name, tensor in self.tensors(run).items():
+            tensor.copy_(saved[name])
+        self.refresh()
+
+    @property
+    def n_updates(self) -> int:
+        """Updates done, those of earlier learners included."""
+        return self._n_updates_before if self._groups is None else int(self._groups[0][0].steps[0])
+
+    def refresh(self) -> None:
+        """Take over parameters that were written from outside."""
+        for layers in (self.critics, self.targets):
+            layers.refresh()
+
+    def is_finite(self) -> list[bool]:
+        """Return for each run whether all its parameters are finite numbers."""
+        n = len(self.runs)
+        finite = torch.isfinite(self.log_temperature)
+        for layers in (self.actor, self.critics, self.targets):
+            for tensor in (*layers.weights, *layers.biases):
+                finite = finite & torch.isfinite(tensor).reshape(n, -1).all(1)
+        return [bool(value) for value in finite.tolist()]
+
+    # -- acting ---------------------------------------------------------------------------------------------------
+
+    def act(self, states: Tensor, noise: Tensor | None) -> Tensor:
+        """Return actions in [-1, 1].
+
+        Args:
+            states: (R, E, n_inputs).
+            noise: (R, E, n_actions), standard normal; None for the deterministic action.
+        """
+        n, n_envs, n_inputs = states.shape
+        if self._acting is None or self._acting[0].n_rows != n_envs:
+            self._acting = (
+                StackedMlp(self.actor, n_envs, self.shapes.negative_slope),
+                new_stack(n, n_envs, n_inputs, device=self.device),
+                SquashedActions(n, n_envs, self.shapes.n_actions, self.device),
+            )
+        network, inputs, actions = self._acting
+        return actions.sample(network.forward(self.actor, inputs.copy_(states)), noise).clone()
+
+    def answers(self, run: int, states: Tensor) -> Tensor:
+        """Return one run's deterministic actions in [-1, 1], (n, n_actions), in states (n, n_inputs)."""
+        actor = self.actor.only(run)
+        inputs = new_stack(1, *states.shape, device=self.device).copy_(states)
+        outputs = StackedMlp(actor, len(states), self.shapes.negative_slope).forward(actor, inputs)
+        return torch.tanh(outputs[0, :, : self.shapes.n_actions])
+
+    # -- learning -------------------------------------------------------------------------------------------------
+
+    @torch.no_grad()
+    def update(self, batch: Minibatch, noise: Tensor) -> None:
+        """Do one gradient step of every run.
+
+        Args:
+            batch: the transitions.
+            noise: (R, 2 B, n_actions), standard normal, for the actions in the states and, below, in their successors.
+        """
+        shapes, n, rows = self.shapes, len(self.runs), self.shapes.batch_size
+        d = shapes.n_inputs
+        self._actor_inputs[:, :rows] = batch.states
+        self._actor_inputs[:, rows:] = batch.next_states
+        answers = self._actor_pass.forward(self.actor, self._actor_inputs)
+        actions = self._actions.sample(answers, noise)
+        log_probability = self._actions.log_probability(answers, noise)
+        temperature = self._temperature_rows[0].exp()[:, :1]
+
+        # Critics, against the targets' least value of the next state.
+        target_inputs, critic_inputs, d_critics = (
+            stack.view(n, N_CRITICS, rows, -1) for stack in (self._target_inputs, self._critic_inputs, self._d_critics)
+        )
+        target_inputs[..., :d] = batch.next_states.unsqueeze(1)
+        target_inputs[..., d:] = actions[:, rows:].unsqueeze(1)
+        values = self._values(self.targets, self._target_inputs).amin(1) - temperature * log_probability[:, rows:]
+        goal = batch.rewards + batch.continues * self._gamma * values
+        critic_inputs[..., :d] = batch.states.unsqueeze(1)
+        critic_inputs[..., d:] = batch.actions.unsqueeze(1)
+        torch.sub(self._values(self.critics, self._critic_inputs), goal.unsqueeze(1), out=d_critics[..., 0])
+        self._d_critics.div_(rows)
+        self._critic_pass.backward(self.critics, self._critic_inputs, self._d_critics, self.critic_gradients)
+        critic_adam, actor_adam = self._adam()
+        for group in critic_adam:
+            group.step()
+        self.critics.refresh()
+
+        # Actor and temperature, against the critics just updated.
+        critic_inputs[..., d:] = actions[:, :rows].unsqueeze(1)
+        first, second = self._values(self.critics, self._critic_inputs).unbind(1)
+        torch.mul(first <= second, -1 / rows, out=d_critics[:, 0, :, 0])
+        torch.sub(-1 / rows, d_critics[:, 0], out=d_critics[:, 1])
+        d_actions = self._critic_pass.backward(self.critics, self._critic_inputs, self._d_critics, None, d)
+        assert d_actions is not None
+        d_actions = d_actions.view(n, N_CRITICS, rows, -1).sum(1)
+        self._actions.gradient(answers, noise, temperature, d_actions, self._d_actor)
+        self._actor_pass.backward(self.actor, self._actor_inputs, self._d_actor, self.actor_gradients)
+        target_entropy = -float(shapes.n_actions)
+        mean_log_probability = log_probability[:, :rows].mean(1)
+        torch.mul(mean_log_probability + target_entropy, -self._automatic, out=self._temperature_gradient)
+        for group in actor_adam:
+            group.step()
+        self.targets.flat.lerp_(self.critics.flat, shapes.tau)
+        self.targets.refresh()
+
+    def _values(self, layers: Layers, inputs: Tensor) -> Tensor:
+        """Return the critics' values, (R, 2, B)."""
+        return self._critic_pass.forward(layers, inputs).view(len(self.runs), N_CRITICS, -1)
+
+    def _adam(self) -> tuple[list[AdamGroup], list[AdamGroup]]:
+        """Return Adam's groups of the critics, and those of actors and temperatures, made at the first update.
+
+        Runs that share learning rate and weight decay share a group.
+        """
+        if self._groups is None:
+            alike = len({(run.learning_rate, run.weight_decay) for run in self.runs}) == 1
+            critics = [self.critics, self.critic_gradients, *self.critic_moments]
+            actors = [self.actor, self.actor_gradients, *self.actor_moments]
+            self._groups = [], []
+            for run, settings in enumerate(self.runs[:1] if alike else self.runs):
+                one = slice(None) if alike else slice(run, run + 1)
+                two = slice(None) if alike else slice(N_CRITICS * run, N_CRITICS * (run + 1))
+                rate, decay, n_updates = settings.learning_rate, settings.weight_decay, self._n_updates_before
+                of_temperatures = [rows[one] for rows in self._temperature_rows]
+                self._groups[0].append(AdamGroup.of(rate, decay, [layers.flat[two] for layers in critics], n_updates))
+                self._groups[1].append(AdamGroup.of(rate, decay, [layers.flat[one] for layers in actors], n_updates))
+                self._groups[1].append(AdamGroup.of(rate, 0.0, of_temperatures, n_updates))
+        return self._groups

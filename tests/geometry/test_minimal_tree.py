@@ -1,0 +1,260 @@
+"""Minimal trees against counting formulas, brute force and the network itself."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import otr
+from otr.core.domain import Domain, as_domain
+from otr.geometry.arrangement import find_regions
+from otr.geometry.minimal_tree import merge_equal_leaves
+from tests.core.strategies import Case, cases, make_network, worked_network
+from tests.geometry.test_linear_programs import radius_by_highs
+
+ORDERS = ("layers", "balanced", "visits")
+
+
+def general_position(n: int, d: int, seed: int = 0) -> otr.ReluNetwork:
+    return make_network(np.random.default_rng(seed), (n,), n_inputs=d)
+
+
+def rounding(X: np.ndarray) -> np.ndarray:
+    """What may be rounding of a network's numbers at the states X: some regions are only far away."""
+    return 1e-12 * (1 + np.abs(X).max(axis=1))
+
+
+def assert_same_function(tree: otr.ObliqueTree, network: otr.ReluNetwork, X: np.ndarray) -> None:
+    """Values agree to 1e-7; labels wherever no tie is within that; both to within rounding."""
+    answers, expected = tree.predict(X), network.predict(X)
+    if tree.labels is not None:
+        ranked = np.sort(network.forward(X), axis=1)
+        gap = np.abs(ranked[:, 0]) if isinstance(network.head, otr.Sign) else np.full(len(X), np.inf)
+        if ranked.shape[1] > 1:
+            gap = ranked[:, -1] - ranked[:, -2]
+        clear = gap > 1e-7 + rounding(X)
+        np.testing.assert_array_equal(answers[clear], expected[clear])
+        np.testing.assert_array_equal(tree.head(tree.forward(X))[clear], expected[clear])
+    else:
+        size = 1 + np.abs(expected).max(axis=1, initial=0.0)
+        assert (np.abs(answers - expected) <= (1e-7 * size + rounding(X))[:, None]).all()
+
+
+def assert_same_patterns(network: otr.ReluNetwork, X: np.ndarray, patterns: np.ndarray) -> None:
+    """The network has the patterns at X, but for neurons whose pre-activation there is zero to within rounding.
+
+    Such is a neuron that is zero throughout a region: with weights of one digit, some are.
+    """
+    forms = network.unit_form().forms(patterns, network.negative_slope)[:, : network.n_hidden]
+    values = np.einsum("nud,nd->nu", forms, np.column_stack((X, np.ones(len(X)))))
+    clear = np.abs(values) > rounding(X)[:, None]
+    np.testing.assert_array_equal(values[clear] > 0, patterns[clear])
+    np.testing.assert_array_equal(network.patterns(X)[clear], patterns[clear])
+
+
+def patterns_by_brute_force(network: otr.ReluNetwork, domain: Domain) -> tuple[set[bytes], set[bytes]]:
+    """The paths of the full tree whose region HiGHS finds to have an inside, and those it finds to be next to none."""
+    tree = otr.map_network(network)
+    n_bits = tree.depth
+    rows, found, thin = domain.rows(), set(), set()
+    for leaf in range(tree.n_leaves):
+        node, forms, signs, path = 0, [], [], []
+        for bit in range(n_bits):
+            right = leaf >> (n_bits - 1 - bit) & 1
+            forms.append(np.append(tree.P[node], tree.v[node]))
+            signs.append(2 * right - 1)
+            path.append(bool(right))
+            node = 2 * node + 1 + right
+        if n_bits == 0:
+            return {b""}, set()
+        tests = domain.rows_of(np.array(forms)[None])
+        a, b = tests.a[0], tests.b[0]
+        flat = ~a.any(axis=1)
+        if (np.sign(b[flat]) != np.array(signs)[flat]).any():
+            continue
+        kept = ~flat
+        a, b = np.concatenate((rows.a[0], a[kept])), np.concatenate((rows.b[0], b[kept]))
+        signs_of_rows = np.concatenate((np.ones(len(rows.b[0])), np.array(signs)[kept]))
+        radius = radius_by_highs(a, b, signs_of_rows)
+        if radius > -1e-9:
+            (found if radius > 1e-9 else thin).add(np.array(path).tobytes())
+    return found, thin
+
+
+@pytest.mark.parametrize(("n", "d"), [(1, 1), (6, 2), (8, 3), (32, 3), (9, 5), (10, 17), (12, 8)])
+def test_hyperplanes_in_general_position_make_as_many_leaves_as_zaslavsky_says(n: int, d: int) -> None:
+    network = general_position(n, d)
+    tree = otr.minimal_tree(network)
+    assert tree.n_leaves == sum(math.comb(n, i) for i in range(min(n, d) + 1))
+    assert_same_function(tree, network, np.random.default_rng(1).normal(size=(2000, d)) * 3)
+
+
+@pytest.mark.parametrize(("n", "d"), [(6, 2), (9, 3), (8, 4)])
+def test_hyperplanes_through_one_point(n: int, d: int) -> None:
+    """Without biases, n hyperplanes in general position make 2 sum_{i < d} C(n - 1, i) cones."""
+    rng = np.random.default_rng(2)
+    network = otr.ReluNetwork([rng.normal(size=(n, d)), rng.normal(size=(1, n))], [np.zeros(n), [0.0]])
+    assert otr.minimal_tree(network).n_leaves == 2 * sum(math.comb(n - 1, i) for i in range(d))
+    assert otr.minimal_tree(network, (-1.0, 1.0)).n_leaves == 2 * sum(math.comb(n - 1, i) for i in range(d))
+
+
+@settings(max_examples=60)
+@given(cases(max_layers=3), st.booleans())
+def test_regions_are_those_of_brute_force(case: Case, in_box: bool) -> None:
+    network = case.network
+    domain = as_domain((-1.25, 1.5) if in_box else None, network.n_inputs)
+    if otr.PatternTree(network).n_bits > 7:
+        return
+    regions = find_regions(network, domain)
+    found = {row.tobytes() for row in regions.patterns}
+    assert len(found) == len(regions.patterns)
+    expected, thin = patterns_by_brute_force(network, domain)
+    assert expected <= found <= expected | thin
+    assert len(found - expected) <= np.isnan(regions.inner_points).any(axis=1).sum()
+
+
+@given(cases(), st.sampled_from(ORDERS), st.booleans())
+def test_computes_the_same_function(case: Case, order: str, in_box: bool) -> None:
+    network, X = case.network, case.states
+    if in_box:
+        X = np.clip(X, -1.0, 1.0)
+    domain = (-1.0, 1.0) if in_box else None
+    tree = otr.minimal_tree(network, domain, order=order, X=X if order == "visits" else None)
+    regions = find_regions(network, as_domain(domain, network.n_inputs))
+    assert tree.n_leaves <= len(regions.patterns)
+    known = np.isfinite(regions.inner_points).all(axis=1)
+    inner = regions.inner_points[known]
+    assert_same_patterns(network, inner, regions.patterns[known, : network.n_hidden])
+    assert_same_function(tree, network, np.concatenate((X, inner)))
+    assert tree.n_leaves - len(np.unique(tree.apply(inner))) <= (~known).sum()
+
+
+def test_a_neuron_that_is_zero_throughout_a_region_is_inactive_there() -> None:
+    """(2 - x) + .5 (2x - 2) - 1 is 0 for -1 < x < 1, but not when computed at x = -.7."""
+    network = otr.ReluNetwork([[[-1], [2]], [[1, 1], [1, 0]], [[1, 1]]], [[2, -2], [-1, -2.5], [0]], negative_slope=0.5)
+    assert network.patterns([[-0.7], [-0.75]]).tolist() == [[True, False, True, True], [True, False, False, True]]
+    regions = find_regions(network, as_domain((-1.0, 1.0), 1))
+    assert len(regions.patterns) == 2
+    assert not regions.patterns[:, 2].any()
+    assert_same_function(otr.minimal_tree(network, (-1.0, 1.0)), network, np.linspace(-1.0, 1.0, 101)[:, None])
+
+
+def test_no_region_is_found_where_rounding_hides_every_margin() -> None:
+    """Four neurons of two layers hang on two: a vertex of almost parallel ones is 1e21 away."""
+    network = make_network(np.random.default_rng(112), (3, 3, 2, 2), negative_slope=0.01, head="sign")
+    regions = find_regions(network, as_domain(None, 3))
+    assert len(regions.patterns) == 225
+    assert_same_patterns(network, regions.inner_points, regions.patterns[:, :10])
+
+
+def test_every_leaf_is_reached_at_an_inner_point() -> None:
+    network = make_network(np.random.default_rng(4), (8, 8), n_inputs=3, n_outputs=2)
+    regions = find_regions(network, as_domain((-1.0, 1.0), 3))
+    tree = otr.minimal_tree(network, (-1.0, 1.0))
+    assert tree.n_leaves == len(regions.patterns) == len(np.unique(tree.apply(regions.inner_points)))
+    assert_same_function(tree, network, regions.inner_points)
+
+
+def test_large_walks_go_block_by_block(monkeypatch: pytest.MonkeyPatch) -> None:
+    network = make_network(np.random.default_rng(4), (8, 8), n_inputs=3)
+    whole = find_regions(network, as_domain(None, 3)).patterns
+    monkeypatch.setattr("otr.geometry.arrangement._BLOCK", 16)
+    pieces = find_regions(network, as_domain(None, 3)).patterns
+    np.testing.assert_array_equal(np.unique(whole, axis=0), np.unique(pieces, axis=0))
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_parallel_duplicate_and_boundary_neurons_add_no_path(order: str) -> None:
+    # x - 1 twice, once scaled; its negative; a parallel; and two at the domain's edges.
+    W, b = [[1, 0], [3, 0], [-1, 0], [1, 0], [0, 1], [0, 1]], [-1, -3, 1, 0, -2, 2]
+    network = otr.ReluNetwork([W, [[1, 2, 3, 4, 5, 6]]], [b, [0]])
+    X = np.random.default_rng(0).uniform(-2, 2, (500, 2))
+    X[:100, 0], X[100:200, 1], X[200:300, 1] = 1.0, 2.0, -2.0
+    tree = otr.minimal_tree(network, (-2.0, 2.0), order=order, X=X if order == "visits" else None)
+    assert tree.n_leaves == 3
+    assert_same_function(tree, network, X)
+
+
+def test_neurons_that_are_not_quite_equal_part_the_states() -> None:
+    for apart, n_leaves in ((1e-6, 3), (1e-13, 3), (1e-200, 3), (0.0, 2)):
+        network = otr.ReluNetwork([[[1.0], [1.0]], [[1.0, 1.0]]], [[0.0, apart], [0.0]])
+        assert otr.minimal_tree(network).n_leaves == n_leaves
+
+
+def test_a_domain_with_open_sides() -> None:
+    network = otr.ReluNetwork([[[1.0, 0.0], [0.0, 1.0]], [[1.0, 1.0]]], [[0.0, 0.0], [0.0]])
+    assert otr.minimal_tree(network, ([0.5, -np.inf], [np.inf, 1.0])).n_leaves == 2
+    assert otr.minimal_tree(network, ([0.5, -np.inf], [np.inf, -1.0])).n_leaves == 1
+
+
+def test_equal_maps_are_merged() -> None:
+    # The second neuron's outgoing weight is zero; the first one is off for x < 0, where both are then the same.
+    network = otr.ReluNetwork([[[1.0], [1.0], [2.0]], [[1.0, 0.0, 3.0]]], [[0.0, 5.0, -1.0], [0.0]])
+    assert otr.minimal_tree(network).n_leaves == 3
+    labelled = otr.ReluNetwork([[[1.0], [1.0]], [[1.0, 0.5], [1.0, 0.5]]], [[0.0, 1.0], [1.0, 0.0]], head=otr.Argmax())
+    assert otr.minimal_tree(labelled).n_leaves == 1  # output 0 is larger throughout
+
+
+def test_a_merged_leaf_of_one_label_holds_scores_that_have_it() -> None:
+    # On both sides of x = 0 the label is 1, though the outputs differ.
+    network = otr.ReluNetwork([[[1.0]], [[1.0], [2.0]]], [[0.0], [0.0, 1.0]], head=otr.Argmax())
+    tree = otr.minimal_tree(network)
+    assert (tree.n_leaves, tree.M.any(), tree.c.tolist(), tree.labels.tolist()) == (1, False, [[0.0, 1.0]], [1])
+
+
+def test_merging_reaches_up_the_tree() -> None:
+    full = otr.map_network(worked_network())
+    same = otr.ObliqueTree(
+        full.children_left, full.children_right, full.P, full.v, np.ones_like(full.M), np.ones_like(full.c)
+    )
+    assert merge_equal_leaves(same).n_leaves == 1
+    c = np.ones_like(full.c)
+    c[0] = 2.0
+    uneven = otr.ObliqueTree(full.children_left, full.children_right, full.P, full.v, np.ones_like(full.M), c)
+    merged = merge_equal_leaves(uneven)
+    X = np.random.default_rng(0).normal(size=(500, 2))
+    np.testing.assert_array_equal(merged.predict(X), uneven.predict(X))
+    assert merged.n_leaves == 4  # leaf 0 and the three subtrees that hang beside its path
+
+
+@pytest.mark.parametrize("dense", [False, "input", "all"])
+def test_dead_neurons_are_left_out(dense: str | bool) -> None:
+    network = make_network(np.random.default_rng(5), (4, 3, 2), n_inputs=2, dense=dense)
+    weights = [W.copy() for W in network.weights]
+    weights[3][:, 0] = 0.0  # the outputs read the third layer's first neuron no more: of "all", the first layer's
+    if dense == "all":
+        weights[1][:, 0] = weights[2][:, 0] = 0.0
+    smaller = otr.ReluNetwork(weights, network.biases, dense=dense).without_dead_neurons()
+    assert smaller.n_hidden == 8
+    X = np.random.default_rng(0).normal(size=(100, 2))
+    np.testing.assert_allclose(smaller.forward(X), otr.ReluNetwork(weights, network.biases, dense=dense).forward(X))
+
+
+def test_orders_shorten_the_paths() -> None:
+    network, X = general_position(12, 2), np.random.default_rng(1).normal(size=(4000, 2)) / 2
+    trees = {order: otr.minimal_tree(network, order=order, X=X if order == "visits" else None) for order in ORDERS}
+    n_tests = {order: tree.decision_path(X).sum() / len(X) for order, tree in trees.items()}
+    assert {tree.n_leaves for tree in trees.values()} == {79}
+    assert n_tests["visits"] < n_tests["balanced"] < n_tests["layers"]
+    assert trees["balanced"].depth < trees["layers"].depth
+
+
+def test_limits_say_how_far_the_walk_came() -> None:
+    with pytest.raises(otr.TreeTooLargeError, match=r"limit of 1,000 regions was met.* test \d+ of 24.*max_leaves"):
+        otr.minimal_tree(general_position(24, 6), max_leaves=1000)
+    with pytest.raises(otr.TreeTooLargeError, match=r"limit of 0 s was met.*max_seconds"):
+        otr.minimal_tree(general_position(24, 6), max_seconds=0.0)
+
+
+def test_bad_requests_are_told() -> None:
+    network = worked_network()
+    with pytest.raises(ValueError, match="order is 'best', expected"):
+        otr.minimal_tree(network, order="best")
+    with pytest.raises(ValueError, match="needs states X"):
+        otr.minimal_tree(network, order="visits")
+    with pytest.raises(ValueError, match="the domain has 3 inputs, expected 2"):
+        otr.minimal_tree(network, ([0, 0, 0], [1, 1, 1]))
+    with pytest.raises(ValueError, match="input 1 has the limits 1 and 1"):
+        otr.minimal_tree(network, ([0, 1], [1, 1]))

@@ -1,0 +1,94 @@
+"""Linear programs in rational arithmetic: a point that is one, or multipliers that show that there is none."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+
+from otr.geometry.rational import ExactTree, ExactUnits, as_point, at, independent_rows, integers
+from otr.geometry.rational_linear_programs import inner_point, largest_value
+from tests.core.strategies import Case, cases
+
+
+def random_rows(rng: np.random.Generator, m: int, d: int, degenerate: bool) -> np.ndarray:
+    """Rows of floats; if degenerate, of few directions and offsets: parallels, and many through one point."""
+    return rng.integers(-2, 3, (m, d + 1)).astype(float) if degenerate else rng.normal(size=(m, d + 1))
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 5), st.integers(0, 14), st.booleans())
+def test_a_point_is_inside_and_multipliers_show_that_there_is_none(seed: int, d: int, m: int, degenerate: bool) -> None:
+    rng = np.random.default_rng(seed)
+    rows, _ = integers(random_rows(rng, m, d, degenerate))
+    strict = rng.random(m) < 0.5
+    found = inner_point(rows, strict, rng.permutation(m).tolist())
+    if found.t is not None and found.t > 0:
+        values = at(rows, 0, found.point)
+        assert all(value > 0 if is_strict else value >= 0 for value, is_strict in zip(values, strict, strict=True))
+        return
+    assert found.multipliers and all(multiplier > 0 for multiplier in found.multipliers.values())
+    total = sum(rows[row] * multiplier for row, multiplier in found.multipliers.items())
+    assert not any(total[:-1])
+    assert total[-1] < 0 or (total[-1] == 0 and any(strict[row] for row in found.multipliers))
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 4), st.integers(0, 8), st.booleans())
+def test_largest_values_equal_highs(seed: int, d: int, m: int, degenerate: bool) -> None:
+    rng = np.random.default_rng(seed)
+    box = np.concatenate((np.column_stack((np.eye(d), np.ones(d))), np.column_stack((-np.eye(d), np.ones(d)))))
+    rows, power = integers(np.concatenate((box, random_rows(rng, m, d, degenerate))))
+    form = random_rows(rng, 1, d, degenerate)
+    numbers, of_form = integers(form)
+    found = largest_value(rows, numbers[0].tolist(), Fraction(10**30))
+    floats = rows.astype(float) / 2.0**power
+    solved = linprog(-form[0, :-1], -floats[:, :-1], floats[:, -1], bounds=(None, None))
+    if found.t is None:
+        assert solved.status == 2
+        return
+    assert float(found.t / 2**of_form) == pytest.approx(-solved.fun + form[0, -1], abs=1e-8)
+    assert min(at(rows, 0, found.point)) >= 0
+    assert at(numbers, 0, found.point) == [found.t]
+    total = numbers[0] + sum((rows[row] * multiplier for row, multiplier in found.multipliers.items()), 0 * numbers[0])
+    assert not any(total[:-1]) and total[-1] == found.t
+
+
+def test_strict_rows_that_only_touch_leave_no_point() -> None:
+    rows, _ = integers(np.array([[1.0, 0.0], [-1.0, 0.0]]))  # x >= 0 and x <= 0
+    assert inner_point(rows, [False, False]).point == (0,)
+    nothing = inner_point(rows, [True, False])
+    assert nothing.t == 0 and set(nothing.multipliers) == {0, 1}
+
+
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False, allow_subnormal=False), min_size=1, max_size=5))
+def test_integers_are_the_floats(values: list[float]) -> None:
+    exact, power = integers(np.array(values))
+    assert [Fraction(value, 2**power) for value in exact.tolist()] == [Fraction(value) for value in values]
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 5), st.integers(1, 5))
+def test_rows_are_sums_of_the_independent_ones(seed: int, n: int, d: int) -> None:
+    rows = np.random.default_rng(seed).integers(-2, 3, (n, d)).astype(float)
+    chosen, sums = independent_rows(rows)
+    assert len(chosen) == np.linalg.matrix_rank(rows)
+    np.testing.assert_allclose(sums @ rows[chosen].reshape(len(chosen), d), rows, atol=1e-12)
+
+
+def test_rows_that_differ_in_one_bit_are_independent() -> None:
+    assert independent_rows(np.array([[1.0, 1.0], [1.0, np.nextafter(1.0, 2.0)]]))[0] == [0, 1]
+
+
+@given(cases(heads=("identity",), max_layers=3))
+def test_exact_outputs_are_those_of_network_and_tree(case: Case) -> None:
+    import otr
+
+    network = case.network
+    tree = otr.map_network(network)
+    exact, units = ExactTree(tree), ExactUnits(network)
+    for x in case.states[:5]:
+        point = as_point(x)
+        outputs = [float(value) for value in units.outputs(point)]
+        np.testing.assert_allclose(outputs, network.forward(x), rtol=1e-9, atol=1e-9)
+        leaf = exact.leaf(point)
+        np.testing.assert_allclose([float(v) for v in exact.outputs(leaf, point)], outputs, rtol=1e-9, atol=1e-9)

@@ -1,0 +1,179 @@
+import io
+import pickle
+import struct
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+import otr
+from otr.importers.vec_normalize import ObservationStatistics
+from tests.importers.test_importers import FourActions, WideBox, build
+
+torch.set_num_threads(1)
+
+MEAN, VARIANCE = np.array([1.0, -20.0, 0.003]), np.array([4.0, 0.25, 1e-6])
+
+
+class SeveralInputs(FourActions):
+    observation_space = gym.spaces.Dict({"near": gym.spaces.Box(-1, 1, (2,)), "far": gym.spaces.Box(-1, 1, (3,))})
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple:
+        return self.observation_space.sample(), {}
+
+
+def normalised(env: object, **options: object) -> VecNormalize:
+    wrapped = VecNormalize(DummyVecEnv([lambda: env]), **options)
+    wrapped.reset()
+    if not isinstance(wrapped.observation_space, gym.spaces.Dict) and wrapped.norm_obs:
+        wrapped.obs_rms.mean, wrapped.obs_rms.var = MEAN.copy(), VARIANCE.copy()
+    return wrapped
+
+
+@pytest.mark.parametrize("algorithm", [PPO, SAC])
+def test_the_network_takes_raw_states(tmp_path: Path, algorithm: type) -> None:
+    env = normalised(WideBox(), clip_obs=3.0, epsilon=1e-4)
+    critic = {"vf": [8]} if algorithm is PPO else {"qf": [8]}
+    model = build(algorithm, env, critic, [6, 5])
+    with torch.no_grad():
+        for parameter in model.policy.parameters():
+            parameter.normal_()
+    model.save(tmp_path / "model")
+    env.save(str(tmp_path / "statistics.pkl"))
+    reach = 3 * np.sqrt(VARIANCE + 1e-4)
+    X = MEAN + np.random.default_rng(0).uniform(-2, 2, (500, 3)) * reach
+    inside = (np.abs(X - MEAN) <= reach).all(axis=1)
+    assert 20 < inside.sum() < 200
+    expected = model.predict(env.normalize_obs(X), deterministic=True)[0]
+    for statistics in (
+        tmp_path / "statistics.pkl",
+        str(tmp_path / "statistics.pkl"),
+        env,
+        ObservationStatistics(MEAN, VARIANCE, 1e-4, 3.0),
+    ):
+        for source in (model, tmp_path / "model"):
+            network = otr.from_sb3(source, vec_normalize=statistics)
+            np.testing.assert_allclose(network.predict(X[inside]), expected[inside], atol=2e-5)
+            assert np.abs(network.predict(X) - expected).max() > 0.01, "outside, VecNormalize clips and this does not"
+            assert network.domain is not None
+            np.testing.assert_allclose([network.domain.low, network.domain.high], [MEAN - reach, MEAN + reach])
+            np.testing.assert_array_equal(network.domain.contains(X), inside)
+
+
+@pytest.mark.parametrize("protocol", [2, 3, 4, 5])
+def test_every_protocol_is_read(tmp_path: Path, protocol: int) -> None:
+    env = normalised(FourActions())
+    env.observation_space.sample(), env.action_space.sample()  # both hold a generator then
+    with (tmp_path / "statistics.pkl").open("wb") as file:
+        pickle.dump(env, file, protocol=protocol)
+    model = build(PPO, env, {"vf": [8]}, [4])
+    network = otr.from_sb3(model, vec_normalize=tmp_path / "statistics.pkl")
+    np.testing.assert_array_equal(network.weights[0], otr.from_sb3(model, vec_normalize=env).weights[0])
+    np.testing.assert_allclose(network.weights[0], otr.from_sb3(model).weights[0] / np.sqrt(VARIANCE + 1e-8))
+
+
+def test_what_is_not_normalised_or_not_clipped(tmp_path: Path) -> None:
+    raw = normalised(FourActions(), norm_obs=False)
+    model = build(PPO, raw, {"vf": [8]}, [4])
+    raw.save(str(tmp_path / "raw.pkl"))
+    for statistics in (raw, tmp_path / "raw.pkl"):
+        network = otr.from_sb3(model, vec_normalize=statistics)
+        assert network.domain is None
+        np.testing.assert_array_equal(network.weights[0], otr.from_sb3(model).weights[0])
+    free = otr.from_sb3(model, vec_normalize=ObservationStatistics(MEAN, VARIANCE, clip=np.inf))
+    assert free.domain is None
+    np.testing.assert_allclose(free.weights[0], otr.from_sb3(model).weights[0] / np.sqrt(VARIANCE + 1e-8))
+
+
+def test_statistics_that_do_not_fit_are_refused(tmp_path: Path) -> None:
+    model = build(PPO, FourActions(), {"vf": [8]}, [4])
+    several = normalised(SeveralInputs())
+    several.save(str(tmp_path / "several.pkl"))
+    refused = [
+        (ObservationStatistics(MEAN[:2], VARIANCE[:2]), "2 means and 2 variances, the network has 3 inputs"),
+        (ObservationStatistics(MEAN, -VARIANCE), r"smallest variance \+ epsilon is -4"),
+        (ObservationStatistics(MEAN, VARIANCE, clip=0.0), "clip_obs is 0"),
+        (ObservationStatistics(MEAN, VARIANCE, clip=1e200), r"clip_obs is 1e\+200, which gives no box"),
+        (ObservationStatistics(MEAN * np.nan, VARIANCE), "finite means"),
+        (several, r"the observations \['far', 'near'\]"),
+        (tmp_path / "several.pkl", r"the observations \['far', 'near'\]"),
+        ({"mean": MEAN}, "vec_normalize is a dict, expected the path"),
+    ]
+    for statistics, message in refused:
+        with pytest.raises(otr.InvalidNetworkError, match=message):
+            otr.from_sb3(model, vec_normalize=statistics)
+
+
+class _Bomb:
+    """Unpickling this writes the sentinel file."""
+
+    def __init__(self, sentinel: Path) -> None:
+        self.sentinel = sentinel
+
+    def __reduce__(self) -> tuple:
+        return Path.touch, (self.sentinel,)
+
+
+def refusal(path: Path, content: bytes, error: type = otr.ArtefactError) -> str:
+    path.write_bytes(content)
+    with pytest.raises(error) as caught:
+        otr.from_sb3(build(PPO, FourActions(), {"vf": [8]}, [4]), vec_normalize=path)
+    return str(caught.value)
+
+
+def test_code_in_a_file_of_statistics_is_not_run(tmp_path: Path) -> None:
+    sentinel, path = tmp_path / "sentinel", tmp_path / "statistics.pkl"
+    pickle.loads(pickle.dumps(_Bomb(sentinel)))
+    assert sentinel.exists(), "the bomb works"
+    sentinel.unlink()
+
+    env = normalised(FourActions())
+    model = build(PPO, env, {"vf": [8]}, [4])
+    for place in (env, env.obs_rms):  # beside what is read: it changes nothing, and is not run
+        place.bomb = _Bomb(sentinel)
+    env.save(str(path))
+    network = otr.from_sb3(model, vec_normalize=path)
+    np.testing.assert_array_equal(network.weights[0], otr.from_sb3(model, vec_normalize=env).weights[0])
+    for name in ("mean", "var"):
+        env = normalised(FourActions())
+        setattr(env.obs_rms, name, _Bomb(sentinel))
+        assert "holds no statistics of observations" in refusal(path, pickle.dumps(env))
+    bomb = pickle.dumps(_Bomb(sentinel))
+    assert "holds a pathlib.Path.touch, expected a stable_baselines3" in refusal(path, bomb)
+    assert "is no pickle" in refusal(
+        path, b"\x80\x02cbuiltins\nexec\nX\x01\x00\x00\x00a\x85R\x85R."
+    )  # calls its answer
+    assert not sentinel.exists()
+
+
+def test_files_that_are_no_statistics(tmp_path: Path) -> None:
+    whole = io.BytesIO()
+    pickle.dump(normalised(FourActions()), whole)
+    path = tmp_path / "statistics.pkl"
+    for share in (0.0, 0.3, 0.9):
+        assert "is no pickle" in refusal(path, whole.getvalue()[: int(share * len(whole.getvalue()))])
+    assert "holds a dict, expected" in refusal(path, pickle.dumps({"obs_rms": 3}))
+    assert "LONG_BINPUT 2147483647" in refusal(path, b"\x80\x02Nr" + struct.pack("<I", 2**31 - 1) + b".")
+    assert "EXT1 1" in refusal(path, b"\x80\x02\x82\x01.")
+    assert "the limit is 16,777,216" in refusal(path, bytes(2**24 + 1))
+    for place in (tmp_path / "none.pkl", tmp_path):
+        with pytest.raises(otr.ArtefactError, match="cannot be read"):
+            otr.from_sb3(build(PPO, FourActions(), {"vf": [8]}, [4]), vec_normalize=place)
+
+
+def test_numbers_of_other_kinds_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "statistics.pkl"
+    for wrong in (np.array([1.0, 2.0, "x"], dtype=object), np.ones(3, dtype=complex)):
+        env = normalised(FourActions())
+        env.obs_rms.mean = wrong
+        assert "holds no statistics of observations" in refusal(path, pickle.dumps(env))
+    for wrong in ("text", None, [1.0, "x", 2.0]):
+        env = normalised(FourActions())
+        env.obs_rms.var = wrong
+        assert "expected real numbers" in refusal(path, pickle.dumps(env), otr.InvalidNetworkError)
+        with pytest.raises(otr.InvalidNetworkError, match="expected real numbers"):
+            otr.from_sb3(build(PPO, env, {"vf": [8]}, [4]), vec_normalize=env)

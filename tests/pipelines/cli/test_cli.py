@@ -1,0 +1,316 @@
+"""The commands as a user types them: what they print, leave, skip and refuse."""
+
+import contextlib
+import csv
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from pipelines.cli.runs import run_config
+from pipelines.config.conf_dir import CONF_DIR
+from tests.pipelines.conftest import otr_command, otr_program
+from tests.pipelines.sweeps import PROGRAMS, children, wait_for
+
+SMOKE = ("env=pendulum", "depth=3", "budget=smoke", "n_workers=1")
+RUN = Path("results/runs/pendulum/otr/depth-3/smoke/seed-0")
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """One smoke run of the main job, and what it printed."""
+    folder = tmp_path_factory.mktemp("finished")
+    done = otr_program("otr-run", *SMOKE, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return folder, done.stdout
+
+
+def test_main_job_leaves_every_artefact(finished):
+    folder, _ = finished
+    files = {str(path.relative_to(folder / RUN)) for path in (folder / RUN).rglob("*") if path.is_file()}
+    assert files >= {
+        "config.yaml", "summary.json", "train/actor.safetensors", "train/actor.json", "train/progress.csv",
+        "train/evaluations.csv", "map/tree.npz", "map/tree.json", "map/program.txt", "map/report.json",
+        "prune/tree.npz", "prune/tree.json", "prune/program.txt", "prune/report.json", "evaluate/episodes.csv",
+        "train/manifest.json", "map/manifest.json", "prune/manifest.json", "evaluate/manifest.json",
+    }  # fmt: skip
+    assert not any((folder / "results/checkpoints").iterdir())
+
+
+def test_episodes_and_summary_agree(finished):
+    folder, _ = finished
+    summary = json.loads((folder / RUN / "summary.json").read_text())
+    with (folder / RUN / "evaluate/episodes.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["seed"]) for row in rows] == [1000, 1001]
+    assert list(rows[0]) == ["episode", "seed", "return", "length", "terminated", "truncated"]
+    returns = [float(row["return"]) for row in rows]
+    assert summary["return_mean"] == pytest.approx(sum(returns) / 2, rel=1e-12)
+    assert summary["policies"]["network"] == summary["policies"]["tree"]
+    assert (summary["n_leaves"], summary["depth"], summary["n_episodes"]) == (8, 3, 2)
+    assert 1 <= summary["pruned_leaves"] <= 8
+
+
+def test_main_job_prints_table_program_and_place(finished):
+    _, printed = finished
+    for words in ("Pendulum-v1", "network", "pruned tree", "activation patterns reached", str(RUN), "return 2 tanh("):
+        assert words in printed
+
+
+def test_second_time_everything_is_skipped(finished):
+    folder, _ = finished
+    before = (folder / RUN / "train/manifest.json").stat().st_mtime_ns
+    done = otr_command("otr-run", *SMOKE, cwd=folder)
+    assert done.returncode == 0
+    assert done.stdout.count("done before") == 4
+    assert (folder / RUN / "train/manifest.json").stat().st_mtime_ns == before
+
+
+def test_default_given_in_words_is_the_same_run(finished):
+    folder, _ = finished
+    done = otr_command("otr-run", *SMOKE, "algo=sac", "algo.gamma=0.99", cwd=folder)
+    assert done.stdout.count("done before") == 4
+
+
+def test_other_evaluation_reuses_the_training(finished, tmp_path):
+    shutil.copytree(finished[0] / "results", tmp_path / "results")
+    done = otr_command("otr-run", *SMOKE, "evaluate.n_episodes=3", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("done before") == 3
+    (other,) = (tmp_path / RUN).parent.glob("seed-0~*")
+    assert json.loads((other / "summary.json").read_text())["n_episodes"] == 3
+
+
+def test_plan_says_skip_and_run(finished):
+    folder, _ = finished
+    done = otr_command("otr-plan", "-m", *SMOKE[:1], "depth=3,5", *SMOKE[2:], cwd=folder)
+    lines = {line.split()[0]: line.split()[1] for line in done.stdout.splitlines() if "runs/" in line}
+    assert lines == {
+        "runs/pendulum/otr/depth-3/smoke/seed-0": "skip",
+        "runs/pendulum/otr/depth-5/smoke/seed-0": "run",
+    }
+    assert "2 jobs: 1 to skip, 1 left" in done.stdout
+
+
+def test_replay_gives_the_recorded_episodes(finished):
+    folder, _ = finished
+    done = otr_command("otr-tabulate", "table=4.1", "evaluate=true", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("as recorded") == 3
+
+
+def test_replay_finds_an_episode_that_was_changed(finished, tmp_path):
+    shutil.copytree(finished[0] / "results", tmp_path / "results")
+    path = tmp_path / RUN / "evaluate/episodes.csv"
+    lines = path.read_text().splitlines()
+    fields = lines[2].split(",")
+    fields[2] = "-1.0"
+    path.write_text("\n".join([*lines[:2], ",".join(fields)]) + "\n")
+    done = otr_command("otr-tabulate", "table=4.1", "evaluate=true", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "tree: 2 episodes played again, 1 differ, the first is episode 1" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "told"),
+    [
+        (("env=hoper",), 2, "Did you mean hopper"),
+        (("depth=6",), 2, "which environment?"),
+        (("env=pendulum", "budget=fast"), 2, "There are: quick, smoke, thesis"),
+        (("env=pendulum", "algo.gama=0.9"), 2, "Did you mean algo.gamma"),
+        (("env=pendulum", "gamma=0.9"), 2, "algo.gamma"),
+        (("env=pendulum", "seed=one"), 2, "'one'"),
+        (("env=pendulum", "depth=-3"), 2, "depth=-3"),
+        (("env=pendulum", "depth=3,4"), 2, "add -m"),
+        (("env=pendulum", "method=viperr"), 2, "there is no such method"),
+        (("env=pendulum", "stages=[mapp]"), 2, "no stage 'mapp'"),
+        (("env=pendulum", "env.id=Nothing-v0", "budget=smoke"), 2, "Nothing-v0"),
+        (("env=lunarlander", "algo=sac", "budget=smoke"), 2, "use algo=ppo"),
+        (("+experiment=table_4_2x",), 2, "there is no such experiment"),
+        (("env=pendulum", "depth=["), 2, "depth=["),
+        (("-m", "env=pendulum", "depth=2,-1", "budget=smoke"), 2, "depth=-1"),
+        (("-m", "env=pendulum", "+experiment=smoke,table_4_1"), 2, "experiment: one at a time"),
+        (("env=pendulum", "+foo=1"), 2, "leave out the +"),
+        (("env=pendulum", "results_dir="), 2, "results_dir is empty"),
+        (("env=pendulum", "train.steps=1e6"), 2, "train.steps: "),
+        (("env=pendulum", "trainer=flet"), 2, "Did you mean fleet"),
+        (("env=pendulum", "trainer=fleet", "trainer.n_env=3"), 2, "Did you mean trainer.n_envs"),
+        (("env=pendulum", "trainer=fleet", "trainer.precision=fp8"), 2, "use one of fp32, bf16"),
+    ],
+)
+def test_bad_requests_are_one_clear_message(tmp_path, words, code, told):
+    done = otr_command("otr-run", *words, cwd=tmp_path)
+    assert done.returncode == code, done.stderr
+    assert told in done.stderr
+    assert "Traceback" not in done.stderr + done.stdout
+    assert [path for path in tmp_path.rglob("runs/**/*") if path.is_file() and path.suffix != ".lock"] == []
+
+
+def test_debug_shows_the_traceback(tmp_path):
+    done = otr_command("otr-run", "env=pendulum", "depth=-3", "debug=true", cwd=tmp_path)
+    assert "Traceback" in done.stderr
+
+
+def test_missing_input_names_the_command(tmp_path):
+    done = otr_command("otr-run", *SMOKE, "stages=[map]", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "Run: otr-run env=pendulum depth=3 budget=smoke n_workers=1" in done.stderr
+
+
+def test_corrupt_actor_is_refused(finished, tmp_path):
+    shutil.copytree(finished[0] / "results", tmp_path / "results")
+    actor = tmp_path / RUN / "train/actor.safetensors"
+    actor.write_bytes(actor.read_bytes()[:-8])
+    done = otr_command("otr-run", *SMOKE, cwd=tmp_path)
+    assert done.returncode == 1
+    assert "is not what was written" in done.stderr
+
+
+def test_results_folder_that_cannot_be_written(tmp_path):
+    (tmp_path / "results").write_text("a file where a folder should be")
+    done = otr_command("otr-run", *SMOKE, cwd=tmp_path)
+    assert done.returncode == 1
+    assert "results_dir=PATH" in done.stderr and "Traceback" not in done.stderr
+
+
+def test_full_disk_is_told_and_the_same_command_goes_on(tmp_path):
+    program = Path(sys.executable).with_name("otr-run")
+    words = (*SMOKE, "algo.critic=[16]")
+    limited = f"ulimit -f 8; exec {program} {' '.join(words)}"  # no file above 8 KiB: the replay log does not fit
+    done = subprocess.run(["bash", "-c", limited], cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 1
+    assert "Make room there or choose another place" in done.stderr and "Traceback" not in done.stderr
+    assert not list(tmp_path.glob("results/runs/**/train"))
+    assert otr_command("otr-run", *words, cwd=tmp_path).returncode == 0
+    assert len(list(tmp_path.glob("results/runs/**/summary.json"))) == 1
+
+
+@pytest.mark.parametrize(("launcher", "runner"), [("basic", otr_command), ("joblib", otr_program)])
+def test_failing_job_does_not_stop_a_sweep(tmp_path, launcher, runner):
+    assert otr_command("otr-run", *PROGRAMS, cwd=tmp_path).returncode == 0
+    summaries = {json.loads(path.read_text())["program"]: path for path in tmp_path.glob("results/**/summary.json")}
+    for path in summaries.values():
+        shutil.rmtree(path.parent)
+    summaries["mountaincar"].parent.write_text("in the way")
+    done = runner("otr-run", *PROGRAMS, f"launcher={launcher}", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "2 jobs: 1 done, 1 failed" in done.stdout, done.stdout + done.stderr
+    assert str(summaries["mountaincar"].parent.relative_to(tmp_path / "results")) in done.stdout
+    assert summaries["mountaincar_simplified"].exists()
+    (failure,) = (tmp_path / "results/failures").rglob("*.txt")
+    assert "Traceback" in failure.read_text() and "program=mountaincar " in failure.read_text()
+
+
+@pytest.mark.slow  # two sweeps on one folder (test_sweep.py) wait for each other's trainings as well
+def test_jobs_that_share_a_training_train_once(tmp_path):
+    words = ("env=pendulum", "depth=3", "budget=smoke", "evaluate.n_episodes=2,3")
+    done = otr_program("otr-run", "-m", *words, "launcher=joblib", "hydra.launcher.n_jobs=2", cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "2 jobs: 2 done, 0 failed" in done.stdout
+    actors = [path.read_bytes() for path in (tmp_path / "results/runs").rglob("actor.safetensors")]
+    assert len(actors) == 2 and len(set(actors)) == 1
+    assert done.stdout.count("step 300/300") == 1
+    assert "pendulum depth 3 seed 0: train: step 300/300" in done.stdout
+
+
+def running_in_group(group):
+    """Return the ids of the processes of a group that are neither gone nor waiting to be reaped (Linux)."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            state, _, process_group = path.read_text().rsplit(")", 1)[1].split()[:3]
+            if int(process_group) == group and state != "Z":
+                found.append(int(path.parent.name))
+    return found
+
+
+def in_foreground(command: list[str], cwd: Path) -> subprocess.Popen[str]:
+    """Start a command that ctrl-C stops, as in a terminal, also where these tests run in the background of a shell."""
+    return subprocess.Popen(
+        command,
+        cwd=cwd,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes under /proc")
+def test_stopped_while_workers_play(tmp_path):
+    words = ("env=mountaincar", "program=mountaincar", "prune.n_episodes=20000", "n_workers=2")
+    command = [str(Path(sys.executable).with_name("otr-run")), *words]
+    with in_foreground(command, tmp_path) as process:
+        for line in process.stdout:
+            if line.startswith("parse:"):
+                break
+        wait_for(lambda: len(children(process.pid, "spawn_main")) == 2)
+        time.sleep(1)  # they import, then play
+        os.killpg(process.pid, signal.SIGINT)
+        printed, _ = process.communicate(timeout=60)
+    assert process.returncode == 130, printed
+    assert "the same command goes on" in printed and "Traceback" not in printed
+    wait_for(lambda: not running_in_group(process.pid), seconds=20)
+
+
+def test_table_without_runs_is_refused(tmp_path):
+    done = otr_command("otr-tabulate", "table=4.1", "results_dir=nope", cwd=tmp_path)
+    assert done.returncode == 2 and "there is no folder nope/runs" in done.stderr
+
+
+def test_a_reader_that_has_seen_enough(finished):
+    program = Path(sys.executable).with_name("otr-run")
+    line = f"{program} {' '.join(SMOKE)} | head -0; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", line], cwd=finished[0], capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stderr) == (141, "")
+
+
+def test_experiment_brings_its_own_sweep(tmp_path):
+    done = otr_command("otr-plan", "+experiment=table_4_1", "column=otr_32", "env=hopper", cwd=tmp_path)
+    assert "10 jobs: 0 to skip, 10 left" in done.stdout, done.stderr
+    assert done.stdout.count("runs/hopper/otr/depth-32/thesis/seed-") == 10
+    done = otr_command("otr-plan", "+experiment=smoke", cwd=tmp_path)
+    assert "runs/hopper/otr/depth-6/smoke/seed-0 " in done.stdout
+    assert "10 jobs: 0 to skip, 10 left" in done.stdout
+
+
+def test_ctrl_c_stops_cleanly_and_goes_on(tmp_path):
+    words = ("env=pendulum", "depth=2", "budget=smoke", "train.steps=800", "algo.critic=[16]")
+    command = [str(Path(sys.executable).with_name("otr-run")), *words]
+    with in_foreground(command, tmp_path) as process:
+        wait_for(lambda: list((tmp_path / "results/checkpoints").glob("*/segment-*")))
+        process.send_signal(signal.SIGINT)
+        printed, _ = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "the same command goes on" in printed and "Traceback" not in printed
+    done = otr_command("otr-run", *words, cwd=tmp_path)
+    assert done.returncode == 0
+    assert "going on from step" in done.stdout
+
+
+@pytest.mark.parametrize(
+    "budget", ["quick", pytest.param("thesis", marks=pytest.mark.slow), pytest.param("smoke", marks=pytest.mark.slow)]
+)
+def test_every_environment_and_budget_composes(tmp_path, budget):
+    names = sorted(path.stem for path in (CONF_DIR / "env").glob("*.yaml"))
+    assert len(names) == 16
+    done = otr_command("otr-plan", "-m", f"env={','.join(names)}", f"budget={budget}", cwd=tmp_path)
+    assert "16 jobs: 0 to skip, 16 left" in done.stdout, done.stderr
+
+
+def test_every_budget_has_every_environment_s_steps():
+    steps = [set(run_config(["env=pendulum", f"budget={name}"]).budget.steps) for name in ("thesis", "quick", "smoke")]
+    assert steps[0] == steps[1] == steps[2] and len(steps[0]) == 10
+
+
+def test_help_names_the_words():
+    for program in ("otr-run", "otr-plan", "otr-fit", "otr-tabulate"):
+        done = otr_command(program, "--help", cwd=Path.cwd())
+        assert done.returncode == 0 and "words:" in done.stdout

@@ -1,0 +1,88 @@
+"""The run's folder, its digest, and what is refused at the door."""
+
+import dataclasses
+
+import pytest
+
+from pipelines.config import (
+    ActorConfig,
+    EnvConfig,
+    EvaluateConfig,
+    PruneConfig,
+)
+from pipelines.config.settings import run_folder, setting_differences, settings
+from pipelines.errors import ConfigError
+from tests.pipelines.conftest import PPO, SAC
+
+
+def test_folder_names_env_method_depth_budget_and_seed(tiny):
+    assert run_folder(tiny(), tiny()) == "runs/pendulum/otr/depth-4/smoke/seed-0"
+    several = tiny(depth=[8, 3], seed=12)
+    assert run_folder(several, several) == "runs/pendulum/otr/depth-8-3/smoke/seed-12"
+
+
+def test_other_overrides_get_a_folder_of_their_own(tiny):
+    plain = tiny()
+    changed = tiny(algo=dataclasses.replace(plain.algo, gamma=0.9))
+    again = tiny(algo=dataclasses.replace(plain.algo, gamma=0.9))
+    other = tiny(algo=dataclasses.replace(plain.algo, gamma=0.8))
+    folders = [run_folder(config, plain) for config in (plain, changed, again, other)]
+    assert folders[1].startswith("runs/pendulum/otr/depth-4/smoke/seed-0~")
+    assert folders[1] == folders[2]
+    assert len(set(folders)) == 3
+
+
+def test_execution_settings_do_not_change_the_folder(tiny):
+    moved = tiny(results_dir="elsewhere", n_workers=2, debug=True, stages=["map"])
+    assert run_folder(moved, tiny()) == run_folder(tiny(), tiny())
+    assert settings(moved) == settings(tiny())
+
+
+def test_differences_name_the_leaf_with_both_values(tiny):
+    new, old = settings(tiny(evaluate=EvaluateConfig(5, 1000))), settings(tiny())
+    assert setting_differences(new, old) == {"evaluate.n_episodes": [5, 3]}
+
+
+@pytest.mark.parametrize("depth", [-1, [4, -2], [4, 0], [], "six", 2.5, True, [2, "3"]])
+def test_depths_that_are_no_networks_are_refused(tiny, depth):
+    with pytest.raises(ConfigError, match="depth="):
+        tiny(depth=depth)
+
+
+def test_depth_zero_is_the_linear_policy(tiny):
+    assert tiny(depth=0).hidden_widths == ()
+    assert run_folder(tiny(depth=0), tiny(depth=0)).endswith("depth-0/smoke/seed-0")
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"seed": -1}, "seed=-1"),
+        ({"seed": 2**32}, "seed=4294967296"),
+        ({"stages": ["mapp"]}, "no stage 'mapp'"),
+        ({"prune": PruneConfig(0, None)}, "prune.n_episodes=0"),
+        ({"prune": PruneConfig(2, 0)}, "prune.k=0"),
+        ({"n_workers": 0}, "n_workers=0"),
+        ({"results_dir": ""}, "results_dir is empty"),
+        ({"algo": dataclasses.replace(SAC, learning_rate=float("nan"))}, "algo.learning_rate=nan"),
+        ({"algo": dataclasses.replace(SAC, train_freq=0)}, "algo.train_freq=0"),
+        ({"algo": dataclasses.replace(SAC, tau=5.0)}, "algo.tau=5.0"),
+        ({"algo": dataclasses.replace(SAC, critic=[0])}, "algo.critic"),
+        ({"algo": dataclasses.replace(SAC, ent_coef="foo")}, "algo.ent_coef=foo"),
+        ({"algo": dataclasses.replace(SAC, action_noise="foo")}, "algo.action_noise=foo"),
+        ({"algo": dataclasses.replace(PPO, n_steps=1)}, "algo.n_steps=1"),
+        ({"actor": ActorConfig(1.0)}, "actor.negative_slope=1.0"),
+    ],
+)
+def test_values_out_of_range_are_named(tiny, changes, words):
+    with pytest.raises(ConfigError, match=words):
+        tiny(**changes)
+
+
+def test_names_of_features_must_fit_the_policy(tiny):
+    from pipelines.play.environments import feature_names
+
+    env = EnvConfig("pendulum", "pendulum", "Pendulum-v1", {}, ["a", "b"], [])
+    with pytest.raises(ConfigError, match="2 names, the policy has 3"):
+        feature_names(env, 3)
+    assert feature_names(dataclasses.replace(env, feature_names=[]), 2) == ["x0", "x1"]

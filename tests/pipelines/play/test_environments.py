@@ -1,0 +1,40 @@
+"""Environments as their files describe them."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import yaml
+
+from pipelines.config import EnvConfig
+from pipelines.config.conf_dir import CONF_DIR
+from pipelines.errors import ConfigError
+from pipelines.play.environments import make_env
+
+FILES = sorted((CONF_DIR / "env").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_names_fit_the_environment(path, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    config = EnvConfig(**yaml.safe_load(path.read_text())["env"])
+    assert config.name == path.stem
+    assert config.task == path.stem.removesuffix("_v5")
+    env = make_env(config)
+    assert len(config.feature_names) == env.observation_space.shape[0]
+    assert len(set(config.feature_names)) == len(config.feature_names)
+    actions = env.action_space
+    assert len(config.action_names) == (actions.n if isinstance(actions, gym.spaces.Discrete) else actions.shape[0])
+    state, _ = env.reset(seed=1)
+    assert np.isfinite(state).all()
+    printed = capfd.readouterr()
+    assert printed.err == "" and list(tmp_path.iterdir()) == []
+
+
+def test_unknown_environment_is_named():
+    with pytest.raises(ConfigError, match="Nothing-v0"):
+        make_env(EnvConfig("nothing", "nothing", "Nothing-v0"))
+
+
+def test_argument_the_environment_does_not_take():
+    with pytest.raises(ConfigError, match="wheels"):
+        make_env(EnvConfig("pendulum", "pendulum", "Pendulum-v1", {"wheels": 4}))

@@ -1,0 +1,77 @@
+"""Rollouts: the same episodes however they are run, and the same as one environment stepped by hand."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import otr
+from pipelines.play.environments import make_env
+from pipelines.play.rollout import rollout
+from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM
+
+FIELDS = ("seeds", "returns", "lengths", "terminated", "truncated", "states")
+
+
+def random_network(env, seed=0, width=5, head=None):
+    generator = np.random.default_rng(seed)
+    single = make_env(env)
+    d = single.observation_space.shape[0]
+    if isinstance(single.action_space, gym.spaces.Discrete):
+        o, head = int(single.action_space.n), otr.Argmax()
+    else:
+        o = single.action_space.shape[0]
+        head = otr.TanhBox(single.action_space.low, single.action_space.high)
+    shapes = [(width, d), (o, width)]
+    return otr.ReluNetwork(
+        [generator.normal(size=s) for s in shapes], [generator.normal(size=s[0]) for s in shapes], head=head
+    )
+
+
+def by_hand(network, env_config, seed):
+    env = make_env(env_config)
+    state, _ = env.reset(seed=seed)
+    total, length, states = 0.0, 0, []
+    while True:
+        states.append(np.asarray(state, dtype=np.float64))
+        action = network.predict(states[-1])
+        action = int(action) if np.ndim(action) == 0 else np.asarray(action, dtype=env.action_space.dtype)
+        state, reward, terminated, truncated, _ = env.step(action)
+        total, length = total + float(reward), length + 1
+        if terminated or truncated:
+            return total, length, terminated, truncated, states
+
+
+@pytest.mark.parametrize("env", [PENDULUM, LANDER, HOPPER], ids=lambda env: env.name)
+def test_equals_one_environment_stepped_by_hand(env):
+    network, seeds = random_network(env), [3, 11, 1000]
+    played = rollout(network.predict, env, seeds, keep_states=True, n_workers=1)
+    expected = [by_hand(network, env, seed) for seed in seeds]
+    assert played.returns.tolist() == [total for total, *_ in expected]
+    assert played.lengths.tolist() == [length for _, length, *_ in expected]
+    assert played.terminated.tolist() == [terminated for _, _, terminated, *_ in expected]
+    assert played.truncated.tolist() == [truncated for *_, truncated, _ in expected]
+    np.testing.assert_array_equal(played.states, np.concatenate([states for *_, states in expected]))
+
+
+@pytest.mark.parametrize("env", [LANDER, HOPPER], ids=lambda env: env.name)
+def test_number_of_processes_and_order_change_nothing(env):
+    network, seeds = random_network(env), list(range(40))
+    one = rollout(network.predict, env, seeds, keep_states=True, n_workers=1)
+    two = rollout(network.predict, env, seeds, keep_states=True, n_workers=2)
+    for name in FIELDS:
+        np.testing.assert_array_equal(getattr(one, name), getattr(two, name), err_msg=name)
+    backwards = rollout(network.predict, env, seeds[::-1], n_workers=1)
+    np.testing.assert_array_equal(backwards.returns[::-1], one.returns)
+
+
+def test_tree_plays_the_network_s_episodes():
+    network = random_network(HOPPER, seed=4)
+    tree = otr.map_network(network)
+    seeds = list(range(8))
+    ours = rollout(tree.predict, HOPPER, seeds, n_workers=1)
+    theirs = rollout(network.predict, HOPPER, seeds, n_workers=1)
+    np.testing.assert_array_equal(ours.returns, theirs.returns)
+
+
+def test_states_are_kept_only_when_asked_for():
+    assert rollout(random_network(PENDULUM).predict, PENDULUM, [0], n_workers=1).states.size == 0

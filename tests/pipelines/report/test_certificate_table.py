@@ -1,0 +1,62 @@
+"""The table of certificates: a line for the runs that differ in their seed, no bound rounded down."""
+
+import json
+
+import pytest
+
+from pipelines.engine.store import read_csv
+from pipelines.report.certificate_table import write_certificates
+
+SECONDS = {"minimal_tree": 0.1, "certify": 0.2, "verify": 0.3}
+BOX = "the environment's box of states"
+PROVED = {
+    "certified": True, "max_error": 7.01e-13, "n_leaves": 20, "n_linear_programs": 5, "domain": BOX,
+    "seconds": SECONDS,
+}  # fmt: skip
+
+
+def add(results, run, **certify):
+    env, method, depth, _, seed = run.split("/")
+    seed, depth = int(seed[5:].split("~")[0]), int(depth[6:])
+    summary = {"env": env, "method": method, "depth": depth, "n_leaves": 64, "seed": seed}
+    if certify:
+        summary["certify"] = certify
+    (results / "runs" / run).mkdir(parents=True)
+    (results / "runs" / run / "summary.json").write_text(json.dumps(summary))
+
+
+def lines_of(results):
+    text = (results / "tables/certificates.md").read_text(encoding="utf-8")
+    rows = [line.split("|")[1:-1] for line in text.splitlines() if line.startswith("| ")]
+    return [[cell.strip() for cell in row] for row in rows[2:]]
+
+
+def test_runs_of_other_seeds_share_a_line(tmp_path):
+    add(tmp_path, "pendulum/otr/depth-6/quick/seed-0", **PROVED)
+    add(tmp_path, "pendulum/otr/depth-6/quick/seed-1", **PROVED | {"n_leaves": 1024, "max_error": 1e-14})
+    add(tmp_path, "hopper/otr/depth-6/quick/seed-0", certified=False, domain="a box", reason="the limit was met")
+    add(tmp_path, "pendulum/otr/depth-6/quick/seed-2")
+    add(tmp_path, "pendulum/otr/depth-6/smoke/seed-0", **PROVED)
+    add(tmp_path, "pendulum/otr/depth-6/quick/seed-0~12345678", **PROVED)
+    write_certificates(tmp_path)
+    assert lines_of(tmp_path) == [
+        ["Hopper", "OTR", "6", "quick", "1", "64", "", "not proved: the limit was met", "", "", "", ""],
+        ["Pendulum", "OTR", "6", "quick", "2", "64", "20 to 1,024", BOX, "8e-13", "0.10", "0.20", "0.30"],
+    ]
+    rows = read_csv(tmp_path / "tables/certificates.csv")
+    assert [(row["env"], row["seed"], row["certified"]) for row in rows] == [
+        ("hopper", "0", "False"), ("pendulum", "0", "True"), ("pendulum", "1", "True"),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("bound", "printed"), [(0.0, "0"), (0.5, "0.5"), (9.3e-13, "1e-12"), (0.26, "0.3")])
+def test_no_bound_is_rounded_down(bound, printed, tmp_path):
+    add(tmp_path, "pendulum/otr/depth-6/quick/seed-0", **PROVED | {"max_error": bound})
+    write_certificates(tmp_path)
+    assert lines_of(tmp_path)[0][8] == printed
+
+
+def test_without_certificates_the_table_says_so(tmp_path):
+    add(tmp_path, "pendulum/otr/depth-6/quick/seed-0")
+    write_certificates(tmp_path)
+    assert "No run has a certificate yet." in (tmp_path / "tables/certificates.md").read_text(encoding="utf-8")

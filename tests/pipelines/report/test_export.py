@@ -1,0 +1,138 @@
+"""otr-export: committed runs as programs, and what is told where there is nothing to export."""
+
+import functools
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+import pytest
+
+import otr
+from pipelines.engine.store import load_actor
+from pipelines.report.export import FORMATS, run_command
+
+RESULTS = Path(__file__).parents[3] / "results"
+HOPPER, LANDER = "hopper/otr/depth-6/quick/seed-0", "lunarlander/otr/depth-2/thesis/seed-0"
+
+
+@pytest.fixture
+def export(command, monkeypatch):
+    """Return what exports a committed run."""
+    monkeypatch.setenv("OTR_RESULTS_DIR", str(RESULTS))
+    return functools.partial(command, "export")
+
+
+def test_the_command_from_another_folder(tmp_path):
+    program = [sys.executable, "-c", "from pipelines.cli import export; export()"]
+    done = subprocess.run([*program, f"run={RESULTS / 'runs' / LANDER}", "format=text"], cwd=tmp_path,
+                          capture_output=True, text=True)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == (RESULTS / "runs" / LANDER / "prune/program.txt").read_text()
+    help_text = subprocess.run([*program, "--help"], capture_output=True, text=True, check=True).stdout
+    assert all(name in help_text for name in FORMATS)
+
+
+@pytest.mark.parametrize("run", [HOPPER, str(RESULTS / "runs" / LANDER)])
+def test_python(run, export):
+    done = export(f"run={run}", "format=python", "name=pilot")
+    assert done.returncode == 0, done.stderr
+    scope = {}
+    exec(done.stdout, scope)
+    tree = otr.load(RESULTS / "runs" / run / "prune" / "tree")
+    states = np.random.default_rng(0).normal(size=(200, tree.n_inputs))
+    answers = [scope["pilot"](state) for state in states.tolist()]
+    np.testing.assert_allclose(answers, tree.predict(states), rtol=1e-12, atol=1e-12)
+    assert "# state[0]: z\n" in done.stdout or "return 2  # main_engine\n" in done.stdout
+
+
+def test_files_of_every_format(export, tmp_path):
+    for name, kind in FORMATS.items():
+        done = export(f"run={HOPPER}", f"format={name}", f"out={tmp_path}")
+        assert done.returncode == 0, done.stderr
+        assert done.stdout == f"{tmp_path}/policy{kind.suffix}\n"
+    assert (tmp_path / "policy.txt").read_text() == (RESULTS / "runs" / HOPPER / "prune/program.txt").read_text()
+    assert json.loads((tmp_path / "policy.json").read_text())["outputs"] == ["thigh", "leg", "foot"]
+    session = onnxruntime.InferenceSession(tmp_path / "policy.onnx")
+    states = np.random.default_rng(0).normal(size=(50, 11))
+    tree = otr.load(RESULTS / "runs" / HOPPER / "prune" / "tree")
+    np.testing.assert_allclose(session.run(None, {"x": states})[0], tree.predict(states), atol=1e-12)
+    for suffix in (".c", ".st", ".tex", ".dot"):
+        assert "foot" in (tmp_path / f"policy{suffix}").read_text()
+
+
+def test_full_and_compact(export, tmp_path):
+    network = load_actor(RESULTS / "runs" / HOPPER / "train")
+    names = json.loads(export(f"run={HOPPER}", "format=json", "tree=full").stdout)
+    assert len(names["leaves"]) == 64
+    compact = export(f"run={HOPPER}", "format=c", "tree=compact", "dtype=float", f"out={tmp_path}/new/pilot.c")
+    assert compact.stdout == f"{tmp_path}/new/pilot.c\n"
+    expected = otr.to_c(network, dtype="float", feature_names=names["features"], output_names=names["outputs"])
+    assert (tmp_path / "new/pilot.c").read_text() == expected
+    deep = "pendulum/otr/depth-32/quick/seed-0"
+    assert "A network of 32 hidden neurons" in export(f"run={deep}", "format=c", "tree=full").stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "told"),
+    [
+        ((), 2, "which run? Add run=FOLDER"),
+        ((f"run={HOPPER}",), 2, "which format? Add format=NAME with one of: text, python, c"),
+        ((f"run={HOPPER}", "format=structuredtext"), 2, "no such format. Did you mean structured_text?"),
+        ((f"run={HOPPER}", "format=c", "tree=prunde"), 2, "no such tree. Did you mean pruned?"),
+        ((f"run={HOPPER}", "fromat=c"), 2, "Did you mean format?"),
+        ((f"run={HOPPER}", "format=onnx"), 2, "add out=policy.onnx"),
+        ((f"run={HOPPER}", "format=c", "precision=3"), 2, "format=c has none; these have: text, latex, dot"),
+        ((f"run={HOPPER}", "format=text", "precision=0"), 2, "format=text: precision is 0"),
+        ((f"run={HOPPER}", "format=c", "dtype=half"), 2, "dtype=half: expected double or float"),
+        ((f"run={HOPPER}", "format=c", "name=int"), 2, "cannot be the name of a C function"),
+        ((f"run={HOPPER}", "format=python", "tree=compact"), 2, "only format=c writes the network itself"),
+        (("run=lunarlander/viper/depth-6/quick/seed-0", "format=c", "tree=compact"), 2, "stands for no network"),
+        (("run=pendulum/otr/depth-32/quick/seed-0", "format=json", "tree=full"), 2, "4,294,967,296 leaves"),
+        (("run=hopper/otr/depth-6/quick/seed-77", "format=c"), 2, "otr-run env=hopper depth=6 budget=quick seed=77"),
+        (("run=hoper/otr/depth-6/quick/seed-0", "format=c"), 2, f"Did you mean {HOPPER}"),
+    ],
+)
+def test_what_cannot_be_exported_is_told(export, words, code, told):
+    done = export(*words)
+    assert (done.returncode, done.stdout) == (code, "")
+    assert told in done.stderr and "Traceback" not in done.stderr
+
+
+def test_an_unfinished_or_damaged_run_is_told(export, tmp_path):
+    run = tmp_path / "runs" / LANDER
+    shutil.copytree(RESULTS / "runs" / LANDER, run)
+    command = "Run: otr-run env=lunarlander depth=2 budget=thesis seed=0"
+    (run / "prune/tree.npz").write_bytes(b"")
+    assert "tree.npz is not what was written" in export(f"run={run}", "format=c").stderr
+    shutil.rmtree(run / "prune")
+    done = export(f"run={run}", "format=c")
+    assert (
+        done.returncode == 1
+        and f"stage prune, which makes tree=pruned, is not finished there\n{command}" in done.stderr
+    )
+    assert export(f"run={run}", "format=c", "tree=full").returncode == 0
+    (run / "config.yaml").unlink()
+    assert f"did not come to its end\n{command}" in export(f"run={run}", "format=c").stderr
+    (run / "config.yaml").write_text("data:\n  name: bace\n")
+    assert "is a fit of otr-fit" in export(f"run={run}", "format=c").stderr
+
+
+@pytest.mark.parametrize(
+    ("folder", "command"),
+    [
+        ("runs/ant/cdt/depth-3-3/quick/seed-2", 'otr-run env=ant "depth=[3,3]" method=cdt budget=quick seed=2'),
+        ("runs/ant/otr/depth-6/thesis-fleet/seed-0", "otr-run env=ant depth=6 budget=thesis trainer=fleet seed=0"),
+        ("runs/ant/linear/depth-0/quick-ars/seed-1",
+         "otr-run env=ant depth=0 method=linear budget=quick algo=ars seed=1"),
+        ("runs/ant/otr/depth-6/quick/seed-0~5636a33a",
+         "otr-run env=ant depth=6 budget=quick seed=0 and the settings that made the digest ~5636a33a"),
+        ("results/tables", None),
+        ("runs/bace/otr/seed-0/fit/x", None),
+    ],
+)  # fmt: skip
+def test_the_command_that_makes_a_folder(folder, command):
+    assert run_command(Path(folder)) == command

@@ -1,0 +1,95 @@
+"""Methods whose actor is a soft tree, and linear policies by random search: from the command line to the summary."""
+
+import json
+
+import pytest
+
+from pipelines.cli.runs import run_config
+from pipelines.config import PiPrlConfig, SdtConfig
+from pipelines.errors import ConfigError
+from tests.pipelines.conftest import PPO, otr_command
+
+SDT = SdtConfig("sdt", 1.0, 20.0, 0.8, 0.05, "constant")
+
+
+@pytest.mark.parametrize(
+    ("words", "forms"),
+    [
+        (("env=lunarlander", "method=sdt", "depth=2"), ["soft", "tree", "pruned_tree", "discretised"]),
+        (("env=pendulum", "method=cdt", "depth=[1,2]"), ["soft", "tree", "pruned_tree", "discretised"]),
+        (("env=pendulum", "method=pi_prl", "depth=2", "algo=trpo_tree"), ["soft", "tree", "pruned_tree"]),
+        (("env=pendulum", "method=linear", "depth=0", "algo=ars"), ["network", "tree", "pruned_tree"]),
+    ],
+    ids=["sdt", "cdt", "pi_prl", "ars"],
+)
+def test_every_form_is_played(tmp_path, words, forms):
+    done = otr_command("otr-run", *words, "budget=smoke", "n_workers=1", cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (path,) = tmp_path.glob("results/runs/*/*/*/*/*/summary.json")
+    summary = json.loads(path.read_text())
+    assert list(summary["policies"]) == forms
+    assert summary["return_mean"] == summary["policies"]["tree"]["return_mean"]
+    assert "ars" not in words[-1] or path.parent.parent.name == "smoke-ars"
+    again = otr_command("otr-run", *words, "budget=smoke", "n_workers=1", cwd=tmp_path)
+    assert again.stdout.count("done before") == 4
+    replayed = otr_command("otr-tabulate", "table=4.1", "evaluate=true", cwd=tmp_path)
+    assert replayed.stdout.count("as recorded") == len(forms), replayed.stdout + replayed.stderr
+
+
+def test_other_settings_of_a_method_are_another_training(tiny):
+    from pipelines.training.estimates import train_settings
+
+    one, other = (
+        tiny(method=method, depth=2, algo=PPO) for method in (SDT, SdtConfig("sdt", 1.0, 50.0, 0.8, 0.05, "linear"))
+    )
+    assert train_settings(one) != train_settings(other)
+    assert "method" not in train_settings(tiny())  # as before, so that what was trained stays valid
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, "method=sdt is trained by algo=ppo_tree or algo=trpo_tree, not sac"),
+        ({"algo": PPO, "depth": 0}, "depth=0: method=sdt grows a tree"),
+        ({"algo": PPO, "method": SdtConfig("sdt", 0.0, 20.0, 0.8, 0.05, "constant")}, "method.beta_first=0"),
+        ({"algo": PPO, "method": PiPrlConfig("pi_prl", 1.0, 20.0, 0.8, 0.05, 0.25, 1.5)}, "method.discretise_at=1.5"),
+    ],
+)
+def test_what_is_refused(tiny, changes, words):
+    with pytest.raises(ConfigError, match=words):
+        tiny(**{"method": SDT, "depth": 2, **changes})
+
+
+def test_cascading_trees_have_two_depths(tmp_path):
+    done = otr_command("otr-run", "env=pendulum", "method=cdt", "depth=3", "budget=smoke", cwd=tmp_path)
+    assert done.returncode == 2 and "give both depths, as depth=[3,3]" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "algo", "gamma", "steps", "interval"),
+    [
+        (("env=lunarlander", "method=sdt", "depth=5"), "ppo", 0.999, 1_000_000, 25_000),
+        (("env=hopper_v5", "method=pi_prl", "depth=6"), "ppo", 0.99, 500_000, 25_000),
+        (("env=pendulum", "method=pi_prl", "depth=6", "algo=trpo_tree"), "trpo", 0.95, 300_000, 25_000),
+        (("env=pendulum", "method=cdt", "depth=[3,3]", "train.steps=7"), "ppo", 0.9, 7, 25_000),
+        (("env=pendulum", "method=otr"), "sac", 0.99, 30_000, 5_000),
+    ],
+)
+def test_soft_trees_bring_their_algorithm_and_steps(words, algo, gamma, steps, interval):
+    config = run_config([*words, "budget=quick"])
+    assert (config.algo.name, config.algo.gamma) == (algo, gamma)
+    assert (config.train.steps, config.train.eval_interval_steps) == (steps, interval)
+
+
+def test_an_algorithm_may_be_one_methods_and_one_environments():
+    cdt, sdt = (run_config(["env=lunarlander", f"method={method}", f"depth={depth}"]).algo
+                for method, depth in (("cdt", "[3,3]"), ("sdt", "5")))  # fmt: skip
+    assert (cdt.learning_rate, sdt.learning_rate) == (3e-3, 1e-3)
+    assert (cdt.gamma, cdt.ent_coef) == (sdt.gamma, sdt.ent_coef)
+
+
+def test_random_search_lies_beside_the_gradient(tiny):
+    config = run_config(["env=pendulum", "method=linear", "depth=0", "algo=ars", "budget=quick"])
+    assert config.budget_level == "quick-ars" and config.train.steps == 300_000
+    with pytest.raises(ConfigError, match="algo=ars searches linear policies"):
+        run_config(["env=pendulum", "depth=3", "algo=ars", "budget=quick"])

@@ -1,0 +1,190 @@
+"""Training: a run killed with SIGKILL and resumed equals one that was left alone, bit for bit."""
+
+import dataclasses
+import os
+import signal
+
+import numpy as np
+import pytest
+
+import otr
+from pipelines.config import ActorConfig, DdpgConfig, DqnConfig, Td3Config, TrainConfig
+from pipelines.engine.seeding import episode_seeds
+from pipelines.engine.stage import run_stage
+from pipelines.engine.store import load_actor, read_csv
+from pipelines.errors import ConfigError, PipelineError, PolicyMismatchError
+from pipelines.play.rollout import rollout
+from pipelines.play.selection import compare_with_trained
+from pipelines.stages import train as train_module
+from pipelines.stages.table import STAGES
+from pipelines.training import sb3_checkpoints as checkpoint_module
+from pipelines.training.estimates import estimated_bytes, segment_steps, train_settings, trained_steps
+from pipelines.training.sb3_models import build_model
+from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM, PPO, SAC
+from tests.pipelines.sweeps import run_until_killed
+
+DDPG = DdpgConfig("ddpg", 1e-3, 32, 0.99, [16], 0.0, 150, 50, 0.005, 1, 1, "ornstein_uhlenbeck", 0.5, 0.3)
+TD3 = Td3Config("td3", 1e-3, 32, 0.99, [16], 0.0, 1000, 50, 0.005, 1, 1, "normal", 0.1, 0.01, 2, 0.2, 0.5)
+SMALL_BUFFER_SAC = dataclasses.replace(SAC, buffer_size=150)  # wraps round within 300 steps
+# Random for a while, with a target network that is replaced within a segment.
+DQN = DqnConfig("dqn", 1e-3, 32, 0.99, [], 0.0, 1000, 20, 1.0, 4, 2, 70, 0.5, 0.1, 10.0)
+ALGORITHMS = {"dqn": DQN, "sac": SMALL_BUFFER_SAC, "ddpg": DDPG, "td3": TD3, "ppo": PPO}
+
+
+def train_until_killed(config, out, where):
+    """Train in this process and die by SIGKILL at the named moment of the second segment."""
+    save, write_replay = checkpoint_module.save_checkpoint, checkpoint_module._write_replay
+
+    def die():
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    def dying_save(folder, model, history, replay_start):
+        if where == "before saving" and history.n_segments == 2:
+            die()
+        save(folder, model, history, replay_start)
+        if where == "after saving" and history.n_segments == 2:
+            die()
+
+    def dying_replay(folder, model, start, segment):
+        write_replay(folder, model, start, segment)
+        if where == "between replay and model" and segment == 2:
+            die()
+
+    train_module.save_checkpoint = dying_save
+    checkpoint_module._write_replay = dying_replay
+    train_module.train({}, config, out)
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "where"),
+    [
+        ("sac", "before saving"),
+        ("sac", "after saving"),
+        ("sac", "between replay and model"),
+        ("ddpg", "after saving"),
+        ("td3", "between replay and model"),
+        ("dqn", "after saving"),
+        ("ppo", "before saving"),
+        ("ppo", "after saving"),
+    ],
+)
+def test_killed_and_resumed_equals_uninterrupted(tiny, tmp_path, algorithm, where):
+    env = LANDER if algorithm == "dqn" else PENDULUM
+    alone = tiny(env=env, algo=ALGORITHMS[algorithm], results_dir=str(tmp_path / "alone"))
+    killed = dataclasses.replace(alone, results_dir=str(tmp_path / "killed"))
+    outs = [tmp_path / "out-alone", tmp_path / "out-killed"]
+    for out in outs:
+        out.mkdir()
+    train_module.train({}, alone, outs[0])
+    run_until_killed(train_until_killed, killed, outs[1], where)
+    assert 0 < trained_steps(killed) < 300
+    train_module.train({}, killed, outs[1])
+    for name in ("actor.safetensors", "actor.json", "evaluations.csv"):
+        assert (outs[0] / name).read_bytes() == (outs[1] / name).read_bytes(), name
+
+
+def test_seed_decides_the_actor(tiny, tmp_path):
+    actors = []
+    for i, seed in enumerate((0, 0, 1)):
+        out = tmp_path / f"out-{i}"
+        out.mkdir()
+        train_module.train({}, tiny(algo=PPO, seed=seed, results_dir=str(tmp_path / f"r{i}")), out)
+        actors.append((out / "actor.safetensors").read_bytes())
+    assert actors[0] == actors[1] != actors[2]
+
+
+def test_best_evaluation_s_actor_is_kept(tiny, tmp_path):
+    config = tiny(algo=PPO, seed=5, train=TrainConfig(1500, 300, 2, 0))
+    train_module.train({}, config, tmp_path)
+    rows = read_csv(tmp_path / "evaluations.csv")
+    returns = [float(row["return_mean"]) for row in rows]
+    assert len(rows) == 4  # 384 steps a segment: whole rollouts of 2 x 64
+    assert max(returns) > returns[-1] + 1.0  # or the test could not tell the best actor from the last
+    assert [row["best"] for row in rows].count("True") == 1
+    again = rollout(load_actor(tmp_path).predict, config.env, episode_seeds(5, "selection", 2), n_workers=1)
+    assert again.returns.mean() == max(returns)
+
+
+@pytest.mark.parametrize(("depth", "slope"), [(0, 0.0), ([3, 2], 0.0), (4, 0.1)])
+def test_actor_has_the_shape_asked_for(tiny, tmp_path, depth, slope):
+    train_module.train({}, tiny(depth=depth, actor=ActorConfig(slope)), tmp_path)
+    network = load_actor(tmp_path)
+    assert network.hidden_widths == tuple([depth] if isinstance(depth, int) and depth else depth or ())
+    assert network.negative_slope == slope
+
+
+def test_labels_are_trained_with_ppo_only(tiny, tmp_path):
+    train_module.train({}, tiny(env=LANDER, algo=PPO), tmp_path)
+    assert load_actor(tmp_path).head == otr.Argmax()
+    with pytest.raises(ConfigError, match="use algo=ppo"):
+        build_model(tiny(env=LANDER), 0)
+
+
+def test_network_that_is_not_the_policy_is_caught(tiny):
+    model = build_model(tiny(), 0)
+    network = otr.from_sb3(model)
+    states = np.random.default_rng(0).normal(size=(50, 3))
+
+    def trained(seen: np.ndarray) -> np.ndarray:
+        return model.predict(seen, deterministic=True)[0]
+
+    compare_with_trained(network, trained, states, tiny())
+    weights = [weight.copy() for weight in network.weights]
+    weights[-1][0, 0] += 1e-3
+    other = otr.ReluNetwork(weights, network.biases, head=network.head)
+    with pytest.raises(PolicyMismatchError, match="in state"):
+        compare_with_trained(other, trained, states, tiny())
+
+
+def test_segments_of_ppo_are_whole_rollouts(tiny):
+    assert segment_steps(tiny(algo=PPO, train=TrainConfig(10_000, 1000, 2, 0))) == 1024
+    assert segment_steps(tiny(train=TrainConfig(10_000, 1000, 2, 0))) == 1000
+
+
+def test_disk_estimate_counts_the_replay_buffer(tiny):
+    # a Pendulum transition: two float32 states of 3, one float32 action, reward, done, timeout
+    assert estimated_bytes(tiny(train=TrainConfig(1000, 100, 2, 0))) == 1000 * (2 * 12 + 4 + 12)
+
+
+def test_rescaled_inputs_are_folded_into_the_program(tiny, tmp_path):
+    config = tiny(actor=ActorConfig(0.0, rescale_inputs=True))
+    train_module.train({}, config, tmp_path)
+    network = load_actor(tmp_path)
+    seeds = episode_seeds(0, "selection", 2)
+    again = rollout(network.predict, config.env, seeds, n_workers=1)  # on the environment's own states
+    returns = [float(row["return_mean"]) for row in read_csv(tmp_path / "evaluations.csv")]
+    assert again.returns.mean() == max(returns)
+
+
+def test_states_without_bounds_cannot_be_rescaled(tiny):
+    with pytest.raises(ConfigError, match="have no bounds"):
+        build_model(tiny(env=HOPPER, actor=ActorConfig(0.0, rescale_inputs=True)), 0)
+
+
+def test_younger_settings_leave_earlier_results_valid(tiny):
+    assert "rescale_inputs" not in train_settings(tiny())["actor"]
+    assert train_settings(tiny(actor=ActorConfig(0.0, rescale_inputs=True)))["actor"]["rescale_inputs"] is True
+
+
+def test_training_that_cannot_be_put_in_its_place_is_not_lost(tiny, tmp_path, monkeypatch):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    config, stage = tiny(), STAGES["train"]
+    with monkeypatch.context() as patch:
+        patch.setattr("pipelines.engine.stage.file_digest", stop)
+        with pytest.raises(KeyboardInterrupt):
+            run_stage(stage, tmp_path / "run", config, "")
+    assert trained_steps(config) == 300
+    monkeypatch.setattr(train_module, "_train_segment", stop)  # nothing is left to train
+    assert not run_stage(stage, tmp_path / "run", config, "").skipped
+
+
+def test_training_that_diverged_says_so(tiny):
+    import torch
+
+    model = build_model(tiny(), 0)
+    with torch.no_grad():
+        model.policy.actor.mu.weight.fill_(float("nan"))
+    with pytest.raises(PipelineError, match=r"smaller algo\.learning_rate"):
+        train_module._evaluate(model, tiny())

@@ -1,0 +1,247 @@
+"""Trackers: what they are given, what a resumed or finished run adds, and what one that fails costs (nothing)."""
+
+import contextlib
+import dataclasses
+import json
+import os
+import re
+import socket
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+from pipelines.config.settings import EXECUTION_FIELDS, run_folder, settings
+from pipelines.engine.store import read_csv
+from pipelines.errors import ConfigError
+from pipelines.stages.run import RunJob, run_job
+from pipelines.tracking import tracker as tracking
+from pipelines.tracking.tracker import check_tracking, open_tracker
+from tests.pipelines.sweeps import start, wait_for
+
+FOLDER = "runs/pendulum/otr/depth-4/smoke/seed-0"
+
+
+class FakeBackend:
+    """Keeps what it is given; fails where it is told to."""
+
+    def __init__(self):
+        self.started, self.rows, self.final, self.known_result, self.fails = 0, [], [], None, False
+
+    def __call__(self, config):
+        if self.fails:
+            raise ConnectionError("no server there")
+        return self
+
+    def result(self):
+        return self.known_result
+
+    def last_step(self):
+        return self.rows[-1][0] if self.rows else 0
+
+    def start(self, parameters):
+        self.started += 1
+        self.rows, self.known_result = [], None
+
+    def log(self, step, numbers):
+        if self.fails:
+            raise ConnectionError("the server has gone")
+        self.rows.append((step, numbers))
+
+    def complete(self, step, numbers, run_dir, result):
+        self.final.append((step, numbers))
+        self.known_result = result
+
+
+@pytest.fixture
+def backend(monkeypatch):
+    fake = FakeBackend()
+    monkeypatch.setattr(tracking, "_open_backend", fake)
+    tracking._warn_once.cache_clear()
+    return fake
+
+
+@pytest.fixture
+def tracked(tiny):
+    """A job with tracking."""
+    return RunJob(tiny(tracking="tensorboard", folder=FOLDER), FOLDER, "", "")
+
+
+def test_run_is_logged_as_it_goes_and_once(backend, tracked):
+    summary = run_job(tracked)
+    assert [step for step, _ in backend.rows] == [100, 200, 300]
+    written = read_csv(tracked.run_dir / "train" / "evaluations.csv")
+    assert [numbers["selection/return_mean"] for _, numbers in backend.rows] == [
+        float(row["return_mean"]) for row in written
+    ]
+    ((step, final),) = backend.final
+    assert step == 300
+    assert final["final/return_mean"] == summary["return_mean"]
+    assert final["final/policies.pruned_tree.return_mean"] == summary["policies"]["pruned_tree"]["return_mean"]
+    run_job(tracked)  # finished and logged: nothing anew
+    assert len(backend.rows) == 3 and len(backend.final) == 1
+
+
+def test_finished_run_is_logged_from_its_files(backend, tracked):
+    run_job(dataclasses.replace(tracked, config=dataclasses.replace(tracked.config, tracking="none")))
+    assert backend.rows == []
+    run_job(tracked)
+    assert [step for step, _ in backend.rows] == [100, 200, 300]
+    assert set(backend.rows[1][1]) >= {"train/steps", "train/steps_per_s", "selection/return_mean", "selection/best"}
+    assert len(backend.final) == 1
+
+
+def test_rows_that_were_logged_are_passed_over(backend, tracked):
+    backend.rows = [(100, {}), (200, {})]
+    tracker = open_tracker(tracked.config)
+    for steps in (100, 200, 300):
+        tracker.segment_done({"steps": steps, "seconds": 1.5}, {"steps": steps, "best": True})
+    assert [step for step, _ in backend.rows] == [100, 200, 300]
+    assert backend.rows[2][1] == {
+        "train/steps": 300, "train/seconds": 1.5, "selection/steps": 300, "selection/best": 1.0}  # fmt: skip
+
+
+def test_run_that_is_made_anew_gets_a_new_record(backend, tracked):
+    backend.rows, backend.known_result = [(300, {})], "of the run that was deleted"
+    open_tracker(tracked.config).segment_done({"steps": 100}, {"steps": 100})
+    assert backend.started == 1
+    assert [step for step, _ in backend.rows] == [100]
+
+
+def test_tracker_that_fails_warns_once_and_costs_nothing(backend, tracked, capsys):
+    backend.fails = True
+    assert run_job(tracked)["n_episodes"] == 3
+    printed = capsys.readouterr().out
+    assert printed.count("does not work and is left out") == 1
+    assert "ConnectionError: no server there" in printed
+    backend.fails = False
+    run_job(tracked)
+    assert [step for step, _ in backend.rows] == [100, 200, 300]
+
+
+def test_tracker_that_fails_midway_catches_up_at_the_end(backend, tracked):
+    class Once(list):
+        def append(self, row):
+            if len(self) == 1 and not backend.started:
+                backend.started = 1
+                raise ConnectionError("a moment's trouble")
+            super().append(row)
+
+    backend.rows = Once()
+    run_job(tracked)
+    assert [step for step, _ in backend.rows] == [100, 200, 300]
+
+
+def test_tracking_is_no_part_of_a_run(tiny):
+    tracked = tiny(tracking="mlflow", folder=FOLDER)
+    assert settings(tracked) == settings(tiny())
+    assert run_folder(tracked, tiny()) == FOLDER
+    assert {"tracking", "folder"} <= set(EXECUTION_FIELDS)
+
+
+def test_unknown_tracker_is_refused(tiny):
+    with pytest.raises(ConfigError, match="tracking=wandb: use one of none, tensorboard, mlflow"):
+        tiny(tracking="wandb")
+
+
+@pytest.mark.parametrize("name", ["tensorboard", "mlflow"])
+def test_missing_extra_is_named(tiny, monkeypatch, name):
+    monkeypatch.setattr(tracking, "find_spec", lambda module: None)
+    with pytest.raises(ConfigError, match=re.escape(f"pip install 'otr[{name}]'")):
+        check_tracking(tiny(tracking=name))
+    check_tracking(tiny())
+
+
+def test_mlflow_needs_to_be_told_its_server(tiny, monkeypatch):
+    monkeypatch.setattr(tracking, "find_spec", lambda module: module)
+    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
+    with pytest.raises(ConfigError, match="mlflow server"):
+        check_tracking(tiny(tracking="mlflow"))
+
+
+def test_tensorboard_reads_the_curves(tracked):
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    summary = run_job(tracked)
+    folder = Path(tracked.config.results_dir) / "tensorboard" / FOLDER.removeprefix("runs/")
+    events = EventAccumulator(str(folder))
+    events.Reload()
+    rows = read_csv(tracked.run_dir / "train" / "evaluations.csv")
+    curve = [(point.step, point.value) for point in events.Scalars("selection/return_mean")]
+    assert curve == [(int(row["steps"]), pytest.approx(float(row["return_mean"]), rel=1e-6)) for row in rows]
+    (final,) = events.Scalars("final/return_mean")
+    assert (final.step, final.value) == (300, pytest.approx(summary["return_mean"], rel=1e-6))
+    (text,) = events.Tensors("settings/text_summary")
+    assert "| algo.learning_rate | 0.001 |" in text.tensor_proto.string_val[0].decode()
+    before = sorted(path.name for path in folder.iterdir())
+    run_job(tracked)
+    assert sorted(path.name for path in folder.iterdir()) == before
+
+
+@pytest.fixture
+def server(tmp_path):
+    """A real MLflow server on this machine."""
+    pytest.importorskip("mlflow")
+    with contextlib.closing(socket.socket()) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    store = ("--backend-store-uri", f"sqlite:///{tmp_path}/mlflow.db", "--artifacts-destination", str(tmp_path / "art"))
+    command = [sys.executable, "-m", "mlflow", "server", "--host", "127.0.0.1", "--port", str(port), "--workers", "1"]
+    environment = {**os.environ, "MLFLOW_DISABLE_TELEMETRY": "true"}
+    with (
+        (tmp_path / "server.log").open("w") as log,
+        subprocess.Popen(
+            [*command, *store], cwd=tmp_path, env=environment, stdout=log, stderr=log, start_new_session=True
+        ) as process,
+    ):
+        address = f"http://127.0.0.1:{port}"
+
+        def answers():
+            with contextlib.suppress(OSError), urllib.request.urlopen(f"{address}/health", timeout=5) as answer:
+                return answer.status == 200
+
+        wait_for(answers)
+        yield address
+        os.killpg(process.pid, 15)
+
+
+@pytest.mark.slow
+def test_mlflow_server_has_everything_of_a_killed_and_resumed_run(server, tmp_path):
+    from mlflow import MlflowClient
+
+    words = ("env=pendulum", "depth=3", "budget=smoke", "train.steps=1000", "train.eval_interval_steps=200")
+    words = (*words, "tracking=mlflow")
+    results = tmp_path / "results"
+    with start(*words, cwd=tmp_path, MLFLOW_TRACKING_URI=server) as killed:
+        wait_for(lambda: list(results.glob("checkpoints/*/segment-000002")))
+        killed.kill()
+    again = start(*words, cwd=tmp_path, MLFLOW_TRACKING_URI=server)
+    printed, _ = again.communicate(timeout=300)
+    assert again.returncode == 0, printed
+    assert "going on from step" in printed and "does not work" not in printed
+    (run_dir,) = (path.parent for path in results.glob("runs/**/summary.json"))
+
+    client = MlflowClient(server)
+    experiment = client.get_experiment_by_name("otr")
+    (run,) = client.search_runs([experiment.experiment_id])
+    assert run.info.status == "FINISHED"
+    assert (run.data.params["depth"], run.data.params["algo.name"]) == ("[3]", "sac")
+    assert run.data.params["train.steps"] == "1000"
+    rows = read_csv(run_dir / "train" / "evaluations.csv")
+    history = client.get_metric_history(run.info.run_id, "selection/return_mean")
+    assert [(point.step, point.value) for point in history] == [
+        (int(row["steps"]), float(row["return_mean"])) for row in rows
+    ]
+    summary = json.loads((run_dir / "summary.json").read_text())
+    assert run.data.metrics["final/return_mean"] == summary["return_mean"]
+    files = ("train/actor.safetensors", "prune/program.txt", "prune/tree.npz", "evaluate/episodes.csv", "config.yaml")
+    for name in files:
+        copy = client.download_artifacts(run.info.run_id, name, str(tmp_path))
+        assert Path(copy).read_bytes() == (run_dir / name).read_bytes()
+
+    finished = start(*words, cwd=tmp_path, MLFLOW_TRACKING_URI=server)
+    assert finished.wait(timeout=120) == 0
+    (same,) = client.search_runs([experiment.experiment_id])
+    assert (same.info.run_id, same.info.end_time) == (run.info.run_id, run.info.end_time)

@@ -1,0 +1,282 @@
+"""The batched soft actor-critic: the same numbers as Stable-Baselines3's, and every run on its own.
+
+Both sides are compared in float64: in float32 fifty updates multiply a rounding error by thousands, as they do from one
+processor to another, and no bound would tell that from a mistake.
+"""
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from stable_baselines3 import SAC
+from stable_baselines3.common.type_aliases import ReplayBufferSamples
+from torch import Tensor
+
+from pipelines.training.fleet.sac import FleetSac, Minibatch, RunSettings, Shapes
+from pipelines.training.fleet.stacked_tensors import multiply, new_stack
+
+CPU = torch.device("cpu")
+N_INPUTS, N_ACTIONS, BATCH = 11, 3, 100
+
+
+def draw_batch(generator: torch.Generator) -> tuple[Minibatch, Tensor]:
+    """Return one run's transitions, (B, .) each, and the noise (2 B, n_actions) of one update."""
+
+    def normal(*shape: int) -> Tensor:
+        return torch.randn(*shape, generator=generator)
+
+    batch = Minibatch(
+        normal(BATCH, N_INPUTS),
+        normal(BATCH, N_ACTIONS).tanh(),
+        normal(BATCH),
+        normal(BATCH, N_INPUTS),
+        (torch.rand(BATCH, generator=generator) > 0.1).to(torch.get_default_dtype()),
+    )
+    return batch, normal(2 * BATCH, N_ACTIONS)
+
+
+def stacked(drawn: list[tuple[Minibatch, Tensor]]) -> tuple[Minibatch, Tensor]:
+    """Return the batches of several runs as one, (R, B, .) each."""
+    fields = ("states", "actions", "rewards", "next_states", "continues")
+    batch = Minibatch(*(torch.stack([getattr(one, field) for one, _ in drawn]) for field in fields))
+    return batch, torch.stack([noise for _, noise in drawn])
+
+
+def learn(fleet: FleetSac, seeds: list[int], n_updates: int) -> None:
+    """Update every run of a fleet on batches of its own stream."""
+    generators = [torch.Generator().manual_seed(1000 + seed) for seed in seeds]
+    for _ in range(n_updates):
+        fleet.update(*stacked([draw_batch(generator) for generator in generators]))
+
+
+def new_fleet(shapes: Shapes, seeds: list[int], settings: list[RunSettings] | None = None) -> FleetSac:
+    """Return a fleet with a run a seed."""
+    fleet = FleetSac(shapes, settings or [RunSettings(1e-3, 0.99)] * len(seeds), CPU)
+    for run, seed in enumerate(seeds):
+        fleet.initialise(run, torch.Generator().manual_seed(seed))
+    return fleet
+
+
+class Box11x3(gym.Env):
+    """An environment that is never stepped: its spaces alone matter."""
+
+    observation_space = gym.spaces.Box(-np.inf, np.inf, (N_INPUTS,), np.float32)
+    action_space = gym.spaces.Box(-1, 1, (N_ACTIONS,), np.float32)
+
+    def reset(self, **kwargs: Any) -> tuple[np.ndarray, dict]:
+        """Return the only state."""
+        return np.zeros(N_INPUTS, np.float32), {}
+
+
+def sb3_parameters(model: SAC) -> dict[str, Tensor]:
+    """Return Stable-Baselines3's parameters under our names."""
+    policy = model.policy
+    hidden = [layer for layer in policy.actor.latent_pi if isinstance(layer, torch.nn.Linear)]
+    heads = [policy.actor.mu, policy.actor.log_std]
+    found = {f"actor.weight{i}": layer.weight.T for i, layer in enumerate(hidden)}
+    found |= {f"actor.bias{i}": layer.bias for i, layer in enumerate(hidden)}
+    found[f"actor.weight{len(hidden)}"] = torch.cat([head.weight for head in heads]).T
+    found[f"actor.bias{len(hidden)}"] = torch.cat([head.bias for head in heads])
+    for name, critic in (("critics", policy.critic), ("targets", policy.critic_target)):
+        nets = [[layer for layer in net if isinstance(layer, torch.nn.Linear)] for net in critic.q_networks]
+        for i in range(len(nets[0])):
+            found[f"{name}.weight{i}"] = torch.stack([net[i].weight.T for net in nets])
+            found[f"{name}.bias{i}"] = torch.stack([net[i].bias for net in nets]).unsqueeze(1)
+    if model.ent_coef_optimizer is not None:
+        found["log_temperature"] = model.log_ent_coef
+    return {name: tensor.detach().clone() for name, tensor in found.items()}
+
+
+@pytest.fixture
+def queued_noise(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Tensor]]:
+    """Replace the noise of torch's normal distributions by what is put into this list."""
+    queue: list[Tensor] = []
+    monkeypatch.setattr("torch.distributions.normal._standard_normal", lambda *_, **__: queue.pop(0))
+    yield queue
+    assert not queue, "Stable-Baselines3 drew less noise than it was given"
+
+
+@contextmanager
+def float64() -> Iterator[None]:
+    """Make float64 torch's default type for a while."""
+    torch.set_default_dtype(torch.float64)
+    try:
+        yield
+    finally:
+        torch.set_default_dtype(torch.float32)
+
+
+@pytest.fixture
+def in_float64(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Let the fleet and Stable-Baselines3, which would make its states float32, compute in float64."""
+    monkeypatch.setattr("stable_baselines3.common.policies.preprocess_obs", lambda states, *_, **__: states)
+    with float64():
+        yield
+
+
+@pytest.mark.usefixtures("in_float64")
+@pytest.mark.parametrize("actor", [(), (6,), (32,), (8, 8)], ids=str)
+@pytest.mark.parametrize(
+    ("slope", "decay", "ent_coef"),
+    [(0.0, 0.0, "auto"), (0.05, 1e-2, "auto"), (0.0, 0.0, 0.2)],
+    ids=["plain", "leaky, weight decay", "fixed temperature"],
+)
+def test_fifty_updates_are_those_of_stable_baselines3(
+    actor: tuple[int, ...], slope: float, decay: float, ent_coef: str | float, queued_noise: list[Tensor]
+) -> None:
+    activation = torch.nn.ReLU if slope == 0.0 else lambda: torch.nn.LeakyReLU(slope)
+    model = SAC(
+        "MlpPolicy",
+        Box11x3(),
+        learning_rate=1e-3,
+        batch_size=BATCH,
+        gamma=0.98,
+        tau=0.01,
+        ent_coef=ent_coef,
+        buffer_size=10,
+        seed=0,
+        device="cpu",
+        policy_kwargs={
+            "net_arch": {"pi": list(actor), "qf": [64, 64]},
+            "activation_fn": activation,
+            "optimizer_kwargs": {"weight_decay": decay},
+        },
+    )
+    model.learn(0)  # sets the logger up
+    temperature = None if ent_coef == "auto" else float(ent_coef)
+    shapes = Shapes(N_INPUTS, N_ACTIONS, actor, (64, 64), BATCH, negative_slope=slope, tau=0.01)
+    fleet = new_fleet(shapes, [0], [RunSettings(1e-3, 0.98, decay, temperature)])
+    for name, tensor in sb3_parameters(model).items():
+        fleet.tensors(0)[name].copy_(tensor)
+    start = sb3_parameters(model)
+
+    generator = torch.Generator().manual_seed(4)
+    for _ in range(50):
+        batch, noise = draw_batch(generator)
+        fleet.update(*stacked([(batch, noise)]))
+        samples = ReplayBufferSamples(
+            batch.states, batch.actions, batch.next_states, 1 - batch.continues[:, None], batch.rewards[:, None]
+        )
+        model.replay_buffer.sample = lambda *_, samples=samples, **__: samples  # type: ignore[union-attr,method-assign]
+        queued_noise.extend([noise[:BATCH], noise[BATCH:]])
+        model.train(gradient_steps=1, batch_size=BATCH)
+
+    ours = fleet.tensors(0)
+    if temperature is not None:
+        assert ours["log_temperature"].item() == math.log(temperature)
+    for name, theirs in sb3_parameters(model).items():
+        moved = float((theirs - start[name]).norm())
+        assert moved > 1e-4, f"{name} did not learn"
+        difference = float((ours[name].reshape(theirs.shape) - theirs).norm())
+        assert theirs.dtype == ours[name].dtype == torch.float64
+        assert difference < 1e-8 * moved, f"{name}: {difference} after moving by {moved}"
+
+
+def assert_same(alone: FleetSac, fleet: FleetSac, run: int) -> None:
+    """Check that a run of a fleet has learnt the bits that it learnt alone."""
+    for name, tensor in alone.tensors(0).items():
+        assert torch.equal(tensor, fleet.tensors(run)[name]), name
+
+
+@pytest.mark.parametrize("precision", ["fp32", "bf16"])
+@pytest.mark.parametrize(("actor", "critic"), [((), (64, 64)), ((6,), (256, 256)), ((7, 5), (100, 65))], ids=str)
+def test_a_run_of_a_fleet_is_the_run_alone_bit_for_bit(
+    precision: str, actor: tuple[int, ...], critic: tuple[int, ...]
+) -> None:
+    shapes = Shapes(N_INPUTS, N_ACTIONS, actor, critic, BATCH, negative_slope=0.05, precision=precision)
+    seeds = [0, 1, 2, 3]
+    settings = [RunSettings(1e-3, 0.99), RunSettings(3e-4, 0.9, 1e-2), *[RunSettings(1e-3, 0.99)] * 2]
+    together, alike = new_fleet(shapes, seeds, settings), new_fleet(shapes, seeds[2:])
+    learn(together, seeds, 30)
+    learn(alike, seeds[2:], 30)
+    states, noise = torch.randn(len(seeds), 1, N_INPUTS), torch.randn(len(seeds), 1, N_ACTIONS)
+    actions = together.act(states, noise)
+    for run in seeds:
+        alone = new_fleet(shapes, [run], [settings[run]])
+        learn(alone, [run], 30)
+        assert_same(alone, together, run)
+        assert torch.equal(alone.act(states[run : run + 1], noise[run : run + 1])[0], actions[run])
+    assert_same(alone, alike, 1)
+
+
+def test_a_run_stays_itself_in_hundreds_of_updates() -> None:
+    shapes = Shapes(N_INPUTS, N_ACTIONS, (6,), (32, 32), BATCH)
+    together, alone = new_fleet(shapes, [5, 6]), new_fleet(shapes, [6])
+    learn(together, [5, 6], 400)
+    learn(alone, [6], 400)
+    assert_same(alone, together, 1)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16], ids=str)
+@pytest.mark.parametrize("shape", [(1,), (3, 21), (100, 11), (8, 8), (200, 6)], ids=str)
+def test_every_network_of_a_stack_begins_alike(shape: tuple[int, ...], dtype: torch.dtype) -> None:
+    stack = new_stack(5, *shape, device=CPU, dtype=dtype)
+    assert stack.shape == (5, *shape) and not stack.any()
+    assert {network.data_ptr() % 64 for network in stack} == {0}
+    gap = stack.stride(0) - stack[0].numel()
+    assert 0 < gap <= 64 and stack[0].is_contiguous()
+
+
+@pytest.mark.parametrize("shape", [(100, 256, 1), (200, 11, 6), (1, 11, 6), (100, 14, 256)], ids=str)
+def test_a_product_among_others_is_the_product_alone(shape: tuple[int, int, int]) -> None:
+    k, length, m = shape
+    left, right, out = (new_stack(3, *sizes, device=CPU) for sizes in ((k, length), (length, m), (k, m)))
+    multiply(left.normal_(), right.normal_(), out)
+    torch.testing.assert_close(out.double(), left.double() @ right.double(), rtol=1e-3, atol=1e-3)
+    for i in range(3):
+        alone = multiply(left[i : i + 1], right[i : i + 1], new_stack(1, k, m, device=CPU))
+        assert torch.equal(alone[0], out[i])
+
+
+def test_a_run_that_diverges_leaves_the_others_as_they_are() -> None:
+    shapes = Shapes(N_INPUTS, N_ACTIONS, (6,), (32, 32), BATCH)
+    fleet, alone = new_fleet(shapes, [0, 1]), new_fleet(shapes, [1])
+    fleet.tensors(0)["critics.weight1"][0, 0, 0] = float("nan")
+    learn(fleet, [0, 1], 20)
+    learn(alone, [1], 20)
+    assert fleet.is_finite() == [False, True]
+    assert_same(alone, fleet, 1)
+
+
+@pytest.mark.parametrize(("precision", "bound"), [("fp32", 0.05), ("bf16", 0.5)])
+def test_fewer_digits_lead_nearly_the_same_way(precision: str, bound: float) -> None:
+    shapes = Shapes(N_INPUTS, N_ACTIONS, (6,), (256, 256), BATCH, precision=precision)
+    fleet = new_fleet(shapes, [0])
+    with float64():
+        exact = FleetSac(dataclasses.replace(shapes, precision="fp32"), fleet.runs, CPU)
+    exact.load(0, fleet.tensors(0))
+    start = {name: tensor.clone() for name, tensor in exact.tensors(0).items()}
+    generator = torch.Generator().manual_seed(1000)
+    for _ in range(20):
+        batch, noise = stacked([draw_batch(generator)])
+        fleet.update(batch, noise)
+        doubles = Minibatch(*(getattr(batch, field.name).double() for field in dataclasses.fields(batch)))
+        exact.update(doubles, noise.double())
+    differences = {
+        name: float((tensor - fleet.tensors(0)[name]).norm() / (tensor - start[name]).norm())
+        for name, tensor in exact.tensors(0).items()
+        if "moment" not in name
+    }
+    assert 0 < max(differences.values()) < bound, differences
+    assert (differences["critics.weight1"] > 0.01) == (precision == "bf16")
+
+
+def test_acting_is_the_actor_that_stable_baselines3_would_export() -> None:
+    fleet = new_fleet(Shapes(N_INPUTS, N_ACTIONS, (8, 4), (16,), BATCH), [0, 1])
+    states = torch.randn(2, 5, N_INPUTS)
+    x = states[1].double()
+    tensors = {name: tensor.double() for name, tensor in fleet.tensors(1).items()}
+    for layer in range(3):
+        x = x @ tensors[f"actor.weight{layer}"][0] + tensors[f"actor.bias{layer}"][0]
+        x = x.relu() if layer < 2 else x
+    for answers in (fleet.act(states, None)[1], fleet.answers(1, states[1])):
+        torch.testing.assert_close(answers.double(), x[:, :N_ACTIONS].tanh(), rtol=1e-5, atol=1e-6)
+    noise = torch.full((2, 5, N_ACTIONS), 2.0)
+    noisy = (x[:, :N_ACTIONS] + 2 * x[:, N_ACTIONS:].clamp(-20, 2).exp()).tanh()
+    torch.testing.assert_close(fleet.act(states, noise)[1].double(), noisy, rtol=1e-5, atol=1e-6)

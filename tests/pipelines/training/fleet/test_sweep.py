@@ -1,0 +1,130 @@
+"""Sweeps of fleets: grouped by themselves, under launchers, killed, diverging, and written down as commands."""
+
+import json
+import os
+import re
+import signal
+from pathlib import Path
+
+import pytest
+
+from pipelines.engine.stage import run_stage_together
+from pipelines.engine.store import read_json
+from pipelines.engine.sweep import sweep_words
+from pipelines.stages.run import RunJob, run_jobs
+from pipelines.stages.table import STAGES
+from tests.pipelines.conftest import otr_command
+from tests.pipelines.sweeps import children, digests, start, wait_for
+from tests.pipelines.training.fleet.test_train import FLEET, WRAPPING_SAC
+
+WORDS = ("-m", "env=pendulum", "depth=2,3", "seed=0,1,2", "budget=smoke", "trainer=fleet")
+
+
+@pytest.fixture(scope="module")
+def in_one_process(tmp_path_factory):
+    """The results of a sweep of two fleets, one after the other, and what it printed."""
+    folder = tmp_path_factory.mktemp("fleets")
+    done = otr_command("otr-run", *WORDS, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return folder / "results", done.stdout
+
+
+def test_a_sweep_groups_what_can_train_together(in_one_process):
+    results, printed = in_one_process
+    assert len(re.findall(r"^train: pendulum, 3 runs: step 300/300", printed, re.MULTILINE)) == 2
+    assert "6 jobs: 6 done, 0 failed" in printed
+    runs = sorted(path.parent for path in results.glob("runs/**/summary.json"))
+    assert [run.relative_to(results / "runs/pendulum/otr").as_posix() for run in runs] == [
+        f"depth-{depth}/smoke-fleet/seed-{seed}" for depth in (2, 3) for seed in range(3)
+    ]
+    for run in runs:
+        summary = read_json(run / "summary.json")
+        assert (summary["trainer"], summary["budget"]) == ("fleet", "smoke")
+        assert sorted(path.name for path in (run / "train").iterdir()) == [
+            "actor.json", "actor.safetensors", "evaluations.csv", "manifest.json", "progress.csv"]  # fmt: skip
+    assert not any((results / "checkpoints").iterdir())
+
+
+def test_one_run_alone_and_other_company_leave_the_same_bytes(in_one_process, tmp_path):
+    results, _ = in_one_process
+    alone = otr_command("otr-run", *WORDS[1:2], "depth=3", "seed=1", *WORDS[4:], cwd=tmp_path)
+    assert alone.returncode == 0, alone.stderr
+    pairs = otr_command("otr-run", *WORDS[:2], "depth=2", *WORDS[3:], "trainer.runs_per_process=2", cwd=tmp_path)
+    assert "pendulum, 2 runs" in pairs.stdout, pairs.stderr
+    expected, found = digests(results), digests(tmp_path / "results")
+    assert len(found) == len(expected) // 6 * 4
+    assert found.items() <= expected.items()
+
+
+@pytest.mark.slow  # test_train.py kills a fleet and resumes it, tests/pipelines/test_sweep.py kills a sweep's worker
+def test_a_killed_worker_costs_a_segment_of_its_fleet(in_one_process, tmp_path):
+    results = tmp_path / "results"
+    words = (*WORDS, "launcher=joblib", "hydra.launcher.n_jobs=2")
+    with start(*words, cwd=tmp_path) as sweep:
+        wait_for(lambda: list(results.glob("checkpoints/*/segment-*")))
+        workers = wait_for(lambda: children(sweep.pid, "LokyProcess"))
+        os.kill(workers[0], signal.SIGKILL)
+        printed, _ = sweep.communicate(timeout=300)
+    assert sweep.returncode == 0, printed
+    assert "a worker was lost" in printed
+    assert "6 jobs: 6 done, 0 failed" in printed
+    assert digests(results) == digests(in_one_process[0])
+
+
+@pytest.mark.slow  # tests/pipelines/fleet/test_train.py shows the same without the command line
+def test_run_that_diverges_fails_alone(tmp_path):
+    words = ("-m", "env=pendulum", "depth=2", "algo.learning_rate=1e-3,10", "budget=smoke", "trainer=fleet")
+    swept = otr_command("otr-run", *words, "algo.gamma=1.0", "train.steps=1500", cwd=tmp_path)
+    assert "pendulum, 2 runs" in swept.stdout
+    if "2 done" in swept.stdout:
+        pytest.skip("a learning rate of 10 did not diverge on this processor")
+    assert swept.returncode == 1
+    assert "2 jobs: 1 done, 1 failed" in swept.stdout
+    assert "try a smaller algo.learning_rate" in swept.stdout + swept.stderr
+    assert len(list((tmp_path / "results").glob("runs/**/summary.json"))) == 1
+
+
+def job(config, tmp_path):
+    """Return a job of a run that is made without the command line."""
+    folder = f"runs/{config.env.name}/otr/depth-4/{config.budget_level}/seed-{config.seed}"
+    return RunJob(config, folder, "", "otr-run")
+
+
+def test_finished_and_busy_runs_are_left_out_of_a_fleet(tiny, tmp_path):
+    configs = [tiny(seed=seed, trainer=FLEET, algo=WRAPPING_SAC) for seed in range(3)]
+    jobs = [job(config, tmp_path) for config in configs]
+    assert run_jobs(jobs[:1]) == [None]
+    before = (jobs[0].run_dir / "train" / "manifest.json").read_bytes()
+    trained: list[list[int]] = []
+
+    def recording(inputs, chosen, outs):
+        trained.append([config.seed for config in chosen])
+        for out in outs:
+            (out / "actor.json").write_text("{}")
+        return [None, ValueError("no")]
+
+    errors = run_stage_together(STAGES["train"], [(job.run_dir, job.config) for job in jobs], recording)
+    assert trained == [[1, 2]]
+    assert [str(error) for error in errors] == ["None", "None", "no"]
+    assert (jobs[0].run_dir / "train" / "manifest.json").read_bytes() == before
+    assert json.loads((jobs[1].run_dir / "train" / "manifest.json").read_text())["settings"]["seed"] == 1
+    assert not (jobs[2].run_dir / "train").exists()
+    assert not list(Path(configs[0].results_dir).glob("runs/**/.train.tmp"))
+
+
+def test_a_fleet_is_one_command_in_a_file_of_jobs(tmp_path):
+    planned = otr_command("otr-plan", *WORDS[:3], "seed=range(0,7)", *WORDS[4:], "--jobs", "jobs.txt", cwd=tmp_path)
+    assert planned.returncode == 0, planned.stderr
+    lines = (tmp_path / "jobs.txt").read_text().splitlines()
+    assert [re.findall(r"depth=\S+ seed=\S+", line)[0] for line in lines] == [
+        "depth=2 seed=0,1,2", "depth=2 seed=3,4,5,6", "depth=3 seed=0,1,2", "depth=3 seed=3,4,5,6"]  # fmt: skip
+    assert all(line.startswith("otr-run -m ") for line in lines)
+
+
+def test_words_of_a_sweep_make_just_its_members():
+    assert sweep_words([["a=1", "b=2"]]) == ["a=1", "b=2"]
+    assert sweep_words([["a=1", "b=2"], ["a=1", "b=3"]]) == ["-m", "a=1", "b=2,3"]
+    members = [[f"a={i}", f"b={j}"] for i in (1, 2) for j in (3, 4)]
+    assert sweep_words(members) == ["-m", "a=1,2", "b=3,4"]
+    assert sweep_words(members[:3]) is None  # the product would be four
+    assert sweep_words([["a=1"], ["b=1"]]) is None

@@ -1,0 +1,324 @@
+"""Fleet training: runs that do not touch each other, what lies in the replay buffer, kills, divergence, groups."""
+
+import dataclasses
+import os
+import signal
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+
+import otr
+from pipelines.config import FleetConfig, TrainConfig
+from pipelines.engine.store import load_actor, read_csv
+from pipelines.errors import ConfigError
+from pipelines.play.environments import make_env
+from pipelines.training.estimates import checkpoint_folder, train_settings, trained_steps
+from pipelines.training.fleet import train as fleet_module
+from pipelines.training.fleet.fleet_run import FleetRun
+from pipelines.training.fleet.groups import fleets, group_key
+from pipelines.training.fleet.progress import FleetProgress
+from pipelines.training.fleet.train import FleetTrainer, Task, backend, train, train_fleet
+from tests.pipelines.conftest import HOPPER, LANDER, PPO, SAC
+from tests.pipelines.sweeps import run_until_killed
+
+FLEET = FleetConfig("fleet", 1, "fp32", "gymnasium", "cpu", 5)
+WRAPPING_SAC = dataclasses.replace(SAC, buffer_size=150)  # wraps round within 300 steps
+RESULTS = ("actor.safetensors", "actor.json", "evaluations.csv")
+
+
+@pytest.fixture
+def fleet_run(tiny):
+    """Return a function that makes a run of seconds whose trainer is a fleet."""
+
+    def make(**changes):
+        return tiny(**{"trainer": FLEET, "algo": WRAPPING_SAC, **changes})
+
+    return make
+
+
+def trained(configs, folder):
+    """Train runs as one and return their folders."""
+    outs = [folder / str(i) for i in range(len(configs))]
+    for out in outs:
+        out.mkdir(parents=True)
+    assert train_fleet(configs, outs) == [None] * len(configs)
+    return outs
+
+
+def same(one, other):
+    """Whether two result folders hold the same actor and evaluations, byte for byte."""
+    return all((one / name).read_bytes() == (other / name).read_bytes() for name in RESULTS)
+
+
+@pytest.mark.parametrize("n_envs", [1, 4])
+def test_a_run_in_company_is_the_run_alone(fleet_run, tmp_path, n_envs):
+    fleet = dataclasses.replace(FLEET, n_envs=n_envs)
+    configs = [fleet_run(seed=seed, trainer=fleet, env=HOPPER, results_dir=str(tmp_path / "r1")) for seed in (0, 1, 2)]
+    together = trained(configs, tmp_path / "together")
+    alone = trained([dataclasses.replace(configs[1], results_dir=str(tmp_path / "r2"))], tmp_path / "alone")
+    assert same(together[1], alone[0])
+    assert not same(together[0], together[1])
+
+
+def test_result_has_the_artefacts_of_the_other_trainer(fleet_run, tiny, tmp_path):
+    from pipelines.stages.train import train as train_by_sb3
+
+    outs = [tmp_path / "sb3", tmp_path / "fleet"]
+    for out, trainer, config in zip(outs, (train_by_sb3, train), (tiny(), fleet_run()), strict=True):
+        out.mkdir()
+        trainer({}, config, out)
+    assert [path.name for path in sorted(outs[0].iterdir())] == [path.name for path in sorted(outs[1].iterdir())]
+    for name in ("evaluations.csv", "progress.csv"):
+        theirs, ours = (read_csv(out / name) for out in outs)
+        assert [row["steps"] for row in theirs] == [row["steps"] for row in ours]
+        assert theirs[0].keys() == ours[0].keys()
+    networks = [load_actor(out) for out in outs]
+    assert networks[0].hidden_widths == networks[1].hidden_widths
+    assert networks[0].head.to_dict() == networks[1].head.to_dict()
+
+
+def train_until_killed(configs, outs, where):
+    """Train in this process and die by SIGKILL at the named moment of the second segment."""
+    save, add = FleetRun.save, fleet_module.FleetReplay.add
+    n_saved, n_added = 0, 0
+
+    def dying_save(run):
+        nonlocal n_saved
+        save(run)
+        n_saved += 1
+        if where == "between two runs' checkpoints" and n_saved == len(configs) + 1:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    def dying_add(replay, start, transitions):
+        nonlocal n_added
+        add(replay, start, transitions)
+        n_added += 1
+        if where == "in a segment" and n_added == 250:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    FleetRun.save, fleet_module.FleetReplay.add = dying_save, dying_add
+    train_fleet(configs, outs)
+
+
+@pytest.mark.parametrize("where", ["in a segment", "between two runs' checkpoints"])
+def test_killed_and_resumed_equals_uninterrupted(fleet_run, tmp_path, where):
+    results = [str(tmp_path / name) for name in ("alone", "killed")]
+    alone, killed = ([fleet_run(seed=seed, results_dir=folder) for seed in (0, 1)] for folder in results)
+    expected = trained(alone, tmp_path / "expected")
+    outs = [tmp_path / "a", tmp_path / "b"]
+    for out in outs:
+        out.mkdir()
+    run_until_killed(train_until_killed, killed, outs, where)
+    done = [trained_steps(config) for config in killed]
+    assert done == ([200, 200] if where == "in a segment" else [200, 100])
+    assert train_fleet(killed, outs) == [None, None]
+    assert all(same(*pair) for pair in zip(expected, outs, strict=True))
+
+
+def test_resumed_in_other_company_is_the_same(fleet_run, tmp_path):
+    configs = [fleet_run(seed=seed, results_dir=str(tmp_path / "r1")) for seed in (0, 1)]
+    expected = trained(configs, tmp_path / "expected")
+    others = [dataclasses.replace(config, results_dir=str(tmp_path / "r2")) for config in configs]
+    task = Task.of(others[0])
+    run = FleetRun(others[0], task.layout)  # seed 0 does a segment alone, then goes on beside a fresh seed 1
+    fleet_module._segment(FleetTrainer(task, [run]), fleet_module._play_here, FleetProgress([run]))
+    assert [trained_steps(config) for config in others] == [100, 0]
+    outs = trained(others, tmp_path / "outs")
+    assert all(same(*pair) for pair in zip(expected, outs, strict=True))
+
+
+def test_run_that_diverges_is_named_and_the_others_go_on(fleet_run, tmp_path, monkeypatch, capsys):
+    configs = [fleet_run(seed=seed, env=HOPPER, results_dir=str(tmp_path / "r1")) for seed in (0, 1)]
+    expected = trained(configs, tmp_path / "expected")
+    initialise = fleet_module.FleetSac.initialise
+
+    def initialise_badly(learner, run, generator):
+        initialise(learner, run, generator)
+        if len(learner.runs) == 2 and run == 0:
+            learner.actor.weights[0][0] = float("nan")
+
+    monkeypatch.setattr(fleet_module.FleetSac, "initialise", initialise_badly)
+    others = [dataclasses.replace(config, results_dir=str(tmp_path / "r2")) for config in configs]
+    outs = [tmp_path / "a", tmp_path / "b"]
+    for out in outs:
+        out.mkdir()
+    errors = train_fleet(others, outs)
+    assert "try a smaller algo.learning_rate" in str(errors[0])
+    assert errors[1] is None and same(outs[1], expected[1])
+    assert not list(outs[0].iterdir())
+    assert "seed 0 given up, the others go on" in capsys.readouterr().out
+
+
+def test_actor_that_is_not_what_was_trained_is_given_up_alone(fleet_run, tmp_path, monkeypatch):
+    network = FleetTrainer.network
+
+    def other_network(trainer, r):
+        made = network(trainer, r)
+        if r > 0 or len(trainer.runs) < 2:
+            return made
+        return otr.ReluNetwork(made.weights, [*made.biases[:-1], made.biases[-1] + 0.01], head=made.head)
+
+    monkeypatch.setattr(FleetTrainer, "network", other_network)
+    outs = [tmp_path / "a", tmp_path / "b"]
+    for out in outs:
+        out.mkdir()
+    errors = train_fleet([fleet_run(seed=seed) for seed in (0, 1)], outs)
+    assert "is not the trained policy" in str(errors[0])
+    assert errors[1] is None and (outs[1] / "actor.json").exists() and not (outs[0] / "actor.json").exists()
+
+
+@pytest.mark.parametrize(("env", "n_envs"), [(HOPPER, 2), ("pendulum", 1)])
+def test_replay_rows_are_what_the_environments_did(fleet_run, env, n_envs, monkeypatch):
+    """Plays the recorded actions again in environments of gymnasium's own."""
+    changes = {} if env == "pendulum" else {"env": env}
+    fleet = dataclasses.replace(FLEET, n_envs=n_envs)
+    config = fleet_run(algo=SAC, trainer=fleet, train=TrainConfig(460, 460, 1, 100), **changes)
+    task = Task.of(config)
+    run = FleetRun(config, task.layout)
+    seeds = run.seeds(1 + n_envs)[1:]
+    trainer = FleetTrainer(task, [run])
+    collected = trainer.train_segment(FleetProgress([run]))
+    d, a = task.layout.n_inputs, task.layout.n_actions
+    n_ends = {True: 0, False: 0}
+    for e, seed in enumerate(seeds):
+        own = make_env(config.env)
+        state, _ = own.reset(seed=seed)
+        for row in run.rows[e : collected.end : n_envs]:
+            np.testing.assert_array_equal(row[:d], state.astype(np.float32))
+            scaled = row[d : d + a]
+            assert np.abs(scaled).max() <= 1
+            state, reward, terminated, truncated, _ = own.step(task.low + 0.5 * (scaled + 1.0) * (task.high - task.low))
+            np.testing.assert_array_equal(row[d + a : 2 * d + a], state.astype(np.float32))
+            assert row[-2] == np.float32(reward)
+            assert row[-1] == (0.0 if terminated else 1.0)
+            if terminated or truncated:
+                n_ends[bool(terminated)] += 1
+                state, _ = own.reset()
+        own.close()
+    assert n_ends[env is HOPPER] > 1, "no episode ended, so nothing was shown about ends"
+    assert sum(len(lengths) for lengths in collected.lengths) == sum(n_ends.values())
+    assert trainer.n_updates == collected.end - 100
+
+
+def test_first_actions_are_random_then_the_policys(fleet_run):
+    quiet = dataclasses.replace(SAC, action_noise="none")
+    config = fleet_run(algo=quiet, train=TrainConfig(200, 200, 1, 100))
+    task = Task.of(config)
+    run = FleetRun(config, task.layout)
+    trainer = FleetTrainer(task, [run])
+    initial = trainer.tensors(0)
+    trainer.train_segment(FleetProgress([run]))
+    before = run.rows[:100, 3]
+    assert abs(before.mean()) < 0.2 and before.std() == pytest.approx(1 / np.sqrt(3), abs=0.06)  # uniform in [-1, 1]
+    # The first action of the policy comes before the first update: its distribution is the untrained actor's.
+    state = torch.from_numpy(run.rows[100, :3].copy())
+    x = (state @ initial["actor.weight0"][0] + initial["actor.bias0"][0, 0]).relu()
+    mean, log_std = x @ initial["actor.weight1"][0] + initial["actor.bias1"][0, 0]
+    assert abs(float(np.arctanh(run.rows[100, 3]) - mean)) < 4 * float(log_std.exp())
+
+
+def test_updating_while_the_environments_step_samples_what_was_there_before(fleet_run, monkeypatch):
+    config = fleet_run(algo=SAC, train=TrainConfig(130, 130, 1, 100))
+    task = Task.of(config)
+    seen = []
+    positions = fleet_module.FleetReplay.positions
+
+    def recording(replay, fractions, counts):
+        chosen = positions(replay, fractions, counts)
+        seen.append((counts, chosen.amax((0, 2, 3))))
+        return chosen
+
+    monkeypatch.setattr(fleet_module.FleetReplay, "positions", recording)
+    for overlap in (False, True):
+        seen.clear()
+        trainer = FleetTrainer(task, [FleetRun(config, task.layout)], overlap=overlap)
+        trainer.train_segment(FleetProgress([FleetRun(config, task.layout)]))
+        first = seen[0][0][0]
+        assert first == (0 if overlap else 1)
+        for counts, greatest in seen:
+            assert bool(((greatest < counts) | (counts == 0)).all())
+        assert trainer.n_updates == (29 if overlap else 30)
+
+
+def test_what_can_train_together(fleet_run, tiny):
+    def seeds(n, **changes):
+        return [fleet_run(seed=seed, **changes) for seed in range(n)]
+
+    faster = dataclasses.replace(WRAPPING_SAC, learning_rate=3e-3, gamma=0.9, ent_coef="0.1")
+    assert group_key(fleet_run()) == group_key(fleet_run(seed=7, algo=faster))
+    for change in (
+        {"depth": 5},
+        {"env": HOPPER},
+        {"algo": dataclasses.replace(WRAPPING_SAC, batch_size=16)},
+        {"algo": dataclasses.replace(WRAPPING_SAC, critic=[8])},
+        {"algo": dataclasses.replace(WRAPPING_SAC, tau=0.01)},
+        {"trainer": dataclasses.replace(FLEET, precision="bf16")},
+        {"train": TrainConfig(300, 50, 2, 100)},
+    ):
+        assert group_key(fleet_run(**change)) != group_key(fleet_run()), change
+    configs = [*seeds(3), tiny(), *seeds(4, depth=5), tiny(algo=PPO, env=LANDER, trainer=FLEET)]
+    assert fleets(configs) == [[0, 1, 2], [3], [4, 5, 6, 7], [8]]
+    assert [len(part) for part in fleets(seeds(12))] == [4, 4, 4]
+
+
+def test_trainer_is_part_of_the_key_and_of_the_folder(fleet_run, tiny):
+    assert train_settings(fleet_run()) != train_settings(tiny(algo=WRAPPING_SAC))
+    assert "trainer" not in train_settings(tiny())
+    assert checkpoint_folder(fleet_run()) != checkpoint_folder(tiny(algo=WRAPPING_SAC))
+    other_device = dataclasses.replace(FLEET, device="cuda", runs_per_process=7)
+    assert train_settings(fleet_run(trainer=other_device)) == train_settings(fleet_run())
+    assert fleet_run().budget_level == "smoke-fleet"
+    ppo = fleet_run(algo=PPO, env=LANDER)
+    assert (ppo.trainer_name, ppo.budget_level, ppo.fleet) == ("sb3", "smoke", None)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"algo": dataclasses.replace(SAC, train_freq=4)}, "leave both at 1"),
+        ({"algo": dataclasses.replace(SAC, action_noise="ornstein_uhlenbeck")}, "use algo.action_noise=normal"),
+        ({"trainer": dataclasses.replace(FLEET, precision="fp16")}, "use one of fp32, bf16"),
+        ({"trainer": dataclasses.replace(FLEET, n_envs=0)}, "trainer.n_envs=0"),
+    ],
+)
+def test_what_a_fleet_cannot_do_is_refused(fleet_run, changes, message):
+    with pytest.raises(ConfigError, match=message):
+        fleet_run(**changes)
+
+
+def test_envpool_steps_what_it_computes_as_gymnasium_does():
+    pooled = dataclasses.replace(FLEET, environments="envpool")
+    ant = dataclasses.replace(HOPPER, id="Ant-v4")
+    assert [backend(env, pooled) for env in (HOPPER, ant, LANDER)] == ["envpool", "gymnasium", "gymnasium"]
+    assert backend(HOPPER, FLEET) == "gymnasium"
+
+
+def test_no_gpu_and_labels_are_refused_before_anything_runs(fleet_run, tmp_path):
+    if torch.cuda.is_available():
+        pytest.skip("there is a GPU")
+    with pytest.raises(ConfigError, match="sees no GPU"):
+        train({}, fleet_run(trainer=dataclasses.replace(FLEET, device="cuda")), tmp_path)
+    with pytest.raises(ConfigError, match="needs continuous actions"):
+        train({}, fleet_run(env=LANDER), tmp_path)
+
+
+def test_rescaled_states_are_folded_into_the_actor(fleet_run, tmp_path):
+    from pipelines.config import ActorConfig, EnvConfig
+
+    car = EnvConfig("mountaincar", "mountaincar", "MountainCarContinuous-v0")
+    (out,) = trained([fleet_run(env=car, actor=ActorConfig(0.0, True))], tmp_path / "outs")
+    space = gym.make(car.id).observation_space
+    first = np.abs(load_actor(out).weights[0])
+    # Velocities span 0.14, positions 1.8: rescaled, both columns are of one size; folded, they differ by that factor.
+    half_width = (space.high - space.low) / 2
+    assert first[:, 1].mean() / first[:, 0].mean() > 0.2 * half_width[0] / half_width[1]
+
+
+def test_denormals_are_zero_in_segments_alone(fleet_run, tmp_path):
+    trained([fleet_run()], tmp_path)
+    tiniest = torch.tensor([1e-40])
+    assert (tiniest * 0.5).item() > 0
+    with fleet_module._flushed_denormals():
+        assert (tiniest * 0.5).item() == 0

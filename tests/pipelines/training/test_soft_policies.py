@@ -1,0 +1,246 @@
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from sb3_contrib import ARS, TRPO
+from stable_baselines3 import PPO
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+import otr
+from pipelines.cli.runs import run_config
+from pipelines.config import ArsConfig
+from pipelines.engine.store import write_files
+from pipelines.errors import ConfigError, PipelineError
+from pipelines.training.checkpoints import History
+from pipelines.training.random_search import build_ars
+from pipelines.training.sb3_checkpoints import load_checkpoint, save_checkpoint
+from pipelines.training.sb3_models import build_model
+from pipelines.training.soft_policies import (
+    ScheduleConfig,
+    Shape,
+    SoftActorCriticPolicy,
+    SoftPolicy,
+    SoftSchedule,
+    build_module,
+    exported_module,
+    harden,
+    load_soft,
+    soft_files,
+    soft_module,
+)
+from tests.control.test_soft_tree import clear_states
+
+torch.set_num_threads(1)
+
+ACTORS = [
+    Shape("sdt", {"depth": 2, "affine_leaves": False}),
+    Shape("cdt", {"feature_depth": 1, "n_features": 2, "decision_depth": 2}),
+    Shape("pi_prl", {"depth": 2, "structure_penalty": 0.25}),
+]
+N_STEPS, N_ENVS = 32, 2
+ROLLOUT = N_STEPS * N_ENVS
+SCHEDULE = ScheduleConfig(
+    4 * ROLLOUT, beta_first=1.0, beta_last=16.0, anneal_until=0.5, discretise_at=0.75, learning_rate_end=0.2
+)
+
+ids = pytest.mark.parametrize("actor", ACTORS, ids=lambda actor: actor.kind)
+
+
+def make_env(env_id: str, n_envs: int = N_ENVS) -> DummyVecEnv:
+    return DummyVecEnv([lambda: Monitor(gym.make(env_id))] * n_envs)
+
+
+def make_model(actor: Shape, env_id: str = "CartPole-v1", algorithm: type = PPO, **options: Any) -> OnPolicyAlgorithm:
+    kwargs = {"actor": actor, "net_arch": {"pi": [], "vf": [8]}}
+    return algorithm(
+        SoftActorCriticPolicy,
+        make_env(env_id),
+        n_steps=N_STEPS,
+        batch_size=32,
+        policy_kwargs=kwargs,
+        seed=0,
+        device="cpu",
+        **options,
+    )
+
+
+def learn_segment(model: OnPolicyAlgorithm, env_id: str, segment: int, n_rollouts: int = 1) -> None:
+    """Train as the stage train does: new environments and a seed for each segment."""
+    model.set_logger(Logger(folder=None, output_formats=[]))
+    model.set_env(make_env(env_id), force_reset=True)
+    model.set_random_seed(segment)
+    model.learn(n_rollouts * ROLLOUT, SoftSchedule(SCHEDULE), log_interval=None, reset_num_timesteps=False)
+
+
+def parameters(model: OnPolicyAlgorithm) -> dict[str, torch.Tensor]:
+    return {name: tensor.clone() for name, tensor in model.policy.state_dict().items()}
+
+
+@pytest.mark.parametrize("env_id", ["CartPole-v1", "Pendulum-v1"])
+@ids
+def test_a_resumed_run_is_the_run(tmp_path: Path, actor: Shape, env_id: str) -> None:
+    whole = make_model(actor, env_id)
+    for segment in range(4):
+        learn_segment(whole, env_id, segment)
+    for segment in range(4):  # a new process a segment, as it were
+        model = make_model(actor, env_id)
+        history = load_checkpoint(tmp_path, model)
+        learn_segment(model, env_id, segment)
+        history.n_segments += 1
+        save_checkpoint(tmp_path, model, history, segment * ROLLOUT)
+    for name, tensor in parameters(whole).items():
+        assert torch.equal(tensor, parameters(model)[name]), name
+    assert model.num_timesteps == whole.num_timesteps == SCHEDULE.n_steps
+
+
+@pytest.mark.parametrize("algorithm", [PPO, TRPO])
+def test_the_phases_of_pi_prl(algorithm: type) -> None:
+    model = make_model(ACTORS[2], algorithm=algorithm)
+    module = soft_module(model)
+    expected = [{"tests", "maps"}, {"architecture"}, {"tests", "maps"}, {"tests", "maps"}]
+    for segment, moving in enumerate(expected):
+        before = parameters(model)
+        learn_segment(model, "CartPole-v1", segment)
+        after = parameters(model)
+        prefix = "action_net."
+        names = ("tests", "maps", "architecture")
+        moved = {name for name in names if not torch.equal(before[prefix + name], after[prefix + name])}
+        assert moved == moving
+        assert module.is_discrete == (segment == 3)
+        assert not torch.equal(before["value_net.weight"], after["value_net.weight"])
+    np.testing.assert_array_equal(module.structure, module.architecture[:, 1] > module.architecture[:, 0])
+
+
+def test_beta_grows_geometrically_up_to_its_end() -> None:
+    module = build_module(ACTORS[1], 4, 2)
+    for steps, beta in ((0, 1.0), (ROLLOUT, 4.0), (2 * ROLLOUT, 16.0), (3 * ROLLOUT, 16.0)):
+        SCHEDULE.apply(module, steps, ROLLOUT)
+        assert float(module.features.beta) == float(module.decisions.beta) == pytest.approx(beta)
+    dataclasses.replace(SCHEDULE, anneal_until=0.0).apply(module, 0, ROLLOUT)
+    assert float(module.features.beta) == 16.0
+
+
+def test_the_learning_rate_falls_linearly_over_all_segments() -> None:
+    model = make_model(ACTORS[0])
+    rates = []
+    for segment in range(4):
+        learn_segment(model, "CartPole-v1", segment)
+        rates.append(model.policy.optimizer.param_groups[0]["lr"])
+    assert rates == pytest.approx([3e-4, 2.4e-4, 1.8e-4, 1.2e-4])
+    assert SCHEDULE.learning_rate(3e-4, 5 * ROLLOUT) == pytest.approx(0.6e-4)
+
+
+@pytest.mark.parametrize("env_id", ["CartPole-v1", "Pendulum-v1"])
+@pytest.mark.parametrize("algorithm", [PPO, TRPO])
+@ids
+def test_the_hard_tree_is_the_policy_of_hard_tests(actor: Shape, algorithm: type, env_id: str) -> None:
+    model = make_model(actor, env_id, algorithm)
+    learn_segment(model, env_id, 0)
+    module = soft_module(model)
+    module.set_beta(1e6)
+    if actor.kind == "pi_prl":
+        module.discretise()
+    tree = harden(module, model.action_space)
+    X = clear_states(tree, 100, margin=1e-4).astype(np.float32)
+    assert len(X) > 50
+    expected = model.predict(X, deterministic=True)[0]
+    np.testing.assert_allclose(tree.predict(X), expected, atol=1e-5)
+    np.testing.assert_allclose(SoftPolicy(module, tree.head).predict(X), expected, atol=1e-5)
+    assert (tree.labels is not None) == (env_id == "CartPole-v1")
+
+
+def test_axis_aligned_programs_are_refused() -> None:
+    space = gym.spaces.Discrete(2)
+    assert np.count_nonzero(harden(build_module(ACTORS[0], 4, 2), space, axis_aligned=True).P) == 3
+    with pytest.raises(ConfigError, match="oblique"):
+        harden(build_module(ACTORS[2], 4, 2), space, axis_aligned=True)
+    with pytest.raises(ConfigError, match="only Box and Discrete"):
+        harden(build_module(ACTORS[0], 4, 2), gym.spaces.MultiDiscrete([2, 2]))
+
+
+@ids
+def test_modules_trained_on_rescaled_states_read_the_environments_own(actor: Shape) -> None:
+    config = run_config(["env=mountaincar", "method=sdt", "depth=3"])
+    assert config.actor.rescale_inputs
+    model = make_model(actor, "MountainCarContinuous-v0", use_sde=True)
+    learn_segment(model, "MountainCarContinuous-v0", 0)
+    low, high = model.observation_space.low, model.observation_space.high
+    own = np.random.default_rng(0).uniform(low, high, (50, 2)).astype(np.float32)
+    rescaled = (own - (low + high) / 2) / ((high - low) / 2)
+    expected = model.predict(rescaled, deterministic=True)[0]
+    exported = exported_module(model, config)
+    head = harden(exported, model.action_space).head
+    np.testing.assert_allclose(SoftPolicy(exported, head).predict(own), expected, atol=1e-4)
+    plain = dataclasses.replace(config, actor=dataclasses.replace(config.actor, rescale_inputs=False))
+    np.testing.assert_array_equal(SoftPolicy(exported_module(model, plain), head).predict(rescaled), expected)
+
+
+def test_noise_by_state_needs_continuous_actions() -> None:
+    with pytest.raises(ConfigError, match="use_sde needs continuous actions"):
+        build_model(run_config(["env=lunarlander", "method=sdt", "depth=2", "algo.use_sde=true"]), seed=0)
+
+
+@ids
+def test_modules_survive_a_round_trip(tmp_path: Path, actor: Shape) -> None:
+    module = build_module(actor, 4, 3)
+    module.set_beta(7.0)
+    if actor.kind == "pi_prl":
+        module.discretise()
+    write_files(soft_files(module, actor), tmp_path)
+    again = load_soft(tmp_path)
+    assert type(again) is type(module)
+    for name, tensor in module.state_dict().items():
+        assert torch.equal(again.state_dict()[name], tensor), name
+    whole = (tmp_path / "soft.safetensors").read_bytes()
+    (tmp_path / "soft.safetensors").write_bytes(whole[:-5])
+    with pytest.raises(PipelineError, match=r"soft\.safetensors"):
+        load_soft(tmp_path)
+
+
+SEARCH = ArsConfig("ars", 0.05, n_delta=4, n_top=2, delta_std=0.1, with_bias=True)
+
+
+def search(model: ARS, seed: int, n_steps: int = 400) -> None:
+    model.set_logger(Logger(folder=None, output_formats=[]))
+    model.set_env(make_env("CartPole-v1", 1), force_reset=True)
+    model.set_random_seed(seed)
+    model.learn(n_steps, log_interval=None, reset_num_timesteps=False)
+
+
+def test_random_search_learns_in_segments_and_resumes(tmp_path: Path) -> None:
+    whole = build_ars(make_env("CartPole-v1", 1), SEARCH, seed=0)
+    for segment in range(4):
+        search(whole, segment)
+        model = build_ars(make_env("CartPole-v1", 1), SEARCH, seed=0)
+        load_checkpoint(tmp_path, model)
+        search(model, segment)
+        save_checkpoint(tmp_path, model, History(segment + 1), 0)
+        torch.testing.assert_close(model.weights, whole.weights, rtol=0, atol=0)
+        assert model.num_timesteps == whole.num_timesteps > 400 * segment
+    network = otr.from_sb3(model)
+    assert (network.n_hidden, network.n_inputs, network.head) == (0, 4, otr.Argmax())
+    states = np.random.default_rng(0).normal(size=(200, 4)).astype(np.float32)
+    np.testing.assert_array_equal(network.predict(states), model.predict(states)[0])
+    lengths = []
+    for seed in range(5):
+        env, done, n_steps = gym.make("CartPole-v1"), False, 0
+        state, _ = env.reset(seed=seed)
+        while not done:
+            state, _, terminated, truncated, _ = env.step(int(network.predict(state)))
+            done, n_steps = terminated or truncated, n_steps + 1
+        lengths.append(n_steps)
+    assert np.mean(lengths) > 100  # a policy of zeros stands for about 10 steps
+
+
+def test_what_random_search_refuses() -> None:
+    with pytest.raises(ConfigError, match="2 environments"):
+        build_ars(make_env("CartPole-v1", 2), SEARCH, seed=0)
+    with pytest.raises(ConfigError, match="n_top=5"):
+        build_ars(make_env("CartPole-v1", 1), dataclasses.replace(SEARCH, n_top=5), seed=0)

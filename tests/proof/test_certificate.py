@@ -1,0 +1,384 @@
+"""Certificates: they hold for equal functions, and nothing that was tampered with passes."""
+
+import json
+import re
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import otr
+from otr.core.domain import as_domain
+from otr.proof.certificate import Cell, Certificate, Sum
+from otr.proof.statement import Statement
+from tests.core.strategies import Case, cases, make_network, worked_network
+
+BOX = (-2.0, 2.0)
+
+
+def network_of(
+    seed: int = 0, widths: tuple[int, ...] = (5, 4), head: str = "identity", **more: object
+) -> otr.ReluNetwork:
+    return make_network(np.random.default_rng(seed), widths, n_inputs=2, n_outputs=3, head=head, **more)
+
+
+def changed(tree: otr.ObliqueTree, **arrays: np.ndarray) -> otr.ObliqueTree:
+    kept = {name: getattr(tree, name) for name in ("children_left", "children_right", "P", "v", "M", "c", "labels")}
+    parts = kept | arrays
+    labels = parts.pop("labels")
+    return otr.ObliqueTree(*parts.values(), labels=labels, head=tree.head)
+
+
+@settings(max_examples=60)
+@given(cases(max_layers=3), st.booleans(), st.sampled_from(("layers", "balanced")))
+def test_minimal_trees_are_certified(case: Case, in_box: bool, order: str) -> None:
+    domain = BOX if in_box else None
+    tree = otr.minimal_tree(case.network, domain, order=order)
+    certificate = otr.certify(tree, case.network, domain)
+    assert certificate.max_error < 1e-8
+    assert certificate.n_empty == 0
+    assert certificate.n_regions >= tree.n_leaves == certificate.n_leaves
+    assert otr.verify(certificate, tree, case.network) <= certificate.max_error
+
+
+@settings(max_examples=30)
+@given(cases(max_layers=2), st.booleans())
+def test_full_trees_are_certified_empty_leaves_and_all(case: Case, in_box: bool) -> None:
+    domain = BOX if in_box else None
+    tree = otr.map_network(case.network)
+    certificate = otr.certify(tree, case.network, domain)
+    reached = {cell.leaf for cell in certificate.cells if cell.empty is None}
+    assert certificate.n_empty + len(reached) == tree.n_leaves
+    assert certificate.max_error < 1e-8
+
+
+def test_the_bound_holds_where_it_is_checked_in_rational_arithmetic() -> None:
+    network = network_of(3)
+    tree = otr.minimal_tree(network, BOX)
+    slightly_off = changed(tree, c=tree.c + 1e-9)
+    certificate = otr.certify(slightly_off, network, BOX)
+    assert 1e-9 <= certificate.max_error < 1.0001e-9
+    for x in np.random.default_rng(0).uniform(-2, 2, (50, 2)):
+        difference = max(
+            abs(a - b) for a, b in zip(_rational_tree(slightly_off, x), _rational(network, x), strict=True)
+        )
+        assert difference <= Fraction(certificate.max_error)
+
+
+def _rational(network: otr.ReluNetwork, x: np.ndarray) -> list[Fraction]:
+    values = [Fraction(value) for value in x.tolist()]
+    for layer, (W, b) in enumerate(zip(network.weights, network.biases, strict=True)):
+        values = [
+            sum((Fraction(w) * a for w, a in zip(row, values, strict=True)), Fraction(offset))
+            for row, offset in zip(W.tolist(), b.tolist(), strict=True)
+        ]
+        if layer < len(network.weights) - 1:
+            values = [max(value, Fraction(0)) for value in values]
+    return values
+
+
+def _rational_tree(tree: otr.ObliqueTree, x: np.ndarray) -> list[Fraction]:
+    def affine(row: np.ndarray, offset: float) -> Fraction:
+        return sum((Fraction(w) * Fraction(a) for w, a in zip(row.tolist(), x.tolist(), strict=True)), Fraction(offset))
+
+    node = 0
+    while node >= 0:
+        right = affine(tree.P[node], float(tree.v[node])) > 0
+        node = int((tree.children_right if right else tree.children_left)[node])
+    return [affine(row, float(offset)) for row, offset in zip(tree.M[~node], tree.c[~node], strict=True)]
+
+
+def test_a_worked_proof() -> None:
+    # x > 1 and x > 0: the branch "x <= 0 but x > 1" is missing, as x = (x - 1) + 1.
+    network = otr.ReluNetwork([[[1.0], [1.0]], [[1.0, 1.0]]], [[-1.0, 0.0], [0.0]])
+    tree = otr.minimal_tree(network)
+    certificate = otr.certify(tree, network)
+    assert certificate.max_error == 0.0
+    right = next(cell for cell in certificate.cells if cell.outcomes == "11")
+    assert right == Cell(right.leaf, "11", (), (Sum(("test 0",), (1.0,)), Sum(("test 0",), (1.0,))))
+    assert repr(certificate) == "Certificate(3 leaves, 0 of them empty, 3 regions, max_error=0 on R^d of 1 inputs)"
+
+
+def test_on_an_open_domain_the_bound_is_by_the_size_of_the_inputs() -> None:
+    network = network_of(1, (4,))
+    tree = otr.minimal_tree(network)
+    M = tree.M.copy()
+    M[0, 0, 0] += 1e-8
+    assert otr.certify(changed(tree, M=M), network).max_error == pytest.approx(1e-8, rel=1e-5)
+
+
+def test_leaves_that_were_merged_have_several_regions() -> None:
+    network = network_of(5, (5,), head="argmax")
+    tree = otr.minimal_tree(network, BOX)
+    certificate = otr.certify(tree, network, BOX)
+    assert certificate.n_regions > tree.n_leaves
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    network = network_of()
+    certificate = otr.certify(otr.map_network(network), network, BOX)
+    assert certificate.n_empty > 0
+    assert otr.load_certificate(certificate.save(tmp_path / "certificate.json")) == certificate
+    half_open = otr.certify(otr.minimal_tree(network), network, ([-1.0, -np.inf], [np.inf, 2.0]))
+    assert otr.load_certificate(half_open.save(tmp_path / "open.json")) == half_open
+
+
+@pytest.mark.parametrize("head", ["tanh_box", "argmax"])
+def test_a_tampered_tree_is_refused_with_the_leaf(head: str) -> None:
+    network = network_of(2, head=head)
+    tree = otr.minimal_tree(network, BOX)
+    certificate = otr.certify(tree, network, BOX)
+    leaf = tree.n_leaves // 2
+    tampered = []
+    if head == "argmax":
+        labels = tree.labels.copy()
+        labels[leaf] = (labels[leaf] + 1) % 3
+        tampered.append(changed(tree, labels=labels))
+    else:
+        M = tree.M.copy()
+        M[leaf, 0, 0] += 1e-4
+        tampered.append(changed(tree, M=M))
+    for other in tampered:
+        with pytest.raises(otr.CertificateError, match=rf"^leaf {leaf}: at the state \[.* not the same") as refusal:
+            otr.verify(certificate, other, network)
+        assert Statement(other, network, certificate.domain).gap(refusal.value.state)[1] > certificate.max_error
+        with pytest.raises(otr.CertificateError, match=rf"^leaf {leaf}:"):
+            otr.certify(other, network, BOX)
+    for node in range(0, tree.n_nodes, 3):
+        v = tree.v.copy()
+        v[node] += 0.01
+        with pytest.raises(otr.CertificateError, match=r"^leaf \d+:"):
+            otr.verify(certificate, changed(tree, v=v), network)
+    swapped = changed(tree, children_left=tree.children_right, children_right=tree.children_left)
+    with pytest.raises(otr.CertificateError, match=r"^leaf \d+:"):
+        otr.verify(certificate, swapped, network)
+
+
+def test_another_network_is_refused() -> None:
+    network = network_of(2)
+    tree = otr.minimal_tree(network, BOX)
+    certificate = otr.certify(tree, network, BOX)
+    weights = [W.copy() for W in network.weights]
+    weights[0][0, 0] += 1e-3
+    with pytest.raises(otr.CertificateError, match=r"^leaf \d+:"):
+        otr.verify(certificate, tree, otr.ReluNetwork(weights, network.biases))
+    with pytest.raises(otr.CertificateError, match="the head"):
+        otr.verify(certificate, tree, network_of(2, head="argmax"))
+
+
+def tampered_certificates(certificate: Certificate) -> dict[str, tuple[int, Certificate]]:
+    """Ways to lie, and the leaf that gives each away."""
+    cells = certificate.cells
+    at, proof = next(
+        (i, j) for i, cell in enumerate(cells) for j, proof in enumerate(cell.proofs) if len(proof.rows) > 1
+    )
+    cell, terms = cells[at], cells[at].proofs[proof]
+
+    def with_cell(other: Cell | None) -> Certificate:
+        return replace(certificate, cells=tuple(c for c in (*cells[:at], other, *cells[at + 1 :]) if c is not None))
+
+    def with_sum(rows: tuple[str, ...], multipliers: tuple[float, ...]) -> Certificate:
+        proofs = (*cell.proofs[:proof], Sum(rows, multipliers), *cell.proofs[proof + 1 :])
+        return with_cell(replace(cell, proofs=proofs))
+
+    m = terms.multipliers
+    other_test = next(f"test {i}" for i in range(1000) if f"test {i}" not in terms.rows)
+    flipped = ("1" if cell.outcomes[0] == "0" else "0") + cell.outcomes[1:]
+    return {
+        "a negative multiplier": (cell.leaf, with_sum(terms.rows, (-m[0], *m[1:]))),
+        "a wrong multiplier": (cell.leaf, with_sum(terms.rows, (m[0] * 1e6, *m[1:]))),
+        "no multipliers": (cell.leaf, with_sum((), ())),
+        "too few multipliers": (cell.leaf, with_sum(terms.rows, m[1:])),
+        "not a number": (cell.leaf, with_sum(terms.rows, (float("nan"), *m[1:]))),
+        "another row": (cell.leaf, with_sum((other_test, *terms.rows[1:]), m)),
+        "a row that is none": (cell.leaf, with_sum(("test 12345", *terms.rows[1:]), m)),
+        "another pattern": (cell.leaf, with_cell(replace(cell, outcomes=flipped))),
+        "a short pattern": (cell.leaf, with_cell(replace(cell, outcomes=cell.outcomes[1:]))),
+        "a cell less": (cell.leaf, with_cell(None)),
+        "a split that is none": (cell.leaf, with_cell(replace(cell, splits=(0,), proofs=cell.proofs[1:]))),
+        "another leaf": (cell.leaf, with_cell(replace(cell, leaf=(cell.leaf + 1) % certificate.n_leaves))),
+        "a smaller error": (0, replace(certificate, max_error=certificate.max_error / 1e6)),
+        "a leaf more": (certificate.n_leaves, replace(certificate, n_leaves=certificate.n_leaves + 1)),
+    }
+
+
+LIES = (
+    "a negative multiplier", "a wrong multiplier", "no multipliers", "too few multipliers", "not a number",
+    "another row", "a row that is none", "another pattern", "a short pattern", "a cell less", "a split that is none",
+    "another leaf", "a smaller error", "a leaf more",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_a_tampered_certificate_is_refused_with_the_leaf(lie: str) -> None:
+    network = network_of(2)
+    tree = otr.minimal_tree(network, BOX)
+    certificate = otr.certify(tree, network, BOX)
+    ways = tampered_certificates(certificate)
+    assert set(ways) == set(LIES)
+    leaf, tampered = ways[lie]
+    with pytest.raises(otr.CertificateError, match=r"^leaf \d+:") as refusal:
+        otr.verify(tampered, tree, network)
+    named = int(re.match(r"leaf (\d+)", str(refusal.value)).group(1))
+    if lie not in ("a smaller error", "another leaf"):
+        assert named == leaf
+
+
+def test_a_leaf_said_to_be_empty_is_checked() -> None:
+    network = worked_network()
+    tree = otr.map_network(network)
+    certificate = otr.certify(tree, network, BOX)
+    empty = next(cell for cell in certificate.cells if cell.empty is not None)
+    reached = next(cell.leaf for cell in certificate.cells if cell.empty is None)
+    fewer = tuple(cell for cell in certificate.cells if cell.leaf != reached)
+    with pytest.raises(otr.CertificateError, match=rf"^leaf {reached}:"):
+        otr.verify(replace(certificate, cells=(*fewer, replace(empty, leaf=reached))), tree, network)
+    others = tuple(cell for cell in certificate.cells if cell is not empty)
+    with pytest.raises(otr.CertificateError, match=rf"^leaf {empty.leaf}: the cell '' is said to be empty"):
+        otr.verify(replace(certificate, cells=(*others, replace(empty, empty=Sum((), ())))), tree, network)
+
+
+def test_a_pruned_tree_is_not_the_network() -> None:
+    network = network_of(2)
+    tree = otr.minimal_tree(network, BOX)
+    pruned = otr.prune_to_k(tree, np.random.default_rng(0).uniform(-2, 2, (300, 2)), 3)
+    with pytest.raises(otr.CertificateError, match=r"leaf \d+: at the state \[.*the tree answers.*and the network"):
+        otr.certify(pruned, network, BOX)
+
+
+def test_limits_and_misfits() -> None:
+    network = network_of(2)
+    tree = otr.minimal_tree(network, BOX)
+    with pytest.raises(otr.TreeTooLargeError, match="limit of 5 regions"):
+        otr.certify(tree, network, BOX, max_regions=5)
+    with pytest.raises(ValueError, match="must be the same"):
+        otr.certify(tree, network_of(2, head="argmax"), BOX)
+
+
+def test_files_that_are_no_certificates(tmp_path: Path) -> None:
+    path = tmp_path / "certificate.json"
+    with pytest.raises(otr.ArtefactError, match="cannot be read as JSON"):
+        otr.load_certificate(path)
+    path.write_text("[]")
+    with pytest.raises(otr.ArtefactError, match="expected 'otr/certificate/2'"):
+        otr.load_certificate(path)
+    network = worked_network()
+    otr.certify(otr.minimal_tree(network), network).save(path)
+    description = json.loads(path.read_text())
+    del description["cells"][0]["outcomes"]
+    path.write_text(json.dumps(description))
+    with pytest.raises(otr.ArtefactError, match="outcomes"):
+        otr.load_certificate(path)
+
+
+def test_forgeries_by_overflow_are_refused() -> None:
+    network = network_of(2)
+    tree = otr.minimal_tree(network, BOX)
+    true = otr.certify(tree, network, BOX)
+    for huge in (1.0, 1e308, Fraction(10) ** 400):
+        all_empty = tuple(
+            Cell(leaf, "", (), empty=Sum(("low 0", "high 0"), (huge, huge))) for leaf in range(tree.n_leaves)
+        )
+        with pytest.raises(otr.CertificateError, match=r"^leaf 0: the cell '' is said to be empty"):
+            otr.verify(replace(true, cells=all_empty), tree, network)
+        cell = next(cell for cell in true.cells if any(proof.rows for proof in cell.proofs))
+        overflowing = tuple(Sum(proof.rows, tuple(10**9 * huge for _ in proof.rows)) for proof in cell.proofs)
+        others = tuple(other for other in true.cells if other is not cell)
+        with pytest.raises(otr.CertificateError, match=rf"^leaf {cell.leaf}:"):
+            otr.verify(replace(true, cells=(*others, replace(cell, proofs=overflowing))), tree, network)
+    for max_error in (np.inf, np.nan, -1.0):
+        with pytest.raises(otr.CertificateError, match="a finite error"):
+            otr.verify(replace(true, max_error=max_error), tree, network)
+
+
+THIN = (
+    ("if x == 0: 5 else: max(x, 0)", (-1.0, 1.0)),
+    ("if x == 0: 5 else: max(x, 0)", None),
+    ("if x == 0.1: 5 else: max(x, 0)", (-1.0, 1.0)),
+    ("if x > 0.5 and x <= 0.502: 1000 else: max(x, 0)", (-1e6, 1e6)),
+    ("if x > 0.5 and x <= 0.5000000000000001: 7 else: max(x, 0)", (-1.0, 1.0)),
+    ("if x >= 1: 7 else: max(x, 0)", (-1.0, 1.0)),  # at the box's edge alone
+)
+
+
+@pytest.mark.parametrize(("text", "box"), THIN)
+def test_a_leaf_of_a_single_point_counts(text: str, box: tuple[float, float] | None) -> None:
+    network = otr.ReluNetwork([[[1.0]], [[1.0]]], [[0.0], [0.0]])
+    tree = otr.parse_program(text, ["x"])
+    with pytest.raises(otr.CertificateError, match=r"leaf \d+: at the state \[.*\] the tree answers \[") as refusal:
+        otr.certify(tree, network, box, exact=True)
+    leaf, gap = Statement(tree, network, as_domain(box, 1)).gap(refusal.value.state)
+    assert leaf == refusal.value.leaf and gap > 1
+
+
+def test_a_leaf_beyond_all_floats_counts() -> None:
+    """Its test turns at x = 2e323, where no float64 is."""
+    network = otr.ReluNetwork([[[1.0]]], [[0.0]])
+    tree = otr.ObliqueTree([~0], [~1], [[5e-324]], [-1.0], [[[1.0]], [[3.0]]], [[0.0], [0.0]])
+    with pytest.raises(otr.CertificateError, match=r"leaf 1: at the state \[about 2\*\*\d+\]") as refusal:
+        otr.certify(tree, network)
+    assert Statement(tree, network, as_domain(None, 1)).leaf_at(refusal.value.state) == 1
+    assert otr.certify(tree, network, (-1e100, 1e100)).n_empty == 1
+
+
+def test_thin_leaves_that_are_right_are_covered() -> None:
+    """The network is cut along y inside the leaf x == 0, which has no inside."""
+    network = otr.ReluNetwork([[[1.0, 0.0], [0.0, 1.0]], [[1.0, 1.0]]], [[0.0, 0.0], [0.0]])
+    right = otr.parse_program("if x == 0: max(y, 0) else: max(x, 0) + max(y, 0)", ["x", "y"])
+    certificate = otr.certify(right, network, BOX)
+    assert (certificate.max_error, otr.verify(certificate, right, network)) == (0.0, 0.0)
+    wrong = otr.parse_program("if x == 0: y else: max(x, 0) + max(y, 0)", ["x", "y"])
+    with pytest.raises(otr.CertificateError, match=r"at the state \[0.0, -"):
+        otr.certify(wrong, network, BOX)
+
+
+def test_a_leaf_that_only_touches_is_empty() -> None:
+    """x > 1 is no state of [-1, 1], and x <= 0 and x > 0 none at all; x >= 1 is one."""
+    network = otr.ReluNetwork([[[1.0]]], [[0.0]])
+    tree = otr.parse_program("if x > 1: 9 else: x", ["x"])
+    assert otr.certify(tree, network, (-1.0, 1.0)).n_empty == 1
+    twice = otr.ObliqueTree(
+        [~0, ~1], [1, ~2], [[1.0], [1.0]], [0.0, 0.0], [[[1.0]], [[0.0]], [[1.0]]], [[0.0], [9.0], [0.0]]
+    )
+    assert otr.certify(twice, network).max_error == 0.0
+
+
+def test_a_sliver_is_bounded_by_its_own_difference() -> None:
+    """The tree's boundary is off by 1e-8: on the sliver between, tree and network differ by that much, not by 1."""
+    network = otr.ReluNetwork([[[1.0]], [[1.0]]], [[0.0], [0.0]])
+    tree = otr.ObliqueTree([~0], [~1], [[1.0]], [-1e-8], [[[0.0]], [[1.0]]], [[0.0], [0.0]])
+    for domain in ((-1.0, 1.0), None):
+        certificate = otr.certify(tree, network, domain)
+        assert 1e-8 <= certificate.max_error <= 1.01e-8
+        assert otr.verify(certificate, tree, network) == certificate.max_error
+    with pytest.raises(otr.CertificateError, match="not the same function"):
+        otr.certify(tree, network, (-1.0, 1.0), max_error=9e-9)
+
+
+def test_wrong_types_and_numbers_are_told() -> None:
+    network = network_of(2)
+    tree = otr.minimal_tree(network, BOX)
+    with pytest.raises(TypeError, match="certify takes an ObliqueTree and its ReluNetwork, got ReluNetwork"):
+        otr.certify(network, tree, BOX)
+    with pytest.raises(TypeError, match="got dict, ObliqueTree, ReluNetwork"):
+        otr.verify({}, tree, network)
+    with pytest.raises(TypeError, match="network is a ObliqueTree"):
+        otr.minimal_tree(tree)
+    for max_error in (np.nan, -1.0, np.inf):
+        with pytest.raises(ValueError, match="max_error is"):
+            otr.certify(tree, network, BOX, max_error=max_error)
+    with pytest.raises(ValueError, match="every certificate is in exact arithmetic"):
+        otr.certify(tree, network, BOX, exact=False)
+    with pytest.raises(ValueError, match="wider than"):
+        otr.minimal_tree(network, (-1e308, 1e308))
+    with pytest.raises(ValueError, match="expected None, a pair"):
+        otr.minimal_tree(network, "box")
+    with pytest.raises(otr.ArtefactError, match="cannot be read"):
+        Certificate.from_dict(
+            otr.certify(tree, network, BOX).to_dict()
+            | {"cells": [{"leaf": 0, "outcomes": "", "splits": [], "empty": "none"}]}
+        )

@@ -1,0 +1,219 @@
+"""Ranges and conditions against dense sampling and worked examples."""
+
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import otr
+from otr.proof.certificate import Sum
+from otr.proof.head_bounds import tanh_line
+from otr.proof.properties import Condition, check_verdict
+from otr.proof.verdict import Piece
+from tests.core.strategies import cases, make_network
+
+BOX = (-1.5, 2.0)
+
+
+def grid(n_inputs: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(*BOX, (4000, n_inputs))
+
+
+@settings(max_examples=60)
+@given(cases(heads=("identity", "clip_box", "tanh_box"), max_layers=3))
+def test_no_state_is_outside_the_range_and_its_ends_are_taken(case) -> None:
+    network = case.network
+    tree = otr.map_network(network)
+    found = otr.output_range(tree, BOX)
+    answers = network.predict(grid(network.n_inputs))
+    assert (answers >= found.low - 1e-9).all() and (answers <= found.high + 1e-9).all()
+    for output in range(network.n_outputs):
+        for states, values in ((found.low_states, found.low), (found.high_states, found.high)):
+            assert (states[output] >= BOX[0] - 1e-9).all() and (states[output] <= BOX[1] + 1e-9).all()
+            # A network is continuous, so that the end is taken, not only approached.
+            assert network.predict(states[output])[output] == pytest.approx(values[output], abs=1e-6)
+
+
+def test_a_worked_range() -> None:
+    network = otr.ReluNetwork([[[1.0, 0.0], [0.0, 1.0]], [[1.0, -2.0]]], [[0.0, -1.0], [0.5]])
+    found = otr.output_range(otr.map_network(network), ([-1.0, 0.0], [3.0, 2.0]))
+    assert (found.low.tolist(), found.high.tolist()) == ([-1.5], [3.5])
+    tree = otr.ObliqueTree([~0], [~1], [[1.0]], [0.0], [[[0.0]], [[1.0]]], [[5.0], [1.0]])
+    jump = otr.output_range(tree, (-1.0, 1.0))
+    assert (jump.low.tolist(), jump.high.tolist()) == ([1.0], [5.0])
+    assert otr.output_range(tree, (0.5, 1.0)).low.tolist() == [1.5]
+
+
+def test_labels_that_a_box_can_bring() -> None:
+    network = otr.ReluNetwork([[[1.0], [-1.0], [0.0]]], [[0.0, 0.0, 0.5]], head=otr.Argmax())
+    tree = otr.map_network(network)
+    assert otr.reachable_labels(tree, (-2.0, 2.0)).tolist() == [0, 1, 2]
+    assert otr.reachable_labels(tree, (-0.4, 0.4)).tolist() == [2]
+    assert otr.reachable_labels(tree).tolist() == [0, 1, 2]
+    with pytest.raises(ValueError, match="use reachable_labels"):
+        otr.output_range(tree, (-1.0, 1.0))
+    with pytest.raises(ValueError, match="use output_range"):
+        otr.reachable_labels(otr.map_network(otr.ReluNetwork([[[1.0]]], [[0.0]])))
+
+
+@settings(max_examples=60)
+@given(cases(max_layers=2), st.integers(0, 2**32 - 1), st.floats(-2.0, 2.0, allow_subnormal=False))
+def test_a_verdict_agrees_with_every_state(case, seed: int, slack: float) -> None:
+    network, rng = case.network, np.random.default_rng(seed)
+    tree = otr.map_network(network)
+    X = grid(network.n_inputs, 1)
+    answers = network.predict(X)
+    if isinstance(network.head, otr.Sign):
+        answers = answers[:, None]
+    elif tree.labels is not None:
+        answers = np.eye(network.n_outputs)[answers]
+    w, u = rng.normal(size=network.n_inputs), rng.normal(size=network.n_outputs)
+    values = X @ w + answers @ u
+    condition = Condition(w, u, float(values.max() + slack * values.std() / 10))
+    verdict = otr.find_violation(tree, condition, BOX)
+    check_verdict(verdict, tree, condition, BOX)
+    if verdict.holds:
+        assert values.max() <= max(condition.bound, verdict.value) + 1e-6
+        assert (
+            verdict.state is None
+            and verdict.point is None
+            and {piece.leaf for piece in verdict.pieces} == set(range(tree.n_leaves))
+        )
+    else:
+        assert verdict.value > condition.bound
+        x = verdict.state
+        assert (x >= BOX[0] - 1e-9).all() and (x <= BOX[1] + 1e-9).all()
+        assert w @ x + verdict.action @ u == pytest.approx(verdict.value, abs=1e-9)
+        np.testing.assert_allclose(tree.predict(x) if tree.labels is None else verdict.action, verdict.action)
+    if values.max() > condition.bound + 1e-6:
+        assert not verdict.holds
+
+
+def test_the_largest_value_is_found_to_the_tolerance() -> None:
+    """On one affine leaf under tanh, the maximum of tanh(3 x) - x on [0, 2] is where tanh' = 1/3."""
+    tree = otr.map_network(otr.ReluNetwork([[[3.0]]], [[0.0]], head=otr.TanhBox(-1.0, 1.0)))
+    best = np.arccosh(np.sqrt(3.0)) / 3
+    largest = np.tanh(3 * best) - best
+    holds = otr.find_violation(tree, Condition([-1.0], [1.0], largest + 1e-4), (0.0, 2.0))
+    assert holds.holds and largest <= holds.value <= largest + 1e-4 + 1e-11
+    fails = otr.find_violation(tree, Condition([-1.0], [1.0], largest - 1e-4), (0.0, 2.0))
+    assert not fails.holds and largest - 1e-4 < fails.value <= largest
+
+
+@given(st.floats(-8, 8, allow_subnormal=False), st.floats(0, 8, allow_subnormal=False), st.integers(0, 100))
+def test_lines_lie_above_tanh(low: float, width: float, share: int) -> None:
+    slope, offset = tanh_line(np.array([low]), np.array([low + width]))
+    y = low + width * share / 100
+    assert slope[0] * y + offset[0] >= np.tanh(y) - 1e-12
+    assert slope[0] * y + offset[0] <= np.tanh(y) + 2 * width + 1e-12
+
+
+def test_bad_questions_are_told() -> None:
+    tree = otr.map_network(make_network(np.random.default_rng(0), (3,), n_inputs=2, n_outputs=2))
+    with pytest.raises(ValueError, match="expected a bounded box"):
+        otr.output_range(tree, ([0.0, 0.0], [1.0, np.inf]))
+    with pytest.raises(ValueError, match=r"expected \(2,\) of the state and \(2,\) of the action"):
+        otr.find_violation(tree, Condition([1.0], [1.0, 0.0], 0.0), BOX)
+    with pytest.raises(otr.OtrError, match="more than 3 pieces"):
+        otr.find_violation(tree, Condition([1.0, 0.0], [1.0, 0.0], 1e9), BOX, max_pieces=3)
+
+
+@pytest.mark.parametrize("head", ["clip_box", "tanh_box", "argmax"])
+def test_a_proof_that_was_tampered_with_is_refused(head: str) -> None:
+    tree = otr.map_network(make_network(np.random.default_rng(7), (3,), n_inputs=2, n_outputs=2, head=head))
+    condition = Condition([0.3, -0.2], [1.0, 0.5], 1.95)
+    verdict = otr.find_violation(tree, condition, BOX)
+    assert verdict.holds
+    check_verdict(verdict, tree, condition, BOX)
+    at = next(
+        i
+        for i, piece in enumerate(verdict.pieces)
+        if not piece.is_empty and max(piece.proof.multipliers, default=0) > 0.01
+    )
+    piece = verdict.pieces[at]
+    rows, multipliers = piece.proof.rows, piece.proof.multipliers
+
+    def with_piece(*others: Piece) -> object:
+        return replace(verdict, pieces=(*verdict.pieces[:at], *others, *verdict.pieces[at + 1 :]))
+
+    lies = [
+        with_piece(),
+        with_piece(replace(piece, proof=Sum(rows, tuple(-m for m in multipliers)))),
+        with_piece(replace(piece, proof=Sum(rows, tuple(1000 * m for m in multipliers)))),
+        with_piece(replace(piece, proof=Sum(tuple("test 999" for _ in rows), multipliers))),
+        with_piece(replace(piece, is_empty=True)),
+        replace(verdict, holds=False, state=np.zeros(2), point=(Fraction(0), Fraction(0)), leaf=0),
+    ]
+    if piece.lines:
+        slope, offset = piece.lines[0]
+        lines = [(slope, offset - 0.1), (0.5 * slope - 0.1, offset), (np.nan, offset), (slope, -np.inf)]
+        lies += [with_piece(replace(piece, lines=(line, *piece.lines[1:]))) for line in lines]
+    for lie in lies:
+        with pytest.raises(otr.CertificateError, match=r"^leaf \d+:"):
+            check_verdict(lie, tree, condition, BOX)
+    with pytest.raises(otr.CertificateError, match=r"^leaf \d+:"):
+        check_verdict(verdict, tree, replace(condition, bound=verdict.value - 0.05), BOX)
+
+
+@pytest.mark.parametrize(
+    ("text", "box"),
+    [
+        ("if x == 0: 5 else: max(x, 0)", (-1.0, 1.0)),
+        ("if x > 0.5 and x <= 0.502: 5 else: 0 * x", (-1e6, 1e6)),
+        ("if x >= 1: 5 else: x", (-1.0, 1.0)),
+    ],
+)
+def test_a_leaf_of_a_single_point_counts(text: str, box: tuple[float, float]) -> None:
+    tree = otr.parse_program(text, ["x"])
+    assert otr.output_range(tree, box).high.tolist() == [5.0]
+    verdict = otr.find_violation(tree, Condition([0.0], [1.0], 4.0), box)
+    assert (verdict.holds, verdict.value) == (False, 5.0)
+    assert tree.predict(verdict.state).tolist() == [5.0]
+    check_verdict(verdict, tree, Condition([0.0], [1.0], 4.0), box)
+    labelled = otr.ObliqueTree(
+        tree.children_left, tree.children_right, tree.P, tree.v, tree.M, tree.c,
+        labels=(tree.c[:, 0] == 5).astype(int), head=otr.Sign(),
+    )  # fmt: skip
+    assert otr.reachable_labels(labelled, box).tolist() == [0, 1]
+
+
+def test_a_leaf_that_only_touches_does_not_count() -> None:
+    tree = otr.parse_program("if x > 1: 5 else: x", ["x"])
+    assert otr.output_range(tree, (-1.0, 1.0)).high.tolist() == [1.0]
+    condition = Condition([0.0], [1.0], 1.0)
+    verdict = otr.find_violation(tree, condition, (-1.0, 1.0))
+    assert (verdict.holds, verdict.value) == (True, 1.0)
+    check_verdict(verdict, tree, condition, (-1.0, 1.0))
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(("sign", "argmax", "clip_box", "identity")), st.booleans())
+def test_a_state_that_fails_does_so_under_the_tree_s_own_answer(seed: int, head: str, exact: bool) -> None:
+    rng = np.random.default_rng(seed)
+    n_outputs = 1 if head == "sign" else 3
+    network = make_network(rng, (3, 2), n_inputs=2, n_outputs=n_outputs, head=head, exact=exact)
+    tree, w, u = otr.minimal_tree(network, BOX), rng.normal(size=2), rng.normal(size=n_outputs)
+    X = grid(2, 1)
+    answers = tree.predict(X)
+    if tree.labels is not None:
+        answers = answers[:, None] if head == "sign" else np.eye(3)[answers]
+    condition = Condition(w, u, float(np.quantile(X @ w + answers @ u, 0.9)))
+    verdict = otr.find_violation(tree, condition, BOX)
+    check_verdict(verdict, tree, condition, BOX)
+    assert not verdict.holds
+    answer = tree.predict(verdict.state)
+    if tree.labels is not None:
+        answer = np.array([answer]) if head == "sign" else np.eye(3)[answer]
+    assert w @ verdict.state + answer @ u > condition.bound
+
+
+@pytest.mark.parametrize("changes", [{"action": [np.nan]}, {"bound": np.nan}, {"state": [np.inf]}])
+def test_conditions_that_are_no_numbers_are_refused(changes: dict) -> None:
+    tree = otr.map_network(make_network(np.random.default_rng(0), (2,), n_inputs=1))
+    with pytest.raises(ValueError, match="no finite number"):
+        otr.find_violation(tree, replace(Condition([0.0], [1.0], 2.0), **changes), BOX)
+    with pytest.raises(TypeError, match="expected an ObliqueTree"):
+        otr.output_range(make_network(np.random.default_rng(0), (2,)), BOX)

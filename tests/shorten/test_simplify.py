@@ -1,0 +1,129 @@
+"""Simplified trees: never longer, always within what the judge allows; the bound on actions holds everywhere."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import otr
+from otr.proof.action_difference import largest_difference
+from otr.shorten.edits import n_numbers
+from tests.core.strategies import cases, make_network
+
+BOX = (-1.0, 1.0)
+
+
+def states(n_inputs: int, n: int = 2000, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(*BOX, (n, n_inputs))
+
+
+@settings(max_examples=50)
+@given(cases(heads=("identity", "clip_box", "tanh_box"), max_layers=2), st.integers(0, 2**32 - 1))
+def test_no_two_actions_are_further_apart_than_the_bound(case, seed: int) -> None:
+    network, rng = case.network, np.random.default_rng(seed)
+    tree = otr.map_network(network)
+    other = otr.ObliqueTree(
+        tree.children_left, tree.children_right, tree.P, tree.v + 0.1 * rng.normal(size=tree.n_nodes),
+        tree.M + 0.1 * rng.normal(size=tree.M.shape), tree.c, head=tree.head,
+    )  # fmt: skip
+    X = states(network.n_inputs)
+    apart = np.abs(tree.predict(X) - other.predict(X)).max()
+    bound = largest_difference(tree, other, BOX)
+    assert apart <= bound + 1e-9
+    if isinstance(network.head, otr.Identity) and network.n_inputs == 1:
+        assert bound <= apart + 0.2  # it is taken somewhere
+    assert largest_difference(tree, tree, BOX) <= 1e-9
+
+
+def test_a_worked_difference() -> None:
+    ours = otr.ObliqueTree([~0], [~1], [[1.0]], [0.0], [[[1.0]], [[2.0]]], [[0.0], [0.0]])
+    theirs = otr.ObliqueTree([], [], np.zeros((0, 1)), [], [[[1.0]]], [[0.5]])
+    assert largest_difference(ours, theirs, BOX) == pytest.approx(0.5)
+    assert largest_difference(ours, theirs, (0.0, 2.0)) == pytest.approx(1.5)
+    saturated = [
+        otr.ObliqueTree([], [], np.zeros((0, 1)), [], [[[0.0]]], [[c]], head=otr.TanhBox(-1.0, 1.0)) for c in (8, 9)
+    ]
+    assert largest_difference(*saturated, BOX) == pytest.approx(np.tanh(9) - np.tanh(8))
+
+
+def test_labels_differ_somewhere_or_nowhere() -> None:
+    network = otr.ReluNetwork([[[1.0], [-1.0]]], [[0.0, 0.0]], head=otr.Argmax())
+    tree = otr.map_network(network)
+    arrays = (tree.children_left, tree.children_right, tree.P, tree.v + 0.5, tree.M, tree.c)
+    moved = otr.ObliqueTree(*arrays, labels=tree.labels, head=tree.head)
+    assert largest_difference(tree, moved, BOX) == 1.0
+    assert largest_difference(tree, tree, BOX) == 0.0
+    assert largest_difference(tree, moved, (0.5, 1.0)) == 0.0
+    with pytest.raises(ValueError, match="must be the same"):
+        largest_difference(tree, otr.map_network(make_network(np.random.default_rng(0), (2,), n_inputs=1)), BOX)
+
+
+@settings(max_examples=12)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from(("identity", "clip_box", "tanh_box")),
+    st.floats(0.0, 1.0, allow_subnormal=False),
+)
+def test_within_a_bound_on_actions_nothing_changes_by_more(seed: int, head: str, bound: float) -> None:
+    network = make_network(np.random.default_rng(seed), (3,), n_inputs=2, head=head)
+    tree = otr.minimal_tree(network, BOX)
+    simpler = otr.simplify(tree, otr.within(tree, BOX, bound), states(2, 200))
+    assert simpler.n_numbers <= simpler.n_numbers_before == n_numbers(tree)
+    assert simpler.n_numbers == n_numbers(simpler.tree)
+    X = np.concatenate((states(2, 3000, 1), np.array([[a, b] for a in BOX for b in BOX])))
+    assert np.abs(simpler.tree.predict(X) - tree.predict(X)).max() <= bound + 1e-9
+
+
+def test_bang_bang_control_is_found() -> None:
+    """Steep leaves, and a test that little but the velocity's sign matters for, as on the mountain car."""
+    M, c = [[[0.1, 1.0]], [[-0.1, 2.0]]], [[-3.7], [2.9]]
+    tree = otr.ObliqueTree([~0], [~1], [[-0.6, 77.4]], [0.1], M, c, head=otr.TanhBox(-1.0, 1.0))
+    X = np.random.default_rng(0).uniform([-1.2, -0.07], [0.6, 0.07], (500, 2))
+    wanted = np.where(X[:, 1] > 0, 1.0, -1.0)
+
+    def judge(candidate: otr.ObliqueTree) -> bool:
+        return bool(np.abs(candidate.predict(X)[:, 0] - wanted).mean() <= 0.15)
+
+    simpler = otr.simplify(tree, judge, X)
+    assert otr.to_text(simpler.tree, feature_names=["x", "v"]) == "if v <= 0 then\n    return -1\nelse\n    return 1\n"
+    assert isinstance(simpler.tree.head, otr.Identity)
+
+
+def test_nothing_is_changed_that_the_judge_refuses() -> None:
+    tree = otr.minimal_tree(make_network(np.random.default_rng(1), (4,), n_inputs=2), BOX)
+    X = states(2)
+    kept = otr.simplify(tree, lambda candidate: False, X)
+    assert kept.n_kept == 0 and kept.n_numbers == kept.n_numbers_before
+    np.testing.assert_allclose(kept.tree.predict(X), tree.predict(X), atol=1e-12)
+    least = otr.simplify(tree, lambda candidate: True, X)
+    assert (least.tree.n_leaves, least.n_numbers) == (1, 0)
+
+
+def test_labels_are_kept_where_the_judge_compares_them() -> None:
+    network = make_network(np.random.default_rng(6), (4,), n_inputs=2, n_outputs=3, head="argmax")
+    tree, X = otr.minimal_tree(network, BOX), states(2)
+    simpler = otr.simplify(tree, lambda candidate: bool((candidate.predict(X) == tree.predict(X)).mean() >= 0.97), X)
+    assert simpler.n_numbers < simpler.n_numbers_before
+    assert (simpler.tree.predict(X) == tree.predict(X)).mean() >= 0.97
+
+
+def test_states_are_needed() -> None:
+    tree = otr.map_network(make_network(np.random.default_rng(1), (2,), n_inputs=2))
+    with pytest.raises(ValueError, match="holds no states"):
+        otr.simplify(tree, lambda candidate: True, np.zeros((0, 2)))
+
+
+def test_bad_requests_are_told() -> None:
+    network = make_network(np.random.default_rng(1), (2,), n_inputs=2)
+    tree = otr.map_network(network)
+    with pytest.raises(TypeError, match="expected an ObliqueTree"):
+        otr.simplify(network, lambda candidate: True, states(2))
+    with pytest.raises(ValueError, match="digits are"):
+        otr.simplify(tree, lambda candidate: True, states(2), digits=(0,))
+    with pytest.raises(ValueError, match="not finite"):
+        otr.simplify(tree, lambda candidate: True, np.full((3, 2), np.nan))
+    for bound in (-0.1, np.nan):
+        with pytest.raises(ValueError, match="bound is"):
+            otr.within(tree, BOX, bound)
+    with pytest.raises(ValueError, match="expected a bounded box"):
+        otr.within(tree, None, 0.1)

@@ -1,10 +1,10 @@
 """The regions of a network: every activation pattern that some states have.
 
-Those of one layer in few dimensions are found by their vertices (`otr.vertices`), all others by walking the tree of the
-network's tests. All regions of a level are taken on together. Each knows an inner point, which tells one side of the
-next test that is not empty; whether the other side is, too, is asked of `largest_balls`. Where floating point cannot
-tell, the side is kept, without an inner point. Each level's tests are written in the inputs, by layer: within a region
-of the layers before, a layer is an arrangement of hyperplanes.
+Those of one layer in few dimensions are found by their vertices (`otr.geometry.vertices`), all others by walking the
+tree of the network's tests. All regions of a level are taken on together. Each knows an inner point, which tells one
+side of the next test that is not empty; whether the other side is, too, is asked of `largest_balls`. Where floating
+point cannot tell, the side is kept, without an inner point. Each level's tests are written in the inputs, by layer:
+within a region of the layers before, a layer is an arrangement of hyperplanes.
 
 Of open inputs, those that a domain does not bound, only the directions matter that the network's weights on them span:
 they are taken as inputs instead (`_in_fewer_inputs`), so that wide inputs cost no more than narrow ones.

@@ -4,7 +4,7 @@ Where the normals span the space, every region has a vertex. Where the hyperplan
 lies on as many of them as there are dimensions, and the regions around it have either side of those, in every
 combination, and its own side of all others. So the distinct signs around all vertices are the regions. Whether that is
 so is checked, well beyond rounding; where it is not, or where there is too much to do, the answer is None, and
-`otr.arrangement` walks.
+`otr.geometry.arrangement` walks.
 """
 
 from __future__ import annotations

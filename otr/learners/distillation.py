@@ -105,7 +105,7 @@ def distillation_set(
 
     Returns:
         Rows ((1 + n_copies) n, d) of X's dtype, of which the first n are X; and targets ((1 + n_copies) n, L) in
-        [0, 1], for `otr.learners.batched_mlp.train_many` with the logistic loss.
+        [0, 1], for `otr.learners.networks.batched_mlp.train_many` with the logistic loss.
 
     Raises:
         ValueError: shapes do not agree, Y holds something else, or a label has no rows.

@@ -79,7 +79,7 @@ class _LCNLearner(NetworkLearner):
 _PARAMETERS = """
 
     `tree_` has 2**depth leaves, each a constant, and computes what `network_` computes. To train many labels and seeds
-    together, use `otr.learners.batched_lcn.train_many_lcns`.
+    together, use `otr.learners.networks.batched_lcn.train_many_lcns`.
 
     Args:
         depth: neurons, one a layer.

@@ -158,7 +158,7 @@ _PARAMETERS = """
 
     `tree_` is the explicit `ObliqueTree` where it has at most `max_leaves` leaves, else a `PatternTree`; both compute
     what `network_` computes. For several labels at once there is a network and a tree for each, in `networks_` and
-    `trees_`. To train many labels and seeds together, use `otr.learners.batched_mlp.train_many`.
+    `trees_`. To train many labels and seeds together, use `otr.learners.networks.batched_mlp.train_many`.
 
     Args:
         hidden: widths of the hidden layers.

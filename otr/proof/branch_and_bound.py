@@ -2,7 +2,7 @@
 
 On a piece the condition's left side is bounded by an affine function, whose largest value a linear program finds; where
 tanh's lines are too loose the piece is cut in two. What floating point finds counts when exact arithmetic confirms it
-(`otr.verdict`); else the piece is decided by a program in rational arithmetic, however thin it is.
+(`otr.proof.verdict`); else the piece is decided by a program in rational arithmetic, however thin it is.
 """
 
 from __future__ import annotations

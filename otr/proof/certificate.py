@@ -5,8 +5,8 @@ neuron whose boundary does not cut it, Farkas multipliers: in the cell the neuro
 its sign, is a sum of the cell's rows with weights that are not negative, up to a remainder that is bounded over the
 domain. So the neuron cannot be on the other side by more than that remainder, the missing branch is empty, and the
 network is an affine map there, which is compared with the leaf's. A leaf that no state reaches, or a cell that holds
-none, comes with multipliers that show it. `otr.certify` (otr/proving.py) finds the proof, `otr.verify`
-(otr/verification.py) checks it without a solver.
+none, comes with multipliers that show it. `otr.certify` (otr/proof/certify.py) finds the proof, `otr.verify`
+(otr/proof/verify.py) checks it without a solver.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Sum:
     """A sum of rows with multipliers that are not negative.
 
     Attributes:
-        rows: names of rows, as in otr/statement.py: "low i", "high i", "test i", "neuron i".
+        rows: names of rows, as in otr/proof/statement.py: "low i", "high i", "test i", "neuron i".
         multipliers: one each; a fraction where no float64 would do.
     """
 

@@ -1,7 +1,7 @@
 """Certificates found: the network's cells inside each leaf's region, and multipliers for every branch that is missing.
 
 The search is in floating point, and what it finds is checked in exact arithmetic. Where it does not hold, or where a
-leaf is too thin for floating point, the search is repeated in exact arithmetic (`otr.exact_cells`).
+leaf is too thin for floating point, the search is repeated in exact arithmetic (`otr.proof.exact_cells`).
 """
 
 from __future__ import annotations

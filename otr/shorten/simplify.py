@@ -93,7 +93,8 @@ def simplify(
 def within(tree: ObliqueTree, box: Box | Domain, bound: float) -> Judge:
     """Return the judge that allows no action to change by more than `bound` anywhere in a box.
 
-    The bound is `otr.difference.largest_difference`: proved, and a little larger than the change itself under tanh.
+    The bound is `otr.proof.action_difference.largest_difference`: proved, and a little larger than the change itself
+    under tanh.
 
     Raises:
         ValueError: the box is unbounded or does not fit the tree, or the bound is negative or no number.

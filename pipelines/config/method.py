@@ -1,11 +1,11 @@
-"""The method of a run: a file of conf/method. Its stages are in `pipelines/methods.py`."""
+"""The method of a run: a file of conf/method. Its stages are in `pipelines/config/methods.py`."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class MethodConfig:
-    """The method's name; its stages are its row in `pipelines/methods.py`."""
+    """The method's name; its stages are its row in `pipelines/config/methods.py`."""
 
     name: str
 

@@ -12,7 +12,7 @@ class TrainerConfig:
 
 @dataclass(frozen=True)
 class FleetConfig(TrainerConfig):
-    """Many runs of SAC trained as one (`pipelines/fleet`). Other algorithms are Stable-Baselines3's all the same.
+    """Many runs of SAC trained as one (`pipelines/training/fleet`); Stable-Baselines3 trains all other algorithms.
 
     Attributes:
         n_envs: environments a run; as many updates follow each step of all of them.

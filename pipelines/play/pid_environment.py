@@ -17,7 +17,7 @@ class PidObservation(gym.Wrapper[np.ndarray, Any, np.ndarray, Any]):
     """
 
     def __init__(self, env: gym.Env[Any, Any], terms: PidTerms) -> None:
-        """Wrap an environment whose states are vectors as long as `terms.goal`; `pipelines.envs.make_env` checks it."""
+        """Wrap an environment whose states are vectors as long as `terms.goal`, which `make_env` checks."""
         super().__init__(env)
         space = env.observation_space
         assert isinstance(space, gym.spaces.Box)

@@ -1,6 +1,7 @@
 """What is known about an imitation without doing it: its key, its working files, its likely time.
 
-Apart from `pipelines/imitate.py`, because that imports scikit-learn, which planning and skipping need not wait for.
+Apart from `pipelines/stages/imitate.py`, because that imports scikit-learn, which planning and skipping need not wait
+for.
 """
 
 from pathlib import Path

@@ -1,6 +1,6 @@
 """What is known about a training run without running it: its key, its checkpoints, its likely time and disk.
 
-Apart from `pipelines/train.py`, because that imports torch, which planning and skipping need not wait for.
+Apart from `pipelines/stages/train.py`, because that imports torch, which planning and skipping need not wait for.
 """
 
 import math

@@ -1,6 +1,6 @@
 """Base of the learners that grow one tree: checks at the door, predictions through `tree_`, constant leaves.
 
-The learners of several labels at once, networks and linear models, are built on `otr/learners/base.py`.
+The learners of several labels at once, networks and linear models, are built on `otr/learners/networks/estimators.py`.
 """
 
 from __future__ import annotations

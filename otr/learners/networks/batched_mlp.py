@@ -105,7 +105,7 @@ def train_many(
     What comes out is as if each were trained alone, unless labels share hidden layers or an epoch.
 
     Time grows with n * L * S; binary inputs with few ones cost what their ones cost. See `train_stack` for the
-    validation score, and `otr/learners/stacks.py` for what the networks share.
+    validation score, and `otr/learners/networks/batched_training.py` for what the networks share.
 
     Args:
         X: (n, d).

@@ -1,7 +1,7 @@
 """EnvPool's environments (the extra `fleet`): batched C++, for the MuJoCo ones that it computes as gymnasium does.
 
-EnvPool brings its own MuJoCo, 3.6.0. `tests/pipelines/fleet/test_envpool_env.py` sets gymnasium's environment to the
-state of EnvPool's before every step and compares what follows.
+EnvPool brings its own MuJoCo, 3.6.0. `tests/pipelines/training/fleet/test_envpool_env.py` sets gymnasium's environment
+to the state of EnvPool's before every step and compares what follows.
 """
 
 import importlib

@@ -2,7 +2,7 @@
 
 Every parameter of a stack is a view into one array with a row a network, so that an optimiser, a copy or a target's
 update is one operation. Activations live in a workspace that passes share one after another, which keeps them in the
-cache. A network's bits do not depend on how many there are (`pipelines/fleet/stacks.py`).
+cache. A network's bits do not depend on how many there are (`pipelines/training/fleet/stacked_tensors.py`).
 
 With `precision="bf16"` the products between wide layers, where almost all arithmetic is, take bfloat16 factors and sum
 in float32; parameters, first and last layers and everything elementwise stay float32.

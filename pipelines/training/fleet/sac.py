@@ -2,8 +2,8 @@
 
 Run r owns row r of every stack (its critics the rows 2r and 2r + 1), its own temperature, discount and learning rate;
 nothing is ever summed over runs, and on a processor a run's bits do not depend on the others
-(`pipelines/fleet/stacks.py`). Haarnoja et al. 2018, with the automatic temperature, as `stable_baselines3.SAC`: losses
-are means over the batch, the temperature that a step uses is the one before the step.
+(`pipelines/training/fleet/stacked_tensors.py`). Haarnoja et al. 2018, with the automatic temperature, as
+`stable_baselines3.SAC`: losses are means over the batch, the temperature that a step uses is the one before the step.
 """
 
 import math
@@ -31,7 +31,7 @@ class Shapes:
         batch_size: transitions an update.
         negative_slope: of the actor's and critics' activation.
         tau: share of the online critics that goes into their targets at each update.
-        precision: fp32 or bf16 (see `pipelines/fleet/mlp.py`).
+        precision: fp32 or bf16 (see `pipelines/training/fleet/mlp.py`).
     """
 
     n_inputs: int

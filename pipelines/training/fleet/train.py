@@ -1,9 +1,9 @@
 """Training many runs of one environment as one: collect, update, evaluate, checkpoint, segment by segment.
 
-As in `pipelines/train.py` a segment is the steps between two evaluations and starts with new environments and random
-streams that the run and the segment alone decide. So a killed and resumed run equals an uninterrupted one, and a run
-equals itself in whatever company it was trained, bit for bit on one type of processor with the same package versions
-(between two types float32 rounds differently, and training multiplies the difference).
+As in `pipelines/stages/train.py` a segment is the steps between two evaluations and starts with new environments and
+random streams that the run and the segment alone decide. So a killed and resumed run equals an uninterrupted one, and a
+run equals itself in whatever company it was trained, bit for bit on one type of processor with the same package
+versions (between two types float32 rounds differently, and training multiplies the difference).
 """
 
 import functools
@@ -62,7 +62,7 @@ def train_fleet(configs: Sequence[RunConfig], outs: Sequence[Path]) -> list[Exce
     Runs that are behind the others catch up first; a run that diverges is left behind.
 
     Args:
-        configs: runs that `pipelines/fleet/groups.py` puts together.
+        configs: runs that `pipelines/training/fleet/groups.py` puts together.
         outs: an empty folder for each.
 
     Returns:

@@ -7,101 +7,108 @@
 ObliqueTree(n_leaves=8, depth=3, n_inputs=2, n_outputs=1, head=Identity())
 >>> tree.predict([0.5, -0.5]).round(9)
 array([3.5])
+
+A module is imported when one of its names is first used.
 """
 
-from otr.core.domain import Domain
-from otr.core.head import Argmax, ClipBox, Head, Identity, PidBox, Sign, TanhBox, head_from_dict
-from otr.core.io import load, save
-from otr.core.mapping import map_network
-from otr.core.network import ReluNetwork
-from otr.core.pattern_tree import PatternTree
-from otr.core.pruning import prune_to_k, prune_unreached
-from otr.core.tree import ObliqueTree
-from otr.errors import (
-    ArtefactError,
-    CertificateError,
-    InvalidNetworkError,
-    InvalidTreeError,
-    OtrError,
-    ProgramError,
-    TreeTooLargeError,
-)
-from otr.geometry.minimal_tree import minimal_tree
-from otr.importers import from_sb3, from_sklearn, from_torch
-from otr.importers.vec_normalize import ObservationStatistics
-from otr.programs import (
-    draw_tree,
-    parse_program,
-    save_picture,
-    to_c,
-    to_dot,
-    to_json,
-    to_latex,
-    to_onnx,
-    to_python,
-    to_structured_text,
-    to_text,
-)
-from otr.proof.certificate import Certificate, load_certificate
-from otr.proof.certify import certify
-from otr.proof.properties import Condition, check_verdict, find_violation, output_range, reachable_labels
-from otr.proof.verify import verify
-from otr.shorten.refit_tests import refit_tests
-from otr.shorten.simplify import simplify, within
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+# The alias says to type checkers that the name is public.
+# isort: off
+if TYPE_CHECKING:
+    from otr.core.domain import Domain as Domain
+    from otr.core.head import (
+        Argmax as Argmax,
+        ClipBox as ClipBox,
+        Head as Head,
+        Identity as Identity,
+        PidBox as PidBox,
+        Sign as Sign,
+        TanhBox as TanhBox,
+        head_from_dict as head_from_dict,
+    )
+    from otr.core.io import load as load, save as save
+    from otr.core.mapping import map_network as map_network
+    from otr.core.network import ReluNetwork as ReluNetwork
+    from otr.core.pattern_tree import PatternTree as PatternTree
+    from otr.core.pruning import prune_to_k as prune_to_k, prune_unreached as prune_unreached
+    from otr.core.tree import ObliqueTree as ObliqueTree
+    from otr.errors import (
+        ArtefactError as ArtefactError,
+        CertificateError as CertificateError,
+        InvalidNetworkError as InvalidNetworkError,
+        InvalidTreeError as InvalidTreeError,
+        OtrError as OtrError,
+        ProgramError as ProgramError,
+        TreeTooLargeError as TreeTooLargeError,
+    )
+    from otr.geometry.minimal_tree import minimal_tree as minimal_tree
+    from otr.importers import from_sb3 as from_sb3, from_sklearn as from_sklearn, from_torch as from_torch
+    from otr.importers.vec_normalize import ObservationStatistics as ObservationStatistics
+    from otr.programs import (
+        draw_tree as draw_tree,
+        parse_program as parse_program,
+        save_picture as save_picture,
+        to_c as to_c,
+        to_dot as to_dot,
+        to_json as to_json,
+        to_latex as to_latex,
+        to_onnx as to_onnx,
+        to_python as to_python,
+        to_structured_text as to_structured_text,
+        to_text as to_text,
+    )
+    from otr.proof.certificate import Certificate as Certificate, load_certificate as load_certificate
+    from otr.proof.certify import certify as certify
+    from otr.proof.properties import (
+        Condition as Condition,
+        check_verdict as check_verdict,
+        find_violation as find_violation,
+        output_range as output_range,
+        reachable_labels as reachable_labels,
+    )
+    from otr.proof.verify import verify as verify
+    from otr.shorten.refit_tests import refit_tests as refit_tests
+    from otr.shorten.simplify import simplify as simplify, within as within
+# isort: on
 
 __version__ = "0.1.0"
 
-__all__ = [
-    "Argmax",
-    "ArtefactError",
-    "Certificate",
-    "CertificateError",
-    "ClipBox",
-    "Condition",
-    "Domain",
-    "Head",
-    "Identity",
-    "InvalidNetworkError",
-    "InvalidTreeError",
-    "ObliqueTree",
-    "ObservationStatistics",
-    "OtrError",
-    "PatternTree",
-    "PidBox",
-    "ProgramError",
-    "ReluNetwork",
-    "Sign",
-    "TanhBox",
+_NAMES_OF_MODULES = {
+    "core.domain": "Domain",
+    "core.head": "Argmax ClipBox Head Identity PidBox Sign TanhBox head_from_dict",
+    "core.io": "load save",
+    "core.mapping": "map_network",
+    "core.network": "ReluNetwork",
+    "core.pattern_tree": "PatternTree",
+    "core.pruning": "prune_to_k prune_unreached",
+    "core.tree": "ObliqueTree",
+    "errors": "ArtefactError CertificateError InvalidNetworkError InvalidTreeError OtrError ProgramError "
     "TreeTooLargeError",
-    "certify",
-    "check_verdict",
-    "draw_tree",
-    "find_violation",
-    "from_sb3",
-    "from_sklearn",
-    "from_torch",
-    "head_from_dict",
-    "load",
-    "load_certificate",
-    "map_network",
-    "minimal_tree",
-    "output_range",
-    "parse_program",
-    "prune_to_k",
-    "prune_unreached",
-    "reachable_labels",
-    "refit_tests",
-    "save",
-    "save_picture",
-    "simplify",
-    "to_c",
-    "to_dot",
-    "to_json",
-    "to_latex",
-    "to_onnx",
-    "to_python",
-    "to_structured_text",
-    "to_text",
-    "verify",
-    "within",
-]
+    "geometry.minimal_tree": "minimal_tree",
+    "importers": "from_sb3 from_sklearn from_torch",
+    "importers.vec_normalize": "ObservationStatistics",
+    "programs": "draw_tree parse_program save_picture to_c to_dot to_json to_latex to_onnx to_python "
+    "to_structured_text to_text",
+    "proof.certificate": "Certificate load_certificate",
+    "proof.certify": "certify",
+    "proof.properties": "Condition check_verdict find_violation output_range reachable_labels",
+    "proof.verify": "verify",
+    "shorten.refit_tests": "refit_tests",
+    "shorten.simplify": "simplify within",
+}
+_MODULES = {name: module for module, names in _NAMES_OF_MODULES.items() for name in names.split()}
+
+__all__ = sorted(_MODULES)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = globals()[name] = getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_MODULES})

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import sparse
 
 from otr.core.arrays import FloatArray, IntArray, as_states, read_only
 from otr.core.head import Head, Identity
 from otr.core.leaf_maps import LeafMaps
 from otr.core.routing import Router
 from otr.errors import InvalidTreeError
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 __all__ = ["ObliqueTree"]
 
@@ -147,6 +149,8 @@ class ObliqueTree:
 
     def decision_path(self, X: ArrayLike) -> sparse.csr_matrix:
         """Return the test nodes that each state passes: a sparse 0/1 matrix (n, n_nodes), node ids ascending by row."""
+        from scipy import sparse
+
         states = np.atleast_2d(self._in_basis(X))
         rows, nodes = self._router.paths_of(states)
         shape = (len(states), self.n_nodes)

@@ -24,8 +24,9 @@ from otr.core.domain import Domain
 from otr.core.half_spaces import HalfSpaces
 from otr.core.network import ReluNetwork, UnitForm
 from otr.errors import TreeTooLargeError
-from otr.geometry.linear_programs import Bases, largest_balls, rounding_at
+from otr.geometry.largest_balls import largest_balls, rounding_at
 from otr.geometry.rational import independent_rows
+from otr.geometry.simplex import Bases
 from otr.geometry.vertices import regions_at_vertices
 
 __all__ = ["Block", "Regions", "Walk", "find_regions"]

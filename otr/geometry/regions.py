@@ -11,7 +11,9 @@ from otr.core.arrays import BoolArray, FloatArray, IntArray, as_batch
 from otr.core.domain import Box, Domain, as_domain
 from otr.core.half_spaces import HalfSpaces
 from otr.core.tree import ObliqueTree
-from otr.geometry.linear_programs import Bases, largest_balls, largest_values
+from otr.geometry.largest_balls import largest_balls
+from otr.geometry.largest_values import largest_values
+from otr.geometry.simplex import Bases
 
 __all__ = ["LeafPaths", "Region", "leaf_paths", "leaf_region", "leaf_rows"]
 

@@ -16,7 +16,8 @@ import numpy as np
 
 from otr.core.arrays import BoolArray, FloatArray, IntArray
 from otr.core.packed_bits import pack_rows
-from otr.geometry.linear_programs import LARGEST_RADIUS, rounding_at
+from otr.geometry.largest_balls import rounding_at
+from otr.geometry.simplex import LARGEST_RADIUS
 
 __all__ = ["regions_at_vertices"]
 

@@ -9,8 +9,10 @@ from otr.core.domain import Box, Domain, as_domain
 from otr.core.half_spaces import HalfSpaces
 from otr.core.head import ClipBox, Head, Identity, TanhBox
 from otr.core.tree import ObliqueTree
-from otr.geometry.linear_programs import Bases, largest_balls, largest_values
+from otr.geometry.largest_balls import largest_balls
+from otr.geometry.largest_values import largest_values
 from otr.geometry.regions import leaf_rows
+from otr.geometry.simplex import Bases
 
 __all__ = ["largest_difference"]
 

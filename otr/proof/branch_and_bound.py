@@ -18,7 +18,7 @@ from otr.core.arrays import FloatArray, IntArray
 from otr.core.half_spaces import HalfSpaces
 from otr.core.head import ClipBox
 from otr.errors import CertificateError, OtrError
-from otr.geometry.linear_programs import LargestValues, largest_values
+from otr.geometry.largest_values import LargestValues, largest_values
 from otr.geometry.rational import Point, as_point
 from otr.geometry.regions import leaf_rows
 from otr.proof.certificate import Sum

@@ -21,9 +21,10 @@ from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
 from otr.errors import CertificateError, TreeTooLargeError
 from otr.geometry.arrangement import Block, Walk
-from otr.geometry.linear_programs import Balls, Bases, largest_balls
+from otr.geometry.largest_balls import Balls, largest_balls
 from otr.geometry.rational import Point, as_point
 from otr.geometry.regions import leaf_paths, leaf_rows
+from otr.geometry.simplex import Bases
 from otr.proof.certificate import Cell, Certificate, Sum
 from otr.proof.exact_cells import ExactCell, Multipliers, counterexample, decide, find_cells, largest_gap, refused_at
 from otr.proof.statement import Row, Statement

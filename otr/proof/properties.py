@@ -15,8 +15,10 @@ import numpy as np
 from otr.core.arrays import FloatArray, IntArray
 from otr.core.domain import Box, Domain, as_domain
 from otr.core.tree import ObliqueTree
-from otr.geometry.linear_programs import Bases, largest_balls, largest_values
+from otr.geometry.largest_balls import largest_balls
+from otr.geometry.largest_values import largest_values
 from otr.geometry.regions import leaf_rows
+from otr.geometry.simplex import Bases
 from otr.proof.branch_and_bound import Search
 from otr.proof.exact_cells import decide, largest_over, stacked
 from otr.proof.statement import TreeOnDomain

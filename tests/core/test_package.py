@@ -1,21 +1,48 @@
+import ast
 import subprocess
 import sys
+from pathlib import Path
+
+import pytest
 
 import otr
 
 
-def test_importing_the_library_imports_nothing_heavy() -> None:
-    code = (
-        "import sys, otr\n"
-        "heavy = {'torch', 'sklearn', 'stable_baselines3', 'gymnasium', 'pandas', 'matplotlib'} & set(sys.modules)\n"
-        "assert not heavy, heavy"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
+def modules_after(code: str) -> set[str]:
+    code = f"import sys\n{code}\nprint(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    return set(done.stdout.split())
+
+
+def test_a_module_is_imported_when_one_of_its_names_is_first_used() -> None:
+    assert not {"numpy", "scipy", "otr.core.tree"} & modules_after("import otr; dir(otr); otr.__version__")
+    assert not {"scipy", "otr.proof.certify"} & modules_after("import otr; otr.map_network; from otr import load")
+    heavy = {"scipy.optimize", "torch", "sklearn", "stable_baselines3", "gymnasium", "pandas", "matplotlib", "onnx"}
+    assert not heavy & modules_after("from otr import *; certify, simplify, to_onnx, from_sb3")
 
 
 def test_everything_exported_exists() -> None:
     for name in otr.__all__:
         assert getattr(otr, name).__doc__
+    assert {*otr.__all__, "__version__"} <= set(dir(otr))
+    with pytest.raises(AttributeError, match=r"^module 'otr' has no attribute 'map_netwrok'$"):
+        otr.map_netwrok  # type: ignore[attr-defined]  # noqa: B018
+
+
+def test_type_checkers_know_every_exported_name_from_the_module_that_it_is_loaded_from() -> None:
+    (block,) = (node for node in ast.parse(Path(otr.__file__).read_text()).body if isinstance(node, ast.If))
+    told = {}
+    for node in block.body:
+        assert isinstance(node, ast.ImportFrom)
+        for alias in node.names:
+            assert alias.asname == alias.name  # else mypy calls it private
+            told[alias.name] = node.module
+    assert told == {name: f"otr.{module}" for name, module in otr._MODULES.items()}
+
+
+def test_no_module_of_the_package_has_the_name_of_something_exported() -> None:
+    """Importing such a module would put it in the place of what is exported."""
+    assert not {path.stem for path in Path(otr.__file__).parent.iterdir()} & set(otr.__all__)
 
 
 def test_errors_share_a_base() -> None:

@@ -12,7 +12,7 @@ from otr.core.domain import Domain, as_domain
 from otr.geometry.arrangement import find_regions
 from otr.geometry.minimal_tree import merge_equal_leaves
 from tests.core.strategies import Case, cases, make_network, worked_network
-from tests.geometry.test_linear_programs import radius_by_highs
+from tests.geometry.test_simplex import radius_by_highs
 
 ORDERS = ("layers", "balanced", "visits")
 

@@ -1,4 +1,4 @@
-"""Many small linear programs at once: is there a ball inside each of thousands of polytopes, and where?
+"""Whether there is a ball inside each of thousands of polytopes, and where: many small linear programs at once.
 
 The polytope of problem p is ``{x : s_i (a_i . x + b_i) >= 0}`` over the rows i with sign s_i = +1 or -1, a_i of unit
 length. Its largest ball, of centre x and radius t <= `LARGEST_RADIUS`, solves
@@ -9,95 +9,33 @@ and its dual
 
     min sum_i mu_i s_i b_i + mu_0 LARGEST_RADIUS   subject to   sum_i mu_i s_i a_i = 0,  sum_i mu_i + mu_0 = 1,  mu >= 0
 
-The simplex method is run on the dual, in d + 1 rows, for all problems side by side: a basis stays feasible when a row
-is added to its polytope, so a child in a tree of polytopes goes on from its parent's basis and needs few pivots. It
-stops as soon as the answer is known. What it answers is then checked from the rows themselves, their rounding reckoned
-with: a point must be inside by more than that, and multipliers, a Farkas certificate, must leave no state that matters.
-What cannot be told in floating point is answered as undecided; no answer hangs on how well the pivots went.
+The simplex method is run on the dual, in d + 1 rows, for all problems side by side: a child in a tree of polytopes goes
+on from its parent's basis. It stops as soon as the answer is known. What it answers is then checked from the rows
+themselves, their rounding reckoned with: a point must be inside by more than that, and multipliers, a Farkas
+certificate, must leave no state that matters. What cannot be told in floating point is answered as undecided; no answer
+hangs on how well the pivots went.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linprog
 
 from otr.core.arrays import BoolArray, FloatArray, IntArray
 from otr.core.half_spaces import HalfSpaces, rounding_of_terms
-from otr.errors import OtrError
+from otr.geometry.simplex import FREE, LARGEST_RADIUS, MAX_PIVOTS, Bases, pivot
 
-__all__ = [
-    "FREE",
-    "LARGEST_RADIUS",
-    "Balls",
-    "Bases",
-    "LargestValues",
-    "largest_balls",
-    "largest_values",
-    "rounding_at",
-]
+__all__ = ["Balls", "largest_balls", "rounding_at"]
 
 _ROUNDED = 1e-10  # value of a test, in units of its slope, that rounding may hide on a side that is left out
 _SLACK = 8.0  # times the rounding of a sum, for that of its multipliers
-LARGEST_RADIUS = 1.0  # of a ball, so that unbounded polytopes have one
-FREE = -1  # in a basis: the place of a coordinate that no row has fixed yet
-_CAP = -2  # in a basis: the row t <= LARGEST_RADIUS
 _GOOD_SHARE = 0.2  # of the bound on the radius: a point with such a margin is good enough
 _ROUNDING = 1e-13  # of a row's value, beside the size of the state, while pivoting
 _TOUCHING = 1e-9  # radius of the largest ball in a polytope that may be a point, or none
 _NOTHING = 1e-14  # radius or multiplier that rounding may have left
-_SMALLEST_PIVOT = 1e-9
-_FEASIBLE = 1e-11  # what a row may be violated by
-_MAX_PIVOTS = 200  # afterwards HiGHS takes over
 _CHUNK_NUMBERS = 2**17  # of the inverses in work at a time; they should stay in the cache
-
-
-@dataclass(frozen=True)
-class Bases:
-    """Where the simplex method stands in n problems; q = d + 1.
-
-    Attributes:
-        rows: (n, q) int16, the row at each place, `FREE` or the radius's own.
-        inverse: (n, q, q), of the matrix whose columns are (-s a, 1); its last column is the multipliers mu.
-        solution: (n, q), centre and radius (x, t) of the basis.
-    """
-
-    rows: NDArray[np.int16]
-    inverse: FloatArray
-    solution: FloatArray
-
-    @classmethod
-    def start(cls, n: int, d: int) -> Bases:
-        """Return the basis of polytopes without rows: a ball of the largest radius around 0."""
-        rows = np.full((n, d + 1), FREE, dtype=np.int16)
-        rows[:, d] = _CAP
-        solution = np.zeros((n, d + 1))
-        solution[:, d] = LARGEST_RADIUS
-        return cls(rows, np.tile(np.eye(d + 1), (n, 1, 1)), solution)
-
-    def take(self, problems: Any) -> Bases:
-        """Return the bases of some problems."""
-        return Bases(self.rows[problems], self.inverse[problems], self.solution[problems])
-
-    @classmethod
-    def concatenate(cls, parts: list[Bases]) -> Bases:
-        """Return the bases of several lists of problems as one."""
-        return cls(
-            *(np.concatenate([getattr(part, name) for part in parts]) for name in ("rows", "inverse", "solution"))
-        )
-
-    def put(self, problems: IntArray, bases: Bases) -> None:
-        """Write `bases` in the place of some problems'."""
-        self.rows[problems], self.inverse[problems] = bases.rows, bases.inverse
-        self.solution[problems] = bases.solution
-
-    @property
-    def multipliers(self) -> FloatArray:
-        """The multipliers mu (n, q) of the rows in the basis; they sum to 1."""
-        return self.inverse[:, :, -1]
 
 
 @dataclass(frozen=True)
@@ -166,7 +104,7 @@ def _pivot_until_decided(
     done = Bases.start(n, d)
     absent, signed = np.where(signs == 0, np.inf, 0.0), signs.astype(np.float64)
     problems, of_group = np.arange(n), group
-    for _ in range(_MAX_PIVOTS):
+    for _ in range(MAX_PIVOTS):
         margins = rows.values(of_group, bases.solution[:, :d])
         margins *= signed
         margins += absent
@@ -188,7 +126,7 @@ def _pivot_until_decided(
         column = np.ones((len(problems), q))
         sign = signed[np.arange(len(problems)), tightest]
         np.multiply(rows.a[rows.of(of_group), tightest], -sign[:, None], out=column[:, :d])
-        _pivot(bases, column, margin - bases.solution[:, d], tightest, bases.multipliers)
+        pivot(bases, column, margin - bases.solution[:, d], tightest, bases.multipliers)
     radii[_within_rounding(rows, group, signs, centres, radii)] = 0.0
     is_empty = is_empty & _leaves_nothing(rows, group, signs, done, asked)
     # At a largest ball of next to no radius nobody can tell; elsewhere the pivots went wrong.
@@ -274,6 +212,8 @@ def _solve_alone(a: FloatArray, b: FloatArray, signs: NDArray[np.int8]) -> tuple
         a, b: (m, d) and (m,), the rows.
         signs: (m,).
     """
+    from scipy.optimize import linprog
+
     used, d = np.flatnonzero(signs), a.shape[1]
     s = signs[used].astype(np.float64)
     constraints = np.column_stack((-s[:, None] * a[used], np.ones(len(used))))
@@ -293,125 +233,3 @@ def _solve_alone(a: FloatArray, b: FloatArray, signs: NDArray[np.int8]) -> tuple
     basis.inverse[0, : len(largest), d] = multipliers[largest]
     basis.solution[0] = solved.x
     return solved.x[:d], 0.0, basis
-
-
-@dataclass(frozen=True)
-class LargestValues:
-    """What `largest_values` found.
-
-    Attributes:
-        values: (n,), -inf where the polytope is empty.
-        states: (n, d) where they are taken; of no meaning where there are none.
-        rows: (n, d) int16, the rows that bind there.
-        multipliers: (n, d): the objective is its value less the rows' sum with these, each of which is at least 0.
-    """
-
-    values: FloatArray
-    states: FloatArray
-    rows: NDArray[np.int16]
-    multipliers: FloatArray
-
-
-def largest_values(rows: HalfSpaces, group: IntArray, signs: NDArray[np.int8], objectives: FloatArray) -> LargestValues:
-    """Return the largest value of an affine function over each polytope, by the dual simplex method side by side.
-
-    Args:
-        rows: in scaled coordinates; the first 2 d are the sides of a bounded domain, as `Domain.rows` gives them.
-        group, signs: as in `largest_balls`.
-        objectives: (n, d + 1) affine forms [f | f0] in scaled coordinates.
-    """
-    n, d = len(objectives), objectives.shape[1] - 1
-    f, f0 = objectives[:, :d], objectives[:, d]
-    # The corner of the box where the objective is largest is feasible in the dual.
-    upper = f > 0
-    normals = np.where(upper, 1.0, -1.0)
-    bases = Bases(
-        (np.arange(d) + d * upper).astype(np.int16), normals[:, :, None] * np.eye(d), normals.astype(np.float64)
-    )
-    found = LargestValues(np.full(n, -np.inf), np.zeros((n, d)), np.zeros((n, d), np.int16), np.zeros((n, d)))
-    problems, absent, signed = np.arange(n), np.where(signs == 0, np.inf, 0.0), signs.astype(np.float64)
-    for _ in range(_MAX_PIVOTS):
-        margins = rows.values(group, bases.solution) * signed + absent
-        tightest = margins.argmin(axis=1)
-        margin = margins[np.arange(len(margins)), tightest]
-        multipliers = np.einsum("nij,nj->ni", bases.inverse, f)
-        done = margin >= -_FEASIBLE
-        these = problems[done]
-        found.values[these] = np.einsum("nd,nd->n", f[done], bases.solution[done]) + f0[done]
-        found.states[these], found.rows[these] = bases.solution[done], bases.rows[done]
-        found.multipliers[these] = multipliers[done]
-        left = np.flatnonzero(~done)
-        problems, group, signed, absent = problems[left], group[left], signed[left], absent[left]
-        f, f0 = f[left], f0[left]
-        if not left.size:
-            return found
-        bases, tightest = bases.take(left), tightest[left]
-        column = -signed[np.arange(len(left)), tightest][:, None] * rows.a[rows.of(group), tightest]
-        stuck = _pivot(bases, column, margin[left], tightest, multipliers[left])
-        go_on = np.flatnonzero(~stuck)
-        problems, group, signed, absent = problems[go_on], group[go_on], signed[go_on], absent[go_on]
-        f, f0, bases = f[go_on], f0[go_on], bases.take(go_on)
-        if not go_on.size:
-            return found
-    for at, problem in enumerate(problems.tolist()):
-        g = rows.of(group)[at]
-        optimum = _largest_value_alone(rows.a[g], rows.b[g], signed[at], f[at])
-        if optimum is not None:
-            found.states[problem], found.rows[problem], found.multipliers[problem] = optimum
-            found.values[problem] = f[at] @ found.states[problem] + f0[at]
-    return found
-
-
-def _largest_value_alone(
-    a: FloatArray, b: FloatArray, signs: FloatArray, f: FloatArray
-) -> tuple[FloatArray, IntArray, FloatArray] | None:
-    """Return the state, rows and multipliers of the largest f . x over one polytope, by HiGHS; None if it is empty."""
-    used, d = np.flatnonzero(signs), len(f)
-    s = signs[used]
-    solved = linprog(-f, A_ub=-s[:, None] * a[used], b_ub=s * b[used], bounds=[(None, None)] * d, method="highs")
-    if solved.status == 2:
-        return None
-    if solved.status != 0:
-        raise OtrError(
-            f"HiGHS could not solve a linear program of {len(used)} rows in {d} dimensions: {solved.message}"
-        )
-    multipliers = -np.asarray(solved.ineqlin.marginals)
-    binding = np.argsort(-multipliers, kind="stable")[:d]
-    return np.asarray(solved.x), used[binding], multipliers[binding]
-
-
-def _pivot(
-    bases: Bases, column: FloatArray, value: FloatArray, entering: IntArray, multipliers: FloatArray
-) -> BoolArray:
-    """Let a row into each basis, in place.
-
-    Args:
-        bases: n of them, of q places.
-        column: (n, q), the row's normal, turned outwards.
-        value: (n,) of the row at the present solution, below 0.
-        entering: (n,) its index.
-        multipliers: (n, q), of the rows in the basis.
-
-    Returns:
-        (n,) whether no place can be left, which shows that the polytope is empty; such a basis is of no use any more.
-    """
-    basis, inverse, solution = bases.rows, bases.inverse, bases.solution
-    each = np.arange(len(basis))
-    direction = np.matmul(inverse, column[:, :, None])[:, :, 0]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.maximum(multipliers, 0.0) / direction
-    free = basis == FREE
-    ratio[free | (direction <= _SMALLEST_PIVOT)] = np.inf
-    # A free place holds a multiplier of zero that must stay zero: it leaves first, the largest pivot before others.
-    leaves_free = free & (np.abs(direction) > _SMALLEST_PIVOT)
-    ratio[leaves_free] = -np.abs(direction[leaves_free])
-    leaving = ratio.argmin(axis=1)
-    stuck: BoolArray = np.isinf(ratio[each, leaving])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        row = inverse[each, leaving] / direction[each, leaving, None]
-    row[stuck] = 0.0
-    inverse -= direction[:, :, None] * row[:, None, :]
-    inverse[each, leaving] = row
-    solution += value[:, None] * row
-    basis[each, leaving] = entering
-    return stuck

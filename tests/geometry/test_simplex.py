@@ -1,4 +1,4 @@
-"""Largest balls against HiGHS, warm starts included."""
+"""Largest balls and largest values against HiGHS, warm starts included."""
 
 import numpy as np
 import pytest
@@ -6,10 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
+import otr.geometry.largest_balls as balls_module
+import otr.geometry.largest_values as values_module
 from otr.core.domain import as_domain
 from otr.core.half_spaces import HalfSpaces
-from otr.geometry import linear_programs
-from otr.geometry.linear_programs import FREE, LARGEST_RADIUS, Bases, largest_balls, largest_values
+from otr.geometry.largest_balls import Balls, largest_balls
+from otr.geometry.largest_values import largest_values
+from otr.geometry.simplex import FREE, LARGEST_RADIUS, Bases
 
 CLOSE = 1e-9
 
@@ -38,9 +41,7 @@ def random_rows(rng: np.random.Generator, n_groups: int, m: int, d: int, degener
     return HalfSpaces(a / length[..., None], b / length, length, rounding, np.zeros(d, dtype=bool))
 
 
-def assert_balls_are_right(
-    rows: HalfSpaces, group: np.ndarray, signs: np.ndarray, balls: linear_programs.Balls
-) -> None:
+def assert_balls_are_right(rows: HalfSpaces, group: np.ndarray, signs: np.ndarray, balls: Balls) -> None:
     for p, g in enumerate(np.zeros_like(group) if len(rows.a) == 1 else group):
         largest = radius_by_highs(rows.a[g], rows.b[g], signs[p])
         used = signs[p] != 0
@@ -94,7 +95,7 @@ def test_what_the_simplex_method_leaves_is_solved_by_highs(seed: int, degenerate
     rows, group = random_rows(rng, 1, 7, 3, degenerate), np.zeros(6, dtype=int)
     signs = rng.choice([-1, 1], (6, 7)).astype(np.int8)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(linear_programs, "_MAX_PIVOTS", 1)
+        patch.setattr(balls_module, "MAX_PIVOTS", 1)
         balls = largest_balls(rows, group, signs, Bases.start(6, 3))
     assert balls.n_solved_alone > 0
     assert_balls_are_right(rows, group, signs, balls)
@@ -105,7 +106,7 @@ def test_many_problems_are_solved_in_chunks(monkeypatch: pytest.MonkeyPatch) -> 
     rows, group = random_rows(rng, 1, 8, 3, False), np.zeros(500, dtype=int)
     signs = rng.choice([-1, 1], (500, 8)).astype(np.int8)
     whole = largest_balls(rows, group, signs, Bases.start(500, 3))
-    monkeypatch.setattr(linear_programs, "_CHUNK_NUMBERS", 1)
+    monkeypatch.setattr(balls_module, "_CHUNK_NUMBERS", 1)
     chunked = largest_balls(rows, group, signs, Bases.start(500, 3))
     np.testing.assert_array_equal(whole.is_empty, chunked.is_empty)
     np.testing.assert_allclose(whole.centres[~whole.is_empty], chunked.centres[~whole.is_empty], atol=1e-12)
@@ -120,7 +121,7 @@ def test_largest_values_equal_highs(seed: int, d: int, m: int, degenerate: bool,
     objectives = rng.integers(-2, 3, (n, d + 1)).astype(float) if degenerate else rng.normal(size=(n, d + 1))
     with pytest.MonkeyPatch.context() as patch:
         if alone:
-            patch.setattr(linear_programs, "_MAX_PIVOTS", 1)
+            patch.setattr(values_module, "MAX_PIVOTS", 1)
         best = largest_values(rows, np.zeros(n, dtype=int), signs, objectives)
     for p in range(n):
         used = signs[p] != 0

@@ -40,7 +40,7 @@ from pipelines.config import (
     EvaluateConfig,
     FleetConfig,
     MapConfig,
-    MethodConfig,
+    MappedConfig,
     PruneConfig,
     RunConfig,
     SacConfig,
@@ -219,7 +219,7 @@ def run_config(
     return RunConfig(
         env=HOPPER,
         algo=dataclasses.replace(THESIS_SAC, learning_starts=first_update),
-        method=MethodConfig("otr"),
+        method=MappedConfig("otr"),
         budget=BudgetConfig("benchmark", {}, n_steps, 10, 1, 1, first_update),
         depth=6,
         seed=seed,

@@ -37,9 +37,9 @@ def test_committed_figures_are_those_of_the_committed_runs(figure, file, tmp_pat
 @pytest.mark.parametrize("summary", SUMMARIES, ids=lambda path: "-".join(path.parts[-6:-1]))
 def test_committed_artefacts_are_whole(summary):
     told = json.loads(summary.read_text())
-    for stage in METHODS[told["method"]]:
+    for stage in METHODS[told["method"]].stages:
         verified_manifest(summary.parent / stage)
-    if told["method"] in ("viper", "lm_viper", "augtree", "ndps"):
+    if METHODS[told["method"]].imitates:
         load_oracle(summary.parent / "oracle", RESULTS)
     assert told["n_episodes"] == (1000 if told["method"] == "pid" else 100)  # as the thesis
 

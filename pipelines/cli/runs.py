@@ -11,9 +11,7 @@ from omegaconf.errors import OmegaConfBaseException
 from pipelines import config as schemas
 from pipelines.cli.compose import Composer, schema_of, to_object
 from pipelines.cli.workflow import Workflow, command_of
-from pipelines.config import RunConfig
-from pipelines.config.conf_dir import CONF_DIR
-from pipelines.config.methods import METHODS, imitates, is_soft
+from pipelines.config import METHODS, MethodConfig, RunConfig
 from pipelines.config.settings import run_folder
 from pipelines.engine.store import corrupt
 from pipelines.errors import ConfigError
@@ -39,7 +37,7 @@ def load_config(run_dir: Path, n_workers: int | None) -> RunConfig:
         cfg = OmegaConf.load(run_dir / "config.yaml")
         schema = schema_of(RunConfig)
         schema.algo = schema_of(schemas.ALGORITHMS[cfg.algo.name])
-        schema.method = schema_of(schemas.METHOD_CONFIGS[cfg.method.name])
+        schema.method = schema_of(METHODS[cfg.method.name])
         if "trainer" in cfg:  # there was one trainer only before
             schema.trainer = schema_of(schemas.FleetConfig if "n_envs" in cfg.trainer else schemas.TrainerConfig)
         loaded = to_object(OmegaConf.merge(schema, cfg, {"n_workers": n_workers}))
@@ -63,7 +61,7 @@ def _run_job(cfg: DictConfig, overrides: Sequence[str]) -> RunJob:
         *(["algo=ars"] if isinstance(config.algo, schemas.ArsConfig) else []),
     ]
     baseline = _run_config((*named, f"depth={config.depth}"))
-    oracle = _oracle_job(config, overrides) if imitates(config.method.name) else None
+    oracle = _oracle_job(config, overrides) if config.method.imitates else None
     config = dataclasses.replace(config, oracle_run=oracle.config if oracle else None)
     folder = run_folder(config, dataclasses.replace(baseline, seed=config.seed))
     return RunJob(
@@ -100,25 +98,9 @@ def _with_program(config: RunConfig, program: str, overrides: Sequence[str]) -> 
 
 
 def _implied(overrides: Sequence[str]) -> list[str]:
-    """Return what the words imply: the algorithm of soft trees, where they name none (an environment may have one of
-    its own), and how long these and augmented random search learn, and how long at a time; and all of that of PID
-    policies, which the thesis trains with one hidden neuron and plays for more episodes."""
+    """Return the overrides that the choice of the method and the algorithm implies."""
     given = dict(word.split("=", 1) for word in overrides if "=" in word)
-    soft = given.get("method") in METHODS and is_soft(given["method"])
-    implied = []
-    if soft or given.get("algo") == "ars":
-        implied.append('train.steps="${budget.on_policy_steps.${env.task}}"')
-        implied.append('train.eval_interval_steps="${budget.on_policy_interval_steps}"')
-    if soft and "algo" not in given:
-        own = (f"ppo_{given['method']}_{given.get('env', '')}", f"ppo_tree_{given.get('env', '')}")
-        files = (name for name in own if (CONF_DIR / "algo" / f"{name}.yaml").is_file())
-        implied.append(f"algo={next(files, 'ppo_tree')}")
-    if given.get("method") == "pid":
-        implied += ["depth=1", 'evaluate.n_episodes="${budget.pid.n_evaluation_episodes}"']
-        names = ("steps", "eval_interval_steps", "n_selection_episodes")
-        implied += [f'train.{name}="${{budget.pid.{name}}}"' for name in names]
-        implied += [] if "algo" in given else ["algo=ddpg_pid"]
-    return implied
+    return METHODS.get(given.get("method", "otr"), MethodConfig).implied(given)
 
 
 def _oracle_job(config: RunConfig, overrides: Sequence[str]) -> RunJob:
@@ -154,8 +136,7 @@ RUN = Workflow(
         schemas={
             (None, "run_schema"): RunConfig,
             (None, "env_schema"): schemas.EnvConfig,
-            (None, "method_schema"): schemas.MethodConfig,
-            **{("method", f"run_{name}_schema"): method for name, method in schemas.METHOD_CONFIGS.items()},
+            **{("method", f"run_{name}_schema"): method for name, method in METHODS.items()},
             (None, "budget_schema"): schemas.BudgetConfig,
             **{("algo", f"{name}_schema"): algorithm for name, algorithm in schemas.ALGORITHMS.items()},
             **{("trainer", f"{name}_schema"): trainer for name, trainer in schemas.TRAINERS.items()},

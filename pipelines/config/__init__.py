@@ -21,11 +21,14 @@ from pipelines.config.algo import (
 from pipelines.config.budget import BudgetConfig
 from pipelines.config.checks import LARGEST_SEED
 from pipelines.config.env import EnvConfig, PidTerms
-from pipelines.config.method import (
-    METHOD_CONFIGS,
+from pipelines.config.methods import (
+    METHODS,
     AugTreeConfig,
     CdtConfig,
+    ImitatingConfig,
+    LinearPolicyConfig,
     LmViperConfig,
+    MappedConfig,
     MethodConfig,
     NdpsConfig,
     PidConfig,
@@ -51,7 +54,7 @@ from pipelines.config.trainer import TRAINERS, FleetConfig, TrainerConfig
 __all__ = [
     "ALGORITHMS",
     "LARGEST_SEED",
-    "METHOD_CONFIGS",
+    "METHODS",
     "TRAINERS",
     "ActorConfig",
     "AlgoConfig",
@@ -68,8 +71,11 @@ __all__ = [
     "FleetConfig",
     "GradientConfig",
     "ImitateConfig",
+    "ImitatingConfig",
+    "LinearPolicyConfig",
     "LmViperConfig",
     "MapConfig",
+    "MappedConfig",
     "MethodConfig",
     "NdpsConfig",
     "OffPolicyConfig",

@@ -10,12 +10,10 @@ from pipelines.config.algo import (
     AlgoConfig,
     ArsConfig,
     ContinuousConfig,
-    DdpgConfig,
     GradientConfig,
-    OnPolicyConfig,
     SacConfig,
 )
-from pipelines.config.methods import EXTRAS, METHODS, imitates, is_mapped, is_soft
+from pipelines.config.methods import EXTRA_STAGES, METHODS, MethodConfig
 from pipelines.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -113,68 +111,47 @@ def check(config: RunConfig) -> None:
     Args:
         config: a run whose fields are of the right types.
     """
-    _check_depth(config.depth, config.method.name)
-    _check_stages(config.stages, config.method.name)
+    _check_depth(config.depth)
+    config.method.check_depth(config.depth)
+    _check_stages(config.stages, config.method)
     _check_method(config)
     _check_numbers(config)
 
 
-def _check_depth(depth: Any, method: str) -> None:
+def _check_depth(depth: Any) -> None:
     widths = [depth] if isinstance(depth, int) else depth
     integers = isinstance(widths, list) and widths and all(type(width) is int for width in widths)
     if not integers or isinstance(depth, bool):
         raise ConfigError(f"depth={depth!r}: give a number of hidden neurons (depth=6) or one per layer (depth=[8,8])")
     if any(width < 0 for width in widths) or (len(widths) > 1 and 0 in widths):
         raise ConfigError(f"depth={depth!r}: a layer cannot have {min(widths)} neurons; depth=0 is the linear policy")
-    if method == "linear" and depth != 0:
-        raise ConfigError(f"method=linear is the policy of depth 0, but depth={depth!r}; add depth=0")
-    if method == "cdt":
-        if not (isinstance(depth, list) and len(depth) == 2):
-            raise ConfigError(f"depth={depth!r}: method=cdt has two trees; give both depths, as depth=[3,3]")
-    elif (imitates(method) or is_soft(method)) and (not isinstance(depth, int) or depth == 0):
-        raise ConfigError(
-            f"depth={depth!r}: method={method} grows a tree; give the tests on its longest path (depth=6)"
-        )
 
 
-def _check_stages(stages: list[str] | None, method: str) -> None:
+def _check_stages(stages: list[str] | None, method: MethodConfig) -> None:
     for stage in stages or ():
-        known = (*METHODS[method], *(extra for extra in EXTRAS if extra != "certify" or is_mapped(method)))
+        known = (*method.stages, *(extra for extra in EXTRA_STAGES if extra != "certify" or method.is_mapped))
         if stage not in known:
-            raise ConfigError(f"stages: method={method} has no stage {stage!r}; it has {', '.join(known)}")
+            raise ConfigError(f"stages: method={method.name} has no stage {stage!r}; it has {', '.join(known)}")
 
 
 def _check_method(config: RunConfig) -> None:
-    """Refuse an oracle that is no network, and choices that a method does not have."""
+    """Refuse what the method cannot be used with, and choices that it does not have."""
     if not 0 <= config.simplification.return_loss < 1:
         raise ConfigError(
             f"simplification.return_loss={config.simplification.return_loss}: give a share from 0 to below 1"
         )
-    if config.certify and not is_mapped(config.method.name):
+    if config.certify and not config.method.is_mapped:
         raise ConfigError(
             f"certify=true: a tree of method={config.method.name} stands for no network that it could be proved equal "
-            f"to; these do: {', '.join(method for method in METHODS if is_mapped(method))}"
+            f"to; these do: {', '.join(name for name, method in METHODS.items() if method.is_mapped)}"
         )
-    if imitates(config.method.name) and (not config.oracle or any(width < 1 for width in config.oracle)):
-        raise ConfigError(
-            f"oracle={config.oracle}: give the hidden layers of the network to imitate, as oracle=[256,256]"
-        )
-    if is_soft(config.method.name) and not isinstance(config.algo, OnPolicyConfig):
-        raise ConfigError(
-            f"method={config.method.name} is trained by algo=ppo_tree or algo=trpo_tree, not {config.algo.name}"
-        )
+    config.method.check(config.algo, config.actor, config.oracle)
     if isinstance(config.algo, ArsConfig) and config.hidden_widths:
         raise ConfigError(f"algo=ars searches linear policies; depth={config.depth} has hidden neurons, add depth=0")
-    if config.method.name == "pid" and not isinstance(config.algo, DdpgConfig):
-        raise ConfigError(f"method=pid is trained by algo=ddpg_pid, not {config.algo.name}")
-    if config.method.name == "pid" and config.actor.rescale_inputs:
-        raise ConfigError("actor.rescale_inputs=true: method=pid reads the state and its errors in their own units")
     for name, choices in METHOD_CHOICES.items():
         value = getattr(config.method, name, None)
         if value is not None and value not in choices:
             raise ConfigError(f"method.{name}={value}: use one of {', '.join(choices)}")
-    if getattr(config.method, "features", None) == "deep" and len(config.oracle) < 2:
-        raise ConfigError(f"method.features=deep reads the oracle's deeper layers, but oracle={config.oracle} has one")
 
 
 def _check_numbers(config: RunConfig) -> None:

@@ -1,51 +1,317 @@
-"""The methods: each is one row, the stages it takes in order.
+"""The methods, a class each: its settings (a file of conf/method) and everything else that follows from the choice.
 
 The tree of a run is made by one stage: `map` from the trained actor, `imitate` from an oracle, `harden` from a soft
-tree, `parse` from a program. What comes after it is the same for all.
+tree, `parse` from a program. What comes after that stage is the same for all methods.
 """
 
-MAPPED = ("train", "map", "prune", "evaluate")
-IMITATING = ("oracle", "imitate", "prune", "evaluate")
-SOFT = ("train", "harden", "prune", "evaluate")
-WRITTEN = ("parse", "prune", "evaluate")
-EXTRAS = ("certify", "simplify")  # after all others, where certify=true or simplify=true asks for them
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
-METHODS: dict[str, tuple[str, ...]] = {
-    "otr": MAPPED,
-    "linear": MAPPED,
-    "pid": MAPPED,
-    "viper": IMITATING,
-    "lm_viper": IMITATING,
-    "augtree": IMITATING,
-    "ndps": IMITATING,
-    "sdt": SOFT,
-    "cdt": SOFT,
-    "pi_prl": SOFT,
-    "program": WRITTEN,
+from pipelines.config.algo import AlgoConfig, DdpgConfig, OnPolicyConfig
+from pipelines.config.conf_dir import CONF_DIR
+from pipelines.config.env import PidTerms
+from pipelines.config.stages import ActorConfig
+from pipelines.errors import ConfigError
+
+EXTRA_STAGES = ("certify", "simplify")  # after all others, where certify=true or simplify=true asks for them
+# Soft trees and augmented random search learn with other numbers of steps (conf/budget).
+ON_POLICY_STEPS = [
+    'train.steps="${budget.on_policy_steps.${env.task}}"',
+    'train.eval_interval_steps="${budget.on_policy_interval_steps}"',
+]
+
+
+@dataclass(frozen=True)
+class MethodConfig:
+    """What every method has. The attributes of the class are facts of the method, not settings.
+
+    Attributes:
+        name: the name of the method.
+        stages: its stages in order, without the extra ones.
+        tree_stage: the stage that makes its tree.
+        is_mapped: whether the tree is a trained network's, which it can be proved equal to.
+        imitates: whether the tree imitates an oracle, which is trained first.
+        is_soft: whether the actor is a soft tree, which is hardened after training.
+        is_written: whether the policy is a program that somebody wrote, so that nothing is trained.
+        decides_training: whether the settings of the method decide what is trained.
+    """
+
+    name: str
+
+    stages: ClassVar[tuple[str, ...]]
+    tree_stage: ClassVar[str]
+    is_mapped: ClassVar[bool] = False
+    imitates: ClassVar[bool] = False
+    is_soft: ClassVar[bool] = False
+    is_written: ClassVar[bool] = False
+    decides_training: ClassVar[bool] = False
+
+    @classmethod
+    def implied(cls, given: Mapping[str, str]) -> list[str]:
+        """Return the overrides that the choice of this method implies; they stand before the given ones.
+
+        Args:
+            given: the overrides of the command, key to value; one of them may name the method.
+        """
+        return list(ON_POLICY_STEPS) if given.get("algo") == "ars" else []
+
+    @property
+    def pid_terms(self) -> PidTerms | None:
+        """What a PID policy observes in place of the state; None for all other methods."""
+        return None
+
+    def check_depth(self, depth: Any) -> None:
+        """Raise ConfigError if the method makes no tree of this depth."""
+
+    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
+        """Raise ConfigError if the method cannot be used with this algorithm, this actor or this oracle."""
+
+
+@dataclass(frozen=True)
+class MappedConfig(MethodConfig):
+    """OTR, and every method whose tree is mapped from the trained actor."""
+
+    stages = ("train", "map", "prune", "evaluate")
+    tree_stage = "map"
+    is_mapped = True
+
+
+@dataclass(frozen=True)
+class LinearPolicyConfig(MappedConfig):
+    """The linear policy: an actor without hidden neurons, a tree of depth 0."""
+
+    def check_depth(self, depth: Any) -> None:
+        """Refuse hidden neurons."""
+        if depth != 0:
+            raise ConfigError(f"method=linear is the policy of depth 0, but depth={depth!r}; add depth=0")
+
+
+@dataclass(frozen=True)
+class PidConfig(MappedConfig):
+    """A PID policy, whose actor gives the gains (Orfanos 2023, section 4.1.1).
+
+    Attributes:
+        goal: the state to come to rest in, one number a component.
+        n_history: states before the present one that the policy knows.
+        l1: weight of the sum of the gains' absolute output weights in the actor's loss.
+        first_layer_scale: of the initial weights and biases of the first hidden layer, in units of torch's own. The
+            penalty is on the output weights alone, so gains vary more cheaply behind large first-layer weights.
+        zero_below: output weights smaller than this are set to zero before every evaluation: the penalty, taken in
+            steps of the learning rate's size, leaves them swinging about it.
+    """
+
+    goal: list[float]
+    n_history: int
+    l1: float
+    first_layer_scale: float
+    zero_below: float
+
+    decides_training = True
+
+    @classmethod
+    def implied(cls, given: Mapping[str, str]) -> list[str]:
+        """Return the depth of 1 with which the thesis trains PID policies, their budget, and algo=ddpg_pid."""
+        budget = [
+            f'train.{name}="${{budget.pid.{name}}}"'
+            for name in ("steps", "eval_interval_steps", "n_selection_episodes")
+        ]
+        algo = [] if "algo" in given else ["algo=ddpg_pid"]
+        evaluation = 'evaluate.n_episodes="${budget.pid.n_evaluation_episodes}"'
+        return [*super().implied(given), "depth=1", evaluation, *budget, *algo]
+
+    @property
+    def pid_terms(self) -> PidTerms:
+        """The goal and the length of the integral's window."""
+        return PidTerms(tuple(self.goal), self.n_history)
+
+    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
+        """Refuse other algorithms than DDPG, and rescaled inputs."""
+        if not isinstance(algo, DdpgConfig):
+            raise ConfigError(f"method=pid is trained by algo=ddpg_pid, not {algo.name}")
+        if actor.rescale_inputs:
+            raise ConfigError("actor.rescale_inputs=true: method=pid reads the state and its errors in their own units")
+
+
+@dataclass(frozen=True)
+class GrownConfig(MethodConfig):
+    """A method that grows a tree, whose `depth` is the number of tests on the longest path."""
+
+    def check_depth(self, depth: Any) -> None:
+        """Refuse all but a number of tests."""
+        if not isinstance(depth, int) or depth == 0:
+            raise ConfigError(
+                f"depth={depth!r}: method={self.name} grows a tree; give the tests on its longest path (depth=6)"
+            )
+
+
+@dataclass(frozen=True)
+class ImitatingConfig(GrownConfig):
+    """A method that imitates an oracle under DAgger.
+
+    Attributes:
+        fit_s: seconds of one fit at depth 6, measured on the lander.
+    """
+
+    stages = ("oracle", "imitate", "prune", "evaluate")
+    tree_stage = "imitate"
+    imitates = True
+    fit_s: ClassVar[float]
+
+    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
+        """Refuse an oracle that is no network."""
+        if not oracle or any(width < 1 for width in oracle):
+            raise ConfigError(f"oracle={oracle}: give the hidden layers of the network to imitate, as oracle=[256,256]")
+
+
+@dataclass(frozen=True)
+class ViperConfig(ImitatingConfig):
+    """VIPER: CART on rows drawn by the oracle's weights; the names are those of `otr.control.CartFit`."""
+
+    max_samples: int
+    min_samples_leaf: int
+
+    fit_s = 0.3
+
+
+@dataclass(frozen=True)
+class LmViperConfig(ImitatingConfig):
+    """LM-VIPER: a linear model in every leaf; the names are those of `otr.control.LinearModelTreeFit`."""
+
+    max_samples: int
+    min_samples_leaf: int
+    alpha: float
+
+    fit_s = 1.5
+
+
+@dataclass(frozen=True)
+class AugTreeConfig(ImitatingConfig):
+    """AugTree: tests on the oracle's hidden units; the names are those of `otr.control.AugTreeFit`."""
+
+    features: str
+    leaves: str
+    max_patterns: int
+    weighted: bool
+    criterion: str
+    max_samples: int
+    min_samples_leaf: int
+
+    fit_s = 1.0
+
+    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
+        """Refuse deep features of an oracle with one layer."""
+        super().check(algo, actor, oracle)
+        if self.features == "deep" and len(oracle) < 2:
+            raise ConfigError(f"method.features=deep reads the oracle's deeper layers, but oracle={oracle} has one")
+
+
+@dataclass(frozen=True)
+class NdpsConfig(ImitatingConfig):
+    """NDPS: a soft tree fitted to the oracle, hardened and refitted; the names are those of `otr.control.NdpsImitator`.
+
+    Attributes:
+        max_samples: rows drawn for a fit.
+        n_updates, n_updates_next: Adam's updates of the first fit, and of those that go on from the last round's tree.
+        batch_size, learning_rate, beta_first, beta_last, ridge: see `otr.control.NdpsSettings`.
+    """
+
+    max_samples: int
+    n_updates: int
+    n_updates_next: int
+    batch_size: int
+    learning_rate: float
+    beta_first: float
+    beta_last: float
+    ridge: float
+
+    fit_s = 5.0
+
+
+@dataclass(frozen=True)
+class SoftConfig(GrownConfig):
+    """A method whose actor is a soft tree, trained by policy gradient.
+
+    Attributes:
+        beta_first, beta_last: how hard its tests are at first and at last, growing geometrically.
+        anneal_until: the fraction of the steps at which beta has reached its last value.
+        learning_rate_end: what is left of the algorithm's learning rate at the end, a fraction; it falls linearly.
+    """
+
+    beta_first: float
+    beta_last: float
+    anneal_until: float
+    learning_rate_end: float
+
+    stages = ("train", "harden", "prune", "evaluate")
+    tree_stage = "harden"
+    is_soft = True
+    decides_training = True
+
+    @classmethod
+    def implied(cls, given: Mapping[str, str]) -> list[str]:
+        """Return the steps of soft trees, and the algorithm that the environment has for them, where none is given."""
+        implied = list(ON_POLICY_STEPS)
+        if "algo" not in given:
+            own = (f"ppo_{given['method']}_{given.get('env', '')}", f"ppo_tree_{given.get('env', '')}")
+            files = (name for name in own if (CONF_DIR / "algo" / f"{name}.yaml").is_file())
+            implied.append(f"algo={next(files, 'ppo_tree')}")
+        return implied
+
+    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
+        """Refuse algorithms that are not on-policy."""
+        if not isinstance(algo, OnPolicyConfig):
+            raise ConfigError(f"method={self.name} is trained by algo=ppo_tree or algo=trpo_tree, not {algo.name}")
+
+
+@dataclass(frozen=True)
+class SdtConfig(SoftConfig):
+    """A soft decision tree (Silva et al. 2020), with constant or affine leaves."""
+
+    leaves: str
+
+
+@dataclass(frozen=True)
+class CdtConfig(SoftConfig):
+    """A cascading decision tree (Ding et al. 2020) with `n_features` features between its two trees."""
+
+    n_features: int
+
+    def check_depth(self, depth: Any) -> None:
+        """Refuse all but two depths."""
+        if not (isinstance(depth, list) and len(depth) == 2):
+            raise ConfigError(f"depth={depth!r}: method=cdt has two trees; give both depths, as depth=[3,3]")
+
+
+@dataclass(frozen=True)
+class PiPrlConfig(SoftConfig):
+    """pi-PRL (Qiu & Zhu 2022): `discretise_at` is the fraction of the steps at which the structure is chosen."""
+
+    structure_penalty: float
+    discretise_at: float
+
+
+@dataclass(frozen=True)
+class ProgramConfig(MethodConfig):
+    """A program that somebody wrote: `program` is a file, or a name under conf/program."""
+
+    program: str
+
+    stages = ("parse", "prune", "evaluate")
+    tree_stage = "parse"
+    is_written = True
+
+
+METHODS: dict[str, type[MethodConfig]] = {
+    "otr": MappedConfig,
+    "linear": LinearPolicyConfig,
+    "pid": PidConfig,
+    "viper": ViperConfig,
+    "lm_viper": LmViperConfig,
+    "augtree": AugTreeConfig,
+    "ndps": NdpsConfig,
+    "sdt": SdtConfig,
+    "cdt": CdtConfig,
+    "pi_prl": PiPrlConfig,
+    "program": ProgramConfig,
 }
-
-
-def imitates(method: str) -> bool:
-    """Return whether a method imitates an oracle, which is trained first."""
-    return METHODS[method] is IMITATING
-
-
-def is_soft(method: str) -> bool:
-    """Return whether a method's actor is a soft tree, which is hardened after training."""
-    return METHODS[method] is SOFT
-
-
-def is_written(method: str) -> bool:
-    """Return whether a method's policy is a program that somebody wrote, so that nothing is trained."""
-    return METHODS[method] is WRITTEN
-
-
-def is_mapped(method: str) -> bool:
-    """Return whether a method's tree is a trained network's, which it can be proved equal to."""
-    return METHODS[method] is MAPPED
-
-
-def tree_stage(method: str) -> str:
-    """Return the stage that makes a method's tree: the one before it is pruned."""
-    stages = METHODS[method]
-    return stages[stages.index("prune") - 1]

@@ -7,9 +7,8 @@ from typing import Any
 from pipelines.config.algo import AlgoConfig, ArsConfig, SacConfig
 from pipelines.config.budget import BudgetConfig
 from pipelines.config.checks import check
-from pipelines.config.env import EnvConfig, PidTerms
-from pipelines.config.method import MethodConfig, PidConfig
-from pipelines.config.methods import EXTRAS, METHODS, is_written
+from pipelines.config.env import EnvConfig
+from pipelines.config.methods import EXTRA_STAGES, MethodConfig
 from pipelines.config.stages import (
     ActorConfig,
     CertificationConfig,
@@ -59,9 +58,8 @@ class RunConfig:
     oracle_run: "RunConfig | None" = field(default=None, metadata={"omegaconf_ignore": True})
 
     def __post_init__(self) -> None:
-        if isinstance(self.method, PidConfig):  # in one place, so that every stage sees the same environment
-            terms = PidTerms(tuple(self.method.goal), self.method.n_history)
-            object.__setattr__(self, "env", dataclasses.replace(self.env, pid=terms))
+        if self.method.pid_terms:  # in one place, so that every stage sees the same environment
+            object.__setattr__(self, "env", dataclasses.replace(self.env, pid=self.method.pid_terms))
         check(self)
 
     @property
@@ -73,13 +71,13 @@ class RunConfig:
     @property
     def fleet(self) -> FleetConfig | None:
         """The fleet's settings where a fleet trains this run; None where Stable-Baselines3 does."""
-        trains_sac = isinstance(self.algo, SacConfig) and not is_written(self.method.name)
+        trains_sac = isinstance(self.algo, SacConfig) and not self.method.is_written
         return self.trainer if isinstance(self.trainer, FleetConfig) and trains_sac else None
 
     @property
     def trainer_name(self) -> str:
         """Who trains this run: `sb3`, the fleet's name, or `none` for a program."""
-        if is_written(self.method.name):
+        if self.method.is_written:
             return "none"
         return self.fleet.name if self.fleet else "sb3"
 
@@ -93,7 +91,7 @@ class RunConfig:
     @property
     def selected_stages(self) -> tuple[str, ...]:
         """The stages to do, in the method's order."""
-        stages = METHODS[self.method.name]
+        stages = self.method.stages
         if self.stages is not None:
-            return tuple(stage for stage in (*stages, *EXTRAS) if stage in self.stages)
-        return (*stages, *(stage for stage in EXTRAS if getattr(self, stage)))
+            return tuple(stage for stage in (*stages, *EXTRA_STAGES) if stage in self.stages)
+        return (*stages, *(stage for stage in EXTRA_STAGES if getattr(self, stage)))

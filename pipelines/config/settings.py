@@ -7,7 +7,6 @@ from dataclasses import asdict
 from typing import Any
 
 from pipelines.config import EnvConfig, ProgramConfig, RunConfig
-from pipelines.config.methods import imitates, is_written
 
 # Settings younger than committed results, with the value that means "as before": keyed only where they differ from it.
 YOUNGER_SETTINGS: dict[tuple[str, str], Any] = {
@@ -40,8 +39,8 @@ def settings(config: RunConfig) -> dict[str, Any]:
 
     The budget's table of steps is left out but for its name: `train`, `prune` and `evaluate` hold what it gave.
     """
-    left_out = EXECUTION_FIELDS if imitates(config.method.name) else (*EXECUTION_FIELDS, *IMITATION_FIELDS)
-    left_out = (*left_out, *TRAINING_FIELDS) if is_written(config.method.name) else left_out
+    left_out = EXECUTION_FIELDS if config.method.imitates else (*EXECUTION_FIELDS, *IMITATION_FIELDS)
+    left_out = (*left_out, *TRAINING_FIELDS) if config.method.is_written else left_out
     plain = {key: value for key, value in asdict(dataclasses.replace(config, oracle_run=None)).items()
              if key not in left_out}  # fmt: skip
     del plain["env"]["pid"]  # `method` tells

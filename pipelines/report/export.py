@@ -9,7 +9,7 @@ from typing import Any
 
 import otr
 from pipelines.config import RunConfig
-from pipelines.config.methods import EXTRAS, MAPPED, METHODS, tree_stage
+from pipelines.config.methods import EXTRA_STAGES
 from pipelines.engine.stage import MANIFEST, verified_manifest
 from pipelines.engine.store import load_actor
 from pipelines.errors import ConfigError, MissingInputError, PipelineError
@@ -161,14 +161,14 @@ def write_program(config: ExportConfig, program: str | bytes) -> Path:
 def _policy(config: ExportConfig, run: RunConfig, folder: Path) -> Any:
     """Return the tree that was asked for, or the network behind it."""
     method = run.method.name
-    if config.tree == "compact" and METHODS[method] is not MAPPED:
+    if config.tree == "compact" and not run.method.is_mapped:
         raise ConfigError(f"tree=compact: a tree of method={method} stands for no network; use tree=full")
     if config.tree == "constant_gains" and method != "pid":
         raise ConfigError(f"tree=constant_gains: gains are of method=pid, not of method={method}; use tree=pruned")
     stages = {
         "pruned": "prune",
         "constant_gains": "prune",
-        "full": tree_stage(method),
+        "full": run.method.tree_stage,
         "minimal": "certify",
         "simplified": "simplify",
     }
@@ -193,7 +193,7 @@ def _policy(config: ExportConfig, run: RunConfig, folder: Path) -> Any:
 
 
 def _extra_word(stage: str) -> str:
-    return f" {stage}=true" if stage in EXTRAS else ""
+    return f" {stage}=true" if stage in EXTRA_STAGES else ""
 
 
 def _check_name(word: str, value: str, known: Sequence[str]) -> None:

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 from pipelines.config import RunConfig
-from pipelines.config.methods import METHODS
 from pipelines.engine.store import read_csv
 from pipelines.stages.evaluate import EPISODES_FILES, episode_rows, load_policies, play
 
@@ -15,7 +14,7 @@ def replay(config: RunConfig, run_dir: Path) -> int:
 
     Other versions of the simulators give other episodes; on the recorded versions all of them come back.
     """
-    inputs = {name: run_dir / name for name in METHODS[config.method.name]}
+    inputs = {name: run_dir / name for name in config.method.stages}
     played = play(load_policies(inputs, config), config)
     n_different = 0
     for name in played:

@@ -8,7 +8,6 @@ import numpy as np
 
 import otr
 from pipelines.config import RunConfig
-from pipelines.config.methods import tree_stage
 from pipelines.config.settings import env_settings
 from pipelines.engine.seeding import evaluation_seeds
 from pipelines.engine.store import load_actor, write_csv, write_json
@@ -57,7 +56,7 @@ def load_policies(inputs: Mapping[str, Path], config: RunConfig) -> dict[str, An
         policies["oracle"] = load_oracle(inputs["oracle"], Path(config.results_dir))
     elif "map" in inputs:
         policies["network"] = load_actor(inputs["train"])
-    policies["tree"] = otr.load(inputs[tree_stage(config.method.name)] / "tree")
+    policies["tree"] = otr.load(inputs[config.method.tree_stage] / "tree")
     policies["pruned_tree"] = otr.load(inputs["prune"] / "tree")
     if (inputs["prune"] / "constant_gains.json").is_file():
         policies["constant_gains"] = otr.load(inputs["prune"] / "constant_gains")

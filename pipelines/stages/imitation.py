@@ -9,13 +9,12 @@ from typing import Any
 
 import gymnasium as gym
 
-from pipelines.config import RunConfig
+from pipelines.config import ImitatingConfig, RunConfig
 from pipelines.config.settings import digest, settings
 from pipelines.engine.stage import verified_manifest
 
 IMITATE_VERSION = 1
 STEPS_PER_S = 8_000.0  # environment steps on one core, with the states kept and labelled
-FIT_S = {"viper": 0.3, "lm_viper": 1.5, "augtree": 1.0, "ndps": 5.0}  # one fit at depth 6, measured on the lander
 SHARE_PLAYED = 0.5  # of an episode's longest length
 
 
@@ -41,9 +40,10 @@ def working_folder(config: RunConfig, oracle: Path) -> Path:
 
 def estimated_seconds(config: RunConfig) -> float:
     """Return the likely time of the imitation on one core, the oracle's training apart."""
-    imitation = config.imitate
+    imitation, method = config.imitate, config.method
+    assert isinstance(method, ImitatingConfig)
     # Successive halving plays about as much again as its last two candidates do, six times over.
     n_chosen = 6 * imitation.n_choice_episodes
     n_episodes = imitation.n_initial_episodes + (imitation.n_rounds + 1) * imitation.n_episodes + n_chosen
     longest = gym.spec(config.env.id).max_episode_steps or 1000
-    return n_episodes * longest * SHARE_PLAYED / STEPS_PER_S + (imitation.n_rounds + 1) * FIT_S[config.method.name]
+    return n_episodes * longest * SHARE_PLAYED / STEPS_PER_S + (imitation.n_rounds + 1) * method.fit_s

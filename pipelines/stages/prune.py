@@ -10,7 +10,6 @@ import numpy as np
 import otr
 from otr.control import constant_gains
 from pipelines.config import RunConfig
-from pipelines.config.methods import tree_stage
 from pipelines.config.settings import env_settings
 from pipelines.engine.seeding import episode_seeds
 from pipelines.engine.store import load_actor, write_json, write_text
@@ -44,7 +43,7 @@ def prune(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
         PolicyMismatchError: the pruned tree differs from the policy on a state that it was pruned with.
     """
     policy: Any
-    tree: Any = otr.load(inputs[tree_stage(config.method.name)] / "tree")
+    tree: Any = otr.load(inputs[config.method.tree_stage] / "tree")
     seeds = episode_seeds(config.seed, "prune", config.prune.n_episodes)
     states = rollout(tree.predict, config.env, seeds, keep_states=True, n_workers=config.n_workers).states
     if "map" in inputs:

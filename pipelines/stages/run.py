@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pipelines.config import RunConfig
-from pipelines.config.methods import EXTRAS, METHODS, tree_stage
+from pipelines.config.methods import EXTRA_STAGES
 from pipelines.engine.console import duration, show_result
 from pipelines.engine.job import Job, disk_errors_explained
 from pipelines.engine.stage import Stage, StageResult, run_stage, run_stage_together, stage_status
@@ -129,7 +129,7 @@ def _run_stages(job: RunJob) -> dict[str, Any] | None:
     summary = summarise(job)
     write_json(run_dir / "summary.json", summary)
     (run_dir / "error.log").unlink(missing_ok=True)
-    unasked = {extra for extra in EXTRAS if extra not in config.selected_stages}
+    unasked = {extra for extra in EXTRA_STAGES if extra not in config.selected_stages}
     show_result({key: value for key, value in summary.items() if key not in unasked}, run_dir)
     open_tracker(config).finish(summary, run_dir)
     return summary
@@ -138,11 +138,11 @@ def _run_stages(job: RunJob) -> dict[str, Any] | None:
 def summarise(job: RunJob) -> dict[str, Any]:
     """Return a finished run's summary from its stages' reports."""
     config, run_dir = job.config, job.run_dir
-    names = METHODS[config.method.name]
+    names = config.method.stages
     made, pruned, evaluated = (
-        read_json(run_dir / name / "report.json") for name in (tree_stage(config.method.name), "prune", "evaluate")
+        read_json(run_dir / name / "report.json") for name in (config.method.tree_stage, "prune", "evaluate")
     )
-    extras = tuple(extra for extra in EXTRAS if (run_dir / extra / "manifest.json").is_file())
+    extras = tuple(extra for extra in EXTRA_STAGES if (run_dir / extra / "manifest.json").is_file())
     manifests = {name: read_json(run_dir / name / "manifest.json") for name in (*names, *extras)}
     seconds = {name: manifest["seconds"] for name, manifest in manifests.items()}
     if "train" in seconds:

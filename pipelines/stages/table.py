@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from pipelines.config import RunConfig
-from pipelines.config.methods import EXTRAS, METHODS, tree_stage
+from pipelines.config.methods import EXTRA_STAGES, METHODS
 from pipelines.engine.stage import Stage
 from pipelines.stages.certify import VERSION as CERTIFY_VERSION
 from pipelines.stages.certify import certify, certify_settings
@@ -45,14 +45,6 @@ def _harden(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     harden_actor(inputs, config, out)
 
 
-# What prune and evaluate read beside the tree: the policy that it stands for.
-POLICY_STAGES: dict[str, tuple[str, ...]] = {
-    "map": ("train",),
-    "imitate": ("oracle",),
-    "harden": ("train",),
-    "parse": (),
-}
-
 STAGES: dict[str, Stage] = {
     stage.name: stage
     for stage in (
@@ -70,10 +62,10 @@ STAGES: dict[str, Stage] = {
 
 def stages_of(method: str) -> dict[str, Stage]:
     """Return a method's stages and the extras by name, in order; prune and evaluate read what its tree comes from."""
-    source = tree_stage(method)
-    inputs = (*POLICY_STAGES[source], source)
+    stages = METHODS[method].stages
+    inputs = stages[: stages.index("prune")]
     read = {
         "prune": Stage("prune", PRUNE_VERSION, inputs, prune_settings, prune),
         "evaluate": Stage("evaluate", EVALUATE_VERSION, (*inputs, "prune"), evaluate_settings, evaluate),
     }
-    return {name: read[name] if name in read else STAGES[name] for name in (*METHODS[method], *EXTRAS)}
+    return {name: read[name] if name in read else STAGES[name] for name in (*stages, *EXTRA_STAGES)}

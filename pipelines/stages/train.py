@@ -19,7 +19,6 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 import otr
 from pipelines.config import PidConfig, RunConfig
-from pipelines.config.methods import is_soft
 from pipelines.engine.seeding import stream_seed
 from pipelines.engine.store import actor_files
 from pipelines.play.rollout import Rollout
@@ -91,7 +90,7 @@ def _train_segment(model: BaseAlgorithm, config: RunConfig, segment: int, progre
 def _callbacks(config: RunConfig, progress: TrainingProgress) -> CallbackList:
     """Return what goes on beside the learning: the progress bar, and a soft tree's schedule."""
     callbacks: list[BaseCallback] = [progress.callback] if progress.callback else []
-    if is_soft(config.method.name):
+    if config.method.is_soft:
         callbacks.append(SoftSchedule(schedule_of(config)))
     return CallbackList(callbacks)
 
@@ -101,7 +100,7 @@ def _evaluate(model: BaseAlgorithm, config: RunConfig) -> tuple[dict[str, bytes]
 
     A network is compared with the model on every state visited.
     """
-    if is_soft(config.method.name):
+    if config.method.is_soft:
         assert isinstance(model, OnPolicyAlgorithm)
         module = exported_module(model, config)
         try:

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from pipelines.config import OffPolicyConfig, OnPolicyConfig, RunConfig
-from pipelines.config.methods import is_soft
 from pipelines.config.settings import digest, env_settings, settings
 from pipelines.engine.store import read_json
 from pipelines.play.environments import make_env
@@ -38,7 +37,7 @@ def train_settings(config: RunConfig) -> dict[str, Any]:
     everything = settings(config)
     env = env_settings(config.env)
     kept = {key: everything[key] for key in ("algo", "actor", "train", "seed")}
-    if is_soft(config.method.name) or config.method.name == "pid":
+    if config.method.decides_training:
         kept["method"] = everything["method"]
     if config.fleet:
         kept["trainer"] = {**everything["trainer"], "version": FLEET_VERSION}

@@ -28,7 +28,6 @@ from pipelines.config import (
     Td3Config,
     TrpoConfig,
 )
-from pipelines.config.methods import is_soft
 from pipelines.errors import ConfigError
 from pipelines.play.environments import flat_state_size, is_discrete, make_training_env
 from pipelines.training.estimates import learning_starts
@@ -83,7 +82,7 @@ def build_env(config: RunConfig) -> DummyVecEnv:
 
 
 def _policy_class(config: RunConfig) -> str | type[BasePolicy]:
-    if is_soft(config.method.name):
+    if config.method.is_soft:
         return SoftActorCriticPolicy
     return PidPolicy if isinstance(config.method, PidConfig) else "MlpPolicy"
 
@@ -93,7 +92,7 @@ def policy_kwargs(config: RunConfig) -> dict[str, Any]:
     assert isinstance(config.algo, GradientConfig)
     critics = "vf" if isinstance(config.algo, OnPolicyConfig) else "qf"
     slope = config.actor.negative_slope
-    is_tree = is_soft(config.method.name)
+    is_tree = config.method.is_soft
     kwargs: dict[str, Any] = {
         "net_arch": {"pi": [] if is_tree else list(config.hidden_widths), critics: list(config.algo.critic)},
         "activation_fn": functools.partial(torch.nn.LeakyReLU, slope) if slope > 0.0 else torch.nn.ReLU,

@@ -20,7 +20,7 @@ from pipelines.config import (
     EnvConfig,
     EvaluateConfig,
     MapConfig,
-    MethodConfig,
+    MappedConfig,
     PpoConfig,
     PruneConfig,
     RunConfig,
@@ -43,7 +43,7 @@ def tiny(tmp_path: Path) -> Callable[..., RunConfig]:
         base = RunConfig(
             env=PENDULUM,
             algo=SAC,
-            method=MethodConfig("otr"),
+            method=MappedConfig("otr"),
             budget=BudgetConfig("smoke", {"pendulum": 300}, 100, 2, 2, 3, 100),
             depth=4,
             seed=0,

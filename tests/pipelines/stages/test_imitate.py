@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import otr
-from pipelines.config import AugTreeConfig, ImitateConfig, MethodConfig, NdpsConfig, RunConfig, ViperConfig
+from pipelines.config import AugTreeConfig, ImitateConfig, MappedConfig, NdpsConfig, RunConfig, ViperConfig
 from pipelines.config.settings import digest
 from pipelines.engine.seeding import FIRST_STREAM_SEED, STREAMS, episode_seeds
 from pipelines.engine.stage import file_digest
@@ -133,7 +133,7 @@ def task(tiny, tmp_path):
         {"stage": "train", "version": 1, "key": "k", "settings": {}, "outputs": outputs, "seconds": 1.0,
          "output_digest": digest(outputs)},
     )  # fmt: skip
-    trained = tiny(method=MethodConfig("otr"), depth=[6], folder="runs/pendulum/otr/depth-6/smoke/seed-0")
+    trained = tiny(method=MappedConfig("otr"), depth=[6], folder="runs/pendulum/otr/depth-6/smoke/seed-0")
     config = tiny(method=NDPS, depth=2, oracle=[6], imitate=ImitateConfig(2, 3, 2, 4), oracle_run=trained)
     reference = tmp_path / "oracle"
     reference.mkdir()

@@ -11,8 +11,9 @@ array([3.5])
 A module is imported when one of its names is first used.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from otr.extras import lazy_exports
 
 # The alias says to type checkers that the name is public.
 # isort: off
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
         CertificateError as CertificateError,
         InvalidNetworkError as InvalidNetworkError,
         InvalidTreeError as InvalidTreeError,
+        MissingExtraError as MissingExtraError,
         OtrError as OtrError,
         ProgramError as ProgramError,
         TreeTooLargeError as TreeTooLargeError,
@@ -84,8 +86,8 @@ _NAMES_OF_MODULES = {
     "core.pattern_tree": "PatternTree",
     "core.pruning": "prune_to_k prune_unreached",
     "core.tree": "ObliqueTree",
-    "errors": "ArtefactError CertificateError InvalidNetworkError InvalidTreeError OtrError ProgramError "
-    "TreeTooLargeError",
+    "errors": "ArtefactError CertificateError InvalidNetworkError InvalidTreeError MissingExtraError OtrError "
+    "ProgramError TreeTooLargeError",
     "geometry.minimal_tree": "minimal_tree",
     "importers": "from_sb3 from_sklearn from_torch",
     "importers.vec_normalize": "ObservationStatistics",
@@ -101,14 +103,4 @@ _NAMES_OF_MODULES = {
 _MODULES = {name: module for module, names in _NAMES_OF_MODULES.items() for name in names.split()}
 
 __all__ = sorted(_MODULES)
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = globals()[name] = getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *_MODULES})
+__getattr__, __dir__ = lazy_exports(__name__, _MODULES)

@@ -7,6 +7,7 @@ __all__ = [
     "CertificateError",
     "InvalidNetworkError",
     "InvalidTreeError",
+    "MissingExtraError",
     "OtrError",
     "ProgramError",
     "TreeTooLargeError",
@@ -27,6 +28,10 @@ class InvalidTreeError(OtrError, ValueError):
 
 class TreeTooLargeError(OtrError):
     """The tree asked for has more leaves than the caller allows."""
+
+
+class MissingExtraError(OtrError, ImportError):
+    """A package is not installed that one of otr's extras brings, such as ``otr[learn]``; the message names both."""
 
 
 class CertificateError(OtrError):

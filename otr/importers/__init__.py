@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from otr.core.head import Argmax, Head, Identity, Sign
 from otr.core.network import ReluNetwork
 from otr.errors import InvalidNetworkError
+from otr.extras import naming_the_extra
 from otr.importers.sb3_archive import network_of_file
 from otr.importers.sb3_model import network_of_model
 from otr.importers.torch_modules import network_of_module
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["from_sb3", "from_sklearn", "from_torch"]
 
 
+@naming_the_extra("otr.from_torch")
 def from_torch(module: torch.nn.Module, *, head: Head | None = None) -> ReluNetwork:
     """Return the network of a `torch.nn.Sequential` of Linear, ReLU and LeakyReLU layers.
 
@@ -41,10 +43,12 @@ def from_torch(module: torch.nn.Module, *, head: Head | None = None) -> ReluNetw
         InvalidNetworkError: a layer of another kind, named with its position; activations of several slopes; a module
             that is not what its layers say, with the largest difference; tensors that are complex, sparse or expanded,
             or without numbers.
+        MissingExtraError: torch is not installed.
     """
     return network_of_module(module, head)
 
 
+@naming_the_extra("otr.from_sb3")
 def from_sb3(
     model: Any,
     *,
@@ -81,6 +85,7 @@ def from_sb3(
             statistics'; or something that the file does not tell.
         ArtefactError: a file is missing, cut off, unpacks to more than 256 MiB, or holds more than tensors in its
             `policy.pth`, or no VecNormalize.
+        MissingExtraError: torch is not installed.
     """
     if isinstance(model, str | os.PathLike):
         network = network_of_file(Path(model), action_low, action_high, negative_slope)
@@ -91,6 +96,7 @@ def from_sb3(
     return network if vec_normalize is None else fold_observation_statistics(network, vec_normalize)
 
 
+@naming_the_extra("otr.from_sklearn")
 def from_sklearn(mlp: Any) -> ReluNetwork:
     """Return the network of a fitted scikit-learn `MLPClassifier` or `MLPRegressor`.
 
@@ -99,6 +105,7 @@ def from_sklearn(mlp: Any) -> ReluNetwork:
 
     Raises:
         InvalidNetworkError: not fitted, another activation, several labels at once, or a loss with a link function.
+        MissingExtraError: scikit-learn is not installed.
     """
     from sklearn.neural_network import MLPClassifier, MLPRegressor
     from sklearn.preprocessing import LabelBinarizer

@@ -5,8 +5,7 @@ A learner's module, and with it scikit-learn or torch, is loaded when the learne
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import Any
+from otr.extras import lazy_exports
 
 _MODULES = {
     "AugTreeClassifier": "augtree",
@@ -27,13 +26,4 @@ _MODULES = {
 }
 
 __all__ = list(_MODULES)
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it has {', '.join(_MODULES)}")
-    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *_MODULES})
+__getattr__, __dir__ = lazy_exports(__name__, _MODULES)

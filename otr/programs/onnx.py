@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from otr.core.head import Argmax, ClipBox, PidBox, Sign, TanhBox
 from otr.core.tree import ObliqueTree
+from otr.extras import naming_the_extra
 from otr.programs.names import give_labels, names_of, one_line, require_tree
 from otr.programs.walk import box_limits, child, distinct_rows, summary_of
 
@@ -24,6 +25,7 @@ OPSET, IR_VERSION = 17, 8  # runtimes from 2022 on read these
 MAX_UNROLLED_DEPTH = 64
 
 
+@naming_the_extra("otr.to_onnx")
 def to_onnx(
     tree: ObliqueTree,
     *,
@@ -44,7 +46,7 @@ def to_onnx(
         feature_names, output_names: as in `to_text`.
 
     Raises:
-        ImportError: onnx is not installed.
+        MissingExtraError: onnx is not installed.
         TypeError: `tree` is no ObliqueTree.
         ValueError: the wrong number of names, a `name` that is no line of text, another `dtype`, or a number that is
             too large for a float.
@@ -55,10 +57,8 @@ def to_onnx(
         raise ValueError(f"name is {name!r}, expected one line of characters that print, as the name of the graph")
     if dtype not in ("double", "float"):
         raise ValueError(f"dtype is {dtype!r}, expected 'double' or 'float'")
-    try:
-        from onnx import TensorProto, checker, helper
-    except ImportError as error:
-        raise ImportError(f"to_onnx needs the package onnx: pip install 'otr[onnx]' ({error})") from error
+    from onnx import TensorProto, checker, helper
+
     graph = _Graph(np.float64 if dtype == "double" else np.float32)
     answer = _answer(graph, tree, _find_leaf(graph, tree))
     kind = TensorProto.DOUBLE if dtype == "double" else TensorProto.FLOAT

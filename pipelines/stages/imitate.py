@@ -10,7 +10,7 @@ from typing import Any
 
 import otr
 from otr.control.augtree import AugTreeFit
-from otr.control.dagger.loop import DaggerSettings, Fit, Play, Progress, run_dagger
+from otr.control.dagger.loop import DaggerProgress, DaggerSettings, Fit, Play, run_dagger
 from otr.control.viper import CartFit, LinearModelTreeFit, box_of
 from pipelines.config import AugTreeConfig, LmViperConfig, NdpsConfig, RunConfig, ViperConfig
 from pipelines.engine.console import duration
@@ -103,7 +103,7 @@ def _player(config: RunConfig) -> Play:
     return play
 
 
-def _show(progress: Progress, config: RunConfig) -> None:
+def _show(progress: DaggerProgress, config: RunConfig) -> None:
     """Print a line every few rounds."""
     r, n_rounds = progress.round, progress.n_rounds
     if r % REPORT_EVERY and r != n_rounds:

@@ -31,7 +31,7 @@ from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
 from otr.errors import ArtefactError, InvalidNetworkError
 
-__all__ = ["DaggerResult", "DaggerSettings", "Episodes", "Fit", "Iterate", "Play", "Progress", "run_dagger"]
+__all__ = ["DaggerProgress", "DaggerResult", "DaggerSettings", "Episodes", "Fit", "Iterate", "Play", "run_dagger"]
 
 SCHEMA = "otr/dagger/1"
 _LABELLING_ROWS = 2**14
@@ -94,7 +94,7 @@ class DaggerSettings:
 
 
 @dataclass(frozen=True)
-class Progress:
+class DaggerProgress:
     """A round that is done: in round r the oracle (r = 0) or tree r - 1 played, and tree r was fitted.
 
     Attributes:
@@ -169,7 +169,7 @@ def run_dagger(
     seed: np.random.SeedSequence,
     folder: Path,
     *,
-    on_round: Callable[[Progress], None] | None = None,
+    on_round: Callable[[DaggerProgress], None] | None = None,
 ) -> DaggerResult:
     """Imitate `oracle` under DAgger and return the iterate that is best on selection episodes.
 
@@ -231,14 +231,14 @@ class _Run:
     def n_trees(self) -> int:
         return len(self._state["trees"])
 
-    def round(self) -> Progress:
+    def round(self) -> DaggerProgress:
         """Let the oracle or the newest tree play, fit the next tree, and commit."""
         start, r = time.perf_counter(), self.n_trees
         episodes = self._rollout(r)
         n_rows = self._append(episodes.states)
         tree = self._fit_tree(r, n_rows)
         save(tree, self._tree_path(r))
-        progress = Progress(
+        progress = DaggerProgress(
             round=r,
             n_rounds=self._settings.n_rounds,
             n_rows=n_rows,

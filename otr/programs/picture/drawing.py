@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from otr.core.arrays import IntArray
 from otr.core.tree import ObliqueTree
+from otr.extras import naming_the_extra
 from otr.programs.names import one_line, shown_names
 from otr.programs.picture.boxes import Box, Style, head_note, tree_boxes
 from otr.programs.picture.layout import tidy_layout
@@ -39,6 +40,7 @@ LABEL_COLOURS = (
 VALUE_COLOURS = ("#8a7f00", "#fbf8e3")
 
 
+@naming_the_extra("otr.draw_tree")
 def draw_tree(
     tree: ObliqueTree,
     *,
@@ -69,6 +71,7 @@ def draw_tree(
     Raises:
         TypeError: `tree` is no ObliqueTree.
         ValueError: too many leaves, the wrong number of names or counts, or precision, max_terms, max_depth too low.
+        MissingExtraError: matplotlib is not installed.
     """
     if not isinstance(tree, ObliqueTree):
         raise TypeError(f"tree is a {type(tree).__name__}, expected an ObliqueTree; a PatternTree has to_tree()")
@@ -82,11 +85,13 @@ def draw_tree(
     return _Picture(boxes, one_line(title or ""), head_note(tree)).figure()
 
 
+@naming_the_extra("otr.save_picture")
 def save_picture(figure: Figure, path: str | Path) -> None:
     """Write a figure as PNG or SVG, as the name ends; the same figure gives the same bytes, without a date.
 
     Raises:
         ValueError: the name ends otherwise.
+        MissingExtraError: matplotlib is not installed.
     """
     import matplotlib
 

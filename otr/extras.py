@@ -1,0 +1,65 @@
+"""Packages that come with an extra of otr: loaded when they are first asked for, and named where they are missing."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from difflib import get_close_matches
+from importlib import import_module
+from typing import Any
+
+from otr.errors import MissingExtraError
+
+__all__ = ["lazy_exports", "naming_the_extra"]
+
+# A package as it is imported: its name for pip, and the extra of otr that installs it.
+_EXTRAS = {
+    "joblib": ("joblib", "learn"),
+    "matplotlib": ("matplotlib", "plots"),
+    "onnx": ("onnx", "onnx"),
+    "sklearn": ("scikit-learn", "learn"),
+    "torch": ("torch", "learn"),
+}
+
+
+@contextmanager
+def naming_the_extra(feature: str) -> Iterator[None]:
+    """Raise MissingExtraError in place of the ImportError of a package that one of otr's extras installs.
+
+    Args:
+        feature: what needs the package, for the message.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
+        if package not in _EXTRAS:
+            raise
+        distribution, extra = _EXTRAS[package]
+        message = f"{feature} needs {distribution}, which is not installed: pip install 'otr[{extra}]'"
+        raise MissingExtraError(message, name=error.name) from error
+
+
+def lazy_exports(package: str, modules: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """Return `__getattr__` and `__dir__` of a package whose modules are loaded when one of their names is asked for.
+
+    Args:
+        package: its full name.
+        modules: from each public name to the module below the package that defines it.
+    """
+
+    def load(name: str) -> Any:
+        if name not in modules:
+            near = get_close_matches(name, modules, n=1)
+            instead = f"; did you mean {near[0]}?" if near else ""
+            raise AttributeError(f"module {package!r} has no attribute {name!r}{instead}")
+        with naming_the_extra(f"{package}.{name}"):
+            value = getattr(import_module(f"{package}.{modules[name]}"), name)
+        vars(sys.modules[package])[name] = value  # later uses find it there
+        return value
+
+    def names() -> list[str]:
+        return sorted({*vars(sys.modules[package]), *modules})
+
+    return load, names

@@ -1,0 +1,96 @@
+"""What is not installed with otr itself is named, with the extra that installs it, when it is asked for."""
+
+import json
+import pickle
+import subprocess
+import sys
+import zipfile
+
+import pytest
+
+import otr
+from otr import control, learners
+from otr.extras import naming_the_extra
+
+ASKED = """
+import sys
+sys.modules.update(dict.fromkeys(["joblib", "matplotlib", "onnx", "sklearn", "torch"]))
+import json
+import numpy as np
+import otr
+from otr import control, learners
+
+network = otr.ReluNetwork([np.ones((1, 2))], [np.zeros(1)])
+tree = otr.map_network(network)
+calls = {
+    "otr.from_torch": lambda: otr.from_torch(None),
+    "otr.from_sb3": lambda: otr.from_sb3(sys.argv[1]),
+    "otr.from_sklearn": lambda: otr.from_sklearn(None),
+    "otr.to_onnx": lambda: otr.to_onnx(tree),
+    "otr.draw_tree": lambda: otr.draw_tree(tree),
+    "otr.save_picture": lambda: otr.save_picture(None, "tree.svg"),
+}
+for package in (control, learners):
+    for name in package.__all__:
+        calls[f"{package.__name__}.{name}"] = lambda package=package, name=name: getattr(package, name)
+errors = {}
+for name, call in calls.items():
+    try:
+        call()
+    except otr.MissingExtraError as error:
+        errors[name] = str(error)
+print(json.dumps(errors))
+"""
+NUMPY_ALONE = {  # names of otr.control that need nothing else
+    "DaggerProgress", "DaggerResult", "DaggerSettings", "Iterate", "argmax_leaves", "constant_gains", "draw_rows",
+    "pid_network", "pid_observation", "pid_observation_names", "run_dagger",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def errors(tmp_path_factory):
+    """The errors of all that was asked for, in a process without the packages."""
+    path = tmp_path_factory.mktemp("saved") / "model.zip"
+    with zipfile.ZipFile(path, "w") as file:
+        file.writestr("data", "{}")
+        file.writestr("policy.pth", b"")
+    done = subprocess.run([sys.executable, "-c", ASKED, str(path)], capture_output=True, text=True, check=True)
+    return json.loads(done.stdout)
+
+
+@pytest.mark.parametrize(
+    ("name", "package", "extra"),
+    [
+        ("otr.from_torch", "torch", "learn"),
+        ("otr.from_sb3", "torch", "learn"),
+        ("otr.from_sklearn", "scikit-learn", "learn"),
+        ("otr.to_onnx", "onnx", "onnx"),
+        ("otr.draw_tree", "matplotlib", "plots"),
+        ("otr.save_picture", "matplotlib", "plots"),
+        ("otr.learners.CARTClassifier", "scikit-learn", "learn"),
+        ("otr.control.SoftTree", "torch", "learn"),
+    ],
+)
+def test_the_error_names_package_and_extra(errors, name, package, extra):
+    assert errors[name] == f"{name} needs {package}, which is not installed: pip install 'otr[{extra}]'"
+
+
+def test_every_learner_and_imitator_says_what_it_needs(errors):
+    assert {name for name in errors if name.startswith("otr.learners.")} == {
+        f"otr.learners.{name}" for name in learners.__all__
+    }
+    needing = {name.removeprefix("otr.control.") for name in errors if name.startswith("otr.control.")}
+    assert needing == set(control.__all__) - NUMPY_ALONE
+
+
+def test_the_error_is_an_import_error_and_can_be_pickled():
+    with pytest.raises(ImportError) as raised, naming_the_extra("a test"):
+        raise ModuleNotFoundError("No module named 'torch'", name="torch.nn")
+    copy = pickle.loads(pickle.dumps(raised.value))
+    assert (type(copy), str(copy)) == (otr.MissingExtraError, str(raised.value))
+
+
+def test_other_missing_modules_are_told_as_they_are():
+    with pytest.raises(ModuleNotFoundError, match="otr") as raised, naming_the_extra("a test"):
+        raise ModuleNotFoundError("No module named 'otr.growth'", name="otr.growth")
+    assert not isinstance(raised.value, otr.MissingExtraError)

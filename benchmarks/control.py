@@ -26,7 +26,7 @@ from otr.control import AugTreeFit, CartFit, DaggerSettings, RelaxedProgram, Sof
 from otr.control.dagger.loop import Fit
 from pipelines.config import EnvConfig
 from pipelines.engine.seeding import episode_seeds
-from pipelines.engine.store import load_actor
+from pipelines.play.actor_files import load_actor
 from pipelines.play.rollout import Policy, Rollout, rollout
 
 torch.set_num_threads(1)

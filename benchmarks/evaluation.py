@@ -22,7 +22,7 @@ from stable_baselines3.common.monitor import Monitor
 import otr
 from benchmarks.measure import Entry
 from benchmarks.peers import HOPPER, sac_with_actor
-from pipelines.engine.store import load_actor
+from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import make_env
 from pipelines.play.rollout import rollout
 

@@ -36,11 +36,10 @@ from pipelines.training.fleet.groups import fleets
 from pipelines.training.fleet.progress import FleetProgress
 from pipelines.training.fleet.sac import FleetSac, Minibatch, RunSettings, Shapes
 from pipelines.training.fleet.stacked_tensors import multiply, new_stack
-from pipelines.training.fleet.train import FleetTrainer, Task
+from pipelines.training.fleet.trainer import FleetTrainer, Task
 
 N_RUNS = 10
 N_RANDOM = 100
-CPU = torch.device("cpu")
 PEER_STEPS_AHEAD = 300  # SBX compiles in its first steps
 
 
@@ -96,7 +95,8 @@ def fleet_rate(precision: str, n_steps: int) -> Callable[[], float]:
         dataclasses.replace(run_config(precision, seed, n_steps), results_dir=folder.name) for seed in range(N_RUNS)
     ]
     task = Task.of(configs[0])
-    trainers = [FleetTrainer(task, [FleetRun(configs[i], task.layout) for i in part]) for part in fleets(configs)]
+    runs = [FleetRun(each, Path(folder.name) / str(each.seed), task.layout) for each in configs]
+    trainers = [FleetTrainer(task, [runs[i] for i in part]) for part in fleets(configs)]
     quiet = [FleetProgress(trainer.runs) for trainer in trainers]
 
     def rate() -> float:
@@ -151,7 +151,7 @@ def floor_seconds(n_runs: int = 5, repeats: int = 100) -> float:
     n, rows, d_in, width = 2 * n_runs, 100, 14, 256
 
     def stack(*shape: int) -> torch.Tensor:
-        return new_stack(n, *shape, device=CPU).normal_()
+        return new_stack(n, *shape).normal_()
 
     x, h = stack(rows, d_in), stack(rows, width)
     W1, W2, W3 = stack(d_in, width), stack(width, width), stack(width, 1)
@@ -189,7 +189,7 @@ def learner_entries(quick: bool) -> list[Entry]:
 
 def learner(n_runs: int, actor: tuple[int, ...]) -> Callable[[], None]:
     """Return a function that does one update of each of `n_runs` runs."""
-    fleet = FleetSac(Shapes(11, 3, actor, (256, 256), 100), [RunSettings(1e-3, 0.99)] * n_runs, CPU)
+    fleet = FleetSac(Shapes(11, 3, actor, (256, 256), 100), [RunSettings(1e-3, 0.99)] * n_runs)
     for run in range(n_runs):
         fleet.initialise(run, torch.Generator().manual_seed(run))
     batch = Minibatch(

@@ -23,7 +23,7 @@ import numpy as np
 import otr
 from benchmarks.measure import Entry, alternate
 from benchmarks.peers import HOPPER, sac_with_actor
-from pipelines.engine.store import load_actor
+from pipelines.play.actor_files import load_actor
 from pipelines.play.rollout import rollout
 
 RUN = Path(__file__).parent.parent / "results" / "runs" / "hopper" / "otr" / "depth-6" / "quick" / "seed-0"

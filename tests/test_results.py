@@ -8,7 +8,8 @@ import pytest
 import otr
 from pipelines.config.methods import METHODS
 from pipelines.engine.stage import verified_manifest
-from pipelines.engine.store import load_actor, read_csv
+from pipelines.engine.store import read_csv
+from pipelines.play.actor_files import load_actor
 from pipelines.report.tabulate import write_table
 from pipelines.stages.oracle import load_oracle
 from tests.pipelines.conftest import otr_command

@@ -1,4 +1,4 @@
-"""Reading and writing artefacts: atomic text and JSON, actors as safetensors beside JSON. No pickle anywhere."""
+"""Reading and writing artefacts: text, JSON and CSV files that appear whole or not at all. No pickle anywhere."""
 
 import csv
 import json
@@ -7,16 +7,9 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from safetensors import SafetensorError
-from safetensors.numpy import load_file
-from safetensors.numpy import save as safetensors_bytes
-
-import otr
-from otr.core.head import head_from_dict
 from pipelines.errors import PipelineError
 
-ACTOR_SCHEMA = "otr/actor/1"
+REWRITTEN = ("summary.json", "config.yaml")  # made anew by the run's command, from the finished stages
 
 
 def write_text(path: Path, text: str) -> None:
@@ -63,57 +56,10 @@ def read_csv(path: Path) -> list[dict[str, str]]:
         raise corrupt(path, error) from error
 
 
-def actor_files(network: otr.ReluNetwork) -> dict[str, bytes]:
-    """Return `actor.safetensors` (float64 weights and biases) and `actor.json` (slope, dense links, head, domain)."""
-    tensors: dict[str, np.ndarray] = {}
-    for layer, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
-        tensors[f"weight_{layer}"] = np.ascontiguousarray(weight)
-        tensors[f"bias_{layer}"] = np.ascontiguousarray(bias)
-    about = {
-        "schema": ACTOR_SCHEMA,
-        "n_layers": len(network.weights),
-        "hidden_widths": [int(width) for width in network.hidden_widths],
-        "negative_slope": network.negative_slope,
-        "dense": network.dense,
-        "head": network.head.to_dict(),
-    }
-    if network.domain is not None:
-        about["domain"] = network.domain.to_dict()
-    return {"actor.safetensors": safetensors_bytes(tensors), "actor.json": json_text(about).encode()}
-
-
-def save_actor(network: otr.ReluNetwork, folder: Path) -> None:
-    """Write the actor's files (`actor_files`)."""
-    write_files(actor_files(network), folder)
-
-
 def write_files(files: Mapping[str, bytes], folder: Path) -> None:
     """Write files of these names and contents."""
     for name, content in files.items():
         (folder / name).write_bytes(content)
-
-
-def load_actor(folder: Path) -> otr.ReluNetwork:
-    """Return the network that `save_actor` wrote; a truncated or foreign file is an error that names it."""
-    about = read_json(folder / "actor.json")
-    try:
-        if about["schema"] != ACTOR_SCHEMA:
-            raise ValueError(f"schema {about['schema']!r} where {ACTOR_SCHEMA!r} was expected")
-        tensors = load_file(folder / "actor.safetensors")
-        layers = range(about["n_layers"])
-        return otr.ReluNetwork(
-            [tensors[f"weight_{layer}"] for layer in layers],
-            [tensors[f"bias_{layer}"] for layer in layers],
-            negative_slope=about["negative_slope"],
-            dense=about["dense"],
-            head=head_from_dict(about["head"]),
-            domain=otr.Domain.from_dict(about["domain"]) if "domain" in about else None,
-        )
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError, otr.OtrError) as error:
-        raise corrupt(folder / "actor.safetensors", error) from error
-
-
-REWRITTEN = ("summary.json", "config.yaml")  # made anew by the run's command, from the finished stages
 
 
 def corrupt(path: Path, error: Exception) -> PipelineError:

@@ -11,8 +11,8 @@ import otr
 from pipelines.config import RunConfig
 from pipelines.config.methods import EXTRA_STAGES
 from pipelines.engine.stage import MANIFEST, verified_manifest
-from pipelines.engine.store import load_actor
 from pipelines.errors import ConfigError, MissingInputError, PipelineError
+from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import action_names, feature_names
 
 TREES = ("pruned", "full", "minimal", "simplified", "constant_gains", "compact")

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import otr
 from pipelines.config import RunConfig
-from pipelines.engine.store import load_actor
 from pipelines.errors import MissingInputError, PipelineError
+from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import state_limits
 
 

@@ -11,7 +11,8 @@ import otr
 from pipelines.config import RunConfig
 from pipelines.config.settings import env_settings
 from pipelines.engine.seeding import episode_seeds
-from pipelines.engine.store import load_actor, write_json
+from pipelines.engine.store import write_json
+from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import state_limits
 from pipelines.play.rollout import rollout
 from pipelines.stages.program_files import write_program

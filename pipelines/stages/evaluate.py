@@ -10,8 +10,9 @@ import otr
 from pipelines.config import RunConfig
 from pipelines.config.settings import env_settings
 from pipelines.engine.seeding import evaluation_seeds
-from pipelines.engine.store import load_actor, write_csv, write_json
+from pipelines.engine.store import write_csv, write_json
 from pipelines.errors import PolicyMismatchError
+from pipelines.play.actor_files import load_actor
 from pipelines.play.agreement import answers_agree
 from pipelines.play.rollout import Rollout, rollout
 from pipelines.stages.oracle import load_oracle

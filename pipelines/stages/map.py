@@ -6,7 +6,8 @@ from typing import Any
 
 import otr
 from pipelines.config import RunConfig
-from pipelines.engine.store import load_actor, write_json
+from pipelines.engine.store import write_json
+from pipelines.play.actor_files import load_actor
 from pipelines.stages.program_files import write_program
 
 VERSION = 1

@@ -12,8 +12,9 @@ from typing import Any
 import otr
 from pipelines.config import RunConfig
 from pipelines.engine.stage import verified_manifest
-from pipelines.engine.store import load_actor, read_csv, read_json, write_json
+from pipelines.engine.store import read_csv, read_json, write_json
 from pipelines.errors import PipelineError
+from pipelines.play.actor_files import load_actor
 from pipelines.training.estimates import train_settings
 
 VERSION = 1

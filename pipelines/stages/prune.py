@@ -12,8 +12,9 @@ from otr.control import constant_gains
 from pipelines.config import RunConfig
 from pipelines.config.settings import env_settings
 from pipelines.engine.seeding import episode_seeds
-from pipelines.engine.store import load_actor, write_json, write_text
+from pipelines.engine.store import write_json, write_text
 from pipelines.errors import PolicyMismatchError
+from pipelines.play.actor_files import load_actor
 from pipelines.play.agreement import answers_agree
 from pipelines.play.rollout import rollout
 from pipelines.stages.program_files import program_text, write_program

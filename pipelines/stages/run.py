@@ -99,7 +99,7 @@ def _train_together(jobs: Sequence[RunJob]) -> list[Exception | None]:
     def train(
         inputs: Sequence[Mapping[str, Path]], configs: Sequence[RunConfig], outs: Sequence[Path]
     ) -> Sequence[Exception | None]:
-        return train_fleet(configs, outs)
+        return train_fleet(configs, [checkpoint_folder(config) for config in configs], outs)
 
     return run_stage_together(STAGES["train"], [(job.run_dir, job.config) for job in jobs], train)
 
@@ -196,9 +196,8 @@ def _announce_training(configs: Sequence[RunConfig]) -> None:
         )
     if seconds >= LONG_RUN_S:
         runs = f"{len(configs)} runs as one, " if len(configs) > 1 else ""
-        where = "on one GPU" if config.fleet and config.fleet.device == "cuda" else "on one core"
         print(
-            f"train: {runs}{sum(left):,} steps of {config.algo.name.upper()}, about {duration(seconds)} {where}, "
+            f"train: {runs}{sum(left):,} steps of {config.algo.name.upper()}, about {duration(seconds)} on one core, "
             f"up to {max(1, round(n_bytes / 1e6))} MB of checkpoints; Ctrl-C stops, the same command goes on",
             flush=True,
         )

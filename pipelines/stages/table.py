@@ -21,16 +21,27 @@ from pipelines.stages.prune import VERSION as PRUNE_VERSION
 from pipelines.stages.prune import prune, prune_settings
 from pipelines.stages.simplify import VERSION as SIMPLIFY_VERSION
 from pipelines.stages.simplify import simplify, simplify_settings
-from pipelines.training.estimates import HARDEN_VERSION, TRAIN_VERSION, harden_settings, train_settings
+from pipelines.training.estimates import (
+    HARDEN_VERSION,
+    TRAIN_VERSION,
+    checkpoint_folder,
+    harden_settings,
+    train_settings,
+)
 
 
 def _train(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     # torch and Stable-Baselines3 take seconds to import; the other stages need neither.
     if config.fleet:
-        from pipelines.training.fleet.train import train
+        from pipelines.training.fleet.train import train_fleet
+
+        (error,) = train_fleet([config], [checkpoint_folder(config)], [out])
+        if error is not None:
+            raise error
     else:
         from pipelines.stages.train import train
-    train(inputs, config, out)
+
+        train(inputs, config, out)
 
 
 def _imitate(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:

@@ -20,7 +20,7 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 import otr
 from pipelines.config import PidConfig, RunConfig
 from pipelines.engine.seeding import stream_seed
-from pipelines.engine.store import actor_files
+from pipelines.play.actor_files import actor_files
 from pipelines.play.rollout import Rollout
 from pipelines.play.selection import compare_with_trained, diverged, play_episodes, play_selection_episodes
 from pipelines.tracking.tracker import open_tracker

@@ -28,7 +28,7 @@ STEPS_PER_S = {
     "ars": 10_000.0,
     "dqn": 900.0,
 }
-FLEET_STEPS_PER_S = {"cpu": 400.0, "cuda": 40_000.0}  # the latter is a guess: not measured yet
+FLEET_STEPS_PER_S = 400.0
 RANDOM_STEPS_PER_S = 5_000.0  # off-policy steps before learning starts
 
 
@@ -81,7 +81,7 @@ def estimated_seconds(config: RunConfig) -> float:
 
 def training_rate(config: RunConfig) -> float:
     """Return the likely environment steps per second on one core, of a run or of all runs of a fleet together."""
-    return FLEET_STEPS_PER_S[config.fleet.device] if config.fleet else STEPS_PER_S[config.algo.name]
+    return FLEET_STEPS_PER_S if config.fleet else STEPS_PER_S[config.algo.name]
 
 
 def estimated_bytes(config: RunConfig) -> int:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import otr
 from otr.control import pid_network
 from otr.core.network import ReluNetwork
-from pipelines.engine.store import load_actor
+from pipelines.play.actor_files import load_actor
 from tests.core.strategies import make_network
 from tests.programs.policies import COMMITTED, RUNS, assert_answers, chain, committed, policies, states_for
 

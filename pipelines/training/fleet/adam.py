@@ -31,7 +31,7 @@ class AdamGroup:
     @classmethod
     def of(cls, learning_rate: float, weight_decay: float, tensors: Sequence[Tensor], n_steps: int) -> "AdamGroup":
         """Return a group that has done `n_steps` steps; of the parameters, gradients and two moments it is given."""
-        steps = [torch.tensor(float(n_steps), device=tensors[0].device, dtype=torch.float32)]
+        steps = [torch.tensor(float(n_steps), dtype=torch.float32)]
         parameters, gradients, moments1, moments2 = tensors
         return cls(learning_rate, weight_decay, ([parameters], [gradients], [moments1], [moments2]), steps)
 

@@ -1,7 +1,7 @@
 """EnvPool's environments (the extra `fleet`): batched C++, for the MuJoCo ones that it computes as gymnasium does.
 
-EnvPool brings its own MuJoCo, 3.6.0. `tests/pipelines/training/fleet/test_envpool_env.py` sets gymnasium's environment
-to the state of EnvPool's before every step and compares what follows.
+EnvPool brings its own MuJoCo, 3.6.0. `tests/pipelines/training/fleet/test_envpool_environments.py` sets gymnasium's
+environment to the state of EnvPool's before every step and compares what follows.
 """
 
 import importlib
@@ -22,33 +22,30 @@ UNEQUAL_IDS = ("Ant-v4", "Ant-v5")
 
 
 class EnvPoolVectorEnv(VectorEnv):
-    """Environments of one pool, each with its own seed, stepped by `n_threads` threads.
+    """Environments of one pool, each with its own seed, stepped by one thread.
 
     Where an episode ended, its environment is reset at once, so that no step is lost to a reset. The time limit is kept
     here, because EnvPool's own hides a terminal state that is reached with the last step.
     """
 
-    def __init__(self, env: EnvConfig, n_envs: int, *, n_threads: int = 1) -> None:
+    def __init__(self, env: EnvConfig, n_envs: int) -> None:
         self._id, self._max_episode_steps = _checked(env)
         _envpool()  # a missing one is told at once
-        self.n_envs, self._n_threads = n_envs, n_threads
+        self.n_envs = n_envs
         self._pool: Any = None
         self._n_steps = np.zeros(n_envs, dtype=np.int64)  # of the episodes under way
 
     def reset(self, seeds: Sequence[int]) -> np.ndarray:
         """Start anew in a new pool: EnvPool takes seeds only when one is made (about 20 ms for ten hoppers)."""
         check_seeds(seeds, self.n_envs)
-        self._pool = make_pool(self._id, seeds, self._n_threads)
+        self._pool = make_pool(self._id, seeds)
         self._n_steps[:] = 0
         states, _ = self._pool.reset()
         return np.array(states, dtype=np.float32)
 
-    def send(self, actions: np.ndarray) -> None:
+    def step(self, actions: np.ndarray) -> Step:
         check_actions(actions, self.n_envs)
-        self._pool.send(actions)
-
-    def receive(self) -> Step:
-        observations, rewards, terminated, _, _ = self._pool.recv()
+        observations, rewards, terminated, _, _ = self._pool.step(actions)
         next_states = states = observations.astype(np.float32)
         self._n_steps += 1
         truncated = self._n_steps >= self._max_episode_steps
@@ -61,15 +58,15 @@ class EnvPoolVectorEnv(VectorEnv):
         return Step(next_states, rewards.astype(np.float32), terminated.copy(), truncated, states)
 
     def close(self) -> None:
-        self._pool = None  # its threads end with it
+        self._pool = None  # its thread ends with it
 
 
-def make_pool(env_id: str, seeds: Sequence[int], n_threads: int = 1) -> Any:
+def make_pool(env_id: str, seeds: Sequence[int]) -> Any:
     """Return EnvPool's own environments, one a seed, without a time limit."""
     return _envpool().make_gymnasium(
         env_id,
         num_envs=len(seeds),
-        num_threads=n_threads,
+        num_threads=1,
         seed=np.asarray(seeds, dtype=np.uint32).astype(np.int32),  # one to one; EnvPool's seeds are int32
         max_episode_steps=2**30,
     )

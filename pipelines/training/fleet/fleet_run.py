@@ -1,5 +1,7 @@
 """One run of a fleet: its history, what it has learnt, its replay file, and the checkpoint that holds all of it."""
 
+from pathlib import Path
+
 import torch
 from safetensors.torch import load_file
 from safetensors.torch import save as safetensors_bytes
@@ -9,7 +11,7 @@ from pipelines.config import RunConfig, SacConfig
 from pipelines.engine.seeding import stream_seed, stream_seeds
 from pipelines.tracking.tracker import open_tracker
 from pipelines.training.checkpoints import History, last_segment, read_segment, write_segment
-from pipelines.training.estimates import checkpoint_folder, segment_steps
+from pipelines.training.estimates import segment_steps
 from pipelines.training.fleet.replay_buffer import RowLayout, open_rows
 from pipelines.training.fleet.sac import RunSettings
 
@@ -27,8 +29,8 @@ class FleetRun:
         error: why it was given up.
     """
 
-    def __init__(self, config: RunConfig, layout: RowLayout) -> None:
-        self.config, self.folder = config, checkpoint_folder(config)
+    def __init__(self, config: RunConfig, folder: Path, layout: RowLayout) -> None:
+        self.config, self.folder = config, folder
         self.folder.mkdir(parents=True, exist_ok=True)
         self.history, self.n_steps, self.n_updates = History(), 0, 0
         self.tensors: dict[str, Tensor] = {}

@@ -14,13 +14,13 @@ OWN_SETTINGS = ("learning_rate", "gamma", "weight_decay", "ent_coef", "action_no
 def group_key(config: RunConfig) -> str:
     """Return a digest that two runs share exactly if a fleet can train them together.
 
-    Depths make fleets of their own: on a processor mixed ones are no faster, and a run's bits stay what they are alone.
+    Depths make fleets of their own: mixed ones are no faster, and a run's bits stay what they are alone.
     """
     assert config.fleet is not None
     common = train_settings(config.oracle_run or config)
     del common["seed"]
     common["algo"] = {key: value for key, value in common["algo"].items() if key not in OWN_SETTINGS}
-    return digest([common, config.fleet.device, config.results_dir])
+    return digest([common, config.results_dir])
 
 
 def fleets(configs: Iterable[RunConfig]) -> list[list[int]]:

@@ -2,7 +2,7 @@
 
 Every parameter of a stack is a view into one array with a row a network, so that an optimiser, a copy or a target's
 update is one operation. Activations live in a workspace that passes share one after another, which keeps them in the
-cache. A network's bits do not depend on how many there are (`pipelines/training/fleet/stacked_tensors.py`).
+cache. A network's bits do not depend on how many there are (`stacked_tensors`).
 
 With `precision="bf16"` the products between wide layers, where almost all arithmetic is, take bfloat16 factors and sum
 in float32; parameters, first and last layers and everything elementwise stay float32.
@@ -49,17 +49,17 @@ class Layers:
                 factor.copy_(weight)
 
 
-def new_layers(n: int, widths: Sequence[int], device: torch.device, precision: str = "fp32") -> Layers:
+def new_layers(n: int, widths: Sequence[int], precision: str = "fp32") -> Layers:
     """Return a stack of n networks, all zeros, of torch's default type (float32 unless a test sets another)."""
     shapes = list(itertools.pairwise(widths))
     parts = [*shapes, *((1, w_out) for w_out in widths[1:])]
     sizes = [w_in * w_out for w_in, w_out in parts]
-    flat = torch.zeros(n, sum(map(padded, sizes)), device=device)
+    flat = torch.zeros(n, sum(map(padded, sizes)))
     rows = torch.split(flat, [padded(size) for size in sizes], dim=1)
     tensors = [row[:, :size].view(n, *part) for row, size, part in zip(rows, sizes, parts, strict=True)]
     weights, biases = tensors[: len(shapes)], tensors[len(shapes) :]
     factors = [
-        new_stack(n, *weight.shape[1:], device=device, dtype=torch.bfloat16)
+        new_stack(n, *weight.shape[1:], dtype=torch.bfloat16)
         if precision == "bf16" and 0 < i < len(shapes) - 1 and is_wide(weight)
         else weight
         for i, weight in enumerate(weights)
@@ -86,7 +86,7 @@ class StackedMlp:
         self, layers: Layers, n_rows: int, negative_slope: float = 0.0, n_back_rows: int | None = None
     ) -> None:
         self.n_rows = n_rows
-        self._n_networks, self._device = len(layers.flat), layers.flat.device
+        self._n_networks = len(layers.flat)
         self._slope = negative_slope
         self._n_back_rows = n_rows if n_back_rows is None else n_back_rows
         self._stacks: dict[tuple[str, int], Tensor] = {}
@@ -170,7 +170,7 @@ class StackedMlp:
     def _stack(self, use: str, layer: int, shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
         """Return the memory of a use in a layer, (n, *shape), made the first time."""
         if (use, layer) not in self._stacks:
-            self._stacks[use, layer] = new_stack(self._n_networks, *shape, device=self._device, dtype=dtype)
+            self._stacks[use, layer] = new_stack(self._n_networks, *shape, dtype=dtype)
         return self._stacks[use, layer]
 
     def _activate(self, values: Tensor) -> None:

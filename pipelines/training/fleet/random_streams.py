@@ -36,14 +36,11 @@ class Streams:
         n_envs: E.
         batch_size: B.
         n_actions: of the environment.
-        device: where numbers are drawn and wanted.
     """
 
-    def __init__(
-        self, seeds: Sequence[int], n_envs: int, batch_size: int, n_actions: int, device: torch.device
-    ) -> None:
-        self._generators = [torch.Generator(device).manual_seed(seed) for seed in seeds]
-        self._n_envs, self._batch_size, self._n_actions, self._device = n_envs, batch_size, n_actions, device
+    def __init__(self, seeds: Sequence[int], n_envs: int, batch_size: int, n_actions: int) -> None:
+        self._generators = [torch.Generator().manual_seed(seed) for seed in seeds]
+        self._n_envs, self._batch_size, self._n_actions = n_envs, batch_size, n_actions
         self.n_steps_ahead = max(1, DRAWS_AHEAD // n_envs)
 
     def draw(self) -> Draws:
@@ -51,7 +48,7 @@ class Streams:
         n, e, b, a = self.n_steps_ahead, self._n_envs, self._batch_size, self._n_actions
 
         def each(method: str, *shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
-            whole = torch.empty(len(self._generators), *shape, device=self._device, dtype=dtype)
+            whole = torch.empty(len(self._generators), *shape, dtype=dtype)
             for part, generator in zip(whole, self._generators, strict=True):
                 getattr(part, method)(generator=generator)
             return whole

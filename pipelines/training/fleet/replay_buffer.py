@@ -3,7 +3,6 @@
 A file holds `capacity` rows of float32, [state, action, next state, reward, continues]; transition i of the run lies in
 row i % capacity. The capacity is the buffer's size and a segment more, so that a segment overwrites no row that the
 checkpoint before it could sample: after a kill the run goes on from that checkpoint and writes the same rows again.
-Where the device is not the processor the rows lie in its memory, and `save` copies a segment's rows into the files.
 """
 
 from collections.abc import Sequence
@@ -50,25 +49,18 @@ class FleetReplay:
         files: each run's rows, from `open_rows`, all of one capacity.
         layout: of a row.
         size: transitions that can be sampled, the newest ones; at most the capacity.
-        device: where the rows are sampled.
     """
 
-    def __init__(self, files: Sequence[np.memmap], layout: RowLayout, size: int, device: torch.device) -> None:
-        self._files, self._layout, self._size, self._device = list(files), layout, size, device
+    def __init__(self, files: Sequence[np.memmap], layout: RowLayout, size: int) -> None:
+        self._files, self._layout, self._size = list(files), layout, size
         self.capacity = len(files[0])
-        self._on_host = device.type == "cpu"
-        rows = [torch.from_numpy(file) for file in files]
-        self._rows = rows if self._on_host else torch.stack(rows).to(device)
+        self._rows = [torch.from_numpy(file) for file in files]
 
     def add(self, start: int, transitions: Tensor) -> None:
         """Write transitions `start`, `start` + 1, ... of every run, (R, E, width)."""
         positions = (start + torch.arange(transitions.shape[1])) % self.capacity
-        if self._on_host:
-            for rows, new in zip(self._rows, transitions, strict=True):
-                rows[positions] = new
-        else:
-            assert isinstance(self._rows, Tensor)
-            self._rows[:, positions.to(self._device, non_blocking=True)] = transitions
+        for rows, new in zip(self._rows, transitions, strict=True):
+            rows[positions] = new
 
     def positions(self, fractions: Tensor, n_transitions: Tensor) -> Tensor:
         """Return the rows that uniform fractions in [0, 1) choose.
@@ -84,22 +76,12 @@ class FleetReplay:
 
     def gather(self, positions: Tensor) -> Minibatch:
         """Return the transitions in rows (R, B)."""
-        if self._on_host:
-            chosen = torch.empty(*positions.shape, self._layout.width)
-            for rows, index, out in zip(self._rows, positions, chosen, strict=True):
-                torch.index_select(rows, 0, index, out=out)
-            return self._layout.split(chosen)
-        assert isinstance(self._rows, Tensor)
-        runs = torch.arange(len(positions), device=self._device).unsqueeze(1)
-        return self._layout.split(self._rows[runs, positions])
+        chosen = torch.empty(*positions.shape, self._layout.width)
+        for rows, index, out in zip(self._rows, positions, chosen, strict=True):
+            torch.index_select(rows, 0, index, out=out)
+        return self._layout.split(chosen)
 
-    def save(self, start: int, end: int) -> None:
-        """Bring transitions `start` to `end` of every run to the files, and the files to the disk."""
-        if not self._on_host:
-            assert isinstance(self._rows, Tensor)
-            positions = np.arange(max(start, end - self.capacity), end) % self.capacity
-            rows = self._rows[:, torch.from_numpy(positions).to(self._device)].cpu().numpy()
-            for file, new in zip(self._files, rows, strict=True):
-                file[positions] = new
+    def flush(self) -> None:
+        """Bring the rows to the disk."""
         for file in self._files:
             file.flush()

@@ -1,9 +1,9 @@
 """Soft actor-critic for R independent runs at once, with Stable-Baselines3's semantics and hand-written gradients.
 
 Run r owns row r of every stack (its critics the rows 2r and 2r + 1), its own temperature, discount and learning rate;
-nothing is ever summed over runs, and on a processor a run's bits do not depend on the others
-(`pipelines/training/fleet/stacked_tensors.py`). Haarnoja et al. 2018, with the automatic temperature, as
-`stable_baselines3.SAC`: losses are means over the batch, the temperature that a step uses is the one before the step.
+nothing is ever summed over runs, and a run's bits do not depend on the others (`stacked_tensors`). Haarnoja et al.
+2018, with the automatic temperature, as `stable_baselines3.SAC`: losses are means over the batch, the temperature that
+a step uses is the one before the step.
 """
 
 import math
@@ -31,7 +31,7 @@ class Shapes:
         batch_size: transitions an update.
         negative_slope: of the actor's and critics' activation.
         tau: share of the online critics that goes into their targets at each update.
-        precision: fp32 or bf16 (see `pipelines/training/fleet/mlp.py`).
+        precision: fp32 or bf16 (see `mlp`).
     """
 
     n_inputs: int
@@ -71,24 +71,23 @@ class FleetSac:
     Args:
         shapes: common to all runs.
         runs: one row each.
-        device: where everything lies.
         n_updates: done before, by what `load` will bring.
     """
 
-    def __init__(self, shapes: Shapes, runs: Sequence[RunSettings], device: torch.device, n_updates: int = 0) -> None:
-        self.shapes, self.runs, self.device = shapes, tuple(runs), device
+    def __init__(self, shapes: Shapes, runs: Sequence[RunSettings], n_updates: int = 0) -> None:
+        self.shapes, self.runs = shapes, tuple(runs)
         n, rows = len(runs), shapes.batch_size
         actor_widths = (shapes.n_inputs, *shapes.actor, 2 * shapes.n_actions)  # means, then log standard deviations
         critic_widths = (shapes.n_inputs + shapes.n_actions, *shapes.critic, 1)
 
         def stack(n_networks: int, widths: Sequence[int], precision: str = "fp32") -> Layers:
-            return new_layers(n_networks, widths, device, precision)
+            return new_layers(n_networks, widths, precision)
 
         self.actor = stack(n, actor_widths)
         self.critics = stack(N_CRITICS * n, critic_widths, shapes.precision)
         self.targets = stack(N_CRITICS * n, critic_widths, shapes.precision)
         # A run's temperature, its gradient and its moments begin rows of their own, as its parameters do.
-        temperature_rows = [torch.zeros(n, ROW_MULTIPLE, device=device) for _ in range(4)]
+        temperature_rows = [torch.zeros(n, ROW_MULTIPLE) for _ in range(4)]
         self.log_temperature, self._temperature_gradient, *self.temperature_moments = (
             rows[:, 0] for rows in temperature_rows
         )
@@ -101,19 +100,19 @@ class FleetSac:
 
         self._actor_pass = StackedMlp(self.actor, 2 * rows, shapes.negative_slope, n_back_rows=rows)
         self._critic_pass = StackedMlp(self.critics, rows, shapes.negative_slope)
-        self._actions = SquashedActions(n, 2 * rows, shapes.n_actions, device)
+        self._actions = SquashedActions(n, 2 * rows, shapes.n_actions)
         self._acting: tuple[StackedMlp, Tensor, SquashedActions] | None = None
 
         def column(values: Sequence[float]) -> Tensor:
-            return torch.tensor(values, device=device).view(n, 1)
+            return torch.tensor(values).view(n, 1)
 
         self._gamma = column([run.gamma for run in runs])
-        self._automatic = torch.tensor([float(run.temperature is None) for run in runs], device=device)
-        self._actor_inputs = new_stack(n, 2 * rows, shapes.n_inputs, device=device)
-        self._critic_inputs = new_stack(N_CRITICS * n, rows, critic_widths[0], device=device)
+        self._automatic = torch.tensor([float(run.temperature is None) for run in runs])
+        self._actor_inputs = new_stack(n, 2 * rows, shapes.n_inputs)
+        self._critic_inputs = new_stack(N_CRITICS * n, rows, critic_widths[0])
         self._target_inputs = torch.zeros_like(self._critic_inputs)
-        self._d_actor = new_stack(n, rows, 2 * shapes.n_actions, device=device)
-        self._d_critics = new_stack(N_CRITICS * n, rows, 1, device=device)
+        self._d_actor = new_stack(n, rows, 2 * shapes.n_actions)
+        self._d_critics = new_stack(N_CRITICS * n, rows, 1)
 
     # -- parameters of one run ------------------------------------------------------------------------------------
 
@@ -141,7 +140,7 @@ class FleetSac:
         return views
 
     def initialise(self, run: int, generator: torch.Generator) -> None:
-        """Draw the run's networks as torch's Linear does, from a generator of the CPU."""
+        """Draw the run's networks as torch's Linear does."""
         tensors = self.tensors(run)
         for name in ("actor", "critics"):
             layers = self.actor if name == "actor" else self.critics
@@ -173,15 +172,6 @@ class FleetSac:
         for layers in (self.critics, self.targets):
             layers.refresh()
 
-    def is_finite(self) -> list[bool]:
-        """Return for each run whether all its parameters are finite numbers."""
-        n = len(self.runs)
-        finite = torch.isfinite(self.log_temperature)
-        for layers in (self.actor, self.critics, self.targets):
-            for tensor in (*layers.weights, *layers.biases):
-                finite = finite & torch.isfinite(tensor).reshape(n, -1).all(1)
-        return [bool(value) for value in finite.tolist()]
-
     # -- acting ---------------------------------------------------------------------------------------------------
 
     def act(self, states: Tensor, noise: Tensor | None) -> Tensor:
@@ -195,8 +185,8 @@ class FleetSac:
         if self._acting is None or self._acting[0].n_rows != n_envs:
             self._acting = (
                 StackedMlp(self.actor, n_envs, self.shapes.negative_slope),
-                new_stack(n, n_envs, n_inputs, device=self.device),
-                SquashedActions(n, n_envs, self.shapes.n_actions, self.device),
+                new_stack(n, n_envs, n_inputs),
+                SquashedActions(n, n_envs, self.shapes.n_actions),
             )
         network, inputs, actions = self._acting
         return actions.sample(network.forward(self.actor, inputs.copy_(states)), noise).clone()
@@ -204,7 +194,7 @@ class FleetSac:
     def answers(self, run: int, states: Tensor) -> Tensor:
         """Return one run's deterministic actions in [-1, 1], (n, n_actions), in states (n, n_inputs)."""
         actor = self.actor.only(run)
-        inputs = new_stack(1, *states.shape, device=self.device).copy_(states)
+        inputs = new_stack(1, *states.shape).copy_(states)
         outputs = StackedMlp(actor, len(states), self.shapes.negative_slope).forward(actor, inputs)
         return torch.tanh(outputs[0, :, : self.shapes.n_actions])
 

@@ -21,17 +21,14 @@ class SquashedActions:
 
     Args:
         n_runs, n_rows, n_actions: of the arrays.
-        device: where they lie.
 
     Attributes:
         actions: (R, n_rows, n_actions), what `sample` returned last.
     """
 
-    def __init__(self, n_runs: int, n_rows: int, n_actions: int, device: torch.device) -> None:
+    def __init__(self, n_runs: int, n_rows: int, n_actions: int) -> None:
         # Functions like tanh are computed in stacks of ours: elsewhere their bits would depend on the place.
-        self._std, self.actions, self._slope, self._log_slope = (
-            new_stack(n_runs, n_rows, n_actions, device=device) for _ in range(4)
-        )
+        self._std, self.actions, self._slope, self._log_slope = (new_stack(n_runs, n_rows, n_actions) for _ in range(4))
         self._n_actions = n_actions
 
     def sample(self, answers: Tensor, noise: Tensor | None) -> Tensor:

@@ -21,24 +21,20 @@ def padded(n_elements: int) -> int:
     return (n_elements // ROW_MULTIPLE + 1) * ROW_MULTIPLE
 
 
-def new_stack(n: int, *shape: int, device: torch.device, dtype: torch.dtype | None = None) -> Tensor:
+def new_stack(n: int, *shape: int, dtype: torch.dtype | None = None) -> Tensor:
     """Return zeros (n, *shape) with a gap behind each of the n; of torch's default type where none is given."""
     size = math.prod(shape)
-    return torch.zeros(n, padded(size), device=device, dtype=dtype)[:, :size].view(n, *shape)
+    return torch.zeros(n, padded(size), dtype=dtype)[:, :size].view(n, *shape)
 
 
 def multiply(left: Tensor, right: Tensor, out: Tensor) -> Tensor:
     """Write left[i] @ right[i] into out[i] for each network i, and return `out`.
-
-    On a GPU it is one batched product, because one a network is slower there; nothing is promised of its bits.
 
     Args:
         left: (n, k, l), from `new_stack`, or its transposed view.
         right: (n, l, m), likewise.
         out: (n, k, m), likewise.
     """
-    if out.device.type != "cpu":
-        return torch.bmm(left, right, out=out)
     for one_left, one_right, one_out in zip(left.unbind(), right.unbind(), out.unbind(), strict=True):
         torch.mm(one_left, one_right, out=one_out)
     return out

@@ -1,7 +1,7 @@
-"""Environments side by side under one interface, whoever steps them: gymnasium here, EnvPool in `envpool_env.py`.
+"""Environments side by side under one interface: gymnasium's here, EnvPool's in `envpool_environments.py`.
 
-Environment i depends on its own seed and its own actions alone: not on how many others there are, nor on who steps them
-(gymnasium in this process or in several). A run of a fleet therefore sees what it would see alone.
+Environment i depends on its own seed and its own actions alone, not on how many others there are. A run of a fleet
+therefore sees what it would see alone.
 """
 
 from abc import ABC, abstractmethod
@@ -14,9 +14,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from pipelines.config import EnvConfig
 from pipelines.errors import ConfigError
-from pipelines.play.environments import flat_state_size, is_discrete, make_training_env
-
-BACKENDS = ("gymnasium", "envpool")
+from pipelines.play.environments import is_discrete, make_training_env
 
 
 class Step(NamedTuple):
@@ -55,52 +53,12 @@ class VectorEnv(ABC):
         """
 
     @abstractmethod
-    def send(self, actions: np.ndarray) -> None:
-        """Start a step: (n, a) float32 in the environment's units, an array that is left alone until `receive`."""
-
-    @abstractmethod
-    def receive(self) -> Step:
-        """Wait for the step that was sent, and return it."""
-
     def step(self, actions: np.ndarray) -> Step:
-        """Send the actions and wait for the step. What can be computed meanwhile goes between `send` and `receive`."""
-        self.send(actions)
-        return self.receive()
+        """Do a step of all environments with actions (n, a) float32 in the environment's units."""
 
     @abstractmethod
     def close(self) -> None:
-        """End the environments, and the processes or threads that step them; twice does no harm."""
-
-
-def make_vector_env(
-    env: EnvConfig, n_envs: int, *, backend: str = "gymnasium", n_workers: int = 1, rescale_inputs: bool = False
-) -> VectorEnv:
-    """Return `n_envs` environments.
-
-    Args:
-        env: the environment; its actions are a box, its states a vector.
-        n_envs: how many.
-        backend: gymnasium, or envpool, which needs the extra `fleet` and knows some of the MuJoCo environments.
-        n_workers: gymnasium's processes (1: this process itself), or EnvPool's threads.
-        rescale_inputs: give states rescaled from the environment's box to [-1, 1].
-
-    Raises:
-        ConfigError: the environment cannot be made, or not by this backend.
-        PipelineError: EnvPool is not installed.
-    """
-    if backend == "envpool":
-        from pipelines.training.fleet.envpool_environments import EnvPoolVectorEnv
-
-        if rescale_inputs:
-            raise ConfigError("actor.rescale_inputs=true: the states of EnvPool's environments have no bounds")
-        return EnvPoolVectorEnv(env, n_envs, n_threads=n_workers)
-    if backend != "gymnasium":
-        raise ConfigError(f"backend={backend!r} of environments: use {' or '.join(BACKENDS)}")
-    if n_workers > 1:
-        from pipelines.training.fleet.process_env import ProcessVectorEnv
-
-        return ProcessVectorEnv(env, n_envs, n_workers=n_workers, rescale_inputs=rescale_inputs)
-    return GymnasiumVectorEnv(env, n_envs, rescale_inputs=rescale_inputs)
+        """End the environments; twice does no harm."""
 
 
 class GymnasiumVectorEnv(VectorEnv):
@@ -118,25 +76,15 @@ class GymnasiumVectorEnv(VectorEnv):
         if is_discrete(self._envs.envs[0]):
             raise ConfigError(f"{env.id}: actions are labels, the fleet's are continuous; use trainer=sb3 and algo=ppo")
         self.n_envs = n_envs
-        self.n_state_components = flat_state_size(self._envs.envs[0])
-        self.n_action_components = int(np.prod(self._envs.single_action_space.shape or ()))
-        self._actions: np.ndarray | None = None
 
     def reset(self, seeds: Sequence[int]) -> np.ndarray:
         check_seeds(seeds, self.n_envs)
-        self._actions = None
         states, _ = self._envs.reset(seed=[int(seed) for seed in seeds])
         return np.array(states, dtype=np.float32)
 
-    def send(self, actions: np.ndarray) -> None:
+    def step(self, actions: np.ndarray) -> Step:
         check_actions(actions, self.n_envs)
-        self._actions = actions
-
-    def receive(self) -> Step:
-        """Compute the step that was sent: in one process nothing overlaps."""
-        assert self._actions is not None, "receive without send"
-        observations, rewards, terminated, truncated, infos = self._envs.step(self._actions)
-        self._actions = None
+        observations, rewards, terminated, truncated, infos = self._envs.step(actions)
         states = np.array(observations, dtype=np.float32)
         next_states = states
         if "final_obs" in infos:

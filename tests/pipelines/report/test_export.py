@@ -12,7 +12,7 @@ import onnxruntime
 import pytest
 
 import otr
-from pipelines.engine.store import load_actor
+from pipelines.play.actor_files import load_actor
 from pipelines.report.export import FORMATS, run_command
 
 RESULTS = Path(__file__).parents[3] / "results"

@@ -9,7 +9,7 @@ import pytest
 
 import otr
 from pipelines.config import PruneConfig
-from pipelines.engine.store import load_actor
+from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import state_limits
 from pipelines.stages.certify import certify
 from tests.pipelines.conftest import HOPPER, PENDULUM

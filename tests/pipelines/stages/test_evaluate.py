@@ -8,8 +8,9 @@ import pytest
 
 import otr
 from pipelines.config import MapConfig, PruneConfig
-from pipelines.engine.store import load_actor, read_csv, save_actor
+from pipelines.engine.store import read_csv, write_files
 from pipelines.errors import PipelineError, PolicyMismatchError
+from pipelines.play.actor_files import actor_files, load_actor
 from pipelines.play.agreement import answers_agree
 from pipelines.stages.evaluate import evaluate, moments, play
 from pipelines.stages.map import map_actor
@@ -25,7 +26,7 @@ def chain(tiny, tmp_path):
         folders = {name: tmp_path / name for name in ("train", "map", "prune")}
         for folder in folders.values():
             folder.mkdir()
-        save_actor(network or random_network(PENDULUM, seed=1, width=6), folders["train"])
+        write_files(actor_files(network or random_network(PENDULUM, seed=1, width=6)), folders["train"])
         map_actor(folders, config, folders["map"])
         prune(folders, config, folders["prune"])
         return folders
@@ -118,7 +119,7 @@ def test_agreement_is_relative_and_forgives_ties_of_labels():
 
 def test_actor_round_trips_and_damage_is_told(tmp_path):
     network = random_network(PENDULUM)
-    save_actor(network, tmp_path)
+    write_files(actor_files(network), tmp_path)
     again = load_actor(tmp_path)
     states = np.random.default_rng(0).normal(size=(20, 3))
     np.testing.assert_array_equal(again.predict(states), network.predict(states))

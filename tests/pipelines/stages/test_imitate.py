@@ -11,8 +11,9 @@ from pipelines.config import AugTreeConfig, ImitateConfig, MappedConfig, NdpsCon
 from pipelines.config.settings import digest
 from pipelines.engine.seeding import FIRST_STREAM_SEED, STREAMS, episode_seeds
 from pipelines.engine.stage import file_digest
-from pipelines.engine.store import read_csv, save_actor, write_json
+from pipelines.engine.store import read_csv, write_files, write_json
 from pipelines.errors import ConfigError, PipelineError
+from pipelines.play.actor_files import actor_files
 from pipelines.stages import imitate as stage
 from pipelines.stages.evaluate import likeness
 from pipelines.stages.oracle import load_oracle, refer
@@ -125,7 +126,7 @@ def task(tiny, tmp_path):
     """A run of NDPS on the pendulum and the folders of its oracle, which is a random network."""
     folder = tmp_path / "results/runs/pendulum/otr/depth-6/smoke/seed-0/train"
     folder.mkdir(parents=True)
-    save_actor(random_network(PENDULUM, seed=1, width=6), folder)
+    write_files(actor_files(random_network(PENDULUM, seed=1, width=6)), folder)
     (folder / "evaluations.csv").write_text("steps,return_mean\n100,-5.0\n")
     outputs = {path.name: file_digest(path) for path in folder.iterdir()}
     write_json(

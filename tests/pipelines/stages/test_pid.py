@@ -11,8 +11,8 @@ import otr
 from otr.control import constant_gains
 from pipelines.cli.runs import run_config
 from pipelines.config import EnvConfig, PidConfig, PidTerms
-from pipelines.engine.store import load_actor
 from pipelines.errors import ConfigError, PolicyMismatchError
+from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import feature_names, make_env
 from pipelines.play.rollout import rollout
 from pipelines.play.selection import compare_with_trained

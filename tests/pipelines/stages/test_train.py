@@ -11,8 +11,9 @@ import otr
 from pipelines.config import ActorConfig, DdpgConfig, DqnConfig, Td3Config, TrainConfig
 from pipelines.engine.seeding import episode_seeds
 from pipelines.engine.stage import run_stage
-from pipelines.engine.store import load_actor, read_csv
+from pipelines.engine.store import read_csv
 from pipelines.errors import ConfigError, PipelineError, PolicyMismatchError
+from pipelines.play.actor_files import load_actor
 from pipelines.play.rollout import rollout
 from pipelines.play.selection import compare_with_trained
 from pipelines.stages import train as train_module

@@ -9,6 +9,7 @@ from scipy.stats import mannwhitneyu
 from pipelines.config import FleetConfig, SacConfig, TrainConfig
 from pipelines.engine.store import read_csv
 from pipelines.stages.train import train as train_by_sb3
+from pipelines.training.estimates import checkpoint_folder
 from pipelines.training.fleet.train import train_fleet
 
 THESIS_SAC = SacConfig(
@@ -36,7 +37,7 @@ def test_learning_curves_are_not_distinguishable(tiny, tmp_path):
     for config, out in zip(configs, outs["sb3"], strict=True):
         train_by_sb3({}, config, out)
     fleet = [dataclasses.replace(config, trainer=FLEET) for config in configs]
-    assert train_fleet(fleet, outs["fleet"]) == [None] * len(fleet)
+    assert train_fleet(fleet, [checkpoint_folder(config) for config in fleet], outs["fleet"]) == [None] * len(fleet)
 
     curves = {side: np.array([curve(out) for out in outs[side]]) for side in outs}
     print({side: values.mean(0).round(1).tolist() for side, values in curves.items()})

@@ -10,16 +10,18 @@ import pytest
 import torch
 
 import otr
-from pipelines.config import FleetConfig, TrainConfig
-from pipelines.engine.store import load_actor, read_csv
+from pipelines.config import ActorConfig, EnvConfig, FleetConfig, TrainConfig
+from pipelines.engine.store import read_csv
 from pipelines.errors import ConfigError
+from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import make_env
 from pipelines.training.estimates import checkpoint_folder, train_settings, trained_steps
-from pipelines.training.fleet import train as fleet_module
+from pipelines.training.fleet import trainer as trainer_module
 from pipelines.training.fleet.fleet_run import FleetRun
 from pipelines.training.fleet.groups import fleets, group_key
 from pipelines.training.fleet.progress import FleetProgress
-from pipelines.training.fleet.train import FleetTrainer, Task, backend, train, train_fleet
+from pipelines.training.fleet.train import _segment, train_fleet
+from pipelines.training.fleet.trainer import FleetTrainer, Task, uses_envpool
 from tests.pipelines.conftest import HOPPER, LANDER, PPO, SAC
 from tests.pipelines.sweeps import run_until_killed
 
@@ -38,12 +40,22 @@ def fleet_run(tiny):
     return make
 
 
+def train_all(configs, outs):
+    """Train runs as one from their checkpoints; return what each failed with."""
+    return train_fleet(configs, [checkpoint_folder(config) for config in configs], outs)
+
+
+def fresh(config, task):
+    """Return a run of a fleet as its checkpoints have it."""
+    return FleetRun(config, checkpoint_folder(config), task.layout)
+
+
 def trained(configs, folder):
     """Train runs as one and return their folders."""
     outs = [folder / str(i) for i in range(len(configs))]
     for out in outs:
         out.mkdir(parents=True)
-    assert train_fleet(configs, outs) == [None] * len(configs)
+    assert train_all(configs, outs) == [None] * len(configs)
     return outs
 
 
@@ -66,9 +78,9 @@ def test_result_has_the_artefacts_of_the_other_trainer(fleet_run, tiny, tmp_path
     from pipelines.stages.train import train as train_by_sb3
 
     outs = [tmp_path / "sb3", tmp_path / "fleet"]
-    for out, trainer, config in zip(outs, (train_by_sb3, train), (tiny(), fleet_run()), strict=True):
-        out.mkdir()
-        trainer({}, config, out)
+    outs[0].mkdir()
+    train_by_sb3({}, tiny(), outs[0])
+    outs[1:] = trained([fleet_run()], outs[1])
     assert [path.name for path in sorted(outs[0].iterdir())] == [path.name for path in sorted(outs[1].iterdir())]
     for name in ("evaluations.csv", "progress.csv"):
         theirs, ours = (read_csv(out / name) for out in outs)
@@ -81,7 +93,7 @@ def test_result_has_the_artefacts_of_the_other_trainer(fleet_run, tiny, tmp_path
 
 def train_until_killed(configs, outs, where):
     """Train in this process and die by SIGKILL at the named moment of the second segment."""
-    save, add = FleetRun.save, fleet_module.FleetReplay.add
+    save, add = FleetRun.save, trainer_module.FleetReplay.add
     n_saved, n_added = 0, 0
 
     def dying_save(run):
@@ -98,8 +110,8 @@ def train_until_killed(configs, outs, where):
         if where == "in a segment" and n_added == 250:
             os.kill(os.getpid(), signal.SIGKILL)
 
-    FleetRun.save, fleet_module.FleetReplay.add = dying_save, dying_add
-    train_fleet(configs, outs)
+    FleetRun.save, trainer_module.FleetReplay.add = dying_save, dying_add
+    train_all(configs, outs)
 
 
 @pytest.mark.parametrize("where", ["in a segment", "between two runs' checkpoints"])
@@ -113,7 +125,7 @@ def test_killed_and_resumed_equals_uninterrupted(fleet_run, tmp_path, where):
     run_until_killed(train_until_killed, killed, outs, where)
     done = [trained_steps(config) for config in killed]
     assert done == ([200, 200] if where == "in a segment" else [200, 100])
-    assert train_fleet(killed, outs) == [None, None]
+    assert train_all(killed, outs) == [None, None]
     assert all(same(*pair) for pair in zip(expected, outs, strict=True))
 
 
@@ -122,8 +134,8 @@ def test_resumed_in_other_company_is_the_same(fleet_run, tmp_path):
     expected = trained(configs, tmp_path / "expected")
     others = [dataclasses.replace(config, results_dir=str(tmp_path / "r2")) for config in configs]
     task = Task.of(others[0])
-    run = FleetRun(others[0], task.layout)  # seed 0 does a segment alone, then goes on beside a fresh seed 1
-    fleet_module._segment(FleetTrainer(task, [run]), fleet_module._play_here, FleetProgress([run]))
+    run = fresh(others[0], task)  # seed 0 does a segment alone, then goes on beside a fresh seed 1
+    _segment(FleetTrainer(task, [run]), FleetProgress([run]))
     assert [trained_steps(config) for config in others] == [100, 0]
     outs = trained(others, tmp_path / "outs")
     assert all(same(*pair) for pair in zip(expected, outs, strict=True))
@@ -132,19 +144,19 @@ def test_resumed_in_other_company_is_the_same(fleet_run, tmp_path):
 def test_run_that_diverges_is_named_and_the_others_go_on(fleet_run, tmp_path, monkeypatch, capsys):
     configs = [fleet_run(seed=seed, env=HOPPER, results_dir=str(tmp_path / "r1")) for seed in (0, 1)]
     expected = trained(configs, tmp_path / "expected")
-    initialise = fleet_module.FleetSac.initialise
+    initialise = trainer_module.FleetSac.initialise
 
     def initialise_badly(learner, run, generator):
         initialise(learner, run, generator)
         if len(learner.runs) == 2 and run == 0:
             learner.actor.weights[0][0] = float("nan")
 
-    monkeypatch.setattr(fleet_module.FleetSac, "initialise", initialise_badly)
+    monkeypatch.setattr(trainer_module.FleetSac, "initialise", initialise_badly)
     others = [dataclasses.replace(config, results_dir=str(tmp_path / "r2")) for config in configs]
     outs = [tmp_path / "a", tmp_path / "b"]
     for out in outs:
         out.mkdir()
-    errors = train_fleet(others, outs)
+    errors = train_all(others, outs)
     assert "try a smaller algo.learning_rate" in str(errors[0])
     assert errors[1] is None and same(outs[1], expected[1])
     assert not list(outs[0].iterdir())
@@ -164,7 +176,7 @@ def test_actor_that_is_not_what_was_trained_is_given_up_alone(fleet_run, tmp_pat
     outs = [tmp_path / "a", tmp_path / "b"]
     for out in outs:
         out.mkdir()
-    errors = train_fleet([fleet_run(seed=seed) for seed in (0, 1)], outs)
+    errors = train_all([fleet_run(seed=seed) for seed in (0, 1)], outs)
     assert "is not the trained policy" in str(errors[0])
     assert errors[1] is None and (outs[1] / "actor.json").exists() and not (outs[0] / "actor.json").exists()
 
@@ -176,7 +188,7 @@ def test_replay_rows_are_what_the_environments_did(fleet_run, env, n_envs, monke
     fleet = dataclasses.replace(FLEET, n_envs=n_envs)
     config = fleet_run(algo=SAC, trainer=fleet, train=TrainConfig(460, 460, 1, 100), **changes)
     task = Task.of(config)
-    run = FleetRun(config, task.layout)
+    run = fresh(config, task)
     seeds = run.seeds(1 + n_envs)[1:]
     trainer = FleetTrainer(task, [run])
     collected = trainer.train_segment(FleetProgress([run]))
@@ -206,7 +218,7 @@ def test_first_actions_are_random_then_the_policys(fleet_run):
     quiet = dataclasses.replace(SAC, action_noise="none")
     config = fleet_run(algo=quiet, train=TrainConfig(200, 200, 1, 100))
     task = Task.of(config)
-    run = FleetRun(config, task.layout)
+    run = fresh(config, task)
     trainer = FleetTrainer(task, [run])
     initial = trainer.tensors(0)
     trainer.train_segment(FleetProgress([run]))
@@ -217,29 +229,6 @@ def test_first_actions_are_random_then_the_policys(fleet_run):
     x = (state @ initial["actor.weight0"][0] + initial["actor.bias0"][0, 0]).relu()
     mean, log_std = x @ initial["actor.weight1"][0] + initial["actor.bias1"][0, 0]
     assert abs(float(np.arctanh(run.rows[100, 3]) - mean)) < 4 * float(log_std.exp())
-
-
-def test_updating_while_the_environments_step_samples_what_was_there_before(fleet_run, monkeypatch):
-    config = fleet_run(algo=SAC, train=TrainConfig(130, 130, 1, 100))
-    task = Task.of(config)
-    seen = []
-    positions = fleet_module.FleetReplay.positions
-
-    def recording(replay, fractions, counts):
-        chosen = positions(replay, fractions, counts)
-        seen.append((counts, chosen.amax((0, 2, 3))))
-        return chosen
-
-    monkeypatch.setattr(fleet_module.FleetReplay, "positions", recording)
-    for overlap in (False, True):
-        seen.clear()
-        trainer = FleetTrainer(task, [FleetRun(config, task.layout)], overlap=overlap)
-        trainer.train_segment(FleetProgress([FleetRun(config, task.layout)]))
-        first = seen[0][0][0]
-        assert first == (0 if overlap else 1)
-        for counts, greatest in seen:
-            assert bool(((greatest < counts) | (counts == 0)).all())
-        assert trainer.n_updates == (29 if overlap else 30)
 
 
 def test_what_can_train_together(fleet_run, tiny):
@@ -267,8 +256,8 @@ def test_trainer_is_part_of_the_key_and_of_the_folder(fleet_run, tiny):
     assert train_settings(fleet_run()) != train_settings(tiny(algo=WRAPPING_SAC))
     assert "trainer" not in train_settings(tiny())
     assert checkpoint_folder(fleet_run()) != checkpoint_folder(tiny(algo=WRAPPING_SAC))
-    other_device = dataclasses.replace(FLEET, device="cuda", runs_per_process=7)
-    assert train_settings(fleet_run(trainer=other_device)) == train_settings(fleet_run())
+    larger = dataclasses.replace(FLEET, runs_per_process=7)
+    assert train_settings(fleet_run(trainer=larger)) == train_settings(fleet_run())
     assert fleet_run().budget_level == "smoke-fleet"
     ppo = fleet_run(algo=PPO, env=LANDER)
     assert (ppo.trainer_name, ppo.budget_level, ppo.fleet) == ("sb3", "smoke", None)
@@ -291,22 +280,21 @@ def test_what_a_fleet_cannot_do_is_refused(fleet_run, changes, message):
 def test_envpool_steps_what_it_computes_as_gymnasium_does():
     pooled = dataclasses.replace(FLEET, environments="envpool")
     ant = dataclasses.replace(HOPPER, id="Ant-v4")
-    assert [backend(env, pooled) for env in (HOPPER, ant, LANDER)] == ["envpool", "gymnasium", "gymnasium"]
-    assert backend(HOPPER, FLEET) == "gymnasium"
+    assert [uses_envpool(env, pooled) for env in (HOPPER, ant, LANDER)] == [True, False, False]
+    assert not uses_envpool(HOPPER, FLEET)
 
 
-def test_no_gpu_and_labels_are_refused_before_anything_runs(fleet_run, tmp_path):
-    if torch.cuda.is_available():
-        pytest.skip("there is a GPU")
-    with pytest.raises(ConfigError, match="sees no GPU"):
-        train({}, fleet_run(trainer=dataclasses.replace(FLEET, device="cuda")), tmp_path)
+def test_what_cannot_be_is_refused_before_anything_runs(fleet_run, tmp_path):
     with pytest.raises(ConfigError, match="needs continuous actions"):
-        train({}, fleet_run(env=LANDER), tmp_path)
+        trained([fleet_run(env=LANDER)], tmp_path / "lander")
+    pooled = fleet_run(
+        trainer=dataclasses.replace(FLEET, environments="envpool"), env=HOPPER, actor=ActorConfig(0.0, True)
+    )
+    with pytest.raises(ConfigError, match="no bounds"):
+        trained([pooled], tmp_path / "pooled")
 
 
 def test_rescaled_states_are_folded_into_the_actor(fleet_run, tmp_path):
-    from pipelines.config import ActorConfig, EnvConfig
-
     car = EnvConfig("mountaincar", "mountaincar", "MountainCarContinuous-v0")
     (out,) = trained([fleet_run(env=car, actor=ActorConfig(0.0, True))], tmp_path / "outs")
     space = gym.make(car.id).observation_space
@@ -320,5 +308,5 @@ def test_denormals_are_zero_in_segments_alone(fleet_run, tmp_path):
     trained([fleet_run()], tmp_path)
     tiniest = torch.tensor([1e-40])
     assert (tiniest * 0.5).item() > 0
-    with fleet_module._flushed_denormals():
+    with trainer_module._flushed_denormals():
         assert (tiniest * 0.5).item() == 0

@@ -1,11 +1,6 @@
-"""Environments side by side: what a step returns where an episode ends; neighbours and processes change nothing."""
+"""Environments side by side: what a step returns where an episode ends; neighbours change nothing."""
 
-import os
-import signal
-import subprocess
 import sys
-import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,8 +10,8 @@ from pipelines.config import EnvConfig
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.play.environments import make_env
-from pipelines.training.fleet.envpool_environments import EQUAL_IDS, UNEQUAL_IDS
-from pipelines.training.fleet.vector_environments import Step, VectorEnv, make_vector_env
+from pipelines.training.fleet.envpool_environments import EQUAL_IDS, UNEQUAL_IDS, EnvPoolVectorEnv
+from pipelines.training.fleet.vector_environments import GymnasiumVectorEnv, Step, VectorEnv
 
 HOPPER = EnvConfig("hopper", "hopper", "Hopper-v4")
 PENDULUM = EnvConfig("pendulum", "pendulum", "Pendulum-v1", {"max_episode_steps": 5})
@@ -55,10 +50,9 @@ def loop(config: EnvConfig, seed: int, actions: np.ndarray) -> tuple[np.ndarray,
     return np.float32(first), Step(*(np.stack(parts) for parts in zip(*steps, strict=True)))
 
 
-@pytest.mark.parametrize("n_workers", [1, 2], ids=["in-process", "two-processes"])
-def test_every_environment_is_gymnasiums_own(n_workers):
+def test_every_environment_is_gymnasiums_own():
     seeds, actions = [7, 3, 3, 2**32 - 1, 8], actions_of(5, 3)
-    envs = make_vector_env(HOPPER, 5, n_workers=n_workers)
+    envs = GymnasiumVectorEnv(HOPPER, 5)
     first, steps = play(envs, seeds, actions)
     envs.close()
     assert [part.dtype for part in steps] == [np.float32, np.float32, bool, bool, np.float32]
@@ -69,7 +63,7 @@ def test_every_environment_is_gymnasiums_own(n_workers):
 
 
 def test_terminal_state_and_first_state_of_the_next_episode():
-    envs = make_vector_env(HOPPER, 3)
+    envs = GymnasiumVectorEnv(HOPPER, 3)
     _, steps = play(envs, [1, 2, 3], actions_of(3, 3))
     ended = steps.terminated
     # A hopper has fallen below 0.7 or tilted by more than 0.2; it starts within 0.005 of 1.25 and 0.
@@ -83,9 +77,8 @@ def test_terminal_state_and_first_state_of_the_next_episode():
     assert np.abs(steps.next_states[after][:, 0] - 1.25).max() < 0.05
 
 
-@pytest.mark.parametrize("n_workers", [1, 3])
-def test_time_limit_truncates_and_does_not_terminate(n_workers):
-    envs = make_vector_env(PENDULUM, 3, n_workers=n_workers)
+def test_time_limit_truncates_and_does_not_terminate():
+    envs = GymnasiumVectorEnv(PENDULUM, 3)
     _, steps = play(envs, [1, 2, 3], actions_of(3, 1)[:12])
     envs.close()
     assert np.flatnonzero(steps.truncated.all(axis=1)).tolist() == [4, 9]
@@ -95,18 +88,17 @@ def test_time_limit_truncates_and_does_not_terminate(n_workers):
 
 def test_terminal_state_at_the_time_limit_is_both():
     actions = actions_of(1, 3)
-    _, steps = play(make_vector_env(HOPPER, 1), [1], actions)
+    _, steps = play(GymnasiumVectorEnv(HOPPER, 1), [1], actions)
     last = int(np.argmax(steps.terminated[:, 0]))
     limited = EnvConfig("hopper", "hopper", "Hopper-v4", {"max_episode_steps": last + 1})
-    _, steps = play(make_vector_env(limited, 1), [1], actions[: last + 1])
+    _, steps = play(GymnasiumVectorEnv(limited, 1), [1], actions[: last + 1])
     assert steps.terminated[last, 0] and steps.truncated[last, 0]
     assert steps.terminated.sum() == steps.truncated.sum() == 1
 
 
-@pytest.mark.parametrize("n_workers", [1, 2])
-def test_same_seeds_same_trajectory_whatever_was_played_before(n_workers):
+def test_same_seeds_same_trajectory_whatever_was_played_before():
     actions = actions_of(3, 3)
-    envs = make_vector_env(HOPPER, 3, n_workers=n_workers)
+    envs = GymnasiumVectorEnv(HOPPER, 3)
     first = play(envs, [4, 5, 6], actions)
     play(envs, [9, 9, 9], actions[:7])
     assert_same(play(envs, [4, 5, 6], actions), first)
@@ -114,10 +106,9 @@ def test_same_seeds_same_trajectory_whatever_was_played_before(n_workers):
     assert not np.array_equal(first[1].states[:, 0], first[1].states[:, 1])
 
 
-@pytest.mark.parametrize("n_workers", [1, 2])
 @pytest.mark.parametrize(("config", "n_components"), [(HOPPER, 3), (PENDULUM, 1)], ids=["float64", "float32"])
-def test_steps_are_the_callers_to_keep(config, n_components, n_workers):
-    envs = make_vector_env(config, 2, n_workers=n_workers)
+def test_steps_are_the_callers_to_keep(config, n_components):
+    envs = GymnasiumVectorEnv(config, 2)
     first = envs.reset([1, 2])
     step = envs.step(np.zeros((2, n_components), np.float32))
     kept = [part.copy() for part in (first, *step)]
@@ -129,8 +120,8 @@ def test_steps_are_the_callers_to_keep(config, n_components, n_workers):
 
 def test_rescaled_states():
     actions = actions_of(2, 1)
-    plain, steps = play(make_vector_env(CAR, 2), [1, 2], actions)
-    _, scaled = play(make_vector_env(CAR, 2, rescale_inputs=True), [1, 2], actions)
+    plain, steps = play(GymnasiumVectorEnv(CAR, 2), [1, 2], actions)
+    _, scaled = play(GymnasiumVectorEnv(CAR, 2, rescale_inputs=True), [1, 2], actions)
     low, high = np.array([-1.2, -0.07]), np.array([0.6, 0.07])
     for name in ("next_states", "states"):
         expected = 2 * (getattr(steps, name) - low) / (high - low) - 1
@@ -138,15 +129,14 @@ def test_rescaled_states():
     assert steps.truncated.sum() == 6 and plain.dtype == np.float32
 
 
-@pytest.mark.parametrize("n_workers", [1, 2])
-def test_refusals_name_what_is_wrong(n_workers):
+def test_refusals_name_what_is_wrong():
     with pytest.raises(ConfigError, match=r"LunarLander-v3: actions are labels"):
-        make_vector_env(EnvConfig("lunarlander", "lunarlander", "LunarLander-v3"), 2, n_workers=n_workers)
+        GymnasiumVectorEnv(EnvConfig("lunarlander", "lunarlander", "LunarLander-v3"), 2)
     with pytest.raises(ConfigError, match="Nothing-v0"):
-        make_vector_env(EnvConfig("nothing", "nothing", "Nothing-v0"), 2, n_workers=n_workers)
+        GymnasiumVectorEnv(EnvConfig("nothing", "nothing", "Nothing-v0"), 2)
     with pytest.raises(ConfigError, match="Hopper-v4 have no bounds"):
-        make_vector_env(HOPPER, 2, n_workers=n_workers, rescale_inputs=True)
-    envs = make_vector_env(PENDULUM, 2, n_workers=n_workers)
+        GymnasiumVectorEnv(HOPPER, 2, rescale_inputs=True)
+    envs = GymnasiumVectorEnv(PENDULUM, 2)
     with pytest.raises(ValueError, match="3 seeds for 2 environments"):
         envs.reset([1, 2, 3])
     envs.reset([1, 2])
@@ -157,66 +147,6 @@ def test_refusals_name_what_is_wrong(n_workers):
     envs.close()
 
 
-def test_refusals_of_backends_and_processes():
-    with pytest.raises(ConfigError, match="'brax' of environments: use gymnasium or envpool"):
-        make_vector_env(HOPPER, 2, backend="brax")
-    with pytest.raises(ConfigError, match="3 processes for 2 environments"):
-        make_vector_env(HOPPER, 2, n_workers=3)
-
-
-def test_failing_environment_is_reported_by_its_process():
-    envs = make_vector_env(PENDULUM, 4, n_workers=2)
-    with pytest.raises(PipelineError, match=r"(?s)environments 2 to 3 failed.*Traceback.*-5"):
-        envs.reset([1, 2, 3, -5])
-
-
-def test_killed_process_is_reported():
-    envs = make_vector_env(PENDULUM, 4, n_workers=2)
-    envs.reset([1, 2, 3, 4])
-    os.kill(envs._processes[1].pid, signal.SIGKILL)
-    with pytest.raises(PipelineError, match="environments 2 to 3 ended with exit code -9"):
-        envs.step(np.zeros((4, 1), np.float32))
-    envs.close()
-
-
-@pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes under /proc")
-@pytest.mark.parametrize("end", ["killed", "forgets to close"])
-def test_processes_end_with_the_one_that_started_them(end):
-    program = (
-        "import sys\n"
-        "from pipelines.config import EnvConfig\n"
-        "from pipelines.fleet.vector_env import make_vector_env\n"
-        "if __name__ == '__main__':\n"
-        "    envs = make_vector_env(EnvConfig('p', 'p', 'Pendulum-v1'), 2, n_workers=2)\n"
-        "    print(*(process.pid for process in envs._processes), flush=True)\n"
-        "    sys.stdin.read()\n"
-    )
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    with subprocess.Popen([sys.executable, "-c", program], text=True, **pipes) as parent:
-        workers = [int(pid) for pid in parent.stdout.readline().split()]
-        if end == "killed":
-            parent.kill()
-        try:
-            printed = parent.communicate(timeout=30)  # ends when every process that may print has ended
-        finally:
-            parent.kill()
-    assert printed == ("", "")
-    assert len(workers) == 2
-    for _ in range(100):
-        if not any(_runs(pid) for pid in workers):
-            return
-        time.sleep(0.1)
-    raise AssertionError(f"processes {workers} outlive the one that started them")
-
-
-def _runs(pid: int) -> bool:
-    """Return whether the process is neither gone nor waiting to be reaped."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except OSError:
-        return False
-
-
 def test_envpool_knows_what_it_can_do():
     """These refusals come before EnvPool is looked for, so that they are the same where it is not installed."""
     ids = [yaml.safe_load(path.read_text())["env"]["id"] for path in sorted((CONF_DIR / "env").glob("*.yaml"))]
@@ -224,17 +154,15 @@ def test_envpool_knows_what_it_can_do():
     assert mujoco == {*EQUAL_IDS, *UNEQUAL_IDS} and len(mujoco) == 12
     for env_id in ("Ant-v4", "Ant-v5"):
         with pytest.raises(ConfigError, match=rf"{env_id} steps otherwise than gymnasium's"):
-            make_vector_env(EnvConfig("ant", "ant", env_id), 2, backend="envpool")
+            EnvPoolVectorEnv(EnvConfig("ant", "ant", env_id), 2)
     with pytest.raises(ConfigError, match=r"Pendulum-v1 is not known to equal.*Hopper-v4"):
-        make_vector_env(PENDULUM, 2, backend="envpool")
+        EnvPoolVectorEnv(PENDULUM, 2)
     with pytest.raises(ConfigError, match=r"env\.kwargs has healthy_reward"):
         limited = {"max_episode_steps": 5, "healthy_reward": 2.0}
-        make_vector_env(EnvConfig("hopper", "hopper", "Hopper-v5", limited), 2, backend="envpool")
-    with pytest.raises(ConfigError, match="no bounds"):
-        make_vector_env(HOPPER, 2, backend="envpool", rescale_inputs=True)
+        EnvPoolVectorEnv(EnvConfig("hopper", "hopper", "Hopper-v5", limited), 2)
 
 
 def test_missing_envpool_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "envpool", None)
     with pytest.raises(PipelineError, match=r"pip install '\.\[fleet\]'"):
-        make_vector_env(HOPPER, 2, backend="envpool")
+        EnvPoolVectorEnv(HOPPER, 2)

@@ -10,10 +10,10 @@ import pytest
 from scipy.stats import ks_2samp
 
 from pipelines.config import EnvConfig
-from pipelines.engine.store import load_actor
+from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import make_env
-from pipelines.training.fleet.envpool_environments import EQUAL_IDS, UNEQUAL_IDS, make_pool
-from pipelines.training.fleet.vector_environments import Step, VectorEnv, make_vector_env
+from pipelines.training.fleet.envpool_environments import EQUAL_IDS, UNEQUAL_IDS, EnvPoolVectorEnv, make_pool
+from pipelines.training.fleet.vector_environments import GymnasiumVectorEnv, Step, VectorEnv
 
 pytest.importorskip("envpool", reason="the extra fleet is not installed; make test-all installs it")
 
@@ -148,7 +148,7 @@ def play(envs: VectorEnv, seeds: list[int], actions: np.ndarray) -> tuple[np.nda
 def test_no_step_is_lost_to_a_reset():
     """Every environment plays what one alone plays that is reset by hand where it fell."""
     seeds, actions = [7, 3, 2**32 - 1, 8], actions_of(4, 3, 90)
-    first, steps = play(make_vector_env(config("Hopper-v4"), 4, backend="envpool"), seeds, actions)
+    first, steps = play(EnvPoolVectorEnv(config("Hopper-v4"), 4), seeds, actions)
     assert [part.dtype for part in (first, *steps)] == [np.float32, np.float32, np.float32, bool, bool, np.float32]
     for i, seed in enumerate(seeds):
         pool = make_pool("Hopper-v4", [seed])
@@ -165,11 +165,10 @@ def test_no_step_is_lost_to_a_reset():
     np.testing.assert_array_equal(steps.states[~ended], steps.next_states[~ended])
 
 
-@pytest.mark.parametrize("n_threads", [1, 2])
-def test_an_environment_alone_is_the_same_among_others(n_threads):
+def test_an_environment_alone_is_the_same_among_others():
     seeds = [5, 6, 2**31 + 1]
     actions = actions_of(3, 6, 60)
-    together = make_vector_env(config("Walker2d-v5"), 3, backend="envpool", n_workers=n_threads)
+    together = EnvPoolVectorEnv(config("Walker2d-v5"), 3)
     first, steps = play(together, seeds, actions)
     play(together, [1, 1, 1], actions[:9])
     again, repeated = play(together, seeds, actions)
@@ -177,7 +176,7 @@ def test_an_environment_alone_is_the_same_among_others(n_threads):
     np.testing.assert_array_equal(first, again)
     assert steps.terminated.sum() >= 3
     for i, seed in enumerate(seeds):
-        alone = make_vector_env(config("Walker2d-v5"), 1, backend="envpool")
+        alone = EnvPoolVectorEnv(config("Walker2d-v5"), 1)
         start, single = play(alone, [seed], actions[:, i : i + 1])
         np.testing.assert_array_equal(start[0], first[i])
         for name in Step._fields:
@@ -196,8 +195,8 @@ def test_time_limit_is_gymnasiums(env_id):
     one = config(env_id, max_episode_steps=7) if falls else config(env_id)
     actions = actions_of(2, n_components, 15 if falls else limit + 1)
     flags = []
-    for backend in ("gymnasium", "envpool"):
-        envs = make_vector_env(one, 2, backend=backend)
+    for backend in (GymnasiumVectorEnv, EnvPoolVectorEnv):
+        envs = backend(one, 2)
         play(envs, [5, 6], actions[:3])  # a new start counts from 0 again
         _, steps = play(envs, [1, 2], actions)
         flags.append(np.flatnonzero(steps.truncated.all(axis=1)).tolist())
@@ -210,16 +209,16 @@ def test_time_limit_is_gymnasiums(env_id):
 def test_terminal_state_at_the_time_limit_is_both():
     """EnvPool's own time limit would say truncated alone, and a value would be taken where there is none."""
     actions = actions_of(1, 3, 90)
-    _, steps = play(make_vector_env(config("Hopper-v4"), 1, backend="envpool"), [1], actions)
+    _, steps = play(EnvPoolVectorEnv(config("Hopper-v4"), 1), [1], actions)
     last = int(np.argmax(steps.terminated[:, 0]))
-    limited = make_vector_env(config("Hopper-v4", max_episode_steps=last + 1), 1, backend="envpool")
+    limited = EnvPoolVectorEnv(config("Hopper-v4", max_episode_steps=last + 1), 1)
     _, steps = play(limited, [1], actions[: last + 1])
     assert steps.terminated[last, 0] and steps.truncated[last, 0]
     assert steps.terminated.sum() == steps.truncated.sum() == 1
 
 
 def test_steps_are_the_callers_to_keep():
-    envs = make_vector_env(config("Hopper-v4"), 2, backend="envpool")
+    envs = EnvPoolVectorEnv(config("Hopper-v4"), 2)
     envs.reset([1, 2])
     step = envs.step(np.zeros((2, 3), np.float32))
     kept = [part.copy() for part in step]
@@ -232,7 +231,7 @@ def test_steps_are_the_callers_to_keep():
 
 
 def test_wrong_number_of_seeds_or_actions():
-    envs = make_vector_env(config("Hopper-v4"), 2, backend="envpool")
+    envs = EnvPoolVectorEnv(config("Hopper-v4"), 2)
     with pytest.raises(ValueError, match="3 seeds for 2 environments"):
         envs.reset([1, 2, 3])
     envs.reset([1, 2])

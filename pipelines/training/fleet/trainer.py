@@ -1,0 +1,230 @@
+"""A cohort of runs at the same step, stacked: collects transitions and updates, a segment at a time."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+import otr
+from pipelines.config import EnvConfig, FleetConfig, RunConfig
+from pipelines.errors import ConfigError
+from pipelines.play.environments import flat_state_size, is_discrete, make_env
+from pipelines.training.estimates import learning_starts, segment_steps
+from pipelines.training.fleet.envpool_environments import EQUAL_IDS, EnvPoolVectorEnv
+from pipelines.training.fleet.fleet_run import FleetRun
+from pipelines.training.fleet.progress import FleetProgress
+from pipelines.training.fleet.random_streams import Draws, Streams
+from pipelines.training.fleet.replay_buffer import FleetReplay, RowLayout
+from pipelines.training.fleet.sac import FleetSac, Shapes
+from pipelines.training.fleet.vector_environments import GymnasiumVectorEnv, Step, VectorEnv
+
+torch.set_num_threads(1)  # two threads make these small networks a hundred times slower
+
+
+@dataclass(frozen=True)
+class Task:
+    """What the runs of a fleet have in common beyond their settings.
+
+    Attributes:
+        layout: of a transition.
+        low, high: (n_actions,) float32, the box of actions.
+    """
+
+    layout: RowLayout
+    low: np.ndarray
+    high: np.ndarray
+
+    @classmethod
+    def of(cls, config: RunConfig) -> "Task":
+        """Return the task of a run's environment; refuse labels as actions and states that are no vector."""
+        env = make_env(config.env)
+        try:
+            if is_discrete(env):
+                raise ConfigError(f"trainer={config.trainer.name} needs continuous actions; {config.env.id} has labels")
+            box: Any = env.action_space
+            return cls(RowLayout(flat_state_size(env), len(box.low)), box.low.ravel(), box.high.ravel())
+        finally:
+            env.close()
+
+
+@dataclass
+class Collected:
+    """What a segment collected: the steps done since the run began, and each run's finished episodes."""
+
+    end: int
+    returns: list[list[float]]
+    lengths: list[list[int]]
+
+
+class FleetTrainer:
+    """Trains a cohort of runs at the same step, until it is closed.
+
+    Args:
+        task: of all of them.
+        runs: in the order of their rows; their tensors are taken over.
+    """
+
+    def __init__(self, task: Task, runs: Sequence[FleetRun]) -> None:
+        self.runs, self._task = list(runs), task
+        config = runs[0].config
+        assert config.fleet is not None
+        self._config, self._n_envs = config, config.fleet.n_envs
+        algo, layout = runs[0].algo, task.layout
+        shapes = Shapes(
+            layout.n_inputs,
+            layout.n_actions,
+            config.hidden_widths,
+            tuple(algo.critic),
+            algo.batch_size,
+            config.actor.negative_slope,
+            algo.tau,
+            config.fleet.precision,
+        )
+        self._learner = FleetSac(shapes, [run.settings for run in runs], runs[0].n_updates)
+        for r, run in enumerate(runs):
+            if run.tensors:
+                self._learner.load(r, run.tensors)
+            else:
+                self._learner.initialise(r, run.initial_generator())
+        self._replay = FleetReplay([run.rows for run in runs], layout, runs[0].buffer_size)
+        self._env = _vector_env(config, len(runs) * self._n_envs)  # each segment starts it anew
+        noise_std = [run.algo.action_noise_std * (run.algo.action_noise == "normal") for run in runs]
+        self._noise_std = torch.tensor(noise_std).view(-1, 1, 1)
+
+    def close(self) -> None:
+        """End the environments."""
+        self._env.close()
+
+    @property
+    def n_updates(self) -> int:
+        """Updates that each run has had."""
+        return self._learner.n_updates
+
+    def tensors(self, r: int) -> dict[str, Tensor]:
+        """Return a copy of what a run has learnt."""
+        return {name: tensor.clone() for name, tensor in self._learner.tensors(r).items()}
+
+    def network(self, r: int) -> otr.ReluNetwork:
+        """Return a run's actor."""
+        tensors, n_actions = self.runs[r].tensors, self._task.layout.n_actions
+        n_layers = len(self._config.hidden_widths) + 1
+        weights = [tensors[f"actor.weight{i}"][0].T.double().numpy() for i in range(n_layers)]
+        biases = [tensors[f"actor.bias{i}"][0, 0].double().numpy() for i in range(n_layers)]
+        weights[-1], biases[-1] = weights[-1][:n_actions], biases[-1][:n_actions]  # the means
+        slope, head = self._config.actor.negative_slope, otr.TanhBox(self._task.low, self._task.high)
+        return otr.ReluNetwork(weights, biases, negative_slope=slope, head=head)
+
+    def answers(self, r: int, states: np.ndarray) -> np.ndarray:
+        """Return a run's own deterministic actions on states (n, d)."""
+        return self._unscale(self._learner.answers(r, torch.from_numpy(states)).numpy())
+
+    @torch.no_grad()
+    def train_segment(self, progress: FleetProgress) -> Collected:
+        """Collect a segment's transitions and do its updates; the rows are on the disk afterwards."""
+        with _flushed_denormals():
+            config, n_runs, n_envs = self._config, len(self.runs), self._n_envs
+            start, n_actions = self.runs[0].n_steps, self._task.layout.n_actions
+            n_steps = min(segment_steps(config), config.train.steps - start)
+            n_vector_steps = -(-n_steps // n_envs)
+            seeds = [run.seeds(1 + n_envs) for run in self.runs]
+            streams = Streams([own[0] for own in seeds], n_envs, self.runs[0].algo.batch_size, n_actions)
+            first_update = learning_starts(config)
+            episodes = _Episodes(n_runs, n_envs)
+            states = self._by_run(self._env.reset([seed for own in seeds for seed in own[1:]]))
+            for t in range(n_vector_steps):
+                ahead = t % streams.n_steps_ahead
+                done = start + t * n_envs  # transitions of each run before this step
+                if ahead == 0:
+                    draws = streams.draw()
+                    counts = done + n_envs * (1 + torch.arange(streams.n_steps_ahead))
+                    positions = self._replay.positions(draws.fractions, counts)
+                scaled = self._act(states, draws, ahead, random=done < first_update)
+                step = self._env.step(self._env_actions(scaled))
+                self._replay.add(done, torch.cat([states, scaled, *self._outcome(step)], dim=2))
+                if done + n_envs > first_update:
+                    for e in range(n_envs):
+                        self._learner.update(self._replay.gather(positions[:, ahead, e]), draws.updates[:, ahead, e])
+                states = self._by_run(step.states)
+                episodes.add(step)
+                progress.at_step(n_runs * (t + 1) * n_envs)
+            self._replay.flush()
+            return Collected(start + n_vector_steps * n_envs, episodes.returns, episodes.lengths)
+
+    def _act(self, states: Tensor, draws: Draws, ahead: int, random: bool) -> Tensor:
+        """Return actions in [-1, 1], (R, E, n_actions), as they go into the replay buffer."""
+        scaled = draws.actions[:, ahead] if random else self._learner.act(states, draws.policy[:, ahead])
+        return (scaled + self._noise_std * draws.exploration[:, ahead]).clamp_(-1.0, 1.0)
+
+    def _env_actions(self, scaled: Tensor) -> np.ndarray:
+        """Return what the environments take, (R E, n_actions); a run that has diverged must not upset its physics."""
+        return self._unscale(np.nan_to_num(scaled.numpy(), nan=0.0)).reshape(-1, scaled.shape[2])
+
+    def _unscale(self, actions: np.ndarray) -> np.ndarray:
+        low, high = self._task.low, self._task.high
+        unscaled: np.ndarray = low + 0.5 * (actions + 1.0) * (high - low)
+        return unscaled
+
+    def _outcome(self, step: Step) -> tuple[Tensor, Tensor, Tensor]:
+        """Return next states, rewards and whether there is more to come, (R, E, .) each.
+
+        An episode that ends by its time limit goes on as far as values are concerned.
+        """
+        continues = np.logical_not(step.terminated).astype(np.float32)
+        return self._by_run(step.next_states), self._by_run(step.rewards), self._by_run(continues)
+
+    def _by_run(self, array: np.ndarray) -> Tensor:
+        """Return (R E,) or (R E, k) numbers as (R, E, k)."""
+        rows = torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32))
+        return rows.view(len(self.runs), self._n_envs, -1)
+
+
+class _Episodes:
+    """Returns and lengths of the episodes that end, by run."""
+
+    def __init__(self, n_runs: int, n_envs: int) -> None:
+        self.returns: list[list[float]] = [[] for _ in range(n_runs)]
+        self.lengths: list[list[int]] = [[] for _ in range(n_runs)]
+        self._n_envs = n_envs
+        self._return = np.zeros(n_runs * n_envs)
+        self._length = np.zeros(n_runs * n_envs, dtype=np.int64)
+
+    def add(self, step: Step) -> None:
+        """Take in a step of all environments."""
+        self._return += step.rewards
+        self._length += 1
+        for i in np.flatnonzero(step.terminated | step.truncated):
+            self.returns[i // self._n_envs].append(float(self._return[i]))
+            self.lengths[i // self._n_envs].append(int(self._length[i]))
+            self._return[i], self._length[i] = 0.0, 0
+
+
+@contextmanager
+def _flushed_denormals() -> Iterator[None]:
+    """Take denormal numbers, which are slow, as zero for a while.
+
+    Not for the whole process: what else it trains must not depend on whether this module was imported.
+    """
+    torch.set_flush_denormal(True)
+    try:
+        yield
+    finally:
+        torch.set_flush_denormal(False)
+
+
+def uses_envpool(env: EnvConfig, fleet: FleetConfig) -> bool:
+    """Return whether EnvPool steps an environment: where it is asked for and computes what gymnasium does."""
+    return fleet.environments == "envpool" and env.id in EQUAL_IDS
+
+
+def _vector_env(config: RunConfig, n_envs: int) -> VectorEnv:
+    """Return the environments of a run's fleet, side by side."""
+    assert config.fleet is not None
+    if not uses_envpool(config.env, config.fleet):
+        return GymnasiumVectorEnv(config.env, n_envs, rescale_inputs=config.actor.rescale_inputs)
+    if config.actor.rescale_inputs:
+        raise ConfigError("actor.rescale_inputs=true: the states of EnvPool's environments have no bounds")
+    return EnvPoolVectorEnv(config.env, n_envs)

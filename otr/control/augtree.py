@@ -17,7 +17,6 @@ from otr.control.viper import Criterion, centred, fit_cart, with_head
 from otr.core.arrays import FloatArray, IntArray
 from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
-from otr.learners.augtree import on_inputs
 from otr.learners.model_tree import LinearModelTreeRegressor, grow_models
 
 __all__ = ["AugTreeFit"]
@@ -105,7 +104,7 @@ class AugTreeFit:
             generator,
             self.criterion,
         )
-        return on_inputs(with_thresholds_between(tree, bins, values), features.A, features.a)
+        return with_thresholds_between(tree, bins, values).compose(features.A, features.a)
 
     def _features(self, states: FloatArray) -> AffineFeatures:
         if self.features != "deep":

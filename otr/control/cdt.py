@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -86,19 +85,5 @@ class CascadingTree(nn.Module):
         """
         features = self.features.harden(axis_aligned=axis_aligned)
         decisions = self.decisions.harden(head, axis_aligned=axis_aligned)
-        below = [_on_inputs(decisions, F, g) for F, g in zip(features.M, features.c, strict=True)]
+        below = [decisions.compose(F, g) for F, g in zip(features.M, features.c, strict=True)]
         return graft(features, below)
-
-
-def _on_inputs(tree: ObliqueTree, F: np.ndarray, g: np.ndarray) -> ObliqueTree:
-    """Return a tree on features f = F x + g (F (m, d), g (m,)) as a tree on x."""
-    return ObliqueTree(
-        tree.children_left,
-        tree.children_right,
-        tree.P @ F,
-        tree.P @ g + tree.v,
-        tree.M @ F,
-        tree.M @ g + tree.c,
-        labels=tree.labels,
-        head=tree.head,
-    )

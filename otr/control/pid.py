@@ -129,4 +129,4 @@ def constant_gains(tree: ObliqueTree, X: ArrayLike) -> ObliqueTree:
     M = np.einsum("lam,lmd->lad", theta, tree.M[:, :n_terms])
     c = np.einsum("lam,lm->la", theta, tree.c[:, :n_terms])
     head = TanhBox(tree.head.low, tree.head.high)
-    return ObliqueTree(tree.children_left, tree.children_right, tree.P, tree.v, M, c, head=head)
+    return tree.replace(M=M, c=c, head=head)

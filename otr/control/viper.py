@@ -119,9 +119,7 @@ def label_tree(tree: ObliqueTree, classes: IntArray, n_outputs: int) -> ObliqueT
     shares = np.zeros((tree.n_leaves, n_outputs))
     shares[:, classes] = tree.c
     M = np.zeros((tree.n_leaves, n_outputs, tree.n_inputs))
-    return ObliqueTree(
-        tree.children_left, tree.children_right, tree.P, tree.v, M, shares, labels=shares.argmax(axis=1), head=Argmax()
-    )
+    return tree.replace(M=M, c=shares, labels=shares.argmax(axis=1), head=Argmax())
 
 
 def centred(outputs: FloatArray) -> FloatArray:
@@ -133,8 +131,7 @@ def with_head(tree: ObliqueTree, head: Head) -> ObliqueTree:
     """Return the tree of affine leaves that answers under an oracle's head: an argmax, or values clipped to its box."""
     if isinstance(head, Argmax):
         return argmax_leaves(tree)
-    box = box_of(head)
-    return ObliqueTree(tree.children_left, tree.children_right, tree.P, tree.v, tree.M, tree.c, head=box)
+    return tree.replace(head=box_of(head))
 
 
 def box_of(head: Head) -> ClipBox:

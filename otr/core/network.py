@@ -202,7 +202,7 @@ class ReluNetwork:
             columns = np.concatenate((*read, np.ones(n_of_inputs, dtype=np.bool_)))
             weights.append(W[kept[layer]][:, columns])
             biases.append(b[kept[layer]])
-        return self._with_layers(weights, biases, self.domain)
+        return self.replace(weights=weights, biases=biases)
 
     def fold_input_normalisation(self, mean: ArrayLike, scale: ArrayLike) -> ReluNetwork:
         """Return the network that answers on raw x as this one does on (x - mean) / scale; so does its domain.
@@ -228,18 +228,26 @@ class ReluNetwork:
             on_x = W[:, W.shape[1] - d :] / scale
             weights.append(np.concatenate((W[:, : W.shape[1] - d], on_x), axis=1))
             biases.append(b - on_x @ np.broadcast_to(mean, (d,)))
-        if self.domain is None:
-            return self._with_layers(weights, biases, None)
-        sides = np.sort((self.domain.low * scale + mean, self.domain.high * scale + mean), axis=0)
-        return self._with_layers(weights, biases, Domain(*sides))
+        domain = self.domain
+        if domain is not None:
+            domain = Domain(*np.sort((domain.low * scale + mean, domain.high * scale + mean), axis=0))
+        return self.replace(weights=weights, biases=biases, domain=domain)
 
-    def _with_layers(
-        self, weights: Sequence[FloatArray], biases: Sequence[FloatArray], domain: Domain | None
-    ) -> ReluNetwork:
-        """Return a network of the same kind of layers and head."""
-        return ReluNetwork(
-            weights, biases, negative_slope=self.negative_slope, dense=self.dense, head=self.head, domain=domain
-        )
+    def replace(self, **changes: Any) -> ReluNetwork:
+        """Return the network with other layers or settings, checked like any network, and all else as it is.
+
+        ``network.replace(head=otr.Argmax())`` answers with the largest output's label.
+
+        Args:
+            changes: the constructor's arguments by name.
+
+        Raises:
+            InvalidNetworkError: the changed network is not valid.
+            TypeError: a network has no such argument.
+            ValueError: the domain is no box of as many inputs.
+        """
+        names = ("weights", "biases", "negative_slope", "dense", "head", "domain")
+        return ReluNetwork(**{name: getattr(self, name) for name in names} | changes)
 
     def __repr__(self) -> str:
         widths = " -> ".join(str(width) for width in (self.n_inputs, *self.hidden_widths, self.n_outputs))

@@ -169,6 +169,46 @@ class ObliqueTree:
     def _leaf_maps(self) -> LeafMaps:
         return LeafMaps(self.M_of_basis, self.c)
 
+    def replace(self, **changes: Any) -> ObliqueTree:
+        """Return the tree with other arrays or another head, checked like any tree, and all else as it is.
+
+        ``tree.replace(c=2 * tree.c)`` doubles the leaves' offsets.
+
+        Args:
+            changes: the constructor's arguments by name. `P` and `M` are given in the inputs, as the attributes of
+                these names are: a tree with a basis then is without one, unless `basis` is given, too.
+
+        Raises:
+            InvalidTreeError: the changed tree breaks an invariant.
+            TypeError: a tree has no such argument.
+        """
+        keeps_basis = changes["basis"] is not None if "basis" in changes else not {"P", "M"} & changes.keys()
+        fields: dict[str, Any] = {
+            "children_left": self.children_left,
+            "children_right": self.children_right,
+            "P": self.P_of_basis if keeps_basis else self.P,
+            "v": self.v,
+            "M": self.M_of_basis if keeps_basis else self.M,
+            "c": self.c,
+            "labels": self.labels,
+            "head": self.head,
+            "basis": self.basis if keeps_basis else None,
+        }
+        return ObliqueTree(**fields | changes)
+
+    def compose(self, A: FloatArray, a: FloatArray) -> ObliqueTree:
+        """Return the tree that answers on x as this one does on the features A x + a.
+
+        ``P @ (A x + a) + v`` is ``(P A) @ x + (v + P @ a)``, and likewise in the leaves.
+
+        Args:
+            A, a: (n_inputs, d) and (n_inputs,).
+
+        Raises:
+            ValueError: A or a is of another shape.
+        """
+        return self.replace(P=self.P @ A, v=self.v + self.P @ a, M=self.M @ A, c=self.c + self.M @ a)
+
     def check(self) -> None:
         """Verify the invariants in the class's docstring.
 

@@ -26,7 +26,7 @@ def network_of_model(model: Any, action_low: ArrayLike | None, action_high: Arra
     space = model.action_space
     n_actions = int(space.n) if _kind(space) == "Discrete" else math.prod(space.shape or ())
     require_widths(network.n_inputs, network.n_outputs, n_inputs, n_actions)
-    network = ReluNetwork(network.weights, network.biases, negative_slope=network.negative_slope, head=head)
+    network = network.replace(head=head)
     _require_same_answers(model, network)
     return network
 

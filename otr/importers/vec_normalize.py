@@ -76,9 +76,7 @@ def fold_observation_statistics(network: ReluNetwork, given: Any) -> ReluNetwork
         box = Domain(mean - clip * np.sqrt(spread), mean + clip * np.sqrt(spread))
     except ValueError as error:
         raise InvalidNetworkError(f"clip_obs is {clip:g}, which gives no box of states: {error}") from error
-    return ReluNetwork(
-        folded.weights, folded.biases, negative_slope=folded.negative_slope, head=folded.head, domain=box
-    )
+    return folded.replace(domain=box)
 
 
 def _statistics(given: Any) -> ObservationStatistics | None:

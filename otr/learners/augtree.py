@@ -15,34 +15,12 @@ from sklearn.utils.validation import check_random_state
 
 from otr.core.arrays import FloatArray
 from otr.core.network import ReluNetwork
-from otr.core.tree import ObliqueTree
 from otr.importers import from_sklearn
 from otr.learners.cart import from_sklearn_tree
 from otr.learners.growing.estimators import GrownClassifier, GrownRegressor
 from otr.learners.model_tree import LinearModelTreeRegressor
 
-__all__ = ["AugTreeClassifier", "AugTreeRegressor", "on_inputs"]
-
-
-def on_inputs(tree: ObliqueTree, A: FloatArray, a: FloatArray) -> ObliqueTree:
-    """Return the tree that answers on x as `tree` does on the features A x + a.
-
-    ``P @ (A x + a) + v`` is ``(P A) @ x + (v + P @ a)``, and likewise in the leaves.
-
-    Args:
-        tree: a tree of m inputs.
-        A, a: (m, d) and (m,).
-    """
-    return ObliqueTree(
-        tree.children_left,
-        tree.children_right,
-        tree.P @ A,
-        tree.v + tree.P @ a,
-        tree.M @ A,
-        tree.c + tree.M @ a,
-        labels=tree.labels,
-        head=tree.head,
-    )
+__all__ = ["AugTreeClassifier", "AugTreeRegressor"]
 
 
 class AugTreeClassifier(GrownClassifier):
@@ -109,7 +87,7 @@ class AugTreeClassifier(GrownClassifier):
             max_leaf_nodes=self.max_leaf_nodes,
             random_state=random_state,
         )
-        self.tree_ = on_inputs(from_sklearn_tree(cart.fit(X @ A.T + a, labels)), A, a)
+        self.tree_ = from_sklearn_tree(cart.fit(X @ A.T + a, labels)).compose(A, a)
         return self
 
 
@@ -179,7 +157,7 @@ class AugTreeRegressor(GrownRegressor):
             tree = LinearModelTreeRegressor(**options).fit(features, targets).tree_
         else:
             tree = from_sklearn_tree(DecisionTreeRegressor(**options).fit(features, targets))
-        self.tree_ = on_inputs(tree, A, a)
+        self.tree_ = tree.compose(A, a)
         return self
 
 

@@ -134,9 +134,7 @@ def _without_small_weights(network: ReluNetwork, limit: float) -> ReluNetwork:
     if not limit:
         return network
     weights = [np.where(np.abs(weight) < limit, 0.0, weight) for weight in network.weights]
-    return ReluNetwork(
-        weights, network.biases, negative_slope=network.negative_slope, dense=network.dense, head=network.head
-    )
+    return network.replace(weights=weights)
 
 
 def _with_targets(network: ReluNetwork, mean: float, scale: float) -> ReluNetwork:
@@ -145,13 +143,7 @@ def _with_targets(network: ReluNetwork, mean: float, scale: float) -> ReluNetwor
         return network
     *weights, last = network.weights
     *biases, last_bias = network.biases
-    return ReluNetwork(
-        [*weights, scale * last],
-        [*biases, scale * last_bias + mean],
-        negative_slope=network.negative_slope,
-        dense=network.dense,
-        head=network.head,
-    )
+    return network.replace(weights=[*weights, scale * last], biases=[*biases, scale * last_bias + mean])
 
 
 _PARAMETERS = """

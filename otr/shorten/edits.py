@@ -56,7 +56,7 @@ def clipped(tree: ObliqueTree) -> Iterator[ObliqueTree]:
     if isinstance(head, TanhBox):
         half = np.broadcast_to((head.high - head.low) / 2, (tree.n_outputs,))
         middle = np.broadcast_to((head.high + head.low) / 2, (tree.n_outputs,))
-        yield _changed(tree, M=tree.M * half[:, None], c=tree.c * half + middle, head=ClipBox(head.low, head.high))
+        yield tree.replace(M=tree.M * half[:, None], c=tree.c * half + middle, head=ClipBox(head.low, head.high))
 
 
 def constant_leaves(tree: ObliqueTree, X: FloatArray) -> Iterator[ObliqueTree]:
@@ -73,7 +73,7 @@ def constant_leaves(tree: ObliqueTree, X: FloatArray) -> Iterator[ObliqueTree]:
             for value in dict.fromkeys((_nearest_limit(tree, output, mean), mean)):
                 M, c = tree.M.copy(), tree.c.copy()
                 M[leaf, output], c[leaf, output] = 0.0, value
-                yield _changed(tree, M=M, c=c)
+                yield tree.replace(M=M, c=c)
 
 
 def _nearest_limit(tree: ObliqueTree, output: int, value: float) -> float:
@@ -92,7 +92,7 @@ def refitted(tree: ObliqueTree, node: int, X: FloatArray) -> Iterator[ObliqueTre
         if refit.tests[node].change == "refitted":
             P, v = tree.P.copy(), tree.v.copy()
             P[node], v[node] = refit.tree.P[node], refit.tree.v[node]
-            yield _changed(tree, P=P, v=v)
+            yield tree.replace(P=P, v=v)
 
 
 def turned(tree: ObliqueTree, node: int) -> Iterator[ObliqueTree]:
@@ -102,21 +102,21 @@ def turned(tree: ObliqueTree, node: int) -> Iterator[ObliqueTree]:
         P, v, left, right = tree.P.copy(), tree.v.copy(), tree.children_left.copy(), tree.children_right.copy()
         P[node], v[node] = -P[node], -v[node]
         left[node], right[node] = right[node], left[node]
-        yield _changed(tree, P=P + 0.0, v=v + 0.0, children_left=left, children_right=right)
+        yield tree.replace(P=P + 0.0, v=v + 0.0, children_left=left, children_right=right)
 
 
 def with_unit_tests(tree: ObliqueTree) -> ObliqueTree:
     """Return the tree with every test scaled so that its largest coefficient is 1 or -1; it does the same."""
     size = np.abs(tree.P).max(axis=1, initial=0.0)
     scale = np.where(size > 0, size, 1.0)
-    return _changed(tree, P=tree.P / scale[:, None], v=tree.v / scale)
+    return tree.replace(P=tree.P / scale[:, None], v=tree.v / scale)
 
 
 def without_idle_head(tree: ObliqueTree) -> ObliqueTree:
     """Return the tree without a clip that never acts, because all outputs are constants within the limits."""
     if not isinstance(tree.head, ClipBox) or tree.labels is not None or tree.M.any():
         return tree
-    return _changed(tree, c=np.asarray(tree.head(tree.c)), head=Identity())
+    return tree.replace(c=np.asarray(tree.head(tree.c)), head=Identity())
 
 
 def numbers_of(tree: ObliqueTree) -> FloatArray:
@@ -137,16 +137,9 @@ def of_numbers(tree: ObliqueTree, numbers: FloatArray) -> ObliqueTree:
     ends = np.cumsum([tree.P.size, tree.v.size, tree.M.size])
     P, v = numbers[: ends[0]].reshape(tree.P.shape), numbers[ends[0] : ends[1]]
     if tree.labels is not None:
-        return _changed(tree, P=P, v=v)
+        return tree.replace(P=P, v=v)
     M, c = numbers[ends[1] : ends[2]].reshape(tree.M.shape), numbers[ends[2] :].reshape(tree.c.shape)
-    return _changed(tree, P=P, v=v, M=M, c=c)
-
-
-def _changed(tree: ObliqueTree, **changes: object) -> ObliqueTree:
-    names = ("children_left", "children_right", "P", "v", "M", "c", "labels", "head")
-    parts: dict[str, object] = {name: getattr(tree, name) for name in names} | changes
-    labels, head = parts.pop("labels"), parts.pop("head")
-    return ObliqueTree(*parts.values(), labels=labels, head=head)  # type: ignore[arg-type]
+    return tree.replace(P=P, v=v, M=M, c=c)
 
 
 def numbers_by_effect(tree: ObliqueTree, X: FloatArray) -> IntArray:

@@ -89,10 +89,7 @@ def refit_tests(
             node, tree.P[node], tree.v[node], reached, agreement, digits, node in chosen
         )
         tests.append(test)
-    simpler = ObliqueTree(
-        tree.children_left, tree.children_right, P, v, tree.M, tree.c, labels=tree.labels, head=tree.head
-    )
-    return RefittedTree(simpler, tuple(tests))
+    return RefittedTree(tree.replace(P=P, v=v), tuple(tests))
 
 
 def _simpler_test(

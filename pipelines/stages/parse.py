@@ -86,5 +86,4 @@ def _clipped(tree: otr.ObliqueTree, low: np.ndarray, high: np.ndarray, where: st
         low, high = np.clip(tree.head.low, low, high), np.clip(tree.head.high, low, high)
         if (low >= high).any():
             raise ConfigError(f"{where}: a clip of the program leaves none of the actions that the environment has")
-    core = (tree.children_left, tree.children_right, tree.P, tree.v, tree.M, tree.c)
-    return otr.ObliqueTree(*core, head=otr.ClipBox(low, high))
+    return tree.replace(head=otr.ClipBox(low, high))

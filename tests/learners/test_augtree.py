@@ -1,23 +1,10 @@
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 import otr
 from otr.learners import AugTreeClassifier, AugTreeRegressor, CARTClassifier
-from otr.learners.augtree import on_inputs
 from tests.core.strategies import make_network
 from tests.learners.problems import rotated_xor, turned
-
-
-@given(seed=st.integers(0, 2**32 - 1), n_features=st.integers(1, 5), head=st.sampled_from(["identity", "argmax"]))
-def test_a_tree_of_affine_features_is_a_tree_of_the_inputs(seed, n_features, head):
-    rng = np.random.default_rng(seed)
-    tree = otr.map_network(make_network(rng, (3,), n_inputs=n_features, n_outputs=2, head=head))
-    A, a = rng.normal(size=(n_features, 4)), rng.normal(size=n_features)
-    X = rng.normal(size=(50, 4))
-    np.testing.assert_allclose(on_inputs(tree, A, a).forward(X), tree.forward(X @ A.T + a), atol=1e-9)
-    assert np.array_equal(on_inputs(tree, A, a).predict(X), tree.predict(X @ A.T + a)) or head == "identity"
 
 
 def xor_oracle():

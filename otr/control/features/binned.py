@@ -44,9 +44,7 @@ def with_thresholds_between(tree: ObliqueTree, bins: NDArray[np.float32], values
     """
     columns = np.abs(tree.P).argmax(axis=1)
     v = np.array([_minus_midpoint(values[j], bins[:, j] <= -t) for j, t in zip(columns, tree.v, strict=True)])
-    return ObliqueTree(
-        tree.children_left, tree.children_right, tree.P, v, tree.M, tree.c, labels=tree.labels, head=tree.head
-    )
+    return tree.replace(v=v)
 
 
 def _minus_midpoint(values: NDArray[np.float32], on_left: NDArray[np.bool_]) -> float:

@@ -98,6 +98,4 @@ def class_tree(tree: ObliqueTree, shares: FloatArray) -> ObliqueTree:
     """Return `tree`'s tests over leaves with class shares (n_leaves, n_classes) as outputs, their argmax as label."""
     M = np.zeros((*shares.shape, tree.n_inputs))
     head = Argmax()
-    return ObliqueTree(
-        tree.children_left, tree.children_right, tree.P, tree.v, M, shares, labels=head(shares), head=head
-    )
+    return tree.replace(M=M, c=shares, labels=head(shares), head=head)

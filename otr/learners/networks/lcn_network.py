@@ -121,16 +121,7 @@ class LcnNetwork:
         labels = None
         if isinstance(self.head, Sign | Argmax):
             labels = np.asarray(self.head(c))
-        return ObliqueTree(
-            tests.children_left,
-            tests.children_right,
-            tests.P,
-            tests.v,
-            np.zeros((2**M, self.n_outputs, d)),
-            c,
-            labels=labels,
-            head=self.head,
-        )
+        return tests.replace(M=np.zeros((2**M, self.n_outputs, d)), c=c, labels=labels, head=self.head)
 
     def _relu_network(self) -> ReluNetwork:
         M, d = self.W.shape

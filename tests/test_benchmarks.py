@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import otr
-from benchmarks import control, exact, latency, mapping, supervised, training
+from benchmarks import control, latency, mapping, supervised, training
 from benchmarks.__main__ import NAMES, document, main
 from benchmarks.evaluation import STANDING_GAINS, STANDING_OFFSETS, standing_policy
 from benchmarks.mapping import copying_tree, random_network
@@ -158,13 +158,21 @@ def test_runs_of_dagger_are_timed():
     assert all(0.0 < entry.value < 180.0 for entry in entries.values())
 
 
-def test_minimal_trees_have_as_many_leaves_as_the_peer_s():
+@pytest.fixture
+def exact():
+    pytest.importorskip("affinitree", reason="it has no wheel for this version of Python")
+    from benchmarks import exact
+
+    return exact
+
+
+def test_minimal_trees_have_as_many_leaves_as_the_peer_s(exact):
     network = exact.network_of(3, 8, 1)
     _, n_leaves = exact.affinitree_seconds(network)
     assert n_leaves == otr.minimal_tree(network).n_leaves == 93
 
 
-def test_exact_measures_small_sizes_when_quick():
+def test_exact_measures_small_sizes_when_quick(exact):
     entries = {entry.name: entry for entry in exact.measure(quick=True)}
     assert entries["8 neurons, 17 inputs: leaves"].value == 256
     assert all(entry.met for name, entry in entries.items() if name.endswith("leaves"))

@@ -19,7 +19,6 @@ from pipelines.config.algo import (
     TrpoConfig,
 )
 from pipelines.config.budget import BudgetConfig
-from pipelines.config.checks import LARGEST_SEED
 from pipelines.config.env import EnvConfig, PidTerms
 from pipelines.config.methods import (
     METHODS,
@@ -53,7 +52,6 @@ from pipelines.config.trainer import TRAINERS, FleetConfig, TrainerConfig
 
 __all__ = [
     "ALGORITHMS",
-    "LARGEST_SEED",
     "METHODS",
     "TRAINERS",
     "ActorConfig",

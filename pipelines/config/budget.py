@@ -1,6 +1,9 @@
 """How much a run spends: a file of conf/budget."""
 
 from dataclasses import dataclass, field
+from typing import Annotated
+
+from pipelines.config.setting import Count, FreeText, Range
 
 
 @dataclass(frozen=True)
@@ -16,16 +19,16 @@ class BudgetConfig:
             n_evaluation_episodes.
     """
 
-    name: str
-    steps: dict[str, int]
-    eval_interval_steps: int
-    n_selection_episodes: int
-    n_prune_episodes: int
-    n_evaluation_episodes: int
-    max_learning_starts: int
-    n_rounds: int = 50
-    n_round_episodes: int = 25
-    n_choice_episodes: int = 100
-    on_policy_steps: dict[str, int] = field(default_factory=dict)
-    on_policy_interval_steps: int = 25_000
-    pid: dict[str, int] = field(default_factory=dict)
+    name: FreeText
+    steps: dict[str, Count]
+    eval_interval_steps: Count
+    n_selection_episodes: Count
+    n_prune_episodes: Count
+    n_evaluation_episodes: Count
+    max_learning_starts: Annotated[int, Range(0)]
+    n_rounds: Annotated[int, Range(0)] = 50
+    n_round_episodes: Count = 25
+    n_choice_episodes: Annotated[int, Range(0)] = 100
+    on_policy_steps: dict[str, Count] = field(default_factory=dict)
+    on_policy_interval_steps: Count = 25_000
+    pid: dict[str, Count] = field(default_factory=dict)

@@ -1,7 +1,9 @@
 """The environment of a run: a file of conf/env."""
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
+
+from pipelines.config.setting import DERIVED, FreeText
 
 
 @dataclass(frozen=True)
@@ -24,10 +26,10 @@ class EnvConfig:
     `pid` is there where the method is a PID policy, which says so to whoever makes the environment.
     """
 
-    name: str
-    task: str  # the row of the tables and of conf/budget; hopper_v5 has task hopper
-    id: str
+    name: FreeText
+    task: FreeText  # the row of the tables and of conf/budget; hopper_v5 has task hopper
+    id: FreeText
     kwargs: dict[str, Any] = field(default_factory=dict)
-    feature_names: list[str] = field(default_factory=list)
-    action_names: list[str] = field(default_factory=list)
-    pid: PidTerms | None = field(default=None, metadata={"omegaconf_ignore": True})
+    feature_names: list[FreeText] = field(default_factory=list)
+    action_names: list[FreeText] = field(default_factory=list)
+    pid: Annotated[PidTerms | None, DERIVED] = field(default=None, metadata={"omegaconf_ignore": True})

@@ -6,11 +6,21 @@ tree, `parse` from a program. What comes after that stage is the same for all me
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 from pipelines.config.algo import AlgoConfig, DdpgConfig, OnPolicyConfig
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import PidTerms
+from pipelines.config.setting import (
+    DERIVED,
+    Count,
+    FreeText,
+    NotNegative,
+    OneOf,
+    Positive,
+    Range,
+    Share,
+)
 from pipelines.config.stages import ActorConfig
 from pipelines.errors import ConfigError
 
@@ -20,6 +30,8 @@ ON_POLICY_STEPS = [
     'train.steps="${budget.on_policy_steps.${env.task}}"',
     'train.eval_interval_steps="${budget.on_policy_interval_steps}"',
 ]
+Leaves = Annotated[str, OneOf("constant", "linear")]
+Hardness = Annotated[float, Range(1e-6, 1e6)]
 
 
 @dataclass(frozen=True)
@@ -33,18 +45,18 @@ class MethodConfig:
         is_mapped: whether the tree is a trained network's, which it can be proved equal to.
         imitates: whether the tree imitates an oracle, which is trained first.
         is_soft: whether the actor is a soft tree, which is hardened after training.
-        is_written: whether the policy is a program that somebody wrote, so that nothing is trained.
+        is_trained: whether something is trained; not where the policy is a program that somebody wrote.
         decides_training: whether the settings of the method decide what is trained.
     """
 
-    name: str
+    name: FreeText
 
     stages: ClassVar[tuple[str, ...]]
     tree_stage: ClassVar[str]
     is_mapped: ClassVar[bool] = False
     imitates: ClassVar[bool] = False
     is_soft: ClassVar[bool] = False
-    is_written: ClassVar[bool] = False
+    is_trained: ClassVar[bool] = True
     decides_training: ClassVar[bool] = False
 
     @classmethod
@@ -101,11 +113,11 @@ class PidConfig(MappedConfig):
             steps of the learning rate's size, leaves them swinging about it.
     """
 
-    goal: list[float]
-    n_history: int
-    l1: float
-    first_layer_scale: float
-    zero_below: float
+    goal: Annotated[list[float], Range()]
+    n_history: Count
+    l1: NotNegative
+    first_layer_scale: Positive
+    zero_below: NotNegative
 
     decides_training = True
 
@@ -160,7 +172,7 @@ class ImitatingConfig(GrownConfig):
 
     def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
         """Refuse an oracle that is no network."""
-        if not oracle or any(width < 1 for width in oracle):
+        if not oracle:
             raise ConfigError(f"oracle={oracle}: give the hidden layers of the network to imitate, as oracle=[256,256]")
 
 
@@ -168,8 +180,8 @@ class ImitatingConfig(GrownConfig):
 class ViperConfig(ImitatingConfig):
     """VIPER: CART on rows drawn by the oracle's weights; the names are those of `otr.control.CartFit`."""
 
-    max_samples: int
-    min_samples_leaf: int
+    max_samples: Count
+    min_samples_leaf: Count
 
     fit_s = 0.3
 
@@ -178,9 +190,9 @@ class ViperConfig(ImitatingConfig):
 class LmViperConfig(ImitatingConfig):
     """LM-VIPER: a linear model in every leaf; the names are those of `otr.control.LinearModelTreeFit`."""
 
-    max_samples: int
-    min_samples_leaf: int
-    alpha: float
+    max_samples: Count
+    min_samples_leaf: Count
+    alpha: NotNegative
 
     fit_s = 1.5
 
@@ -189,13 +201,13 @@ class LmViperConfig(ImitatingConfig):
 class AugTreeConfig(ImitatingConfig):
     """AugTree: tests on the oracle's hidden units; the names are those of `otr.control.AugTreeFit`."""
 
-    features: str
-    leaves: str
-    max_patterns: int
+    features: Annotated[str, OneOf("all", "z", "deep")]
+    leaves: Leaves
+    max_patterns: Count
     weighted: bool
-    criterion: str
-    max_samples: int
-    min_samples_leaf: int
+    criterion: Annotated[str, OneOf("gini", "entropy")]
+    max_samples: Count
+    min_samples_leaf: Count
 
     fit_s = 1.0
 
@@ -216,14 +228,14 @@ class NdpsConfig(ImitatingConfig):
         batch_size, learning_rate, beta_first, beta_last, ridge: see `otr.control.NdpsSettings`.
     """
 
-    max_samples: int
-    n_updates: int
-    n_updates_next: int
-    batch_size: int
-    learning_rate: float
-    beta_first: float
-    beta_last: float
-    ridge: float
+    max_samples: Count
+    n_updates: Count
+    n_updates_next: Count
+    batch_size: Count
+    learning_rate: Annotated[float, Range(1e-12, 10)]
+    beta_first: Hardness
+    beta_last: Hardness
+    ridge: NotNegative
 
     fit_s = 5.0
 
@@ -238,10 +250,10 @@ class SoftConfig(GrownConfig):
         learning_rate_end: what is left of the algorithm's learning rate at the end, a fraction; it falls linearly.
     """
 
-    beta_first: float
-    beta_last: float
-    anneal_until: float
-    learning_rate_end: float
+    beta_first: Hardness
+    beta_last: Hardness
+    anneal_until: Share
+    learning_rate_end: Share
 
     stages = ("train", "harden", "prune", "evaluate")
     tree_stage = "harden"
@@ -268,14 +280,14 @@ class SoftConfig(GrownConfig):
 class SdtConfig(SoftConfig):
     """A soft decision tree (Silva et al. 2020), with constant or affine leaves."""
 
-    leaves: str
+    leaves: Leaves
 
 
 @dataclass(frozen=True)
 class CdtConfig(SoftConfig):
     """A cascading decision tree (Ding et al. 2020) with `n_features` features between its two trees."""
 
-    n_features: int
+    n_features: Annotated[int, Range(1, 1024)]
 
     def check_depth(self, depth: Any) -> None:
         """Refuse all but two depths."""
@@ -287,19 +299,19 @@ class CdtConfig(SoftConfig):
 class PiPrlConfig(SoftConfig):
     """pi-PRL (Qiu & Zhu 2022): `discretise_at` is the fraction of the steps at which the structure is chosen."""
 
-    structure_penalty: float
-    discretise_at: float
+    structure_penalty: Annotated[float, Range(0, 100)]
+    discretise_at: Share
 
 
 @dataclass(frozen=True)
 class ProgramConfig(MethodConfig):
     """A program that somebody wrote: `program` is a file, or a name under conf/program."""
 
-    program: str
+    program: Annotated[FreeText, DERIVED]
 
     stages = ("parse", "prune", "evaluate")
     tree_stage = "parse"
-    is_written = True
+    is_trained = False
 
 
 METHODS: dict[str, type[MethodConfig]] = {

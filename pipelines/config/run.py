@@ -2,13 +2,23 @@
 
 import dataclasses
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 from pipelines.config.algo import AlgoConfig, ArsConfig, SacConfig
 from pipelines.config.budget import BudgetConfig
-from pipelines.config.checks import check
 from pipelines.config.env import EnvConfig
-from pipelines.config.methods import EXTRA_STAGES, MethodConfig
+from pipelines.config.methods import EXTRA_STAGES, METHODS, MethodConfig
+from pipelines.config.setting import (
+    DERIVED,
+    EXECUTION,
+    Count,
+    Folder,
+    FreeText,
+    OneOf,
+    OnlyWhere,
+    Seed,
+    check_settings,
+)
 from pipelines.config.stages import (
     ActorConfig,
     CertificationConfig,
@@ -20,47 +30,80 @@ from pipelines.config.stages import (
     TrainConfig,
 )
 from pipelines.config.trainer import FleetConfig, TrainerConfig
+from pipelines.errors import ConfigError
 
 
 @dataclass(frozen=True)
 class RunConfig:
-    """One run. What is below `results_dir` changes how it is executed, never what comes out."""
+    """One run.
+
+    Attributes:
+        depth: hidden neurons of the actor, or a list of them, one a hidden layer; tests on the longest path of a grown
+            tree.
+        stages: the stages to do; None for all.
+        side_by_side: whether other jobs share the terminal.
+        certify: whether to do a further stage, the minimal tree and its certificate.
+        simplify: whether to do a further stage, a shorter program.
+        tracking: where the run is logged, too.
+        oracle: hidden widths of the network that is imitated.
+        program_text: the text of method=program, which the command line reads: the run is keyed by it, whatever file it
+            came from.
+        folder: of the run below `results_dir`, which the command line works out from all other settings.
+        oracle_run: the run that trains the oracle, for a method that imitates one; worked out there, too.
+    """
 
     env: EnvConfig
-    algo: AlgoConfig
+    algo: Annotated[AlgoConfig, OnlyWhere("is_trained")]
     method: MethodConfig
     budget: BudgetConfig
-    depth: Any  # an int, or a list of ints: one hidden layer each
-    seed: int
-    actor: ActorConfig
-    train: TrainConfig
-    map: MapConfig
+    depth: Any
+    seed: Seed
+    actor: Annotated[ActorConfig, OnlyWhere("is_trained")]
+    train: Annotated[TrainConfig, OnlyWhere("is_trained")]
+    map: Annotated[MapConfig, OnlyWhere("is_trained")]
     prune: PruneConfig
     evaluate: EvaluateConfig
-    results_dir: str
+    results_dir: Folder
     trainer: TrainerConfig = field(default_factory=lambda: TrainerConfig("sb3"))
-    stages: list[str] | None = None
-    n_workers: int | None = None
-    side_by_side: bool = False  # other jobs share the terminal
-    debug: bool = False
-    certify: bool = False  # a further stage: the minimal tree and its certificate
-    simplify: bool = False  # a further stage: a shorter program
-    tracking: str = "none"  # where runs are also logged: none, tensorboard, mlflow
-    oracle: list[int] = field(default_factory=lambda: [256, 256])  # hidden widths of the network that is imitated
-    imitate: ImitateConfig = field(default_factory=ImitateConfig)
+    stages: Annotated[list[FreeText] | None, EXECUTION] = None
+    n_workers: Annotated[Count | None, EXECUTION] = None
+    side_by_side: Annotated[bool, EXECUTION] = False
+    debug: Annotated[bool, EXECUTION] = False
+    certify: Annotated[bool, EXECUTION] = False
+    simplify: Annotated[bool, EXECUTION] = False
+    tracking: Annotated[str, OneOf("none", "tensorboard", "mlflow"), EXECUTION] = "none"
+    oracle: Annotated[list[Count], OnlyWhere("imitates")] = field(default_factory=lambda: [256, 256])
+    imitate: Annotated[ImitateConfig, OnlyWhere("imitates")] = field(default_factory=ImitateConfig)
     certification: CertificationConfig = field(default_factory=CertificationConfig)
     simplification: SimplificationConfig = field(default_factory=SimplificationConfig)
-    # The text of method=program, which the command line reads: the run is keyed by it, whatever file it came from.
-    program_text: str | None = field(default=None, metadata={"omegaconf_ignore": True})
-    # The run's folder below results_dir, which the command line works out from all of the above.
-    folder: str = field(default="", metadata={"omegaconf_ignore": True})
-    # The run that trains the oracle, for a method that imitates one; worked out there, too.
-    oracle_run: "RunConfig | None" = field(default=None, metadata={"omegaconf_ignore": True})
+    program_text: Annotated[FreeText | None, DERIVED] = field(default=None, metadata={"omegaconf_ignore": True})
+    folder: Annotated[FreeText, DERIVED] = field(default="", metadata={"omegaconf_ignore": True})
+    oracle_run: "Annotated[RunConfig | None, DERIVED]" = field(default=None, metadata={"omegaconf_ignore": True})
 
     def __post_init__(self) -> None:
         if self.method.pid_terms:  # in one place, so that every stage sees the same environment
             object.__setattr__(self, "env", dataclasses.replace(self.env, pid=self.method.pid_terms))
-        check(self)
+        _check_depth(self.depth)
+        check_settings(self)
+        self._check_stages()
+        self.method.check_depth(self.depth)
+        self.method.check(self.algo, self.actor, self.oracle)
+        self.algo.check(self.depth)
+        if self.fleet:
+            self.fleet.check(self.algo)
+
+    def _check_stages(self) -> None:
+        """Refuse stages that the method does not have."""
+        name, is_mapped = self.method.name, self.method.is_mapped
+        known = (*self.method.stages, *(extra for extra in EXTRA_STAGES if extra != "certify" or is_mapped))
+        for stage in self.stages or ():
+            if stage not in known:
+                raise ConfigError(f"stages: method={name} has no stage {stage!r}; it has {', '.join(known)}")
+        if self.certify and not is_mapped:
+            raise ConfigError(
+                f"certify=true: a tree of method={name} stands for no network that it could be proved equal to; these "
+                f"do: {', '.join(name for name, method in METHODS.items() if method.is_mapped)}"
+            )
 
     @property
     def hidden_widths(self) -> tuple[int, ...]:
@@ -71,13 +114,13 @@ class RunConfig:
     @property
     def fleet(self) -> FleetConfig | None:
         """The fleet's settings where a fleet trains this run; None where Stable-Baselines3 does."""
-        trains_sac = isinstance(self.algo, SacConfig) and not self.method.is_written
+        trains_sac = isinstance(self.algo, SacConfig) and self.method.is_trained
         return self.trainer if isinstance(self.trainer, FleetConfig) and trains_sac else None
 
     @property
     def trainer_name(self) -> str:
         """Who trains this run: `sb3`, the fleet's name, or `none` for a program."""
-        if self.method.is_written:
+        if not self.method.is_trained:
             return "none"
         return self.fleet.name if self.fleet else "sb3"
 
@@ -95,3 +138,13 @@ class RunConfig:
         if self.stages is not None:
             return tuple(stage for stage in (*stages, *EXTRA_STAGES) if stage in self.stages)
         return (*stages, *(stage for stage in EXTRA_STAGES if getattr(self, stage)))
+
+
+def _check_depth(depth: Any) -> None:
+    """Refuse what is no number of neurons, nor a list of them."""
+    widths = [depth] if isinstance(depth, int) else depth
+    integers = isinstance(widths, list) and widths and all(type(width) is int for width in widths)
+    if not integers or isinstance(depth, bool):
+        raise ConfigError(f"depth={depth!r}: give a number of hidden neurons (depth=6) or one per layer (depth=[8,8])")
+    if any(width < 0 for width in widths) or (len(widths) > 1 and 0 in widths):
+        raise ConfigError(f"depth={depth!r}: a layer cannot have {min(widths)} neurons; depth=0 is the linear policy")

@@ -1,25 +1,11 @@
 """Which settings decide what comes out of a run: the keys of its stages and the name of its folder."""
 
-import dataclasses
 import hashlib
 import json
-from dataclasses import asdict
 from typing import Any
 
-from pipelines.config import EnvConfig, ProgramConfig, RunConfig
-
-# Settings younger than committed results, with the value that means "as before": keyed only where they differ from it.
-YOUNGER_SETTINGS: dict[tuple[str, str], Any] = {
-    ("actor", "rescale_inputs"): False,
-    ("algo", "use_sde"): False,
-    ("algo", "sde_sample_freq"): -1,
-}
-
-EXECUTION_FIELDS = ("results_dir", "stages", "n_workers", "side_by_side", "debug", "tracking", "folder", "oracle_run",
-                    "program_text", "certify", "simplify")  # fmt: skip
-IMITATION_FIELDS = ("oracle", "imitate")  # of no concern to methods without an oracle
-TRAINING_FIELDS = ("algo", "actor", "train", "map")  # of no concern to programs
-FLEET_EXECUTION_FIELDS = ("name", "device", "runs_per_process")
+from pipelines.config import EnvConfig, RunConfig
+from pipelines.config.setting import keyed_settings
 
 
 def run_folder(config: RunConfig, baseline: RunConfig) -> str:
@@ -39,23 +25,12 @@ def settings(config: RunConfig) -> dict[str, Any]:
 
     The budget's table of steps is left out but for its name: `train`, `prune` and `evaluate` hold what it gave.
     """
-    left_out = EXECUTION_FIELDS if config.method.imitates else (*EXECUTION_FIELDS, *IMITATION_FIELDS)
-    left_out = (*left_out, *TRAINING_FIELDS) if config.method.is_written else left_out
-    plain = {key: value for key, value in asdict(dataclasses.replace(config, oracle_run=None)).items()
-             if key not in left_out}  # fmt: skip
-    del plain["env"]["pid"]  # `method` tells
-    plain["budget"] = config.budget.name
-    plain["depth"] = list(config.hidden_widths)
-    if isinstance(config.method, ProgramConfig):
-        plain["method"] = {"name": config.method.name}
+    plain = keyed_settings(config, config.method)
+    plain |= {"budget": config.budget.name, "depth": list(config.hidden_widths)}
     if config.program_text is not None:
         plain["program_sha256"] = hashlib.sha256(config.program_text.encode()).hexdigest()
-    trainer = plain.pop("trainer")
-    if config.fleet:
-        plain["trainer"] = {key: value for key, value in trainer.items() if key not in FLEET_EXECUTION_FIELDS}
-    for (section, name), as_before in YOUNGER_SETTINGS.items():
-        if section in plain and plain[section].get(name, ...) == as_before:
-            del plain[section][name]
+    if not config.fleet:
+        del plain["trainer"]
     return plain
 
 

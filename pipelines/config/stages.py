@@ -1,6 +1,9 @@
 """The actor, and what each stage of a run is told beside the method."""
 
 from dataclasses import dataclass
+from typing import Annotated
+
+from pipelines.config.setting import AsBefore, Count, NotNegative, Range, Seed
 
 
 @dataclass(frozen=True)
@@ -13,18 +16,18 @@ class ActorConfig:
             folded into the first layer afterwards, so the program reads the environment's own states.
     """
 
-    negative_slope: float = 0.0
-    rescale_inputs: bool = False
+    negative_slope: Annotated[float, Range(0, 1, open=True)] = 0.0
+    rescale_inputs: Annotated[bool, AsBefore(False)] = False
 
 
 @dataclass(frozen=True)
 class TrainConfig:
     """Training: environment steps in all, steps between evaluations, episodes per evaluation."""
 
-    steps: int
-    eval_interval_steps: int
-    n_selection_episodes: int
-    max_learning_starts: int
+    steps: Count
+    eval_interval_steps: Count
+    n_selection_episodes: Count
+    max_learning_starts: Annotated[int, Range(0)]
 
 
 @dataclass(frozen=True)
@@ -37,33 +40,33 @@ class ImitateConfig:
         n_choice_episodes: episodes on which the last two candidates are compared; none of them is reported.
     """
 
-    n_initial_episodes: int = 25
-    n_rounds: int = 50
-    n_episodes: int = 25
-    n_choice_episodes: int = 100
+    n_initial_episodes: Count = 25
+    n_rounds: Annotated[int, Range(0)] = 50
+    n_episodes: Count = 25
+    n_choice_episodes: Annotated[int, Range(0)] = 100
 
 
 @dataclass(frozen=True)
 class MapConfig:
     """Mapping: up to `max_leaves` the tree is written out, beyond it is held as activation patterns."""
 
-    max_leaves: int
+    max_leaves: Count
 
 
 @dataclass(frozen=True)
 class PruneConfig:
     """Pruning: the paths reached in `n_episodes` are kept; with `k` only the k most frequent of them."""
 
-    n_episodes: int
-    k: int | None
+    n_episodes: Count
+    k: Count | None
 
 
 @dataclass(frozen=True)
 class CertificationConfig:
     """The minimal tree and its certificate: no tree of more leaves, nor one that takes longer to find, is proved."""
 
-    max_leaves: int = 2**13
-    max_seconds: float = 600.0
+    max_leaves: Count = 2**13
+    max_seconds: NotNegative = 600.0
 
 
 @dataclass(frozen=True)
@@ -78,9 +81,9 @@ class SimplificationConfig:
         refit: whether tests may be refitted by sparse linear discriminant analysis.
     """
 
-    n_episodes: int = 100
-    return_loss: float = 0.02
-    action_bound: float | None = None
+    n_episodes: Count = 100
+    return_loss: Annotated[float, Range(0, 1, open=True)] = 0.02
+    action_bound: NotNegative | None = None
     refit: bool = True
 
 
@@ -88,5 +91,5 @@ class SimplificationConfig:
 class EvaluateConfig:
     """Evaluation: episode i starts from `reset(seed=first_seed + i)`, for every method alike."""
 
-    n_episodes: int
-    first_seed: int
+    n_episodes: Count
+    first_seed: Seed

@@ -1,13 +1,18 @@
 """Who trains a run: a file of conf/trainer."""
 
 from dataclasses import dataclass
+from typing import Annotated
+
+from pipelines.config.algo import AlgoConfig, SacConfig
+from pipelines.config.setting import EXECUTION, FreeText, OneOf, Range
+from pipelines.errors import ConfigError
 
 
 @dataclass(frozen=True)
 class TrainerConfig:
     """Who trains: `sb3`, Stable-Baselines3, one run at a time."""
 
-    name: str
+    name: Annotated[FreeText, EXECUTION]
 
 
 @dataclass(frozen=True)
@@ -18,15 +23,25 @@ class FleetConfig(TrainerConfig):
         n_envs: environments a run; as many updates follow each step of all of them.
         precision: fp32, or bf16 for the products between wide layers.
         environments: gymnasium, or envpool (an extra) for the environments that it computes as gymnasium does.
-        device: cpu or cuda, which changes nothing but the rounding.
         runs_per_process: runs that are trained as one at most; how they are grouped changes no run on the CPU.
     """
 
-    n_envs: int
-    precision: str
-    environments: str
-    device: str
-    runs_per_process: int
+    n_envs: Annotated[int, Range(1, 4096)]
+    precision: Annotated[str, OneOf("fp32", "bf16")]
+    environments: Annotated[str, OneOf("gymnasium", "envpool")]
+    runs_per_process: Annotated[int, Range(1, 4096), EXECUTION]
+
+    def check(self, algo: AlgoConfig) -> None:
+        """Raise ConfigError if the fleet does not train SAC with these settings."""
+        assert isinstance(algo, SacConfig)
+        if (algo.train_freq, algo.gradient_steps) != (1, 1):
+            raise ConfigError(
+                f"trainer={self.name} does one update for each environment step, but "
+                f"algo.train_freq={algo.train_freq} and algo.gradient_steps={algo.gradient_steps}; leave both at 1, or "
+                "use trainer=sb3"
+            )
+        if algo.action_noise == "ornstein_uhlenbeck":
+            raise ConfigError(f"trainer={self.name} has no ornstein_uhlenbeck noise; use algo.action_noise=normal")
 
 
 TRAINERS: dict[str, type[TrainerConfig]] = {"sb3": TrainerConfig, "fleet": FleetConfig}

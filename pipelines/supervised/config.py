@@ -6,21 +6,38 @@ parameters of its estimators in `otr.learners`, under the same names.
 
 from dataclasses import asdict, dataclass, field, fields, replace
 from itertools import product
-from typing import Any
+from typing import Annotated, Any
 
-from pipelines.config import LARGEST_SEED
+from pipelines.config.setting import (
+    DERIVED,
+    EXECUTION,
+    AsBefore,
+    Count,
+    Folder,
+    FreeText,
+    NotNegative,
+    OneOf,
+    Positive,
+    Range,
+    Seed,
+    Share,
+    check_setting,
+    check_settings,
+    keyed_settings,
+)
 from pipelines.config.settings import digest, setting_differences
 from pipelines.datasets.catalogue import files_of
 from pipelines.errors import ConfigError
 
 STAGES = ("tune", "fit", "score")
+BelowOne = Annotated[float, Range(0, 1, open=True)]
 
 
 @dataclass(frozen=True)
 class DataConfig:
     """A data set, as `pipelines.datasets.load.load_dataset` names it."""
 
-    name: str
+    name: FreeText
 
 
 @dataclass(frozen=True)
@@ -36,104 +53,104 @@ class LearnerConfig:
         tuning_seeds: a combination's score is the mean over these, which are not the seeds that are reported.
     """
 
-    name: str
-    learner: str
+    name: FreeText
+    learner: FreeText
     grid: list[dict[str, list[Any]]] = field(default_factory=list)
-    tuned_for: str = "label"
-    tuning_seeds: list[int] = field(default_factory=lambda: [1000])
+    tuned_for: Annotated[str, OneOf("label", "data")] = "label"
+    tuning_seeds: list[Seed] = field(default_factory=lambda: [1000])
 
 
 @dataclass(frozen=True)
 class LinearConfig(LearnerConfig):
     """`LinearTreeClassifier` and `LinearTreeRegressor`, the trees of depth 0."""
 
-    C: float = 0.1
-    alpha: float = 1.0
+    C: Positive = 0.1
+    alpha: NotNegative = 1.0
 
 
 @dataclass(frozen=True)
 class CartConfig(LearnerConfig):
     """`CARTClassifier` and `CARTRegressor`."""
 
-    max_depth: int | None = None
-    min_samples_leaf: int = 1
+    max_depth: Count | None = None
+    min_samples_leaf: Count = 1
 
 
 @dataclass(frozen=True)
 class HhcartConfig(LearnerConfig):
     """`HHCARTClassifier` and `HHCARTRegressor`."""
 
-    max_depth: int | None = None
-    min_samples_leaf: int = 1
+    max_depth: Count | None = None
+    min_samples_leaf: Count = 1
 
 
 @dataclass(frozen=True)
 class TaoConfig(LearnerConfig):
     """`TAOClassifier`."""
 
-    max_depth: int | None = None
-    penalty: str = "l2"
-    surrogate: str = "squared_hinge"
-    C: float = 1.0
-    max_iter: int = 14
-    tol: float = 0.005
-    leaf_values: str = "shares"  # or labels
+    max_depth: Count | None = None
+    penalty: Annotated[str, OneOf("l1", "l2")] = "l2"
+    surrogate: Annotated[str, OneOf("squared_hinge", "logistic")] = "squared_hinge"
+    C: Positive = 1.0
+    max_iter: Annotated[int, Range(0)] = 14
+    tol: NotNegative = 0.005
+    leaf_values: Annotated[str, OneOf("shares", "labels"), AsBefore("shares")] = "shares"
 
 
 @dataclass(frozen=True)
-class AugtreeConfig(LearnerConfig):
+class FirstLayerTreeConfig(LearnerConfig):
     """`AugTreeClassifier` and `AugTreeRegressor` on the first layer of the network that `method=otr` would train."""
 
-    max_depth: int | None = None
-    min_samples_leaf: int = 1
+    max_depth: Count | None = None
+    min_samples_leaf: Count = 1
     include_inputs: bool = True
-    hidden: list[int] = field(default_factory=lambda: [8, 8])
+    hidden: list[Count] = field(default_factory=lambda: [8, 8])
 
 
 @dataclass(frozen=True)
 class ModelTreeConfig(LearnerConfig):
     """`LinearModelTreeRegressor`."""
 
-    max_depth: int = 5
+    max_depth: Count = 5
 
 
 @dataclass(frozen=True)
 class LcnConfig(LearnerConfig):
     """`LCNClassifier` and `LCNRegressor`."""
 
-    depth: int = 6
-    hidden: int = 0
-    drop_connect: float = 0.0
-    epochs: int = 30
-    batch_size: int = 64
-    learning_rate: float = 0.1
-    momentum: float = 0.9
-    decay_every: int = 10
+    depth: Count = 6
+    hidden: Annotated[int, Range(0)] = 0
+    drop_connect: BelowOne = 0.0
+    epochs: Count = 30
+    batch_size: Count = 64
+    learning_rate: Positive = 0.1
+    momentum: Share = 0.9
+    decay_every: Count = 10
 
 
 @dataclass(frozen=True)
 class OtrConfig(LearnerConfig):
     """`OTRClassifier` and `OTRRegressor`."""
 
-    hidden: list[int] = field(default_factory=lambda: [8, 8])
-    dense: str = "none"  # none, input, all
-    negative_slope: float = 0.0
+    hidden: list[Count] = field(default_factory=lambda: [8, 8])
+    dense: Annotated[str, OneOf("none", "input", "all")] = "none"
+    negative_slope: BelowOne = 0.0
     shared: bool = False
-    input_dropout: float = 0.0
-    hidden_dropout: float = 0.0
-    l1: float = 0.0
-    l2: float = 0.0
-    drop_below: float = 0.0
-    averaging: float = 0.0
+    input_dropout: BelowOne = 0.0
+    hidden_dropout: BelowOne = 0.0
+    l1: NotNegative = 0.0
+    l2: NotNegative = 0.0
+    drop_below: NotNegative = 0.0
+    averaging: BelowOne = 0.0
     common_epoch: bool = False
     teacher: dict[str, Any] | None = None  # settings of `otr.learners.distillation.Teacher`
-    keep: str = "best"  # best: the best epoch by validation score; last
-    epochs: int = 30
-    batch_size: int = 64
-    learning_rate: float = 0.1
-    momentum: float = 0.9
-    decay_every: int = 10
-    max_leaves: int = 1024  # a larger tree is held as activation patterns
+    keep: Annotated[str, OneOf("best", "last")] = "best"  # the best epoch by validation score
+    epochs: Count = 30
+    batch_size: Count = 64
+    learning_rate: Positive = 0.1
+    momentum: Share = 0.9
+    decay_every: Count = 10
+    max_leaves: Count = 1024  # a larger tree is held as activation patterns
 
 
 LEARNERS: dict[str, type[LearnerConfig]] = {
@@ -141,40 +158,39 @@ LEARNERS: dict[str, type[LearnerConfig]] = {
     "cart": CartConfig,
     "hhcart": HhcartConfig,
     "tao": TaoConfig,
-    "augtree": AugtreeConfig,
+    "augtree": FirstLayerTreeConfig,
     "model_tree": ModelTreeConfig,
     "lcn": LcnConfig,
     "otr": OtrConfig,
 }
-# Settings younger than committed results, with the value that means "as before": keyed only where they differ from it.
-YOUNGER_SETTINGS: dict[str, Any] = {"leaf_values": "shares"}
 TUNING = tuple(item.name for item in fields(LearnerConfig))
 
 
 @dataclass(frozen=True)
 class FitConfig:
-    """One fit. What is below `results_dir` changes how it is executed, never what comes out."""
+    """One fit.
+
+    Attributes:
+        stages: the stages to do; None for all.
+        keep_trees: whether the trees stay when the fit is scored.
+        side_by_side: whether other jobs share the terminal.
+        folder: of the fit below `results_dir`, which the command line works out from all other settings.
+    """
 
     data: DataConfig
     method: LearnerConfig
-    seed: int
-    results_dir: str
-    stages: list[str] | None = None
-    keep_trees: bool = True
-    n_workers: int | None = None
-    seeds_per_process: int = 10
-    side_by_side: bool = False  # other jobs share the terminal
-    debug: bool = False
-    # The fit's folder below results_dir, which the command line works out from all of the above.
-    folder: str = field(default="", metadata={"omegaconf_ignore": True})
+    seed: Seed
+    results_dir: Folder
+    stages: Annotated[list[FreeText] | None, EXECUTION] = None
+    keep_trees: Annotated[bool, EXECUTION] = True
+    n_workers: Annotated[Count | None, EXECUTION] = None
+    seeds_per_process: Annotated[Count, EXECUTION] = 10
+    side_by_side: Annotated[bool, EXECUTION] = False
+    debug: Annotated[bool, EXECUTION] = False
+    folder: Annotated[FreeText, DERIVED] = field(default="", metadata={"omegaconf_ignore": True})
 
     def __post_init__(self) -> None:
-        if not 0 <= self.seed <= LARGEST_SEED:
-            raise ConfigError(f"seed={self.seed} is not between 0 and {LARGEST_SEED}")
-        if self.seeds_per_process < 1:
-            raise ConfigError(f"seeds_per_process={self.seeds_per_process} is not at least 1")
-        if not self.results_dir:
-            raise ConfigError("results_dir is empty; give a folder, or leave it out (and OTR_RESULTS_DIR unset)")
+        check_settings(self)
         for stage in self.stages or ():
             if stage not in self.all_stages:
                 own = ", ".join(self.all_stages)
@@ -209,19 +225,20 @@ def learner_settings(method: LearnerConfig) -> dict[str, Any]:
 
 def tune_settings(config: FitConfig) -> dict[str, Any]:
     """Return what decides the choice of the settings: all but the seed."""
-    return {"data": _data_settings(config.data), "method": _keyed(config.method)}
+    return {key: value for key, value in settings(config).items() if key != "seed"}
 
 
 def fit_settings(config: FitConfig) -> dict[str, Any]:
     """Return what decides the trees; how they are tuned is in the input."""
-    return {"data": _data_settings(config.data), "seed": config.seed} | {
-        "method": {key: value for key, value in _keyed(config.method).items() if key == "learner" or key not in TUNING}
+    method = {
+        key: value for key, value in keyed_settings(config.method).items() if key == "learner" or key not in TUNING
     }
+    return settings(config) | {"method": method}
 
 
 def settings(config: FitConfig) -> dict[str, Any]:
     """Return all the settings that decide what comes out, as plain JSON-able data."""
-    return {"data": _data_settings(config.data), "method": _keyed(config.method), "seed": config.seed}
+    return keyed_settings(config) | {"data": _data_settings(config.data)}
 
 
 def fit_folder(config: FitConfig, baseline: FitConfig) -> str:
@@ -234,27 +251,20 @@ def fit_folder(config: FitConfig, baseline: FitConfig) -> str:
     return f"runs/{config.data.name}/{config.method.name}/seed-{config.seed}{suffix}"
 
 
-def _keyed(method: LearnerConfig) -> dict[str, Any]:
-    """Return a method's settings as they are keyed."""
-    return {key: value for key, value in asdict(method).items() if YOUNGER_SETTINGS.get(key, ...) != value}
-
-
 def _data_settings(data: DataConfig) -> dict[str, Any]:
     """Return the data set's name and the hashes of its files."""
     return {"name": data.name, "git_blobs": [file.git_blob for file in files_of(data.name)]}
 
 
 def _check_grid(method: LearnerConfig) -> None:
-    if method.tuned_for not in ("label", "data"):
-        raise ConfigError(f"method.tuned_for={method.tuned_for}: use label or data")
     known = learner_settings(method)
-    if known.get("keep", "best") not in ("best", "last"):
-        raise ConfigError(f"method.keep={known['keep']}: use best or last")
     for values in method.grid:
         for key, tried in values.items():
             if key not in known:
                 raise ConfigError(f"method.grid: {method.learner} has no setting {key!r}; it has {', '.join(known)}")
             if not isinstance(tried, list) or not tried:
                 raise ConfigError(f"method.grid: {key} needs a list of values to try, but is {tried!r}")
+            for value in tried:
+                check_setting(type(method), key, value, f"method.grid: {key}")
     if method.grid and not method.tuning_seeds:
         raise ConfigError("method.tuning_seeds is empty; give at least one seed, or no grid")

@@ -18,16 +18,6 @@ TRAIN_VERSION = 1
 HARDEN_VERSION = 1
 FLEET_VERSION = 1  # of the fleet trainer alone; part of its runs' settings
 
-# Environment steps per second on one core of a 2020s server, evaluations included, measured in training each.
-STEPS_PER_S = {
-    "sac": 145.0,
-    "td3": 240.0,
-    "ddpg": 300.0,
-    "ppo": 1_700.0,
-    "trpo": 1_700.0,
-    "ars": 10_000.0,
-    "dqn": 900.0,
-}
 FLEET_STEPS_PER_S = 400.0
 RANDOM_STEPS_PER_S = 5_000.0  # off-policy steps before learning starts
 
@@ -81,7 +71,7 @@ def estimated_seconds(config: RunConfig) -> float:
 
 def training_rate(config: RunConfig) -> float:
     """Return the likely environment steps per second on one core, of a run or of all runs of a fleet together."""
-    return FLEET_STEPS_PER_S if config.fleet else STEPS_PER_S[config.algo.name]
+    return FLEET_STEPS_PER_S if config.fleet else config.algo.steps_per_s
 
 
 def estimated_bytes(config: RunConfig) -> int:

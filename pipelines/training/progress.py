@@ -11,7 +11,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from pipelines.config import RunConfig
 from pipelines.engine.console import duration
-from pipelines.training.estimates import STEPS_PER_S, learning_starts
+from pipelines.training.estimates import learning_starts
 
 REFRESH_S = 0.25
 
@@ -28,7 +28,7 @@ class TrainingProgress:
         self._prefix = f"{config.env.name} depth {config.depth} seed {config.seed}: " if config.side_by_side else ""
         self._first_learning_step = max(done_steps, learning_starts(config))
         self._steps, self._seconds = 0, 0.0  # of whole segments that learn all the way
-        self._expected_rate = STEPS_PER_S[config.algo.name]
+        self._expected_rate = config.algo.steps_per_s
         self._bar = _bar() if sys.stdout.isatty() and not config.side_by_side else None
         self._task = self._bar.add_task("train", total=self.n_steps, completed=done_steps) if self._bar else None
         self.callback = _Refresh(self) if self._bar else None

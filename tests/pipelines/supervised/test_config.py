@@ -20,7 +20,8 @@ def test_grid_is_all_combinations_of_each_part(fit_of):
         ({"grid": [{"max_depth": []}]}, "needs a list of values"),
         ({"grid": [{"max_depth": 3}]}, "needs a list of values"),
         ({"grid": [{"max_depth": [3]}], "tuning_seeds": []}, "tuning_seeds is empty"),
-        ({"tuned_for": "seed"}, "use label or data"),
+        ({"grid": [{"max_depth": [3, 0]}]}, "method.grid: max_depth=0 is not at least 1"),
+        ({"tuned_for": "seed"}, "use one of label, data"),
     ],
 )
 def test_wrong_grids_are_refused(fit_of, settings, message):

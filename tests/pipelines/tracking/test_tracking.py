@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from pipelines.config.settings import EXECUTION_FIELDS, run_folder, settings
+from pipelines.config.settings import run_folder, settings
 from pipelines.engine.store import read_csv
 from pipelines.errors import ConfigError
 from pipelines.stages.run import RunJob, run_job
@@ -138,7 +138,6 @@ def test_tracking_is_no_part_of_a_run(tiny):
     tracked = tiny(tracking="mlflow", folder=FOLDER)
     assert settings(tracked) == settings(tiny())
     assert run_folder(tracked, tiny()) == FOLDER
-    assert {"tracking", "folder"} <= set(EXECUTION_FIELDS)
 
 
 def test_unknown_tracker_is_refused(tiny):

@@ -25,7 +25,7 @@ from pipelines.training.fleet.trainer import FleetTrainer, Task, uses_envpool
 from tests.pipelines.conftest import HOPPER, LANDER, PPO, SAC
 from tests.pipelines.sweeps import run_until_killed
 
-FLEET = FleetConfig("fleet", 1, "fp32", "gymnasium", "cpu", 5)
+FLEET = FleetConfig("fleet", 1, "fp32", "gymnasium", 5)
 WRAPPING_SAC = dataclasses.replace(SAC, buffer_size=150)  # wraps round within 300 steps
 RESULTS = ("actor.safetensors", "actor.json", "evaluations.csv")
 

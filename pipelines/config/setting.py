@@ -1,0 +1,175 @@
+"""What a setting may be and whether it decides what comes out: declared at the field, enforced and keyed from there.
+
+    gamma: Annotated[float, Range(0, 1)]
+    n_workers: Annotated[Count | None, EXECUTION] = None
+
+`check_settings` refuses values outside the declared range; `keyed_settings` gives the settings that decide what comes
+out, which are all that no marker leaves out.
+"""
+
+import dataclasses
+import functools
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated, Any, get_args, get_type_hints
+
+from pipelines.errors import ConfigError
+
+LARGEST_SEED = 2**32 - 1
+
+
+@dataclass(frozen=True)
+class Range:
+    """A number from `low` to `high`, or below it where `open`; of a list or a dict, every number in it."""
+
+    low: float = -math.inf
+    high: float = math.inf
+    open: bool = False
+
+    def problem(self, value: Any) -> str | None:
+        """Return what is wrong with a value, to stand after it; None where nothing is."""
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            return " is not a number"
+        if self.low <= value < self.high or (value == self.high and not self.open):
+            return None
+        low, high = _number(self.low), _number(self.high)
+        if self.open:
+            return f": give a number from {low} to below {high}"
+        return f" is not at least {low}" if self.high == math.inf else f" is not between {low} and {high}"
+
+
+class OneOf:
+    """One of these texts."""
+
+    def __init__(self, *options: str) -> None:
+        self.options = options
+
+    def problem(self, value: Any) -> str | None:
+        """Return what is wrong with a value, to stand after it; None where nothing is."""
+        return None if value in self.options else f": use one of {', '.join(self.options)}"
+
+
+@dataclass(frozen=True)
+class Text:
+    """A free text that `pattern` matches; `remedy` tells what to give where it does not."""
+
+    pattern: str = ".*"
+    remedy: str = ""
+
+    def problem(self, value: Any) -> str | None:
+        """Return what is wrong with a value, to stand after it; None where nothing is."""
+        if isinstance(value, str) and re.fullmatch(self.pattern, value, re.DOTALL):
+            return None
+        return f"{'' if value else ' is empty'}: {self.remedy}"
+
+
+@dataclass(frozen=True)
+class NotKeyed:
+    """A setting that does not decide what comes out, or that another one tells."""
+
+
+@dataclass(frozen=True)
+class AsBefore:
+    """A setting younger than committed results: keyed only where it differs from `value`, which means "as before"."""
+
+    value: Any
+
+
+@dataclass(frozen=True)
+class OnlyWhere:
+    """A setting that only some methods read: keyed where the method's attribute of this name is true."""
+
+    attribute: str
+
+
+EXECUTION = NotKeyed()  # how something is done, and where
+DERIVED = NotKeyed()  # worked out from settings that are keyed
+
+Count = Annotated[int, Range(1)]
+Seed = Annotated[int, Range(0, LARGEST_SEED)]
+Share = Annotated[float, Range(0, 1)]
+Positive = Annotated[float, Range(1e-12)]
+NotNegative = Annotated[float, Range(0)]
+FreeText = Annotated[str, Text()]
+Folder = Annotated[str, Text(".+", "give a folder, or leave it out (and OTR_RESULTS_DIR unset)"), EXECUTION]
+
+
+@functools.cache
+def declared(kind: type) -> dict[str, tuple[Any, ...]]:
+    """Return the markers of every field of a configuration's class, in order, those of its parts' types included."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {field.name: tuple(_markers(hints[field.name])) for field in dataclasses.fields(kind)}
+
+
+def check_settings(config: Any, prefix: str = "") -> None:
+    """Raise ConfigError if a setting is not in the range that its field declares, naming key, value and range.
+
+    Args:
+        config: a dataclass; dataclasses inside it are checked, too.
+        prefix: of the keys in the message.
+    """
+    for name in declared(config.__class__):
+        value = getattr(config, name)
+        if dataclasses.is_dataclass(value):
+            check_settings(value, f"{prefix}{name}.")
+        else:
+            check_setting(config.__class__, name, value, f"{prefix}{name}")
+
+
+def check_setting(kind: Any, name: str, value: Any, key: str) -> None:
+    """Raise ConfigError if the field `name` of `kind` cannot have this value; `key` is what the message calls it."""
+    for marker in declared(kind)[name]:
+        for leaf in _leaves(value) if hasattr(marker, "problem") else ():
+            problem = marker.problem(leaf)
+            if problem:
+                shown = f"{key}={value}" if value != "" else key
+                raise ConfigError(f"{shown}{problem}" if leaf is value else f"{shown}: {leaf}{problem}")
+
+
+def keyed_settings(config: Any, method: Any = None) -> dict[str, Any]:
+    """Return the settings that decide what comes out, as plain data.
+
+    Args:
+        config: a dataclass; dataclasses inside it become dicts.
+        method: the method, which `OnlyWhere` asks.
+    """
+    kept = {}
+    for name, markers in declared(config.__class__).items():
+        value = getattr(config, name)
+        if not any(_leaves_out(marker, value, method) for marker in markers):
+            kept[name] = keyed_settings(value, method) if dataclasses.is_dataclass(value) else value
+    return kept
+
+
+def _leaves_out(marker: Any, value: Any, method: Any) -> bool:
+    """Return whether a marker leaves a setting out of the keys."""
+    match marker:
+        case NotKeyed():
+            return True
+        case AsBefore(before):
+            return bool(value == before)
+        case OnlyWhere(attribute):
+            return not getattr(method, attribute)
+    return False
+
+
+def _markers(hint: Any) -> Iterator[Any]:
+    """Yield the markers in a type, at any depth: of `list[Count] | None`, those of Count."""
+    yield from getattr(hint, "__metadata__", ())
+    for part in (hint.__origin__,) if hasattr(hint, "__metadata__") else get_args(hint):
+        yield from _markers(part)
+
+
+def _leaves(value: Any) -> Iterator[Any]:
+    """Yield what is in a list or a dict, at any depth; of anything else itself, and of None nothing."""
+    if isinstance(value, list | tuple | dict):
+        for part in value.values() if isinstance(value, dict) else value:
+            yield from _leaves(part)
+    elif value is not None:
+        yield value
+
+
+def _number(value: float) -> str:
+    return str(int(value)) if math.isfinite(value) and value == int(value) else f"{value:g}"

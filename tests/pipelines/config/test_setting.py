@@ -1,0 +1,210 @@
+"""Every setting declares what it may be; what it declares is enforced, and decides what is keyed."""
+
+import dataclasses
+import math
+import types
+import typing
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
+
+import pytest
+
+from pipelines.config import ALGORITHMS, METHODS, TRAINERS, RunConfig
+from pipelines.config.setting import (
+    EXECUTION,
+    AsBefore,
+    Count,
+    FreeText,
+    NotKeyed,
+    OneOf,
+    OnlyWhere,
+    Range,
+    Text,
+    check_setting,
+    check_settings,
+    declared,
+    keyed_settings,
+)
+from pipelines.errors import ConfigError
+from pipelines.supervised.config import LEARNERS, DataConfig, FitConfig
+
+RUN_PARTS = {"algo": ALGORITHMS, "method": METHODS, "trainer": TRAINERS}
+OF_ANY_TYPE = {
+    ("RunConfig", "depth"),
+    ("EnvConfig", "kwargs"),
+    ("OtrConfig", "teacher"),
+}  # checked where they are read
+
+
+def plain_types(hint: Any) -> set[type]:
+    """Return the types of the values in a setting: of `list[int] | None`, int."""
+    if get_origin(hint) is Annotated:
+        return plain_types(get_args(hint)[0])
+    if get_origin(hint) is dict:
+        return plain_types(get_args(hint)[1])
+    if get_origin(hint) in (list, tuple, typing.Union, types.UnionType):
+        return {kind for part in get_args(hint) if part is not ... for kind in plain_types(part)}
+    return {hint}
+
+
+def example(kind: type) -> Any:
+    """Return an object whose fields without a default have a value that they may have."""
+    hints, values = get_type_hints(kind), {}
+    for field in dataclasses.fields(kind):
+        if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
+            values[field.name] = example_value(hints[field.name], declared(kind)[field.name])
+    return kind(**values)
+
+
+def example_value(hint: Any, markers: tuple[Any, ...]) -> Any:
+    if get_origin(hint) is list:
+        return [example_value(get_args(hint)[0], markers)]
+    if get_origin(hint) is dict:
+        return {"a": example_value(get_args(hint)[1], markers)}
+    if dataclasses.is_dataclass(hint):
+        return example(hint)
+    if hint is bool:
+        return False
+    ranges = [marker for marker in markers if isinstance(marker, Range)]
+    if ranges:
+        return next(value for value in (1, 0.5, 2, 0) if ranges[0].problem(value) is None)
+    options = [marker.options[0] for marker in markers if isinstance(marker, OneOf)]
+    return (*options, "auto")[0]
+
+
+def settings_of(root: type, parts: dict[str, dict[str, type]]) -> list[tuple[str | None, type, str]]:
+    """Return (part, class, field) of every setting of a configuration, whatever class a part has."""
+    hints, found = get_type_hints(root), []
+    for field in dataclasses.fields(root):
+        kinds = [*parts.get(field.name, {}).values(), hints[field.name]] if field.name != "oracle_run" else []
+        inner = [(field.name, kind, inside.name) for kind in dict.fromkeys(kinds) if dataclasses.is_dataclass(kind)
+                 for inside in dataclasses.fields(kind)]  # fmt: skip
+        found += inner or [(None, root, field.name)]
+    return found
+
+
+RUN_SETTINGS = settings_of(RunConfig, RUN_PARTS)
+FIT_SETTINGS = settings_of(FitConfig, {"method": LEARNERS})
+SETTINGS = [*RUN_SETTINGS, *FIT_SETTINGS]
+
+
+def name_of(setting: Any) -> str:
+    part, kind, field = setting
+    return f"{part + '-' if part else ''}{kind.__name__}-{field}"
+
+
+@pytest.mark.parametrize("setting", SETTINGS, ids=name_of)
+def test_numbers_declare_a_range_and_texts_their_options(setting):
+    _, kind, field = setting
+    held = plain_types(get_type_hints(kind)[field])
+    markers = declared(kind)[field]
+    if held & {int, float}:
+        assert sum(isinstance(marker, Range) for marker in markers) == 1
+    if str in held:
+        assert sum(isinstance(marker, OneOf | Text) for marker in markers) == 1
+    if Any in held:
+        assert (kind.__name__, field) in OF_ANY_TYPE or field == "grid"
+    assert held <= {int, float, str, bool, type(None), Any} or all(
+        dataclasses.is_dataclass(one) or one is type(None) for one in held
+    )
+
+
+def refused_values(kind: type, field: str) -> list[Any]:
+    """Return values just outside what a field declares, in a list or a dict where its type is one."""
+    values: list[Any] = []
+    for marker in declared(kind)[field]:
+        if isinstance(marker, Range):
+            values += [math.nan] if float in plain_types(get_type_hints(kind)[field]) else []
+            values += [marker.low - max(1e-9, abs(marker.low) / 2)] if marker.low > -math.inf else []
+            values += [marker.high if marker.open else marker.high * 1.5] if marker.high < math.inf else []
+        elif isinstance(marker, OneOf):
+            values.append("neither of them")
+        elif isinstance(marker, Text) and marker.pattern != ".*":
+            values.append("")
+    hint = get_type_hints(kind)[field]
+    if get_origin(hint) is list:
+        return [[value] for value in values]
+    return [{"a": value} for value in values] if get_origin(hint) is dict else values
+
+
+def cases(settings: list[Any]) -> list[Any]:
+    return [pytest.param(part, kind, field, value, id=f"{name_of((part, kind, field))}={value}")
+            for part, kind, field in settings for value in refused_values(kind, field)]  # fmt: skip
+
+
+@pytest.mark.parametrize(("part", "kind", "field", "value"), cases(RUN_SETTINGS))
+def test_runs_outside_a_declared_range_are_refused(tiny, part, kind, field, value):
+    key = f"{part}.{field}" if part else field
+    changes = {part: dataclasses.replace(example(kind), **{field: value})} if part else {field: value}
+    with pytest.raises(ConfigError, match=rf"^{key}\b"):
+        tiny(**changes)
+
+
+@pytest.mark.parametrize(("part", "kind", "field", "value"), cases(FIT_SETTINGS))
+def test_fits_outside_a_declared_range_are_refused(part, kind, field, value):
+    base = FitConfig(DataConfig("bace"), LEARNERS["cart"]("cart", "cart"), 0, "results")
+    key = f"{part}.{field}" if part else field
+    changes = {part: dataclasses.replace(example(kind), **{field: value})} if part else {field: value}
+    with pytest.raises(ConfigError, match=rf"^{key}\b"):
+        dataclasses.replace(base, **changes)
+
+
+@dataclasses.dataclass(frozen=True)
+class Inner:
+    share: Annotated[float, Range(0, 1, open=True)] = 0.5
+    young: Annotated[bool, AsBefore(False)] = False
+
+
+@dataclasses.dataclass(frozen=True)
+class Outer:
+    widths: list[Count] | None = None
+    table: dict[str, Count] = dataclasses.field(default_factory=dict)
+    kind: Annotated[str, OneOf("a", "b")] = "a"
+    folder: Annotated[str, Text(".+", "give one")] = "here"
+    n_workers: Annotated[Count | None, EXECUTION] = None
+    inner: Inner = dataclasses.field(default_factory=Inner)
+    special: Annotated[Inner, OnlyWhere("is_special")] = dataclasses.field(default_factory=Inner)
+    limited: Annotated[float, Range(-1, 1e6)] = 0.0
+    name: FreeText = ""
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"widths": [3, 0]}, "widths=[3, 0]: 0 is not at least 1"),
+        ({"table": {"x": 0}}, "table={'x': 0}: 0 is not at least 1"),
+        ({"kind": "c"}, "kind=c: use one of a, b"),
+        ({"folder": ""}, "folder is empty: give one"),
+        ({"n_workers": 0}, "n_workers=0 is not at least 1"),
+        ({"n_workers": "two"}, "n_workers=two is not a number"),
+        ({"inner": Inner(1.0)}, "inner.share=1.0: give a number from 0 to below 1"),
+        ({"special": Inner(math.nan)}, "special.share=nan: give a number from 0 to below 1"),
+        ({"limited": -1.5}, "limited=-1.5 is not between -1 and 1000000"),
+    ],
+)
+def test_messages_name_key_value_and_what_it_may_be(changes, message):
+    with pytest.raises(ConfigError) as raised:
+        check_settings(Outer(**changes))
+    assert str(raised.value) == message
+    check_settings(Outer(widths=[1], inner=Inner(0.0), limited=1e6))
+
+
+def test_a_value_from_elsewhere_is_checked_under_the_name_given():
+    with pytest.raises(ConfigError, match=r"^grid: kind=c: use one of a, b"):
+        check_setting(Outer, "kind", "c", "grid: kind")
+
+
+def test_execution_and_settings_that_are_as_before_are_not_keyed():
+    special, plain = types.SimpleNamespace(is_special=True), types.SimpleNamespace(is_special=False)
+    kept = keyed_settings(Outer(inner=Inner(0.1, young=True), n_workers=3), special)
+    assert kept == {
+        "widths": None, "table": {}, "kind": "a", "folder": "here", "inner": {"share": 0.1, "young": True},
+        "special": {"share": 0.5}, "limited": 0.0, "name": "",
+    }  # fmt: skip
+    del kept["special"]
+    assert keyed_settings(Outer(), plain) == kept | {"inner": {"share": 0.5}}
+
+
+def test_what_a_run_is_not_keyed_by():
+    names = {name for name, markers in declared(RunConfig).items() if any(isinstance(m, NotKeyed) for m in markers)}
+    execution = {"results_dir", "stages", "n_workers", "side_by_side", "debug", "certify", "simplify", "tracking"}
+    assert names == execution | {"program_text", "folder", "oracle_run"}

@@ -36,8 +36,9 @@ from torch import nn
 from torch.utils.data import DataLoader, TensorDataset
 
 from benchmarks.measure import Entry, alternate, repeats_for
-from otr.learners.networks.batched_mlp import MlpSettings, train_many
+from otr.learners.networks.batched_mlp import MlpSettings
 from otr.learners.networks.first_layer import SparseRows, new_rows
+from otr.learners.networks.labels_and_seeds import train_many
 from pipelines.datasets import load_dataset
 from pipelines.errors import MissingInputError
 
@@ -97,7 +98,9 @@ def measure(quick: bool) -> list[Entry]:
     seconds = []
     for problem in problems:
         began = time.process_time()
-        train_many(problem.X, problem.Y, range(N_SEEDS), X_valid=problem.X_valid, Y_valid=problem.Y_valid)
+        train_many(
+            problem.X, problem.Y, range(N_SEEDS), MlpSettings(), X_valid=problem.X_valid, Y_valid=problem.Y_valid
+        )
         ours = time.process_time() - began
         seconds.append(
             Seconds(ours, dense_floor(problem), sparse_floor(problem), peer_seconds(problem), loader_seconds(problem))

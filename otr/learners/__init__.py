@@ -19,8 +19,8 @@ _MODULES = {
     "LinearModelTreeRegressor": "model_tree",
     "LinearTreeClassifier": "linear",
     "LinearTreeRegressor": "linear",
-    "OTRClassifier": "otr_trees",
-    "OTRRegressor": "otr_trees",
+    "OTRClassifier": "otr",
+    "OTRRegressor": "otr",
     "TAOClassifier": "tao",
     "from_sklearn_tree": "cart",
 }

@@ -4,23 +4,34 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.neural_network import MLPClassifier, MLPRegressor
 from sklearn.tree import DecisionTreeClassifier, DecisionTreeRegressor
+from sklearn.utils._param_validation import StrOptions
 from sklearn.utils.validation import check_random_state
 
 from otr.core.arrays import FloatArray
 from otr.core.network import ReluNetwork
 from otr.importers import from_sklearn
+from otr.learners.base.parameters import AT_LEAST_1, Constraints, Widths, some_of
+from otr.learners.base.single_tree import GrownClassifier, GrownRegressor
 from otr.learners.cart import from_sklearn_tree
-from otr.learners.growing.estimators import GrownClassifier, GrownRegressor
 from otr.learners.model_tree import LinearModelTreeRegressor
 
 __all__ = ["AugTreeClassifier", "AugTreeRegressor"]
+
+
+_OF_BOTH: Constraints = {
+    "network": [ReluNetwork, None],
+    "hidden_layer_sizes": [Widths(), AT_LEAST_1],
+    "mlp_max_iter": [AT_LEAST_1],
+    "include_inputs": ["boolean"],
+    **some_of(DecisionTreeClassifier, "max_depth", "random_state"),
+}
 
 
 class AugTreeClassifier(GrownClassifier):
@@ -46,6 +57,11 @@ class AugTreeClassifier(GrownClassifier):
         classes_: (n_classes,) the classes, sorted.
         network_: the network whose first layer is read.
     """
+
+    _parameter_constraints: ClassVar[Constraints] = {
+        **_OF_BOTH,
+        **some_of(DecisionTreeClassifier, "min_samples_leaf", "max_leaf_nodes"),
+    }
 
     def __init__(
         self,
@@ -109,6 +125,12 @@ class AugTreeRegressor(GrownRegressor):
         network_: the network whose first layer is read.
     """
 
+    _parameter_constraints: ClassVar[Constraints] = {
+        **_OF_BOTH,
+        "leaves": [StrOptions({"constant", "linear"})],
+        "min_samples_leaf": [*DecisionTreeRegressor._parameter_constraints["min_samples_leaf"], None],
+    }
+
     def __init__(
         self,
         *,
@@ -134,10 +156,8 @@ class AugTreeRegressor(GrownRegressor):
         """Fit on X (n, d) and targets y, (n,) or (n, o).
 
         Raises:
-            ValueError: the network reads another number of inputs or has no hidden layer, or `leaves` is unknown.
+            ValueError: the network reads another number of inputs or has no hidden layer.
         """
-        if self.leaves not in ("constant", "linear"):
-            raise ValueError(f"leaves is {self.leaves!r}, expected 'constant' or 'linear'")
         X, targets = self._checked_fit(X, y)
         random_state = check_random_state(self.random_state)
         self.network_ = self.network

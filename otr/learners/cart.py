@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.tree import BaseDecisionTree, DecisionTreeClassifier, DecisionTreeRegressor
-from sklearn.utils.validation import check_is_fitted, validate_data
+from sklearn.utils.validation import check_is_fitted
 
 from otr.core.tree import ObliqueTree
-from otr.learners.growing.estimators import GrownClassifier, GrownRegressor, class_tree, constant_tree
+from otr.learners.base.parameters import Constraints, some_of
+from otr.learners.base.single_tree import GrownClassifier, GrownRegressor, class_tree, constant_tree
 
 __all__ = ["CARTClassifier", "CARTRegressor", "from_sklearn_tree"]
 
@@ -59,7 +60,30 @@ def from_sklearn_tree(model: BaseDecisionTree) -> ObliqueTree:
     return class_tree(tree, values) if is_classifier else tree
 
 
-class CARTClassifier(GrownClassifier):
+class _Cart:
+    """The parameters of both."""
+
+    _parameter_constraints: ClassVar[Constraints] = some_of(
+        DecisionTreeClassifier, "max_depth", "min_samples_leaf", "max_leaf_nodes", "ccp_alpha", "random_state"
+    )
+
+    def __init__(
+        self,
+        *,
+        max_depth: int | None = None,
+        min_samples_leaf: int = 1,
+        max_leaf_nodes: int | None = None,
+        ccp_alpha: float = 0.0,
+        random_state: Any = None,
+    ) -> None:
+        self.max_depth = max_depth
+        self.min_samples_leaf = min_samples_leaf
+        self.max_leaf_nodes = max_leaf_nodes
+        self.ccp_alpha = ccp_alpha
+        self.random_state = random_state
+
+
+class CARTClassifier(_Cart, GrownClassifier):
     """CART classifier (Breiman et al. 1984) by scikit-learn, Gini impurity.
 
     Cost: O(d n log n) for each level of the tree.
@@ -73,31 +97,14 @@ class CARTClassifier(GrownClassifier):
         classes_: (n_classes,) the classes, sorted.
     """
 
-    def __init__(
-        self,
-        *,
-        max_depth: int | None = None,
-        min_samples_leaf: int = 1,
-        max_leaf_nodes: int | None = None,
-        ccp_alpha: float = 0.0,
-        random_state: Any = None,
-    ) -> None:
-        self.max_depth = max_depth
-        self.min_samples_leaf = min_samples_leaf
-        self.max_leaf_nodes = max_leaf_nodes
-        self.ccp_alpha = ccp_alpha
-        self.random_state = random_state
-
     def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> CARTClassifier:
         """Fit on X (n, d) and classes y (n,); `sample_weight` (n,) counts a row as that many."""
-        X, y = validate_data(self, X, y)
-        model = DecisionTreeClassifier(**self.get_params()).fit(X, y, sample_weight)
-        self.classes_ = model.classes_
-        self.tree_ = from_sklearn_tree(model)
+        X, labels = self._checked_fit(X, y)
+        self.tree_ = from_sklearn_tree(DecisionTreeClassifier(**self.get_params()).fit(X, labels, sample_weight))
         return self
 
 
-class CARTRegressor(GrownRegressor):
+class CARTRegressor(_Cart, GrownRegressor):
     """CART regressor (Breiman et al. 1984) by scikit-learn, squared error, one or several targets.
 
     Cost: O(d n log n) for each level of the tree.
@@ -109,21 +116,6 @@ class CARTRegressor(GrownRegressor):
     Attributes:
         tree_: the `otr.ObliqueTree`.
     """
-
-    def __init__(
-        self,
-        *,
-        max_depth: int | None = None,
-        min_samples_leaf: int = 1,
-        max_leaf_nodes: int | None = None,
-        ccp_alpha: float = 0.0,
-        random_state: Any = None,
-    ) -> None:
-        self.max_depth = max_depth
-        self.min_samples_leaf = min_samples_leaf
-        self.max_leaf_nodes = max_leaf_nodes
-        self.ccp_alpha = ccp_alpha
-        self.random_state = random_state
 
     def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> CARTRegressor:
         """Fit on X (n, d) and targets y, (n,) or (n, o); `sample_weight` (n,) counts a row as that many."""

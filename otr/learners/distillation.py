@@ -13,15 +13,17 @@ were tried on the molecules: the students validate worse on SIDER, by .03 to .04
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_matrix
 from sklearn.ensemble import ExtraTreesRegressor, RandomForestRegressor
 from sklearn.linear_model import LogisticRegression
+from sklearn.utils._param_validation import StrOptions
 
 from otr.core.arrays import FloatArray
+from otr.learners.base.parameters import AT_LEAST_0, POSITIVE, SHARE, Constraints, Settings, some_of
 
 __all__ = ["Teacher", "distillation_set"]
 
@@ -30,7 +32,7 @@ _FORESTS = {"extra_trees": ExtraTreesRegressor, "random_forest": RandomForestReg
 
 
 @dataclass(frozen=True)
-class Teacher:
+class Teacher(Settings):
     """A forest and what it is asked.
 
     Attributes:
@@ -50,6 +52,17 @@ class Teacher:
         weight_of_labels: the target is this times the row's own label plus the rest times the teacher's probability.
     """
 
+    _parameter_constraints: ClassVar[Constraints] = {
+        "forest": [StrOptions(set(_FORESTS))],
+        "joint": ["boolean"],
+        **some_of(RandomForestRegressor, "n_estimators", "min_samples_leaf", "max_features", "max_samples"),
+        "n_copies": [AT_LEAST_0],
+        "alteration": [SHARE],
+        "weight_of_linear": [SHARE],
+        "C": [POSITIVE],
+        "weight_of_labels": [SHARE],
+    }
+
     forest: Literal["extra_trees", "random_forest"] = "extra_trees"
     joint: bool = False
     n_estimators: int = 300
@@ -61,17 +74,6 @@ class Teacher:
     weight_of_linear: float = 0.0
     C: float = 0.1
     weight_of_labels: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Check what can be checked without data."""
-        if self.forest not in _FORESTS:
-            raise ValueError(f"forest is {self.forest!r}, expected {' or '.join(map(repr, _FORESTS))}")
-        for name, least in (("n_estimators", 1), ("n_copies", 0)):
-            if getattr(self, name) < least:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected at least {least}")
-        for name in ("alteration", "weight_of_linear", "weight_of_labels"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected 0 to 1")
 
     def new_forest(self, seed: int, n_jobs: int | None) -> Any:
         """Return a forest that is not fitted: squared error on labels 0 and 1 is half the Gini impurity."""
@@ -105,7 +107,7 @@ def distillation_set(
 
     Returns:
         Rows ((1 + n_copies) n, d) of X's dtype, of which the first n are X; and targets ((1 + n_copies) n, L) in
-        [0, 1], for `otr.learners.networks.batched_mlp.train_many` with the logistic loss.
+        [0, 1], for `otr.learners.networks.labels_and_seeds.train_many` with the logistic loss.
 
     Raises:
         ValueError: shapes do not agree, Y holds something else, or a label has no rows.

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
+from numbers import Integral
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from sklearn.utils._param_validation import Interval
 from sklearn.utils.validation import check_random_state
 
 from otr.core.arrays import BoolArray, FloatArray, IntArray
 from otr.core.tree import ObliqueTree
+from otr.learners.base.parameters import AT_LEAST_0, AT_LEAST_1, Constraints
+from otr.learners.base.single_tree import GrownClassifier, GrownRegressor, class_tree, constant_tree
 from otr.learners.growing.eigenvector import dominant_direction
-from otr.learners.growing.estimators import GrownClassifier, GrownRegressor, class_tree, constant_tree
 from otr.learners.growing.greedy import Skeleton, Test, grow
 from otr.learners.growing.splits import TIE, AxisSplit, best_bit_split, best_split
 
@@ -97,7 +100,34 @@ def _tree(skeleton: Skeleton, Y: FloatArray) -> ObliqueTree:
     )
 
 
-class HHCARTClassifier(GrownClassifier):
+class _Hhcart:
+    """The parameters of both."""
+
+    _parameter_constraints: ClassVar[Constraints] = {
+        "max_depth": [AT_LEAST_0, None],
+        "min_samples_split": [Interval(Integral, 2, None, closed="left")],
+        "min_samples_leaf": [AT_LEAST_1],
+        "random_state": ["random_state"],
+        "n_jobs": [Integral, None],
+    }
+
+    def __init__(
+        self,
+        *,
+        max_depth: int | None = None,
+        min_samples_split: int = 2,
+        min_samples_leaf: int = 1,
+        random_state: Any = None,
+        n_jobs: int | None = None,
+    ) -> None:
+        self.max_depth = max_depth
+        self.min_samples_split = min_samples_split
+        self.min_samples_leaf = min_samples_leaf
+        self.random_state = random_state
+        self.n_jobs = n_jobs
+
+
+class HHCARTClassifier(_Hhcart, GrownClassifier):
     """HHCART(D) (Wickramarachchi, Robertson, Reale, Price & Brown 2016), one reflection for each class.
 
     At every node, the dominant eigenvector q of each class's covariance is taken to the first axis by the Householder
@@ -127,21 +157,6 @@ class HHCARTClassifier(GrownClassifier):
         classes_: (n_classes,) the classes, sorted.
     """
 
-    def __init__(
-        self,
-        *,
-        max_depth: int | None = None,
-        min_samples_split: int = 2,
-        min_samples_leaf: int = 1,
-        random_state: Any = None,
-        n_jobs: int | None = None,
-    ) -> None:
-        self.max_depth = max_depth
-        self.min_samples_split = min_samples_split
-        self.min_samples_leaf = min_samples_leaf
-        self.random_state = random_state
-        self.n_jobs = n_jobs
-
     def fit(self, X: ArrayLike, y: ArrayLike) -> HHCARTClassifier:
         """Fit on X (n, d) and classes y (n,)."""
         X, labels = self._checked_fit(X, y)
@@ -154,7 +169,7 @@ class HHCARTClassifier(GrownClassifier):
         return self
 
 
-class HHCARTRegressor(GrownRegressor):
+class HHCARTRegressor(_Hhcart, GrownRegressor):
     """HHCART for regression: as `HHCARTClassifier`, with squared error, and one reflection a node.
 
     The 2016 paper is about classes. As in the code that LCN's authors compared with, a regression node has one
@@ -169,21 +184,6 @@ class HHCARTRegressor(GrownRegressor):
     Attributes:
         tree_: the `otr.ObliqueTree`.
     """
-
-    def __init__(
-        self,
-        *,
-        max_depth: int | None = None,
-        min_samples_split: int = 2,
-        min_samples_leaf: int = 1,
-        random_state: Any = None,
-        n_jobs: int | None = None,
-    ) -> None:
-        self.max_depth = max_depth
-        self.min_samples_split = min_samples_split
-        self.min_samples_leaf = min_samples_leaf
-        self.random_state = random_state
-        self.n_jobs = n_jobs
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> HHCARTRegressor:
         """Fit on X (n, d) and targets y, (n,) or (n, o)."""

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
-from otr.learners.networks.batched_lcn import LcnSettings, TrainedLcns, train_many_lcns
+from otr.core.tree import ObliqueTree
+from otr.learners.base.parameters import AT_LEAST_1, SEED, STANDARDIZE, Constraints, parameters_of, some_of
+from otr.learners.base.problem import Problem
+from otr.learners.base.tree_per_label import NetworkLearner, TreeClassifier, TreeRegressor
+from otr.learners.networks.batched_lcn import LcnSettings
 from otr.learners.networks.batched_training import Schedule
-from otr.learners.networks.estimators import NetworkLearner, Problem, TreeClassifier, TreeRegressor
+from otr.learners.networks.labels_and_seeds import TrainedNetworks, train_many
 from otr.learners.networks.lcn_network import LcnNetwork
 
 __all__ = ["LCNClassifier", "LCNRegressor"]
@@ -17,6 +21,14 @@ __all__ = ["LCNClassifier", "LCNRegressor"]
 
 class _LCNLearner(NetworkLearner):
     networks_: list[LcnNetwork]
+
+    _parameter_constraints: ClassVar[Constraints] = {
+        **some_of(LcnSettings, "depth", "hidden", "drop_connect"),
+        **some_of(Schedule, "epochs", "batch_size", "learning_rate", "momentum", "decay_every"),
+        "standardize": STANDARDIZE,
+        "max_leaves": [AT_LEAST_1],
+        "random_state": SEED,
+    }
 
     def __init__(
         self,
@@ -45,41 +57,30 @@ class _LCNLearner(NetworkLearner):
         self.max_leaves = max_leaves
         self.random_state = random_state
 
-    def _train(self, problem: Problem, seeds: Sequence[int]) -> TrainedLcns:
-        if self.depth < 1 or 2**self.depth > self.max_leaves:
+    def _train(self, problem: Problem, seeds: Sequence[int]) -> TrainedNetworks[LcnNetwork]:
+        if 2**self.depth > self.max_leaves:
             raise ValueError(
                 f"depth is {self.depth}, a tree of 2**{self.depth} leaves; the limit max_leaves is {self.max_leaves}"
             )
         settings = LcnSettings(
-            depth=self.depth,
-            hidden=self.hidden,
+            **parameters_of(self, LcnSettings),
             loss=problem.loss,
             n_classes=problem.n_classes,
-            drop_connect=self.drop_connect,
-            schedule=Schedule(
-                epochs=self.epochs,
-                batch_size=self.batch_size,
-                learning_rate=self.learning_rate,
-                momentum=self.momentum,
-                decay_every=self.decay_every,
-            ),
+            schedule=Schedule(**parameters_of(self, Schedule)),
         )
-        return train_many_lcns(problem.X, problem.Y, seeds, settings, X_valid=problem.X_valid, Y_valid=problem.Y_valid)
+        return train_many(problem.X, problem.Y, seeds, settings, X_valid=problem.X_valid, Y_valid=problem.Y_valid)
 
-    def _take(self, trained: TrainedLcns, position: int, problem: Problem) -> None:
-        self.networks_ = [
-            of_label[position].with_input_scaling(problem.mean, problem.scale).with_output_scaling(mean, scale)
-            for of_label, mean, scale in zip(trained.networks, problem.y_mean, problem.y_scale, strict=True)
-        ]
-        self.best_epochs_ = trained.epochs[:, position]
-        self.validation_scores_ = trained.scores[:, position]
-        self.trees_ = [network.to_tree(max_leaves=self.max_leaves) for network in self.networks_]
+    def _unscaled(self, network: LcnNetwork, problem: Problem, y_mean: float, y_scale: float) -> LcnNetwork:
+        return network.with_input_scaling(problem.mean, problem.scale).with_output_scaling(y_mean, y_scale)
+
+    def _tree_of(self, network: LcnNetwork) -> ObliqueTree:
+        return network.to_tree(max_leaves=self.max_leaves)
 
 
 _PARAMETERS = """
 
-    `tree_` has 2**depth leaves, each a constant, and computes what `network_` computes. To train many labels and seeds
-    together, use `otr.learners.networks.batched_lcn.train_many_lcns`.
+    `tree_` has 2**depth leaves, each a constant, and computes what `network_` computes. `fit_seeds` trains many seeds
+    together.
 
     Args:
         depth: neurons, one a layer.
@@ -89,7 +90,7 @@ _PARAMETERS = """
         standardize: train on inputs shifted and scaled to mean 0 and deviation 1, which is folded into the network;
             "auto": unless all are 0 and 1.
         max_leaves: refuse to train for a larger tree.
-        random_state: an integer is the seed as in `train_many_lcns`.
+        random_state: an integer is the seed as in `train_many`.
 
     Attributes:
         networks_, network_: the trained networks, or the one.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from sklearn.linear_model import LogisticRegression, Ridge
@@ -11,7 +11,9 @@ from sklearn.linear_model import LogisticRegression, Ridge
 from otr.core.arrays import FloatArray
 from otr.core.head import Argmax, Head, Identity, Sign
 from otr.core.tree import ObliqueTree
-from otr.learners.networks.estimators import Problem, TreeClassifier, TreeLearner, TreeRegressor
+from otr.learners.base.parameters import AT_LEAST_1, NOT_NEGATIVE, POSITIVE, STANDARDIZE, Constraints
+from otr.learners.base.problem import Problem
+from otr.learners.base.tree_per_label import TreeClassifier, TreeLearner, TreeRegressor
 
 __all__ = ["LinearTreeClassifier", "LinearTreeRegressor", "linear_tree"]
 
@@ -54,6 +56,12 @@ class LinearTreeClassifier(TreeClassifier, _LinearLearner):
         n_iter_: iterations of the solver, the most of all labels.
     """
 
+    _parameter_constraints: ClassVar[Constraints] = {
+        "C": [POSITIVE],
+        "max_iter": [AT_LEAST_1],
+        "standardize": STANDARDIZE,
+    }
+
     def __init__(self, C: float = 0.1, *, max_iter: int = 1000, standardize: bool | Literal["auto"] = "auto") -> None:
         self.C = C
         self.max_iter = max_iter
@@ -83,6 +91,8 @@ class LinearTreeRegressor(TreeRegressor, _LinearLearner):
     Attributes:
         trees_, tree_: the trees, one a target, or the one.
     """
+
+    _parameter_constraints: ClassVar[Constraints] = {"alpha": [NOT_NEGATIVE], "standardize": STANDARDIZE}
 
     def __init__(self, alpha: float = 1.0, *, standardize: bool | Literal["auto"] = "auto") -> None:
         self.alpha = alpha

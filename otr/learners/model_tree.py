@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from numbers import Integral
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from sklearn.utils._param_validation import Interval
 from sklearn.utils.validation import check_random_state
 
 from otr.core.arrays import FloatArray, IntArray
 from otr.core.tree import ObliqueTree
-from otr.learners.growing.estimators import GrownRegressor
+from otr.learners.base.parameters import AT_LEAST_0, AT_LEAST_1, NOT_NEGATIVE, Constraints
+from otr.learners.base.single_tree import GrownRegressor
 from otr.learners.growing.greedy import Skeleton, Test, grow
 
 __all__ = ["GrownModels", "LinearModelTreeRegressor", "grow_models", "ridge_objectives"]
@@ -51,6 +54,15 @@ class LinearModelTreeRegressor(GrownRegressor):
         tree_: the `otr.ObliqueTree`, with affine leaves.
     """
 
+    _parameter_constraints: ClassVar[Constraints] = {
+        "max_depth": [AT_LEAST_0, None],
+        "min_samples_leaf": [AT_LEAST_1],
+        "alpha": [NOT_NEGATIVE],
+        "max_bins": [Interval(Integral, 4, None, closed="left")],
+        "max_features": [AT_LEAST_1, None],
+        "random_state": ["random_state"],
+    }
+
     def __init__(
         self,
         *,
@@ -69,16 +81,7 @@ class LinearModelTreeRegressor(GrownRegressor):
         self.random_state = random_state
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> LinearModelTreeRegressor:
-        """Fit on X (n, d) and targets y, (n,) or (n, o).
-
-        Raises:
-            ValueError: alpha < 0, max_bins < 4 or min_samples_leaf < 1.
-        """
-        if self.alpha < 0 or self.max_bins < 4 or self.min_samples_leaf < 1:
-            raise ValueError(
-                f"alpha={self.alpha}, max_bins={self.max_bins}, min_samples_leaf={self.min_samples_leaf}; "
-                "expected at least 0, 4 and 1"
-            )
+        """Fit on X (n, d) and targets y, (n,) or (n, o)."""
         X, targets = self._checked_fit(X, y)
         X = X.astype(np.float64, copy=False)
         random_state = check_random_state(self.random_state)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any, Literal
+from numbers import Real
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,13 +13,15 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LogisticRegression
 from sklearn.svm import LinearSVC
 from sklearn.tree import DecisionTreeClassifier
+from sklearn.utils._param_validation import Interval, StrOptions
 from sklearn.utils.validation import check_random_state
 
 from otr.core.arrays import BoolArray, FloatArray, IntArray
 from otr.core.pruning import prune_unreached
 from otr.core.tree import ObliqueTree
+from otr.learners.base.parameters import AT_LEAST_0, AT_LEAST_1, POSITIVE, Constraints
+from otr.learners.base.single_tree import GrownClassifier, class_tree, constant_tree
 from otr.learners.cart import from_sklearn_tree
-from otr.learners.growing.estimators import GrownClassifier, class_tree, constant_tree
 from otr.learners.growing.greedy import Test, grow
 
 __all__ = ["TAOClassifier"]
@@ -69,6 +72,19 @@ class TAOClassifier(GrownClassifier):
         n_iter_: number of passes.
     """
 
+    _parameter_constraints: ClassVar[Constraints] = {
+        "max_depth": [AT_LEAST_1, None],
+        "init": [StrOptions({"cart", "random"})],
+        "penalty": [StrOptions({"l1", "l2"})],
+        "surrogate": [StrOptions({"squared_hinge", "logistic"})],
+        "C": [POSITIVE],
+        "max_iter": [AT_LEAST_0],
+        "tol": [Interval(Real, None, None, closed="neither")],
+        "leaf_values": [StrOptions({"shares", "labels"})],
+        "solver_max_iter": [AT_LEAST_1],
+        "random_state": ["random_state"],
+    }
+
     def __init__(
         self,
         *,
@@ -95,16 +111,7 @@ class TAOClassifier(GrownClassifier):
         self.random_state = random_state
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> TAOClassifier:
-        """Fit on X (n, d) and classes y (n,).
-
-        Raises:
-            ValueError: `init`, `penalty`, `surrogate` or `leaf_values` is none of its values.
-        """
-        allowed = {"init": ("cart", "random"), "penalty": ("l1", "l2"), "surrogate": ("squared_hinge", "logistic"),
-                   "leaf_values": ("shares", "labels")}  # fmt: skip
-        for name, values in allowed.items():
-            if getattr(self, name) not in values:
-                raise ValueError(f"{name} is {getattr(self, name)!r}, expected {values[0]!r} or {values[1]!r}")
+        """Fit on X (n, d) and classes y (n,)."""
         X, labels = self._checked_fit(X, y)
         random_state = check_random_state(self.random_state)
         start = self._initial_tree(X, labels, random_state)

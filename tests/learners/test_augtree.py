@@ -54,5 +54,3 @@ def test_errors():
         AugTreeClassifier(network=linear).fit(X, y)
     with pytest.raises(ValueError, match="reads 2 inputs and has 2 hidden neurons; expected 3 inputs"):
         AugTreeRegressor(network=xor_oracle()).fit(np.zeros((50, 3)), y)
-    with pytest.raises(ValueError, match="leaves is 'x'"):
-        AugTreeRegressor(leaves="x").fit(X, y)

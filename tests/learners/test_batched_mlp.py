@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from otr.learners.networks.batched_mlp import MlpSettings, MlpStack, train_many
-from otr.learners.networks.batched_training import DivergedError, Schedule, SeedStreams
+from otr.learners.networks.batched_mlp import BatchedMlps, MlpSettings
+from otr.learners.networks.batched_models import SeedStreams
+from otr.learners.networks.batched_training import DivergedError, Schedule
 from otr.learners.networks.first_layer import new_rows
+from otr.learners.networks.labels_and_seeds import train_many
 from otr.learners.networks.validation_scores import areas_under_curve
 
 QUICK = Schedule(epochs=4)
@@ -28,21 +30,21 @@ def test_gradients_equal_autograds(dense, loss, hidden, sparse):
     n_labels, n_rows = 3, 8
     settings = MlpSettings(hidden=hidden, dense=dense, loss=loss, n_classes=3, negative_slope=0.1)
     streams = [SeedStreams.of(seed) for seed in range(2)]
-    stack = MlpStack(30, n_labels, settings, streams)
+    models = BatchedMlps(30, n_labels, settings, streams)
     chosen = np.stack([rng.permutation(20)[:n_rows] for _ in streams])
     targets = torch.tensor(rng.integers(0, 2, size=(2, n_labels, n_rows)), dtype=torch.float32)
     weights = torch.rand(2, n_labels, n_rows)
     weights[0, 1, :3] = 0.0
-    values = [parameter.values for parameter in stack.parameters]
+    values = [parameter.values for parameter in models.parameters]
     with torch.no_grad():
-        stack.step_gradients(new_rows(X), chosen, targets, weights)
-    gradients = [parameter.gradient.clone() for parameter in stack.parameters]
+        models.step_gradients(new_rows(X), chosen, targets, weights)
+    gradients = [parameter.gradient.clone() for parameter in models.parameters]
     values = [value.clone().requires_grad_() for value in values]
     total = torch.zeros(())
     for seed in range(2):
         tables = values[0].view(2, 30, -1)
         x = torch.tensor(X[chosen[seed]], dtype=torch.float32)
-        y = stack._forward(values, torch.stack([x @ table for table in tables]), None)[-1][seed]
+        y = models._forward(values, torch.stack([x @ table for table in tables]), None)[-1][seed]
         t = targets[seed]
         if loss == "softmax":
             losses = torch.nn.functional.cross_entropy(y.flatten(0, 1), t.long().flatten(), reduction="none").view(
@@ -59,20 +61,20 @@ def test_gradients_equal_autograds(dense, loss, hidden, sparse):
 
 @pytest.mark.parametrize(("input_dropout", "hidden_dropout"), [(0.5, 0.0), (0.0, 0.5), (0.25, 0.25)])
 def test_gradients_equal_autograds_with_dropout(fingerprints, input_dropout, hidden_dropout):
-    """Against the stack's own forward pass, which is checked without dropout above."""
+    """Against the models's own forward pass, which is checked without dropout above."""
     X, _ = fingerprints
     settings = MlpSettings(dense="input", input_dropout=input_dropout, hidden_dropout=hidden_dropout)
-    stack, other = (MlpStack(120, 2, settings, [SeedStreams.of(seed) for seed in (0, 1)]) for _ in range(2))
+    models, other = (BatchedMlps(120, 2, settings, [SeedStreams.of(seed) for seed in (0, 1)]) for _ in range(2))
     chosen = np.stack([np.arange(64), np.arange(100, 164)])
     targets, weights = torch.ones(2, 2, 64), torch.full((2, 2, 64), 1 / 64)
     with torch.no_grad():
-        stack.step_gradients(new_rows(X), chosen, targets, weights)
+        models.step_gradients(new_rows(X), chosen, targets, weights)
     values = [parameter.values.clone().requires_grad_() for parameter in other.parameters]
     batch = new_rows(X).batch(chosen, input_dropout, [stream.dropout for stream in other._streams])
     products = batch.times(values[0]) / (1 - input_dropout)
     y = other._forward(values, products, other._hidden_masks(64))[-1][..., 0]
     total = (weights * torch.nn.functional.binary_cross_entropy_with_logits(y, targets, reduction="none")).sum()
-    for parameter, expected in zip(stack.parameters, torch.autograd.grad(total, values), strict=True):
+    for parameter, expected in zip(models.parameters, torch.autograd.grad(total, values), strict=True):
         torch.testing.assert_close(parameter.gradient, expected, rtol=1e-4, atol=1e-6)
 
 
@@ -80,12 +82,12 @@ def test_gradients_equal_autograds_with_dropout(fingerprints, input_dropout, hid
 def test_network_computes_what_the_stack_does(fingerprints, dense):
     X, _ = fingerprints
     streams = [SeedStreams.of(seed) for seed in range(2)]
-    stack = MlpStack(X.shape[1], 3, MlpSettings(dense=dense, negative_slope=0.01), streams)
-    values = [parameter.values for parameter in stack.parameters]
-    outputs = stack.outputs(new_rows(X), values).double().numpy()
+    models = BatchedMlps(X.shape[1], 3, MlpSettings(dense=dense, negative_slope=0.01), streams)
+    values = [parameter.values for parameter in models.parameters]
+    outputs = models.outputs(new_rows(X), values).double().numpy()
     for seed in range(2):
         for label in range(3):
-            network = stack.network(values, seed, label)
+            network = models.network(values, seed, label)
             np.testing.assert_allclose(network.forward(X), outputs[seed, label], atol=1e-6)
 
 
@@ -96,8 +98,8 @@ def test_plain_torch_training_ends_in_the_same_network(fingerprints):
     schedule = Schedule(epochs=3, decay_every=2, l2=1e-3)
     network = train_many(X, y, [7], MlpSettings(schedule=schedule)).networks[0][0]
     streams = SeedStreams.of(7)
-    stack = MlpStack(X.shape[1], 1, MlpSettings(), [streams])
-    start = stack.network([parameter.values for parameter in stack.parameters], 0, 0)
+    models = BatchedMlps(X.shape[1], 1, MlpSettings(), [streams])
+    start = models.network([parameter.values for parameter in models.parameters], 0, 0)
     module = torch.nn.Sequential(
         torch.nn.Linear(120, 8), torch.nn.ReLU(), torch.nn.Linear(8, 8), torch.nn.ReLU(), torch.nn.Linear(8, 1)
     ).double()
@@ -181,16 +183,16 @@ def test_shared_layers_are_a_network_with_an_output_for_each_label(fingerprints,
     """Against torch's autograd, with missing labels, and network by network."""
     X, Y = fingerprints
     settings = MlpSettings(hidden=(5, 4), dense=dense, shared=True)
-    stack = MlpStack(120, 3, settings, [SeedStreams.of(0), SeedStreams.of(1)])
+    models = BatchedMlps(120, 3, settings, [SeedStreams.of(0), SeedStreams.of(1)])
     rows, chosen = new_rows(X), np.stack([np.arange(64), np.arange(100, 164)])
     targets = torch.tensor(np.nan_to_num(Y[chosen]), dtype=torch.float32).transpose(1, 2)
     weights = torch.tensor(~np.isnan(Y[chosen]), dtype=torch.float32).transpose(1, 2) / 60
-    values = [parameter.values.clone().requires_grad_() for parameter in stack.parameters]
+    values = [parameter.values.clone().requires_grad_() for parameter in models.parameters]
     with torch.no_grad():
-        stack.step_gradients(rows, chosen, targets, weights)
-    y = stack._forward(values, rows.batch(chosen).times(values[0]), None)[-1][:, 0].transpose(1, 2)
+        models.step_gradients(rows, chosen, targets, weights)
+    y = models._forward(values, rows.batch(chosen).times(values[0]), None)[-1][:, 0].transpose(1, 2)
     total = (weights * torch.nn.functional.binary_cross_entropy_with_logits(y, targets, reduction="none")).sum()
-    for parameter, expected in zip(stack.parameters, torch.autograd.grad(total, values), strict=True):
+    for parameter, expected in zip(models.parameters, torch.autograd.grad(total, values), strict=True):
         torch.testing.assert_close(parameter.gradient, expected, rtol=1e-4, atol=1e-6)
 
     schedule = Schedule(epochs=3, learning_rate=0.03)
@@ -260,8 +262,8 @@ def test_divergence_is_told():
 def test_shapes_are_checked(fingerprints):
     X, Y = fingerprints
     with pytest.raises(ValueError, match=r"X has shape \(300, 120\) and Y \(299, 3\)"):
-        train_many(X, Y[1:], [0])
+        train_many(X, Y[1:], [0], MlpSettings())
     with pytest.raises(ValueError, match="only one of X_valid and Y_valid"):
-        train_many(X, Y, [0], X_valid=X)
+        train_many(X, Y, [0], MlpSettings(), X_valid=X)
     with pytest.raises(ValueError, match="Y 3 labels, X_valid and Y_valid 120 and 2"):
-        train_many(X, Y, [0], X_valid=X, Y_valid=Y[:, :2])
+        train_many(X, Y, [0], MlpSettings(), X_valid=X, Y_valid=Y[:, :2])

@@ -15,7 +15,7 @@ from otr import learners
 ESTIMATORS = [
     cls
     for cls in (getattr(learners, name) for name in learners.__all__)
-    if isinstance(cls, type) and cls.__module__.rsplit(".", 1)[1] not in ("otr_trees", "lcn", "linear")
+    if isinstance(cls, type) and cls.__module__.rsplit(".", 1)[1] not in ("otr", "lcn", "linear")
 ]
 CLASSIFIERS = [cls for cls in ESTIMATORS if cls.__name__.endswith("Classifier")]
 REGRESSORS = [cls for cls in ESTIMATORS if cls.__name__.endswith("Regressor")]

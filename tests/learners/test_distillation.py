@@ -8,8 +8,9 @@ from sklearn.ensemble import RandomForestClassifier
 
 from otr.learners import OTRClassifier, OTRRegressor, distillation
 from otr.learners.distillation import Teacher, distillation_set
-from otr.learners.networks.batched_mlp import MlpSettings, train_many
+from otr.learners.networks.batched_mlp import MlpSettings
 from otr.learners.networks.batched_training import Schedule
+from otr.learners.networks.labels_and_seeds import train_many
 from otr.learners.networks.validation_scores import areas_under_curve
 
 QUICK = Teacher(n_estimators=10, n_copies=2)
@@ -30,7 +31,7 @@ def test_a_student_beats_the_network_trained_on_the_labels():
         X_test, y_test = _votes(2000, rng, wrong=0.0)
         areas = []
         for rows, targets in ((X, y), distillation_set(X, y, Teacher(n_estimators=50), seed=seed)):
-            network = train_many(rows, targets, [seed]).networks[0][0]
+            network = train_many(rows, targets, [seed], MlpSettings()).networks[0][0]
             areas.append(areas_under_curve(network.forward(X_test)[:, 0], y_test))
         gains.append(areas[1] - areas[0])
     assert np.mean(gains) > 0.04
@@ -156,18 +157,3 @@ def test_a_teacher_is_for_binary_labels(model):
 def test_what_cannot_be_distilled(labels, message):
     with pytest.raises(ValueError, match=message):
         distillation_set(np.zeros((3, 2)), labels, QUICK)
-
-
-@pytest.mark.parametrize(
-    ("setting", "message"),
-    [
-        ({"forest": "oak"}, "'oak', expected 'extra_trees' or 'random_forest'"),
-        ({"n_estimators": 0}, "n_estimators is 0, expected at least 1"),
-        ({"n_copies": -1}, "n_copies is -1, expected at least 0"),
-        ({"alteration": 1.5}, "alteration is 1.5, expected 0 to 1"),
-        ({"weight_of_labels": -0.1}, "weight_of_labels is -0.1, expected 0 to 1"),
-    ],
-)
-def test_settings_out_of_range(setting, message):
-    with pytest.raises(ValueError, match=message):
-        Teacher(**setting)

@@ -21,9 +21,10 @@ from otr.learners import (
     OTRClassifier,
     OTRRegressor,
 )
-from otr.learners.networks.batched_mlp import MlpSettings, train_many
+from otr.learners.base.tree_per_label import seed_of
+from otr.learners.networks.batched_mlp import MlpSettings
 from otr.learners.networks.batched_training import Schedule
-from otr.learners.networks.estimators import seed_of
+from otr.learners.networks.labels_and_seeds import train_many
 
 CLASSIFIERS = [OTRClassifier(), LCNClassifier(), LinearTreeClassifier()]
 REGRESSORS = [OTRRegressor(), LCNRegressor(), LinearTreeRegressor()]

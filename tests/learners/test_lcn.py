@@ -7,9 +7,11 @@ import pytest
 import torch
 
 import otr
-from otr.learners.networks.batched_lcn import LcnSettings, LcnStack, train_many_lcns
-from otr.learners.networks.batched_training import Schedule, SeedStreams
+from otr.learners.networks.batched_lcn import BatchedLcns, LcnSettings
+from otr.learners.networks.batched_models import SeedStreams
+from otr.learners.networks.batched_training import Schedule
 from otr.learners.networks.first_layer import new_rows
+from otr.learners.networks.labels_and_seeds import train_many
 from otr.learners.networks.lcn_network import LcnNetwork
 
 
@@ -116,15 +118,15 @@ def test_gradients_equal_autograds_through_the_jacobian(loss, hidden, drop_conne
     S, L, M, d, B, p = 2, 2, 4, 30, 6, drop_connect
     X = (rng.random((12, d)) < 0.1).astype(float)
     settings = LcnSettings(depth=M, hidden=hidden, loss=loss, n_classes=3, drop_connect=p)
-    stack = LcnStack(d, L, settings, [SeedStreams.of(seed) for seed in range(S)])
-    for parameter in stack.parameters:
+    models = BatchedLcns(d, L, settings, [SeedStreams.of(seed) for seed in range(S)])
+    for parameter in models.parameters:
         parameter.values.mul_(3)
-    stack._alpha = alpha
+    models._alpha = alpha
     chosen = np.stack([rng.permutation(12)[:B] for _ in range(S)])
     targets = torch.tensor(rng.integers(0, 2, size=(S, L, B)), dtype=torch.float32)
     weights = torch.rand(S, L, B, generator=torch.Generator().manual_seed(0))
     with torch.no_grad():
-        stack.step_gradients(new_rows(X), chosen, targets, weights)
+        models.step_gradients(new_rows(X), chosen, targets, weights)
 
     draws = [SeedStreams.of(seed).dropout for seed in range(S)]
     weight_masks, link_masks = torch.zeros(S, B, d, M, dtype=torch.float64), None
@@ -135,8 +137,8 @@ def test_gradients_equal_autograds_through_the_jacobian(loss, hidden, drop_conne
             weight_masks[seed, row, ones] = torch.tensor(kept / (1 - p))
         kept = np.stack([draw.random((B, M, M), dtype=np.float32) for draw in draws]) >= p
         link_masks = torch.tensor(kept / (1 - p))
-    values = [parameter.values.double().requires_grad_() for parameter in stack.parameters]
-    named = dict(zip(stack._names, values, strict=True))
+    values = [parameter.values.double().requires_grad_() for parameter in models.parameters]
+    named = dict(zip(models._names, values, strict=True))
     total = torch.zeros((), dtype=torch.float64)
     for seed, label, row in itertools.product(range(S), range(L), range(B)):
         one = [named[name][seed, label] if name in named else None for name in ("U", "b", "G", "h", "offset", "V", "v")]
@@ -151,7 +153,7 @@ def test_gradients_equal_autograds_through_the_jacobian(loss, hidden, drop_conne
         t = targets[seed, label, row]
         cost = (y[0] - t) ** 2 if loss == "squared" else torch.nn.functional.cross_entropy(y, t.long())
         total = total + weights[seed, label, row] * cost
-    for parameter, expected in zip(stack.parameters, torch.autograd.grad(total, values), strict=True):
+    for parameter, expected in zip(models.parameters, torch.autograd.grad(total, values), strict=True):
         torch.testing.assert_close(parameter.gradient.double(), expected, rtol=1e-4, atol=1e-6)
 
 
@@ -160,10 +162,10 @@ def test_plain_torch_training_ends_in_the_same_network(fingerprints):
     X, Y = fingerprints
     X, y = X[:128], np.nan_to_num(Y[:128, 0])
     M, schedule = 3, Schedule(epochs=2, decay_every=2)
-    network = train_many_lcns(X, y, [5], LcnSettings(depth=M, schedule=schedule)).networks[0][0]
+    network = train_many(X, y, [5], LcnSettings(depth=M, schedule=schedule)).networks[0][0]
     streams = SeedStreams.of(5)
-    stack = LcnStack(120, 1, LcnSettings(depth=M), [streams])
-    named = dict(zip(stack._names, (parameter.values.double() for parameter in stack.parameters), strict=True))
+    models = BatchedLcns(120, 1, LcnSettings(depth=M), [streams])
+    named = dict(zip(models._names, (parameter.values.double() for parameter in models.parameters), strict=True))
     W = named["table"].view(120, M).T.contiguous()
     values = [W, *(named[name][0, 0].clone() for name in ("U", "b", "G", "h", "offset"))]
     for value in values:
@@ -187,8 +189,8 @@ def test_plain_torch_training_ends_in_the_same_network(fingerprints):
 def test_a_network_does_not_depend_on_its_company(fingerprints):
     X, Y = fingerprints
     settings = LcnSettings(depth=4, drop_connect=0.5, schedule=Schedule(epochs=4))
-    together = train_many_lcns(X, Y, [3, 1], settings, X_valid=X[:100], Y_valid=Y[:100])
-    alone = train_many_lcns(X, Y[:, 2], [1], settings, X_valid=X[:100], Y_valid=Y[:100, 2])
+    together = train_many(X, Y, [3, 1], settings, X_valid=X[:100], Y_valid=Y[:100])
+    alone = train_many(X, Y[:, 2], [1], settings, X_valid=X[:100], Y_valid=Y[:100, 2])
     one, other = together.networks[2][1], alone.networks[0][0]
     for name in ("W", "U", "b", "G", "h", "offset"):
         np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=1e-4, err_msg=name)
@@ -200,7 +202,7 @@ def test_a_network_does_not_depend_on_its_company(fingerprints):
 def test_trained_networks_equal_their_trees_and_their_scores(fingerprints, loss, hidden):
     X, Y = fingerprints
     settings = LcnSettings(depth=5, hidden=hidden, loss=loss, schedule=Schedule(epochs=3, learning_rate=0.01))
-    result = train_many_lcns(X, Y, [0, 1], settings, X_valid=X, Y_valid=Y)
+    result = train_many(X, Y, [0, 1], settings, X_valid=X, Y_valid=Y)
     for label, seed in itertools.product(range(3), range(2)):
         network = result.networks[label][seed]
         np.testing.assert_allclose(network.to_tree().forward(X), network.forward(X), rtol=0, atol=1e-10)

@@ -103,11 +103,3 @@ def test_max_features_draws_by_random_state():
     )
     assert np.array_equal(first, again)
     assert first.shape != other.shape or not np.array_equal(first, other)
-
-
-def test_errors():
-    X, y = hinge(50)
-    with pytest.raises(ValueError, match="alpha=-1"):
-        LinearModelTreeRegressor(alpha=-1).fit(X, y)
-    with pytest.raises(ValueError, match="max_bins=3"):
-        LinearModelTreeRegressor(max_bins=3).fit(X, y)

@@ -124,13 +124,6 @@ def _walk(tree, reference, x):
     return tree.c[~reference, 0]
 
 
-def test_unknown_options_are_named():
-    X, y, _ = strips(50)
-    for name in ("init", "penalty", "surrogate"):
-        with pytest.raises(ValueError, match=f"{name} is 'x', expected"):
-            TAOClassifier(**{name: "x"}).fit(X, y)
-
-
 def test_leaves_may_answer_labels_alone():
     X, y = load_breast_cancer(return_X_y=True)
     shares, labels = (

@@ -9,110 +9,62 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
 from torch import Tensor
 
 from otr.core.arrays import FloatArray, IntArray
-from otr.core.head import Argmax, Head, Identity, Sign
-from otr.learners.networks.batched_mlp import checked_rows
-from otr.learners.networks.batched_training import (
-    Loss,
-    Parameter,
-    Schedule,
-    SeedStreams,
-    Stack,
-    loss_derivatives,
-    streams_of,
-    train_stack,
-)
+from otr.learners.base.parameters import AT_LEAST_0, AT_LEAST_1, BELOW_1, Constraints
+from otr.learners.networks.batched_models import BatchedModels, Parameter, SeedStreams, loss_derivatives
 from otr.learners.networks.first_layer import InputRows
+from otr.learners.networks.labels_and_seeds import NetworkSettings
 from otr.learners.networks.lcn_network import LcnNetwork
 
-__all__ = ["LcnSettings", "TrainedLcns", "train_many_lcns"]
+__all__ = ["BatchedLcns", "LcnSettings"]
 
-_CHUNK_BYTES = 2**22
 _EVALUATION_ROWS = 1024
 
 
-@dataclass(frozen=True)
-class LcnSettings:
+@dataclass(frozen=True, kw_only=True)
+class LcnSettings(NetworkSettings[LcnNetwork]):
     """Shape and training of locally constant networks.
+
+    With the logistic loss, g has two outputs whose difference is the logit, as in LCN's code; they become one in the
+    end. In epoch e of E the activation is alpha relu + (1 - alpha) softplus and its derivative alpha [z > 0] +
+    (1 - alpha) sigmoid(z), with alpha = e / E; scores are always those of the ReLU network without drops.
 
     Attributes:
         depth: neurons M.
         hidden: width of g's hidden layer; 0 for a linear g.
-        loss: as in `MlpSettings`. With the logistic loss, g has two outputs whose difference is the logit, as in
-            LCN's code; they become one in the end.
-        n_classes: outputs with the softmax loss.
         drop_connect: share p of each neuron's weights that are dropped when its sign is computed, anew for every row
             and neuron; the rest is scaled up. The derivatives themselves are taken with all weights.
-        schedule: see there.
-
-    In epoch e of E the activation is alpha relu + (1 - alpha) softplus and its derivative alpha [z > 0] +
-    (1 - alpha) sigmoid(z), with alpha = e / E; scores are always those of the ReLU network without drops.
+        loss, n_classes, schedule: see `NetworkSettings`.
     """
+
+    _parameter_constraints: ClassVar[Constraints] = {
+        **NetworkSettings._parameter_constraints,
+        "depth": [AT_LEAST_1],
+        "hidden": [AT_LEAST_0],
+        "drop_connect": [BELOW_1],
+    }
 
     depth: int = 12
     hidden: int = 0
-    loss: Loss = "logistic"
-    n_classes: int = 2
     drop_connect: float = 0.0
-    schedule: Schedule = field(default_factory=Schedule)
 
-    @property
-    def n_outputs(self) -> int:
-        """Outputs of g in training."""
-        return {"logistic": 2, "softmax": self.n_classes, "squared": 1}[self.loss]
+    def n_columns(self, n_labels: int) -> int:
+        """Return how many neurons of a seed's networks read the inputs."""
+        return n_labels * self.depth
 
-    @property
-    def head(self) -> Head:
-        """The head of the trained networks."""
-        heads: dict[str, Head] = {"logistic": Sign(), "softmax": Argmax(), "squared": Identity()}
-        return heads[self.loss]
+    def new_models(self, n_inputs: int, n_labels: int, streams: Sequence[SeedStreams]) -> BatchedLcns:
+        """Return the models of all seeds and labels with their first weights."""
+        return BatchedLcns(n_inputs, n_labels, self, streams)
 
 
-@dataclass(frozen=True)
-class TrainedLcns:
-    """What `train_many_lcns` returns: as `TrainedNetworks`."""
-
-    networks: list[list[LcnNetwork]]
-    scores: FloatArray
-    epochs: IntArray
-
-
-def train_many_lcns(
-    X: ArrayLike,
-    Y: ArrayLike,
-    seeds: Sequence[int],
-    settings: LcnSettings | None = None,
-    *,
-    X_valid: ArrayLike | None = None,
-    Y_valid: ArrayLike | None = None,
-) -> TrainedLcns:
-    """Train one LCN for every label and seed, all at once; arguments and errors as `train_many`'s."""
-    settings = LcnSettings() if settings is None else settings
-    rows, labels, validation = checked_rows(X, Y, X_valid, Y_valid)
-    n_labels = labels.shape[1]
-    n_together = max(1, _CHUNK_BYTES // (4 * rows.n_inputs * n_labels * settings.depth))
-    networks: list[list[LcnNetwork]] = [[] for _ in range(n_labels)]
-    scores, epochs = [], []
-    for start in range(0, len(seeds), n_together):
-        chunk = seeds[start : start + n_together]
-        streams = streams_of(chunk, n_labels)
-        stack = LcnStack(rows.n_inputs, n_labels, settings, streams)
-        fitted = train_stack(stack, rows, labels, streams, settings.schedule, validation)
-        for label, of_label in enumerate(networks):
-            of_label += [stack.network(fitted.values, seed, label) for seed in range(len(chunk))]
-        scores.append(fitted.scores[: len(chunk)])
-        epochs.append(fitted.epochs[: len(chunk)])
-    return TrainedLcns(networks, np.concatenate(scores).T, np.concatenate(epochs).T)
-
-
-class LcnStack(Stack):
+class BatchedLcns(BatchedModels[LcnNetwork]):
     """S x L networks; the small products behind T go through torch's autograd, those with the inputs by hand."""
 
     def __init__(self, n_inputs: int, n_labels: int, settings: LcnSettings, streams: Sequence[SeedStreams]) -> None:
@@ -120,7 +72,8 @@ class LcnStack(Stack):
         self.loss = settings.loss
         self._settings, self._streams = settings, streams
         self._alpha = 1.0
-        S, M, o = len(streams), settings.depth, settings.n_outputs
+        S, M = len(streams), settings.depth
+        o = {"logistic": 2, "softmax": settings.n_classes, "squared": 1}[settings.loss]
         q = settings.hidden or o
         self._shape = (S, n_labels, M, q)
         shapes = {

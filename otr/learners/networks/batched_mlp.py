@@ -4,193 +4,96 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass
+from typing import ClassVar, Literal
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
+from sklearn.utils._param_validation import StrOptions
 from torch import Tensor
 
-from otr.core.arrays import FloatArray, IntArray
-from otr.core.head import Argmax, Head, Identity, Sign
+from otr.core.arrays import IntArray
 from otr.core.network import ReluNetwork
-from otr.learners.networks.batched_training import (
-    Loss,
-    Parameter,
-    Schedule,
-    SeedStreams,
-    Stack,
-    loss_derivatives,
-    streams_of,
-    train_stack,
-)
-from otr.learners.networks.first_layer import InputRows, new_rows
+from otr.learners.base.parameters import BELOW_1, Constraints, Widths
+from otr.learners.networks.batched_models import BatchedModels, Parameter, SeedStreams, loss_derivatives
+from otr.learners.networks.first_layer import InputRows
+from otr.learners.networks.labels_and_seeds import NetworkSettings
 
-__all__ = ["MlpSettings", "MlpStack", "TrainedNetworks", "checked_rows", "train_many"]
-
-_CHUNK_BYTES = 2**22  # weights of the first layers that are trained together: they should stay in the cache
+__all__ = ["BatchedMlps", "MlpSettings"]
 
 
-@dataclass(frozen=True)
-class MlpSettings:
+@dataclass(frozen=True, kw_only=True)
+class MlpSettings(NetworkSettings[ReluNetwork]):
     """Shape and training of the networks.
 
     Attributes:
         hidden: widths of the hidden layers; none is a linear model.
         dense: as in `ReluNetwork`.
         negative_slope: of the activation below zero.
-        loss: "logistic" (labels 0 and 1, or probabilities), "softmax" (class numbers) or "squared".
-        n_classes: outputs with the softmax loss.
         shared: the labels of a seed share their hidden layers in training, which minimises the sum of their losses;
             each label's network is the shared layers with its own output. Not with the softmax loss.
         input_dropout, hidden_dropout: share of inputs, and of hidden neurons, that a training row loses; the rest is
             scaled up, and after training nothing is dropped.
-        schedule: see there.
+        loss, n_classes, schedule: see `NetworkSettings`.
     """
 
-    hidden: tuple[int, ...] = (8, 8)
-    dense: Literal[False, "input", "all"] = False
+    _parameter_constraints: ClassVar[Constraints] = {
+        **NetworkSettings._parameter_constraints,
+        "hidden": [Widths()],
+        "dense": ["boolean", StrOptions({"input", "all"})],
+        "negative_slope": [BELOW_1],
+        "shared": ["boolean"],
+        "input_dropout": [BELOW_1],
+        "hidden_dropout": [BELOW_1],
+    }
+
+    hidden: Sequence[int] = (8, 8)
+    dense: bool | Literal["input", "all"] = False
     negative_slope: float = 0.0
-    loss: Loss = "logistic"
-    n_classes: int = 2
     shared: bool = False
     input_dropout: float = 0.0
     hidden_dropout: float = 0.0
-    schedule: Schedule = field(default_factory=Schedule)
 
     def __post_init__(self) -> None:
         """Check what can be checked without data."""
+        super().__post_init__()
         if self.shared and self.loss == "softmax":
             raise ValueError("shared is True and loss 'softmax'; hidden layers are shared by labels of one output each")
 
-    @property
-    def n_outputs(self) -> int:
-        """Affine outputs of one network."""
-        return self.n_classes if self.loss == "softmax" else 1
+    def n_models(self, n_labels: int) -> int:
+        """Return how many models a seed has: one for each label, or one of all labels."""
+        return 1 if self.shared else n_labels
 
-    @property
-    def head(self) -> Head:
-        """The head of the trained networks."""
-        heads: dict[str, Head] = {"logistic": Sign(), "softmax": Argmax(), "squared": Identity()}
-        return heads[self.loss]
+    def widths(self, n_labels: int) -> list[int]:
+        """Return the widths of a model's layers in training, the output layer last."""
+        n_outputs = self.n_classes if self.loss == "softmax" else n_labels if self.shared else 1
+        return [*self.hidden, n_outputs]
 
+    def widths_on_inputs(self, n_labels: int) -> list[int]:
+        """Return the widths of the layers that read the inputs."""
+        widths = self.widths(n_labels)
+        return widths if self.dense else widths[:1]
 
-@dataclass(frozen=True)
-class TrainedNetworks:
-    """What `train_many` returns.
+    def n_columns(self, n_labels: int) -> int:
+        """Return how many neurons of a seed's networks read the inputs."""
+        return sum(self.widths_on_inputs(n_labels)) * self.n_models(n_labels)
 
-    Attributes:
-        networks: [label][seed].
-        scores: (L, S), the validation scores of the epochs kept, NaN without validation rows.
-        epochs: (L, S), those epochs, counted from 1.
-    """
-
-    networks: list[list[ReluNetwork]]
-    scores: FloatArray
-    epochs: IntArray
+    def new_models(self, n_inputs: int, n_labels: int, streams: Sequence[SeedStreams]) -> BatchedMlps:
+        """Return the models of all seeds and labels with their first weights."""
+        return BatchedMlps(n_inputs, n_labels, self, streams)
 
 
-def train_many(
-    X: ArrayLike,
-    Y: ArrayLike,
-    seeds: Sequence[int],
-    settings: MlpSettings | None = None,
-    *,
-    X_valid: ArrayLike | None = None,
-    Y_valid: ArrayLike | None = None,
-) -> TrainedNetworks:
-    """Train one network for every label and seed, all at once.
-
-    What comes out is as if each were trained alone, unless labels share hidden layers or an epoch.
-
-    Time grows with n * L * S; binary inputs with few ones cost what their ones cost. See `train_stack` for the
-    validation score, and `otr/learners/networks/batched_training.py` for what the networks share.
-
-    Args:
-        X: (n, d).
-        Y: (n, L) or (n,), NaN where a label is missing; with the logistic loss also probabilities of the label 1, as
-            `otr.learners.distillation.distillation_set` makes them.
-        seeds: S integers >= 0.
-        settings: shape and training; None for the thesis's: two hidden layers of 8, LCN's schedule.
-        X_valid, Y_valid: rows that choose each network's best epoch, with labels and no probabilities; without
-            them the last is kept.
-
-    Raises:
-        ValueError: shapes do not agree, or only one of X_valid, Y_valid is given.
-        DivergedError: weights are not finite at the end.
-    """
-    settings = MlpSettings() if settings is None else settings
-    rows, labels, validation = checked_rows(X, Y, X_valid, Y_valid)
-    n_models = 1 if settings.shared else labels.shape[1]
-    n_columns = sum(_widths_on_inputs(settings, labels.shape[1])) * n_models
-    n_together = max(1, _CHUNK_BYTES // (4 * rows.n_inputs * n_columns))
-    networks: list[list[ReluNetwork]] = [[] for _ in range(labels.shape[1])]
-    scores, epochs = [], []
-    for start in range(0, len(seeds), n_together):
-        chunk = seeds[start : start + n_together]
-        streams = streams_of(chunk, n_models)
-        stack = MlpStack(rows.n_inputs, labels.shape[1], settings, streams)
-        fitted = train_stack(stack, rows, labels, streams, settings.schedule, validation)
-        for label, of_label in enumerate(networks):
-            of_label += [stack.network(fitted.values, seed, label) for seed in range(len(chunk))]
-        scores.append(fitted.scores[: len(chunk)])
-        epochs.append(fitted.epochs[: len(chunk)])
-    return TrainedNetworks(networks, np.concatenate(scores).T, np.concatenate(epochs).T)
-
-
-def checked_rows(
-    X: ArrayLike, Y: ArrayLike, X_valid: ArrayLike | None, Y_valid: ArrayLike | None
-) -> tuple[InputRows, FloatArray, tuple[InputRows, FloatArray] | None]:
-    """Return the training rows with their labels (n, L), and the same of the validation rows.
-
-    Raises:
-        ValueError: shapes do not agree, or only one of X_valid, Y_valid is given.
-    """
-    rows, labels = _checked(X, Y, "X", "Y")
-    if (X_valid is None) != (Y_valid is None):
-        raise ValueError("only one of X_valid and Y_valid was given; give both, or none to keep the last epoch")
-    if X_valid is None or Y_valid is None:
-        return rows, labels, None
-    validation = _checked(X_valid, Y_valid, "X_valid", "Y_valid")
-    if validation[1].shape[1] != labels.shape[1] or validation[0].n_inputs != rows.n_inputs:
-        raise ValueError(
-            f"X has {rows.n_inputs} inputs and Y {labels.shape[1]} labels, "
-            f"X_valid and Y_valid {validation[0].n_inputs} and {validation[1].shape[1]}"
-        )
-    return rows, labels, validation
-
-
-def _checked(X: ArrayLike, Y: ArrayLike, name_x: str, name_y: str) -> tuple[InputRows, FloatArray]:
-    X, Y = np.asarray(X), np.asarray(Y, dtype=np.float64)
-    Y = Y[:, None] if Y.ndim == 1 else Y
-    if X.ndim != 2 or Y.ndim != 2 or len(X) != len(Y) or not X.size:
-        raise ValueError(f"{name_x} has shape {X.shape} and {name_y} {Y.shape}, expected (n, d) and (n, L) with n > 0")
-    return new_rows(X), Y
-
-
-def _widths(settings: MlpSettings, n_labels: int) -> list[int]:
-    """Return the widths of the layers in training, the output layer last."""
-    return [*settings.hidden, n_labels if settings.shared else settings.n_outputs]
-
-
-def _widths_on_inputs(settings: MlpSettings, n_labels: int) -> list[int]:
-    """Return the widths of the layers that read the inputs."""
-    widths = _widths(settings, n_labels)
-    return widths if settings.dense else widths[:1]
-
-
-class MlpStack(Stack):
+class BatchedMlps(BatchedModels[ReluNetwork]):
     """S x L perceptrons: the weights on the inputs of all layers that read them are one table, (S * d, L * H)."""
 
     def __init__(self, n_inputs: int, n_labels: int, settings: MlpSettings, streams: Sequence[SeedStreams]) -> None:
         """Draw the first weights as torch's Linear does; the networks of a seed start alike."""
         self._settings, self._streams = settings, streams
         self.loss, self.shares_labels = settings.loss, settings.shared
-        self._widths = _widths(settings, n_labels)
-        self._on_inputs = _widths_on_inputs(settings, n_labels)
-        if settings.shared:
-            n_labels = 1  # one model with an output for each
+        self._widths = settings.widths(n_labels)
+        self._on_inputs = settings.widths_on_inputs(n_labels)
+        self._reads_all = settings.dense in (True, "all")
+        n_labels = settings.n_models(n_labels)
         n_seeds, total = len(streams), sum(self._on_inputs)
         self._shape = (n_seeds, n_labels)
         self._column_starts = np.concatenate(([0], np.cumsum(self._on_inputs))).tolist()
@@ -218,7 +121,7 @@ class MlpStack(Stack):
         """Return how many hidden neurons a layer reads."""
         if layer == 0:
             return 0
-        return sum(self._widths[:layer]) if self._settings.dense == "all" else self._widths[layer - 1]
+        return sum(self._widths[:layer]) if self._reads_all else self._widths[layer - 1]
 
     def _columns(self, layer: int) -> slice:
         """Return the layer's columns among those of a network in the table."""
@@ -270,7 +173,7 @@ class MlpStack(Stack):
 
     def _read(self, activations: list[Tensor]) -> Tensor:
         """Return what the layer after these reads of them."""
-        if self._settings.dense == "all" and len(activations) > 1:
+        if self._reads_all and len(activations) > 1:
             return torch.cat(activations, dim=-1)
         return activations[-1]
 
@@ -329,7 +232,7 @@ class MlpStack(Stack):
                 read = self._read(activations[:layer]).flatten(0, 1)
                 torch.bmm(flat.transpose(1, 2), read, out=link_gradients[layer].flatten(0, 1))
                 back = torch.bmm(flat, links[layer].flatten(0, 1)).view(n_seeds, n_labels, n_rows, -1)
-                first = 0 if self._settings.dense == "all" else layer - 1
+                first = 0 if self._reads_all else layer - 1
                 for earlier, part in zip(
                     range(first, layer), torch.split(back, self._widths[first:layer], dim=-1), strict=True
                 ):
@@ -354,14 +257,9 @@ class MlpStack(Stack):
         biases = [bias[0] for bias in biases]
         if shared:
             weights[-1], biases[-1] = weights[-1][label : label + 1], biases[-1][label : label + 1]
-        dense = self._settings.dense if self._settings.hidden else False
-        return ReluNetwork(
-            weights,
-            biases,
-            negative_slope=self._settings.negative_slope,
-            dense=dense,
-            head=self._settings.head,
-        )
+        slope, head = self._settings.negative_slope, self._settings.head
+        dense = self._settings.dense if len(self._widths) > 1 else False
+        return ReluNetwork(weights, biases, negative_slope=slope, dense=dense, head=head)
 
 
 def _uniform(stream: SeedStreams, shape: tuple[int, ...], limit: float) -> Tensor:

@@ -1,9 +1,5 @@
 """Training of many small models at once by mini-batch SGD: the loop that multilayer perceptrons and LCNs share.
 
-A stack holds S x L models: S seeds, L labels. All models of a seed see the same mini-batches, so that their first
-layers are one product; everything random about a model (first weights, order, dropout) follows from its seed alone. A
-model is therefore the same, up to rounding, whatever labels and seeds are trained with it.
-
 A row whose label is missing has weight zero in that label's loss, and the others of the mini-batch share the weight:
 the loss of a step is the mean over the rows with a label, B times the share of labels in expectation. Against dropping
 the rows label by label, which would give each label mini-batches of its own, only the number of rows behind a step
@@ -12,12 +8,10 @@ differs.
 
 from __future__ import annotations
 
-import math
-from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -26,25 +20,12 @@ from torch.optim.sgd import sgd
 
 from otr.core.arrays import BoolArray, FloatArray, IntArray
 from otr.errors import OtrError
+from otr.learners.base.parameters import AT_LEAST_1, BELOW_1, NOT_NEGATIVE, POSITIVE, SHARE, Constraints, Settings
+from otr.learners.networks.batched_models import PADDED_TO, BatchedModels, Loss, SeedStreams
 from otr.learners.networks.first_layer import InputRows
 from otr.learners.networks.validation_scores import areas_under_curve, negative_losses
 
-__all__ = [
-    "PADDED_TO",
-    "DivergedError",
-    "Fitted",
-    "Loss",
-    "Parameter",
-    "Schedule",
-    "SeedStreams",
-    "Stack",
-    "loss_derivatives",
-    "streams_of",
-    "train_stack",
-]
-
-PADDED_TO = 64
-Loss = Literal["logistic", "softmax", "squared"]
+__all__ = ["DivergedError", "Fitted", "Schedule", "train_models"]
 
 
 class DivergedError(OtrError, ArithmeticError):
@@ -52,8 +33,8 @@ class DivergedError(OtrError, ArithmeticError):
 
 
 @dataclass(frozen=True)
-class Schedule:
-    """How a stack is trained; the defaults are those of LCN's code (Lee & Jaakkola 2020), which the thesis took over.
+class Schedule(Settings):
+    """How networks are trained; the defaults are those of LCN's code (Lee & Jaakkola 2020), which the thesis took over.
 
     Attributes:
         epochs: passes over the rows.
@@ -67,6 +48,20 @@ class Schedule:
         common_epoch: keep one epoch for all labels of a seed, the best by the mean of their validation scores. A few
             hundred validation rows choose an epoch badly; so they choose once, not once a label.
     """
+
+    _parameter_constraints: ClassVar[Constraints] = {
+        "epochs": [AT_LEAST_1],
+        "batch_size": [AT_LEAST_1],
+        "learning_rate": [POSITIVE],
+        "momentum": [SHARE],
+        "decay": [POSITIVE],
+        "decay_every": [AT_LEAST_1],
+        "l1": [NOT_NEGATIVE],
+        "l2": [NOT_NEGATIVE],
+        "averaging": [BELOW_1],
+        "label_smoothing": [SHARE],
+        "common_epoch": ["boolean"],
+    }
 
     epochs: int = 30
     batch_size: int = 64
@@ -85,107 +80,9 @@ class Schedule:
         return self.learning_rate * self.decay ** (epoch // self.decay_every)
 
 
-@dataclass
-class SeedStreams:
-    """The random streams of one seed, each its own."""
-
-    weights: np.random.Generator
-    order: np.random.Generator
-    dropout: np.random.Generator
-
-    @classmethod
-    def of(cls, seed: int) -> SeedStreams:
-        """Return the streams of `seed`."""
-        return cls(*(np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(3)))
-
-
-def streams_of(seeds: Sequence[int], n_labels: int) -> list[SeedStreams]:
-    """Return the streams of a stack's seeds; a stack of a single model gets it twice.
-
-    torch multiplies the matrices of a batch of one by another routine, which rounds otherwise.
-    """
-    return [SeedStreams.of(seed) for seed in [*seeds] * (2 if len(seeds) * n_labels == 1 else 1)]
-
-
-class Parameter:
-    """One tensor of all models of a stack, with its gradient.
-
-    Both lie in flat vectors that are padded: torch's vector loops compute the rest of a vector otherwise, in the last
-    bit, and a model's numbers are not to depend on where it lies.
-
-    Attributes:
-        flat, flat_gradient: the padded vectors.
-        values: the tensor, a view of `flat`.
-        shape: a shape under which the first axis is the seed and axis `label_axis` the label.
-        label_axis: see there.
-        penalised: whether l1 and l2 apply.
-    """
-
-    def __init__(self, values: Tensor, label_axis: int, penalised: bool, shape: Sequence[int] | None = None) -> None:
-        """Take over `values`, with the seed as first axis, unless `shape` says how to see them so."""
-        self.shape = tuple(values.shape if shape is None else shape)
-        self.label_axis, self.penalised = label_axis, penalised
-        self._size, self._own_shape = values.numel(), values.shape
-        self.flat = torch.zeros(math.ceil(self._size / PADDED_TO) * PADDED_TO)
-        self.values = self.view(self.flat)
-        self.values.copy_(values)
-        self.flat_gradient = torch.zeros_like(self.flat)
-
-    @property
-    def gradient(self) -> Tensor:
-        """The loss's derivative by it, a view of `flat_gradient`, to be written to."""
-        return self.view(self.flat_gradient)
-
-    def set_gradient(self, gradient: Tensor) -> None:
-        """Take over a gradient; without a copy where nothing is to be padded."""
-        if self._size == len(self.flat) and gradient.is_contiguous():
-            self.flat_gradient = gradient.view(-1)
-        else:
-            self.gradient.copy_(gradient.reshape(self._own_shape))
-
-    def view(self, flat: Tensor) -> Tensor:
-        """Return a vector like `flat` as the tensor."""
-        return flat[: self._size].view(self._own_shape)
-
-    def of_models(self, values: Tensor) -> Tensor:
-        """Return values of the tensor's shape as (S, L, ...)."""
-        return values.view(self.shape).movedim(self.label_axis, 1)
-
-
-class Stack(ABC):
-    """S x L models of one shape, with gradients written by hand.
-
-    Attributes:
-        loss: of all models.
-        parameters: all there are; their label axis has one entry if labels share their parameters.
-        shares_labels: whether they do; then one epoch is kept for all labels of a seed.
-    """
-
-    loss: Loss
-    parameters: list[Parameter]
-    shares_labels: bool = False
-
-    def start_epoch(self, epoch: int, n_epochs: int) -> None:  # noqa: B027 - nothing to do in most stacks
-        """Prepare for `epoch` of 1 .. n_epochs."""
-
-    @abstractmethod
-    def step_gradients(self, rows: InputRows, chosen: IntArray, targets: Tensor, weights: Tensor) -> None:
-        """Give the parameters the loss's derivatives.
-
-        Args:
-            rows: all rows.
-            chosen: (S, B), the rows of the mini-batch of each seed; B is a multiple of `PADDED_TO`.
-            targets, weights: (S, L, B), see `loss_derivatives`.
-        """
-
-    @abstractmethod
-    def outputs(self, rows: InputRows, values: Sequence[Tensor]) -> Tensor:
-        """Return the outputs (S, L, n, o) of all rows, as after training, for these values of the parameters."""
-
-
 @dataclass(frozen=True)
 class Fitted:
-    """What `train_stack` kept.
+    """What `train_models` kept.
 
     Attributes:
         values: of the parameters, every model's at its best epoch.
@@ -211,15 +108,15 @@ def _without_denormals() -> Iterator[None]:
 
 @torch.no_grad()
 @_without_denormals()
-def train_stack(
-    stack: Stack,
+def train_models(
+    models: BatchedModels[Any],
     rows: InputRows,
     Y: FloatArray,
     streams: Sequence[SeedStreams],
     schedule: Schedule,
     validation: tuple[InputRows, FloatArray] | None,
 ) -> Fitted:
-    """Train all models of a stack and keep each at its best epoch by validation score, the first of equals.
+    """Train all models and keep each at its best epoch by validation score, the first of equals.
 
     Labels whose validation rows are of one class do not take part in choosing a common epoch, where others do.
 
@@ -227,7 +124,7 @@ def train_stack(
     label are of one class and for the other losses. Without validation rows the last epoch is kept.
 
     Args:
-        stack: S x L models with their first weights.
+        models: S x L of them with their first weights.
         rows: n rows.
         Y: (n, L), NaN where missing.
         streams: S of them.
@@ -239,40 +136,40 @@ def train_stack(
     """
     targets = torch.from_numpy(np.nan_to_num(Y.T).astype(np.float32))
     present = torch.from_numpy((~np.isnan(Y.T)).astype(np.float32))
-    optimiser = _NesterovSgd(stack, schedule)
-    flats = [parameter.flat for parameter in stack.parameters]
+    optimiser = _NesterovSgd(models, schedule)
+    flats = [parameter.flat for parameter in models.parameters]
     averages = [flat.clone() for flat in flats] if schedule.averaging else flats
-    scored = [parameter.view(flat) for parameter, flat in zip(stack.parameters, averages, strict=True)]
+    scored = [parameter.view(flat) for parameter, flat in zip(models.parameters, averages, strict=True)]
     voters = None
-    if validation is not None and (schedule.common_epoch or stack.shares_labels):
-        voters = _voters(stack.loss, validation[1])
-    kept = _Kept(stack, len(streams), Y.shape[1], voters)
+    if validation is not None and (schedule.common_epoch or models.shares_labels):
+        voters = _voters(models.loss, validation[1])
+    kept = _Kept(models, len(streams), Y.shape[1], voters)
     for epoch in range(1, schedule.epochs + 1):
-        stack.start_epoch(epoch, schedule.epochs)
+        models.start_epoch(epoch, schedule.epochs)
         order = np.stack([stream.order.permutation(rows.n_rows) for stream in streams])
         for chosen, *labels in _mini_batches(order, targets, present, schedule.batch_size):
-            stack.step_gradients(rows, chosen, *labels)
+            models.step_gradients(rows, chosen, *labels)
             if schedule.l1:
-                for parameter in stack.parameters:
+                for parameter in models.parameters:
                     if parameter.penalised:
                         parameter.flat_gradient.add_(parameter.flat.sign(), alpha=schedule.l1)
             optimiser.step(schedule.rate(epoch))
             if schedule.averaging:
                 torch._foreach_lerp_(averages, flats, 1 - schedule.averaging)
         if validation is not None:
-            outputs = stack.outputs(validation[0], scored).double().numpy()
-            kept.offer(epoch, scored, _validation_scores(stack.loss, outputs, validation[1]))
+            outputs = models.outputs(validation[0], scored).double().numpy()
+            kept.offer(epoch, scored, _validation_scores(models.loss, outputs, validation[1]))
         elif epoch == schedule.epochs:
             kept.offer(epoch, scored, np.zeros((len(streams), Y.shape[1])))
     fitted = kept.fitted(validation is not None)
-    _check_finite(stack, fitted)
+    _check_finite(models, fitted)
     return fitted
 
 
 def _mini_batches(
     order: IntArray, targets: Tensor, present: Tensor, batch_size: int
 ) -> Iterator[tuple[IntArray, Tensor, Tensor]]:
-    """Yield an epoch's mini-batches: chosen rows (S, B), targets and weights (S, L, B), see `Stack.step_gradients`.
+    """Yield an epoch's mini-batches: chosen rows (S, B), targets and weights (S, L, B); see `step_gradients`.
 
     A mini-batch gets rows of weight zero up to a multiple of `PADDED_TO`.
 
@@ -296,9 +193,9 @@ def _mini_batches(
 class _NesterovSgd:
     """torch's SGD in its functional form: `torch.optim.SGD` loads the compiler, which takes seconds."""
 
-    def __init__(self, stack: Stack, schedule: Schedule) -> None:
-        self._parameters, self._momentum, self._l2 = stack.parameters, schedule.momentum, schedule.l2
-        self._buffers = [torch.zeros_like(p.flat) if schedule.momentum else None for p in stack.parameters]
+    def __init__(self, models: BatchedModels[Any], schedule: Schedule) -> None:
+        self._parameters, self._momentum, self._l2 = models.parameters, schedule.momentum, schedule.l2
+        self._buffers = [torch.zeros_like(p.flat) if schedule.momentum else None for p in models.parameters]
 
     def step(self, rate: float) -> None:
         for penalised in (True, False):
@@ -322,11 +219,11 @@ class _NesterovSgd:
 class _Kept:
     """Every model's parameters at its best epoch so far."""
 
-    def __init__(self, stack: Stack, n_seeds: int, n_labels: int, voters: BoolArray | None) -> None:
+    def __init__(self, models: BatchedModels[Any], n_seeds: int, n_labels: int, voters: BoolArray | None) -> None:
         """Choose by the mean score of `voters` (L,), or label by label."""
-        self._parameters, self._voters = stack.parameters, voters
+        self._parameters, self._voters = models.parameters, voters
         self._best = np.full((n_seeds, n_labels), -np.inf)
-        self._values = [torch.zeros_like(parameter.values) for parameter in stack.parameters]
+        self._values = [torch.zeros_like(parameter.values) for parameter in models.parameters]
         self._scores = np.full((n_seeds, n_labels), -np.inf)
         self._epochs = np.zeros((n_seeds, n_labels), dtype=np.int64)
 
@@ -367,8 +264,8 @@ def _voters(loss: Loss, Y: FloatArray) -> BoolArray:
     return np.ones(Y.shape[1], dtype=np.bool_)
 
 
-def _check_finite(stack: Stack, fitted: Fitted) -> None:
-    for parameter, values in zip(stack.parameters, fitted.values, strict=True):
+def _check_finite(models: BatchedModels[Any], fitted: Fitted) -> None:
+    for parameter, values in zip(models.parameters, fitted.values, strict=True):
         finite = parameter.of_models(values).flatten(2).isfinite().all(2)
         if not finite.all():
             seed, label = (int(i) for i in torch.nonzero(~finite)[0])
@@ -376,28 +273,3 @@ def _check_finite(stack: Stack, fitted: Fitted) -> None:
                 f"training diverged: {int((~finite).sum())} of {finite.numel()} models have weights that are not "
                 f"finite, the first is label {label} of seed number {seed}; lower learning_rate or scale the inputs"
             )
-
-
-def loss_derivatives(loss: Loss, outputs: Tensor, targets: Tensor, weights: Tensor, smoothing: float = 0.0) -> Tensor:
-    """Return the derivatives of sum_i weights_i loss_i by the outputs (..., o).
-
-    Args:
-        loss: logistic: one output, targets in [0, 1]; softmax: o classes, targets their numbers; squared:
-            (y - target)**2.
-        outputs: (..., o).
-        targets: (...).
-        weights: (...), zero where the target is missing.
-        smoothing: share of a target that is spread evenly over the classes.
-    """
-    if loss == "squared":
-        return (outputs - targets[..., None]) * (2 * weights[..., None])
-    if loss == "logistic":
-        goal = targets[..., None]
-        if smoothing:
-            goal = goal * (1 - smoothing) + smoothing / 2
-        return (outputs.sigmoid() - goal) * weights[..., None]
-    n_classes = outputs.shape[-1]
-    derivatives = outputs.softmax(-1) - smoothing / n_classes
-    index = targets.long()[..., None]
-    derivatives.scatter_add_(-1, index, torch.full(index.shape, smoothing - 1.0))
-    return derivatives * weights[..., None]

@@ -55,6 +55,7 @@ class GrownClassifier(ClassifierMixin, _GrownEstimator):  # type: ignore[misc]
 
     def _checked_fit(self, X: ArrayLike, y: ArrayLike) -> tuple[NDArray[Any], IntArray]:
         """Return X and, for each row, the position of its class in `classes_`, which is set here."""
+        self._validate_params()
         checked, classes = validate_data(self, X, y, dtype=_FLOATS)
         check_classification_targets(classes)
         self.classes_, labels = np.unique(classes, return_inverse=True)
@@ -74,6 +75,7 @@ class GrownRegressor(MultiOutputMixin, RegressorMixin, _GrownEstimator):  # type
 
     def _checked_fit(self, X: ArrayLike, y: ArrayLike) -> tuple[NDArray[Any], FloatArray]:
         """Return X and the targets (n, o) as float64."""
+        self._validate_params()
         checked, values = validate_data(self, X, y, dtype=_FLOATS, multi_output=True, y_numeric=True)
         targets: FloatArray = np.asarray(values, dtype=np.float64)
         self._is_flat = targets.ndim == 1

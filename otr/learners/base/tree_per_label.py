@@ -8,7 +8,8 @@ from __future__ import annotations
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, Literal, Self
+from numbers import Integral
+from typing import Any, Literal, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,55 +22,12 @@ from otr.core.arrays import FloatArray
 from otr.core.pattern_tree import PatternTree
 from otr.core.pruning import prune_unreached
 from otr.core.tree import ObliqueTree
+from otr.learners.base.problem import Problem
 
-__all__ = ["NetworkLearner", "Problem", "TreeClassifier", "TreeLearner", "TreeRegressor", "only", "seed_of"]
+__all__ = ["NetworkLearner", "TreeClassifier", "TreeLearner", "TreeRegressor", "seed_of"]
 
 Validation = tuple[ArrayLike, ArrayLike] | None
-
-
-class Problem:
-    """A learning problem after the checks at the door.
-
-    Attributes:
-        X: (n, d) float64, shifted and scaled by `mean` and `scale`.
-        Y: (n, L), NaN where missing: 0 and 1 (logistic), class numbers (softmax), standardised targets (squared).
-        loss: "logistic", "softmax" or "squared".
-        n_classes: of the softmax loss.
-        X_valid, Y_valid: the same for the rows that choose the epoch, or None.
-        mean, scale: (d,), what X was shifted and scaled by.
-        y_mean, y_scale: (L,), what the targets were shifted and scaled by.
-    """
-
-    def __init__(self, X: FloatArray, Y: FloatArray, loss: Literal["logistic", "softmax", "squared"]) -> None:
-        self.X, self.Y, self.loss = X, Y, loss
-        self.n_classes = 2
-        self.X_valid: FloatArray | None = None
-        self.Y_valid: FloatArray | None = None
-        self.mean, self.scale = np.zeros(X.shape[1]), np.ones(X.shape[1])
-        self.y_mean, self.y_scale = np.zeros(Y.shape[1]), np.ones(Y.shape[1])
-
-    def standardise_inputs(self) -> None:
-        """Shift and scale X to mean 0 and standard deviation 1 on the training rows."""
-        self.mean = self.X.mean(axis=0)
-        self.scale = _scale_of(self.X)
-        self.X = (self.X - self.mean) / self.scale
-        if self.X_valid is not None:
-            self.X_valid = (self.X_valid - self.mean) / self.scale
-
-    def standardise_targets(self) -> None:
-        """Do the same to Y."""
-        self.y_mean = np.nanmean(self.Y, axis=0)
-        self.y_scale = _scale_of(self.Y)
-        self.Y = (self.Y - self.y_mean) / self.y_scale
-        if self.Y_valid is not None:
-            self.Y_valid = (self.Y_valid - self.y_mean) / self.y_scale
-
-
-def _scale_of(values: FloatArray) -> FloatArray:
-    deviation: FloatArray = np.nanstd(values, axis=0)
-    # What is constant up to rounding stays as it is.
-    deviation[deviation <= 1e-12 * np.maximum(1.0, np.abs(np.nanmean(values, axis=0)))] = 1.0
-    return deviation
+Thing = TypeVar("Thing")
 
 
 class TreeLearner(BaseEstimator, ABC):  # type: ignore[misc]
@@ -84,11 +42,25 @@ class TreeLearner(BaseEstimator, ABC):  # type: ignore[misc]
     standardize: bool | Literal["auto"]
     trees_: list[ObliqueTree | PatternTree]
 
+    def fit(self, X: ArrayLike, y: ArrayLike, *, validation: Validation = None) -> Self:
+        """Fit the trees.
+
+        Args:
+            X: (n, d).
+            y: (n,) labels of two or more classes or targets; or (n, L) of several labels, 0, 1 and NaN where one is
+                missing, or of several targets.
+            validation: (X, y) of rows on which the best epoch is chosen; without, the last is kept.
+
+        Raises:
+            ValueError: a parameter that is not what it may be, y of one class only, or shapes that do not agree.
+        """
+        self._fit_problem(self._problem(X, y, validation))
+        return self
+
     @property
     def tree_(self) -> ObliqueTree | PatternTree:
         """The tree of an estimator of one label."""
-        tree: ObliqueTree | PatternTree = only(self.trees_, "tree")
-        return tree
+        return _only(self.trees_, "tree")
 
     @abstractmethod
     def _problem(self, X: ArrayLike, y: ArrayLike, validation: Validation) -> Problem:
@@ -114,13 +86,6 @@ class TreeLearner(BaseEstimator, ABC):  # type: ignore[misc]
         rows = validate_data(self, X, dtype=np.float64, reset=False)
         return np.stack([tree.forward(rows) for tree in self.trees_], axis=1)
 
-    def _standardises(self, X: FloatArray) -> bool:
-        if self.standardize not in (True, False, "auto"):
-            raise ValueError(f"standardize is {self.standardize!r}, expected True, False or 'auto'")
-        if self.standardize == "auto":
-            return not bool(((X == 0) | (X == 1)).all())
-        return self.standardize is True
-
     def _standardised(self, problem: Problem, validation: Validation, encoded_valid: FloatArray | None) -> Problem:
         """Return the problem with its validation rows, inputs and targets shifted and scaled as is asked."""
         if validation is not None:
@@ -128,7 +93,8 @@ class TreeLearner(BaseEstimator, ABC):  # type: ignore[misc]
             problem.Y_valid = encoded_valid
             if encoded_valid is not None and len(encoded_valid) != len(problem.X_valid):
                 raise ValueError(f"validation has {len(problem.X_valid)} rows of X and {len(encoded_valid)} of y")
-        if self._standardises(problem.X):
+        are_bits = ((problem.X == 0) | (problem.X == 1)).all()
+        if not are_bits if self.standardize == "auto" else self.standardize:
             problem.standardise_inputs()
         if problem.loss == "squared":
             problem.standardise_targets()
@@ -149,7 +115,7 @@ class NetworkLearner(TreeLearner):
     @property
     def network_(self) -> Any:
         """The network of an estimator of one label."""
-        return only(self.networks_, "network")
+        return _only(self.networks_, "network")
 
     def fit_seeds(
         self, X: ArrayLike, y: ArrayLike, seeds: Sequence[int], *, validation: Validation = None
@@ -171,13 +137,24 @@ class NetworkLearner(TreeLearner):
     def _fit_problem(self, problem: Problem) -> None:
         self._take(self._train(problem, [seed_of(self.random_state)]), 0, problem)
 
-    @abstractmethod
-    def _train(self, problem: Problem, seeds: Sequence[int]) -> Any:
-        """Return the networks [label][seed] with scores and epochs, see `TrainedNetworks`."""
-
-    @abstractmethod
     def _take(self, trained: Any, position: int, problem: Problem) -> None:
         """Set the fitted attributes from the networks of the seed at this position."""
+        scales = zip(trained.networks, problem.y_mean, problem.y_scale, strict=True)
+        self.networks_ = [self._unscaled(of_label[position], problem, *scale) for of_label, *scale in scales]
+        self.best_epochs_, self.validation_scores_ = trained.epochs[:, position], trained.scores[:, position]
+        self.trees_ = [self._tree_of(network) for network in self.networks_]
+
+    @abstractmethod
+    def _train(self, problem: Problem, seeds: Sequence[int]) -> Any:
+        """Return the `TrainedNetworks` of all labels and seeds."""
+
+    @abstractmethod
+    def _unscaled(self, network: Any, problem: Problem, y_mean: float, y_scale: float) -> Any:
+        """Return the network that takes inputs and gives targets as they were before standardising."""
+
+    @abstractmethod
+    def _tree_of(self, network: Any) -> ObliqueTree | PatternTree:
+        """Return the tree that computes what the network does."""
 
 
 class TreeClassifier(ClassifierMixin, TreeLearner):  # type: ignore[misc]
@@ -188,21 +165,8 @@ class TreeClassifier(ClassifierMixin, TreeLearner):  # type: ignore[misc]
 
     classes_: NDArray[Any]
 
-    def fit(self, X: ArrayLike, y: ArrayLike, *, validation: Validation = None) -> TreeClassifier:
-        """Fit the trees.
-
-        Args:
-            X: (n, d).
-            y: (n,) labels of two or more classes, or (n, L) of 0, 1 and NaN.
-            validation: (X, y) of rows on which the best epoch is chosen; without, the last is kept.
-
-        Raises:
-            ValueError: y has one class only, or shapes do not agree.
-        """
-        self._fit_problem(self._problem(X, y, validation))
-        return self
-
     def _problem(self, X: ArrayLike, y: ArrayLike, validation: Validation) -> Problem:
+        self._validate_params()
         shape = np.asarray(y).shape
         multilabel = len(shape) == 2 and shape[1] > 1
         rows: FloatArray
@@ -277,21 +241,8 @@ class TreeClassifier(ClassifierMixin, TreeLearner):  # type: ignore[misc]
 class TreeRegressor(RegressorMixin, TreeLearner):  # type: ignore[misc]
     """Base of the regressors, with one tree a target."""
 
-    def fit(self, X: ArrayLike, y: ArrayLike, *, validation: Validation = None) -> TreeRegressor:
-        """Fit the trees.
-
-        Args:
-            X: (n, d).
-            y: (n,) or (n, L).
-            validation: (X, y) of rows on which the best epoch is chosen; without, the last is kept.
-
-        Raises:
-            ValueError: shapes do not agree.
-        """
-        self._fit_problem(self._problem(X, y, validation))
-        return self
-
     def _problem(self, X: ArrayLike, y: ArrayLike, validation: Validation) -> Problem:
+        self._validate_params()
         rows, targets = validate_data(self, X, y, dtype=np.float64, multi_output=True, y_numeric=True)
         if targets.ndim == 2 and targets.shape[1] == 1:
             targets = column_or_1d(targets, warn=True)
@@ -318,7 +269,7 @@ def _columns(y: ArrayLike) -> FloatArray:
     return Y[:, None] if Y.ndim == 1 else Y
 
 
-def only(things: list[Any], what: str) -> Any:
+def _only(things: list[Thing], what: str) -> Thing:
     """Return the one thing, or raise AttributeError that names the attribute with all of them."""
     if len(things) != 1:
         raise AttributeError(f"there are {len(things)} {what}s, one for each label; see {what}s_")
@@ -327,6 +278,6 @@ def only(things: list[Any], what: str) -> Any:
 
 def seed_of(random_state: int | np.random.RandomState | None) -> int:
     """Return an integer seed: `random_state` itself where it is one, else a number drawn from it."""
-    if isinstance(random_state, int | np.integer) and not isinstance(random_state, bool) and random_state >= 0:
+    if isinstance(random_state, Integral):
         return int(random_state)
     return int(check_random_state(random_state).randint(2**31 - 1))

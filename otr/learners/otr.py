@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -11,22 +11,38 @@ from otr.core.mapping import map_network
 from otr.core.network import ReluNetwork
 from otr.core.pattern_tree import PatternTree
 from otr.core.tree import ObliqueTree
+from otr.learners.base.parameters import (
+    AT_LEAST_1,
+    NOT_NEGATIVE,
+    SEED,
+    STANDARDIZE,
+    Constraints,
+    parameters_of,
+    some_of,
+)
+from otr.learners.base.problem import Problem
+from otr.learners.base.tree_per_label import NetworkLearner, TreeClassifier, TreeRegressor
 from otr.learners.distillation import Teacher, distillation_set
-from otr.learners.networks.batched_mlp import MlpSettings, TrainedNetworks, train_many
+from otr.learners.networks.batched_mlp import MlpSettings
 from otr.learners.networks.batched_training import Schedule
-from otr.learners.networks.estimators import NetworkLearner, Problem, TreeClassifier, TreeRegressor
+from otr.learners.networks.labels_and_seeds import TrainedNetworks, train_many
 
-__all__ = ["OTRClassifier", "OTRRegressor", "tree_of"]
-
-
-def tree_of(network: ReluNetwork, max_leaves: int) -> ObliqueTree | PatternTree:
-    """Return the explicit tree where it has at most `max_leaves` leaves, else the same tree held as patterns."""
-    patterns = PatternTree(network)
-    return map_network(network, max_leaves=max_leaves) if patterns.n_paths <= max_leaves else patterns
+__all__ = ["OTRClassifier", "OTRRegressor"]
 
 
 class _OTRLearner(NetworkLearner):
     networks_: list[ReluNetwork]
+
+    _parameter_constraints: ClassVar[Constraints] = {
+        **some_of(MlpSettings, "hidden", "dense", "negative_slope", "shared", "input_dropout", "hidden_dropout"),
+        **some_of(Schedule, "epochs", "batch_size", "learning_rate", "momentum", "decay_every"),
+        **some_of(Schedule, "l1", "l2", "averaging", "common_epoch"),
+        "drop_below": [NOT_NEGATIVE],
+        "teacher": [Teacher, None],
+        "standardize": STANDARDIZE,
+        "max_leaves": [AT_LEAST_1],
+        "random_state": SEED,
+    }
 
     def __init__(
         self,
@@ -73,27 +89,12 @@ class _OTRLearner(NetworkLearner):
         self.max_leaves = max_leaves
         self.random_state = random_state
 
-    def _train(self, problem: Problem, seeds: Sequence[int]) -> TrainedNetworks:
+    def _train(self, problem: Problem, seeds: Sequence[int]) -> TrainedNetworks[ReluNetwork]:
         settings = MlpSettings(
-            hidden=tuple(self.hidden),
-            dense="all" if self.dense is True else self.dense,
-            negative_slope=self.negative_slope,
+            **parameters_of(self, MlpSettings),
             loss=problem.loss,
             n_classes=problem.n_classes,
-            shared=self.shared,
-            input_dropout=self.input_dropout,
-            hidden_dropout=self.hidden_dropout,
-            schedule=Schedule(
-                epochs=self.epochs,
-                batch_size=self.batch_size,
-                learning_rate=self.learning_rate,
-                momentum=self.momentum,
-                decay_every=self.decay_every,
-                l1=self.l1,
-                l2=self.l2,
-                averaging=self.averaging,
-                common_epoch=self.common_epoch,
-            ),
+            schedule=Schedule(**parameters_of(self, Schedule)),
         )
         if self.teacher is None:
             return train_many(problem.X, problem.Y, seeds, settings, X_valid=problem.X_valid, Y_valid=problem.Y_valid)
@@ -101,28 +102,21 @@ class _OTRLearner(NetworkLearner):
             raise ValueError(f"a teacher is for binary labels, and the loss here is {problem.loss!r}")
         return _joined([self._train_student(problem, seed, settings) for seed in seeds])
 
-    def _train_student(self, problem: Problem, seed: int, settings: MlpSettings) -> TrainedNetworks:
+    def _train_student(self, problem: Problem, seed: int, settings: MlpSettings) -> TrainedNetworks[ReluNetwork]:
         """Return the networks that learn from the seed's own teacher."""
         rows, targets = distillation_set(problem.X, problem.Y, self.teacher, seed=seed)
         return train_many(rows, targets, [seed], settings, X_valid=problem.X_valid, Y_valid=problem.Y_valid)
 
-    def _take(self, trained: TrainedNetworks, position: int, problem: Problem) -> None:
-        self.networks_ = [
-            _with_targets(
-                _without_small_weights(of_label[position], self.drop_below).fold_input_normalisation(
-                    problem.mean, problem.scale
-                ),
-                mean,
-                scale,
-            )
-            for of_label, mean, scale in zip(trained.networks, problem.y_mean, problem.y_scale, strict=True)
-        ]
-        self.best_epochs_ = trained.epochs[:, position]
-        self.validation_scores_ = trained.scores[:, position]
-        self.trees_ = [tree_of(network, self.max_leaves) for network in self.networks_]
+    def _unscaled(self, network: ReluNetwork, problem: Problem, y_mean: float, y_scale: float) -> ReluNetwork:
+        sparse = _without_small_weights(network, self.drop_below)
+        return _with_targets(sparse.fold_input_normalisation(problem.mean, problem.scale), y_mean, y_scale)
+
+    def _tree_of(self, network: ReluNetwork) -> ObliqueTree | PatternTree:
+        patterns = PatternTree(network)
+        return map_network(network, max_leaves=self.max_leaves) if patterns.n_paths <= self.max_leaves else patterns
 
 
-def _joined(trained: Sequence[TrainedNetworks]) -> TrainedNetworks:
+def _joined(trained: Sequence[TrainedNetworks[ReluNetwork]]) -> TrainedNetworks[ReluNetwork]:
     """Return the networks of several seeds, trained apart, as one."""
     networks = [[one.networks[label][0] for one in trained] for label in range(len(trained[0].networks))]
     scores = np.concatenate([one.scores for one in trained], axis=1)
@@ -150,7 +144,7 @@ _PARAMETERS = """
 
     `tree_` is the explicit `ObliqueTree` where it has at most `max_leaves` leaves, else a `PatternTree`; both compute
     what `network_` computes. For several labels at once there is a network and a tree for each, in `networks_` and
-    `trees_`. To train many labels and seeds together, use `otr.learners.networks.batched_mlp.train_many`.
+    `trees_`. `fit_seeds` trains many seeds together.
 
     Args:
         hidden: widths of the hidden layers.

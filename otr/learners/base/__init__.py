@@ -1,0 +1,1 @@
+"""What the learners share: scikit-learn's contract, declared parameters, trees from leaves."""

@@ -1,0 +1,56 @@
+"""A learning problem as the learners of networks and linear models see it: encoded labels, scaled inputs."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from otr.core.arrays import FloatArray
+
+__all__ = ["Problem"]
+
+
+class Problem:
+    """A learning problem after the checks at the door.
+
+    Attributes:
+        X: (n, d) float64, shifted and scaled by `mean` and `scale`.
+        Y: (n, L), NaN where missing: 0 and 1 (logistic), class numbers (softmax), standardised targets (squared).
+        loss: "logistic", "softmax" or "squared".
+        n_classes: of the softmax loss.
+        X_valid, Y_valid: the same for the rows that choose the epoch, or None.
+        mean, scale: (d,), what X was shifted and scaled by.
+        y_mean, y_scale: (L,), what the targets were shifted and scaled by.
+    """
+
+    def __init__(self, X: FloatArray, Y: FloatArray, loss: Literal["logistic", "softmax", "squared"]) -> None:
+        self.X, self.Y, self.loss = X, Y, loss
+        self.n_classes = 2
+        self.X_valid: FloatArray | None = None
+        self.Y_valid: FloatArray | None = None
+        self.mean, self.scale = np.zeros(X.shape[1]), np.ones(X.shape[1])
+        self.y_mean, self.y_scale = np.zeros(Y.shape[1]), np.ones(Y.shape[1])
+
+    def standardise_inputs(self) -> None:
+        """Shift and scale X to mean 0 and standard deviation 1 on the training rows."""
+        self.mean = self.X.mean(axis=0)
+        self.scale = _scale_of(self.X)
+        self.X = (self.X - self.mean) / self.scale
+        if self.X_valid is not None:
+            self.X_valid = (self.X_valid - self.mean) / self.scale
+
+    def standardise_targets(self) -> None:
+        """Do the same to Y."""
+        self.y_mean = np.nanmean(self.Y, axis=0)
+        self.y_scale = _scale_of(self.Y)
+        self.Y = (self.Y - self.y_mean) / self.y_scale
+        if self.Y_valid is not None:
+            self.Y_valid = (self.Y_valid - self.y_mean) / self.y_scale
+
+
+def _scale_of(values: FloatArray) -> FloatArray:
+    deviation: FloatArray = np.nanstd(values, axis=0)
+    # What is constant up to rounding stays as it is.
+    deviation[deviation <= 1e-12 * np.maximum(1.0, np.abs(np.nanmean(values, axis=0)))] = 1.0
+    return deviation

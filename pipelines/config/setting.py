@@ -103,6 +103,11 @@ def declared(kind: type) -> dict[str, tuple[Any, ...]]:
     return {field.name: tuple(_markers(hints[field.name])) for field in dataclasses.fields(kind)}
 
 
+def not_keyed(kind: type) -> tuple[str, ...]:
+    """Return the fields of a configuration's class that do not decide what comes out."""
+    return tuple(name for name, markers in declared(kind).items() if any(isinstance(m, NotKeyed) for m in markers))
+
+
 def check_settings(config: Any, prefix: str = "") -> None:
     """Raise ConfigError if a setting is not in the range that its field declares, naming key, value and range.
 

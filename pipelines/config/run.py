@@ -2,7 +2,7 @@
 
 import dataclasses
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from pipelines.config.algo import AlgoConfig, ArsConfig, SacConfig
 from pipelines.config.budget import BudgetConfig
@@ -79,6 +79,8 @@ class RunConfig:
     program_text: Annotated[FreeText | None, DERIVED] = field(default=None, metadata={"omegaconf_ignore": True})
     folder: Annotated[FreeText, DERIVED] = field(default="", metadata={"omegaconf_ignore": True})
     oracle_run: "Annotated[RunConfig | None, DERIVED]" = field(default=None, metadata={"omegaconf_ignore": True})
+
+    summary_schema: ClassVar[str] = "otr/summary/1"
 
     def __post_init__(self) -> None:
         if self.method.pid_terms:  # in one place, so that every stage sees the same environment

@@ -19,7 +19,6 @@ from pipelines.tracking.tracker import open_tracker
 from pipelines.training.estimates import checkpoint_folder, estimated_bytes, estimated_seconds, trained_steps
 
 LONG_RUN_S = 60.0
-SUMMARY_SCHEMA = "otr/summary/1"
 
 
 @dataclass(frozen=True)
@@ -150,7 +149,7 @@ def summarise(job: RunJob) -> dict[str, Any]:
         segments_s = sum(float(row["seconds"]) for row in read_csv(run_dir / "train" / "progress.csv"))
         seconds["train"] = round(max(segments_s, seconds["train"]), 3)
     summary = {
-        "schema": SUMMARY_SCHEMA,
+        "schema": config.summary_schema,
         "env": config.env.name,
         "task": config.env.task,
         "env_id": config.env.id,

@@ -6,7 +6,7 @@ parameters of its estimators in `otr.learners`, under the same names.
 
 from dataclasses import asdict, dataclass, field, fields, replace
 from itertools import product
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from pipelines.config.setting import (
     DERIVED,
@@ -80,7 +80,7 @@ class CartConfig(LearnerConfig):
 class HhcartConfig(LearnerConfig):
     """`HHCARTClassifier` and `HHCARTRegressor`."""
 
-    max_depth: Count | None = None
+    max_depth: Annotated[int | None, Range(0)] = None
     min_samples_leaf: Count = 1
 
 
@@ -93,7 +93,7 @@ class TaoConfig(LearnerConfig):
     surrogate: Annotated[str, OneOf("squared_hinge", "logistic")] = "squared_hinge"
     C: Positive = 1.0
     max_iter: Annotated[int, Range(0)] = 14
-    tol: NotNegative = 0.005
+    tol: Annotated[float, Range()] = 0.005
     leaf_values: Annotated[str, OneOf("shares", "labels"), AsBefore("shares")] = "shares"
 
 
@@ -111,7 +111,7 @@ class FirstLayerTreeConfig(LearnerConfig):
 class ModelTreeConfig(LearnerConfig):
     """`LinearModelTreeRegressor`."""
 
-    max_depth: Count = 5
+    max_depth: Annotated[int, Range(0)] = 5
 
 
 @dataclass(frozen=True)
@@ -188,6 +188,8 @@ class FitConfig:
     side_by_side: Annotated[bool, EXECUTION] = False
     debug: Annotated[bool, EXECUTION] = False
     folder: Annotated[FreeText, DERIVED] = field(default="", metadata={"omegaconf_ignore": True})
+
+    summary_schema: ClassVar[str] = "otr/fit-summary/1"
 
     def __post_init__(self) -> None:
         check_settings(self)

@@ -13,7 +13,6 @@ from pipelines.supervised.config import FitConfig, settings
 from pipelines.supervised.console import show_fit
 from pipelines.supervised.stages import stages_of
 
-SUMMARY_SCHEMA = "otr/fit-summary/1"
 TOGETHER = ("lcn", "otr")  # learners that train labels and seeds as one batched model
 
 
@@ -117,7 +116,7 @@ def summarise(job: FitJob) -> dict[str, Any]:
     names = [name for name in config.all_stages if (job.run_dir / name / MANIFEST).exists()]
     manifests = {name: read_json(job.run_dir / name / MANIFEST) for name in names}
     return {
-        "schema": SUMMARY_SCHEMA,
+        "schema": config.summary_schema,
         "data": config.data.name,
         "method": config.method.name,
         "learner": config.method.learner,

@@ -1,9 +1,14 @@
 import dataclasses
+from typing import get_type_hints
 
 import pytest
+from sklearn.utils._param_validation import validate_parameter_constraints
 
+from otr import learners
+from pipelines.config.setting import Range, declared
 from pipelines.errors import ConfigError
-from pipelines.supervised.config import combinations, fit_folder, fit_settings, tune_settings
+from pipelines.supervised.config import LEARNERS, combinations, fit_folder, fit_settings, tune_settings
+from pipelines.supervised.learners import ESTIMATORS
 from pipelines.supervised.run import fit_groups
 
 
@@ -58,6 +63,18 @@ def test_seeds_of_one_method_make_a_group(fit_of):
     configs.insert(1, fit_of("otr", seed=0))
     assert fit_groups(configs) == [[0, 2, 3], [1]]
     assert fit_groups([dataclasses.replace(config, seeds_per_process=2) for config in configs]) == [[0, 2], [1], [3]]
+
+
+@pytest.mark.parametrize("learner", LEARNERS)
+def test_what_a_setting_may_be_the_estimator_takes(learner):
+    kind = LEARNERS[learner]
+    for name, hint in get_type_hints(kind).items():
+        ranges = [marker for marker in declared(kind)[name] if isinstance(marker, Range)]
+        values = [-1, 0, 1, 2] if hint in (int, int | None) else [-1.0, 0.0, 0.5, 1.0, 2.0] if hint is float else []
+        for value in (value for value in values if ranges[0].problem(value) is None):
+            for estimator in (getattr(learners, of_task) for of_task in ESTIMATORS[learner] if of_task):
+                known = {name: estimator._parameter_constraints.get(name, "no_validation")}
+                validate_parameter_constraints(known, {name: value}, estimator.__name__)
 
 
 def test_settings_that_are_as_before_are_not_keyed(fit_of):

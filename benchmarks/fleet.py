@@ -31,8 +31,8 @@ from benchmarks.measure import Entry, alternate
 from benchmarks.training import plain_trainer
 from pipelines.cli import runs
 from pipelines.config import RunConfig
+from pipelines.stages.fleets import fleets
 from pipelines.training.fleet.fleet_run import FleetRun
-from pipelines.training.fleet.groups import fleets
 from pipelines.training.fleet.progress import FleetProgress
 from pipelines.training.fleet.sac import FleetSac, Minibatch, RunSettings, Shapes
 from pipelines.training.fleet.stacked_tensors import multiply, new_stack

@@ -21,7 +21,7 @@ JOB = ("env=pendulum", "depth=1", "budget=smoke", "n_workers=1")
 JOBS_ALONE = """
 import sys
 from pipelines.cli.runs import RUN
-from pipelines.stages.run import run_job
+from pipelines.stages.run_job import run_job
 RUN.composer.register()
 for job in RUN.jobs(RUN.composer.expand(sys.argv[1:], multirun=True)):
     run_job(job)

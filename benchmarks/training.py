@@ -25,11 +25,12 @@ from benchmarks.measure import Entry
 from pipelines.cli import runs
 from pipelines.config import PpoConfig, RunConfig, SacConfig
 from pipelines.play.environments import make_env
-from pipelines.stages.train import _train_segment
+from pipelines.training.actors import actor_of
 from pipelines.training.checkpoints import History
 from pipelines.training.progress import TrainingProgress
 from pipelines.training.sb3_checkpoints import save_checkpoint
 from pipelines.training.sb3_models import build_model
+from pipelines.training.sb3_training import train_segment
 
 Segment = Callable[[], Any]
 
@@ -87,15 +88,15 @@ def take_turns(config: RunConfig, rounds: int) -> tuple[float, float]:
 def our_trainer(config: RunConfig, folder: Path) -> tuple[BaseAlgorithm, Segment]:
     """Return the model that our trainer trains, and the function that trains it for one segment more."""
     model, history = build_model(config, seed=0), History()
-    progress = TrainingProgress(config, 0)
+    progress, actor = TrainingProgress(config, 0), actor_of(config)
 
-    def train_segment() -> None:
+    def train_on() -> None:
         start = model.num_timesteps
-        history.progress.append(_train_segment(model, config, history.n_segments, progress))
+        history.progress.append(train_segment(model, actor, history.n_segments, progress))
         history.n_segments += 1
         save_checkpoint(folder, model, history, start)
 
-    return model, train_segment
+    return model, train_on
 
 
 def plain_trainer(config: RunConfig) -> tuple[BaseAlgorithm, Segment]:

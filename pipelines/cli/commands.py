@@ -34,7 +34,7 @@ from pipelines.report.plan import print_plan
 from pipelines.report.replay import replay
 from pipelines.report.tabulate import write_table
 from pipelines.report.verify import VerifyConfig, verify_run
-from pipelines.stages.run import RunJob
+from pipelines.stages.run_job import RunJob
 
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE, EXIT_TERMINATED = 1, 2, 130, 141, 143
 

@@ -15,11 +15,11 @@ from pipelines.config import METHODS, MethodConfig, RunConfig
 from pipelines.config.settings import run_folder
 from pipelines.engine.store import corrupt
 from pipelines.errors import ConfigError
+from pipelines.stages.fleets import fleets
 from pipelines.stages.parse import policy_tree
-from pipelines.stages.run import RunJob, run_job, run_jobs
+from pipelines.stages.run_job import RunJob, run_job, run_jobs
 from pipelines.stages.shipped_programs import read_program
 from pipelines.tracking.tracker import check_tracking
-from pipelines.training.fleet.groups import fleets
 
 # The groups and keys that decide how an oracle is trained, and where and how that is done.
 OF_TRAINING = ("env", "algo", "actor", "trainer", "budget", "train", "seed", "experiment", "results_dir", "n_workers",

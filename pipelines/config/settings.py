@@ -1,11 +1,11 @@
 """Which settings decide what comes out of a run: the keys of its stages and the name of its folder."""
 
 import hashlib
-import json
 from typing import Any
 
 from pipelines.config import EnvConfig, RunConfig
 from pipelines.config.setting import keyed_settings
+from pipelines.engine.digests import digest, setting_differences
 
 
 def run_folder(config: RunConfig, baseline: RunConfig) -> str:
@@ -38,21 +38,3 @@ def env_settings(env: EnvConfig) -> dict[str, Any]:
     """Return what decides how an environment behaves, for the keys of stages that play in it."""
     pid = {} if env.pid is None else {"pid": {"goal": list(env.pid.goal), "n_history": env.pid.n_history}}
     return {"id": env.id, "kwargs": env.kwargs, **pid}
-
-
-def digest(value: Any) -> str:
-    """Return the sha256, in hex, of JSON-able data; key order does not matter."""
-    text = json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
-def setting_differences(new: dict[str, Any], old: dict[str, Any], prefix: str = "") -> dict[str, list[Any]]:
-    """Return {dotted key: [new, old]} for every leaf that differs; None stands for a key that is not there."""
-    found: dict[str, list[Any]] = {}
-    for key in sorted(new.keys() | old.keys()):
-        mine, other = new.get(key), old.get(key)
-        if isinstance(mine, dict) and isinstance(other, dict):
-            found |= setting_differences(mine, other, f"{prefix}{key}.")
-        elif mine != other:
-            found[f"{prefix}{key}"] = [mine, other]
-    return found

@@ -15,8 +15,8 @@ from typing import Any, Protocol, TypeVar
 
 from filelock import FileLock, Timeout
 
-from pipelines.config.settings import digest, setting_differences
 from pipelines.engine import provenance
+from pipelines.engine.digests import digest, setting_differences
 from pipelines.engine.store import corrupt, read_json, write_json
 from pipelines.errors import MissingInputError, OtherSettingsError, PipelineError
 
@@ -46,6 +46,8 @@ class Stage:
         settings: picks, from the run's configuration, what decides the result; JSON-able.
         run: `(inputs, config, out)` writes the result's files into the empty folder `out`.
         is_transient: its result is large and serves the stages after it; it may be gone once these are done.
+        checkpoints: from `(config, inputs)` to the folder in which it keeps what it has done so far; that folder is
+            removed once the result is in its place.
     """
 
     name: str
@@ -54,6 +56,7 @@ class Stage:
     settings: Callable[[Any], dict[str, Any]]
     run: Callable[[Mapping[str, Path], Any, Path], None]
     is_transient: bool = False
+    checkpoints: Callable[[Any, Mapping[str, Path]], Path] | None = None
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,14 @@ def run_stage(stage: Stage, run_dir: Path, config: StageConfig, rerun_command: s
         PipelineError: an input or the finished folder was damaged.
     """
     inputs = {name: _input_folder(run_dir, name, stage, rerun_command) for name in stage.inputs}
+    result = _found_or_made(stage, run_dir, config, inputs)
+    if stage.checkpoints:  # only now that the result is in its place
+        shutil.rmtree(stage.checkpoints(config, inputs), ignore_errors=True)
+    return result
+
+
+def _found_or_made(stage: Stage, run_dir: Path, config: StageConfig, inputs: Mapping[str, Path]) -> StageResult:
+    """Return a stage's result: the one in its folder, a sibling run's, or a new one."""
     wanted = stage_key(stage, config, inputs)
     folder = run_dir / stage.name
     with _lock(run_dir / f".{stage.name}.lock", f"{run_dir}: another process is at stage {stage.name}"):

@@ -17,8 +17,8 @@ from pipelines.config import RunConfig
 from pipelines.engine.job import Job, is_done
 from pipelines.engine.store import write_text
 from pipelines.errors import ConfigError
-from pipelines.stages.run import RunJob
-from pipelines.training.fleet.groups import fleets
+from pipelines.stages.fleets import fleets
+from pipelines.stages.run_job import RunJob
 
 FUTILE_ROUNDS = 3  # rounds in a row that lose a worker and finish no job, before a sweep gives up
 LOST_WORKERS = {  # what joblib, submitit and Ray raise where a process or node doing a job has died

@@ -7,10 +7,9 @@ from rich.table import Table
 
 from pipelines.engine.console import duration
 from pipelines.engine.stage import stage_status
-from pipelines.stages import imitation
-from pipelines.stages.run import RunJob
-from pipelines.training import estimates as training
-from pipelines.training.estimates import trained_steps
+from pipelines.stages import imitate
+from pipelines.stages.run_job import RunJob
+from pipelines.stages.train import seconds_left, trained_steps
 
 
 def job_plan(job: RunJob, planned: set[str]) -> tuple[str, float]:
@@ -30,8 +29,8 @@ def job_plan(job: RunJob, planned: set[str]) -> tuple[str, float]:
         return "skip", 0.0
     if "train" in left:
         done = trained_steps(config)
-        return (f"resume at step {done:,}" if done else "run"), training.estimated_seconds(config)
-    seconds = imitation.estimated_seconds(config) if "imitate" in left else 0.0
+        return (f"resume at step {done:,}" if done else "run"), seconds_left(config)
+    seconds = imitate.estimated_seconds(config) if "imitate" in left else 0.0
     if job.oracle and "oracle" in left:
         what, oracle_seconds = _oracle_plan(job.oracle, planned)
         return f"run, {what}", seconds + oracle_seconds
@@ -48,7 +47,7 @@ def _oracle_plan(oracle: RunJob, planned: set[str]) -> tuple[str, float]:
     planned.add(oracle.folder)
     done = trained_steps(oracle.config)
     how = f"resume at step {done:,}" if done else "train"
-    return f"{how} oracle {name}", training.estimated_seconds(oracle.config)
+    return f"{how} oracle {name}", seconds_left(oracle.config)
 
 
 def print_plan(jobs: Sequence[RunJob]) -> None:

@@ -11,13 +11,13 @@ import otr
 from pipelines.config import RunConfig
 from pipelines.config.settings import env_settings
 from pipelines.engine.seeding import episode_seeds
+from pipelines.engine.stage import Stage
 from pipelines.engine.store import write_json
 from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import state_limits
 from pipelines.play.rollout import rollout
-from pipelines.stages.program_files import write_program
+from pipelines.stages.printed_programs import write_program
 
-VERSION = 2
 MARGIN = 0.05  # of the width of what was visited, on either side
 
 
@@ -89,3 +89,6 @@ def _domain(inputs: Mapping[str, Path], config: RunConfig) -> tuple[otr.Domain, 
     low, high = states.min(axis=0), states.max(axis=0)
     margin = MARGIN * (high - low) + np.finfo(np.float32).eps * np.maximum(1.0, np.abs(high))
     return otr.Domain(low - margin, high + margin), f"the box around the states of {config.prune.n_episodes} episodes"
+
+
+CERTIFY = Stage("certify", version=2, inputs=("train", "map"), settings=certify_settings, run=certify)

@@ -10,6 +10,7 @@ import otr
 from pipelines.config import RunConfig
 from pipelines.config.settings import env_settings
 from pipelines.engine.seeding import evaluation_seeds
+from pipelines.engine.stage import Stage
 from pipelines.engine.store import write_csv, write_json
 from pipelines.errors import PolicyMismatchError
 from pipelines.play.actor_files import load_actor
@@ -17,7 +18,6 @@ from pipelines.play.agreement import answers_agree
 from pipelines.play.rollout import Rollout, rollout
 from pipelines.stages.oracle import load_oracle
 
-VERSION = 1
 TOLERANCE = 1e-6
 EPISODE_COLUMNS = ("episode", "seed", "return", "length", "terminated", "truncated")
 EPISODES_FILES = {
@@ -49,7 +49,7 @@ def load_policies(inputs: Mapping[str, Path], config: RunConfig) -> dict[str, An
     """
     policies: dict[str, Any] = {}
     if "harden" in inputs:
-        from pipelines.training.soft_policies import SoftPolicy, load_soft  # imports torch
+        from pipelines.training.soft_trees import SoftPolicy, load_soft  # imports torch
 
         hard: Any = otr.load(inputs["harden"] / "tree")
         policies["soft"] = SoftPolicy(load_soft(inputs["train"]), hard.head)
@@ -144,3 +144,7 @@ def _require_agreement(states: np.ndarray, network: np.ndarray, tree: np.ndarray
             f"network and tree differ in {np.count_nonzero(~agreement)} of {len(states)} states; the first is "
             f"{states[i].tolist()}: the network does {network[i].tolist()}, the tree {tree[i].tolist()}"
         )
+
+
+# What it reads is the method's own: `pipelines.stages.table.stages_of` fills it in.
+EVALUATE = Stage("evaluate", version=1, inputs=(), settings=evaluate_settings, run=evaluate)

@@ -6,10 +6,15 @@ from typing import Any
 
 import otr
 from pipelines.config import PiPrlConfig, RunConfig
+from pipelines.engine.stage import Stage
 from pipelines.engine.store import write_json
 from pipelines.play.environments import make_env
-from pipelines.stages.program_files import write_program
-from pipelines.training.soft_policies import harden, load_soft
+from pipelines.stages.printed_programs import write_program
+
+
+def harden_settings(config: RunConfig) -> dict[str, Any]:
+    """Return what decides the hard tree, given the soft one."""
+    return {"env": config.env.id, "feature_names": config.env.feature_names, "action_names": config.env.action_names}
 
 
 def harden_actor(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
@@ -17,6 +22,8 @@ def harden_actor(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> No
 
     Of SDT and CDT the authors' own discretisation too, `discretised.npz`: each test keeps its largest weight alone.
     """
+    from pipelines.training.soft_trees import harden, load_soft  # imports torch
+
     module = load_soft(inputs["train"])
     env = make_env(config.env)
     env.close()
@@ -27,3 +34,6 @@ def harden_actor(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> No
     if not isinstance(config.method, PiPrlConfig):
         otr.save(harden(module, env.action_space, axis_aligned=True), out / "discretised")
     write_json(out / "report.json", report)
+
+
+HARDEN = Stage("harden", version=1, inputs=("train",), settings=harden_settings, run=harden_actor)

@@ -8,32 +8,54 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
+
 import otr
-from otr.control.augtree import AugTreeFit
 from otr.control.dagger.loop import DaggerProgress, DaggerSettings, Fit, Play, run_dagger
-from otr.control.viper import CartFit, LinearModelTreeFit, box_of
-from pipelines.config import AugTreeConfig, LmViperConfig, NdpsConfig, RunConfig, ViperConfig
+from pipelines.config import AugTreeConfig, ImitatingConfig, LmViperConfig, NdpsConfig, RunConfig, ViperConfig
+from pipelines.config.settings import settings
 from pipelines.engine.console import duration
+from pipelines.engine.digests import digest
 from pipelines.engine.seeding import episode_seeds, stream
+from pipelines.engine.stage import Stage, verified_manifest
 from pipelines.engine.store import write_csv, write_json
 from pipelines.play.rollout import Policy, Rollout, rollout
-from pipelines.stages.imitation import working_folder
 from pipelines.stages.oracle import load_oracle
-from pipelines.stages.program_files import write_program
+from pipelines.stages.printed_programs import write_program
 
 STREAM_ELEMENTS = {"oracle": 0, "dagger": 1, "selection": 2, "fit": 3}
 ITERATE_COLUMNS = ("round", "n_rows", "rollout_mean", "selection_mean", "n_selection_episodes", "n_leaves", "depth",
                    "seconds", "chosen")  # fmt: skip
 REPORT_EVERY = 10  # rounds
+VERSION = 1
+STEPS_PER_S = 8_000.0  # environment steps on one core, with the states kept and labelled
+SHARE_PLAYED = 0.5  # of an episode's longest length
+
+
+def imitate_settings(config: RunConfig) -> dict[str, Any]:
+    """Return what decides the tree, given the oracle."""
+    everything = settings(config)
+    return {
+        "env": {"id": config.env.id, "kwargs": config.env.kwargs},
+        "method": everything["method"],
+        "depth": config.depth,
+        "imitate": everything["imitate"],
+        "seed": config.seed,
+        "feature_names": config.env.feature_names,
+        "action_names": config.env.action_names,
+    }
+
+
+def working_folder(config: RunConfig, inputs: Mapping[str, Path]) -> Path:
+    """Return where the data set and the iterates lie while the run is under way."""
+    key = digest([VERSION, imitate_settings(config), verified_manifest(inputs["oracle"])["output_digest"]])
+    return Path(config.results_dir) / "checkpoints" / key[:16]
 
 
 def imitate(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
-    """Imitate the oracle; write the chosen tree, its program, `iterates.csv` and `report.json`.
-
-    The working files stay: whoever has put `out` in its place deletes them.
-    """
+    """Imitate the oracle; write the chosen tree, its program, `iterates.csv` and `report.json`."""
     oracle = load_oracle(inputs["oracle"], Path(config.results_dir))
-    imitation, folder = config.imitate, working_folder(config, inputs["oracle"])
+    imitation, folder = config.imitate, working_folder(config, inputs)
     result = run_dagger(
         oracle,
         _fit(config, oracle, folder),
@@ -65,6 +87,9 @@ def imitate(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
 
 def _fit(config: RunConfig, oracle: otr.ReluNetwork, folder: Path) -> Fit:
     """Return the learner of a method's trees."""
+    from otr.control.augtree import AugTreeFit  # imports scikit-learn, as the next line does
+    from otr.control.viper import CartFit, LinearModelTreeFit
+
     method = config.method
     options: dict[str, Any] = {name: value for name, value in asdict(method).items() if name != "name"}
     if isinstance(method, ViperConfig):
@@ -81,6 +106,7 @@ def _ndps(method: NdpsConfig, depth: int, oracle: otr.ReluNetwork, folder: Path)
     import torch
 
     from otr.control.ndps import NdpsImitator, NdpsSettings
+    from otr.control.viper import box_of
 
     torch.set_num_threads(1)
     settings = NdpsSettings(
@@ -115,3 +141,19 @@ def _show(progress: DaggerProgress, config: RunConfig) -> None:
         f"{progress.n_leaves} leaves  about {left} left",
         flush=True,
     )
+
+
+def estimated_seconds(config: RunConfig) -> float:
+    """Return the likely time of the imitation on one core, the oracle's training apart."""
+    imitation, method = config.imitate, config.method
+    assert isinstance(method, ImitatingConfig)
+    # Successive halving plays about as much again as its last two candidates do, six times over.
+    n_chosen = 6 * imitation.n_choice_episodes
+    n_episodes = imitation.n_initial_episodes + (imitation.n_rounds + 1) * imitation.n_episodes + n_chosen
+    longest = gym.spec(config.env.id).max_episode_steps or 1000
+    return n_episodes * longest * SHARE_PLAYED / STEPS_PER_S + (imitation.n_rounds + 1) * method.fit_s
+
+
+IMITATE = Stage(
+    "imitate", VERSION, inputs=("oracle",), settings=imitate_settings, run=imitate, checkpoints=working_folder
+)

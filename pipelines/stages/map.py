@@ -6,11 +6,10 @@ from typing import Any
 
 import otr
 from pipelines.config import RunConfig
+from pipelines.engine.stage import Stage
 from pipelines.engine.store import write_json
 from pipelines.play.actor_files import load_actor
-from pipelines.stages.program_files import write_program
-
-VERSION = 1
+from pipelines.stages.printed_programs import write_program
 
 
 def map_settings(config: RunConfig) -> dict[str, Any]:
@@ -38,3 +37,6 @@ def map_actor(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
         out / "report.json",
         {"kind": "oblique_tree" if explicit else "pattern_tree", "n_leaves": 2**n_tests, "depth": n_tests},
     )
+
+
+MAP = Stage("map", version=1, inputs=("train",), settings=map_settings, run=map_actor)

@@ -11,13 +11,12 @@ from typing import Any
 
 import otr
 from pipelines.config import RunConfig
-from pipelines.engine.stage import verified_manifest
+from pipelines.engine.stage import Stage, verified_manifest
 from pipelines.engine.store import read_csv, read_json, write_json
 from pipelines.errors import PipelineError
 from pipelines.play.actor_files import load_actor
-from pipelines.training.estimates import train_settings
+from pipelines.stages.train import train_settings
 
-VERSION = 1
 REFERENCE = "oracle.json"
 
 
@@ -57,3 +56,6 @@ def load_oracle(reference: Path, results_dir: Path) -> otr.ReluNetwork:
     if verified_manifest(folder)["output_digest"] != about["output_digest"]:
         raise PipelineError(f"{folder} holds another oracle than the run's; delete {reference} to imitate that one")
     return load_actor(folder)
+
+
+ORACLE = Stage("oracle", version=1, inputs=(), settings=oracle_settings, run=refer)

@@ -9,12 +9,12 @@ import numpy as np
 import otr
 from pipelines.config import EnvConfig, ProgramConfig, RunConfig
 from pipelines.config.settings import settings
+from pipelines.engine.stage import Stage
 from pipelines.engine.store import write_json, write_text
 from pipelines.errors import ConfigError
 from pipelines.play.environments import action_names, feature_names, spaces
-from pipelines.stages.program_files import write_program
+from pipelines.stages.printed_programs import write_program
 
-VERSION = 1
 ROUNDING = 1e-9
 
 
@@ -87,3 +87,6 @@ def _clipped(tree: otr.ObliqueTree, low: np.ndarray, high: np.ndarray, where: st
         if (low >= high).any():
             raise ConfigError(f"{where}: a clip of the program leaves none of the actions that the environment has")
     return tree.replace(head=otr.ClipBox(low, high))
+
+
+PARSE = Stage("parse", version=1, inputs=(), settings=parse_settings, run=parse)

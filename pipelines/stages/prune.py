@@ -12,14 +12,14 @@ from otr.control import constant_gains
 from pipelines.config import RunConfig
 from pipelines.config.settings import env_settings
 from pipelines.engine.seeding import episode_seeds
+from pipelines.engine.stage import Stage
 from pipelines.engine.store import write_json, write_text
 from pipelines.errors import PolicyMismatchError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.agreement import answers_agree
 from pipelines.play.rollout import rollout
-from pipelines.stages.program_files import program_text, write_program
+from pipelines.stages.printed_programs import program_text, write_program
 
-VERSION = 1
 TOLERANCE = 1e-6
 
 
@@ -80,3 +80,7 @@ def prune(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
             "k": config.prune.k,
         },
     )
+
+
+# What it reads is the method's own: `pipelines.stages.table.stages_of` fills it in.
+PRUNE = Stage("prune", version=1, inputs=(), settings=prune_settings, run=prune)

@@ -13,12 +13,12 @@ from otr.shorten.simplify import Judge, Simplification
 from pipelines.config import RunConfig
 from pipelines.config.settings import env_settings
 from pipelines.engine.seeding import episode_seeds, evaluation_seeds
+from pipelines.engine.stage import Stage
 from pipelines.engine.store import write_csv, write_json
 from pipelines.play.environments import spaces, state_limits
 from pipelines.play.rollout import rollout
-from pipelines.stages.program_files import write_program
+from pipelines.stages.printed_programs import write_program
 
-VERSION = 1
 MAX_ATTEMPTS = 4
 FIRST_LOOK = 0.2  # of the deciding episodes: a tree that loses clearly on these is not played on
 ANNOUNCE_S = 10.0
@@ -171,3 +171,6 @@ def _report(
             "mean_difference": float(np.abs(ours - theirs).mean()),
         },
     )
+
+
+SIMPLIFY = Stage("simplify", version=1, inputs=("prune",), settings=simplify_settings, run=simplify)

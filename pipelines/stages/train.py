@@ -1,117 +1,99 @@
-"""Stage train: a small ReLU actor, or a soft tree, by Stable-Baselines3, in segments, the best of its evaluations kept.
+"""Stage train: the actor, the best of its evaluations, by Stable-Baselines3 or in a fleet."""
 
-A segment is the steps between two evaluations (PPO: rounded up to whole rollouts). It starts with new environments and
-random streams of its own, so what it does depends on the checkpoint before it alone: a killed and resumed run equals an
-uninterrupted one bit for bit.
-"""
-
-import time
-from collections.abc import Mapping
+import shutil
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from stable_baselines3 import DQN
-from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback, CallbackList
-from stable_baselines3.common.logger import Logger
-from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+from pipelines.config import RunConfig
+from pipelines.config.settings import env_settings, settings
+from pipelines.engine.console import duration
+from pipelines.engine.digests import digest
+from pipelines.engine.stage import Stage
+from pipelines.engine.store import read_json
+from pipelines.errors import PipelineError
+from pipelines.training.estimates import estimated_bytes, estimated_seconds
 
-import otr
-from pipelines.config import PidConfig, RunConfig
-from pipelines.engine.seeding import stream_seed
-from pipelines.play.actor_files import actor_files
-from pipelines.play.rollout import Rollout
-from pipelines.play.selection import compare_with_trained, diverged, play_episodes, play_selection_episodes
-from pipelines.tracking.tracker import open_tracker
-from pipelines.training.checkpoints import History, progress_row
-from pipelines.training.estimates import checkpoint_folder, segment_steps
-from pipelines.training.pid_policies import exported_network, zero_small_weights
-from pipelines.training.progress import TrainingProgress
-from pipelines.training.sb3_checkpoints import load_checkpoint, save_checkpoint
-from pipelines.training.sb3_models import build_env, build_model
-from pipelines.training.soft_policies import SoftSchedule, exported_module, harden, schedule_of, shape_of, soft_files
+VERSION = 1
+FLEET_VERSION = 1  # of the fleet trainer alone; part of its runs' settings
+LONG_RUN_S = 60.0
+
+
+def train_settings(config: RunConfig) -> dict[str, Any]:
+    """Return what decides the trained actor; programs' names and later stages' settings do not."""
+    everything = settings(config)
+    env = env_settings(config.env)
+    kept = {key: everything[key] for key in ("algo", "actor", "train", "seed")}
+    if config.method.decides_training:
+        kept["method"] = everything["method"]
+    if config.fleet:
+        kept["trainer"] = {**everything["trainer"], "version": FLEET_VERSION}
+    return {"env": env, "hidden_widths": everything["depth"], **kept}
 
 
 def train(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     """Train, and write the best actor, `evaluations.csv` and `progress.csv` into `out`.
 
-    The checkpoint stays: whoever has put `out` in its place deletes it.
-
     Raises:
-        PolicyMismatchError: the exported network and Stable-Baselines3's policy disagree on a visited state.
+        PipelineError: the training diverged.
+        PolicyMismatchError: the exported network and the trained policy disagree on a visited state.
         KeyboardInterrupt: Ctrl-C; the checkpoint of the last whole segment stays.
     """
-    checkpoints = checkpoint_folder(config)
-    checkpoints.mkdir(parents=True, exist_ok=True)
-    history = _train_segments(config, checkpoints)
-    history.write(out)
+    if config.fleet:
+        (error,) = train_together([inputs], [config], [out])
+        if error is not None:
+            raise error
+    else:
+        from pipelines.training.sb3_training import train_by_sb3  # imports torch
+
+        train_by_sb3(config, checkpoint_folder(config), out)
 
 
-def _train_segments(config: RunConfig, checkpoints: Path) -> History:
-    model = build_model(config, stream_seed(config.seed, "train"))
-    history = load_checkpoint(checkpoints, model)
-    n_steps = config.train.steps
-    tracker = open_tracker(config)
-    for rows in zip(history.progress, history.evaluations, strict=True):
-        tracker.segment_done(*rows)  # a kill may have come between a checkpoint and its log
-    with TrainingProgress(config, model.num_timesteps) as progress:
-        while model.num_timesteps < n_steps:
-            start = model.num_timesteps
-            row = _train_segment(model, config, history.n_segments, progress)
-            history.segment_done(row, *_evaluate(model, config))
-            save_checkpoint(checkpoints, model, history, start)
-            progress.segment_done(start, row, history.evaluations[-1])
-            tracker.segment_done(row, history.evaluations[-1])
-    return history
+def train_together(
+    inputs: Sequence[Mapping[str, Path]], configs: Sequence[RunConfig], outs: Sequence[Path]
+) -> list[Exception | None]:
+    """Do `train` for the runs of a fleet as one; return what each failed with."""
+    from pipelines.training.fleet.train import train_fleet  # imports torch
+
+    return train_fleet(configs, [checkpoint_folder(config) for config in configs], outs)
 
 
-def _train_segment(model: BaseAlgorithm, config: RunConfig, segment: int, progress: TrainingProgress) -> dict[str, Any]:
-    """Train for one segment and return its row of `progress.csv`."""
-    start = model.num_timesteps
-    n_steps = min(segment_steps(config), config.train.steps - start)
-    model.set_logger(Logger(folder=None, output_formats=[]))  # its default leaves a temporary folder every segment
-    model.set_env(build_env(config), force_reset=True)
-    model.set_random_seed(stream_seed(config.seed, "train", segment))
-    if isinstance(model, DQN):  # its first action comes before its schedule is asked
-        model.exploration_rate = model.exploration_schedule(1.0)
-    began = time.monotonic()
-    model.learn(n_steps, callback=_callbacks(config, progress), log_interval=None, reset_num_timesteps=False)  # type: ignore[arg-type]
-    if isinstance(config.method, PidConfig):
-        zero_small_weights(model, config.method.zero_below)
-    seconds = time.monotonic() - began
-    assert model.env is not None
-    returns = np.concatenate([*model.env.env_method("get_episode_rewards"), []])
-    lengths = np.concatenate([*model.env.env_method("get_episode_lengths"), []])
-    model.env.close()
-    return progress_row(model.num_timesteps, start, seconds, returns, lengths)
+def checkpoint_folder(config: RunConfig, inputs: Mapping[str, Path] | None = None) -> Path:
+    """Return where the run's checkpoints lie while it trains; training reads no other stage."""
+    return Path(config.results_dir) / "checkpoints" / digest([VERSION, train_settings(config)])[:16]
 
 
-def _callbacks(config: RunConfig, progress: TrainingProgress) -> CallbackList:
-    """Return what goes on beside the learning: the progress bar, and a soft tree's schedule."""
-    callbacks: list[BaseCallback] = [progress.callback] if progress.callback else []
-    if config.method.is_soft:
-        callbacks.append(SoftSchedule(schedule_of(config)))
-    return CallbackList(callbacks)
+def trained_steps(config: RunConfig) -> int:
+    """Return how many environment steps the run's checkpoint holds; 0 where there is none."""
+    histories = sorted(checkpoint_folder(config).glob("segment-*/history.json"))
+    return int(read_json(histories[-1])["counters"]["num_timesteps"]) if histories else 0
 
 
-def _evaluate(model: BaseAlgorithm, config: RunConfig) -> tuple[dict[str, bytes], Rollout]:
-    """Play the selection episodes with what the actor becomes, its network or its hard tree; return the actor's files.
+def seconds_left(config: RunConfig) -> float:
+    """Return the likely time of what is left to train, in seconds on one core."""
+    return estimated_seconds(config, trained_steps(config))
 
-    A network is compared with the model on every state visited.
-    """
-    if config.method.is_soft:
-        assert isinstance(model, OnPolicyAlgorithm)
-        module = exported_module(model, config)
-        try:
-            tree = harden(module, model.action_space)
-        except otr.InvalidTreeError as error:
-            raise diverged(model.num_timesteps, error) from error
-        return soft_files(module, shape_of(config)), play_episodes(tree.predict, config)
-    try:
-        network = exported_network(model) if isinstance(config.method, PidConfig) else otr.from_sb3(model)
-    except otr.InvalidNetworkError as error:
-        raise diverged(model.num_timesteps, error) from error
-    network, played = play_selection_episodes(network, config)
-    compare_with_trained(network, lambda states: model.predict(states, deterministic=True)[0], played.states, config)
-    return actor_files(network), played
+
+def announce_training(configs: Sequence[RunConfig]) -> None:
+    """Print the likely time and disk of a long training, of one run or a fleet; refuse what cannot fit on the disk."""
+    config = configs[0]
+    left = [max(0, each.train.steps - trained_steps(each)) for each in configs]
+    seconds = sum(seconds_left(each) for each in configs)
+    n_bytes = sum(estimated_bytes(each) * n // each.train.steps for each, n in zip(configs, left, strict=True))
+    folder = Path(config.results_dir)
+    free = shutil.disk_usage(folder).free
+    if n_bytes > free:
+        raise PipelineError(
+            f"{folder}: training needs about {n_bytes / 1e6:,.0f} MB for checkpoints, {free / 1e6:,.0f} MB are free\n"
+            "Choose another place with results_dir=PATH, or a smaller algo.buffer_size."
+        )
+    if seconds >= LONG_RUN_S:
+        runs = f"{len(configs)} runs as one, " if len(configs) > 1 else ""
+        print(
+            f"train: {runs}{sum(left):,} steps of {config.algo.name.upper()}, about {duration(seconds)} on one core, "
+            f"up to {max(1, round(n_bytes / 1e6))} MB of checkpoints; Ctrl-C stops, the same command goes on",
+            flush=True,
+        )
+
+
+TRAIN = Stage("train", VERSION, inputs=(), settings=train_settings, run=train, checkpoints=checkpoint_folder)

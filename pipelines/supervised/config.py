@@ -25,8 +25,8 @@ from pipelines.config.setting import (
     check_settings,
     keyed_settings,
 )
-from pipelines.config.settings import digest, setting_differences
 from pipelines.datasets.catalogue import files_of
+from pipelines.engine.digests import digest, setting_differences
 from pipelines.errors import ConfigError
 
 STAGES = ("tune", "fit", "score")

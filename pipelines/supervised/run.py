@@ -4,8 +4,8 @@ import shutil
 from collections.abc import Sequence
 from typing import Any
 
-from pipelines.config.settings import digest
 from pipelines.engine.console import duration
+from pipelines.engine.digests import digest
 from pipelines.engine.job import Job, disk_errors_explained, is_done
 from pipelines.engine.stage import MANIFEST, Stage, StageResult, run_stage, run_stage_together
 from pipelines.engine.store import read_json, write_json, write_text

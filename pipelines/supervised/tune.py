@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.config.settings import digest
 from pipelines.datasets.dataset import Dataset
+from pipelines.engine.digests import digest
 from pipelines.engine.store import read_json, write_csv, write_json
 from pipelines.supervised.config import FitConfig, combinations, tune_settings, with_settings
 from pipelines.supervised.data import dataset_of

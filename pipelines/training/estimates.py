@@ -1,53 +1,14 @@
-"""What is known about a training run without running it: its key, its checkpoints, its likely time and disk.
-
-Apart from `pipelines/stages/train.py`, because that imports torch, which planning and skipping need not wait for.
-"""
+"""What is known about a training before it runs: its segments, its random steps, its likely time and disk."""
 
 import math
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from pipelines.config import OffPolicyConfig, OnPolicyConfig, RunConfig
-from pipelines.config.settings import digest, env_settings, settings
-from pipelines.engine.store import read_json
 from pipelines.play.environments import make_env
-
-TRAIN_VERSION = 1
-HARDEN_VERSION = 1
-FLEET_VERSION = 1  # of the fleet trainer alone; part of its runs' settings
 
 FLEET_STEPS_PER_S = 400.0
 RANDOM_STEPS_PER_S = 5_000.0  # off-policy steps before learning starts
-
-
-def train_settings(config: RunConfig) -> dict[str, Any]:
-    """Return what decides the trained actor; programs' names and later stages' settings do not."""
-    everything = settings(config)
-    env = env_settings(config.env)
-    kept = {key: everything[key] for key in ("algo", "actor", "train", "seed")}
-    if config.method.decides_training:
-        kept["method"] = everything["method"]
-    if config.fleet:
-        kept["trainer"] = {**everything["trainer"], "version": FLEET_VERSION}
-    return {"env": env, "hidden_widths": everything["depth"], **kept}
-
-
-def harden_settings(config: RunConfig) -> dict[str, Any]:
-    """Return what decides the hard tree, given the soft one."""
-    return {"env": config.env.id, "feature_names": config.env.feature_names, "action_names": config.env.action_names}
-
-
-def checkpoint_folder(config: RunConfig) -> Path:
-    """Return where the run's checkpoints lie while it trains."""
-    return Path(config.results_dir) / "checkpoints" / digest([TRAIN_VERSION, train_settings(config)])[:16]
-
-
-def trained_steps(config: RunConfig) -> int:
-    """Return how many environment steps the run's checkpoint holds; 0 where there is none."""
-    histories = sorted(checkpoint_folder(config).glob("segment-*/history.json"))
-    return int(read_json(histories[-1])["counters"]["num_timesteps"]) if histories else 0
 
 
 def segment_steps(config: RunConfig) -> int:
@@ -62,9 +23,9 @@ def segment_steps(config: RunConfig) -> int:
     return interval
 
 
-def estimated_seconds(config: RunConfig) -> float:
-    """Return the likely time of what is left to train, in seconds on one core."""
-    done, steps = trained_steps(config), config.train.steps
+def estimated_seconds(config: RunConfig, done: int) -> float:
+    """Return the likely time of what is left to train after `done` steps, in seconds on one core."""
+    steps = config.train.steps
     random_steps = max(0, learning_starts(config) - done)
     return random_steps / RANDOM_STEPS_PER_S + max(0, steps - done - random_steps) / training_rate(config)
 

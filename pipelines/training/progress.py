@@ -19,7 +19,7 @@ REFRESH_S = 0.25
 class TrainingProgress:
     """Shows one training run; a context manager.
 
-    `callback` is for the model's `learn`, None without a terminal. Jobs side by side share a terminal: they get lines
+    `callbacks` are for the model's `learn`, none without a terminal. Jobs side by side share a terminal: they get lines
     that begin with the job's name instead of a bar.
     """
 
@@ -31,7 +31,7 @@ class TrainingProgress:
         self._expected_rate = config.algo.steps_per_s
         self._bar = _bar() if sys.stdout.isatty() and not config.side_by_side else None
         self._task = self._bar.add_task("train", total=self.n_steps, completed=done_steps) if self._bar else None
-        self.callback = _Refresh(self) if self._bar else None
+        self.callbacks = [_Refresh(self)] if self._bar else []
         if done_steps:
             self._say(f"going on from step {done_steps:,} of {self.n_steps:,}")
 

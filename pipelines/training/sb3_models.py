@@ -1,4 +1,4 @@
-"""Stable-Baselines3 models from our configuration: a small ReLU actor, critics of the usual size."""
+"""Stable-Baselines3 models from our configuration: a small actor, critics of the usual size."""
 
 import functools
 from typing import Any
@@ -11,7 +11,6 @@ from stable_baselines3 import DDPG, DQN, PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, OrnsteinUhlenbeckActionNoise
-from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from pipelines.config import (
@@ -21,7 +20,6 @@ from pipelines.config import (
     DqnConfig,
     GradientConfig,
     OnPolicyConfig,
-    PidConfig,
     PpoConfig,
     RunConfig,
     SacConfig,
@@ -30,10 +28,10 @@ from pipelines.config import (
 )
 from pipelines.errors import ConfigError
 from pipelines.play.environments import flat_state_size, is_discrete, make_training_env
+from pipelines.training.actors import actor_of
 from pipelines.training.estimates import learning_starts
-from pipelines.training.pid_policies import PidPolicy
 from pipelines.training.random_search import build_ars
-from pipelines.training.soft_policies import SoftActorCriticPolicy, shape_of
+from pipelines.training.relu_actor import ReluActor
 
 torch.set_num_threads(1)  # two threads make these small networks a hundred times slower
 torch.set_flush_denormal(True)  # decayed weights become denormal numbers, which are many times slower and worth nothing
@@ -50,13 +48,14 @@ def build_model(config: RunConfig, seed: int) -> BaseAlgorithm:
     assert isinstance(algo, GradientConfig)
     if isinstance(algo, PpoConfig) and algo.use_sde and is_discrete(single):
         raise ConfigError(f"algo.use_sde needs continuous actions; {config.env.id} has labels")
+    actor = actor_of(config)
     common: dict[str, Any] = {
-        "policy": _policy_class(config),
+        "policy": actor.policy_class(),
         "env": env,
         "learning_rate": algo.learning_rate,
         "batch_size": algo.batch_size,
         "gamma": algo.gamma,
-        "policy_kwargs": policy_kwargs(config),
+        "policy_kwargs": _policy_kwargs(algo, actor),
         "seed": seed,
         "device": "cpu",
     }
@@ -81,32 +80,20 @@ def build_env(config: RunConfig) -> DummyVecEnv:
     return DummyVecEnv([make] * n_envs)
 
 
-def _policy_class(config: RunConfig) -> str | type[BasePolicy]:
-    if config.method.is_soft:
-        return SoftActorCriticPolicy
-    return PidPolicy if isinstance(config.method, PidConfig) else "MlpPolicy"
-
-
-def policy_kwargs(config: RunConfig) -> dict[str, Any]:
+def _policy_kwargs(algo: GradientConfig, actor: ReluActor) -> dict[str, Any]:
     """Return the network shapes: the actor's are `depth`, the critics' the algorithm's, activations (leaky) ReLU."""
-    assert isinstance(config.algo, GradientConfig)
-    critics = "vf" if isinstance(config.algo, OnPolicyConfig) else "qf"
-    slope = config.actor.negative_slope
-    is_tree = config.method.is_soft
+    critics = "vf" if isinstance(algo, OnPolicyConfig) else "qf"
+    slope = actor.config.actor.negative_slope
+    widths = actor.net_arch()
     kwargs: dict[str, Any] = {
-        "net_arch": {"pi": [] if is_tree else list(config.hidden_widths), critics: list(config.algo.critic)},
+        "net_arch": widths if isinstance(algo, DqnConfig) else {"pi": widths, critics: list(algo.critic)},
         "activation_fn": functools.partial(torch.nn.LeakyReLU, slope) if slope > 0.0 else torch.nn.ReLU,
+        **actor.policy_kwargs(),
     }
-    if isinstance(config.algo, DqnConfig):
-        kwargs["net_arch"] = list(config.hidden_widths)
-    if is_tree:
-        kwargs["actor"] = shape_of(config)
-    if isinstance(config.method, PidConfig):
-        kwargs |= {"l1": config.method.l1, "first_layer_scale": config.method.first_layer_scale}
-    if config.algo.weight_decay > 0.0:
+    if algo.weight_decay > 0.0:
         # Stable-Baselines3 gives PPO's Adam a larger epsilon, but only where no other argument is set.
-        epsilon = {"eps": 1e-5} if isinstance(config.algo, OnPolicyConfig) else {}
-        kwargs["optimizer_kwargs"] = {"weight_decay": config.algo.weight_decay, **epsilon}
+        epsilon = {"eps": 1e-5} if isinstance(algo, OnPolicyConfig) else {}
+        kwargs["optimizer_kwargs"] = {"weight_decay": algo.weight_decay, **epsilon}
     return kwargs
 
 

@@ -10,7 +10,8 @@ from pipelines.config import (
     EvaluateConfig,
     PruneConfig,
 )
-from pipelines.config.settings import run_folder, setting_differences, settings
+from pipelines.config.settings import run_folder, settings
+from pipelines.engine.digests import setting_differences
 from pipelines.errors import ConfigError
 from tests.pipelines.conftest import PPO, SAC
 

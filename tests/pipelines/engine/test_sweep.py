@@ -15,7 +15,7 @@ import pytest
 from pipelines.engine.store import read_json
 from pipelines.engine.sweep import Outcome, check_launcher, is_done, job_command, quoted, run_sweep
 from pipelines.errors import ConfigError
-from pipelines.stages.run import RunJob, run_job
+from pipelines.stages.run_job import RunJob, run_job
 from tests.pipelines.conftest import otr_command, otr_program
 from tests.pipelines.sweeps import PROGRAMS, STAGES, THREE, children, digests, start, times_made, wait_for
 
@@ -85,7 +85,7 @@ def done(monkeypatch):
     """The folders of jobs that count as done, to be added to."""
     folders = set()
     monkeypatch.setattr("pipelines.engine.sweep.is_done", lambda job: job.folder in folders)
-    monkeypatch.setattr("pipelines.stages.run.read_json", lambda path: {})
+    monkeypatch.setattr("pipelines.stages.run_job.read_json", lambda path: {})
     return folders
 
 

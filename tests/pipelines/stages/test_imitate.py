@@ -8,7 +8,7 @@ import pytest
 
 import otr
 from pipelines.config import AugTreeConfig, ImitateConfig, MappedConfig, NdpsConfig, RunConfig, ViperConfig
-from pipelines.config.settings import digest
+from pipelines.engine.digests import digest
 from pipelines.engine.seeding import FIRST_STREAM_SEED, STREAMS, episode_seeds
 from pipelines.engine.stage import file_digest
 from pipelines.engine.store import read_csv, write_files, write_json

@@ -16,9 +16,8 @@ from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import feature_names, make_env
 from pipelines.play.rollout import rollout
 from pipelines.play.selection import compare_with_trained
-from pipelines.stages import train as train_module
-from pipelines.training.estimates import train_settings, trained_steps
-from pipelines.training.pid_policies import exported_network, zero_small_weights
+from pipelines.stages.train import TRAIN, train_settings, trained_steps
+from pipelines.training.pid_actor import exported_network, zero_small_weights
 from pipelines.training.sb3_models import build_model
 from tests.control.pids import thesis_policy
 from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM, otr_command
@@ -158,10 +157,10 @@ def test_killed_and_resumed_equals_uninterrupted(pid, tmp_path):
     outs = [tmp_path / "out-alone", tmp_path / "out-killed"]
     for out in outs:
         out.mkdir()
-    train_module.train({}, alone, outs[0])
+    TRAIN.run({}, alone, outs[0])
     run_until_killed(train_until_killed, killed, outs[1], "after saving")
     assert 0 < trained_steps(killed) < 300
-    train_module.train({}, killed, outs[1])
+    TRAIN.run({}, killed, outs[1])
     for name in ("actor.safetensors", "actor.json", "evaluations.csv"):
         assert (outs[0] / name).read_bytes() == (outs[1] / name).read_bytes(), name
     assert load_actor(outs[0]).head == otr.PidBox([-2.0], [2.0])

@@ -10,7 +10,7 @@ from pipelines.cli.runs import RUN
 from pipelines.config import EnvConfig
 from pipelines.errors import ConfigError
 from pipelines.stages.parse import policy_tree
-from pipelines.stages.program_files import program_text
+from pipelines.stages.printed_programs import program_text
 from pipelines.stages.shipped_programs import read_program, shipped_programs
 from tests.pipelines.conftest import PENDULUM, otr_command
 

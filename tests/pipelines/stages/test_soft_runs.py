@@ -37,7 +37,7 @@ def test_every_form_is_played(tmp_path, words, forms):
 
 
 def test_other_settings_of_a_method_are_another_training(tiny):
-    from pipelines.training.estimates import train_settings
+    from pipelines.stages.train import train_settings
 
     one, other = (
         tiny(method=method, depth=2, algo=PPO) for method in (SDT, SdtConfig("sdt", 1.0, 50.0, 0.8, 0.05, "linear"))

@@ -16,10 +16,12 @@ from pipelines.errors import ConfigError, PipelineError, PolicyMismatchError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.rollout import rollout
 from pipelines.play.selection import compare_with_trained
-from pipelines.stages import train as train_module
 from pipelines.stages.table import STAGES
+from pipelines.stages.train import TRAIN, train_settings, trained_steps
 from pipelines.training import sb3_checkpoints as checkpoint_module
-from pipelines.training.estimates import estimated_bytes, segment_steps, train_settings, trained_steps
+from pipelines.training import sb3_training
+from pipelines.training.actors import actor_of
+from pipelines.training.estimates import estimated_bytes, segment_steps
 from pipelines.training.sb3_models import build_model
 from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM, PPO, SAC
 from tests.pipelines.sweeps import run_until_killed
@@ -51,9 +53,9 @@ def train_until_killed(config, out, where):
         if where == "between replay and model" and segment == 2:
             die()
 
-    train_module.save_checkpoint = dying_save
+    sb3_training.save_checkpoint = dying_save
     checkpoint_module._write_replay = dying_replay
-    train_module.train({}, config, out)
+    TRAIN.run({}, config, out)
 
 
 @pytest.mark.parametrize(
@@ -76,10 +78,10 @@ def test_killed_and_resumed_equals_uninterrupted(tiny, tmp_path, algorithm, wher
     outs = [tmp_path / "out-alone", tmp_path / "out-killed"]
     for out in outs:
         out.mkdir()
-    train_module.train({}, alone, outs[0])
+    TRAIN.run({}, alone, outs[0])
     run_until_killed(train_until_killed, killed, outs[1], where)
     assert 0 < trained_steps(killed) < 300
-    train_module.train({}, killed, outs[1])
+    TRAIN.run({}, killed, outs[1])
     for name in ("actor.safetensors", "actor.json", "evaluations.csv"):
         assert (outs[0] / name).read_bytes() == (outs[1] / name).read_bytes(), name
 
@@ -89,14 +91,14 @@ def test_seed_decides_the_actor(tiny, tmp_path):
     for i, seed in enumerate((0, 0, 1)):
         out = tmp_path / f"out-{i}"
         out.mkdir()
-        train_module.train({}, tiny(algo=PPO, seed=seed, results_dir=str(tmp_path / f"r{i}")), out)
+        TRAIN.run({}, tiny(algo=PPO, seed=seed, results_dir=str(tmp_path / f"r{i}")), out)
         actors.append((out / "actor.safetensors").read_bytes())
     assert actors[0] == actors[1] != actors[2]
 
 
 def test_best_evaluation_s_actor_is_kept(tiny, tmp_path):
     config = tiny(algo=PPO, seed=5, train=TrainConfig(1500, 300, 2, 0))
-    train_module.train({}, config, tmp_path)
+    TRAIN.run({}, config, tmp_path)
     rows = read_csv(tmp_path / "evaluations.csv")
     returns = [float(row["return_mean"]) for row in rows]
     assert len(rows) == 4  # 384 steps a segment: whole rollouts of 2 x 64
@@ -108,14 +110,14 @@ def test_best_evaluation_s_actor_is_kept(tiny, tmp_path):
 
 @pytest.mark.parametrize(("depth", "slope"), [(0, 0.0), ([3, 2], 0.0), (4, 0.1)])
 def test_actor_has_the_shape_asked_for(tiny, tmp_path, depth, slope):
-    train_module.train({}, tiny(depth=depth, actor=ActorConfig(slope)), tmp_path)
+    TRAIN.run({}, tiny(depth=depth, actor=ActorConfig(slope)), tmp_path)
     network = load_actor(tmp_path)
     assert network.hidden_widths == tuple([depth] if isinstance(depth, int) and depth else depth or ())
     assert network.negative_slope == slope
 
 
 def test_labels_are_trained_with_ppo_only(tiny, tmp_path):
-    train_module.train({}, tiny(env=LANDER, algo=PPO), tmp_path)
+    TRAIN.run({}, tiny(env=LANDER, algo=PPO), tmp_path)
     assert load_actor(tmp_path).head == otr.Argmax()
     with pytest.raises(ConfigError, match="use algo=ppo"):
         build_model(tiny(env=LANDER), 0)
@@ -149,7 +151,7 @@ def test_disk_estimate_counts_the_replay_buffer(tiny):
 
 def test_rescaled_inputs_are_folded_into_the_program(tiny, tmp_path):
     config = tiny(actor=ActorConfig(0.0, rescale_inputs=True))
-    train_module.train({}, config, tmp_path)
+    TRAIN.run({}, config, tmp_path)
     network = load_actor(tmp_path)
     seeds = episode_seeds(0, "selection", 2)
     again = rollout(network.predict, config.env, seeds, n_workers=1)  # on the environment's own states
@@ -177,7 +179,7 @@ def test_training_that_cannot_be_put_in_its_place_is_not_lost(tiny, tmp_path, mo
         with pytest.raises(KeyboardInterrupt):
             run_stage(stage, tmp_path / "run", config, "")
     assert trained_steps(config) == 300
-    monkeypatch.setattr(train_module, "_train_segment", stop)  # nothing is left to train
+    monkeypatch.setattr(sb3_training, "train_segment", stop)  # nothing is left to train
     assert not run_stage(stage, tmp_path / "run", config, "").skipped
 
 
@@ -188,4 +190,4 @@ def test_training_that_diverged_says_so(tiny):
     with torch.no_grad():
         model.policy.actor.mu.weight.fill_(float("nan"))
     with pytest.raises(PipelineError, match=r"smaller algo\.learning_rate"):
-        train_module._evaluate(model, tiny())
+        actor_of(tiny()).evaluate(model)

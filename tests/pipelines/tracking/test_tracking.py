@@ -16,7 +16,7 @@ import pytest
 from pipelines.config.settings import run_folder, settings
 from pipelines.engine.store import read_csv
 from pipelines.errors import ConfigError
-from pipelines.stages.run import RunJob, run_job
+from pipelines.stages.run_job import RunJob, run_job
 from pipelines.tracking import tracker as tracking
 from pipelines.tracking.tracker import check_tracking, open_tracker
 from tests.pipelines.sweeps import start, wait_for

@@ -8,8 +8,8 @@ from scipy.stats import mannwhitneyu
 
 from pipelines.config import FleetConfig, SacConfig, TrainConfig
 from pipelines.engine.store import read_csv
+from pipelines.stages.train import checkpoint_folder
 from pipelines.stages.train import train as train_by_sb3
-from pipelines.training.estimates import checkpoint_folder
 from pipelines.training.fleet.train import train_fleet
 
 THESIS_SAC = SacConfig(

@@ -15,10 +15,10 @@ from pipelines.engine.store import read_csv
 from pipelines.errors import ConfigError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import make_env
-from pipelines.training.estimates import checkpoint_folder, train_settings, trained_steps
+from pipelines.stages.fleets import fleets, group_key
+from pipelines.stages.train import checkpoint_folder, train_settings, trained_steps
 from pipelines.training.fleet import trainer as trainer_module
 from pipelines.training.fleet.fleet_run import FleetRun
-from pipelines.training.fleet.groups import fleets, group_key
 from pipelines.training.fleet.progress import FleetProgress
 from pipelines.training.fleet.train import _segment, train_fleet
 from pipelines.training.fleet.trainer import FleetTrainer, Task, uses_envpool

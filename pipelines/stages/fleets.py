@@ -4,8 +4,8 @@ import itertools
 from collections.abc import Iterable, Sequence
 
 from pipelines.config import RunConfig
-from pipelines.config.settings import digest
-from pipelines.training.estimates import train_settings
+from pipelines.engine.digests import digest
+from pipelines.stages.train import train_settings
 
 # What runs of a fleet may differ in: a row of each stack has its own.
 OWN_SETTINGS = ("learning_rate", "gamma", "weight_decay", "ent_coef", "action_noise", "action_noise_std")

@@ -22,19 +22,14 @@ from pipelines.training.checkpoints import History
 from pipelines.training.random_search import build_ars
 from pipelines.training.sb3_checkpoints import load_checkpoint, save_checkpoint
 from pipelines.training.sb3_models import build_model
-from pipelines.training.soft_policies import (
+from pipelines.training.soft_actor import (
     ScheduleConfig,
-    Shape,
     SoftActorCriticPolicy,
-    SoftPolicy,
     SoftSchedule,
-    build_module,
     exported_module,
-    harden,
-    load_soft,
-    soft_files,
     soft_module,
 )
+from pipelines.training.soft_trees import Shape, SoftPolicy, build_module, harden, load_soft, soft_files
 from tests.control.test_soft_tree import clear_states
 
 torch.set_num_threads(1)

@@ -1,4 +1,4 @@
-"""Policies of Stable-Baselines3 whose actor is a soft tree, under PPO and TRPO.
+"""An actor that is a soft tree, under PPO and TRPO of Stable-Baselines3.
 
 The tree gives the logits, or the means of the Gaussian, itself; the critic is the usual MLP. What changes in the course
 of training (how hard the tests are, which of pi-PRL's parameters learn, when its structure is chosen) is decided at the
@@ -7,18 +7,11 @@ interrupted, on one type of processor with the same package versions.
 """
 
 import copy
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, cast
 
-import gymnasium as gym
-import numpy as np
-import torch
-from safetensors import SafetensorError
-from safetensors.torch import load_file
-from safetensors.torch import save as safetensors_bytes
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.distributions import StateDependentNoiseDistribution
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
@@ -26,45 +19,43 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from torch import nn
 
 import otr
-from otr.control.cdt import CascadingTree
 from otr.control.pi_prl import RelaxedProgram
-from otr.control.soft_tree import SoftTree
-from pipelines.config import CdtConfig, PiPrlConfig, RunConfig, SdtConfig, SoftConfig
-from pipelines.engine.store import corrupt, json_text, read_json
-from pipelines.errors import ConfigError
+from pipelines.config import PiPrlConfig, RunConfig, SoftConfig
 from pipelines.play.environments import state_box
-
-SCHEMA = "otr/soft/1"
-
-SoftModule = SoftTree | CascadingTree | RelaxedProgram
-
-
-@dataclass(frozen=True)
-class Shape:
-    """What module an actor is.
-
-    Attributes:
-        kind: sdt, cdt or pi_prl.
-        options: what its class takes beside the numbers of inputs and outputs.
-    """
-
-    kind: str
-    options: dict[str, Any]
+from pipelines.play.rollout import Rollout
+from pipelines.play.selection import diverged, play_episodes
+from pipelines.training.relu_actor import ReluActor
+from pipelines.training.soft_trees import Shape, SoftModule, build_module, harden, shape_of, soft_files
 
 
-_MODULES: dict[str, type[SoftModule]] = {"sdt": SoftTree, "cdt": CascadingTree, "pi_prl": RelaxedProgram}
+class SoftActor(ReluActor):
+    """A soft tree as the actor; its files are the module's, and the hard tree plays the selection episodes."""
 
+    def policy_class(self) -> type[ActorCriticPolicy]:
+        """Return the policy with a soft tree as its actor."""
+        return SoftActorCriticPolicy
 
-def shape_of(config: RunConfig) -> Shape:
-    """Return the module that a run's method and depth ask for."""
-    method, depth = config.method, config.depth
-    if isinstance(method, SdtConfig):
-        return Shape("sdt", {"depth": depth, "affine_leaves": method.leaves == "linear"})
-    if isinstance(method, CdtConfig):
-        options = {"feature_depth": depth[0], "n_features": method.n_features, "decision_depth": depth[1]}
-        return Shape("cdt", options)
-    assert isinstance(method, PiPrlConfig)
-    return Shape("pi_prl", {"depth": depth, "structure_penalty": method.structure_penalty})
+    def net_arch(self) -> list[int]:
+        """Return no hidden layers: the states go into the tree as they are."""
+        return []
+
+    def policy_kwargs(self) -> dict[str, Any]:
+        """Return the tree's shape."""
+        return {"actor": shape_of(self.config)}
+
+    def callbacks(self) -> list[BaseCallback]:
+        """Return what changes in the course of training."""
+        return [SoftSchedule(schedule_of(self.config))]
+
+    def evaluate(self, model: BaseAlgorithm) -> tuple[dict[str, bytes], Rollout]:
+        """Return the soft tree's files, and what came of the hard tree's selection episodes."""
+        assert isinstance(model, OnPolicyAlgorithm)
+        module = exported_module(model, self.config)
+        try:
+            tree = harden(module, model.action_space)
+        except otr.InvalidTreeError as error:
+            raise diverged(model.num_timesteps, error) from error
+        return soft_files(module, shape_of(self.config)), play_episodes(tree.predict, self.config)
 
 
 def schedule_of(config: RunConfig) -> "ScheduleConfig":
@@ -162,11 +153,6 @@ class SoftActorCriticPolicy(ActorCriticPolicy):
         self.optimizer = optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
 
 
-def build_module(shape: Shape, n_inputs: int, n_outputs: int) -> SoftModule:
-    """Return a fresh module, drawn from torch's own generator as all of a Stable-Baselines3 policy is."""
-    return _MODULES[shape.kind](n_inputs, n_outputs, **shape.options)
-
-
 def soft_module(model: OnPolicyAlgorithm) -> SoftModule:
     """Return the actor of a model whose policy is a `SoftActorCriticPolicy`."""
     return cast(SoftModule, model.policy.action_net)
@@ -179,60 +165,3 @@ def exported_module(model: OnPolicyAlgorithm, config: RunConfig) -> SoftModule:
         middle, half_width = state_box(config.env)
         module.substitute(-middle / half_width, 1.0 / half_width)
     return module.float()
-
-
-def harden(module: SoftModule, action_space: "gym.Space[Any]", *, axis_aligned: bool = False) -> otr.ObliqueTree:
-    """Return the hard tree as a policy: labels for discrete actions, values clipped to the box for continuous ones.
-
-    Raises:
-        ConfigError: the actions are neither, or a relaxed program is asked for axis-aligned tests.
-    """
-    head = _head(action_space)
-    if not isinstance(module, RelaxedProgram):
-        return module.harden(head, axis_aligned=axis_aligned)
-    if axis_aligned:
-        raise ConfigError("pi-PRL's programs have oblique tests; there is no axis-aligned form of them")
-    return module.harden(head)
-
-
-def soft_files(module: SoftModule, shape: Shape) -> dict[str, bytes]:
-    """Return `soft.safetensors` (all parameters and buffers) and `soft.json` (what they belong to)."""
-    tensors = {name: tensor.detach().contiguous() for name, tensor in module.state_dict().items()}
-    about = {"schema": SCHEMA, "kind": shape.kind, "n_inputs": module.n_inputs, "n_outputs": module.n_outputs}
-    text = json_text(about | {"options": shape.options})
-    return {"soft.safetensors": safetensors_bytes(tensors), "soft.json": text.encode()}
-
-
-def load_soft(folder: Path) -> SoftModule:
-    """Return the module of `soft_files`; a truncated or foreign file is an error that names it."""
-    about = read_json(folder / "soft.json")
-    try:
-        if about["schema"] != SCHEMA:
-            raise ValueError(f"schema {about['schema']!r} where {SCHEMA!r} was expected")
-        module = build_module(Shape(about["kind"], about["options"]), about["n_inputs"], about["n_outputs"])
-        module.load_state_dict(load_file(folder / "soft.safetensors"))
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError, RuntimeError, json.JSONDecodeError) as error:
-        raise corrupt(folder / "soft.safetensors", error) from error
-    return module
-
-
-@dataclass(frozen=True)
-class SoftPolicy:
-    """A soft tree as a policy: what Stable-Baselines3's own did deterministically."""
-
-    module: SoftModule
-    head: otr.Head
-
-    def predict(self, states: np.ndarray) -> np.ndarray:
-        """Return actions (n, a) or labels (n,) for states (n, d)."""
-        with torch.no_grad():
-            outputs = self.module(torch.as_tensor(states, dtype=torch.float32)).numpy().astype(np.float64)
-        return self.head(outputs)
-
-
-def _head(action_space: "gym.Space[Any]") -> otr.Head:
-    if isinstance(action_space, gym.spaces.Discrete) and action_space.start == 0:
-        return otr.Argmax()
-    if isinstance(action_space, gym.spaces.Box):
-        return otr.ClipBox(action_space.low.ravel(), action_space.high.ravel())
-    raise ConfigError(f"the actions are {action_space}; only Box and Discrete (start=0) can be trees")

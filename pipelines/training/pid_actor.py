@@ -1,4 +1,4 @@
-"""The policy of Stable-Baselines3's DDPG whose actor is a PID controller with gains from a small network.
+"""An actor that is a PID controller with gains from a small network, under DDPG of Stable-Baselines3.
 
 The actor reads [s, P, I, D] (`otr.control.pid_observation`) and acts as tanh(theta(s) . [P, I, D]). The L1 penalty on
 the gains' output weights (Orfanos 2023, section 4.1.1), so that they are nearly constant, is added to their gradient:
@@ -9,6 +9,7 @@ from typing import Any
 
 import gymnasium as gym
 import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.preprocessing import get_action_dim
 from stable_baselines3.common.torch_layers import create_mlp
 from stable_baselines3.td3.policies import Actor, TD3Policy
@@ -16,10 +17,37 @@ from torch import nn
 
 import otr
 from otr.control import pid_network
+from pipelines.config import PidConfig, RunConfig
+from pipelines.training.relu_actor import ReluActor
 
 # The gains' output weights and biases at first, as in Lillicrap et al. (2016), so that actions begin near zero: torch's
 # own are up to 1, which the integral, up to 40, turns into a saturated tanh.
 INITIAL_GAIN = 3e-3
+
+
+class PidActor(ReluActor):
+    """A PID controller as the actor; its files are those of the network of [s, P, I, D]."""
+
+    def __init__(self, config: RunConfig) -> None:
+        super().__init__(config)
+        assert isinstance(config.method, PidConfig)
+        self.method = config.method
+
+    def policy_class(self) -> type[TD3Policy]:
+        """Return the policy with a PID controller as its actor."""
+        return PidPolicy
+
+    def policy_kwargs(self) -> dict[str, Any]:
+        """Return the penalty's weight and the scale of the first layer."""
+        return {"l1": self.method.l1, "first_layer_scale": self.method.first_layer_scale}
+
+    def segment_learnt(self, model: BaseAlgorithm) -> None:
+        """Set small output weights to zero."""
+        zero_small_weights(model, self.method.zero_below)
+
+    def exported(self, model: BaseAlgorithm) -> otr.ReluNetwork:
+        """Return the network of [s, P, I, D]."""
+        return exported_network(model)
 
 
 class PidController(nn.Module):
@@ -40,7 +68,7 @@ class PidController(nn.Module):
         return torch.tanh((theta * terms[:, None]).sum(dim=2))
 
 
-class PidActor(Actor):
+class PidControllerActor(Actor):
     """Stable-Baselines3's actor with a `PidController` in place of its network."""
 
     mu: PidController  # type: ignore[assignment]
@@ -65,18 +93,18 @@ class PidActor(Actor):
 
 
 class PidPolicy(TD3Policy):
-    """DDPG's policy with a `PidActor`: `l1` weights the penalty, `first_layer_scale` the initial first layer."""
+    """DDPG's policy with a `PidControllerActor`, which takes `l1` and `first_layer_scale`."""
 
-    actor: PidActor
+    actor: PidControllerActor
 
     def __init__(self, *args: Any, l1: float = 0.0, first_layer_scale: float = 1.0, **kwargs: Any) -> None:
         self.own: dict[str, Any] = {"l1": l1, "first_layer_scale": first_layer_scale}
         super().__init__(*args, **kwargs)
 
-    def make_actor(self, features_extractor: Any = None) -> PidActor:
+    def make_actor(self, features_extractor: Any = None) -> PidControllerActor:
         """Return a new actor."""
         kwargs = self._update_features_extractor(self.actor_kwargs, features_extractor)
-        return PidActor(**kwargs, **self.own).to(self.device)
+        return PidControllerActor(**kwargs, **self.own).to(self.device)
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         return super()._get_constructor_parameters() | self.own
@@ -84,7 +112,7 @@ class PidPolicy(TD3Policy):
 
 def zero_small_weights(model: Any, below: float) -> None:
     """Set the gains' output weights of a model with a `PidPolicy` that are smaller than `below` to zero."""
-    assert isinstance(model.actor, PidActor)
+    assert isinstance(model.actor, PidControllerActor)
     weight = model.actor.mu.gains[-1].weight
     with torch.no_grad():
         weight[weight.abs() < below] = 0.0  # type: ignore[operator]
@@ -92,7 +120,7 @@ def zero_small_weights(model: Any, below: float) -> None:
 
 def exported_network(model: Any) -> otr.ReluNetwork:
     """Return the actor of a model with a `PidPolicy` as a network of [s, P, I, D]."""
-    assert isinstance(model.actor, PidActor)
+    assert isinstance(model.actor, PidControllerActor)
     box = model.action_space
     assert isinstance(box, gym.spaces.Box)
     network: otr.ReluNetwork = pid_network(otr.from_torch(model.actor.mu.gains), box.low.ravel(), box.high.ravel())

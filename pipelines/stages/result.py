@@ -1,0 +1,122 @@
+"""What a finished run shows in a terminal: its returns, sizes and times, and its program when that is short."""
+
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from pipelines.engine.console import SHORT_PROGRAM, duration
+
+
+def show_result(summary: dict[str, Any], run_dir: Path) -> None:
+    """Print the run's returns, sizes and times, where its artefacts lie, and its program when that is short."""
+    console = Console(highlight=False, soft_wrap=True)
+    program = run_dir / "prune" / "program.txt"
+    text = program.read_text(encoding="utf-8") if program.exists() else ""
+    n_lines = text.count("\n")
+    if 0 < n_lines <= SHORT_PROGRAM:
+        console.print(f"\n{text}", markup=False)
+    console.print(_table(summary))
+    seconds = ", ".join(f"{stage} {duration(spent)}" for stage, spent in summary["seconds"].items())
+    whole = "network" if "network" in summary["policies"] else "whole tree"
+    paths = "activation pattern" if whole == "network" else "leaf"
+    console.print(
+        f"{_count(summary['patterns'], paths)} reached, estimated pruned depth {summary['pruned_depth']:.1f}; "
+        f"the pruned tree acts as the {whole} in {100 * summary['fidelity']:.2f} % of the states"
+    )
+    if "n_outside_domain" in summary:
+        console.print(
+            f"{summary['n_outside_domain']:,} of {summary['n_states']:,} visited states lie outside the box in which "
+            "the network is the trained policy, whose observations are clipped there"
+        )
+    if "oracle" in summary:
+        console.print(_likeness(summary["oracle"]))
+    if "certify" in summary:
+        console.print(_proof(summary["certify"]), markup=False)
+    if "simplify" in summary:
+        _show_simplified(console, summary["simplify"], run_dir)
+    console.print(f"time: {seconds}", markup=False)
+    if n_lines > SHORT_PROGRAM:
+        console.print(f"program: {n_lines} lines, {program}", markup=False)
+    console.print(f"artefacts: {run_dir}", markup=False)
+
+
+def _count(n: int, what: str) -> str:
+    plural = {"leaf": "leaves"}.get(what, f"{what}s")
+    return f"{n} {what if n == 1 else plural}"
+
+
+def _likeness(oracle: dict[str, Any]) -> str:
+    """Return how like the oracle the tree is, in words."""
+    if "equal_labels" in oracle:
+        like = f"chooses as the oracle does in {100 * oracle['equal_labels']:.1f} % of the states that it visits"
+    else:
+        like = f"is {oracle['mean_difference']:.3g} from the oracle's actions on average, on the states that it visits"
+    return f"oracle {oracle['hidden_widths']}: the tree {like}"
+
+
+def _proof(report: dict[str, Any]) -> str:
+    """Return what the certificate says, in words."""
+    if not report["certified"]:
+        return f"no certificate on {report['domain']}: {report['reason']}"
+    spent = sum(report["seconds"].values())
+    leaves, error = _count(report["n_leaves"], "leaf"), report["max_error"]
+    like = f"the network to {error:.1g}" if error else "exactly the network"
+    return (
+        f"certificate: the minimal tree, of {leaves}, is {like} on {report['domain']}, by rational arithmetic "
+        f"({duration(spent)}); otr-verify checks it again"
+    )
+
+
+def _show_simplified(console: Console, report: dict[str, Any], run_dir: Path) -> None:
+    """Print the shorter program and what it costs."""
+    path = run_dir / "simplify" / "program.txt"
+    text = path.read_text(encoding="utf-8") if path.exists() else ""
+    if 0 < text.count("\n") <= SHORT_PROGRAM:
+        console.print(f"\nsimplified:\n\n{text}", markup=False)
+    before, after = (
+        f"{report[f'return_mean{when}']:.1f} ± {report[f'return_std{when}']:.1f}" for when in ("_before", "")
+    )
+    same, apart = 100 * report["fidelity"], report["mean_difference"]
+    within = f", to {100 * report['fidelity_tolerance']:.0f} % of its range," if report["fidelity_tolerance"] else ""
+    leaves = f"{_count(report['n_leaves_before'], 'leaf')} to {report['n_leaves']}"
+    console.print(
+        f"simplified: {report['n_numbers_before']} numbers to {report['n_numbers']}, {leaves}; over "
+        f"{report['n_episodes']} other episodes {before} before and {after} after; the same action{within} in "
+        f"{same:.1f} % of the states, {apart:.2g} apart on average",
+        markup=False,
+    )
+
+
+def _leaves(n_leaves: int) -> str:
+    """Return a number of leaves as people read it: 64, or 2^32."""
+    return f"{n_leaves:,}" if n_leaves <= 2**20 else f"2^{n_leaves.bit_length() - 1}"
+
+
+def _title(summary: dict[str, Any]) -> str:
+    """Return which run this is: its environment and depth, and how it was trained, or which program it is."""
+    start = f"{summary['env']} ({summary['env_id']}), depth {summary['depth']}"
+    if "program" in summary:
+        return f"{start}, program {summary['program']} ({summary['budget']}), seed {summary['seed']}"
+    trainer = "" if summary["trainer"] == "sb3" else f", {summary['trainer']}"
+    return (
+        f"{start}, {summary['algorithm'].upper()}, {summary['steps']:,} steps ({summary['budget']}{trainer}), "
+        f"seed {summary['seed']}"
+    )
+
+
+def _table(summary: dict[str, Any]) -> Table:
+    episodes = summary["n_episodes"]
+    table = Table(title=_title(summary), title_justify="left")
+    table.add_column("policy")
+    table.add_column(f"return over {episodes} episodes", justify="right")
+    table.add_column("leaves", justify="right")
+    leaves = {"tree": _leaves(summary["n_leaves"]), "pruned_tree": f"{summary['pruned_leaves']:,}"}
+    for name, moments in summary["policies"].items():
+        table.add_row(
+            name.replace("_", " "),
+            f"{moments['return_mean']:z.1f} ± {moments['return_std']:.1f}",
+            leaves.get(name, ""),
+        )
+    return table

@@ -1,0 +1,123 @@
+"""Doing runs: the stages of each in order, those of a fleet trained as one."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pipelines.config.methods import EXTRA_STAGES
+from pipelines.engine.console import duration
+from pipelines.engine.job import Job, disk_errors_explained
+from pipelines.engine.stage import Stage, StageResult, run_stage, run_stage_together, stage_status
+from pipelines.engine.store import read_json, write_json, write_text
+from pipelines.stages.result import show_result
+from pipelines.stages.summary import summarise
+from pipelines.stages.table import stages_of
+from pipelines.stages.train import TRAIN, announce_training, train_together
+from pipelines.tracking.tracker import open_tracker
+
+
+@dataclass(frozen=True)
+class RunJob(Job):
+    """A run: its configuration is a `RunConfig`.
+
+    Attributes:
+        oracle: the job that trains the network to imitate; None for a method without an oracle.
+    """
+
+    oracle: "RunJob | None" = None
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """The stages that are asked for, in order."""
+        stages = stages_of(self.config.method.name)
+        return tuple(stages[name] for name in self.config.selected_stages)
+
+    @property
+    def trained(self) -> "RunJob":
+        """The job whose stage train this one needs: the oracle's, or its own."""
+        return self.oracle or self
+
+    @property
+    def ends_with(self) -> str:
+        """The stage after which the run's summary is written."""
+        return "evaluate"
+
+    def found_done(self) -> None:
+        """Show the run to the tracker, which may be younger than the run."""
+        if self.ends_with in self.config.selected_stages:
+            open_tracker(self.config).finish(read_json(self.run_dir / "summary.json"), self.run_dir)
+
+
+def run_job(job: RunJob) -> dict[str, Any] | None:
+    """Do what is not done of a run, print what came out, and return its summary; None where it stops before the end."""
+    with disk_errors_explained(job):
+        return _run_stages(job)
+
+
+def run_jobs(jobs: Sequence[RunJob]) -> list[Exception | None]:
+    """Do jobs one after the other, those of one fleet after training them as one; return what each failed with."""
+    trained = {job.trained.folder: job.trained for job in jobs if _trains(job)}
+    errors: dict[str, Exception | None] = {}
+    try:
+        if len(trained) > 1:
+            errors = dict(zip(trained, _train_together(list(trained.values())), strict=True))
+    except Exception as error:  # of the whole fleet, such as a full disk
+        return [error] * len(jobs)
+    return [errors.get(job.trained.folder) or _failure(job) for job in jobs]
+
+
+def _trains(job: RunJob) -> bool:
+    """Return whether a job asks for training, its own or its oracle's."""
+    return not {"train", "oracle"}.isdisjoint(job.config.selected_stages)
+
+
+def _failure(job: RunJob) -> Exception | None:
+    try:
+        run_job(job)
+    except Exception as error:
+        return error
+    return None
+
+
+def _train_together(jobs: Sequence[RunJob]) -> list[Exception | None]:
+    """Train the runs of a fleet as one, as far as they need it; `run_job` then finds each one's training done."""
+    missing = [job for job in jobs if stage_status(TRAIN, job.run_dir / "train", job.config) == "missing"]
+    for job in missing:
+        print(f"{job.run_dir}", flush=True)
+        job.run_dir.mkdir(parents=True, exist_ok=True)
+    if missing:
+        announce_training([job.config for job in missing])
+
+    return run_stage_together(TRAIN, [(job.run_dir, job.config) for job in jobs], train_together)
+
+
+def _run_stages(job: RunJob) -> dict[str, Any] | None:
+    config, run_dir = job.config, job.run_dir
+    print(f"{run_dir}", flush=True)
+    run_dir.mkdir(parents=True, exist_ok=True)
+    results: dict[str, StageResult] = {}
+    for stage in job.stages:
+        name = stage.name
+        if name == "oracle" and job.oracle and stage_status(stage, run_dir / name, config) != "done":
+            _run_stages(job.oracle)
+            print(f"{run_dir}", flush=True)
+        if name == "train" and stage_status(stage, run_dir / name, config) == "missing":
+            announce_training([config])
+        results[name] = run_stage(stage, run_dir, config, job.command)
+        if not (run_dir / "config.yaml").exists():
+            write_text(run_dir / "config.yaml", job.config_yaml)
+        print(_stage_line(name, results[name]), flush=True)
+    if "evaluate" not in results:
+        return None
+    summary = summarise(config, run_dir)
+    write_json(run_dir / "summary.json", summary)
+    (run_dir / "error.log").unlink(missing_ok=True)
+    unasked = {extra for extra in EXTRA_STAGES if extra not in config.selected_stages}
+    show_result({key: value for key, value in summary.items() if key not in unasked}, run_dir)
+    open_tracker(config).finish(summary, run_dir)
+    return summary
+
+
+def _stage_line(name: str, result: StageResult) -> str:
+    how = f"done before, {duration(result.seconds)}" if result.skipped else duration(result.seconds)
+    return f"{name}: {how}"

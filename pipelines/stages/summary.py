@@ -1,0 +1,53 @@
+"""The summary of a finished run: what its stages' reports and manifests say, in one file."""
+
+from pathlib import Path
+from typing import Any
+
+from pipelines.config import RunConfig
+from pipelines.config.methods import EXTRA_STAGES
+from pipelines.engine.store import read_csv, read_json
+
+
+def summarise(config: RunConfig, run_dir: Path) -> dict[str, Any]:
+    """Return a finished run's summary."""
+    names = config.method.stages
+    made, pruned, evaluated = (
+        read_json(run_dir / name / "report.json") for name in (config.method.tree_stage, "prune", "evaluate")
+    )
+    extras = tuple(extra for extra in EXTRA_STAGES if (run_dir / extra / "manifest.json").is_file())
+    manifests = {name: read_json(run_dir / name / "manifest.json") for name in (*names, *extras)}
+    seconds = {name: manifest["seconds"] for name, manifest in manifests.items()}
+    if "train" in seconds:
+        # The manifest knows the last process alone; a resumed training spent the sum of its segments at least.
+        segments_s = sum(float(row["seconds"]) for row in read_csv(run_dir / "train" / "progress.csv"))
+        seconds["train"] = round(max(segments_s, seconds["train"]), 3)
+    summary = {
+        "schema": config.summary_schema,
+        "env": config.env.name,
+        "task": config.env.task,
+        "env_id": config.env.id,
+        "method": config.method.name,
+        "depth": config.depth,
+        "budget": config.budget.name,
+        "trainer": config.trainer_name,
+        "algorithm": config.algo.name,
+        "seed": config.seed,
+        "steps": config.train.steps,
+        **evaluated["policies"]["tree"],
+        "n_leaves": made["n_leaves"],
+        "pruned_leaves": pruned["n_leaves"],
+        "pruned_depth": pruned["pruned_depth"],
+        "patterns": pruned["patterns"],
+        "fidelity": evaluated["fidelity"],
+        "policies": evaluated["policies"],
+        "seconds": seconds,
+        "versions": manifests["evaluate"]["versions"],
+    }
+    if "imitate" in names:
+        summary["oracle"] = {"hidden_widths": list(config.oracle), **evaluated["oracle"]}
+        summary["imitate"] = {name: made[name] for name in ("round", "n_rows", "n_steps")}
+    if "n_outside_domain" in evaluated:
+        summary |= {name: evaluated[name] for name in ("n_outside_domain", "n_states")}
+    if "parse" in names:
+        summary |= {"program": made["program"], "algorithm": "none", "steps": 0}
+    return summary | {extra: read_json(run_dir / extra / "report.json") for extra in extras}

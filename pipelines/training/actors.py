@@ -1,0 +1,14 @@
+"""Which kind of actor a run trains by Stable-Baselines3."""
+
+from pipelines.config import MethodConfig, PidConfig, RunConfig, SoftConfig
+from pipelines.training.pid_actor import PidActor
+from pipelines.training.relu_actor import ReluActor
+from pipelines.training.soft_actor import SoftActor
+
+ACTORS: dict[type[MethodConfig], type[ReluActor]] = {PidConfig: PidActor, SoftConfig: SoftActor}
+
+
+def actor_of(config: RunConfig) -> ReluActor:
+    """Return a run's kind of actor, by the nearest class of its method that has one: a ReLU network if none has."""
+    kinds = (ACTORS[method] for method in type(config.method).__mro__ if method in ACTORS)
+    return next(kinds, ReluActor)(config)

@@ -1,0 +1,60 @@
+"""How an actor is trained by Stable-Baselines3, whatever kind it is; the answers here are a ReLU network's."""
+
+from typing import Any
+
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.policies import BasePolicy
+
+import otr
+from pipelines.config import RunConfig
+from pipelines.play.actor_files import actor_files
+from pipelines.play.rollout import Rollout
+from pipelines.play.selection import compare_with_trained, diverged, play_selection_episodes
+
+
+class ReluActor:
+    """A ReLU network, Stable-Baselines3's own actor; other kinds of actors answer otherwise where they differ."""
+
+    def __init__(self, config: RunConfig) -> None:
+        self.config = config
+
+    def policy_class(self) -> str | type[BasePolicy]:
+        """Return the class of the model's policy, or Stable-Baselines3's name for it."""
+        return "MlpPolicy"
+
+    def net_arch(self) -> list[int]:
+        """Return the widths of the actor's hidden layers."""
+        return list(self.config.hidden_widths)
+
+    def policy_kwargs(self) -> dict[str, Any]:
+        """Return what the policy's class takes beside the networks' widths and activations."""
+        return {}
+
+    def callbacks(self) -> list[BaseCallback]:
+        """Return what goes on beside the learning of a segment."""
+        return []
+
+    def segment_learnt(self, model: BaseAlgorithm) -> None:
+        """Change the model after a segment, before it is evaluated."""
+
+    def exported(self, model: BaseAlgorithm) -> otr.ReluNetwork:
+        """Return the model's actor as a network of the states that it was trained on."""
+        return otr.from_sb3(model)
+
+    def evaluate(self, model: BaseAlgorithm) -> tuple[dict[str, bytes], Rollout]:
+        """Return the files of what the actor becomes, and what came of its selection episodes.
+
+        Raises:
+            PipelineError: the training diverged.
+            PolicyMismatchError: the network and the model's policy disagree on a visited state.
+        """
+        try:
+            network = self.exported(model)
+        except otr.InvalidNetworkError as error:
+            raise diverged(model.num_timesteps, error) from error
+        network, played = play_selection_episodes(network, self.config)
+        compare_with_trained(
+            network, lambda states: model.predict(states, deterministic=True)[0], played.states, self.config
+        )
+        return actor_files(network), played

@@ -1,0 +1,78 @@
+"""Training by Stable-Baselines3: in segments, the best of their evaluations kept.
+
+A segment is the steps between two evaluations (PPO: rounded up to whole rollouts). It starts with new environments and
+random streams of its own, so what it does depends on the checkpoint before it alone: a killed and resumed run equals an
+uninterrupted one bit for bit.
+"""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from stable_baselines3 import DQN
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import CallbackList
+from stable_baselines3.common.logger import Logger
+
+from pipelines.config import RunConfig
+from pipelines.engine.seeding import stream_seed
+from pipelines.tracking.tracker import open_tracker
+from pipelines.training.actors import actor_of
+from pipelines.training.checkpoints import progress_row
+from pipelines.training.estimates import segment_steps
+from pipelines.training.progress import TrainingProgress
+from pipelines.training.relu_actor import ReluActor
+from pipelines.training.sb3_checkpoints import load_checkpoint, save_checkpoint
+from pipelines.training.sb3_models import build_env, build_model
+
+
+def train_by_sb3(config: RunConfig, checkpoints: Path, out: Path) -> None:
+    """Train, and write the best actor, `evaluations.csv` and `progress.csv` into `out`.
+
+    Args:
+        config: the run.
+        checkpoints: the folder of its checkpoints, where a killed training is taken up again.
+        out: an empty folder.
+
+    Raises:
+        PipelineError: the training diverged.
+        PolicyMismatchError: the exported network and Stable-Baselines3's policy disagree on a visited state.
+        KeyboardInterrupt: Ctrl-C; the checkpoint of the last whole segment stays.
+    """
+    checkpoints.mkdir(parents=True, exist_ok=True)
+    model, actor = build_model(config, stream_seed(config.seed, "train")), actor_of(config)
+    history = load_checkpoint(checkpoints, model)
+    tracker = open_tracker(config)
+    for rows in zip(history.progress, history.evaluations, strict=True):
+        tracker.segment_done(*rows)  # a kill may have come between a checkpoint and its log
+    with TrainingProgress(config, model.num_timesteps) as progress:
+        while model.num_timesteps < config.train.steps:
+            start = model.num_timesteps
+            row = train_segment(model, actor, history.n_segments, progress)
+            history.segment_done(row, *actor.evaluate(model))
+            save_checkpoint(checkpoints, model, history, start)
+            progress.segment_done(start, row, history.evaluations[-1])
+            tracker.segment_done(row, history.evaluations[-1])
+    history.write(out)
+
+
+def train_segment(model: BaseAlgorithm, actor: ReluActor, segment: int, progress: TrainingProgress) -> dict[str, Any]:
+    """Train for one segment and return its row of `progress.csv`."""
+    config, start = actor.config, model.num_timesteps
+    n_steps = min(segment_steps(config), config.train.steps - start)
+    model.set_logger(Logger(folder=None, output_formats=[]))  # its default leaves a temporary folder every segment
+    model.set_env(build_env(config), force_reset=True)
+    model.set_random_seed(stream_seed(config.seed, "train", segment))
+    if isinstance(model, DQN):  # its first action comes before its schedule is asked
+        model.exploration_rate = model.exploration_schedule(1.0)
+    began = time.monotonic()
+    callbacks = CallbackList([*progress.callbacks, *actor.callbacks()])
+    model.learn(n_steps, callback=callbacks, log_interval=None, reset_num_timesteps=False)  # type: ignore[arg-type]
+    actor.segment_learnt(model)
+    seconds = time.monotonic() - began
+    assert model.env is not None
+    returns = np.concatenate([*model.env.env_method("get_episode_rewards"), []])
+    lengths = np.concatenate([*model.env.env_method("get_episode_lengths"), []])
+    model.env.close()
+    return progress_row(model.num_timesteps, start, seconds, returns, lengths)

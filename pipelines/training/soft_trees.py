@@ -1,0 +1,115 @@
+"""Soft trees as modules of torch: which one a run trains, their files, the hard trees that they become."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from safetensors.torch import save as safetensors_bytes
+
+import otr
+from otr.control.cdt import CascadingTree
+from otr.control.pi_prl import RelaxedProgram
+from otr.control.soft_tree import SoftTree
+from pipelines.config import CdtConfig, PiPrlConfig, RunConfig, SdtConfig
+from pipelines.engine.store import corrupt, json_text, read_json
+from pipelines.errors import ConfigError
+
+SCHEMA = "otr/soft/1"
+
+SoftModule = SoftTree | CascadingTree | RelaxedProgram
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What module an actor is.
+
+    Attributes:
+        kind: sdt, cdt or pi_prl.
+        options: what its class takes beside the numbers of inputs and outputs.
+    """
+
+    kind: str
+    options: dict[str, Any]
+
+
+_MODULES: dict[str, type[SoftModule]] = {"sdt": SoftTree, "cdt": CascadingTree, "pi_prl": RelaxedProgram}
+
+
+def shape_of(config: RunConfig) -> Shape:
+    """Return the module that a run's method and depth ask for."""
+    method, depth = config.method, config.depth
+    if isinstance(method, SdtConfig):
+        return Shape("sdt", {"depth": depth, "affine_leaves": method.leaves == "linear"})
+    if isinstance(method, CdtConfig):
+        options = {"feature_depth": depth[0], "n_features": method.n_features, "decision_depth": depth[1]}
+        return Shape("cdt", options)
+    assert isinstance(method, PiPrlConfig)
+    return Shape("pi_prl", {"depth": depth, "structure_penalty": method.structure_penalty})
+
+
+def build_module(shape: Shape, n_inputs: int, n_outputs: int) -> SoftModule:
+    """Return a fresh module, drawn from torch's own generator as all of a Stable-Baselines3 policy is."""
+    return _MODULES[shape.kind](n_inputs, n_outputs, **shape.options)
+
+
+def harden(module: SoftModule, action_space: "gym.Space[Any]", *, axis_aligned: bool = False) -> otr.ObliqueTree:
+    """Return the hard tree as a policy: labels for discrete actions, values clipped to the box for continuous ones.
+
+    Raises:
+        ConfigError: the actions are neither, or a relaxed program is asked for axis-aligned tests.
+    """
+    head = _head(action_space)
+    if not isinstance(module, RelaxedProgram):
+        return module.harden(head, axis_aligned=axis_aligned)
+    if axis_aligned:
+        raise ConfigError("pi-PRL's programs have oblique tests; there is no axis-aligned form of them")
+    return module.harden(head)
+
+
+def soft_files(module: SoftModule, shape: Shape) -> dict[str, bytes]:
+    """Return `soft.safetensors` (all parameters and buffers) and `soft.json` (what they belong to)."""
+    tensors = {name: tensor.detach().contiguous() for name, tensor in module.state_dict().items()}
+    about = {"schema": SCHEMA, "kind": shape.kind, "n_inputs": module.n_inputs, "n_outputs": module.n_outputs}
+    text = json_text(about | {"options": shape.options})
+    return {"soft.safetensors": safetensors_bytes(tensors), "soft.json": text.encode()}
+
+
+def load_soft(folder: Path) -> SoftModule:
+    """Return the module of `soft_files`; a truncated or foreign file is an error that names it."""
+    about = read_json(folder / "soft.json")
+    try:
+        if about["schema"] != SCHEMA:
+            raise ValueError(f"schema {about['schema']!r} where {SCHEMA!r} was expected")
+        module = build_module(Shape(about["kind"], about["options"]), about["n_inputs"], about["n_outputs"])
+        module.load_state_dict(load_file(folder / "soft.safetensors"))
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError, RuntimeError, json.JSONDecodeError) as error:
+        raise corrupt(folder / "soft.safetensors", error) from error
+    return module
+
+
+@dataclass(frozen=True)
+class SoftPolicy:
+    """A soft tree as a policy: what Stable-Baselines3's own did deterministically."""
+
+    module: SoftModule
+    head: otr.Head
+
+    def predict(self, states: np.ndarray) -> np.ndarray:
+        """Return actions (n, a) or labels (n,) for states (n, d)."""
+        with torch.no_grad():
+            outputs = self.module(torch.as_tensor(states, dtype=torch.float32)).numpy().astype(np.float64)
+        return self.head(outputs)
+
+
+def _head(action_space: "gym.Space[Any]") -> otr.Head:
+    if isinstance(action_space, gym.spaces.Discrete) and action_space.start == 0:
+        return otr.Argmax()
+    if isinstance(action_space, gym.spaces.Box):
+        return otr.ClipBox(action_space.low.ravel(), action_space.high.ravel())
+    raise ConfigError(f"the actions are {action_space}; only Box and Discrete (start=0) can be trees")

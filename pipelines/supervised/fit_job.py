@@ -1,5 +1,6 @@
 """Fits: their stages in order, seeds together where the learner trains them so, and their summaries."""
 
+import dataclasses
 import shutil
 from collections.abc import Sequence
 from typing import Any
@@ -10,10 +11,17 @@ from pipelines.engine.job import Job, disk_errors_explained, is_done
 from pipelines.engine.stage import MANIFEST, Stage, StageResult, run_stage, run_stage_together
 from pipelines.engine.store import read_json, write_json, write_text
 from pipelines.supervised.config import FitConfig, settings
-from pipelines.supervised.console import show_fit
-from pipelines.supervised.stages import stages_of
+from pipelines.supervised.fit import FIT, fit_together
+from pipelines.supervised.learners import BATCHED
+from pipelines.supervised.result import show_fit
+from pipelines.supervised.score import SCORE
+from pipelines.supervised.tune import TUNE
 
-TOGETHER = ("lcn", "otr")  # learners that train labels and seeds as one batched model
+
+def stages_of(config: FitConfig) -> tuple[Stage, ...]:
+    """Return the stages that are asked for, in order."""
+    fit = dataclasses.replace(FIT, inputs=("tune",)) if config.method.grid else FIT
+    return tuple(stage for stage in (TUNE, fit, SCORE) if stage.name in config.selected_stages)
 
 
 class FitJob(Job):
@@ -59,7 +67,7 @@ def fit_jobs(jobs: Sequence[FitJob]) -> list[Exception | None]:
     """Do fits that differ in their seed alone, networks as one batched model; return what each failed with."""
     left = [job for job in jobs if not is_done(job)]
     try:
-        if len(left) > 1 and left[0].config.method.learner in TOGETHER:
+        if len(left) > 1 and left[0].config.method.learner in BATCHED:
             with disk_errors_explained(left[0]):
                 _fit_together(left)
     except Exception as error:  # of all of them
@@ -82,8 +90,6 @@ def _fit_together(jobs: Sequence[FitJob]) -> None:
             for job in jobs:
                 _stage_done(job, stage)
         elif stage.name == "fit":
-            from pipelines.supervised.fit import fit_together  # imports torch
-
             print(f"{jobs[0].run_dir} and {len(jobs) - 1} more seeds as one batched model", flush=True)
             for job in jobs:
                 job.run_dir.mkdir(parents=True, exist_ok=True)

@@ -13,7 +13,6 @@ import gymnasium as gym
 import otr
 from otr.control.dagger.loop import DaggerProgress, DaggerSettings, Fit, Play, run_dagger
 from pipelines.config import AugTreeConfig, ImitatingConfig, LmViperConfig, NdpsConfig, RunConfig, ViperConfig
-from pipelines.config.settings import settings
 from pipelines.engine.console import duration
 from pipelines.engine.digests import digest
 from pipelines.engine.seeding import episode_seeds, stream
@@ -34,7 +33,7 @@ SHARE_PLAYED = 0.5  # of an episode's longest length
 
 def imitate_settings(config: RunConfig) -> dict[str, Any]:
     """Return what decides the tree, given the oracle."""
-    everything = settings(config)
+    everything = config.settings()
     return {
         "env": {"id": config.env.id, "kwargs": config.env.kwargs},
         "method": everything["method"],

@@ -10,7 +10,7 @@ from pipelines.engine.digests import digest
 from pipelines.engine.job import Job, disk_errors_explained, is_done
 from pipelines.engine.stage import MANIFEST, Stage, StageResult, run_stage, run_stage_together
 from pipelines.engine.store import read_json, write_json, write_text
-from pipelines.supervised.config import FitConfig, settings
+from pipelines.supervised.config import FitConfig
 from pipelines.supervised.fit import FIT, fit_together
 from pipelines.supervised.learners import BATCHED
 from pipelines.supervised.result import show_fit
@@ -42,7 +42,7 @@ def fit_groups(configs: Sequence[FitConfig]) -> list[list[int]]:
     """Return the positions of the fits that one process does, those that differ in their seed alone."""
     groups: dict[str, list[int]] = {}
     for i, config in enumerate(configs):
-        key = digest([settings(config) | {"seed": None}, config.results_dir])
+        key = digest([config.settings() | {"seed": None}, config.results_dir])
         groups.setdefault(key, []).append(i)
     size = configs[0].seeds_per_process if configs else 1
     return sorted(group[start : start + size] for group in groups.values() for start in range(0, len(group), size))

@@ -10,7 +10,7 @@ import otr
 from pipelines.datasets.dataset import PARTS
 from pipelines.engine.stage import Stage
 from pipelines.engine.store import read_csv, write_csv, write_json, write_text
-from pipelines.supervised.config import FitConfig, settings
+from pipelines.supervised.config import FitConfig
 from pipelines.supervised.learners import dataset_of
 from pipelines.supervised.metrics import metric_of, outputs_of, score, size_of
 from pipelines.supervised.readable_trees import program_of
@@ -80,4 +80,4 @@ def _mean_if_there(texts: list[str]) -> float | None:
     return float(np.mean([float(text) for text in texts])) if all(texts) else None
 
 
-SCORE = Stage("score", version=1, inputs=("fit",), settings=settings, run=score_trees)
+SCORE = Stage("score", version=1, inputs=("fit",), settings=FitConfig.settings, run=score_trees)

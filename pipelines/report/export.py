@@ -163,7 +163,7 @@ def _policy(config: ExportConfig, run: RunConfig, folder: Path) -> Any:
     method = run.method.name
     if config.tree == "compact" and not run.method.is_mapped:
         raise ConfigError(f"tree=compact: a tree of method={method} stands for no network; use tree=full")
-    if config.tree == "constant_gains" and method != "pid":
+    if config.tree == "constant_gains" and config.tree not in run.method.forms:
         raise ConfigError(f"tree=constant_gains: gains are of method=pid, not of method={method}; use tree=pruned")
     stages = {
         "pruned": "prune",

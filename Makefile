@@ -7,7 +7,7 @@ export OMP_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: help run test test-all lint smoke bench reproduce-table format clean
+.PHONY: help run test test-all lint smoke bench reproduce-table pack format clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-16s %s\n", $$1, $$2}'
@@ -71,6 +71,9 @@ else
 	$(BIN)/otr-tabulate figure=4.7
 	$(BIN)/otr-tabulate table=4.1 $(if $(EVALUATE),evaluate=true) $(ARGS)
 endif
+
+pack: .venv/.installed  ## pack the runs and fits under results, an archive each, to commit them
+	$(BIN)/python -m pipelines.cli.pack results
 
 clean:  ## remove the virtual environment and caches; results stay
 	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis

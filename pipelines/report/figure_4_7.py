@@ -16,6 +16,7 @@ from pipelines.errors import PipelineError
 from pipelines.play.environments import action_names, feature_names
 from pipelines.play.rollout import Rollout, rollout
 from pipelines.report.published import published
+from pipelines.stages.derived import opened_run
 
 PREFERRED_ORACLE = [256]
 AGREEMENTS = (0.95, 0.9, 0.85, 0.8, 0.75, 0.7)  # tried
@@ -49,7 +50,8 @@ def write_figure_4_7(runs: Sequence[RunConfig], results_dir: Path) -> list[Path]
         PipelineError: none of the runs is finished.
     """
     config = _chosen(runs, results_dir)
-    tree = otr.load(results_dir / config.folder / "imitate" / "tree")
+    with opened_run(config, results_dir / config.folder, "imitate") as whole:
+        tree = otr.load(whole / "imitate" / "tree")
     if not isinstance(tree, otr.ObliqueTree):
         raise PipelineError(f"{results_dir / config.folder}: its tree is held as patterns, which cannot be simplified")
     seeds = episode_seeds(config.seed, "prune", config.prune.n_episodes)

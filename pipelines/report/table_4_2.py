@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pipelines.engine.store import corrupt, read_json, write_csv, write_text
+from pipelines.engine.archive import MANIFEST
+from pipelines.engine.store import corrupt, exists, read_bytes, read_json, write_csv, write_text
 from pipelines.report.published import Published, published
 from pipelines.report.table_cells import CSV_COLUMNS, MIN_RUNS_FOR_CI, N_RESAMPLES, bootstrap_interval
 from pipelines.report.table_text import latex_row, markdown_table, tex
@@ -96,9 +97,9 @@ def read_cell(results_dir: Path, data: str, method: str) -> FitCell:
 
 
 def _fit(run_dir: Path, summary: dict[str, Any]) -> Fit:
-    if not (run_dir / "tune" / "manifest.json").exists():
+    if not exists(run_dir / "tune" / MANIFEST):
         return Fit(summary, None)
-    method = read_json(run_dir / "tune" / "manifest.json")["settings"]["method"]
+    method = read_json(run_dir / "tune" / MANIFEST)["settings"]["method"]
     return Fit(summary, method, read_json(run_dir / "tune" / "chosen.json"))
 
 
@@ -358,10 +359,10 @@ def _copy_tree_picture(results_dir: Path) -> list[Path]:
 def _sparse_program(results_dir: Path) -> list[str]:
     """Return the printed tree of the sparse model with the first seed, where it is at hand."""
     path = results_dir / SHOWN / "score" / "program.txt"
-    if not path.is_file():
+    if not exists(path):
         return []
     return [
         "The tree of that row's seed 0, pruned to what the training molecules reach. Names are fragments that set a "
         "bit of the fingerprint; as a picture: [tree_bace.png](../figures/tree_bace.png).",
-        f"```text\n{path.read_text(encoding='utf-8')}```",
+        f"```text\n{read_bytes(path).decode()}```",
     ]

@@ -5,11 +5,12 @@ import shutil
 from collections.abc import Sequence
 from typing import Any
 
+from pipelines.engine.archive import MANIFEST, read_manifest
 from pipelines.engine.console import duration
 from pipelines.engine.digests import digest
 from pipelines.engine.job import Job, disk_errors_explained, is_done
-from pipelines.engine.stage import MANIFEST, Stage, StageResult, run_stage, run_stage_together
-from pipelines.engine.store import read_json, write_json, write_text
+from pipelines.engine.stage import Stage, StageResult, run_stage, run_stage_together
+from pipelines.engine.store import exists, read_json, write_json, write_text
 from pipelines.supervised.config import FitConfig
 from pipelines.supervised.fit import FIT, fit_together
 from pipelines.supervised.learners import BATCHED
@@ -119,8 +120,8 @@ def _stage_done(job: FitJob, stage: Stage) -> StageResult:
 def summarise(job: FitJob) -> dict[str, Any]:
     """Return a finished fit's summary from its stages' reports."""
     config: FitConfig = job.config
-    names = [name for name in config.all_stages if (job.run_dir / name / MANIFEST).exists()]
-    manifests = {name: read_json(job.run_dir / name / MANIFEST) for name in names}
+    names = [name for name in config.all_stages if exists(job.run_dir / name / MANIFEST)]
+    manifests = {name: read_manifest(job.run_dir / name) for name in names}
     return {
         "schema": config.summary_schema,
         "data": config.data.name,

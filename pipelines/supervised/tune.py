@@ -5,6 +5,7 @@ job goes on with the next combination.
 """
 
 import json
+import shutil
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,15 +15,15 @@ import numpy as np
 
 from pipelines.datasets.dataset import Dataset
 from pipelines.engine.digests import digest
-from pipelines.engine.stage import Stage
 from pipelines.engine.store import read_json, write_csv, write_json
 from pipelines.supervised.config import FitConfig, combinations, tune_settings, with_settings
-from pipelines.supervised.learners import check_learner, dataset_of, fit_trees, usable_labels
+from pipelines.supervised.data import dataset_of
+from pipelines.supervised.learners import check_learner, fit_trees, usable_labels
 from pipelines.supervised.metrics import gain, metric_of, outputs_of, score
-from pipelines.supervised.progress import FitProgress
+from pipelines.supervised.progress import Progress
+from pipelines.supervised.stages import TUNE_VERSION
 
 COLUMNS = ("label", "settings", "valid", "seconds")
-VERSION = 1
 
 
 def tune(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> None:
@@ -34,7 +35,7 @@ def tune(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     scores = np.full((len(tried), len(labels)), np.nan)
     rows: list[dict[str, Any]] = []
-    progress = FitProgress(config, "tune", "combinations")
+    progress = Progress(config, "tune", "combinations")
     for i, changes in enumerate(tried):
         scores[i], seconds = _scores(config, dataset, labels, changes, folder / f"{digest(changes)[:16]}.json")
         rows += [
@@ -56,6 +57,7 @@ def tune(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> None:
             for i, label in enumerate(labels)
         ],
     )
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 def best_of(scores: np.ndarray, for_label: bool, metric: str) -> list[int]:
@@ -76,9 +78,9 @@ def best_of(scores: np.ndarray, for_label: bool, metric: str) -> list[int]:
     return [int(np.nanargmax(gains[:, i])) if told[i] else overall for i in range(scores.shape[1])]
 
 
-def checkpoint_folder(config: FitConfig, inputs: Mapping[str, Path] | None = None) -> Path:
-    """Return where the scores of what has been tried lie until all of it is; tuning reads no other stage."""
-    return Path(config.results_dir) / "checkpoints" / f"tune-{digest([VERSION, tune_settings(config)])[:16]}"
+def checkpoint_folder(config: FitConfig) -> Path:
+    """Return where the scores of what has been tried lie until all of it is."""
+    return Path(config.results_dir) / "checkpoints" / f"tune-{digest([TUNE_VERSION, tune_settings(config)])[:16]}"
 
 
 def _scores(
@@ -90,7 +92,7 @@ def _scores(
         return np.array(before["scores"], dtype=np.float64), before["seconds"]
     began, metric = time.process_time(), metric_of(dataset)
     seeds = config.method.tuning_seeds
-    progress = FitProgress(config, f"tune {json.dumps(changes)}", "trees")
+    progress = Progress(config, f"tune {json.dumps(changes)}", "trees")
     method = with_settings(config.method, changes)
     fitted = fit_trees(method, dataset, labels, seeds, n_workers=config.n_workers, progress=progress)
     means = []
@@ -104,6 +106,3 @@ def _scores(
 
 def _number(value: float) -> float | None:
     return None if np.isnan(value) else float(value)
-
-
-TUNE = Stage("tune", VERSION, inputs=(), settings=tune_settings, run=tune, checkpoints=checkpoint_folder)

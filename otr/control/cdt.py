@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
 import torch
 from torch import Tensor, nn
 
-from otr.control.grafting import graft
 from otr.control.soft_tree import SoftTree
-from otr.core.arrays import FloatArray
+from otr.core.arrays import FloatArray, IntArray
 from otr.core.head import Head
 from otr.core.tree import ObliqueTree
 
@@ -85,5 +87,26 @@ class CascadingTree(nn.Module):
         """
         features = self.features.harden(axis_aligned=axis_aligned)
         decisions = self.decisions.harden(head, axis_aligned=axis_aligned)
-        below = [decisions.compose(F, g) for F, g in zip(features.M, features.c, strict=True)]
-        return graft(features, below)
+        return _with_subtrees(features, [decisions.compose(F, g) for F, g in zip(features.M, features.c, strict=True)])
+
+
+def _with_subtrees(tree: ObliqueTree, subtrees: Sequence[ObliqueTree]) -> ObliqueTree:
+    """Return `tree` with leaf i replaced by ``subtrees[i]``; the subtrees differ in their numbers only."""
+    one, places = subtrees[0], np.arange(len(subtrees))
+    node_starts, leaf_starts = tree.n_nodes + one.n_nodes * places, one.n_leaves * places
+    roots = node_starts if one.n_nodes else ~leaf_starts
+
+    def joined(top: IntArray, below: IntArray) -> IntArray:
+        copies = np.where(below >= 0, below + node_starts[:, None], below - leaf_starts[:, None])
+        return np.concatenate((np.where(top >= 0, top, roots[np.where(top >= 0, 0, ~top)]), copies.ravel()))
+
+    return ObliqueTree(
+        joined(tree.children_left, one.children_left),
+        joined(tree.children_right, one.children_right),
+        np.concatenate([tree.P, *(subtree.P for subtree in subtrees)]),
+        np.concatenate([tree.v, *(subtree.v for subtree in subtrees)]),
+        np.concatenate([subtree.M for subtree in subtrees]),
+        np.concatenate([subtree.c for subtree in subtrees]),
+        labels=None if one.labels is None else np.tile(one.labels, len(subtrees)),
+        head=one.head,
+    )

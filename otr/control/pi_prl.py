@@ -107,14 +107,6 @@ class RelaxedProgram(nn.Module):
         substitute_inputs(self.tests, shift, scale)
         substitute_inputs(self.maps, shift, scale)
 
-    def program_parameters(self) -> list[nn.Parameter]:
-        """Return the parameters of tests and affine maps."""
-        return [self.tests, self.maps]
-
-    def architecture_parameters(self) -> list[nn.Parameter]:
-        """Return the logits of the structure."""
-        return [self.architecture]
-
     def forward(self, X: Tensor) -> Tensor:
         """Return the outputs (n, o) for states X (n, d)."""
         fixed = self.learns == "architecture"

@@ -14,10 +14,11 @@ from otr.control.label_leaves import argmax_leaves
 from otr.core.arrays import FloatArray, IntArray
 from otr.core.head import Argmax, ClipBox, Head, TanhBox
 from otr.core.tree import ObliqueTree
+from otr.learners.base.single_tree import class_tree
 from otr.learners.cart import from_sklearn_tree
 from otr.learners.model_tree import LinearModelTreeRegressor
 
-__all__ = ["CartFit", "Criterion", "LinearModelTreeFit", "box_of", "centred", "fit_cart", "label_tree", "with_head"]
+__all__ = ["CartFit", "Criterion", "LinearModelTreeFit", "box_of", "centred", "fit_cart", "with_head"]
 
 Criterion = Literal["gini", "entropy"]
 
@@ -105,21 +106,11 @@ def fit_cart(
         random_state=int(generator.integers(2**31)),
     ).fit(X.astype(np.float32, copy=False), targets, sample_weight=counts)
     tree = from_sklearn_tree(model)
-    return label_tree(tree, model.classes_, n_outputs) if is_labels else tree
-
-
-def label_tree(tree: ObliqueTree, classes: IntArray, n_outputs: int) -> ObliqueTree:
-    """Return the tree whose labels, positions in `classes` so far, are the classes, and which has an output for each.
-
-    Args:
-        tree: constant leaves with shares of the `classes` (k,).
-        classes: ascending labels below `n_outputs`.
-        n_outputs: number of labels there are; one that is not among the classes has the share 0.
-    """
-    shares = np.zeros((tree.n_leaves, n_outputs))
-    shares[:, classes] = tree.c
-    M = np.zeros((tree.n_leaves, n_outputs, tree.n_inputs))
-    return tree.replace(M=M, c=shares, labels=shares.argmax(axis=1), head=Argmax())
+    if not is_labels:
+        return tree
+    shares = np.zeros((tree.n_leaves, n_outputs))  # 0 for labels that no row has
+    shares[:, model.classes_] = tree.c
+    return class_tree(tree, shares)
 
 
 def centred(outputs: FloatArray) -> FloatArray:

@@ -11,7 +11,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from otr.core.tree import ObliqueTree
 from otr.learners.base.parameters import Constraints, some_of
-from otr.learners.base.single_tree import GrownClassifier, GrownRegressor, class_tree, constant_tree
+from otr.learners.base.single_tree import GrownClassifier, GrownRegressor, class_tree
 
 __all__ = ["CARTClassifier", "CARTRegressor", "from_sklearn_tree"]
 
@@ -49,14 +49,8 @@ def from_sklearn_tree(model: BaseDecisionTree) -> ObliqueTree:
     P[np.arange(len(nodes)), source.feature[nodes]] = 1.0
     values = source.value[leaves]  # (n_leaves, n_outputs, n_classes), the last being 1 in a regression tree
     values = values[:, 0, :] if is_classifier else values[:, :, 0]
-    tree = constant_tree(
-        reference[source.children_left[nodes]],
-        reference[source.children_right[nodes]],
-        P,
-        -source.threshold[nodes],
-        values,
-        n_inputs=n_inputs,
-    )
+    left, right = reference[source.children_left[nodes]], reference[source.children_right[nodes]]
+    tree = ObliqueTree(left, right, P, -source.threshold[nodes], np.zeros((*values.shape, n_inputs)), values)
     return class_tree(tree, values) if is_classifier else tree
 
 

@@ -13,9 +13,9 @@ from sklearn.utils.validation import check_random_state
 from otr.core.arrays import BoolArray, FloatArray, IntArray
 from otr.core.tree import ObliqueTree
 from otr.learners.base.parameters import AT_LEAST_0, AT_LEAST_1, Constraints
-from otr.learners.base.single_tree import GrownClassifier, GrownRegressor, class_tree, constant_tree
+from otr.learners.base.single_tree import GrownClassifier, GrownRegressor, class_tree
 from otr.learners.growing.eigenvector import dominant_direction
-from otr.learners.growing.greedy import Skeleton, Test, grow
+from otr.learners.growing.greedy import Test, grow
 from otr.learners.growing.splits import TIE, AxisSplit, best_bit_split, best_split
 
 __all__ = ["HHCARTClassifier", "HHCARTRegressor", "householder_normal"]
@@ -39,26 +39,23 @@ def householder_normal(q: FloatArray) -> FloatArray | None:
 class _Grower:
     """Finds HHCART's test for a node."""
 
-    def __init__(
-        self, X: NDArray[Any], Y: FloatArray, groups: list[BoolArray], *, options: dict[str, Any], random_state: Any
-    ) -> None:
+    def __init__(self, X: NDArray[Any], Y: FloatArray, groups: list[BoolArray], options: _Hhcart) -> None:
         """Keep X (n, d), Y (n, o) as `best_split` takes it, and the masks (n,) whose covariances give reflections."""
-        self._X, self._Y, self._groups = X, Y, groups
-        self._min_samples_leaf: int = options["min_samples_leaf"]
-        self._min_samples_split: int = options["min_samples_split"]
-        self._n_jobs: int | None = options["n_jobs"]
-        self._random_state = check_random_state(random_state)
+        self._X, self._Y, self._groups, self._options = X, Y, groups, options
+        self._random_state = check_random_state(options.random_state)
         self._are_bits = bool(((X == 0) | (X == 1)).all())
         self._noise = 1e-12 * float(np.square(Y).sum())
 
-    def grow(self, max_depth: int | None) -> Skeleton:
-        return grow(self._X, self.find_test, max_depth)
+    def tree(self, targets: FloatArray) -> ObliqueTree:
+        """Return the tree with the mean of the rows' targets (n, o) in each leaf."""
+        skeleton = grow(self._X, self.find_test, self._options.max_depth)
+        return skeleton.with_leaves(np.array([targets[rows].mean(axis=0) for rows in skeleton.leaf_rows]))
 
     def find_test(self, rows: IntArray) -> Test | None:
         """Return the test of the node that holds `rows`, None if it is pure, too small, or has nothing to split on."""
         Y = self._Y[rows]
         impurity = float(np.square(Y - Y.mean(axis=0)).sum())
-        if len(rows) < self._min_samples_split or impurity <= self._noise:
+        if len(rows) < self._options.min_samples_split or impurity <= self._noise:
             return None
         X = self._X if len(rows) == len(self._X) else self._X[rows]
         best = self._split(X, Y, None)
@@ -79,10 +76,10 @@ class _Grower:
         return Test(P, -best.threshold)
 
     def _split(self, X: NDArray[Any], Y: FloatArray, normal: FloatArray | None) -> AxisSplit | None:
-        options = {"min_samples_leaf": self._min_samples_leaf, "random_state": self._random_state}
+        options = {"min_samples_leaf": self._options.min_samples_leaf, "random_state": self._random_state}
         if normal is None and self._are_bits:
             return best_bit_split(X, Y, **options)
-        return best_split(X, Y, normal=normal, n_jobs=self._n_jobs, **options)
+        return best_split(X, Y, normal=normal, n_jobs=self._options.n_jobs, **options)
 
     def _normal(self, X: NDArray[Any], mask: BoolArray) -> FloatArray | None:
         n_members = int(mask.sum())
@@ -91,13 +88,6 @@ class _Grower:
         members = X if n_members == len(X) else X[mask]
         eigenvalue, q = dominant_direction(members, self._random_state)
         return householder_normal(q) if eigenvalue > 0 else None
-
-
-def _tree(skeleton: Skeleton, Y: FloatArray) -> ObliqueTree:
-    means = np.array([Y[rows].mean(axis=0) for rows in skeleton.leaf_rows])
-    return constant_tree(
-        skeleton.children_left, skeleton.children_right, skeleton.P, skeleton.v, means, n_inputs=skeleton.P.shape[1]
-    )
 
 
 class _Hhcart:
@@ -163,8 +153,7 @@ class HHCARTClassifier(_Hhcart, GrownClassifier):
         one_hot = np.eye(len(self.classes_))[labels]
         groups = [labels == k for k in range(len(self.classes_))]
         Y = one_hot[:, :1] if len(self.classes_) == 2 else one_hot  # for two classes, half of it says it all
-        grower = _Grower(X, Y, groups, options=self.get_params(), random_state=self.random_state)
-        tree = _tree(grower.grow(self.max_depth), one_hot)
+        tree = _Grower(X, Y, groups, self).tree(one_hot)
         self.tree_ = class_tree(tree, tree.c)
         return self
 
@@ -191,6 +180,5 @@ class HHCARTRegressor(_Hhcart, GrownRegressor):
         scale = targets.std(axis=0)
         Y = (targets - targets.mean(axis=0)) / np.where(scale > 0, scale, 1.0)
         everyone = [np.ones(len(X), dtype=np.bool_)]
-        grower = _Grower(X, Y, everyone, options=self.get_params(), random_state=self.random_state)
-        self.tree_ = _tree(grower.grow(self.max_depth), targets)
+        self.tree_ = _Grower(X, Y, everyone, self).tree(targets)
         return self

@@ -15,14 +15,7 @@ from otr.learners.base.parameters import AT_LEAST_1, NOT_NEGATIVE, POSITIVE, STA
 from otr.learners.base.problem import Problem
 from otr.learners.base.tree_per_label import TreeClassifier, TreeLearner, TreeRegressor
 
-__all__ = ["LinearTreeClassifier", "LinearTreeRegressor", "linear_tree"]
-
-
-def linear_tree(coefficients: FloatArray, intercepts: FloatArray, head: Head) -> ObliqueTree:
-    """Return the tree of one leaf, ``coefficients @ x + intercepts``, (o, d) and (o,)."""
-    d = coefficients.shape[1]
-    none = np.zeros(0, dtype=np.int64)
-    return ObliqueTree(none, none, np.zeros((0, d)), np.zeros(0), coefficients[None], intercepts[None], head=head)
+__all__ = ["LinearTreeClassifier", "LinearTreeRegressor"]
 
 
 class _LinearLearner(TreeLearner):
@@ -33,7 +26,7 @@ class _LinearLearner(TreeLearner):
             W, b, head = self._fit_linear(problem.X[present], problem.Y[present, label], problem.loss)
             # Back to inputs and targets as they were before standardising.
             W = W * y_scale / problem.scale
-            trees.append(linear_tree(W, b * y_scale + y_mean - W @ problem.mean, head))
+            trees.append(_one_leaf(W, b * y_scale + y_mean - W @ problem.mean, head))
         self.trees_ = list(trees)
 
     @abstractmethod
@@ -101,3 +94,10 @@ class LinearTreeRegressor(TreeRegressor, _LinearLearner):
     def _fit_linear(self, X: FloatArray, y: FloatArray, loss: str) -> tuple[FloatArray, FloatArray, Head]:
         model = Ridge(alpha=self.alpha).fit(X, y)
         return model.coef_[None], np.atleast_1d(model.intercept_), Identity()
+
+
+def _one_leaf(coefficients: FloatArray, intercepts: FloatArray, head: Head) -> ObliqueTree:
+    """Return the tree of one leaf, ``coefficients @ x + intercepts``, (o, d) and (o,)."""
+    d = coefficients.shape[1]
+    none = np.zeros(0, dtype=np.int64)
+    return ObliqueTree(none, none, np.zeros((0, d)), np.zeros(0), coefficients[None], intercepts[None], head=head)

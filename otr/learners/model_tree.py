@@ -13,7 +13,6 @@ from sklearn.utils._param_validation import Interval
 from sklearn.utils.validation import check_random_state
 
 from otr.core.arrays import FloatArray, IntArray
-from otr.core.tree import ObliqueTree
 from otr.learners.base.parameters import AT_LEAST_0, AT_LEAST_1, NOT_NEGATIVE, Constraints
 from otr.learners.base.single_tree import GrownRegressor
 from otr.learners.growing.greedy import Skeleton, Test, grow
@@ -93,9 +92,7 @@ class LinearModelTreeRegressor(GrownRegressor):
             return np.sort(random_state.choice(features, self.max_features, replace=False))
 
         grown = grow_models(X, X, targets, self, drawn)
-        self.tree_ = ObliqueTree(
-            grown.tests.children_left, grown.tests.children_right, grown.tests.P, grown.tests.v, grown.M, grown.c
-        )
+        self.tree_ = grown.tests.with_leaves(grown.c, grown.M)
         return self
 
 

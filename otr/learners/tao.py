@@ -17,10 +17,11 @@ from sklearn.utils._param_validation import Interval, StrOptions
 from sklearn.utils.validation import check_random_state
 
 from otr.core.arrays import BoolArray, FloatArray, IntArray
+from otr.core.head import Identity
 from otr.core.pruning import prune_unreached
 from otr.core.tree import ObliqueTree
 from otr.learners.base.parameters import AT_LEAST_0, AT_LEAST_1, POSITIVE, Constraints
-from otr.learners.base.single_tree import GrownClassifier, class_tree, constant_tree
+from otr.learners.base.single_tree import GrownClassifier, class_tree
 from otr.learners.cart import from_sklearn_tree
 from otr.learners.growing.greedy import Test, grow
 
@@ -146,14 +147,7 @@ class TAOClassifier(GrownClassifier):
             return Test(P, -float(values[middle - 1] + values[middle]) / 2)
 
         skeleton = grow(X, halve, self.max_depth)
-        return constant_tree(
-            skeleton.children_left,
-            skeleton.children_right,
-            skeleton.P,
-            skeleton.v,
-            np.zeros((len(skeleton.leaf_rows), 1)),
-            n_inputs=X.shape[1],
-        )
+        return skeleton.with_leaves(np.zeros((len(skeleton.leaf_rows), 1)))
 
     def _surrogate(self, random_state: np.random.RandomState) -> LinearSVC | LogisticRegression:
         shared = {"C": self.C, "max_iter": self.solver_max_iter, "random_state": random_state}
@@ -177,11 +171,9 @@ class _Alternation:
 
     def tree(self) -> ObliqueTree:
         """Return the present tests, over leaves that answer their labels as numbers."""
-        start = self._start
         values = self._leaf_labels[:, None].astype(np.float64)
-        return constant_tree(
-            start.children_left, start.children_right, self._P, self._v, values, n_inputs=start.n_inputs
-        )
+        M = np.zeros((*values.shape, self._start.n_inputs))
+        return self._start.replace(P=self._P, v=self._v, M=M, c=values, labels=None, head=Identity())
 
     def loss(self) -> float:
         """Return the share of training rows that the tree answers wrongly."""

@@ -10,7 +10,7 @@ from pipelines.cli.compose import Composer, to_object
 from pipelines.cli.workflow import Workflow, command_of
 from pipelines.engine.job import Job
 from pipelines.supervised.config import LEARNERS, DataConfig, FitConfig, fit_folder
-from pipelines.supervised.run import FitJob, fit_groups, fit_job, fit_jobs
+from pipelines.supervised.fit_job import FitJob, fit_groups, fit_job, fit_jobs
 
 
 def _fit_job(cfg: DictConfig, overrides: Sequence[str]) -> Job:

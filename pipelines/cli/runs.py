@@ -12,7 +12,7 @@ from pipelines import config as schemas
 from pipelines.cli.compose import Composer, schema_of, to_object
 from pipelines.cli.workflow import Workflow, command_of
 from pipelines.config import METHODS, MethodConfig, RunConfig
-from pipelines.config.settings import run_folder
+from pipelines.config.run import run_folder
 from pipelines.engine.store import corrupt
 from pipelines.errors import ConfigError
 from pipelines.stages.fleets import fleets

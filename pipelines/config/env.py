@@ -33,3 +33,8 @@ class EnvConfig:
     feature_names: list[FreeText] = field(default_factory=list)
     action_names: list[FreeText] = field(default_factory=list)
     pid: Annotated[PidTerms | None, DERIVED] = field(default=None, metadata={"omegaconf_ignore": True})
+
+    def settings(self) -> dict[str, Any]:
+        """Return what decides how the environment behaves, for the keys of stages that play in it."""
+        pid = {} if self.pid is None else {"pid": {"goal": list(self.pid.goal), "n_history": self.pid.n_history}}
+        return {"id": self.id, "kwargs": self.kwargs, **pid}

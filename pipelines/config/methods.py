@@ -40,6 +40,8 @@ class MethodConfig:
 
     Attributes:
         name: the name of the method.
+        label: what tables call it.
+        forms: further forms of its policy that are evaluated beside the tree, each with what tables call it.
         stages: its stages in order, without the extra ones.
         tree_stage: the stage that makes its tree.
         is_mapped: whether the tree is a trained network's, which it can be proved equal to.
@@ -51,6 +53,8 @@ class MethodConfig:
 
     name: FreeText
 
+    label: ClassVar[str]
+    forms: ClassVar[Mapping[str, str]] = {}
     stages: ClassVar[tuple[str, ...]]
     tree_stage: ClassVar[str]
     is_mapped: ClassVar[bool] = False
@@ -84,6 +88,7 @@ class MethodConfig:
 class MappedConfig(MethodConfig):
     """OTR, and every method whose tree is mapped from the trained actor."""
 
+    label = "OTR"
     stages = ("train", "map", "prune", "evaluate")
     tree_stage = "map"
     is_mapped = True
@@ -92,6 +97,8 @@ class MappedConfig(MethodConfig):
 @dataclass(frozen=True)
 class LinearPolicyConfig(MappedConfig):
     """The linear policy: an actor without hidden neurons, a tree of depth 0."""
+
+    label = "Linear"
 
     def check_depth(self, depth: Any) -> None:
         """Refuse hidden neurons."""
@@ -119,6 +126,8 @@ class PidConfig(MappedConfig):
     first_layer_scale: Positive
     zero_below: NotNegative
 
+    label = "PID"
+    forms: ClassVar[Mapping[str, str]] = {"constant_gains": "constant gains"}
     decides_training = True
 
     @classmethod
@@ -183,6 +192,7 @@ class ViperConfig(ImitatingConfig):
     max_samples: Count
     min_samples_leaf: Count
 
+    label = "VIPER"
     fit_s = 0.3
 
 
@@ -194,6 +204,7 @@ class LmViperConfig(ImitatingConfig):
     min_samples_leaf: Count
     alpha: NotNegative
 
+    label = "LM-VIPER"
     fit_s = 1.5
 
 
@@ -209,6 +220,7 @@ class AugTreeConfig(ImitatingConfig):
     max_samples: Count
     min_samples_leaf: Count
 
+    label = "AugTree"
     fit_s = 1.0
 
     def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
@@ -237,6 +249,7 @@ class NdpsConfig(ImitatingConfig):
     beta_last: Hardness
     ridge: NotNegative
 
+    label = "NDPS"
     fit_s = 5.0
 
 
@@ -255,6 +268,7 @@ class SoftConfig(GrownConfig):
     anneal_until: Share
     learning_rate_end: Share
 
+    forms: ClassVar[Mapping[str, str]] = {"soft": "soft", "discretised": "discretised"}
     stages = ("train", "harden", "prune", "evaluate")
     tree_stage = "harden"
     is_soft = True
@@ -270,6 +284,10 @@ class SoftConfig(GrownConfig):
             implied.append(f"algo={next(files, 'ppo_tree')}")
         return implied
 
+    def tree_options(self, depth: Any) -> dict[str, Any]:
+        """Return what the class of the soft tree takes beside the numbers of inputs and outputs."""
+        raise NotImplementedError
+
     def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
         """Refuse algorithms that are not on-policy."""
         if not isinstance(algo, OnPolicyConfig):
@@ -282,12 +300,24 @@ class SdtConfig(SoftConfig):
 
     leaves: Leaves
 
+    label = "SDT"
+
+    def tree_options(self, depth: Any) -> dict[str, Any]:
+        """Return the options of `otr.control.soft_tree.SoftTree`."""
+        return {"depth": depth, "affine_leaves": self.leaves == "linear"}
+
 
 @dataclass(frozen=True)
 class CdtConfig(SoftConfig):
     """A cascading decision tree (Ding et al. 2020) with `n_features` features between its two trees."""
 
     n_features: Annotated[int, Range(1, 1024)]
+
+    label = "CDT"
+
+    def tree_options(self, depth: Any) -> dict[str, Any]:
+        """Return the options of `otr.control.cdt.CascadingTree`."""
+        return {"feature_depth": depth[0], "n_features": self.n_features, "decision_depth": depth[1]}
 
     def check_depth(self, depth: Any) -> None:
         """Refuse all but two depths."""
@@ -302,6 +332,13 @@ class PiPrlConfig(SoftConfig):
     structure_penalty: Annotated[float, Range(0, 100)]
     discretise_at: Share
 
+    label = "π-PRL"
+    forms: ClassVar[Mapping[str, str]] = {"soft": "relaxed"}
+
+    def tree_options(self, depth: Any) -> dict[str, Any]:
+        """Return the options of `otr.control.pi_prl.RelaxedProgram`."""
+        return {"depth": depth, "structure_penalty": self.structure_penalty}
+
 
 @dataclass(frozen=True)
 class ProgramConfig(MethodConfig):
@@ -309,6 +346,7 @@ class ProgramConfig(MethodConfig):
 
     program: Annotated[FreeText, DERIVED]
 
+    label = "program"
     stages = ("parse", "prune", "evaluate")
     tree_stage = "parse"
     is_trained = False

@@ -1,6 +1,7 @@
 """One run, whole."""
 
 import dataclasses
+import hashlib
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
 
@@ -18,6 +19,7 @@ from pipelines.config.setting import (
     OnlyWhere,
     Seed,
     check_settings,
+    keyed_settings,
 )
 from pipelines.config.stages import (
     ActorConfig,
@@ -30,6 +32,7 @@ from pipelines.config.stages import (
     TrainConfig,
 )
 from pipelines.config.trainer import FleetConfig, TrainerConfig
+from pipelines.engine.digests import differences_suffix
 from pipelines.errors import ConfigError
 
 
@@ -140,6 +143,30 @@ class RunConfig:
         if self.stages is not None:
             return tuple(stage for stage in (*stages, *EXTRA_STAGES) if stage in self.stages)
         return (*stages, *(stage for stage in EXTRA_STAGES if getattr(self, stage)))
+
+    def settings(self) -> dict[str, Any]:
+        """Return the resolved settings that decide what comes out, as plain JSON-able data.
+
+        The budget's table of steps is left out but for its name: `train`, `prune` and `evaluate` hold what it gave.
+        """
+        plain = keyed_settings(self, self.method)
+        plain |= {"budget": self.budget.name, "depth": list(self.hidden_widths)}
+        if self.program_text is not None:
+            plain["program_sha256"] = hashlib.sha256(self.program_text.encode()).hexdigest()
+        if not self.fleet:
+            del plain["trainer"]
+        return plain
+
+
+def run_folder(config: RunConfig, baseline: RunConfig) -> str:
+    """Return the run's folder below `results_dir`: `runs/<env>/<method>/depth-<d>/<budget>/seed-<s>[~<digest>]`.
+
+    `baseline` is what the same env, method, depth, budget and seed give without any other override; whatever differs
+    from it goes into the digest, so that other settings never share a folder.
+    """
+    depth = "-".join(str(width) for width in config.hidden_widths) or "0"
+    place = f"{config.env.name}/{config.method.name}/depth-{depth}/{config.budget_level}"
+    return f"runs/{place}/seed-{config.seed}{differences_suffix(config.settings(), baseline.settings())}"
 
 
 def _check_depth(depth: Any) -> None:

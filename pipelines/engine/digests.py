@@ -11,11 +11,6 @@ def digest(value: Any) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def folder_suffix(differences: dict[str, list[Any]]) -> str:
-    """Return `~<digest>` of a folder whose settings differ from the usual ones, as `setting_differences` tells."""
-    return f"~{digest(differences)[:8]}" if differences else ""
-
-
 def setting_differences(new: dict[str, Any], old: dict[str, Any], prefix: str = "") -> dict[str, list[Any]]:
     """Return {dotted key: [new, old]} for every leaf that differs; None stands for a key that is not there."""
     found: dict[str, list[Any]] = {}
@@ -26,3 +21,9 @@ def setting_differences(new: dict[str, Any], old: dict[str, Any], prefix: str = 
         elif mine != other:
             found[f"{prefix}{key}"] = [mine, other]
     return found
+
+
+def differences_suffix(new: dict[str, Any], old: dict[str, Any]) -> str:
+    """Return what the name of a folder ends with where settings differ from the usual ones: `~<digest>`, or nothing."""
+    differences = setting_differences(new, old)
+    return f"~{digest(differences)[:8]}" if differences else ""

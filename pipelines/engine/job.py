@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipelines.engine.stage import MANIFEST, Stage, stage_key, stage_status, verified_manifest
-from pipelines.engine.store import write_text
+from pipelines.engine.archive import MANIFEST, verified_manifest
+from pipelines.engine.stage import Stage, stage_key, stage_status
+from pipelines.engine.store import exists, write_text
 from pipelines.errors import PipelineError
 
 
@@ -66,7 +67,7 @@ def _is_gone(job: Job, stage: Stage) -> bool:
     later = [other for other in job.stages if stage.name in other.inputs]
     return (
         stage.is_transient
-        and not (job.run_dir / stage.name / MANIFEST).exists()
+        and not exists(job.run_dir / stage.name / MANIFEST)
         and bool(later)
         and all(stage_status(other, job.run_dir / other.name, job.config) == "done" for other in later)
     )

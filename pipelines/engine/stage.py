@@ -4,7 +4,6 @@ A stage is keyed by the sha256 of its name, its version, its settings and its in
 done, waits where another process is at it, writes into a temporary folder, writes `manifest.json` last and renames.
 """
 
-import hashlib
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -16,12 +15,10 @@ from typing import Any, Protocol, TypeVar
 from filelock import FileLock, Timeout
 
 from pipelines.engine import provenance
+from pipelines.engine.archive import MANIFEST, Derive, file_digest, opened, read_manifest, verified_manifest
 from pipelines.engine.digests import digest, setting_differences
-from pipelines.engine.store import corrupt, read_json, write_json
+from pipelines.engine.store import exists, write_json
 from pipelines.errors import MissingInputError, OtherSettingsError, PipelineError
-
-MANIFEST = "manifest.json"
-MANIFEST_FIELDS = {"stage", "version", "key", "settings", "outputs", "output_digest", "seconds"}
 
 
 class StageConfig(Protocol):
@@ -68,8 +65,17 @@ class StageResult:
     seconds: float
 
 
-def run_stage(stage: Stage, run_dir: Path, config: StageConfig, rerun_command: str) -> StageResult:
-    """Bring a stage's folder up to date and return it.
+def run_stage(
+    stage: Stage, run_dir: Path, config: StageConfig, rerun_command: str, derive: Derive | None = None
+) -> StageResult:
+    """Bring a stage's result up to date and return where it belongs.
+
+    Args:
+        stage: the stage.
+        run_dir: the run's folder.
+        config: the run's configuration.
+        rerun_command: the command that does all stages of the run.
+        derive: makes again what archives of packed runs leave out.
 
     Raises:
         MissingInputError: an input stage has not been done; names the command that does it.
@@ -77,13 +83,15 @@ def run_stage(stage: Stage, run_dir: Path, config: StageConfig, rerun_command: s
         PipelineError: an input or the finished folder was damaged.
     """
     inputs = {name: _input_folder(run_dir, name, stage, rerun_command) for name in stage.inputs}
-    result = _found_or_made(stage, run_dir, config, inputs)
+    result = _found_or_made(stage, run_dir, config, inputs, derive)
     if stage.checkpoints:  # only now that the result is in its place
         shutil.rmtree(stage.checkpoints(config, inputs), ignore_errors=True)
     return result
 
 
-def _found_or_made(stage: Stage, run_dir: Path, config: StageConfig, inputs: Mapping[str, Path]) -> StageResult:
+def _found_or_made(
+    stage: Stage, run_dir: Path, config: StageConfig, inputs: Mapping[str, Path], derive: Derive | None
+) -> StageResult:
     """Return a stage's result: the one in its folder, a sibling run's, or a new one."""
     wanted = stage_key(stage, config, inputs)
     folder = run_dir / stage.name
@@ -98,9 +106,10 @@ def _found_or_made(stage: Stage, run_dir: Path, config: StageConfig, inputs: Map
         with _lock(_result_lock(config, stage, wanted), f"another run is making the {stage.name} of {run_dir}"):
             twin = _twin(run_dir, stage.name, wanted)
             if twin is not None:
-                _copy_twin(twin, folder)
+                _copy_twin(twin, folder, derive)
                 return StageResult(folder, skipped=True, seconds=read_manifest(folder)["seconds"])
-            return _make(stage, folder, config, inputs, wanted)
+            with opened(run_dir, stage.inputs, derive) as whole:
+                return _make(stage, folder, config, {name: whole / name for name in stage.inputs}, wanted)
 
 
 def run_stage_together(
@@ -158,42 +167,13 @@ def stage_status(stage: Stage, folder: Path, config: StageConfig, wanted: str | 
 
     Without the `wanted` key only the settings are compared.
     """
-    if not (folder / MANIFEST).exists():
+    if not exists(folder / MANIFEST):
         return "missing"
     manifest = read_manifest(folder)
     if manifest["settings"] != stage.settings(config):
         return "other settings"
     current = manifest["version"] == stage.version if wanted is None else manifest["key"] == wanted
     return "done" if current else "stale"
-
-
-def verified_manifest(folder: Path) -> dict[str, Any]:
-    """Return a finished folder's manifest after comparing every file in it with its recorded sha256."""
-    manifest = read_manifest(folder)
-    for name, recorded in manifest["outputs"].items():
-        path = folder / name
-        found = file_digest(path) if path.is_file() else "no file"
-        if found != recorded:
-            raise PipelineError(
-                f"{path} is not what was written: its sha256 is {found[:12]}, the manifest has {recorded[:12]}\n"
-                f"Restore it, or delete the folder {folder} and run the same command again to make it."
-            )
-    return manifest
-
-
-def read_manifest(folder: Path) -> dict[str, Any]:
-    """Return a finished folder's manifest; one that is broken or lacks a field is an error that names it."""
-    manifest: dict[str, Any] = read_json(folder / MANIFEST)
-    missing = MANIFEST_FIELDS - manifest.keys() if isinstance(manifest, dict) else MANIFEST_FIELDS
-    if missing:
-        raise corrupt(folder / MANIFEST, ValueError(f"it has no {', '.join(sorted(missing))}"))
-    return manifest
-
-
-def file_digest(path: Path) -> str:
-    """Return the sha256 of a file's bytes, in hex."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _make(stage: Stage, folder: Path, config: StageConfig, inputs: Mapping[str, Path], wanted: str) -> StageResult:
@@ -258,7 +238,7 @@ def _finish(
 
 def _input_folder(run_dir: Path, name: str, stage: Stage, rerun_command: str) -> Path:
     folder = run_dir / name
-    if not (folder / MANIFEST).exists():
+    if not exists(folder / MANIFEST):
         raise MissingInputError(
             f"stage {stage.name} needs stage {name}, and {folder} holds no finished result of it\nRun: {rerun_command}"
         )
@@ -272,24 +252,25 @@ def _other_settings(stage: Stage, folder: Path, config: StageConfig) -> OtherSet
     return OtherSettingsError(
         "\n".join([f"{folder} was made with other settings, which are never overwritten:", *lines])
         + "\nGive the change on the command line (it gets a folder of its own), set results_dir=PATH, "
-        "or delete the folder."
+        f"or delete {folder if folder.exists() else folder.parent}."
     )
 
 
 def _twin(run_dir: Path, name: str, wanted: str) -> Path | None:
     """Return the folder of a sibling run (same place, other overrides) that already holds this very result."""
-    for manifest in sorted(run_dir.parent.glob(f"*/{name}/{MANIFEST}")):
+    for folder in (sibling / name for sibling in sorted(run_dir.parent.iterdir())):
         with suppress(PipelineError):  # a damaged sibling is its own run's trouble
-            if read_manifest(manifest.parent)["key"] == wanted:
-                return manifest.parent
+            if exists(folder / MANIFEST) and read_manifest(folder)["key"] == wanted:
+                return folder
     return None
 
 
-def _copy_twin(twin: Path, folder: Path) -> None:
+def _copy_twin(twin: Path, folder: Path, derive: Derive | None) -> None:
     verified_manifest(twin)
     temporary = folder.with_name(f".{folder.name}.tmp")
     shutil.rmtree(temporary, ignore_errors=True)
-    shutil.copytree(twin, temporary)
+    with opened(twin.parent, [twin.name], derive) as whole:
+        shutil.copytree(whole / twin.name, temporary)
     if folder.exists():
         shutil.rmtree(folder)
     temporary.rename(folder)

@@ -1,14 +1,24 @@
-"""Reading and writing artefacts: text, JSON and CSV files that appear whole or not at all. No pickle anywhere."""
+"""Reading and writing artefacts: text, JSON and CSV files that appear whole or not at all. No pickle anywhere.
+
+What belongs in the folder of a run's stage, `<run>/<stage>/<file>`, may lie in the run's archive instead, in
+`<run>/stages.tar.xz` as `<stage>/<file>`, and is read from there.
+"""
 
 import csv
+import functools
+import io
 import json
 import os
+import tarfile
 from collections.abc import Iterable, Mapping
+from lzma import LZMAError
 from pathlib import Path
 from typing import Any
 
 from pipelines.errors import PipelineError
 
+ARCHIVE = "stages.tar.xz"
+LARGEST_FILE_BYTES = 2**28
 REWRITTEN = ("summary.json", "config.yaml")  # made anew by the run's command, from the finished stages
 
 
@@ -32,7 +42,7 @@ def json_text(value: Any) -> str:
 def read_json(path: Path) -> Any:
     """Return what a JSON file holds; a missing or broken file is an error that names it."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return json.loads(read_bytes(path).decode())
     except (OSError, ValueError) as error:
         raise corrupt(path, error) from error
 
@@ -50,8 +60,7 @@ def write_csv(path: Path, rows: Iterable[Mapping[str, Any]], columns: Iterable[s
 def read_csv(path: Path) -> list[dict[str, str]]:
     """Return a CSV file's rows as text; a missing file is an error that names it."""
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            return list(csv.DictReader(file))
+        return list(csv.DictReader(io.StringIO(read_bytes(path).decode(), newline="")))
     except (OSError, csv.Error, UnicodeDecodeError) as error:
         raise corrupt(path, error) from error
 
@@ -60,6 +69,68 @@ def write_files(files: Mapping[str, bytes], folder: Path) -> None:
     """Write files of these names and contents."""
     for name, content in files.items():
         (folder / name).write_bytes(content)
+
+
+def exists(path: Path) -> bool:
+    """Return whether there is a stage's file, in the stage's folder or packed."""
+    return path.is_file() or bool(packed_files(path.parent, path.name))
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return the content of a stage's file, from the stage's folder or packed.
+
+    Raises:
+        FileNotFoundError: it is in neither.
+        PipelineError: the archive is damaged.
+    """
+    packed = packed_files(path.parent, path.name)
+    return packed[path.name] if packed else path.read_bytes()
+
+
+def packed_files(folder: Path, name: str | None = None) -> dict[str, bytes]:
+    """Return the files of a stage, or the one named, from its run's archive; none where the stage's folder is there.
+
+    Raises:
+        PipelineError: the archive is damaged.
+    """
+    if folder.exists():
+        return {}
+    start = f"{folder.name}/"
+    stage = {
+        each.removeprefix(start): content
+        for each, content in archive_files(folder.parent).items()
+        if each.startswith(start)
+    }
+    return {each: content for each, content in stage.items() if name in (None, each)}
+
+
+def archive_files(run_dir: Path) -> Mapping[str, bytes]:
+    """Return the files of a run's archive, `<stage>/<file>`; none where the run has no archive.
+
+    Raises:
+        PipelineError: the archive is damaged.
+    """
+    archive = run_dir / ARCHIVE
+    if not archive.is_file():
+        return {}
+    found = archive.stat()
+    return _read_archive(archive, found.st_mtime_ns, found.st_size)
+
+
+@functools.lru_cache(maxsize=4)  # what is asked for next is most often of the same run
+def _read_archive(archive: Path, mtime_ns: int, n_bytes: int) -> Mapping[str, bytes]:
+    """Return the files of an archive; its time and size tell it from another one that was there before."""
+    files = {}
+    try:
+        with tarfile.open(archive, "r:xz") as packed:
+            for member in packed:
+                file = packed.extractfile(member)
+                if file is None or member.size > LARGEST_FILE_BYTES:
+                    raise ValueError(f"{member.name!r} is no file of a stage, or too large for one")
+                files[member.name] = file.read()
+    except (OSError, EOFError, ValueError, LZMAError, tarfile.TarError) as error:
+        raise corrupt(archive, error) from error
+    return files
 
 
 def corrupt(path: Path, error: Exception) -> PipelineError:

@@ -4,12 +4,12 @@ from pathlib import Path
 
 import numpy as np
 from safetensors import SafetensorError
-from safetensors.numpy import load_file
+from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as safetensors_bytes
 
 import otr
 from otr.core.head import head_from_dict
-from pipelines.engine.store import corrupt, json_text, read_json
+from pipelines.engine.store import corrupt, json_text, read_bytes, read_json
 
 ACTOR_SCHEMA = "otr/actor/1"
 
@@ -39,7 +39,7 @@ def load_actor(folder: Path) -> otr.ReluNetwork:
     try:
         if about["schema"] != ACTOR_SCHEMA:
             raise ValueError(f"schema {about['schema']!r} where {ACTOR_SCHEMA!r} was expected")
-        tensors = load_file(folder / "actor.safetensors")
+        tensors = load_tensors(read_bytes(folder / "actor.safetensors"))
         layers = range(about["n_layers"])
         return otr.ReluNetwork(
             [tensors[f"weight_{layer}"] for layer in layers],

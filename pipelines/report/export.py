@@ -10,10 +10,12 @@ from typing import Any
 import otr
 from pipelines.config import RunConfig
 from pipelines.config.methods import EXTRA_STAGES
-from pipelines.engine.stage import MANIFEST, verified_manifest
+from pipelines.engine.archive import MANIFEST, verified_manifest
+from pipelines.engine.store import exists
 from pipelines.errors import ConfigError, MissingInputError, PipelineError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import action_names, feature_names
+from pipelines.stages.derived import opened_run
 
 TREES = ("pruned", "full", "minimal", "simplified", "constant_gains", "compact")
 
@@ -163,7 +165,7 @@ def _policy(config: ExportConfig, run: RunConfig, folder: Path) -> Any:
     method = run.method.name
     if config.tree == "compact" and not run.method.is_mapped:
         raise ConfigError(f"tree=compact: a tree of method={method} stands for no network; use tree=full")
-    if config.tree == "constant_gains" and method != "pid":
+    if config.tree == "constant_gains" and config.tree not in run.method.forms:
         raise ConfigError(f"tree=constant_gains: gains are of method=pid, not of method={method}; use tree=pruned")
     stages = {
         "pruned": "prune",
@@ -173,7 +175,7 @@ def _policy(config: ExportConfig, run: RunConfig, folder: Path) -> Any:
         "simplified": "simplify",
     }
     stage = stages.get(config.tree, "train")
-    if not (folder / stage / MANIFEST).exists():
+    if not exists(folder / stage / MANIFEST):
         raise MissingInputError(
             f"{folder}: stage {stage}, which makes tree={config.tree}, is not finished there\nRun: "
             f"{run_command(folder.absolute()) or 'the command that made the run'}{_extra_word(stage)}"
@@ -181,7 +183,8 @@ def _policy(config: ExportConfig, run: RunConfig, folder: Path) -> Any:
     verified_manifest(folder / stage)
     if config.tree == "compact":
         return load_actor(folder / stage)
-    tree = otr.load(folder / stage / ("constant_gains" if config.tree == "constant_gains" else "tree"))
+    with opened_run(run, folder, stage) as whole:
+        tree = otr.load(whole / stage / ("constant_gains" if config.tree == "constant_gains" else "tree"))
     if isinstance(tree, otr.ObliqueTree):
         return tree
     if config.format != "c":

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from pipelines.config import RunConfig
 from pipelines.engine.store import read_csv
+from pipelines.stages.derived import opened_run
 from pipelines.stages.evaluate import EPISODES_FILES, episode_rows, load_policies, play
 
 TOLERANCE = 1e-6  # of the return, relative
@@ -14,8 +15,9 @@ def replay(config: RunConfig, run_dir: Path) -> int:
 
     Other versions of the simulators give other episodes; on the recorded versions all of them come back.
     """
-    inputs = {name: run_dir / name for name in config.method.stages}
-    played = play(load_policies(inputs, config), config)
+    with opened_run(config, run_dir) as whole:
+        policies = load_policies({name: whole / name for name in config.method.stages}, config)
+    played = play(policies, config)
     n_different = 0
     for name in played:
         recorded = [float(row["return"]) for row in read_csv(run_dir / "evaluate" / EPISODES_FILES[name])]

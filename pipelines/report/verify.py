@@ -5,9 +5,11 @@ from pathlib import Path
 
 import otr
 from pipelines.config import RunConfig
+from pipelines.engine.store import exists
 from pipelines.errors import MissingInputError, PipelineError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import state_limits
+from pipelines.stages.derived import opened_run
 
 
 @dataclass(frozen=True)
@@ -31,19 +33,20 @@ def verify_run(config: VerifyConfig, run: RunConfig, folder: Path) -> str:
         otr.OtrError: the certificate, the tree or the actor was tampered with; names the leaf.
     """
     path = Path(config.certificate or folder / "certify" / "certificate.json")
-    if not path.is_file():
+    if not exists(path):
         raise MissingInputError(
             f"{path} is not there: the run has no certificate\nAdd certify=true to the command that made the run; "
             "nothing is trained anew. A tree that was too large for one says so in certify/report.json."
         )
-    certificate = otr.load_certificate(path)
+    with opened_run(run, folder, "certify") as whole:
+        certificate = otr.load_certificate(config.certificate or whole / "certify" / "certificate.json")
+        tree = otr.load(config.tree or whole / "certify" / "tree")
     limits, domain = state_limits(run.env), certificate.domain
     if limits and not ((domain.low <= limits[0]).all() and (domain.high >= limits[1]).all()):
         raise PipelineError(
             f"{path} is of the box {_box(domain)}, which is smaller than the environment's, "
             f"{_box(otr.Domain(*limits))}: it was changed, or is of another environment"
         )
-    tree = otr.load(config.tree or folder / "certify" / "tree")
     if not isinstance(tree, otr.ObliqueTree):
         raise otr.CertificateError(f"{config.tree} holds a {type(tree).__name__}, certificates are of an ObliqueTree")
     network = load_actor(Path(config.actor or folder / "train"))

@@ -9,7 +9,6 @@ import numpy as np
 
 import otr
 from pipelines.config import RunConfig
-from pipelines.config.settings import env_settings
 from pipelines.engine.seeding import episode_seeds
 from pipelines.engine.stage import Stage
 from pipelines.engine.store import write_json
@@ -24,7 +23,7 @@ MARGIN = 0.05  # of the width of what was visited, on either side
 def certify_settings(config: RunConfig) -> dict[str, Any]:
     """Return what decides the minimal tree and its certificate."""
     return {
-        "env": env_settings(config.env),
+        "env": config.env.settings(),
         "n_episodes": config.prune.n_episodes,
         "seed": config.seed,
         "max_leaves": config.certification.max_leaves,

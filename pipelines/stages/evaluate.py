@@ -8,7 +8,6 @@ import numpy as np
 
 import otr
 from pipelines.config import RunConfig
-from pipelines.config.settings import env_settings
 from pipelines.engine.seeding import evaluation_seeds
 from pipelines.engine.stage import Stage
 from pipelines.engine.store import write_csv, write_json
@@ -34,7 +33,7 @@ EPISODES_FILES = {
 def evaluate_settings(config: RunConfig) -> dict[str, Any]:
     """Return what decides the evaluation."""
     return {
-        "env": env_settings(config.env),
+        "env": config.env.settings(),
         "n_episodes": config.evaluate.n_episodes,
         "first_seed": config.evaluate.first_seed,
     }

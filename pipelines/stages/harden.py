@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import otr
-from pipelines.config import PiPrlConfig, RunConfig
+from pipelines.config import RunConfig
 from pipelines.engine.stage import Stage
 from pipelines.engine.store import write_json
 from pipelines.play.environments import make_env
@@ -31,7 +31,7 @@ def harden_actor(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> No
     report: dict[str, Any] = {"n_leaves": tree.n_leaves, "depth": tree.depth}
     otr.save(tree, out / "tree")
     write_program(tree, config.env, out)
-    if not isinstance(config.method, PiPrlConfig):
+    if "discretised" in config.method.forms:
         otr.save(harden(module, env.action_space, axis_aligned=True), out / "discretised")
     write_json(out / "report.json", report)
 

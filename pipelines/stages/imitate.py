@@ -13,11 +13,11 @@ import gymnasium as gym
 import otr
 from otr.control.dagger.loop import DaggerProgress, DaggerSettings, Fit, Play, run_dagger
 from pipelines.config import AugTreeConfig, ImitatingConfig, LmViperConfig, NdpsConfig, RunConfig, ViperConfig
-from pipelines.config.settings import settings
+from pipelines.engine.archive import verified_manifest
 from pipelines.engine.console import duration
 from pipelines.engine.digests import digest
 from pipelines.engine.seeding import episode_seeds, stream
-from pipelines.engine.stage import Stage, verified_manifest
+from pipelines.engine.stage import Stage
 from pipelines.engine.store import write_csv, write_json
 from pipelines.play.rollout import Policy, Rollout, rollout
 from pipelines.stages.oracle import load_oracle
@@ -34,7 +34,7 @@ SHARE_PLAYED = 0.5  # of an episode's longest length
 
 def imitate_settings(config: RunConfig) -> dict[str, Any]:
     """Return what decides the tree, given the oracle."""
-    everything = settings(config)
+    everything = config.settings()
     return {
         "env": {"id": config.env.id, "kwargs": config.env.kwargs},
         "method": everything["method"],

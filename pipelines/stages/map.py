@@ -27,16 +27,23 @@ def map_actor(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     A tree of more than `map.max_leaves` leaves is held as activation patterns and never written out.
     """
     network = load_actor(inputs["train"])
-    n_tests = network.n_hidden + network.head.n_tests(network.n_outputs)
-    explicit = 2**n_tests <= config.map.max_leaves
-    tree = otr.map_network(network, max_leaves=config.map.max_leaves) if explicit else otr.PatternTree(network)
+    tree, n_tests = full_tree(network, config), _n_tests(network)
     otr.save(tree, out / "tree")
+    kind = "pattern_tree"
     if isinstance(tree, otr.ObliqueTree):
+        kind = "oblique_tree"
         write_program(tree, config.env, out)
-    write_json(
-        out / "report.json",
-        {"kind": "oblique_tree" if explicit else "pattern_tree", "n_leaves": 2**n_tests, "depth": n_tests},
-    )
+    write_json(out / "report.json", {"kind": kind, "n_leaves": 2**n_tests, "depth": n_tests})
+
+
+def full_tree(network: otr.ReluNetwork, config: RunConfig) -> otr.ObliqueTree | otr.PatternTree:
+    """Return the tree of an actor, as activation patterns where it has more than `map.max_leaves` leaves."""
+    explicit = 2 ** _n_tests(network) <= config.map.max_leaves
+    return otr.map_network(network, max_leaves=config.map.max_leaves) if explicit else otr.PatternTree(network)
+
+
+def _n_tests(network: otr.ReluNetwork) -> int:
+    return network.n_hidden + network.head.n_tests(network.n_outputs)
 
 
 MAP = Stage("map", version=1, inputs=("train",), settings=map_settings, run=map_actor)

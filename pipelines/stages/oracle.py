@@ -11,8 +11,9 @@ from typing import Any
 
 import otr
 from pipelines.config import RunConfig
-from pipelines.engine.stage import Stage, verified_manifest
-from pipelines.engine.store import read_csv, read_json, write_json
+from pipelines.engine.archive import MANIFEST, verified_manifest
+from pipelines.engine.stage import Stage
+from pipelines.engine.store import exists, read_csv, read_json, write_json
 from pipelines.errors import PipelineError
 from pipelines.play.actor_files import load_actor
 from pipelines.stages.train import train_settings
@@ -51,7 +52,7 @@ def load_oracle(reference: Path, results_dir: Path) -> otr.ReluNetwork:
     """
     about = read_json(reference / REFERENCE)
     folder = results_dir / about["folder"]
-    if not (folder / "manifest.json").is_file():
+    if not exists(folder / MANIFEST):
         raise PipelineError(f"the oracle {folder} is gone; delete {reference} and run the same command to train it")
     if verified_manifest(folder)["output_digest"] != about["output_digest"]:
         raise PipelineError(f"{folder} holds another oracle than the run's; delete {reference} to imitate that one")

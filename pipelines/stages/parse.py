@@ -8,7 +8,6 @@ import numpy as np
 
 import otr
 from pipelines.config import EnvConfig, ProgramConfig, RunConfig
-from pipelines.config.settings import settings
 from pipelines.engine.stage import Stage
 from pipelines.engine.store import write_json, write_text
 from pipelines.errors import ConfigError
@@ -22,7 +21,7 @@ def parse_settings(config: RunConfig) -> dict[str, Any]:
     """Return what decides the tree: the program's text, and what the environment makes of its answers."""
     return {
         "env": {"id": config.env.id, "kwargs": config.env.kwargs},
-        "program_sha256": settings(config)["program_sha256"],
+        "program_sha256": config.settings()["program_sha256"],
         "feature_names": config.env.feature_names,
         "action_names": config.env.action_names,
     }

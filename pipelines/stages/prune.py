@@ -10,7 +10,6 @@ import numpy as np
 import otr
 from otr.control import constant_gains
 from pipelines.config import RunConfig
-from pipelines.config.settings import env_settings
 from pipelines.engine.seeding import episode_seeds
 from pipelines.engine.stage import Stage
 from pipelines.engine.store import write_json, write_text
@@ -26,7 +25,7 @@ TOLERANCE = 1e-6
 def prune_settings(config: RunConfig) -> dict[str, Any]:
     """Return what decides the pruned tree."""
     return {
-        "env": env_settings(config.env),
+        "env": config.env.settings(),
         "n_episodes": config.prune.n_episodes,
         "k": config.prune.k,
         "seed": config.seed,

@@ -9,21 +9,27 @@ from rich.table import Table
 from pipelines.engine.console import SHORT_PROGRAM, duration
 
 
-def show_result(summary: dict[str, Any], run_dir: Path) -> None:
-    """Print the run's returns, sizes and times, where its artefacts lie, and its program when that is short."""
+def show_result(summary: dict[str, Any], run_dir: Path, whole: Path) -> None:
+    """Print the run's returns, sizes and times, where its artefacts lie, and its program when that is short.
+
+    Args:
+        summary: the run's.
+        run_dir: the run's folder.
+        whole: the folder in which its stages lie unpacked.
+    """
     console = Console(highlight=False, soft_wrap=True)
-    program = run_dir / "prune" / "program.txt"
+    program = whole / "prune" / "program.txt"
     text = program.read_text(encoding="utf-8") if program.exists() else ""
     n_lines = text.count("\n")
     if 0 < n_lines <= SHORT_PROGRAM:
         console.print(f"\n{text}", markup=False)
     console.print(_table(summary))
     seconds = ", ".join(f"{stage} {duration(spent)}" for stage, spent in summary["seconds"].items())
-    whole = "network" if "network" in summary["policies"] else "whole tree"
-    paths = "activation pattern" if whole == "network" else "leaf"
+    policy = "network" if "network" in summary["policies"] else "whole tree"
+    paths = "activation pattern" if policy == "network" else "leaf"
     console.print(
         f"{_count(summary['patterns'], paths)} reached, estimated pruned depth {summary['pruned_depth']:.1f}; "
-        f"the pruned tree acts as the {whole} in {100 * summary['fidelity']:.2f} % of the states"
+        f"the pruned tree acts as the {policy} in {100 * summary['fidelity']:.2f} % of the states"
     )
     if "n_outside_domain" in summary:
         console.print(
@@ -35,10 +41,11 @@ def show_result(summary: dict[str, Any], run_dir: Path) -> None:
     if "certify" in summary:
         console.print(_proof(summary["certify"]), markup=False)
     if "simplify" in summary:
-        _show_simplified(console, summary["simplify"], run_dir)
+        _show_simplified(console, summary["simplify"], whole)
     console.print(f"time: {seconds}", markup=False)
     if n_lines > SHORT_PROGRAM:
-        console.print(f"program: {n_lines} lines, {program}", markup=False)
+        where = program if whole == run_dir else f"otr-export run={run_dir} format=text"
+        console.print(f"program: {n_lines} lines, {where}", markup=False)
     console.print(f"artefacts: {run_dir}", markup=False)
 
 
@@ -69,9 +76,9 @@ def _proof(report: dict[str, Any]) -> str:
     )
 
 
-def _show_simplified(console: Console, report: dict[str, Any], run_dir: Path) -> None:
+def _show_simplified(console: Console, report: dict[str, Any], whole: Path) -> None:
     """Print the shorter program and what it costs."""
-    path = run_dir / "simplify" / "program.txt"
+    path = whole / "simplify" / "program.txt"
     text = path.read_text(encoding="utf-8") if path.exists() else ""
     if 0 < text.count("\n") <= SHORT_PROGRAM:
         console.print(f"\nsimplified:\n\n{text}", markup=False)

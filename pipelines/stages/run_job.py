@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from pipelines.config.methods import EXTRA_STAGES
@@ -9,6 +10,7 @@ from pipelines.engine.console import duration
 from pipelines.engine.job import Job, disk_errors_explained
 from pipelines.engine.stage import Stage, StageResult, run_stage, run_stage_together, stage_status
 from pipelines.engine.store import read_json, write_json, write_text
+from pipelines.stages.derived import derive, opened_run
 from pipelines.stages.result import show_result
 from pipelines.stages.summary import summarise
 from pipelines.stages.table import stages_of
@@ -44,8 +46,9 @@ class RunJob(Job):
 
     def found_done(self) -> None:
         """Show the run to the tracker, which may be younger than the run."""
-        if self.ends_with in self.config.selected_stages:
-            open_tracker(self.config).finish(read_json(self.run_dir / "summary.json"), self.run_dir)
+        if self.ends_with in self.config.selected_stages and self.config.tracking != "none":
+            with opened_run(self.config, self.run_dir) as whole:
+                open_tracker(self.config).finish(read_json(whole / "summary.json"), whole)
 
 
 def run_job(job: RunJob) -> dict[str, Any] | None:
@@ -103,7 +106,7 @@ def _run_stages(job: RunJob) -> dict[str, Any] | None:
             print(f"{run_dir}", flush=True)
         if name == "train" and stage_status(stage, run_dir / name, config) == "missing":
             announce_training([config])
-        results[name] = run_stage(stage, run_dir, config, job.command)
+        results[name] = run_stage(stage, run_dir, config, job.command, partial(derive, config))
         if not (run_dir / "config.yaml").exists():
             write_text(run_dir / "config.yaml", job.config_yaml)
         print(_stage_line(name, results[name]), flush=True)
@@ -113,8 +116,9 @@ def _run_stages(job: RunJob) -> dict[str, Any] | None:
     write_json(run_dir / "summary.json", summary)
     (run_dir / "error.log").unlink(missing_ok=True)
     unasked = {extra for extra in EXTRA_STAGES if extra not in config.selected_stages}
-    show_result({key: value for key, value in summary.items() if key not in unasked}, run_dir)
-    open_tracker(config).finish(summary, run_dir)
+    with opened_run(config, run_dir) as whole:
+        show_result({key: value for key, value in summary.items() if key not in unasked}, run_dir, whole)
+        open_tracker(config).finish(summary, whole)
     return summary
 
 

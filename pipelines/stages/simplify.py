@@ -11,7 +11,6 @@ import numpy as np
 import otr
 from otr.shorten.simplify import Judge, Simplification
 from pipelines.config import RunConfig
-from pipelines.config.settings import env_settings
 from pipelines.engine.seeding import episode_seeds, evaluation_seeds
 from pipelines.engine.stage import Stage
 from pipelines.engine.store import write_csv, write_json
@@ -28,7 +27,7 @@ CLOSE = 0.05  # of an action's range: nearer than that, actions count as the sam
 def simplify_settings(config: RunConfig) -> dict[str, Any]:
     """Return what decides the simpler tree."""
     return {
-        "env": env_settings(config.env),
+        "env": config.env.settings(),
         "seed": config.seed,
         "n_episodes": config.simplification.n_episodes,
         "return_loss": config.simplification.return_loss,

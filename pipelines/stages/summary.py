@@ -5,7 +5,8 @@ from typing import Any
 
 from pipelines.config import RunConfig
 from pipelines.config.methods import EXTRA_STAGES
-from pipelines.engine.store import read_csv, read_json
+from pipelines.engine.archive import MANIFEST, read_manifest
+from pipelines.engine.store import exists, read_csv, read_json
 
 
 def summarise(config: RunConfig, run_dir: Path) -> dict[str, Any]:
@@ -14,8 +15,8 @@ def summarise(config: RunConfig, run_dir: Path) -> dict[str, Any]:
     made, pruned, evaluated = (
         read_json(run_dir / name / "report.json") for name in (config.method.tree_stage, "prune", "evaluate")
     )
-    extras = tuple(extra for extra in EXTRA_STAGES if (run_dir / extra / "manifest.json").is_file())
-    manifests = {name: read_json(run_dir / name / "manifest.json") for name in (*names, *extras)}
+    extras = tuple(extra for extra in EXTRA_STAGES if exists(run_dir / extra / MANIFEST))
+    manifests = {name: read_manifest(run_dir / name) for name in (*names, *extras)}
     seconds = {name: manifest["seconds"] for name, manifest in manifests.items()}
     if "train" in seconds:
         # The manifest knows the last process alone; a resumed training spent the sum of its segments at least.

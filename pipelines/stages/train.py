@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from pipelines.config import RunConfig
-from pipelines.config.settings import env_settings, settings
 from pipelines.engine.console import duration
 from pipelines.engine.digests import digest
 from pipelines.engine.stage import Stage
@@ -21,8 +20,8 @@ LONG_RUN_S = 60.0
 
 def train_settings(config: RunConfig) -> dict[str, Any]:
     """Return what decides the trained actor; programs' names and later stages' settings do not."""
-    everything = settings(config)
-    env = env_settings(config.env)
+    everything = config.settings()
+    env = config.env.settings()
     kept = {key: everything[key] for key in ("algo", "actor", "train", "seed")}
     if config.method.decides_training:
         kept["method"] = everything["method"]

@@ -26,7 +26,7 @@ from pipelines.config.setting import (
     keyed_settings,
 )
 from pipelines.datasets.catalogue import files_of
-from pipelines.engine.digests import folder_suffix, setting_differences
+from pipelines.engine.digests import differences_suffix
 from pipelines.errors import ConfigError
 
 STAGES = ("tune", "fit", "score")
@@ -209,6 +209,11 @@ class FitConfig:
         """The stages to do, in the method's order."""
         return self.all_stages if self.stages is None else tuple(s for s in self.all_stages if s in self.stages)
 
+    def settings(self) -> dict[str, Any]:
+        """Return all the settings that decide what comes out, as plain JSON-able data."""
+        files = [file.git_blob for file in files_of(self.data.name)]
+        return keyed_settings(self) | {"data": {"name": self.data.name, "git_blobs": files}}
+
 
 def combinations(method: LearnerConfig) -> list[dict[str, Any]]:
     """Return the combinations of settings that the grid asks for, in its order."""
@@ -227,7 +232,7 @@ def learner_settings(method: LearnerConfig) -> dict[str, Any]:
 
 def tune_settings(config: FitConfig) -> dict[str, Any]:
     """Return what decides the choice of the settings: all but the seed."""
-    return {key: value for key, value in settings(config).items() if key != "seed"}
+    return {key: value for key, value in config.settings().items() if key != "seed"}
 
 
 def fit_settings(config: FitConfig) -> dict[str, Any]:
@@ -235,12 +240,7 @@ def fit_settings(config: FitConfig) -> dict[str, Any]:
     method = {
         key: value for key, value in keyed_settings(config.method).items() if key == "learner" or key not in TUNING
     }
-    return settings(config) | {"method": method}
-
-
-def settings(config: FitConfig) -> dict[str, Any]:
-    """Return all the settings that decide what comes out, as plain JSON-able data."""
-    return keyed_settings(config) | {"data": _data_settings(config.data)}
+    return config.settings() | {"method": method}
 
 
 def fit_folder(config: FitConfig, baseline: FitConfig) -> str:
@@ -248,13 +248,8 @@ def fit_folder(config: FitConfig, baseline: FitConfig) -> str:
 
     `baseline` is what the same data, method and seed give without any other override.
     """
-    differences = setting_differences(settings(config), settings(baseline))
-    return f"runs/{config.data.name}/{config.method.name}/seed-{config.seed}{folder_suffix(differences)}"
-
-
-def _data_settings(data: DataConfig) -> dict[str, Any]:
-    """Return the data set's name and the hashes of its files."""
-    return {"name": data.name, "git_blobs": [file.git_blob for file in files_of(data.name)]}
+    suffix = differences_suffix(config.settings(), baseline.settings())
+    return f"runs/{config.data.name}/{config.method.name}/seed-{config.seed}{suffix}"
 
 
 def _check_grid(method: LearnerConfig) -> None:

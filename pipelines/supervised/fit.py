@@ -8,12 +8,12 @@ from typing import Any
 
 import otr
 from pipelines.datasets.dataset import Dataset
+from pipelines.engine.stage import Stage
 from pipelines.engine.store import read_json, write_csv
-from pipelines.supervised.config import FitConfig, with_settings
-from pipelines.supervised.data import dataset_of
-from pipelines.supervised.learners import FittedTree, check_learner, fit_trees, usable_labels
-from pipelines.supervised.progress import Progress
-from pipelines.supervised.shown import draw
+from pipelines.supervised.config import FitConfig, fit_settings, with_settings
+from pipelines.supervised.learners import FittedTree, check_learner, dataset_of, fit_trees, usable_labels
+from pipelines.supervised.progress import FitProgress
+from pipelines.supervised.readable_trees import draw
 
 COLUMNS = ("label", "file", "settings", "epoch", "small_weights", "cpu_seconds")
 
@@ -47,7 +47,7 @@ def fit_together(
             labels,
             seeds,
             n_workers=first.n_workers,
-            progress=Progress(first, "fit", "trees"),
+            progress=FitProgress(first, "fit", "trees"),
         )
         seconds = (time.process_time() - began) / (len(labels) * len(seeds))
         for label, of_label in zip(labels, fitted, strict=True):
@@ -83,3 +83,7 @@ def _row(label: str, file: str, changes: dict[str, Any], fitted: FittedTree, sec
         "small_weights": None if fitted.small_weights is None else round(fitted.small_weights, 6),
         "cpu_seconds": f"{seconds:.3g}",
     }
+
+
+# It reads stage tune, too, where the method has a grid: `pipelines.supervised.fit_job.stages_of` fills that in.
+FIT = Stage("fit", version=1, inputs=(), settings=fit_settings, run=fit, is_transient=True)

@@ -1,5 +1,6 @@
 """From a method's settings to trees: which estimators a learner is, and how labels and seeds are fitted."""
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -7,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipelines.datasets.dataset import Dataset
+from pipelines.datasets.load import load_dataset
 from pipelines.errors import ConfigError
-from pipelines.supervised.config import LearnerConfig, learner_settings
+from pipelines.supervised.config import FitConfig, LearnerConfig, learner_settings
 
 if TYPE_CHECKING:
     from otr import ObliqueTree, PatternTree
@@ -25,7 +27,6 @@ ESTIMATORS: dict[str, tuple[str | None, str | None]] = {  # learner: its classif
     "otr": ("OTRClassifier", "OTRRegressor"),
 }
 BATCHED = ("lcn", "otr")  # labels and seeds train as one model
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,16 @@ class FittedTree:
     tree: "ObliqueTree | PatternTree"
     epoch: int | None = None
     small_weights: float | None = None
+
+
+def dataset_of(config: FitConfig) -> Dataset:
+    """Return the fit's data set, read once a process; errors as `load_dataset`'s."""
+    return _loaded(config.data.name)
+
+
+@functools.lru_cache(maxsize=1)
+def _loaded(name: str) -> Dataset:
+    return load_dataset(name)
 
 
 def check_learner(method: LearnerConfig, dataset: Dataset) -> None:
@@ -63,7 +74,7 @@ def fit_trees(
     seeds: Sequence[int],
     *,
     n_workers: int | None = None,
-    progress: Progress = lambda done, total: None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[list[FittedTree]]:
     """Fit a tree for every label and seed.
 

@@ -8,7 +8,7 @@ from pipelines.supervised.config import FitConfig
 EVERY_S = 10.0
 
 
-class Progress:
+class FitProgress:
     """Says how far something is, at most every ten seconds; call it with what is done and what there is."""
 
     def __init__(self, config: FitConfig, what: str, unit: str) -> None:

@@ -8,11 +8,12 @@ import numpy as np
 
 import otr
 from pipelines.datasets.dataset import PARTS
+from pipelines.engine.stage import Stage
 from pipelines.engine.store import read_csv, write_csv, write_json, write_text
 from pipelines.supervised.config import FitConfig
-from pipelines.supervised.data import dataset_of
+from pipelines.supervised.learners import dataset_of
 from pipelines.supervised.metrics import metric_of, outputs_of, score, size_of
-from pipelines.supervised.shown import program_of
+from pipelines.supervised.readable_trees import program_of
 
 COLUMNS = ("label", "train", "valid", "test", "n_train", "n_valid", "n_test", "leaves", "depth", "settings", "epoch",
            "small_weights", "cpu_seconds")  # fmt: skip
@@ -77,3 +78,6 @@ def report(metric: str, n_labels: int, rows: list[dict[str, Any]]) -> dict[str, 
 
 def _mean_if_there(texts: list[str]) -> float | None:
     return float(np.mean([float(text) for text in texts])) if all(texts) else None
+
+
+SCORE = Stage("score", version=1, inputs=("fit",), settings=FitConfig.settings, run=score_trees)

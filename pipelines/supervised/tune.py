@@ -5,7 +5,6 @@ job goes on with the next combination.
 """
 
 import json
-import shutil
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,15 +14,15 @@ import numpy as np
 
 from pipelines.datasets.dataset import Dataset
 from pipelines.engine.digests import digest
+from pipelines.engine.stage import Stage
 from pipelines.engine.store import read_json, write_csv, write_json
 from pipelines.supervised.config import FitConfig, combinations, tune_settings, with_settings
-from pipelines.supervised.data import dataset_of
-from pipelines.supervised.learners import check_learner, fit_trees, usable_labels
+from pipelines.supervised.learners import check_learner, dataset_of, fit_trees, usable_labels
 from pipelines.supervised.metrics import gain, metric_of, outputs_of, score
-from pipelines.supervised.progress import Progress
-from pipelines.supervised.stages import TUNE_VERSION
+from pipelines.supervised.progress import FitProgress
 
 COLUMNS = ("label", "settings", "valid", "seconds")
+VERSION = 1
 
 
 def tune(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> None:
@@ -35,7 +34,7 @@ def tune(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     scores = np.full((len(tried), len(labels)), np.nan)
     rows: list[dict[str, Any]] = []
-    progress = Progress(config, "tune", "combinations")
+    progress = FitProgress(config, "tune", "combinations")
     for i, changes in enumerate(tried):
         scores[i], seconds = _scores(config, dataset, labels, changes, folder / f"{digest(changes)[:16]}.json")
         rows += [
@@ -57,7 +56,6 @@ def tune(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> None:
             for i, label in enumerate(labels)
         ],
     )
-    shutil.rmtree(folder, ignore_errors=True)
 
 
 def best_of(scores: np.ndarray, for_label: bool, metric: str) -> list[int]:
@@ -78,9 +76,9 @@ def best_of(scores: np.ndarray, for_label: bool, metric: str) -> list[int]:
     return [int(np.nanargmax(gains[:, i])) if told[i] else overall for i in range(scores.shape[1])]
 
 
-def checkpoint_folder(config: FitConfig) -> Path:
-    """Return where the scores of what has been tried lie until all of it is."""
-    return Path(config.results_dir) / "checkpoints" / f"tune-{digest([TUNE_VERSION, tune_settings(config)])[:16]}"
+def checkpoint_folder(config: FitConfig, inputs: Mapping[str, Path] | None = None) -> Path:
+    """Return where the scores of what has been tried lie until all of it is; tuning reads no other stage."""
+    return Path(config.results_dir) / "checkpoints" / f"tune-{digest([VERSION, tune_settings(config)])[:16]}"
 
 
 def _scores(
@@ -92,7 +90,7 @@ def _scores(
         return np.array(before["scores"], dtype=np.float64), before["seconds"]
     began, metric = time.process_time(), metric_of(dataset)
     seeds = config.method.tuning_seeds
-    progress = Progress(config, f"tune {json.dumps(changes)}", "trees")
+    progress = FitProgress(config, f"tune {json.dumps(changes)}", "trees")
     method = with_settings(config.method, changes)
     fitted = fit_trees(method, dataset, labels, seeds, n_workers=config.n_workers, progress=progress)
     means = []
@@ -106,3 +104,6 @@ def _scores(
 
 def _number(value: float) -> float | None:
     return None if np.isnan(value) else float(value)
+
+
+TUNE = Stage("tune", VERSION, inputs=(), settings=tune_settings, run=tune, checkpoints=checkpoint_folder)

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from pipelines.config import RunConfig
-from pipelines.config.settings import settings
 from pipelines.engine.store import read_csv, read_json
 from pipelines.errors import ConfigError
 from pipelines.tracking.backends import Backend, Mlflow, TensorBoard
@@ -114,7 +113,7 @@ def _open_backend(config: RunConfig) -> Backend:
 
 
 def _parameters(config: RunConfig) -> dict[str, str]:
-    values = _flat(settings(config))
+    values = _flat(config.settings())
     return {name: value if isinstance(value, str) else json.dumps(value) for name, value in values.items()}
 
 

@@ -16,7 +16,7 @@ import otr
 from otr.control.cdt import CascadingTree
 from otr.control.pi_prl import RelaxedProgram
 from otr.control.soft_tree import SoftTree
-from pipelines.config import CdtConfig, PiPrlConfig, RunConfig, SdtConfig
+from pipelines.config import RunConfig, SoftConfig
 from pipelines.engine.store import corrupt, json_text, read_json
 from pipelines.errors import ConfigError
 
@@ -43,14 +43,8 @@ _MODULES: dict[str, type[SoftModule]] = {"sdt": SoftTree, "cdt": CascadingTree, 
 
 def shape_of(config: RunConfig) -> Shape:
     """Return the module that a run's method and depth ask for."""
-    method, depth = config.method, config.depth
-    if isinstance(method, SdtConfig):
-        return Shape("sdt", {"depth": depth, "affine_leaves": method.leaves == "linear"})
-    if isinstance(method, CdtConfig):
-        options = {"feature_depth": depth[0], "n_features": method.n_features, "decision_depth": depth[1]}
-        return Shape("cdt", options)
-    assert isinstance(method, PiPrlConfig)
-    return Shape("pi_prl", {"depth": depth, "structure_penalty": method.structure_penalty})
+    assert isinstance(config.method, SoftConfig)
+    return Shape(config.method.name, config.method.tree_options(config.depth))
 
 
 def build_module(shape: Shape, n_inputs: int, n_outputs: int) -> SoftModule:

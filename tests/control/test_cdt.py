@@ -9,22 +9,24 @@ from tests.control.test_soft_tree import clear_states
 torch.set_num_threads(1)
 
 
-def cascade(seed: int) -> CascadingTree:
+def cascade(seed: int, feature_depth: int = 2, decision_depth: int = 3) -> CascadingTree:
     generator = torch.Generator().manual_seed(seed)
-    tree = CascadingTree(5, 3, feature_depth=2, n_features=2, decision_depth=3, generator=generator).double()
+    tree = CascadingTree(
+        5, 3, feature_depth=feature_depth, n_features=2, decision_depth=decision_depth, generator=generator
+    ).double()
     torch.nn.init.normal_(tree.decisions.leaves, generator=generator)
     return tree
 
 
 @pytest.mark.parametrize("axis_aligned", [False, True])
-@pytest.mark.parametrize("seed", range(5))
-def test_one_tree_on_the_states_is_the_cascade(seed, axis_aligned):
-    tree = cascade(seed)
+@pytest.mark.parametrize(("seed", "depths"), [(0, (2, 3)), (1, (2, 3)), (2, (0, 2)), (3, (2, 0)), (4, (0, 0))])
+def test_one_tree_on_the_states_is_the_cascade(seed, depths, axis_aligned):
+    tree = cascade(seed, *depths)
     features, decisions = (part.harden(axis_aligned=axis_aligned) for part in (tree.features, tree.decisions))
     X = np.random.default_rng(seed).normal(size=(500, 5)) * 3
     whole = tree.harden(axis_aligned=axis_aligned)
     np.testing.assert_allclose(whole.forward(X), decisions.forward(features.forward(X)), rtol=1e-9, atol=1e-9)
-    assert (whole.n_inputs, whole.depth, whole.n_leaves) == (5, 5, 32)
+    assert (whole.n_inputs, whole.depth, whole.n_leaves) == (5, sum(depths), 2 ** sum(depths))
     labels = tree.harden(otr.Argmax(), axis_aligned=axis_aligned).predict(X)
     np.testing.assert_array_equal(labels, whole.forward(X).argmax(axis=1))
 

@@ -110,4 +110,4 @@ def test_after_the_choice_only_the_program_learns():
     program.discretise()
     program(torch.randn(20, 2, dtype=torch.float64)).sum().backward()
     assert program.architecture.grad is None
-    assert all(parameter.grad is not None for parameter in program.program_parameters())
+    assert all(parameter.grad is not None for parameter in (program.tests, program.maps))

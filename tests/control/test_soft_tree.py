@@ -5,7 +5,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import otr
-from otr.control.grafting import graft
 from otr.control.label_leaves import argmax_leaves
 from otr.control.path_probabilities import path_probabilities
 from otr.control.soft_tree import SoftTree
@@ -116,18 +115,6 @@ def test_the_head_clips():
     hard = tree.harden(otr.ClipBox(-0.1, 0.1))
     X = np.random.default_rng(0).normal(size=(50, 2))
     np.testing.assert_allclose(hard.predict(X), np.clip(hard.forward(X), -0.1, 0.1))
-
-
-def test_a_graft_answers_as_its_subtrees():
-    top = soft_tree(3, 2, True, n_outputs=1).harden()
-    below = [soft_tree(4 + depth, depth, True).harden() for depth in (0, 2, 1, 0)]
-    whole = graft(top, below)
-    X = np.random.default_rng(0).normal(size=(200, 2)) * 2
-    expected = [below[leaf].forward(x) for leaf, x in zip(top.apply(X), X, strict=True)]
-    np.testing.assert_allclose(whole.forward(X), expected, atol=1e-12)
-    assert whole.n_leaves == 1 + 4 + 2 + 1
-    with pytest.raises(ValueError, match="3 subtrees for a tree of 4 leaves"):
-        graft(top, below[:3])
 
 
 def test_argmax_below_a_single_leaf():

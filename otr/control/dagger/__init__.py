@@ -1,1 +1,1 @@
-"""DAgger: the loop, its aggregated data, the rows that a fit sees, and the choice of an iterate."""
+"""DAgger: the loop, the folder of a run, the rows that a fit sees, and the choice of an iterate."""

@@ -10,9 +10,6 @@ processor with the same package versions.
 
 from __future__ import annotations
 
-import hashlib
-import json
-import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -22,18 +19,16 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from otr.control.dagger.aggregated_data import GrowingArray
 from otr.control.dagger.iterate_selection import successive_halving
+from otr.control.dagger.run_folder import RunFolder
 from otr.core.arrays import FloatArray
 from otr.core.head import Argmax, Sign
-from otr.core.io import load, save
 from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
-from otr.errors import ArtefactError, InvalidNetworkError
+from otr.errors import InvalidNetworkError
 
 __all__ = ["DaggerProgress", "DaggerResult", "DaggerSettings", "Episodes", "Fit", "Iterate", "Play", "run_dagger"]
 
-SCHEMA = "otr/dagger/1"
 _LABELLING_ROWS = 2**14
 
 Policy = Callable[[FloatArray], NDArray[Any]]
@@ -206,7 +201,7 @@ def run_dagger(
 
 
 class _Run:
-    """A run and its folder. `_state` is what dagger.json holds; it is replaced as a whole, after the other files."""
+    """A run, as far as its folder says that it has come."""
 
     def __init__(
         self,
@@ -219,53 +214,46 @@ class _Run:
         folder: Path,
     ) -> None:
         self._oracle, self._fit, self._play, self._episode_seeds = oracle, fit, play, episode_seeds
-        self._settings, self._seed, self._folder = settings, seed, folder
+        self._settings, self._seed = settings, seed
         self._has_labels = isinstance(oracle.head, Argmax)
-        folder.mkdir(parents=True, exist_ok=True)
-        self._states = GrowingArray(folder / "states.f64", oracle.n_inputs)
-        self._answers = GrowingArray(folder / "answers.f64", oracle.n_outputs)
-        self._weights = GrowingArray(folder / "weights.f64", 1)
-        self._state = self._restore()
+        self._folder = RunFolder(folder, oracle, seed, asdict(settings))
 
     @property
     def n_trees(self) -> int:
-        return len(self._state["trees"])
+        return len(self._folder.state["trees"])
 
     def round(self) -> DaggerProgress:
         """Let the oracle or the newest tree play, fit the next tree, and commit."""
         start, r = time.perf_counter(), self.n_trees
         episodes = self._rollout(r)
-        n_rows = self._append(episodes.states)
-        tree = self._fit_tree(r, n_rows)
-        save(tree, self._tree_path(r))
+        states = episodes.states
+        n_rows = self._folder.append(states, *_label(self._oracle, np.asarray(states, dtype=np.float64)))
+        child = np.random.SeedSequence(self._seed.entropy, spawn_key=(*self._seed.spawn_key, r))
+        data = self._folder.data(n_rows, has_weights=self._has_labels)
+        tree = self._fit(*data, np.random.default_rng(child))
+        self._folder.save_tree(r, tree)
         progress = DaggerProgress(
             round=r,
             n_rounds=self._settings.n_rounds,
             n_rows=n_rows,
-            n_steps=self._state["n_steps"] + _n_steps(episodes),
+            n_steps=self._n_steps_after(episodes),
             return_mean=float(np.mean(episodes.returns)),
             n_leaves=tree.n_leaves,
             depth=tree.depth,
             seconds=time.perf_counter() - start,
         )
         row = {name: getattr(progress, name) for name in ("n_rows", "n_leaves", "depth", "seconds")}
-        self._commit(
-            n_rows=n_rows,
-            n_steps=progress.n_steps,
-            rollouts=[*self._state["rollouts"], _floats(episodes.returns)],
-            trees=[*self._state["trees"], row],
-        )
+        trees = [*self._folder.state["trees"], row]
+        self._folder.commit(n_rows=n_rows, **self._played(episodes), trees=trees)
         return progress
 
     def choose(self) -> DaggerResult:
         """Return the best tree; each candidate's episodes of a stage are committed as they are played."""
-        if len(self._state["rollouts"]) == self.n_trees:  # the last tree has not played yet
+        if len(self._folder.state["rollouts"]) == self.n_trees:  # the last tree has not played yet
             episodes = self._rollout(self.n_trees, keep_states=False)
-            self._commit(
-                n_steps=self._state["n_steps"] + _n_steps(episodes),
-                rollouts=[*self._state["rollouts"], _floats(episodes.returns)],
-            )
-        oracle_returns, *first_returns = self._state["rollouts"]
+            self._folder.commit(**self._played(episodes))
+        state = self._folder.state
+        oracle_returns, *first_returns = state["rollouts"]
         best, returns = successive_halving(first_returns, self._settings.n_selection_episodes, self._stage_returns)
         iterates = tuple(
             Iterate(
@@ -275,10 +263,10 @@ class _Run:
                 n_selection_episodes=len(returns[r]),
                 **row,
             )
-            for r, row in enumerate(self._state["trees"])
+            for r, row in enumerate(state["trees"])
         )
-        oracle_mean = float(np.mean(oracle_returns))
-        return DaggerResult(self._tree(best), best, oracle_mean, iterates, self._state["n_steps"])
+        oracle_mean, n_steps = float(np.mean(oracle_returns)), self._folder.state["n_steps"]
+        return DaggerResult(self._folder.tree(best), best, oracle_mean, iterates, n_steps)
 
     def _rollout(self, r: int, keep_states: bool = True) -> Episodes:
         """Play round r's episodes: the oracle's for r = 0, else tree r - 1's."""
@@ -286,101 +274,36 @@ class _Run:
             seeds = self._episode_seeds("oracle", 0, self._settings.n_initial_episodes)
             return self._play(self._oracle.predict, seeds, keep_states)
         seeds = self._episode_seeds("dagger", r - 1, self._settings.n_episodes)
-        return self._play(self._tree(r - 1).predict, seeds, keep_states)
+        return self._play(self._folder.tree(r - 1).predict, seeds, keep_states)
 
     def _stage_returns(self, stage: int, candidate: int, n_episodes: int) -> list[float]:
         key = f"{stage}/{candidate}"
-        if key not in self._state["selection"]:
+        if key not in self._folder.state["selection"]:
             seeds = self._episode_seeds("selection", stage, n_episodes)
-            episodes = self._play(self._tree(candidate).predict, seeds, False)
-            self._commit(
-                n_steps=self._state["n_steps"] + _n_steps(episodes),
-                selection={**self._state["selection"], key: _floats(episodes.returns)},
-            )
-        returns: list[float] = self._state["selection"][key]
+            episodes = self._play(self._folder.tree(candidate).predict, seeds, False)
+            selection = {**self._folder.state["selection"], key: _floats(episodes.returns)}
+            self._folder.commit(n_steps=self._n_steps_after(episodes), selection=selection)
+        returns: list[float] = self._folder.state["selection"][key]
         return returns
 
-    def _append(self, states: FloatArray) -> int:
-        """Label states, put them behind the committed rows, and return the new number of rows."""
-        n_rows: int = self._state["n_rows"]
-        answers, weights = _label(self._oracle, np.asarray(states, dtype=np.float64), self._has_labels)
-        self._answers.append(n_rows, answers)
-        if weights is not None:
-            self._weights.append(n_rows, weights[:, None])
-        return self._states.append(n_rows, states)
+    def _played(self, episodes: Episodes) -> dict[str, Any]:
+        """Return what changes in the state by a round's episodes."""
+        rollouts = [*self._folder.state["rollouts"], _floats(episodes.returns)]
+        return {"n_steps": self._n_steps_after(episodes), "rollouts": rollouts}
 
-    def _fit_tree(self, r: int, n_rows: int) -> ObliqueTree:
-        weights = self._weights.view(n_rows)[:, 0] if self._has_labels else None
-        child = np.random.SeedSequence(self._seed.entropy, spawn_key=(*self._seed.spawn_key, r))
-        return self._fit(self._states.view(n_rows), self._answers.view(n_rows), weights, np.random.default_rng(child))
-
-    def _tree_path(self, r: int) -> Path:
-        return self._folder / f"iterate-{r:03d}.json"
-
-    def _tree(self, r: int) -> ObliqueTree:
-        tree = load(self._tree_path(r))
-        if not isinstance(tree, ObliqueTree):
-            raise ArtefactError(f"{self._tree_path(r)} holds a {type(tree).__name__}, expected an ObliqueTree")
-        return tree
-
-    @property
-    def _state_path(self) -> Path:
-        return self._folder / "dagger.json"
-
-    def _restore(self) -> dict[str, Any]:
-        asked = {
-            "schema": SCHEMA,
-            "oracle": _digest(self._oracle),
-            "seed": [str(self._seed.entropy), [int(key) for key in self._seed.spawn_key]],
-            "settings": asdict(self._settings),
-        }
-        if not self._state_path.exists():
-            return {**asked, "n_rows": 0, "n_steps": 0, "rollouts": [], "trees": [], "selection": {}}
-        try:
-            state: dict[str, Any] = json.loads(self._state_path.read_text(encoding="utf-8"))
-        except ValueError as error:
-            raise ArtefactError(
-                f"{self._state_path} cannot be read: {error}; delete the folder to begin again"
-            ) from error
-        for name, value in asked.items():
-            if state.get(name) != value:
-                raise ArtefactError(
-                    f"{self._state_path} belongs to another run: its {name} is {state.get(name)}, {value} was asked "
-                    "for; take another folder, or delete this one"
-                )
-        return state
-
-    def _commit(self, **changes: Any) -> None:
-        """Replace dagger.json by one with the changes, atomically."""
-        state = {**self._state, **changes}
-        temporary = self._state_path.with_name(f".dagger.{os.getpid()}.tmp")
-        with temporary.open("w", encoding="utf-8") as file:
-            json.dump(state, file, allow_nan=False)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(self._state_path)
-        self._state = state
+    def _n_steps_after(self, episodes: Episodes) -> int:
+        n_steps: int = self._folder.state["n_steps"]
+        return n_steps + int(np.sum(episodes.lengths))
 
 
-def _label(oracle: ReluNetwork, X: FloatArray, has_labels: bool) -> tuple[FloatArray, FloatArray | None]:
+def _label(oracle: ReluNetwork, X: FloatArray) -> tuple[FloatArray, FloatArray | None]:
     """Return answers (n, o) and, for labels, weights (n,): the largest output less the smallest."""
     parts = [oracle.forward(X[start : start + _LABELLING_ROWS]) for start in range(0, len(X), _LABELLING_ROWS)]
     outputs = np.concatenate(parts)
-    if has_labels:
+    if isinstance(oracle.head, Argmax):
         return outputs, outputs.max(axis=1) - outputs.min(axis=1)
     return oracle.head(outputs), None
 
 
-def _n_steps(episodes: Episodes) -> int:
-    return int(np.sum(episodes.lengths))
-
-
 def _floats(returns: FloatArray) -> list[float]:
     return [float(value) for value in returns]
-
-
-def _digest(oracle: ReluNetwork) -> str:
-    digest = hashlib.sha256(f"{oracle.negative_slope} {oracle.dense} {oracle.head!r}".encode())
-    for array in (*oracle.weights, *oracle.biases):
-        digest.update(f"{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()

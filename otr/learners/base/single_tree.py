@@ -1,6 +1,6 @@
-"""Base of the learners that grow one tree: checks at the door, predictions through `tree_`, constant leaves.
+"""Base of the learners that grow one tree: checks at the door, predictions through `tree_`, class shares in leaves.
 
-The learners of several labels at once, networks and linear models, are built on `otr/learners/networks/estimators.py`.
+The learners of several labels at once, networks and linear models, are built on `otr.learners.base.tree_per_label`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from otr.core.arrays import FloatArray, IntArray
 from otr.core.head import Argmax
 from otr.core.tree import ObliqueTree
 
-__all__ = ["GrownClassifier", "GrownRegressor", "class_tree", "constant_tree"]
+__all__ = ["GrownClassifier", "GrownRegressor", "class_tree"]
 
 # Bits are kept in float32 where the caller gives them so: half the memory, and no bit is lost.
 _FLOATS = [np.float64, np.float32]
@@ -80,20 +80,6 @@ class GrownRegressor(MultiOutputMixin, RegressorMixin, _GrownEstimator):  # type
         targets: FloatArray = np.asarray(values, dtype=np.float64)
         self._is_flat = targets.ndim == 1
         return checked, targets.reshape(len(targets), -1)
-
-
-def constant_tree(
-    children_left: ArrayLike,
-    children_right: ArrayLike,
-    P: ArrayLike,
-    v: ArrayLike,
-    values: FloatArray,
-    *,
-    n_inputs: int,
-) -> ObliqueTree:
-    """Return the tree whose leaf k answers values[k], of shape (n_leaves, o)."""
-    P = np.reshape(P, (-1, n_inputs))
-    return ObliqueTree(children_left, children_right, P, v, np.zeros((*values.shape, n_inputs)), values)
 
 
 def class_tree(tree: ObliqueTree, shares: FloatArray) -> ObliqueTree:

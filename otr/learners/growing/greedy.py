@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otr.core.arrays import BoolArray, FloatArray, IntArray
+from otr.core.tree import ObliqueTree
 
 __all__ = ["Skeleton", "Test", "goes_right", "grow"]
 
@@ -33,6 +34,16 @@ class Skeleton:
     P: FloatArray
     v: FloatArray
     leaf_rows: list[IntArray]
+
+    def with_leaves(self, c: FloatArray, M: FloatArray | None = None) -> ObliqueTree:
+        """Return the tree whose leaf k answers ``M[k] @ x + c[k]``, or the constant c[k].
+
+        Args:
+            c: (n_leaves, o).
+            M: (n_leaves, o, d); None for zero.
+        """
+        M = np.zeros((*c.shape, self.P.shape[1])) if M is None else M
+        return ObliqueTree(self.children_left, self.children_right, self.P, self.v, M, c)
 
 
 def grow(X: NDArray[Any], find_test: Callable[[IntArray], Test | None], max_depth: int | None) -> Skeleton:

@@ -10,7 +10,7 @@ from pipelines.config import (
     EvaluateConfig,
     PruneConfig,
 )
-from pipelines.config.settings import run_folder, settings
+from pipelines.config.run import run_folder
 from pipelines.engine.digests import setting_differences
 from pipelines.errors import ConfigError
 from tests.pipelines.conftest import PPO, SAC
@@ -36,11 +36,11 @@ def test_other_overrides_get_a_folder_of_their_own(tiny):
 def test_execution_settings_do_not_change_the_folder(tiny):
     moved = tiny(results_dir="elsewhere", n_workers=2, debug=True, stages=["map"])
     assert run_folder(moved, tiny()) == run_folder(tiny(), tiny())
-    assert settings(moved) == settings(tiny())
+    assert moved.settings() == tiny().settings()
 
 
 def test_differences_name_the_leaf_with_both_values(tiny):
-    new, old = settings(tiny(evaluate=EvaluateConfig(5, 1000))), settings(tiny())
+    new, old = tiny(evaluate=EvaluateConfig(5, 1000)).settings(), tiny().settings()
     assert setting_differences(new, old) == {"evaluate.n_episodes": [5, 3]}
 
 

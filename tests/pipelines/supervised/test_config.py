@@ -8,8 +8,8 @@ from otr import learners
 from pipelines.config.setting import Range, declared
 from pipelines.errors import ConfigError
 from pipelines.supervised.config import LEARNERS, combinations, fit_folder, fit_settings, tune_settings
+from pipelines.supervised.fit_job import fit_groups
 from pipelines.supervised.learners import ESTIMATORS
-from pipelines.supervised.run import fit_groups
 
 
 def test_grid_is_all_combinations_of_each_part(fit_of):

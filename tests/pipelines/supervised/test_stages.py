@@ -15,7 +15,7 @@ from pipelines.engine.job import is_done
 from pipelines.engine.store import read_csv, read_json
 from pipelines.errors import ConfigError
 from pipelines.supervised.fit import fit
-from pipelines.supervised.run import FitJob, fit_job, fit_jobs
+from pipelines.supervised.fit_job import FitJob, fit_job, fit_jobs
 from pipelines.supervised.tune import best_of, checkpoint_folder, tune
 
 GRID = [{"max_depth": [1, 2, 5]}]

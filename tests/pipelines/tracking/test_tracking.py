@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from pipelines.config.settings import run_folder, settings
+from pipelines.config.run import run_folder
 from pipelines.engine.store import read_csv
 from pipelines.errors import ConfigError
 from pipelines.stages.run_job import RunJob, run_job
@@ -136,7 +136,7 @@ def test_tracker_that_fails_midway_catches_up_at_the_end(backend, tracked):
 
 def test_tracking_is_no_part_of_a_run(tiny):
     tracked = tiny(tracking="mlflow", folder=FOLDER)
-    assert settings(tracked) == settings(tiny())
+    assert tracked.settings() == tiny().settings()
     assert run_folder(tracked, tiny()) == FOLDER
 
 

@@ -1,6 +1,6 @@
 from otr.learners import CARTClassifier, LinearTreeRegressor
 from pipelines.datasets.load import load_dataset
-from pipelines.supervised.shown import WIDTH, draw, program_of, wrapped
+from pipelines.supervised.readable_trees import WIDTH, draw, program_of, wrapped
 
 
 def test_small_trees_are_printed_with_names(tmp_path):

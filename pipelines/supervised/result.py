@@ -7,6 +7,7 @@ from rich.console import Console
 from rich.table import Table
 
 from pipelines.engine.console import SHORT_PROGRAM, duration
+from pipelines.engine.store import exists, read_bytes
 from pipelines.supervised.metrics import METRICS
 
 
@@ -14,7 +15,7 @@ def show_fit(summary: dict[str, Any], run_dir: Path) -> None:
     """Print the scores, the size and the time of a fit, where its artefacts lie, and its program if that is short."""
     console = Console(highlight=False, soft_wrap=True)
     program = run_dir / "score" / "program.txt"
-    text = program.read_text(encoding="utf-8") if program.exists() else ""
+    text = read_bytes(program).decode() if exists(program) else ""
     n_lines = text.count("\n")
     if 0 < n_lines <= SHORT_PROGRAM:
         console.print(f"\n{text}", markup=False)

@@ -1,0 +1,157 @@
+"""Results of stages as they are kept: a folder with a manifest, or the archive of a finished run.
+
+The archive, `stages.tar.xz`, holds the stages of a run beside its summary and its configuration, without the files that
+are made again in seconds; of these the manifests keep the sha256. JSON and CSV files are read from where they lie
+(`store.read_bytes`); whoever needs stages' folders with all their files asks for them with `opened`.
+"""
+
+import hashlib
+import io
+import shutil
+import tarfile
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from pipelines.engine.store import ARCHIVE, archive_files, corrupt, packed_files, read_json, write_files
+from pipelines.errors import PipelineError
+
+MANIFEST = "manifest.json"
+MANIFEST_FIELDS = {"stage", "version", "key", "settings", "outputs", "output_digest", "seconds"}
+
+# From a run's folder and an unpacked stage of it to what the stage's archive leaves out: names and contents.
+Derive = Callable[[Path, Path], dict[str, bytes]]
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """Return a finished folder's manifest; one that is broken or lacks a field is an error that names it."""
+    manifest: dict[str, Any] = read_json(folder / MANIFEST)
+    missing = MANIFEST_FIELDS - manifest.keys() if isinstance(manifest, dict) else MANIFEST_FIELDS
+    if missing:
+        raise corrupt(folder / MANIFEST, ValueError(f"it has no {', '.join(sorted(missing))}"))
+    return manifest
+
+
+def verified_manifest(folder: Path) -> dict[str, Any]:
+    """Return a finished stage's manifest after comparing every file that is kept of it with its recorded sha256."""
+    manifest, packed = read_manifest(folder), packed_files(folder)
+    for name, recorded in manifest["outputs"].items():
+        if packed:
+            found = _digest(packed[name]) if name in packed else recorded  # left out: compared when it is made again
+        else:
+            found = file_digest(folder / name) if (folder / name).is_file() else "no file"
+        if found != recorded:
+            place = folder.parent / ARCHIVE if packed else folder
+            raise PipelineError(
+                f"{folder / name} is not what was written: its sha256 is {found[:12]}, the manifest has "
+                f"{recorded[:12]}\nRestore it, or delete {place} and run the same command again to make it."
+            )
+    return manifest
+
+
+@contextmanager
+def opened(run_dir: Path, stages: Collection[str], derive: Derive | None = None) -> Iterator[Path]:
+    """Give a run's folder in which these stages lie with all their files, as far as the run has them.
+
+    It is the run's own where none of them is packed, else a temporary one.
+
+    Args:
+        run_dir: the run's folder.
+        stages: names of stages.
+        derive: makes again what the archive leaves out.
+
+    Raises:
+        PipelineError: a packed file was changed, or what is made again is not what was recorded.
+    """
+    packed = {name: files for name in stages if (files := packed_files(run_dir / name))}
+    if not packed:
+        yield run_dir
+        return
+    with TemporaryDirectory(prefix="otr-") as place:
+        whole = Path(place) / run_dir.name
+        whole.mkdir()
+        for path in run_dir.iterdir():
+            if path.is_dir() and path.name in stages:
+                shutil.copytree(path, whole / path.name)
+            elif path.is_file() and path.name != ARCHIVE:
+                shutil.copyfile(path, whole / path.name)
+        for name, files in packed.items():
+            (whole / name).mkdir()
+            write_files(files, whole / name)
+            _complete(run_dir, whole / name, derive)
+        yield whole
+
+
+def _complete(run_dir: Path, folder: Path, derive: Derive | None) -> None:
+    """Add to an unpacked stage what its run's archive leaves out."""
+    manifest = verified_manifest(run_dir / folder.name)
+    left_out = [name for name in manifest["outputs"] if not (folder / name).is_file()]
+    made = derive(run_dir, folder) if left_out and derive else {}
+    for name in left_out:
+        if _digest(made.get(name, b"")) != manifest["outputs"][name]:
+            raise PipelineError(
+                f"{run_dir / folder.name / name} is left out of {ARCHIVE}, and "
+                f"{'comes out with another sha256 than was recorded' if name in made else 'cannot be made again'}\n"
+                f"It was made at revision {manifest.get('git_revision')} with {manifest.get('versions')}: use these, "
+                f"or delete {run_dir} and run the same command again to make it."
+            )
+        (folder / name).write_bytes(made[name])
+
+
+def pack(run_dir: Path, derive: Derive | None = None, leave: Collection[str] = ()) -> None:
+    """Put the finished stages of a run into its archive, read that back, and remove their folders.
+
+    The same stages give the same archive. What lies in the archive already stays there, unless the stage's folder is
+    there, too.
+
+    Args:
+        run_dir: the run's folder.
+        derive: makes again what is left out; only what it makes again byte for byte is.
+        leave: stages whose folders stay.
+
+    Raises:
+        PipelineError: a file was changed since it was written.
+    """
+    there = {path.parent.name for path in run_dir.glob(f"[!.]*/{MANIFEST}")}.difference(leave)
+    if not there:
+        return
+    stages = there.union(name.partition("/")[0] for name in archive_files(run_dir))
+    with opened(run_dir, stages, derive) as whole:
+        kept = {name: _kept(run_dir, whole / name, derive) for name in stages}
+    files = {f"{stage}/{name}": content for stage in kept for name, content in kept[stage].items()}
+    temporary = run_dir / f".{ARCHIVE}.tmp"
+    _write_archive(temporary, files)
+    temporary.replace(run_dir / ARCHIVE)
+    if archive_files(run_dir) != files:
+        raise PipelineError(f"{run_dir / ARCHIVE} does not hold what was written to it; the folders stay")
+    for name in there:
+        gone = (run_dir / name).rename(run_dir / f".{name}.tmp")  # at once, so that nobody finds half a folder
+        shutil.rmtree(gone)
+
+
+def _kept(run_dir: Path, folder: Path, derive: Derive | None) -> dict[str, bytes]:
+    """Return the files of a stage that its run's archive has to hold."""
+    outputs = verified_manifest(folder)["outputs"]
+    made = derive(run_dir, folder) if derive else {}
+    left_out = {name for name, content in made.items() if _digest(content) == outputs.get(name)}
+    return {name: (folder / name).read_bytes() for name in (MANIFEST, *outputs) if name not in left_out}
+
+
+def _write_archive(path: Path, files: Mapping[str, bytes]) -> None:
+    with tarfile.open(path, "w:xz", format=tarfile.USTAR_FORMAT, preset=6) as archive:
+        for name in sorted(files):
+            member = tarfile.TarInfo(name)  # of 1970 and of nobody: the same files give the same bytes
+            member.size = len(files[name])
+            archive.addfile(member, io.BytesIO(files[name]))
+
+
+def file_digest(path: Path) -> str:
+    """Return the sha256 of a file's bytes, in hex."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()

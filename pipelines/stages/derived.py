@@ -1,0 +1,42 @@
+"""What archives of runs leave out, because it is made again in seconds: full trees and printed programs."""
+
+from contextlib import AbstractContextManager
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import otr
+from pipelines.config import RunConfig
+from pipelines.config.methods import EXTRA_STAGES
+from pipelines.engine.archive import opened
+from pipelines.engine.store import write_text
+from pipelines.play.actor_files import load_actor
+from pipelines.stages.map import full_tree
+from pipelines.stages.printed_programs import LARGEST_PROGRAM, program_text
+
+PROGRAMS = {"tree": "program.txt", "constant_gains": "constant_gains.txt"}
+
+
+def opened_run(config: RunConfig, run_dir: Path, *stages: str) -> AbstractContextManager[Path]:
+    """Give a run's folder in which these stages, by default all, lie with all their files (`archive.opened`)."""
+    return opened(run_dir, stages or (*config.method.stages, *EXTRA_STAGES), partial(derive, config))
+
+
+def derive(config: RunConfig, run_dir: Path, folder: Path) -> dict[str, bytes]:
+    """Return the files of a stage that are made again from its others, or from the actor, by name.
+
+    Args:
+        config: the run's configuration.
+        run_dir: the run's folder.
+        folder: the stage's own, which may lack what is made.
+    """
+    with TemporaryDirectory(prefix="otr-") as place:
+        out = Path(place)
+        if folder.name == "map":
+            otr.save(full_tree(load_actor(run_dir / "train"), config), out / "tree")
+        for name, program in PROGRAMS.items():
+            where = next((each for each in (out, folder) if (each / f"{name}.json").is_file()), None)
+            tree = otr.load(where / name) if where else None
+            if isinstance(tree, otr.ObliqueTree) and tree.n_leaves <= LARGEST_PROGRAM:
+                write_text(out / program, program_text(tree, config.env))
+        return {path.name: path.read_bytes() for path in out.iterdir()}

@@ -4,7 +4,7 @@ A killed run goes on from its last whole round; its working files lie with the c
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -109,15 +109,8 @@ def _ndps(method: NdpsConfig, depth: int, oracle: otr.ReluNetwork, folder: Path)
     from otr.control.viper import box_of
 
     torch.set_num_threads(1)
-    settings = NdpsSettings(
-        depth=depth,
-        n_updates=method.n_updates,
-        batch_size=method.batch_size,
-        learning_rate=method.learning_rate,
-        beta_first=method.beta_first,
-        beta_last=method.beta_last,
-        ridge=method.ridge,
-    )
+    own = {name: value for name, value in asdict(method).items() if name in {f.name for f in fields(NdpsSettings)}}
+    settings = NdpsSettings(depth=depth, **own)
     head = oracle.head if isinstance(oracle.head, otr.Argmax) else box_of(oracle.head)
     return NdpsImitator(head, settings, method.n_updates_next, method.max_samples, folder)
 

@@ -1,98 +1,101 @@
-"""Progress of long training: a bar with steps/s and time left in a terminal, a line per segment otherwise."""
+"""Progress of long training: a bar in a terminal that is not shared, and a line a segment with speed and time left."""
 
 import sys
 import time
 from types import TracebackType
-from typing import Any
+from typing import Any, Self
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from stable_baselines3.common.callbacks import BaseCallback
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
 
 from pipelines.config import RunConfig
 from pipelines.engine.console import duration
-from pipelines.training.estimates import learning_starts
+from pipelines.training.estimates import learning_starts, training_rate
 
 REFRESH_S = 0.25
 
 
-class TrainingProgress:
-    """Shows one training run; a context manager.
+class TrainingDisplay:
+    """Shows the training of one run or of several; a context manager.
 
-    `callbacks` are for the model's `learn`, none without a terminal. Jobs side by side share a terminal: they get lines
-    that begin with the job's name instead of a bar.
+    Args:
+        config: of the run, or of the first one.
+        prefix: of each line.
+        n_steps: environment steps in all.
+        done_steps: those that were done before.
+        shown: what stands beside the bar.
     """
 
-    def __init__(self, config: RunConfig, done_steps: int) -> None:
-        self.n_steps = config.train.steps
-        self._prefix = f"{config.env.name} depth {config.depth} seed {config.seed}: " if config.side_by_side else ""
-        self._first_learning_step = max(done_steps, learning_starts(config))
-        self._steps, self._seconds = 0, 0.0  # of whole segments that learn all the way
-        self._expected_rate = config.algo.steps_per_s
-        self._bar = _bar() if sys.stdout.isatty() and not config.side_by_side else None
-        self._task = self._bar.add_task("train", total=self.n_steps, completed=done_steps) if self._bar else None
-        self.callbacks = [_Refresh(self)] if self._bar else []
-        if done_steps:
-            self._say(f"going on from step {done_steps:,} of {self.n_steps:,}")
+    def __init__(
+        self, config: RunConfig, prefix: str, n_steps: int, done_steps: int, shown: ProgressColumn | None = None
+    ) -> None:
+        self.n_steps, self._prefix = n_steps, prefix
+        self._steps, self._seconds = 0, 0.0  # of segments that learn all the way
+        self._expected_rate = training_rate(config)
+        self._last = 0.0
+        self.bar: Progress | None = None
+        if sys.stdout.isatty() and not config.side_by_side:
+            columns = (
+                TextColumn("{task.description}"),
+                BarColumn(),
+                shown or MofNCompleteColumn(),
+                TimeRemainingColumn(),
+            )
+            self.bar = Progress(*columns, console=Console(highlight=False), transient=True)
+            self._task = self.bar.add_task("train", total=n_steps, completed=done_steps)
 
-    def __enter__(self) -> "TrainingProgress":
-        if self._bar:
-            self._bar.start()
+    def __enter__(self) -> Self:
+        if self.bar:
+            self.bar.start()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        if self._bar:
-            self._bar.stop()
+        if self.bar:
+            self.bar.stop()
 
     def at_step(self, step: int) -> None:
-        """Move the bar to an environment step."""
-        if self._bar and self._task is not None:
-            self._bar.update(self._task, completed=min(step, self.n_steps))
+        """Move the bar to an environment step; cheap when the last time was a moment ago."""
+        now = time.monotonic()
+        if self.bar and now - self._last > REFRESH_S:
+            self._last = now
+            self.bar.update(self._task, completed=min(step, self.n_steps))
+
+    def learnt(self, n_steps: int, seconds: float) -> None:
+        """Take in the speed of a segment that learnt all the way."""
+        self._steps += n_steps
+        self._seconds += seconds
+
+    def time_left(self, n_steps: int) -> str:
+        """Return the likely time of so many steps, as people read it."""
+        rate = self._steps / self._seconds if self._steps else self._expected_rate
+        return duration(max(0, n_steps) / rate)
+
+    def say(self, line: str) -> None:
+        """Print a line, above the bar where there is one."""
+        if self.bar:
+            self.bar.console.print(f"{self._prefix}{line}", highlight=False)
+        else:
+            print(f"{self._prefix}{line}", flush=True)
+
+
+class TrainingProgress(TrainingDisplay):
+    """Shows one training run; among jobs side by side its lines begin with the job's name."""
+
+    def __init__(self, config: RunConfig, done_steps: int) -> None:
+        job = f"{config.env.name} depth {config.depth} seed {config.seed}: " if config.side_by_side else ""
+        super().__init__(config, f"{job}train: ", config.train.steps, done_steps)
+        self._first_learning_step = max(done_steps, learning_starts(config))
+        if done_steps:
+            self.say(f"going on from step {done_steps:,} of {self.n_steps:,}")
 
     def segment_done(self, start: int, progress: dict[str, Any], evaluation: dict[str, Any]) -> None:
         """Show the speed and the evaluation of the segment that began at step `start`, and the time left."""
         steps = progress["steps"]
         if start >= self._first_learning_step:
-            self._steps += steps - start
-            self._seconds += progress["seconds"]
-        rate = self._steps / self._seconds if self._steps else self._expected_rate
-        left = duration(max(0, self.n_steps - steps) / rate)
+            self.learnt(steps - start, progress["seconds"])
         mark = " (best so far)" if evaluation["best"] else ""
         self.at_step(steps)
-        self._say(
-            f"step {steps:,}/{self.n_steps:,}  {progress['steps_per_s']:,.0f} steps/s  {left} left  "
-            f"return {evaluation['return_mean']:.1f}{mark}"
+        self.say(
+            f"step {steps:,}/{self.n_steps:,}  {progress['steps_per_s']:,.0f} steps/s  "
+            f"{self.time_left(self.n_steps - steps)} left  return {evaluation['return_mean']:.1f}{mark}"
         )
-
-    def _say(self, line: str) -> None:
-        if self._bar:
-            self._bar.console.print(f"train: {line}", highlight=False)
-        else:
-            print(f"{self._prefix}train: {line}", flush=True)
-
-
-def _bar() -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=Console(highlight=False),
-        transient=True,
-    )
-
-
-class _Refresh(BaseCallback):
-    """Moves the bar a few times a second."""
-
-    def __init__(self, progress: TrainingProgress) -> None:
-        super().__init__()
-        self._progress = progress
-        self._last = 0.0
-
-    def _on_step(self) -> bool:
-        now = time.monotonic()
-        if now - self._last > REFRESH_S:
-            self._last = now
-            self._progress.at_step(self.num_timesteps)
-        return True

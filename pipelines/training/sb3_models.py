@@ -1,6 +1,7 @@
 """Stable-Baselines3 models from our configuration: a small actor, critics of the usual size."""
 
 import functools
+from dataclasses import fields
 from typing import Any
 
 import gymnasium as gym
@@ -14,11 +15,13 @@ from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, Ornst
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from pipelines.config import (
+    AlgoConfig,
     ArsConfig,
     ContinuousConfig,
     DdpgConfig,
     DqnConfig,
     GradientConfig,
+    OffPolicyConfig,
     OnPolicyConfig,
     PpoConfig,
     RunConfig,
@@ -37,6 +40,19 @@ torch.set_num_threads(1)  # two threads make these small networks a hundred time
 torch.set_flush_denormal(True)  # decayed weights become denormal numbers, which are many times slower and worth nothing
 
 
+ALGORITHMS: dict[type[AlgoConfig], type[BaseAlgorithm]] = {
+    PpoConfig: PPO,
+    TrpoConfig: TRPO,
+    DqnConfig: DQN,
+    SacConfig: SAC,
+    Td3Config: TD3,
+    DdpgConfig: DDPG,
+}
+# The settings of an algorithm that its class has not, under that name or at all; all others are passed on.
+OTHER_SETTINGS = ("name", "critic", "weight_decay", "n_envs", "action_noise_std", "action_noise_dt",
+                  "exploration_fraction", "exploration_final_eps")  # fmt: skip
+
+
 def build_model(config: RunConfig, seed: int) -> BaseAlgorithm:
     """Return an untrained model on its own environments, reproducible from `seed`."""
     algo = config.algo
@@ -46,28 +62,33 @@ def build_model(config: RunConfig, seed: int) -> BaseAlgorithm:
     if isinstance(algo, ArsConfig):
         return build_ars(env, algo, seed)
     assert isinstance(algo, GradientConfig)
-    if isinstance(algo, PpoConfig) and algo.use_sde and is_discrete(single):
-        raise ConfigError(f"algo.use_sde needs continuous actions; {config.env.id} has labels")
+    _check_actions(config, is_discrete(single))
+    options: dict[str, Any] = {field.name: getattr(algo, field.name) for field in fields(algo)}
+    options = {name: value for name, value in options.items() if name not in OTHER_SETTINGS}
+    if isinstance(algo, OffPolicyConfig):
+        options["buffer_size"] = min(algo.buffer_size, config.train.steps + 1)
+        options["learning_starts"] = learning_starts(config)
+    if isinstance(algo, ContinuousConfig):
+        options["action_noise"] = _action_noise(algo, int(np.prod(single.action_space.shape or ())))
+    if isinstance(algo, SacConfig) and algo.ent_coef != "auto":
+        options["ent_coef"] = float(algo.ent_coef)
     actor = actor_of(config)
-    common: dict[str, Any] = {
-        "policy": actor.policy_class(),
-        "env": env,
-        "learning_rate": algo.learning_rate,
-        "batch_size": algo.batch_size,
-        "gamma": algo.gamma,
-        "policy_kwargs": _policy_kwargs(algo, actor),
-        "seed": seed,
-        "device": "cpu",
-    }
-    if isinstance(algo, OnPolicyConfig):
-        return _on_policy_model(algo, common | {"n_steps": algo.n_steps, "gae_lambda": algo.gae_lambda})
+    policy, policy_kwargs = actor.policy_class(), _policy_kwargs(algo, actor)
+    model = ALGORITHMS[type(algo)](policy, env, policy_kwargs=policy_kwargs, seed=seed, device="cpu", **options)
     if isinstance(algo, DqnConfig):
-        return _dqn_model(algo, common, config, single)
-    if is_discrete(single):
-        raise ConfigError(f"algo={algo.name} needs continuous actions; {config.env.id} has labels: use algo=ppo")
-    assert isinstance(algo, ContinuousConfig)
-    assert single.action_space.shape is not None
-    return _off_policy_model(algo, common, config, int(np.prod(single.action_space.shape)))
+        _explore_by_steps(model, algo, config.train.steps)
+    return model
+
+
+def _check_actions(config: RunConfig, discrete: bool) -> None:
+    """Refuse an algorithm that is not for the environment's kind of actions."""
+    algo, env_id = config.algo, config.env.id
+    if isinstance(algo, PpoConfig) and algo.use_sde and discrete:
+        raise ConfigError(f"algo.use_sde needs continuous actions; {env_id} has labels")
+    if isinstance(algo, DqnConfig) and not discrete:
+        raise ConfigError(f"algo=dqn needs labels; {env_id} has continuous actions: use algo=sac")
+    if isinstance(algo, ContinuousConfig) and discrete:
+        raise ConfigError(f"algo={algo.name} needs continuous actions; {env_id} has labels: use algo=ppo")
 
 
 def build_env(config: RunConfig) -> DummyVecEnv:
@@ -97,74 +118,18 @@ def _policy_kwargs(algo: GradientConfig, actor: ReluActor) -> dict[str, Any]:
     return kwargs
 
 
-def _on_policy_model(algo: OnPolicyConfig, common: dict[str, Any]) -> BaseAlgorithm:
-    if isinstance(algo, TrpoConfig):
-        return TRPO(
-            **common,
-            target_kl=algo.target_kl,
-            cg_max_steps=algo.cg_max_steps,
-            cg_damping=algo.cg_damping,
-            n_critic_updates=algo.n_critic_updates,
-        )
-    assert isinstance(algo, PpoConfig)
-    return PPO(
-        **common,
-        n_epochs=algo.n_epochs,
-        clip_range=algo.clip_range,
-        ent_coef=algo.ent_coef,
-        vf_coef=algo.vf_coef,
-        max_grad_norm=algo.max_grad_norm,
-        use_sde=algo.use_sde,
-        sde_sample_freq=algo.sde_sample_freq,
-    )
+def _explore_by_steps(model: BaseAlgorithm, algo: DqnConfig, n_steps: int) -> None:
+    """Let a DQN's share of random actions fall by the steps done.
 
-
-def _dqn_model(algo: DqnConfig, common: dict[str, Any], config: RunConfig, env: gym.Env) -> DQN:
-    if not is_discrete(env):
-        raise ConfigError(f"algo=dqn needs labels; {config.env.id} has continuous actions: use algo=sac")
-    model = DQN(
-        **common,
-        buffer_size=min(algo.buffer_size, config.train.steps + 1),
-        learning_starts=learning_starts(config),
-        tau=algo.tau,
-        train_freq=algo.train_freq,
-        gradient_steps=algo.gradient_steps,
-        target_update_interval=algo.target_update_interval,
-        max_grad_norm=algo.max_grad_norm,
-    )
+    Stable-Baselines3's own measure of progress begins anew with each segment.
+    """
 
     def share_of_random_actions(progress_remaining: float) -> float:
-        # By the steps done: Stable-Baselines3's own measure of progress begins anew with each segment.
-        done = min(1.0, model.num_timesteps / (algo.exploration_fraction * config.train.steps))
+        done = min(1.0, model.num_timesteps / (algo.exploration_fraction * n_steps))
         return 1.0 + done * (algo.exploration_final_eps - 1.0)
 
+    assert isinstance(model, DQN)
     model.exploration_schedule = share_of_random_actions
-    return model
-
-
-def _off_policy_model(
-    algo: ContinuousConfig, common: dict[str, Any], config: RunConfig, n_actions: int
-) -> BaseAlgorithm:
-    common |= {
-        "buffer_size": min(algo.buffer_size, config.train.steps + 1),
-        "learning_starts": learning_starts(config),
-        "tau": algo.tau,
-        "train_freq": algo.train_freq,
-        "gradient_steps": algo.gradient_steps,
-        "action_noise": _action_noise(algo, n_actions),
-    }
-    if isinstance(algo, SacConfig):
-        ent_coef = algo.ent_coef if algo.ent_coef.startswith("auto") else float(algo.ent_coef)
-        return SAC(**common, ent_coef=ent_coef)
-    if isinstance(algo, Td3Config):
-        return TD3(
-            **common,
-            policy_delay=algo.policy_delay,
-            target_policy_noise=algo.target_policy_noise,
-            target_noise_clip=algo.target_noise_clip,
-        )
-    assert isinstance(algo, DdpgConfig)
-    return DDPG(**common)
 
 
 def _action_noise(algo: ContinuousConfig, n_actions: int) -> ActionNoise | None:
@@ -173,6 +138,4 @@ def _action_noise(algo: ContinuousConfig, n_actions: int) -> ActionNoise | None:
         return NormalActionNoise(mean, std)
     if algo.action_noise == "ornstein_uhlenbeck":
         return OrnsteinUhlenbeckActionNoise(mean, std, dt=algo.action_noise_dt)
-    if algo.action_noise == "none":
-        return None
-    raise ConfigError(f"algo.action_noise={algo.action_noise}: use normal, ornstein_uhlenbeck or none")
+    return None

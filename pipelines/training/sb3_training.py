@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from stable_baselines3 import DQN
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import CallbackList
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from stable_baselines3.common.logger import Logger
 
 from pipelines.config import RunConfig
@@ -67,7 +67,7 @@ def train_segment(model: BaseAlgorithm, actor: ReluActor, segment: int, progress
     if isinstance(model, DQN):  # its first action comes before its schedule is asked
         model.exploration_rate = model.exploration_schedule(1.0)
     began = time.monotonic()
-    callbacks = CallbackList([*progress.callbacks, *actor.callbacks()])
+    callbacks = CallbackList([_MovesTheBar(progress), *actor.callbacks()] if progress.bar else actor.callbacks())
     model.learn(n_steps, callback=callbacks, log_interval=None, reset_num_timesteps=False)  # type: ignore[arg-type]
     actor.segment_learnt(model)
     seconds = time.monotonic() - began
@@ -76,3 +76,13 @@ def train_segment(model: BaseAlgorithm, actor: ReluActor, segment: int, progress
     lengths = np.concatenate([*model.env.env_method("get_episode_lengths"), []])
     model.env.close()
     return progress_row(model.num_timesteps, start, seconds, returns, lengths)
+
+
+class _MovesTheBar(BaseCallback):
+    def __init__(self, progress: TrainingProgress) -> None:
+        super().__init__()
+        self._progress = progress
+
+    def _on_step(self) -> bool:
+        self._progress.at_step(self.num_timesteps)
+        return True

@@ -150,7 +150,7 @@ class FleetTrainer:
                         self._learner.update(self._replay.gather(positions[:, ahead, e]), draws.updates[:, ahead, e])
                 states = self._by_run(step.states)
                 episodes.add(step)
-                progress.at_step(n_runs * (t + 1) * n_envs)
+                progress.at_more_steps(n_runs * (t + 1) * n_envs)
             self._replay.flush()
             return Collected(start + n_vector_steps * n_envs, episodes.returns, episodes.lengths)
 

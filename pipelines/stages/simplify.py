@@ -43,7 +43,7 @@ def simplify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     A change is allowed if on the deciding episodes the mean return falls by no more than `return_loss` of its size, one
     standard error of the paired differences included, and the outcome is checked on as many others. With `action_bound`
     it is allowed if no action changes by more than that on the environment's box of states or, where that is open, on
-    the box around those visited. Reported are other episodes again, the evaluation's.
+    the box around those visited. The reported returns use a third set of episodes, the evaluation's.
     """
     # Of a PID policy the form with constant gains, the affine one.
     name = "constant_gains" if (inputs["prune"] / "constant_gains.json").is_file() else "tree"

@@ -1,7 +1,7 @@
 """Runs logged to TensorBoard or MLflow as well: settings, learning curves as they grow, final returns, artefacts.
 
-A tracker is a window on a run and never part of it: nothing is read back from one, it changes no result, and one that
-fails is named once and given up until the run's end, where what it has missed is logged from the run's files.
+Tracking is write-only and never affects a run. A tracker that fails is named once and given up until the run's end,
+where what it has missed is logged from the run's files.
 """
 
 import functools

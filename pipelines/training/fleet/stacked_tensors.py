@@ -1,6 +1,6 @@
-"""Stacks of tensors, one a network, on which every network gets the same bits however many there are.
+"""Stacks of tensors, one a network: a network's results are bit-identical whatever networks are batched with it.
 
-Three things would tie a network's rounding to its company, and are avoided here:
+Three things would make its rounding depend on the others, and are avoided here:
 
 * A batched product chooses its kernel by the number of matrices: there is one product a network instead.
 * MKL sums in an order that depends on where a matrix begins: every network begins at a multiple of 64 bytes.

@@ -71,7 +71,7 @@ def test_a_killed_worker_costs_a_segment_of_its_fleet(in_one_process, tmp_path):
     assert digests(results) == digests(in_one_process[0])
 
 
-@pytest.mark.slow  # tests/pipelines/fleet/test_train.py shows the same without the command line
+@pytest.mark.slow  # test_train.py shows the same without the command line
 def test_run_that_diverges_fails_alone(tmp_path):
     words = ("-m", "env=pendulum", "depth=2", "algo.learning_rate=1e-3,10", "budget=smoke", "trainer=fleet")
     swept = otr_command("otr-run", *words, "algo.gamma=1.0", "train.steps=1500", cwd=tmp_path)

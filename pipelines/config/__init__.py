@@ -25,7 +25,6 @@ from pipelines.config.methods import (
     AugTreeConfig,
     CdtConfig,
     ImitatingConfig,
-    LinearPolicyConfig,
     LmViperConfig,
     MappedConfig,
     MethodConfig,
@@ -40,12 +39,10 @@ from pipelines.config.methods import (
 from pipelines.config.run import RunConfig
 from pipelines.config.stages import (
     ActorConfig,
-    CertificationConfig,
     EvaluateConfig,
     ImitateConfig,
     MapConfig,
     PruneConfig,
-    SimplificationConfig,
     TrainConfig,
 )
 from pipelines.config.trainer import TRAINERS, FleetConfig, TrainerConfig
@@ -60,7 +57,6 @@ __all__ = [
     "AugTreeConfig",
     "BudgetConfig",
     "CdtConfig",
-    "CertificationConfig",
     "ContinuousConfig",
     "DdpgConfig",
     "DqnConfig",
@@ -70,7 +66,6 @@ __all__ = [
     "GradientConfig",
     "ImitateConfig",
     "ImitatingConfig",
-    "LinearPolicyConfig",
     "LmViperConfig",
     "MapConfig",
     "MappedConfig",
@@ -87,7 +82,6 @@ __all__ = [
     "RunConfig",
     "SacConfig",
     "SdtConfig",
-    "SimplificationConfig",
     "SoftConfig",
     "Td3Config",
     "TrainConfig",

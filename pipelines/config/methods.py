@@ -46,7 +46,6 @@ class MethodConfig:
         tree_stage: the stage that makes its tree.
         is_mapped: whether the tree is a trained network's, which it can be proved equal to.
         imitates: whether the tree imitates an oracle, which is trained first.
-        is_soft: whether the actor is a soft tree, which is hardened after training.
         is_trained: whether something is trained; not where the policy is a program that somebody wrote.
         decides_training: whether the settings of the method decide what is trained.
     """
@@ -59,7 +58,6 @@ class MethodConfig:
     tree_stage: ClassVar[str]
     is_mapped: ClassVar[bool] = False
     imitates: ClassVar[bool] = False
-    is_soft: ClassVar[bool] = False
     is_trained: ClassVar[bool] = True
     decides_training: ClassVar[bool] = False
 
@@ -271,7 +269,6 @@ class SoftConfig(GrownConfig):
     forms: ClassVar[Mapping[str, str]] = {"soft": "soft", "discretised": "discretised"}
     stages = ("train", "harden", "prune", "evaluate")
     tree_stage = "harden"
-    is_soft = True
     decides_training = True
 
     @classmethod

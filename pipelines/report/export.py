@@ -5,11 +5,12 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import otr
 from pipelines.config import RunConfig
 from pipelines.config.methods import EXTRA_STAGES
+from pipelines.config.setting import Folder, FreeText, OneOf, Range, check_settings
 from pipelines.engine.archive import MANIFEST, verified_manifest
 from pipelines.engine.store import exists
 from pipelines.errors import ConfigError, MissingInputError, PipelineError
@@ -24,15 +25,18 @@ TREES = ("pruned", "full", "minimal", "simplified", "constant_gains", "compact")
 class ExportConfig:
     """What `otr-export` takes; None is the format's own default."""
 
-    run: str
-    format: str
-    tree: str
-    out: str | None
-    name: str | None
-    dtype: str | None
-    precision: int | None
-    results_dir: str
+    run: FreeText
+    format: FreeText
+    tree: FreeText
+    out: FreeText | None
+    name: FreeText | None
+    dtype: Annotated[str | None, OneOf("double", "float")]
+    precision: Annotated[int | None, Range(0)]
+    results_dir: Folder
     debug: bool
+
+    def __post_init__(self) -> None:
+        check_settings(self)
 
 
 @dataclass(frozen=True)
@@ -72,8 +76,6 @@ def check_export(config: ExportConfig) -> None:
             takes = [name for name, known in FORMATS.items() if option in known.options]
             raise ConfigError(f"{option}={getattr(config, option)}: format={config.format} has none; "
                               f"these have: {', '.join(takes)}")  # fmt: skip
-    if config.dtype not in (None, "double", "float"):
-        raise ConfigError(f"dtype={config.dtype}: expected double or float")
 
 
 def check_run(run: str) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import otr
 from pipelines.config import RunConfig
+from pipelines.config.setting import Folder, FreeText, check_settings
 from pipelines.engine.store import exists
 from pipelines.errors import MissingInputError, PipelineError
 from pipelines.play.actor_files import load_actor
@@ -16,12 +17,15 @@ from pipelines.stages.derived import opened_run
 class VerifyConfig:
     """What `otr-verify` takes; None is the run's own."""
 
-    run: str
-    certificate: str | None
-    tree: str | None
-    actor: str | None
-    results_dir: str
+    run: FreeText
+    certificate: FreeText | None
+    tree: FreeText | None
+    actor: FreeText | None
+    results_dir: Folder
     debug: bool
+
+    def __post_init__(self) -> None:
+        check_settings(self)
 
 
 def verify_run(config: VerifyConfig, run: RunConfig, folder: Path) -> str:

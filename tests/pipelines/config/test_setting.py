@@ -28,6 +28,8 @@ from pipelines.config.setting import (
     not_keyed,
 )
 from pipelines.errors import ConfigError
+from pipelines.report.export import ExportConfig
+from pipelines.report.verify import VerifyConfig
 from pipelines.supervised.config import LEARNERS, DataConfig, FitConfig
 
 RUN_PARTS = {"algo": ALGORITHMS, "method": METHODS, "trainer": TRAINERS}
@@ -87,10 +89,10 @@ def settings_of(root: type, parts: dict[str, dict[str, type]]) -> list[tuple[str
 
 RUN_SETTINGS = settings_of(RunConfig, RUN_PARTS)
 FIT_SETTINGS = settings_of(FitConfig, {"method": LEARNERS})
-SETTINGS = [*RUN_SETTINGS, *FIT_SETTINGS]
+KINDS = list(dict.fromkeys(kind for _, kind, _ in (*RUN_SETTINGS, *FIT_SETTINGS)))
 
 
-@pytest.mark.parametrize("kind", dict.fromkeys(kind for _, kind, _ in SETTINGS), ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("kind", [*KINDS, ExportConfig, VerifyConfig], ids=lambda kind: kind.__name__)
 def test_numbers_declare_a_range_and_texts_their_options(kind):
     for field, hint in get_type_hints(kind).items():
         if field not in declared(kind):  # a fact of the class, not a setting
@@ -128,7 +130,7 @@ def is_refused(make: Callable[..., Any], part: str | None, kind: type, field: st
     return re.match(rf"{part + '.' if part else ''}{field}\b", str(raised.value)) is not None
 
 
-@pytest.mark.parametrize("kind", dict.fromkeys(kind for _, kind, _ in SETTINGS), ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
 def test_values_outside_a_declared_range_are_refused(tiny, kind):
     fit = FitConfig(DataConfig("bace"), LEARNERS["cart"]("cart", "cart"), 0, "results")
     for settings, make in ((RUN_SETTINGS, tiny), (FIT_SETTINGS, functools.partial(dataclasses.replace, fit))):

@@ -87,7 +87,7 @@ def test_full_and_compact(export, tmp_path):
         ((f"run={HOPPER}", "format=onnx"), 2, "add out=policy.onnx"),
         ((f"run={HOPPER}", "format=c", "precision=3"), 2, "format=c has none; these have: text, latex, dot"),
         ((f"run={HOPPER}", "format=text", "precision=0"), 2, "format=text: precision is 0"),
-        ((f"run={HOPPER}", "format=c", "dtype=half"), 2, "dtype=half: expected double or float"),
+        ((f"run={HOPPER}", "format=c", "dtype=half"), 2, "dtype=half: use one of double, float"),
         ((f"run={HOPPER}", "format=c", "name=int"), 2, "cannot be the name of a C function"),
         ((f"run={HOPPER}", "format=python", "tree=compact"), 2, "only format=c writes the network itself"),
         (("run=lunarlander/viper/depth-6/quick/seed-0", "format=c", "tree=compact"), 2, "stands for no network"),

@@ -50,9 +50,7 @@ smoke: .venv/.installed  ## every environment, every control experiment and ever
 	    $(BIN)/otr-run +experiment=$$(basename $$file .yaml) budget=smoke seed=0 launcher=joblib results_dir=results/smoke \
 	    || exit 1; done
 	$(BIN)/otr-fit +experiment=smoke launcher=joblib results_dir=results/smoke
-	for table in 4.1 4.2; do $(BIN)/otr-tabulate table=$$table results_dir=results/smoke > /dev/null || exit 1; done
-	for figure in 4.6 4.7; do \
-	    $(BIN)/otr-tabulate figure=$$figure budget=smoke results_dir=results/smoke > /dev/null || exit 1; done
+	$(BIN)/otr-tabulate 4.1 4.2 4.6 4.7 runs fits budget=smoke results_dir=results/smoke > /dev/null
 
 bench: .venv/.installed  ## measure against numpy, torch and Stable-Baselines3; writes results/benchmarks
 	$(BIN)/python -m benchmarks $(ARGS)
@@ -66,10 +64,7 @@ ifdef TRAIN
 	$(BIN)/otr-run +experiment=table_4_1 results_dir=results/local $(ARGS)
 	$(BIN)/otr-tabulate table=4.1 results_dir=results/local
 else
-	$(BIN)/otr-tabulate table=4.2
-	$(BIN)/otr-tabulate figure=4.6
-	$(BIN)/otr-tabulate figure=4.7
-	$(BIN)/otr-tabulate table=4.1 $(if $(EVALUATE),evaluate=true) $(ARGS)
+	$(BIN)/otr-tabulate all $(if $(EVALUATE),evaluate=true) $(ARGS)
 endif
 
 pack: .venv/.installed  ## pack the runs and fits under results, an archive each, to commit them

@@ -2,7 +2,9 @@
 
 import argparse
 import dataclasses
+import functools
 import io
+import json
 import os
 import re
 import shlex
@@ -12,6 +14,7 @@ import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
@@ -21,20 +24,22 @@ from pipelines.cli.compose import Composer, to_object
 from pipelines.cli.fits import FIT
 from pipelines.cli.help import HELP
 from pipelines.cli.messages import message_of
-from pipelines.cli.runs import RUN, load_config
+from pipelines.cli.runs import RUN, load_config, run_config
 from pipelines.cli.sweeps import do_sweep, sweep_name
 from pipelines.cli.workflow import Workflow
 from pipelines.config import BudgetConfig
+from pipelines.engine.digests import differences_suffix
 from pipelines.engine.job import record_failure
 from pipelines.engine.sweep import how_to_use, quoted, write_jobs
-from pipelines.errors import ConfigError, PipelineError
+from pipelines.errors import ConfigError, MissingInputError, PipelineError
 from pipelines.report.export import ExportConfig, check_export, find_run, program_of, write_program
-from pipelines.report.figure_runs import EXPERIMENT, FIGURES, RUNS_OF_FIGURE, budget_of_runs, check_figure
 from pipelines.report.plan import print_plan
 from pipelines.report.replay import replay
-from pipelines.report.tabulate import write_table
 from pipelines.report.verify import VerifyConfig, verify_run
 from pipelines.stages.run_job import RunJob
+
+if TYPE_CHECKING:
+    from pipelines.report.figure_4_6 import Planned
 
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE, EXIT_TERMINATED = 1, 2, 130, 141, 143
 
@@ -157,8 +162,13 @@ def _plan(arguments: argparse.Namespace) -> int:
 
 
 def _tabulate(arguments: argparse.Namespace) -> int:
-    cfg = to_object(TABULATE.compose(list(arguments.overrides)))
+    from pipelines.report.tabulate import reports_of, write_report  # imports pandas
+
+    names = [word for word in arguments.overrides if "=" not in word]
+    cfg = to_object(TABULATE.compose([word for word in arguments.overrides if "=" in word]))
     assert isinstance(cfg, TabulateConfig)
+    words = names or [f"figure={cfg.figure}" if cfg.figure else f"table={cfg.table}"]
+    reports = [report for word in words for report in reports_of(word)]
     results_dir = Path(cfg.results_dir)
     if not (results_dir / "runs").is_dir():
         raise ConfigError(f"results_dir={cfg.results_dir}: there is no folder {results_dir / 'runs'} with runs")
@@ -167,11 +177,19 @@ def _tabulate(arguments: argparse.Namespace) -> int:
         for run_dir in sorted(path.parent for path in results_dir.glob("runs/*/*/depth-*/**/summary.json")):
             config = dataclasses.replace(load_config(run_dir, cfg.n_workers), results_dir=cfg.results_dir)
             different += replay(config, run_dir)
-    written = _write_figure(cfg) if cfg.figure else write_table(cfg.table, results_dir)
-    for path in written:
-        print(path)
-        if path.suffix in (".md", ".txt"):
-            print(f"\n{path.read_text(encoding='utf-8')}")
+    budget = cfg.budget.name if cfg.budget else None
+    for report in reports:
+        try:
+            written = write_report(report, results_dir, budget, _planned, lambda run_dir: load_config(run_dir, 1))
+        except MissingInputError as error:
+            if "all" not in names:
+                raise
+            print(f"{report} is left out: {error}", file=sys.stderr)
+            continue
+        for path in written:
+            print(path)
+            if path.suffix in (".md", ".txt"):
+                print(f"\n{path.read_text(encoding='utf-8')}")
     return EXIT_FAILED if different else 0
 
 
@@ -200,16 +218,21 @@ def _verify(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _write_figure(cfg: TabulateConfig) -> list[Path]:
-    """Write a figure from the runs of its experiment under one budget."""
-    assert cfg.figure is not None
-    check_figure(cfg.figure)
-    budget = cfg.budget.name if cfg.budget else budget_of_runs(Path(cfg.results_dir))
-    own = [f"budget={budget}", f"results_dir={quoted(cfg.results_dir)}"]
-    # Both figures show runs of this experiment; the second one needs a part of them.
-    words = RUN.composer.expand([f"+experiment={EXPERIMENT}", *own, *RUNS_OF_FIGURE[cfg.figure]], multirun=False)
-    runs = [job.config for job in RUN.jobs(words)]
-    return FIGURES[cfg.figure](runs, Path(cfg.results_dir))
+@functools.cache
+def _planned(budget: str) -> list["Planned"]:
+    """Return the runs of the experiment that figures show; its overrides are the parts of their folders' names."""
+    from pipelines.report.figure_4_6 import ENVIRONMENT, EXPERIMENT, Planned
+
+    words = RUN.composer.expand([f"+experiment={EXPERIMENT}", f"budget={budget}"], multirun=False)
+    usual = run_config([f"env={ENVIRONMENT}", "method=viper", f"budget={budget}"]).oracle
+    planned = []
+    for job in words:
+        given = dict(word.split("=", 1) for word in job)
+        oracle = json.loads(given["oracle"])
+        seed = f"seed-{given['seed']}{differences_suffix({'oracle': oracle}, {'oracle': usual})}"
+        run = f"{ENVIRONMENT}/{given['method']}/depth-{given['depth']}/{budget}/{seed}"
+        planned.append(Planned(given["oracle"], given["method"], int(given["depth"]), run))
+    return planned
 
 
 def _with_path_quoted(word: str) -> str:

@@ -71,17 +71,28 @@ examples:
   otr-fit -m data=bace,hiv method=otr "seed=range(0,10)"
   otr-fit +experiment=table_4_2 launcher=joblib""",
     "otr-tabulate": """\
-Write a table of the thesis, ours beside the published numbers, as Markdown, CSV and LaTeX under results/tables; or the
-table of the runs' certificates, as Markdown and CSV; or one of the thesis's figures from the runs of
-+experiment=figure_4_6, under results/figures.
+Write tables and figures from finished runs and fits: the thesis's tables, ours beside the published numbers, as
+Markdown, CSV and LaTeX under results/tables; its figures from the runs of +experiment=figure_4_6, under
+results/figures; or all runs or fits as one CSV file, with what its columns are.
+
+reports, one or several (default: 4.1):
+  4.1, 4.2              the tables of control and of data
+  4.6                   the figure of the lander's return against depth: PNG, SVG, CSV
+  4.7                   the figure of a policy of depth 2 as a program, before and after its tests are simplified
+  certificates          what is proved of which policy
+  runs                  all runs, a row a run and form of its policy (in Python: pipelines.report.load_runs)
+  fits                  all fits of otr-fit, a row each (load_fits)
+  all                   the tables, the figures and the certificates
 
 words:
-  table=4.1             which table: 4.1 (control), 4.2 (data) or certificates (what is proved of which policy)
-  figure=4.6            instead of a table: 4.6 (the lander's return against depth; PNG, SVG, CSV) or 4.7 (a policy
-                        of depth 2 as a program, before and after its tests are simplified)
+  table=4.1             the same as 4.1, and figure=4.6 as 4.6
   budget=quick          whose runs a figure shows; by default the thesis's if there are any, else quick
   evaluate=true         play the evaluation episodes of every run again first, and compare
-  results_dir=PATH      where the runs lie (default: results, or OTR_RESULTS_DIR)""",
+  results_dir=PATH      where the runs lie (default: results, or OTR_RESULTS_DIR)
+
+examples:
+  otr-tabulate all
+  otr-tabulate runs results_dir=results/local""",
     "otr-export": """\
 Print the policy of a finished run as a program in another language, or write it to a file. The names of inputs and
 actions are the environment's.

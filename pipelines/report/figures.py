@@ -4,244 +4,194 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
+
+import pandas as pd
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-__all__ = ["DepthPoint", "FigurePoint", "auc_against_leaves", "return_against_depth"]
+__all__ = ["auc_against_leaves", "return_against_depth"]
 
 PANEL_WIDTH, PANEL_HEIGHT, LEGEND_ROW = 3.4, 2.35, 0.2  # inches
 SMALL, NORMAL = 8, 9  # points
 MOST_TICKS = 6
-DATA_LABELS = {"bace": "Bace", "hiv": "HIV", "sider": "SIDER", "tox21": "Tox21", "pdbbind": "PDBbind"}
 # Okabe & Ito's colours without yellow, which colour-blind people tell apart; with 8 markers there are 56 pairs.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#444444")
 MARKERS = (("o", 5.5), ("s", 5.0), ("^", 6.0), ("D", 5.0), ("v", 6.0), ("<", 6.0), (">", 6.0), ("p", 6.5))  # and sizes
-GREY = "#666666"
-INK = "#1a1a1a"
+GREY, INK = "#666666", "#1a1a1a"
 DASHES, DOTS, HOLLOW_LARGER = (0, (5, 3)), (0, (1, 2)), 3  # points
 
-
-@dataclass(frozen=True)
-class FigurePoint:
-    """One cell of Table 4.2.
-
-    Attributes:
-        data: data set, as `load_dataset` takes it.
-        method: what tells methods apart; each has a colour and a marker.
-        method_label: the method in words.
-        leaves: number of leaves that states reach, at least 1; a mean over runs need not be whole.
-        auc: of the test part, mean over runs.
-        auc_std: standard deviation over runs; None for a single run.
-        published: the thesis's number, if it has one.
-    """
-
-    data: str
-    method: str
-    method_label: str
-    leaves: float
-    auc: float
-    auc_std: float | None = None
-    published: float | None = None
+Styles = dict[str, dict[str, Any]]
 
 
-@dataclass(frozen=True)
-class DepthPoint:
-    """One point of Figure 4.6.
-
-    Attributes:
-        oracle: the network that was imitated, in words; each has a panel.
-        method_label: the method in words; each has a colour and a marker.
-        depth: of the tree.
-        mean: return, mean over runs.
-        std: standard deviation over runs; None for a single run.
-        oracle_mean: the oracle's own return; None where it is not known.
-    """
-
-    oracle: str
-    method_label: str
-    depth: int
-    mean: float
-    std: float | None = None
-    oracle_mean: float | None = None
-
-
-def return_against_depth(points: Sequence[DepthPoint], solved: float, title: str | None = None) -> Figure:
+def return_against_depth(points: pd.DataFrame, solved: float, title: str | None = None) -> Figure:
     """Return a figure of what depth buys: return against a tree's depth, a panel for each oracle.
 
     Bands are one standard deviation to either side; a dashed line is the oracle's own return, a dotted one the return
     from which the problem counts as solved. Panels, and methods in the legend, come in the order of the points.
 
+    Args:
+        points: columns `panel` (its title), `label` (the method in words), `depth` (of the tree), `mean` and `std` (of
+            the return over runs) and `oracle_mean` (of the oracle's return); a single run's `std` is NaN.
+        solved: the return from which the problem counts as solved.
+        title: of the figure.
+
     Raises:
         ValueError: there are no points.
     """
-    from matplotlib.figure import Figure
-
-    if not points:
+    if points.empty:
         raise ValueError("no points were given")
-    oracles = list(dict.fromkeys(point.oracle for point in points))
-    styles = _styles([point.method_label for point in points])
-    n_columns = min(len(oracles), 2)
-    n_panel_rows = math.ceil(len(oracles) / n_columns)
-    height = PANEL_HEIGHT * n_panel_rows + LEGEND_ROW * 2
-    figure = Figure(figsize=(PANEL_WIDTH * max(n_columns, 1.5), height), layout="constrained", facecolor="white")
-    panels = figure.subplots(n_panel_rows, n_columns, squeeze=False, sharex=True, sharey=True)
-    for panel, oracle in zip(panels.flat, oracles, strict=False):
-        _draw_depths(panel, [point for point in points if point.oracle == oracle], styles, solved)
-        panel.set_title(f"oracle {oracle}", fontsize=NORMAL, fontweight="bold", loc="left")
-    for panel in panels.flat[len(oracles) :]:
-        panel.set_visible(False)
-    panels[0, 0].set_xticks(sorted({point.depth for point in points}))
-    for panel in panels.flat[max(len(oracles) - n_columns, 0) : len(oracles)]:
-        panel.set_xlabel("depth of the tree", fontsize=SMALL)
-    for panel in panels[:, 0]:
-        panel.set_ylabel("return", fontsize=SMALL)
+    styles = _styles(points["label"])
+    handles = [_legend_line(label, linewidth=1.2, **style) for label, style in styles.items()]
+    if points["oracle_mean"].notna().any():
+        handles.append(_legend_line("oracle", color=INK, linestyle=DASHES, linewidth=1))
+    handles.append(_legend_line(f"solved ({solved:g})", color=GREY, linestyle=DOTS, linewidth=1))
+    n_columns = min(points["panel"].nunique(), 2)
+    figure, panels = _figure(points, n_columns, max(n_columns, 1.5), ("depth of the tree", "return"), sharey=True)
+    for panel, (_, own) in zip(panels, points.groupby("panel", sort=False), strict=True):
+        _draw_depths(panel, own, styles, solved)
+    panels[0].set_xticks(sorted(set(points["depth"])))
     if title:
         figure.suptitle(title, fontsize=NORMAL)
-    handles = _depth_legend(points, styles, solved)
-    figure.legend(
-        handles=handles, loc="outside lower center", ncols=len(handles),
-        frameon=False, fontsize=SMALL, handletextpad=0.4, columnspacing=1.4,
-    )  # fmt: skip
+    _set_legend(figure, handles, len(handles))
     return figure
 
 
-def auc_against_leaves(rows: Sequence[FigurePoint], title: str | None = None) -> Figure:
+def auc_against_leaves(points: pd.DataFrame) -> Figure:
     """Return a figure of what leaves buy: test AUC against their number, a panel for each data set.
 
     Bars are one standard deviation to either side; hollow markers are the thesis's numbers, put at the leaves that
     were reached here; a dashed line is the score of a single leaf, which is the linear model. Panels, and methods in
-    the legend, come in the order of the rows.
+    the legend, come in the order of the points.
+
+    Args:
+        points: columns `panel` (its title), `label` (the method in words), `leaves` (that rows reach, at least 1; a
+            mean over runs need not be whole), `mean` and `std` (of the AUC over runs) and `published` (the thesis's
+            AUC); what there is not is NaN.
 
     Raises:
-        ValueError: there are no rows, or one has less than 1 leaf.
+        ValueError: there are no points, or one has less than 1 leaf.
     """
-    from matplotlib.figure import Figure
-
-    wrong = next((row for row in rows if not row.leaves >= 1), None)
-    if wrong is not None or not rows:
-        raise ValueError(f"{wrong or 'no rows were given'}; expected rows with at least 1 leaf")
-    data_sets = list(dict.fromkeys(row.data for row in rows))
-    styles = _styles([row.method for row in rows])
-    n_columns = len(data_sets) if len(data_sets) < 3 else 2 if len(data_sets) == 4 else 3
-    n_panel_rows = math.ceil(len(data_sets) / n_columns)
-    handles = _legend(rows, styles)
-    n_legend_columns = min(len(handles), 2 * n_columns)
-    height = PANEL_HEIGHT * n_panel_rows + LEGEND_ROW * (math.ceil(len(handles) / n_legend_columns) + 1)
-    figure = Figure(figsize=(PANEL_WIDTH * n_columns, height), layout="constrained", facecolor="white")
-    panels = figure.subplots(n_panel_rows, n_columns, squeeze=False, sharex=True)
-    for panel, data in zip(panels.flat, data_sets, strict=False):
-        _draw_panel(panel, [row for row in rows if row.data == data], styles)
-        panel.set_title(DATA_LABELS.get(data, data), fontsize=NORMAL, fontweight="bold", loc="left")
-    for panel in panels.flat[len(data_sets) :]:
-        panel.set_visible(False)
-    _set_ticks(panels[0, 0], rows)
-    for panel in panels.flat[max(len(data_sets) - n_columns, 0) : len(data_sets)]:
-        panel.set_xlabel("leaves reached (log scale)", fontsize=SMALL)
-    for panel in panels[:, 0]:
-        panel.set_ylabel("test AUC", fontsize=SMALL)
-    if title:
-        figure.suptitle(title, fontsize=NORMAL + 2, fontweight="bold")
-    figure.legend(
-        handles=handles, loc="outside lower center", ncols=n_legend_columns,
-        frameon=False, fontsize=SMALL, handletextpad=0.4, columnspacing=1.4,
-    )  # fmt: skip
+    wrong = points[~(points["leaves"] >= 1)]
+    if points.empty or len(wrong):
+        what = f"{wrong.iloc[0].to_dict()}" if len(wrong) else "no points were given"
+        raise ValueError(f"{what}; expected points with at least 1 leaf")
+    styles = _styles(points["label"])
+    handles = [_legend_line(label, linestyle="none", **style) for label, style in styles.items()]
+    if points["published"].notna().any():
+        hollow: dict[str, Any] = {"marker": "o", "markersize": 5.5 + HOLLOW_LARGER, "markerfacecolor": "none"}
+        handles.append(_legend_line("hollow: thesis", linestyle="none", markeredgecolor=GREY, **hollow))
+    if (points["leaves"] == 1).any():
+        handles.append(_legend_line("score of one leaf", color=GREY, linestyle=DASHES, linewidth=1))
+    n_panels = points["panel"].nunique()
+    n_columns = n_panels if n_panels < 3 else 2 if n_panels == 4 else 3
+    n_legend_rows = math.ceil(len(handles) / min(len(handles), 2 * n_columns))
+    figure, panels = _figure(points, n_columns, n_columns, ("leaves reached (log scale)", "test AUC"), n_legend_rows)
+    for panel, (_, own) in zip(panels, points.groupby("panel", sort=False), strict=True):
+        _draw_scores(panel, own, styles)
+    _set_ticks(panels[0], points["leaves"].max())
+    _set_legend(figure, handles, 2 * n_columns)
     return figure
 
 
-def _styles(methods: Sequence[str]) -> dict[str, dict[str, Any]]:
+def _figure(
+    points: pd.DataFrame,
+    n_columns: int,
+    width: float,
+    labels: tuple[str, str],
+    n_legend_rows: int = 1,
+    sharey: bool = False,
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure and its panels, `width` panels wide, with titles and with labels below and to the left."""
+    from matplotlib.figure import Figure
+
+    names = list(dict.fromkeys(points["panel"]))
+    n_rows = math.ceil(len(names) / n_columns)
+    height = PANEL_HEIGHT * n_rows + LEGEND_ROW * (n_legend_rows + 1)
+    figure = Figure(figsize=(PANEL_WIDTH * width, height), layout="constrained", facecolor="white")
+    panels = list(figure.subplots(n_rows, n_columns, squeeze=False, sharex=True, sharey=sharey).flat)
+    for panel, name in zip(panels, names, strict=False):
+        panel.set_title(name, fontsize=NORMAL, fontweight="bold", loc="left")
+        panel.grid(True, color="#e6e6e6", linewidth=0.6)
+        panel.set_axisbelow(True)
+        panel.spines[["top", "right"]].set_visible(False)
+        panel.tick_params(labelsize=SMALL, labelbottom=True, labelleft=True, color=GREY)
+        panel.margins(x=0.06, y=0.12)
+    for panel in panels[len(names) :]:
+        panel.set_visible(False)
+    for panel in panels[max(len(names) - n_columns, 0) : len(names)]:
+        panel.set_xlabel(labels[0], fontsize=SMALL)
+    for panel in panels[::n_columns]:
+        panel.set_ylabel(labels[1], fontsize=SMALL)
+    return figure, panels[: len(names)]
+
+
+def _styles(labels: Sequence[str]) -> Styles:
     """Return colour and marker of every method, in the order in which they first come."""
     styles = {}
-    for i, method in enumerate(dict.fromkeys(methods)):
+    for i, label in enumerate(dict.fromkeys(labels)):
         marker, size = MARKERS[i % len(MARKERS)]
-        styles[method] = {"color": COLOURS[i % len(COLOURS)], "marker": marker, "markersize": size}
+        styles[label] = {"color": COLOURS[i % len(COLOURS)], "marker": marker, "markersize": size}
     return styles
 
 
-def _draw_panel(panel: Axes, rows: Sequence[FigurePoint], styles: dict[str, dict[str, Any]]) -> None:
-    for row in rows:
-        if row.leaves == 1:
-            panel.axhline(row.auc, color=styles[row.method]["color"], linestyle=DASHES, linewidth=1, zorder=1)
-    for method, style in styles.items():
-        points = sorted((row for row in rows if row.method == method), key=lambda row: row.leaves)
-        if len(points) > 1:
-            leaves, scores = [row.leaves for row in points], [row.auc for row in points]
-            panel.plot(leaves, scores, color=style["color"], linewidth=1, alpha=0.6, zorder=2)
-        for row in points:
+def _draw_scores(panel: Axes, points: pd.DataFrame, styles: Styles) -> None:
+    for point in points[points["leaves"] == 1].itertuples():
+        panel.axhline(point.mean, color=styles[point.label]["color"], linestyle=DASHES, linewidth=1, zorder=1)
+    for label, style in styles.items():
+        own = points[points["label"] == label].sort_values("leaves", kind="stable")
+        if len(own) > 1:
+            panel.plot(own["leaves"], own["mean"], color=style["color"], linewidth=1, alpha=0.6, zorder=2)
+        for point in own.itertuples():
             # The hollow marker is the larger one, so that it shows around the filled one where the two agree.
-            if row.published is not None:
+            if not math.isnan(point.published):
                 hollow = {**style, "markersize": style["markersize"] + HOLLOW_LARGER, "markerfacecolor": "none"}
-                panel.plot([row.leaves], [row.published], linestyle="none", markeredgewidth=1, zorder=3, **hollow)
+                panel.plot([point.leaves], [point.published], linestyle="none", markeredgewidth=1, zorder=3, **hollow)
             panel.errorbar(
-                [row.leaves], [row.auc], yerr=row.auc_std, linestyle="none", elinewidth=1, capsize=2.5,
-                markeredgecolor="white", markeredgewidth=0.5, zorder=4, **style,
+                [point.leaves], [point.mean], yerr=None if math.isnan(point.std) else point.std, linestyle="none",
+                elinewidth=1, capsize=2.5, markeredgecolor="white", markeredgewidth=0.5, zorder=4, **style,
             )  # fmt: skip
     panel.set_xscale("log", base=2)
     panel.locator_params(axis="y", nbins=5)
-    _dress(panel)
 
 
-def _draw_depths(panel: Axes, points: Sequence[DepthPoint], styles: dict[str, dict[str, Any]], solved: float) -> None:
+def _draw_depths(panel: Axes, points: pd.DataFrame, styles: Styles, solved: float) -> None:
     panel.axhline(solved, color=GREY, linestyle=DOTS, linewidth=1, zorder=1)
-    means = [point.oracle_mean for point in points if point.oracle_mean is not None]
-    if means:
-        panel.axhline(means[0], color=INK, linestyle=DASHES, linewidth=1, zorder=1)
-    for method, style in styles.items():
-        own = sorted((point for point in points if point.method_label == method), key=lambda point: point.depth)
-        if not own:
-            continue
-        depths, returns = [point.depth for point in own], [point.mean for point in own]
-        if any(point.std is not None for point in own):
-            low, high = ([point.mean + sign * (point.std or 0.0) for point in own] for sign in (-1, 1))
-            panel.fill_between(depths, low, high, color=style["color"], alpha=0.15, linewidth=0, zorder=2)
-        panel.plot(depths, returns, linewidth=1.2, markeredgecolor="white", markeredgewidth=0.5, zorder=3, **style)
+    for mean in points["oracle_mean"].dropna().iloc[:1]:
+        panel.axhline(mean, color=INK, linestyle=DASHES, linewidth=1, zorder=1)
+    for label, style in styles.items():
+        own = points[points["label"] == label].sort_values("depth", kind="stable")
+        if own["std"].notna().any():
+            low, high = own["mean"] - own["std"].fillna(0), own["mean"] + own["std"].fillna(0)
+            panel.fill_between(own["depth"], low, high, color=style["color"], alpha=0.15, linewidth=0, zorder=2)
+        if len(own):
+            line = {"linewidth": 1.2, "markeredgecolor": "white", "markeredgewidth": 0.5, **style}
+            panel.plot(own["depth"], own["mean"], zorder=3, **line)
     panel.locator_params(axis="y", nbins=6)
-    _dress(panel)
 
 
-def _dress(panel: Axes) -> None:
-    """Put grid, frame, ticks and margins as all panels have them."""
-    panel.grid(True, color="#e6e6e6", linewidth=0.6)
-    panel.set_axisbelow(True)
-    panel.spines[["top", "right"]].set_visible(False)
-    panel.tick_params(labelsize=SMALL, labelbottom=True, labelleft=True, color=GREY)
-    panel.margins(x=0.06, y=0.12)
-
-
-def _set_ticks(panel: Axes, rows: Sequence[FigurePoint]) -> None:
+def _set_ticks(panel: Axes, most_leaves: float) -> None:
     """Put ticks at powers of two, few enough to be read; the panels share them."""
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-    last = math.ceil(math.log2(max(row.leaves for row in rows)))
+    last = math.ceil(math.log2(most_leaves))
     step = math.ceil((last + 1) / MOST_TICKS)
     panel.xaxis.set_major_locator(FixedLocator([float(2**power) for power in range(0, last + 1, step)]))
     panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
     panel.xaxis.set_minor_locator(NullLocator())
 
 
-def _legend(rows: Sequence[FigurePoint], styles: dict[str, dict[str, Any]]) -> list[Line2D]:
-    """Return the legend's handles with their labels: the methods, and what hollow markers and dashed lines are."""
+def _legend_line(label: str, **style: Any) -> Line2D:
     from matplotlib.lines import Line2D
 
-    labels = {row.method: row.method_label for row in rows}
-    handles = [Line2D([], [], linestyle="none", label=labels[method], **style) for method, style in styles.items()]
-    if any(row.published is not None for row in rows):
-        hollow: dict[str, Any] = {"marker": "o", "markersize": 5.5 + HOLLOW_LARGER, "markerfacecolor": "none"}
-        handles.append(Line2D([], [], linestyle="none", label="hollow: thesis", markeredgecolor=GREY, **hollow))
-    if any(row.leaves == 1 for row in rows):
-        handles.append(Line2D([], [], color=GREY, linestyle=DASHES, linewidth=1, label="score of one leaf"))
-    return handles
+    return Line2D([], [], label=label, **style)
 
 
-def _depth_legend(points: Sequence[DepthPoint], styles: dict[str, dict[str, Any]], solved: float) -> list[Line2D]:
-    """Return the legend's handles with their labels: the methods, the oracle and the line of solved."""
-    from matplotlib.lines import Line2D
-
-    handles = [Line2D([], [], linewidth=1.2, label=method, **style) for method, style in styles.items()]
-    if any(point.oracle_mean is not None for point in points):
-        handles.append(Line2D([], [], color=INK, linestyle=DASHES, linewidth=1, label="oracle"))
-    return [*handles, Line2D([], [], color=GREY, linestyle=DOTS, linewidth=1, label=f"solved ({solved:g})")]
+def _set_legend(figure: Figure, handles: list[Line2D], n_columns: int) -> None:
+    figure.legend(
+        handles=handles, loc="outside lower center", ncols=min(n_columns, len(handles)),
+        frameon=False, fontsize=SMALL, handletextpad=0.4, columnspacing=1.4,
+    )  # fmt: skip

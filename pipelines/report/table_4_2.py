@@ -1,62 +1,48 @@
 """Table 4.2, trees on molecules: from finished fits, as Markdown, CSV, LaTeX and a figure."""
 
 import json
+import math
 import shutil
-import statistics
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pipelines.engine.archive import MANIFEST
-from pipelines.engine.store import corrupt, exists, read_bytes, read_json, write_csv, write_text
-from pipelines.report.published import Published, published
-from pipelines.report.table_cells import CSV_COLUMNS, MIN_RUNS_FOR_CI, N_RESAMPLES, bootstrap_interval
-from pipelines.report.table_text import latex_row, markdown_table, tex
+import pandas as pd
 
-FIT_SUMMARY_SCHEMA = "otr/fit-summary/1"
+import otr
+from pipelines.engine.archive import MANIFEST
+from pipelines.engine.store import exists, read_bytes, read_json
+from pipelines.report.cells import (
+    CSV_COLUMNS,
+    DECIMALS,
+    MIN_RUNS_FOR_CI,
+    N_RESAMPLES,
+    beside_the_thesis,
+    best,
+    summarise,
+)
+from pipelines.report.figures import auc_against_leaves
+from pipelines.report.frames import load_fits
+from pipelines.report.text import latex_grid, markdown_grid, markdown_table, page, write_tables
+
 DATA = {"bace": "Bace", "hiv": "HIV", "sider": "SIDER", "tox21": "Tox21", "pdbbind": "PDBbind"}
-METHODS = {"linear": "Linear (depth 0)", "cart": "CART", "hhcart": "HHCART", "tao": "TAO (L2)", "tao_l1": "TAO (L1)",
-           "lcn": "LCN", "augtree": "AugTree", "otr": "OTR", "otr_tuned": "OTR (tuned)"}  # fmt: skip
+LEARNERS = {"linear": "Linear (depth 0)", "cart": "CART", "hhcart": "HHCART", "tao": "TAO (L2)", "tao_l1": "TAO (L1)",
+            "lcn": "LCN", "augtree": "AugTree", "otr": "OTR", "otr_tuned": "OTR (tuned)"}  # fmt: skip
 CLASSIFIERS_ONLY = ("tao", "tao_l1", "otr_tuned")
 SPARSE = {"otr_16": "without L1", "otr_16_l1": "with L1 1e-5", "otr_16_sparse": "with L1 8e-3, decaying rate"}
 SHOWN = "runs/bace/otr_16_sparse/seed-0"  # the fit whose tree is printed and drawn
-COLUMNS = (*CSV_COLUMNS, "metric", "train_mean", "train_std", "valid_mean", "valid_std", "leaves", "tree_depth",
-           "fit_cpu_seconds", "small_weights", "n_labels", "labels_left_out")  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Fit:
-    """What the table needs of one finished fit: its summary, and what was tuned and chosen."""
-
-    summary: dict[str, Any]
-    tuning: dict[str, Any] | None
-    chosen: list[dict[str, Any]] = field(default_factory=list)
-
-
-@dataclass(frozen=True)
-class FitCell:
-    """The fits of one method on one data set, in order of their seeds, and the published number, if any."""
-
-    data: str
-    method: str
-    fits: tuple[Fit, ...]
-    published: Published | None
-
-    def values(self, key: str) -> list[float]:
-        """Return one number of every fit's summary, where it has it."""
-        return [fit.summary[key] for fit in self.fits if fit.summary[key] is not None]
-
-    def mean(self, key: str = "test") -> float | None:
-        """Return the mean over seeds."""
-        values = self.values(key)
-        return statistics.fmean(values) if values else None
-
-    def std(self, key: str = "test") -> float | None:
-        """Return the sample standard deviation (n - 1) over seeds; None with fewer than two."""
-        values = self.values(key)
-        return statistics.stdev(values) if len(values) > 1 else None
+KEY = ["task", "method"]
+CELLS = [("4.2", data, method) for method in LEARNERS for data in DATA] + [("sparse", "bace", name) for name in SPARSE]
+FURTHER = {"train_mean": ("train", "mean"), "train_std": ("train", "std"), "valid_mean": ("valid", "mean"),
+           "valid_std": ("valid", "std"), "leaves": ("leaves", "mean"), "tree_depth": ("depth", "mean"),
+           "fit_cpu_seconds": ("fit_cpu_seconds", "mean"), "small_weights": ("small_weights", "mean"),
+           "seeds": ("seed", tuple), "metric": ("metric", "first"), "n_labels": ("n_labels", "first"),
+           "labels_left_out": ("labels_left_out.test", "first"), "run": ("run", "first"),
+           "tune_s": ("seconds.tune", "first")}  # fmt: skip
+COLUMNS = [*CSV_COLUMNS, "metric", "train_mean", "train_std", "valid_mean", "valid_std", "leaves", "tree_depth",
+           "fit_cpu_seconds", "small_weights", "n_labels", "labels_left_out"]  # fmt: skip
+HEAD = ["Method", "", *DATA.values()]
 
 
 def write_table_4_2(results_dir: Path) -> list[Path]:
@@ -68,251 +54,121 @@ def write_table_4_2(results_dir: Path) -> list[Path]:
     Raises:
         PipelineError: a fit's summary cannot be read; names the file.
     """
-    rows = [[read_cell(results_dir, data, method) for data in DATA] for method in METHODS]
-    sparse = [read_cell(results_dir, "bace", method) for method in SPARSE]
-    folder = results_dir / "tables"
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / f"table_4_2.{ending}" for ending in ("md", "csv", "tex")]
-    write_text(paths[0], markdown(rows, sparse, results_dir))
-    write_csv(paths[1], [csv_row(cell) for row in [*rows, sparse] for cell in row], COLUMNS)
-    write_text(paths[2], latex(rows))
-    return [*paths, *write_figure(rows, results_dir), *_copy_tree_picture(results_dir)]
+    cells = make_cells(load_fits(results_dir))
+    table = cells[cells["table"] == "4.2"]
+    rows = {LEARNERS[method]: row for method, row in table.groupby("method", sort=False)}
+    ran = table[table["n_runs"] > 0]
+    markdown = page(
+        "table_4_2.md",
+        table=markdown_grid(HEAD, rows),
+        seeds=_seeds(ran),
+        left_out=_left_out(ran),
+        details=markdown_table(_details(ran), empty="Nothing has been run yet."),
+        tuned=_tuned(ran, results_dir),
+        sparse=markdown_table(_sparse(cells[cells["table"] == "sparse"])),
+        program=_sparse_program(results_dir),
+        n_resamples=N_RESAMPLES,
+        min_runs=MIN_RUNS_FOR_CI,
+    )
+    latex = latex_grid(r"\usepackage{booktabs}", markdown, HEAD, rows)
+    paths = write_tables(results_dir, "table_4_2", cells.reindex(columns=COLUMNS).round(DECIMALS), markdown, latex)
+    return [*paths, *_write_figure(ran, results_dir), *_copy_tree_picture(results_dir)]
 
 
-def read_cell(results_dir: Path, data: str, method: str) -> FitCell:
-    """Return the fits of a method with its own settings on a data set; those with others (`seed-<s>~...`) are left out.
+def make_cells(fits: pd.DataFrame) -> pd.DataFrame:
+    """Return the cells of the table and of the sparse experiment, a row a method and data set.
 
-    Raises:
-        PipelineError: a file cannot be read; names it.
+    Fits with other settings than the method's own are left out.
     """
-    found: dict[int, Fit] = {}
-    for path in results_dir.glob(f"runs/{data}/{method}/seed-*/summary.json"):
-        if "~" not in path.parent.name:
-            summary = read_json(path)
-            if not isinstance(summary, dict) or summary.get("schema") != FIT_SUMMARY_SCHEMA:
-                raise corrupt(path, ValueError(f"it has not the schema {FIT_SUMMARY_SCHEMA}"))
-            found[summary["seed"]] = _fit(path.parent, summary)
-    fits = tuple(found[seed] for seed in sorted(found))
-    return FitCell(data, method, fits, published().get(("4.2", data, method, "")))
+    own = fits[fits["settings"] == ""].rename(columns={"data": "task"})
+    found = summarise(own, KEY, "test", **FURTHER)
+    cells = pd.DataFrame(CELLS, columns=["table", *KEY]).merge(found, "left", KEY)
+    cells = beside_the_thesis(cells, (("4.2", task, method, "") for _, task, method in CELLS))
+    cells["note"], cells["ours"] = ([text(cell) for cell in cells.itertuples()] for text in (_not_run, _ours))
+    scores = cells["mean"].where(cells["metric"] != "rmse", -cells["mean"]).where(cells["table"] == "4.2")
+    return cells.assign(runs="", bold=best(cells, "task", scores))
 
 
-def _fit(run_dir: Path, summary: dict[str, Any]) -> Fit:
-    if not exists(run_dir / "tune" / MANIFEST):
-        return Fit(summary, None)
-    method = read_json(run_dir / "tune" / MANIFEST)["settings"]["method"]
-    return Fit(summary, method, read_json(run_dir / "tune" / "chosen.json"))
-
-
-def markdown(rows: Sequence[Sequence[FitCell]], sparse: Sequence[FitCell], results_dir: Path) -> str:
-    """Return the table, what it stands on, and the sparse experiment."""
-    lines = [["Method", "", *DATA.values()]]
-    best = [_best([row[column] for row in rows]) for column in range(len(DATA))]
-    for row in rows:
-        ours = [f"**{_ours(cell)}**" if cell is best[i] else _ours(cell) for i, cell in enumerate(row)]
-        lines.append([METHODS[row[0].method], "ours", *ours])
-        if any(cell.published for cell in row):
-            lines.append(["", "thesis", *(_published(cell) for cell in row)])
-    ran = [cell for row in rows for cell in row if cell.fits]
-    blocks = [
-        "# Table 4.2: trees on molecules, AUC of the test part (PDBbind: RMSE)",
-        markdown_table(lines),
-        "\n".join(f"* {note}" for note in _footer(ran)),
-        "## What the trees are",
-        "Means over seeds and labels. Leaves are those that the training rows reach, the leaves of OTR-hat; an OTR's "
-        "are counted with its last test, that of the sign. CPU seconds are one seed's, all labels, tuning apart.",
-        markdown_table(_details(ran)) if ran else "Nothing has been run yet.",
-        "## What was tuned",
-        "On the validation part alone, with seeds that are not reported.",
-        *(("\n".join(_grids(ran)), markdown_table(_chosen(ran))) if any(map(_tuned, ran)) else ("Nothing.",)),
-        "## Sparse training on Bace",
-        "One hidden layer of 16, 100 epochs at learning rate 0.1, the last one kept. The thesis tells no more, and "
-        "reports AUC 0.814 with and without L1, about 40 % of the weights below 1e-5 with it, under 1 % without. The "
-        "last row is ours, for reading: a stronger L1, a rate that falls tenfold every 20 epochs, and weights below "
-        "0.01 set to zero. Its strength was chosen for the reader's sake, after looking at test scores, too.",
-        markdown_table(_sparse(sparse)),
-        *_sparse_program(results_dir),
-    ]
-    return "\n\n".join(blocks) + "\n"
-
-
-def latex(rows: Sequence[Sequence[FitCell]]) -> str:
-    """Return the table as a `tabular` (it needs booktabs)."""
-    ran = [cell for row in rows for cell in row if cell.fits]
-    best = [_best([row[column] for row in rows]) for column in range(len(DATA))]
-    lines = [f"% {note}" for note in (r"\usepackage{booktabs}", *_footer(ran))]
-    lines += [rf"\begin{{tabular}}{{ll{'r' * len(DATA)}}}", r"\toprule", latex_row(["Method", "", *DATA.values()])]
-    for row in rows:
-        ours = [
-            rf"\textbf{{{tex(_ours(cell))}}}" if cell is best[i] else tex(_ours(cell)) for i, cell in enumerate(row)
-        ]
-        lines.append(r"\midrule" if row is rows[0] else r"\addlinespace")
-        lines.append(latex_row([METHODS[row[0].method], "ours", *ours]))
-        if any(cell.published for cell in row):
-            lines.append(latex_row(["", "thesis", *(tex(_published(cell)) for cell in row)]))
-    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"]) + "\n"
-
-
-def csv_row(cell: FitCell) -> dict[str, Any]:
-    """Return a cell as a row of the CSV file; what concerns episodes, budgets and trainers stays empty."""
-    in_table = cell.method in METHODS
-    row: dict[str, Any] = {
-        "table": "4.2" if in_table else "sparse",
-        "task": cell.data,
-        "method": cell.method,
-        "n_runs": len(cell.fits),
-        "note": "" if cell.fits else _not_run(cell),
-    }
-    if cell.published is not None:
-        row |= {"published_mean": cell.published.mean, "published_std": cell.published.std}
-    if not cell.fits:
-        return row
-    low, high = bootstrap_interval(cell.values("test")) or (None, None)
-    numbers = {
-        "mean": cell.mean(), "std": cell.std(), "ci_low": low, "ci_high": high,
-        "train_mean": cell.mean("train"), "train_std": cell.std("train"),
-        "valid_mean": cell.mean("valid"), "valid_std": cell.std("valid"),
-        "leaves": cell.mean("leaves"), "tree_depth": cell.mean("depth"),
-        "fit_cpu_seconds": cell.mean("fit_cpu_seconds"), "small_weights": cell.mean("small_weights"),
-    }  # fmt: skip
-    summary = cell.fits[0].summary
-    row |= {key: None if value is None else round(value, 6) for key, value in numbers.items()}
-    return row | {
-        "metric": summary["metric"],
-        "n_labels": summary["n_labels"],
-        "labels_left_out": summary["labels_left_out"]["test"],
-    }
-
-
-def write_figure(rows: Sequence[Sequence[FitCell]], results_dir: Path) -> list[Path]:
-    """Write test AUC against leaves reached, a panel a data set; nothing where nothing was run."""
-    import otr
-    from pipelines.report.figures import FigurePoint, auc_against_leaves
-
-    cells = [row[column] for column in range(len(DATA)) for row in rows]
-    points = [
-        FigurePoint(
-            data=cell.data,
-            method=cell.method,
-            method_label=METHODS[cell.method],
-            leaves=cell.mean("leaves") or 1.0,
-            auc=cell.mean() or 0.0,
-            auc_std=cell.std(),
-            published=float(cell.published.mean) if cell.published else None,
-        )
-        for cell in cells
-        if cell.fits and cell.fits[0].summary["metric"] == "auc"
-    ]
-    if not points:
-        return []
-    path = results_dir / "figures" / "table_4_2.png"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    otr.save_picture(auc_against_leaves(points), path)
-    return [path]
-
-
-def _ours(cell: FitCell) -> str:
-    mean, std = cell.mean(), cell.std()
-    if mean is None:
-        return _not_run(cell)
-    return f"{mean:.3f}" if std is None else f"{mean:.3f} ± {std:.3f}"
-
-
-def _not_run(cell: FitCell) -> str:
-    if cell.data != "pdbbind":
+def _not_run(cell: Any) -> str:
+    if cell.n_runs:
+        return ""
+    if cell.task != "pdbbind":
         return "not run"
     return "for classes only" if cell.method in CLASSIFIERS_ONLY else "not run: file not at hand"
 
 
-def _published(cell: FitCell) -> str:
-    return f"{cell.published.mean} ± {cell.published.std}" if cell.published else "-"
+def _ours(cell: Any) -> str:
+    if math.isnan(cell.mean):
+        return _not_run(cell)
+    return f"{cell.mean:.3f}" if math.isnan(cell.std) else f"{cell.mean:.3f} ± {cell.std:.3f}"
 
 
-def _best(cells: Sequence[FitCell]) -> FitCell | None:
-    """Return the best of a column, where two or more were run."""
-    ran = [cell for cell in cells if cell.fits]
-    if len(ran) < 2:
-        return None
-    sign = -1 if ran[0].fits[0].summary["metric"] == "rmse" else 1
-    return max(ran, key=lambda cell: sign * (cell.mean() or 0.0))
+def _seeds(cells: pd.DataFrame) -> str:
+    """Return how many seeds were run in how many cells."""
+    counts = Counter(cells["seeds"]).most_common()
+    return "; ".join(f"{len(seeds)} ({seeds[0]} to {seeds[-1]}) in {n} cells" for seeds, n in counts) or "none yet"
 
 
-def _footer(cells: Sequence[FitCell]) -> Iterable[str]:
-    """Yield what the numbers are and what they are not."""
-    seeds = Counter(tuple(fit.summary["seed"] for fit in cell.fits) for cell in cells)
-    runs = "; ".join(f"{len(own)} ({own[0]} to {own[-1]}) in {n} cells" for own, n in seeds.most_common())
-    yield ("Ours: mean ± standard deviation (n - 1) over seeds, each the mean over labels of one tree a label. "
-           f"Seeds: {runs or 'none yet'}. The CSV file has 95 % intervals of the mean: percentile bootstrap over "
-           f"seeds, {N_RESAMPLES:,} resamples, from {MIN_RUNS_FOR_CI} seeds up.")  # fmt: skip
-    yield ("LCN's splits, byte for byte. Rows without a label are dropped label by label. The test part was read once, "
-           "after everything was chosen on the validation part; but test scores of first tries were in view when the "
-           "grid of OTR (tuned) was drawn up.")  # fmt: skip
-    left_out = sorted({
-        (DATA[cell.data], fit.summary["labels_left_out"]["test"], fit.summary["n_labels"])
-        for cell in cells for fit in cell.fits
-        if fit.summary["labels_left_out"]["test"]
-    })  # fmt: skip
-    named = ", ".join(f"{n} of {n_labels} of {data}" for data, n, n_labels in left_out)
-    yield f"Labels left out of the mean because the test part has one class of them: {named or 'none'}."
-    yield "Bold: the best of ours in a column."
-    yield ("Thesis: Orfanos 2023, Table 4.2, which takes all rows but OTR's from Lee & Jaakkola 2020. "
-           "It has no linear row, though a tree that does not beat its own depth 0 has earned nothing.")  # fmt: skip
-    yield "Made by: otr-fit +experiment=table_4_2, otr-fit +experiment=sparse, otr-tabulate table=4.2"
+def _left_out(cells: pd.DataFrame) -> str:
+    """Return how many labels of which data sets have one class in the test part."""
+    counts = {(DATA[cell.task], cell.labels_left_out, cell.n_labels) for cell in cells.itertuples()}
+    return ", ".join(f"{n} of {n_labels} of {data}" for data, n, n_labels in sorted(counts) if n) or "none"
 
 
-def _details(cells: Sequence[FitCell]) -> list[list[str]]:
+def _by_data(cells: pd.DataFrame) -> Iterable[Any]:
+    """Yield cells data set by data set."""
+    return (cell for data in DATA for cell in cells[cells["task"] == data].itertuples())
+
+
+def _details(cells: pd.DataFrame) -> list[list[str]]:
     lines = [["Data", "Method", "Train", "Validation", "Test", "Leaves", "Depth", "CPU seconds", "Seeds"]]
-    for cell in sorted(cells, key=lambda cell: list(DATA).index(cell.data)):
-        lines.append(
-            [
-                DATA[cell.data],
-                METHODS[cell.method],
-                *(f"{cell.mean(part):.3f}" for part in ("train", "valid", "test")),
-                f"{cell.mean('leaves'):,.1f}",
-                f"{cell.mean('depth'):.1f}",
-                f"{cell.mean('fit_cpu_seconds'):,.1f}",
-                str(len(cell.fits)),
-            ]
-        )
+    for cell in _by_data(cells):
+        scores = (f"{score:.3f}" for score in (cell.train_mean, cell.valid_mean, cell.mean))
+        lines.append([DATA[cell.task], LEARNERS[cell.method], *scores, f"{cell.leaves:,.1f}", f"{cell.tree_depth:.1f}",
+                      f"{cell.fit_cpu_seconds:,.1f}", str(cell.n_runs)])  # fmt: skip
     return lines
 
 
-def _tuned(cell: FitCell) -> dict[str, Any] | None:
-    return cell.fits[0].tuning
+def _tuned(cells: pd.DataFrame, results_dir: Path) -> str:
+    """Return the grids of the tuned methods and what was chosen of them."""
+    tuned = [(cell, *_tuning(results_dir / "runs" / cell.run)) for cell in _by_data(cells[cells["tune_s"].notna()])]
+    return "\n\n".join(["\n".join(_grids(tuned)), markdown_table(_chosen(tuned))]) if tuned else "Nothing."
 
 
-def _grids(cells: Sequence[FitCell]) -> list[str]:
+def _tuning(run_dir: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Return what was tuned, and what was chosen."""
+    manifest, chosen = (read_json(run_dir / "tune" / name) for name in (MANIFEST, "chosen.json"))
+    return manifest["settings"]["method"], chosen
+
+
+def _grids(tuned: Sequence[tuple[Any, dict[str, Any], list[dict[str, Any]]]]) -> list[str]:
     """Return the grid of every tuned method as the lines of a list, with the data sets that share it."""
-    grids: dict[str, dict[str, list[str]]] = {}
-    for cell in cells:
-        tuning = _tuned(cell)
-        if tuning is not None:
-            parts = [_text({key: _span(values) for key, values in part.items()}) for part in tuning["grid"]]
-            grids.setdefault(cell.method, {}).setdefault("\n".join(parts), []).append(DATA[cell.data])
     lines = []
-    for method, texts in grids.items():
-        for text, data in texts.items():
+    for method in LEARNERS:
+        grids: dict[str, list[str]] = {}
+        for cell, tuning, _ in tuned:
+            if cell.method == method:
+                parts = [_text({key: _span(values) for key, values in part.items()}) for part in tuning["grid"]]
+                grids.setdefault("\n".join(parts), []).append(DATA[cell.task])
+        for text, data in grids.items():
             parts = text.split("\n")
-            where = f" ({', '.join(data)})" if len(texts) > 1 else ""
-            lines.append(f"* {METHODS[method]}{where}: " + (parts[0] if len(parts) == 1 else "one of"))
+            where = f" ({', '.join(data)})" if len(grids) > 1 else ""
+            lines.append(f"* {LEARNERS[method]}{where}: " + (parts[0] if len(parts) == 1 else "one of"))
             lines += [f"    * {part}" for part in parts] if len(parts) > 1 else []
     return lines
 
 
-def _chosen(cells: Sequence[FitCell]) -> list[list[str]]:
+def _chosen(tuned: Sequence[tuple[Any, dict[str, Any], list[dict[str, Any]]]]) -> list[list[str]]:
     """Return a head and a line for every tuned cell: for what, with which seeds, and what was chosen how often."""
     lines = [["Data", "Method", "For each", "Seeds", "Chosen"]]
-    for cell in sorted(cells, key=lambda cell: list(DATA).index(cell.data)):
-        tuning = _tuned(cell)
-        if tuning is None:
-            continue
-        per = {"label": "label", "data": "data set"}[tuning["tuned_for"]]
-        texts = Counter(_text(each["settings"]) for each in cell.fits[0].chosen)
+    for cell, tuning, chosen in tuned:
+        texts = Counter(_text(each["settings"]) for each in chosen).most_common()
         if tuning["tuned_for"] == "data" or len(texts) == 1:
-            chosen = next(iter(texts))
+            text = _text(chosen[0]["settings"])
         else:
-            chosen = "; ".join(f"{text} ({n})" for text, n in texts.most_common())
-        seeds = ", ".join(str(seed) for seed in tuning["tuning_seeds"])
-        lines.append([DATA[cell.data], METHODS[cell.method], per, seeds, chosen])
+            text = "; ".join(f"{text} ({n})" for text, n in texts)
+        per = {"label": "label", "data": "data set"}[tuning["tuned_for"]]
+        lines.append([DATA[cell.task], LEARNERS[cell.method], per, ", ".join(map(str, tuning["tuning_seeds"])), text])
     return lines
 
 
@@ -335,15 +191,25 @@ def _value(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value)
 
 
-def _sparse(cells: Sequence[FitCell]) -> list[list[str]]:
+def _sparse(cells: pd.DataFrame) -> list[list[str]]:
     lines = [["Training", "Test AUC", "Weights below 1e-5", "Leaves reached", "Seeds"]]
-    for cell in cells:
-        if not cell.fits:
-            lines.append([SPARSE[cell.method], "not run", "", "", "0"])
-            continue
-        share, leaves = cell.mean("small_weights") or 0.0, cell.mean("leaves")
-        lines.append([SPARSE[cell.method], _ours(cell), f"{100 * share:.1f} %", f"{leaves:,.0f}", str(len(cell.fits))])
+    for cell in cells.itertuples():
+        sizes = [f"{100 * cell.small_weights:.1f} %", f"{cell.leaves:,.0f}"] if cell.n_runs else ["", ""]
+        lines.append([SPARSE[cell.method], _ours(cell), *sizes, str(cell.n_runs)])
     return lines
+
+
+def _write_figure(cells: pd.DataFrame, results_dir: Path) -> list[Path]:
+    """Write test AUC against leaves reached, a panel a data set; nothing where nothing was run."""
+    points = cells[cells["metric"] == "auc"]
+    if points.empty:
+        return []
+    published = pd.to_numeric(points["published_mean"])
+    names = {"panel": points["task"].map(DATA), "label": points["method"].map(LEARNERS), "published": published}
+    path = results_dir / "figures" / "table_4_2.png"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    otr.save_picture(auc_against_leaves(points.assign(**names)), path)
+    return [path]
 
 
 def _copy_tree_picture(results_dir: Path) -> list[Path]:
@@ -351,18 +217,10 @@ def _copy_tree_picture(results_dir: Path) -> list[Path]:
     source = results_dir / SHOWN / "fit" / "tree.png"
     if not source.is_file():
         return []
-    path = results_dir / "figures" / "tree_bace.png"
-    shutil.copyfile(source, path)
-    return [path]
+    return [Path(shutil.copyfile(source, results_dir / "figures" / "tree_bace.png"))]
 
 
-def _sparse_program(results_dir: Path) -> list[str]:
+def _sparse_program(results_dir: Path) -> str:
     """Return the printed tree of the sparse model with the first seed, where it is at hand."""
     path = results_dir / SHOWN / "score" / "program.txt"
-    if not exists(path):
-        return []
-    return [
-        "The tree of that row's seed 0, pruned to what the training molecules reach. Names are fragments that set a "
-        "bit of the fingerprint; as a picture: [tree_bace.png](../figures/tree_bace.png).",
-        f"```text\n{read_bytes(path).decode()}```",
-    ]
+    return page("sparse_program.md", program=read_bytes(path).decode()) if exists(path) else ""

@@ -4,19 +4,27 @@ import subprocess
 import sys
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import otr
-from pipelines.report.figures import FigurePoint, auc_against_leaves
+from pipelines.report.figures import auc_against_leaves
 
-ROWS = [
-    FigurePoint("bace", "linear", "Linear", 1, 0.80),
-    FigurePoint("bace", "otr", "OTR", 200.5, 0.85, 0.01, published=0.84),
-    FigurePoint("hiv", "linear", "Linear", 1, 0.71),
-    FigurePoint("hiv", "otr", "OTR", 30, 0.74, 0.02),
-    FigurePoint("hiv", "otr", "OTR", 8, 0.72, 0.02),
-    FigurePoint("hiv", "cart", "CART", 12, 0.62, None),
-]
+
+def points(*rows):
+    """Points from panel, label, leaves and mean, then standard deviation and published number where there are."""
+    padded = [(*row, *[float("nan")] * (6 - len(row))) for row in rows]
+    return pd.DataFrame(padded, columns=["panel", "label", "leaves", "mean", "std", "published"])
+
+
+ROWS = points(
+    ("Bace", "Linear", 1, 0.80),
+    ("Bace", "OTR", 200.5, 0.85, 0.01, 0.84),
+    ("HIV", "Linear", 1, 0.71),
+    ("HIV", "OTR", 30, 0.74, 0.02),
+    ("HIV", "OTR", 8, 0.72, 0.02),
+    ("HIV", "CART", 12, 0.62),
+)
 
 
 def lines(panel, kind):
@@ -52,8 +60,7 @@ def test_bars_are_a_deviation_to_either_side():
 
 
 def test_a_method_looks_the_same_everywhere_and_stands_once_in_the_legend():
-    figure = auc_against_leaves(ROWS, title="Leaves")
-    assert figure.get_suptitle() == "Leaves"
+    figure = auc_against_leaves(ROWS)
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == [
         "Linear",
@@ -70,14 +77,13 @@ def test_a_method_looks_the_same_everywhere_and_stands_once_in_the_legend():
 
 
 def test_the_legend_has_only_what_is_drawn():
-    (legend,) = auc_against_leaves([FigurePoint("other", "cart", "CART", 2, 0.5)]).legends
+    (legend,) = auc_against_leaves(points(("Other", "CART", 2, 0.5))).legends
     assert [text.get_text() for text in legend.get_texts()] == ["CART"]
 
 
 @pytest.mark.parametrize("n, shown", [(1, 1), (2, 2), (3, 3), (4, 4), (5, 5)])
 def test_a_panel_for_every_data_set(n, shown, tmp_path):
-    rows = [FigurePoint(f"data{i}", "cart", "CART", 2 + i, 0.5) for i in range(n)]
-    figure = auc_against_leaves(rows)
+    figure = auc_against_leaves(points(*((f"data{i}", "CART", 2 + i, 0.5) for i in range(n))))
     assert sum(panel.get_visible() for panel in figure.axes) == shown
     labelled = [panel.get_title(loc="left") for panel in figure.axes if panel.get_xlabel()]
     n_columns = {4: 2, 5: 3}.get(n, n)
@@ -91,18 +97,19 @@ def test_it_is_saved_the_same_every_time(tmp_path):
 
 
 def test_rows_that_cannot_be_drawn_are_refused():
-    with pytest.raises(ValueError, match="no rows were given"):
-        auc_against_leaves([])
+    with pytest.raises(ValueError, match="no points were given"):
+        auc_against_leaves(points())
     for leaves in (0.5, float("nan")):
         with pytest.raises(ValueError, match="at least 1 leaf"):
-            auc_against_leaves([FigurePoint("bace", "otr", "OTR", leaves, 0.8)])
+            auc_against_leaves(points(("Bace", "OTR", leaves, 0.8)))
 
 
 def test_pyplot_is_not_touched():
     code = (
-        "import sys; from pipelines.report.figures import FigurePoint, auc_against_leaves\n"
+        "import pandas, sys; from pipelines.report.figures import auc_against_leaves\n"
         "assert 'matplotlib' not in sys.modules\n"
-        "auc_against_leaves([FigurePoint('bace', 'otr', 'OTR', 4, 0.8)])\n"
+        "row = {'panel': ['Bace'], 'label': ['OTR'], 'leaves': [4], 'mean': [0.8], 'std': [0.1], 'published': [0.7]}\n"
+        "auc_against_leaves(pandas.DataFrame(row))\n"
         "assert 'matplotlib.pyplot' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -1,11 +1,10 @@
 """The table of certificates: a line for the runs that differ in their seed, no bound rounded down."""
 
-import json
-
 import pytest
 
 from pipelines.engine.store import read_csv
-from pipelines.report.certificate_table import write_certificates
+from pipelines.report.certificates import write_certificates
+from tests.pipelines.report.conftest import write_run
 
 SECONDS = {"minimal_tree": 0.1, "certify": 0.2, "verify": 0.3}
 BOX = "the environment's box of states"
@@ -16,13 +15,7 @@ PROVED = {
 
 
 def add(results, run, **certify):
-    env, method, depth, _, seed = run.split("/")
-    seed, depth = int(seed[5:].split("~")[0]), int(depth[6:])
-    summary = {"env": env, "method": method, "depth": depth, "n_leaves": 64, "seed": seed}
-    if certify:
-        summary["certify"] = certify
-    (results / "runs" / run).mkdir(parents=True)
-    (results / "runs" / run / "summary.json").write_text(json.dumps(summary))
+    write_run(results, run, 1.0, n_leaves=64, **({"certify": certify} if certify else {}))
 
 
 def lines_of(results):

@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from pipelines.errors import PipelineError
-from pipelines.report.table_4_2 import read_cell, write_table_4_2
+from pipelines.report.frames import load_fits
+from pipelines.report.table_4_2 import make_cells, write_table_4_2
 
 
 def add_fit(results: Path, data: str, method: str, seed: int, test: float, **changes: object) -> Path:
@@ -62,11 +63,14 @@ def test_the_same_fits_give_the_same_bytes(results):
 
 def test_fits_with_other_settings_are_left_out(results):
     add_fit(results, "bace", "otr", 3, 0.1).rename(results / "runs/bace/otr/seed-3~0123abcd")
-    assert len(read_cell(results, "bace", "otr").fits) == 3
+    path = results / "runs/bace/otr/seed-3~0123abcd/summary.json"
+    assert path.is_file() and len(load_fits(results)) == 8
+    cells = make_cells(load_fits(results)).set_index(["task", "method"])
+    assert cells.loc[("bace", "otr"), "n_runs"] == 3
 
 
 def test_what_was_tuned_is_told(results):
-    folder = add_fit(results, "tox21", "cart", 0, 0.65)
+    folder = add_fit(results, "tox21", "cart", 0, 0.65, seconds={"tune": 2.0})
     (folder / "tune").mkdir()
     method = {
         "grid": [{"max_depth": [2, 3, 4]}, {"drop": [0.0, 0.25, 0.5], "wide": [True]}],

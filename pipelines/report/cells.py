@@ -1,0 +1,134 @@
+"""Cells of tables and points of figures: runs or fits grouped by what made them, under the names that tables print."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from pipelines.config import METHODS
+from pipelines.report.published import Published, published
+
+CSV_COLUMNS = ("table", "task", "method", "depth", "mean", "std", "ci_low", "ci_high", "n_runs", "n_episodes", "budget",
+               "trainer", "published_mean", "published_std", "note")  # fmt: skip
+TASK_NAMES = {"reacher": "Reacher", "walker2d": "Walker2d", "hopper": "Hopper", "halfcheetah": "HalfCheetah",
+              "ant": "Ant", "swimmer": "Swimmer", "bipedalwalker": "BipedalWalker", "pendulum": "Pendulum",
+              "mountaincar": "MountainCar", "lunarlander": "LunarLander"}  # fmt: skip
+# The forms of a policy that have rows of their own, and what these append to the method's name: the tree, the soft tree
+# before it was hardened, what its authors' own discretisation makes of it, a PID policy with its gains averaged.
+FORMS = {"tree": "", "soft": "-soft", "discretised": "-discrete", "constant_gains": "-constant"}
+METHOD_NAMES = {
+    f"{name.replace('_', '-')}{FORMS[form]}": f"{config.label}, {text}" if text else config.label
+    for name, config in METHODS.items()
+    for form, text in {"tree": "", **config.forms}.items()
+}
+KEY, SOURCE = ["task", "method", "depth"], ["budget", "trainer"]
+ORDER = (*TASK_NAMES, "thesis", "thesis-fleet", "quick", "quick-fleet", "sb3")  # of tasks, budgets and trainers
+N_RESAMPLES = 2000
+MIN_RUNS_FOR_CI = 3
+BOOTSTRAP_SEED = 0
+DECIMALS = 6  # of a CSV file's means and deviations: more would show how a platform adds up
+
+
+def reported(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of `load_runs` that tables are made of: no smoke budgets, no settings but the budget's own."""
+    return runs[(runs["settings"] == "") & (runs["budget"].str.split("-").str[0] != "smoke")]
+
+
+def method_name(methods: pd.Series) -> pd.Series:
+    """Return methods as tables name them, from their folders' names."""
+    return methods.str.replace("_", "-")
+
+
+def table_runs(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return the runs of control tables, a row for each of FORMS, from `load_runs`, its order kept.
+
+    Versions of a task's environment (env=hopper_v5) are left out. OTR of depth 0 is the linear policy; where both names
+    hold a seed it counts once.
+    """
+    own = reported(runs)
+    own = own[(own["env"] == own["task"]) & own["form"].isin(FORMS)]
+    linear = (own["method"] == "otr") & (own["depth"] == "0")
+    own = own.assign(
+        method=method_name(own["method"].mask(linear, "linear")) + own["form"].map(FORMS),
+        pruned_depth=own["pruned_depth"].where(own["form"] == "tree"),
+    )
+    return own.drop_duplicates([*KEY, *SOURCE, "seed"])
+
+
+def summarise(frame: pd.DataFrame, by: Sequence[str], value: str, **further: tuple[str, Any]) -> pd.DataFrame:
+    """Return a row a group: mean, sample standard deviation (n - 1), interval and number; NaN where there is none.
+
+    Args:
+        frame: a row a run.
+        by: the columns to group by; groups stay in the order in which they first come.
+        value: the column of numbers.
+        further: column to (column, how it is summarised), as pandas' `agg` takes them.
+    """
+    return (
+        frame.groupby(list(by), sort=False)
+        .agg(
+            mean=(value, "mean"),
+            std=(value, "std"),
+            ci_low=(value, lambda values: bootstrap_interval(values)[0]),
+            ci_high=(value, lambda values: bootstrap_interval(values)[1]),
+            n_runs=(value, "size"),
+            **further,
+        )
+        .reset_index()
+    )
+
+
+def bootstrap_interval(values: Sequence[float]) -> tuple[float, float]:
+    """Return the 95 % percentile bootstrap interval of the mean; NaN with fewer than three values.
+
+    The generator is made anew for each call, so that a cell's interval does not depend on the other cells.
+    """
+    known = pd.Series(values, dtype=float).dropna().to_numpy()
+    if len(known) < MIN_RUNS_FOR_CI:
+        return np.nan, np.nan
+    generator = np.random.default_rng(BOOTSTRAP_SEED)
+    resamples = generator.integers(len(known), size=(N_RESAMPLES, len(known)))
+    low, high = np.percentile(known[resamples].mean(axis=1), [2.5, 97.5])
+    return float(low), float(high)
+
+
+def in_order(frame: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
+    """Return rows sorted by columns: tasks, budgets and trainers by ORDER, what that has not by name, depths by number.
+
+    The thesis's own budget comes first, and sb3 before other trainers.
+    """
+    return frame.sort_values(list(by), key=_sort_key, kind="stable")
+
+
+def _sort_key(column: pd.Series) -> pd.Series:
+    if column.name == "depth":
+        return column.map(lambda depth: "-".join(f"{int(width):06}" for width in depth.split("-")))
+    return column.map(lambda name: f"{ORDER.index(name) if name in ORDER else len(ORDER):02} {name}")
+
+
+def beside_the_thesis(cells: pd.DataFrame, keys: Iterable[tuple[str, str, str, str]]) -> pd.DataFrame:
+    """Return cells with what `published` has under their keys, and with 0 runs where there are none."""
+    found = [published().get(key, Published()) for key in keys]
+    columns = {
+        f"published_{name}": values for name, values in zip(Published._fields, zip(*found, strict=True), strict=True)
+    }
+    return cells.assign(n_runs=cells["n_runs"].fillna(0).astype(int), **columns, thesis=[str(each) for each in found])
+
+
+def best(cells: pd.DataFrame, by: str, scores: pd.Series, alike: Sequence[str] = ()) -> pd.Series:
+    """Return whether a cell is the best of its group, ties included: of two or more with a score, alike in columns."""
+    ran = cells.assign(score=scores)[scores.notna()]
+    groups = ran.groupby(by)
+    is_best = (ran["score"] == groups["score"].transform("max")) & (groups["score"].transform("size") > 1)
+    for name in alike:
+        is_best &= groups[name].transform("nunique") == 1
+    return is_best.reindex(cells.index, fill_value=False)
+
+
+def runs_text(cell: Any) -> str:
+    """Return `3 runs, quick`, with the trainer where it is not the usual one and the budget does not name it."""
+    if not cell.n_runs:
+        return ""
+    named = cell.trainer == "sb3" or cell.budget.endswith(f"-{cell.trainer}")
+    return f"{cell.n_runs} run{'s' if cell.n_runs > 1 else ''}, {cell.budget}" + ("" if named else f", {cell.trainer}")

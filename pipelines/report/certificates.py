@@ -1,0 +1,62 @@
+"""The certificates of finished runs as one table: what is proved of which policy, where, and in what time."""
+
+from decimal import ROUND_CEILING, Context
+from pathlib import Path
+
+import pandas as pd
+
+from pipelines.report.cells import METHOD_NAMES, TASK_NAMES, in_order, method_name, reported
+from pipelines.report.frames import load_runs
+from pipelines.report.text import markdown_table, page, write_tables
+
+# The columns of the CSV file, and where `load_runs` has them.
+COLUMNS = {
+    "env": "env", "method": "method", "depth": "depth", "budget": "budget", "seed": "seed",
+    "certified": "certify.certified", "domain": "certify.domain", "paths": "n_leaves", "leaves": "certify.n_leaves",
+    "max_error": "certify.max_error", "linear_programs": "certify.n_linear_programs",
+    "find_s": "certify.seconds.minimal_tree", "prove_s": "certify.seconds.certify", "check_s": "certify.seconds.verify",
+    "reason": "certify.reason",
+}  # fmt: skip
+LINE = ["env", "method", "depth", "budget", "certified", "domain", "reason"]  # runs that share these share a line
+HEAD = ["Task", "Method", "Depth", "Budget", "Runs", "Paths", "Leaves", "Proved on", "Error at most", "Seconds: find",
+        "prove", "check"]  # fmt: skip
+
+
+def write_certificates(results_dir: Path) -> list[Path]:
+    """Write `certificates.md` and `certificates.csv` under `results_dir/tables` from the runs that have one.
+
+    Left out are smoke budgets and runs with other settings (`seed-<s>~<digest>`). The same runs give the same bytes.
+
+    Raises:
+        PipelineError: a run's summary cannot be read; names the file.
+    """
+    runs = reported(load_runs(results_dir))
+    own = runs[(runs["form"] == "tree") & runs["certify.certified"].notna()]
+    rows = pd.DataFrame({name: own.get(source) for name, source in COLUMNS.items()}, own.index)
+    rows = rows.assign(method=method_name(rows["method"]), reason=rows["reason"].fillna(""))
+    rows = in_order(rows.sort_values([*LINE[3:], "seed"]), LINE[:3])
+    return write_tables(results_dir, "certificates", rows, page("certificates.md", table=_table(rows)))
+
+
+def _table(rows: pd.DataFrame) -> str:
+    """Return the table, a line for the runs that differ in their seed alone."""
+    lines = [HEAD]
+    for (env, method, depth, budget, certified, domain, reason), runs in rows.groupby(LINE, sort=False):
+        names = [TASK_NAMES.get(env, env), METHOD_NAMES.get(method, method), depth, budget, str(len(runs))]
+        paths = _range(runs["paths"])
+        if not certified:
+            lines.append([*names, paths, "", f"not proved: {reason}", "", "", "", ""])
+            continue
+        times = (f"{runs[f'{step}_s'].max():.2f}" for step in ("find", "prove", "check"))
+        lines.append([*names, paths, _range(runs["leaves"]), domain, _rounded_up(runs["max_error"].max()), *times])
+    return markdown_table(lines, empty="No run has a certificate yet.")
+
+
+def _rounded_up(bound: float) -> str:
+    """Return a bound with one digit, which is not below it."""
+    return str(Context(prec=1, rounding=ROUND_CEILING).create_decimal_from_float(bound)).lower()
+
+
+def _range(values: pd.Series) -> str:
+    least, greatest = values.min(), values.max()
+    return f"{least:,}" if least == greatest else f"{least:,} to {greatest:,}"

@@ -1,0 +1,142 @@
+"""All runs and all fits under a results folder as data frames: tables, figures and certificates are groupings of these.
+
+Beside RUN_COLUMNS and FIT_COLUMNS the frames have the other entries of each summary.json, nested names joined by dots:
+`seconds.train` (of the stage), `versions.numpy`, `certify.max_error`, `simplify.n_leaves`.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from pipelines.config import RunConfig
+from pipelines.engine.store import corrupt, read_json
+from pipelines.supervised.config import FitConfig
+
+# Always there, in this order; pages/runs.md and pages/fits.md say what they are.
+TEXT, WHOLE, NUMBER = "string", "Int64", "float64"
+RUN_COLUMNS = {
+    "run": TEXT, "env": TEXT, "task": TEXT, "env_id": TEXT, "method": TEXT, "depth": TEXT, "budget": TEXT,
+    "trainer": TEXT, "algorithm": TEXT, "seed": WHOLE, "settings": TEXT, "form": TEXT, "return_mean": NUMBER,
+    "return_std": NUMBER, "n_episodes": WHOLE, "steps": WHOLE, "n_leaves": WHOLE, "pruned_leaves": WHOLE,
+    "pruned_depth": NUMBER, "patterns": WHOLE, "fidelity": NUMBER, "oracle.hidden_widths": TEXT,
+    "versions.gymnasium": TEXT, "certify.certified": "boolean",
+}  # fmt: skip
+FIT_COLUMNS = {
+    "run": TEXT, "data": TEXT, "method": TEXT, "learner": TEXT, "seed": WHOLE, "settings": TEXT, "metric": TEXT,
+    "train": NUMBER, "valid": NUMBER, "test": NUMBER, "n_labels": WHOLE, "leaves": NUMBER, "depth": NUMBER,
+    "small_weights": NUMBER, "fit_cpu_seconds": NUMBER, "labels_left_out.test": WHOLE, "seconds.tune": NUMBER,
+}  # fmt: skip
+
+
+def load_runs(results_dir: str | Path) -> pd.DataFrame:
+    """Return the finished runs under `results_dir`, a row a run and form of its policy, in order of their folders.
+
+    A folder without summary.json, of an unfinished run or of an oracle's training alone, has no row.
+
+    Raises:
+        PipelineError: a summary is broken, lacks something or lies in another run's folder; names the file.
+    """
+    rows: list[dict[str, Any]] = []
+    for path in sorted(Path(results_dir).glob("runs/*/*/depth-*/*/seed-*/summary.json")):
+        rows += _read(path, RunConfig.summary_schema, _run_rows)
+    return _frame(rows, RUN_COLUMNS)
+
+
+def load_fits(results_dir: str | Path) -> pd.DataFrame:
+    """Return the finished fits under `results_dir`, a row each, in order of data, method and seed.
+
+    Raises:
+        PipelineError: a summary is broken, lacks something or lies in another fit's folder; names the file.
+    """
+    rows: list[dict[str, Any]] = []
+    for path in sorted(Path(results_dir).glob("runs/*/*/seed-*/summary.json")):
+        rows += _read(path, FitConfig.summary_schema, _fit_rows)
+    return _frame(sorted(rows, key=lambda row: (row["data"], row["method"], row["seed"])), FIT_COLUMNS)
+
+
+def _read(
+    path: Path, schema: str, rows_of: Callable[[dict[str, Any], Path], list[dict[str, Any]]]
+) -> list[dict[str, Any]]:
+    summary = read_json(path)
+    try:
+        if summary["schema"] != schema:
+            raise ValueError(f"schema {summary['schema']!r} where {schema!r} was expected")
+        return [_flat(row) for row in rows_of(summary, path.parent)]
+    except KeyError as error:
+        raise corrupt(path, ValueError(f"it has no {error}")) from error
+    except (AttributeError, TypeError, ValueError) as error:
+        raise corrupt(path, error) from error
+
+
+def _run_rows(summary: dict[str, Any], run_dir: Path) -> list[dict[str, Any]]:
+    """Return a row for each form of a run's policy."""
+    widths = summary["depth"] if isinstance(summary["depth"], list) else [summary["depth"]]
+    depth = "-".join(str(int(width)) for width in widths if int(width) > 0) or "0"
+    budget = run_dir.parent.name
+    where = _place(run_dir, f"{summary['env']}/{summary['method']}/depth-{depth}/{budget}", summary["seed"])
+    for name in ("task", "env_id", "trainer", "algorithm", "steps"):
+        summary[name]
+    summary["versions"]["gymnasium"]
+    own = summary | where | {"depth": depth, "budget": budget}
+    if own.get("pruned_depth") is not None:
+        _finite(own["pruned_depth"], "pruned_depth")
+    del own["schema"]
+    forms = own.pop("policies", {}) | {"tree": summary}
+    if "oracle" in own:
+        forms["oracle"]
+    if "simplify" in own:
+        forms["simplified"] = own["simplify"]
+    return [
+        own
+        | {
+            "form": form,
+            "return_mean": _finite(moments["return_mean"], f"{'' if form == 'tree' else f'{form}: '}return_mean"),
+            "return_std": moments.get("return_std"),
+            "n_episodes": int(moments["n_episodes"]),
+        }
+        for form, moments in forms.items()
+    ]
+
+
+def _fit_rows(summary: dict[str, Any], run_dir: Path) -> list[dict[str, Any]]:
+    where = _place(run_dir, f"{summary['data']}/{summary['method']}", summary["seed"])
+    for name in ("train", "valid", "test"):
+        if summary[name] is not None:
+            _finite(summary[name], name)
+    return [{name: value for name, value in (summary | where).items() if name != "schema"}]
+
+
+def _place(run_dir: Path, above: str, seed: int) -> dict[str, str]:
+    """Return a run's folder below runs and the digest of its settings; another run's folder is an error."""
+    run = "/".join(run_dir.parts[-above.count("/") - 2 :])
+    described, _, settings = run.partition("~")
+    if described != f"{above}/seed-{seed}":
+        raise ValueError(f"it describes the run {above}/seed-{seed}, not the one whose folder it is in")
+    return {"run": run, "settings": settings}
+
+
+def _finite(value: Any, name: str) -> float:
+    if not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError(f"{name} is {value!r} where a number was expected")
+    return float(value)
+
+
+def _flat(value: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested entries under names joined by dots, lists as text: `oracle.hidden_widths` [64,64]."""
+    entries: dict[str, Any] = {}
+    for name, each in value.items():
+        if isinstance(each, Mapping):
+            entries |= _flat(each, f"{prefix}{name}.")
+        else:
+            entries[f"{prefix}{name}"] = str(each).replace(" ", "") if isinstance(each, list) else each
+    return entries
+
+
+def _frame(rows: Sequence[Mapping[str, Any]], types: Mapping[str, str]) -> pd.DataFrame:
+    """Return rows under the columns of `types` and whatever else they have, that as its values' types say."""
+    further = sorted({name for row in rows for name in row} - types.keys())
+    values = {name: [row.get(name) for row in rows] for name in (*types, *further)}
+    return pd.DataFrame({name: pd.array(column, dtype=types.get(name)) for name, column in values.items()})

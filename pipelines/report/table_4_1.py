@@ -1,0 +1,139 @@
+"""Table 4.1, return of tree policies on control tasks: from finished runs, as Markdown, CSV and LaTeX."""
+
+from collections import defaultdict
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from pipelines.report.cells import (
+    CSV_COLUMNS,
+    DECIMALS,
+    KEY,
+    METHOD_NAMES,
+    MIN_RUNS_FOR_CI,
+    N_RESAMPLES,
+    SOURCE,
+    TASK_NAMES,
+    beside_the_thesis,
+    best,
+    in_order,
+    runs_text,
+    summarise,
+    table_runs,
+)
+from pipelines.report.frames import load_runs
+from pipelines.report.text import latex_grid, markdown_cell, markdown_grid, markdown_table, page, write_tables
+
+COLUMNS = (("linear", "0"), ("viper", "6"), ("lm-viper", "6"), ("ndps", "6"), ("pi-prl", "6"), ("otr", "6"),
+           ("otr", "32"))  # fmt: skip
+HEAD = ["Task", "", *(f"{METHOD_NAMES[method]} ({depth})" for method, depth in COLUMNS)]
+TABLE = [(task, *column) for task in tuple(TASK_NAMES)[:8] for column in COLUMNS]  # in the thesis's order
+TEXT = [("mountaincar", "otr", "1"), ("lunarlander", "otr", "2"), ("lunarlander", "sdt-soft", "5"),
+        ("lunarlander", "sdt-discrete", "5"), ("lunarlander", "cdt", "3-3"), ("lunarlander", "augtree", "2"),
+        ("pendulum", "pid", "1")]  # fmt: skip # what chapter 4 reports outside its tables
+
+
+def write_table_4_1(results_dir: Path) -> list[Path]:
+    """Write Table 4.1, return and standard deviation on the eight control tasks, and the runs beyond it.
+
+    Raises:
+        PipelineError: a run's summary cannot be read; names the file.
+    """
+    runs = table_runs(load_runs(results_dir))
+    cells = make_cells(runs)
+    table = cells["table"] == "4.1"
+    rows = {TASK_NAMES[task]: row for task, row in cells[table].groupby("task", sort=False)}
+    markdown = page(
+        "table_4_1.md",
+        table=markdown_grid(HEAD, rows),
+        provenance=markdown_table(_provenance(cells, runs), empty="Nothing has been run yet."),
+        beyond=markdown_table(_beyond(cells[~table])),
+        n_resamples=N_RESAMPLES,
+        min_runs=MIN_RUNS_FOR_CI,
+    )
+    advice = r"\usepackage{booktabs}; wide: use it within \resizebox or on a landscape page."
+    frame = cells[list(CSV_COLUMNS)].round(DECIMALS)
+    return write_tables(results_dir, "table_4_1", frame, markdown, latex_grid(advice, markdown, HEAD, rows))
+
+
+def make_cells(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return the table's cells, then those of its text and of other runs, then what else there is for the table's.
+
+    A cell is of one budget and trainer, the first there are in the order of `in_order`; `table` is 4.1, text or other.
+    """
+    found = in_order(summarise(
+        runs, [*KEY, *SOURCE], "return_mean", best=("return_mean", "max"), n_episodes=("n_episodes", "min"),
+        most_episodes=("n_episodes", "max"), pruned_depth=("pruned_depth", lambda depths: depths.mean(skipna=False)),
+    ), SOURCE)  # fmt: skip
+    rest = found.duplicated(KEY)
+    text = {*found[KEY].itertuples(index=False, name=None), *TEXT} - {*TABLE}
+    table = pd.DataFrame(TABLE, columns=KEY).assign(table="4.1")
+    keys = [table, in_order(pd.DataFrame(sorted(text), columns=KEY), KEY).assign(table="text")]
+    cells = pd.concat([
+        pd.concat(keys).merge(found[~rest], how="left", on=KEY),
+        table.assign(table="other").merge(found[rest], on=KEY),
+    ], ignore_index=True)  # fmt: skip
+    tables = cells["table"].replace("other", "4.1")
+    cells = beside_the_thesis(cells, zip(tables, cells["task"], cells["method"], cells["depth"], strict=True))
+    also = defaultdict(list)
+    for cell in found[rest].itertuples():
+        also[cell.task, cell.method, cell.depth].append(f"also run: {runs_text(cell)}")
+    cells["note"] = ["; ".join(_notes(cell, also[cell.task, cell.method, cell.depth])) for cell in cells.itertuples()]
+    cells["ours"], cells["runs"] = ([text(cell) for cell in cells.itertuples()] for text in (_ours, runs_text))
+    return cells.assign(bold=best(cells, "task", cells["mean"].where(cells["table"] == "4.1"), SOURCE))
+
+
+def _notes(cell: Any, also: list[str]) -> Iterable[str]:
+    """Yield what a reader of the cell should know; `also` is what other budgets and trainers have run."""
+    if cell.table == "other":
+        yield "beside the table's cell, by another budget or trainer"
+        return
+    if not cell.n_runs:
+        yield "not run"
+    if cell.published_note:
+        yield cell.published_note
+    if cell.published_n_runs == "1" and cell.n_runs > 1:
+        yield f"the best run: {cell.best:z.1f}"
+    if cell.pruned_depth >= 0 and (cell.table == "text" or cell.depth == "32"):
+        theirs = cell.published_pruned_depth
+        yield f"pruned depth {cell.pruned_depth:.1f}" + (f" (published {theirs})" if theirs else "")
+    if cell.n_runs and cell.n_episodes != cell.most_episodes:
+        yield f"episodes differ between runs: {cell.n_episodes:.0f} to {cell.most_episodes:.0f}"
+    yield from also
+
+
+def _provenance(cells: pd.DataFrame, runs: pd.DataFrame) -> list[list[str]]:
+    """Return a head and a line for each task, budget and trainer in the cells: what was run, on what, for how long."""
+    lines = [["Task", "Budget", "Trainer", "Steps", "Algorithm", "Episodes", "Environment", "Gymnasium", "Runs"]]
+    shown, by = in_order(runs.merge(cells[[*KEY, *SOURCE]]), ["task", *SOURCE]), ["task", *SOURCE]
+    for (task, budget, trainer), group in shown.groupby(by, sort=False):
+        steps = " or ".join(f"{number:,}" for number in sorted(set(group["steps"])))
+        episodes = " or ".join(map(str, sorted(set(group["n_episodes"]))))
+        algorithms, env_ids, versions = (
+            ", ".join(sorted(set(group[name]))) for name in ("algorithm", "env_id", "versions.gymnasium")
+        )
+        lines.append([TASK_NAMES.get(task, task), budget, trainer, steps, algorithms.upper(), episodes, env_ids,
+                      versions, str(len(group))])  # fmt: skip
+    return lines
+
+
+def _ours(cell: Any) -> str:
+    """Return `mean ± std [pruned depth]`, the brackets at depth 32 only, as in the thesis; or "not run"."""
+    if not cell.n_runs:
+        return "not run"
+    decimals = 2 if cell.task == "reacher" else 1
+    spread = f" ± {cell.std:.{decimals}f}" if cell.n_runs > 1 else ""
+    pruned = f" [{cell.pruned_depth:.1f}]" if cell.depth == "32" and cell.pruned_depth >= 0 else ""
+    return f"{cell.mean:z.{decimals}f}{spread}{pruned}"
+
+
+def _beyond(cells: pd.DataFrame) -> list[list[str]]:
+    """Return a head and a line for each cell that is not in the table."""
+    lines = [["Task", "Method", "Depth", "Ours", "Thesis", "Note"]]
+    for cell in cells.itertuples():
+        name, method = TASK_NAMES.get(cell.task, cell.task), METHOD_NAMES.get(cell.method, cell.method)
+        note = cell.note.removeprefix("not run").removeprefix("; ")
+        lines.append([name, method, cell.depth, markdown_cell(cell), cell.thesis, note])
+    return lines

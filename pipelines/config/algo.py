@@ -20,6 +20,11 @@ class AlgoConfig:
 
     steps_per_s: ClassVar[float]
 
+    @property
+    def rollout_steps(self) -> int:
+        """The environment steps that training does at least, and in whole multiples."""
+        return 1
+
     def check(self, depth: int | list[int]) -> None:
         """Raise ConfigError if the algorithm trains no actor of this depth."""
 
@@ -67,6 +72,11 @@ class OnPolicyConfig(GradientConfig):
     gae_lambda: Share
 
     steps_per_s = 1_700.0
+
+    @property
+    def rollout_steps(self) -> int:
+        """A rollout of `n_steps` in each environment."""
+        return self.n_steps * self.n_envs
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from pipelines.config import OffPolicyConfig, OnPolicyConfig, RunConfig
+from pipelines.config import OffPolicyConfig, RunConfig
 from pipelines.play.environments import make_env
 
 FLEET_STEPS_PER_S = 400.0
@@ -12,15 +12,9 @@ RANDOM_STEPS_PER_S = 5_000.0  # off-policy steps before learning starts
 
 
 def segment_steps(config: RunConfig) -> int:
-    """Return the environment steps between two evaluations; PPO's are rounded up to whole rollouts,
-    a fleet's to whole steps of its environments."""
-    interval = min(config.train.eval_interval_steps, config.train.steps)
-    if isinstance(config.algo, OnPolicyConfig):
-        per_rollout = config.algo.n_steps * config.algo.n_envs
-        return math.ceil(interval / per_rollout) * per_rollout
-    if config.fleet:
-        return math.ceil(interval / config.fleet.n_envs) * config.fleet.n_envs
-    return interval
+    """Return the environment steps between two evaluations: whole rollouts, and of a fleet whole steps of them all."""
+    unit = config.fleet.n_envs if config.fleet else config.algo.rollout_steps
+    return math.ceil(min(config.train.eval_interval_steps, config.train.steps) / unit) * unit
 
 
 def estimated_seconds(config: RunConfig, done: int) -> float:

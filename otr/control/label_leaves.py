@@ -1,4 +1,4 @@
-"""Labels from affine leaves: the tests of an argmax, appended below each leaf."""
+"""Labels from affine leaves: the tests of a head that decides labels, appended below each leaf."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from otr.core.arrays import BoolArray, FloatArray
-from otr.core.head import Argmax
+from otr.core.head import Argmax, Head
 from otr.core.tree import ObliqueTree
 
-__all__ = ["argmax_leaves"]
+__all__ = ["argmax_leaves", "decided_leaves"]
 
 # Two unit normals count as the same where no component differs by more.
 _SAME_NORMAL = 4 * np.finfo(np.float64).eps
@@ -30,7 +30,19 @@ def argmax_leaves(tree: ObliqueTree) -> ObliqueTree:
     Returns:
         A tree with labels and head `Argmax`, the outputs kept in its leaves.
     """
-    grower = _Grower(tree)
+    return decided_leaves(tree, Argmax())
+
+
+def decided_leaves(tree: ObliqueTree, head: Head) -> ObliqueTree:
+    """Return the tree with the tests of `head` below each leaf, and labels; as it is under a head without labels.
+
+    Args:
+        tree: its leaves hold (o, d) affine outputs; its own head is not asked.
+        head: what decides the label of the outputs.
+    """
+    if not head.gives_labels:
+        return tree.replace(head=head)
+    grower = _Grower(tree, head)
     grower.grow()
     return ObliqueTree(
         grower.left,
@@ -40,7 +52,7 @@ def argmax_leaves(tree: ObliqueTree) -> ObliqueTree:
         tree.M[grower.leaves],
         tree.c[grower.leaves],
         labels=grower.labels,
-        head=Argmax(),
+        head=head,
     )
 
 
@@ -72,6 +84,7 @@ class _Grower:
     """Copies a tree in preorder, so that a child's index is above its parent's, and grows its leaves on."""
 
     tree: ObliqueTree
+    head: Head
     left: list[int] = field(default_factory=list)
     right: list[int] = field(default_factory=list)
     P: list[FloatArray] = field(default_factory=list)
@@ -88,28 +101,32 @@ class _Grower:
     def _copy(self, reference: int, path: _Path) -> int:
         """Copy what stands at `reference` of the old tree; return its reference in the new one."""
         if reference < 0:
-            return self._tournament(~reference, 0, 1, path)
+            return self._decide(~reference, (), path)
         P, v = self.tree.P[reference], float(self.tree.v[reference])
         node = self._add_node(P, v)
         for side, children in ((False, self.tree.children_left), (True, self.tree.children_right)):
             self._link(node, side, self._copy(int(children[reference]), _known(path, P, v, side)))
         return node
 
-    def _tournament(self, leaf: int, champion: int, challenger: int, path: _Path) -> int:
-        """Grow the tests from `challenger` on; return the reference of the first."""
-        if challenger == self.tree.n_outputs:
+    def _decide(self, leaf: int, outcomes: tuple[bool, ...], path: _Path) -> int:
+        """Grow the head's tests from those with known outcomes on; return the reference of the first."""
+        so_far = np.array([outcomes], dtype=np.bool_)
+        if len(outcomes) == self.head.n_tests(self.tree.n_outputs):
+            labels = self.head.labels(so_far)
+            assert labels is not None
             self.leaves.append(leaf)
-            self.labels.append(champion)
+            self.labels.append(int(labels[0]))
             return ~(len(self.leaves) - 1)
-        M, c = self.tree.M[leaf], self.tree.c[leaf]
-        P, v = M[challenger] - M[champion], float(c[challenger] - c[champion])
+        outputs = np.column_stack((self.tree.M[leaf], self.tree.c[leaf]))
+        test = self.head.next_test(outputs[None], so_far)[0]
+        P, v = test[:-1], float(test[-1])
         norm = float(np.linalg.norm(P))
-        wins = v > 0 if norm == 0 else path.outcome(P / norm, -v / norm)
-        if wins is not None:
-            return self._tournament(leaf, challenger if wins else champion, challenger + 1, path)
+        right = v > 0 if norm == 0 else path.outcome(P / norm, -v / norm)
+        if right is not None:
+            return self._decide(leaf, (*outcomes, right), path)
         node = self._add_node(P, v)
-        for side, winner in ((False, champion), (True, challenger)):
-            self._link(node, side, self._tournament(leaf, winner, challenger + 1, _known(path, P, v, side)))
+        for side in (False, True):
+            self._link(node, side, self._decide(leaf, (*outcomes, side), _known(path, P, v, side)))
         return node
 
     def _add_node(self, P: FloatArray, v: float) -> int:

@@ -15,7 +15,7 @@ from torch.nn import functional
 from otr.control.dagger.row_sampling import draw_rows
 from otr.control.soft_tree import SoftTree
 from otr.core.arrays import BoolArray, FloatArray, IntArray
-from otr.core.head import Argmax, ClipBox, Head
+from otr.core.head import Head
 from otr.core.tree import ObliqueTree
 
 __all__ = ["NdpsFit", "NdpsImitator", "NdpsSettings", "fit_ndps"]
@@ -177,10 +177,10 @@ class _Problem:
         cls, X: FloatArray, answers: FloatArray | IntArray, weights: FloatArray, head: Head, n_outputs: int
     ) -> _Problem:
         unlimited = np.full(n_outputs, np.inf)
-        if isinstance(head, Argmax):
+        if head.gives_labels:
             return cls(X, np.asarray(answers, dtype=np.int64), weights, -unlimited, unlimited, np.ones(n_outputs))
         scale = np.maximum(answers.std(axis=0), 1e-8)
-        low, high = (head.low, head.high) if isinstance(head, ClipBox) else (-unlimited, unlimited)
+        low, high = (head.limits(n_outputs) if head.is_projection else None) or (-unlimited, unlimited)
         return cls(X, answers / scale, weights, low / scale, high / scale, scale)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from otr.control.label_leaves import argmax_leaves
+from otr.control.label_leaves import decided_leaves
 from otr.control.path_probabilities import path_probabilities
 from otr.control.soft_tree import (
     LEAF_SCALE,
@@ -20,7 +20,7 @@ from otr.control.soft_tree import (
     with_ones,
 )
 from otr.core.arrays import FloatArray
-from otr.core.head import Argmax, Head
+from otr.core.head import Head
 from otr.core.tree import ObliqueTree
 
 __all__ = ["Learns", "RelaxedProgram"]
@@ -154,9 +154,8 @@ class RelaxedProgram(nn.Module):
             tests[:, -1],
             maps[..., :-1],
             maps[..., -1],
-            head=head,
         )
-        return argmax_leaves(tree) if isinstance(head, Argmax) else tree
+        return tree if head is None else decided_leaves(tree, head)
 
     def _choices(self) -> Tensor:
         """Return the weights of C and `if` in every hole, (2**depth - 1, 2)."""

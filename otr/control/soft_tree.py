@@ -9,10 +9,10 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from otr.control.label_leaves import argmax_leaves
+from otr.control.label_leaves import decided_leaves
 from otr.control.path_probabilities import path_probabilities, reach, reach_gradient
 from otr.core.arrays import FloatArray
-from otr.core.head import Argmax, Head
+from otr.core.head import Head, Identity
 from otr.core.mapping import perfect_tree_children
 from otr.core.tree import ObliqueTree
 
@@ -116,17 +116,17 @@ class SoftTree(nn.Module):
         maps = as_numpy(self.leaves)
         if not self.affine_leaves:
             maps = np.concatenate((np.zeros((*maps.shape, self.n_inputs)), maps[..., None]), axis=-1)
-        decide = isinstance(head, Argmax)
+        head = Identity() if head is None else head
         tree = ObliqueTree(
             *perfect_tree_children(self.depth),
             tests[:, :-1],
             tests[:, -1],
             maps[..., :-1],
             maps[..., -1],
-            labels=maps[..., -1].argmax(axis=1) if decide and not self.affine_leaves else None,
+            labels=head(maps[..., -1]) if head.gives_labels and not self.affine_leaves else None,
             head=head,
         )
-        return argmax_leaves(tree) if decide and self.affine_leaves else tree
+        return decided_leaves(tree, head) if self.affine_leaves else tree
 
 
 class _AffineLeaves(torch.autograd.Function):

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from sklearn.tree import DecisionTreeClassifier, DecisionTreeRegressor
 
 from otr.control.dagger.row_sampling import draw_rows
-from otr.control.label_leaves import argmax_leaves
+from otr.control.label_leaves import decided_leaves
 from otr.core.arrays import FloatArray, IntArray
-from otr.core.head import Argmax, ClipBox, Head, TanhBox
+from otr.core.head import ClipBox, Head
 from otr.core.tree import ObliqueTree
 from otr.learners.base.single_tree import class_tree
 from otr.learners.cart import from_sklearn_tree
@@ -120,9 +120,7 @@ def centred(outputs: FloatArray) -> FloatArray:
 
 def with_head(tree: ObliqueTree, head: Head) -> ObliqueTree:
     """Return the tree of affine leaves that answers under an oracle's head: an argmax, or values clipped to its box."""
-    if isinstance(head, Argmax):
-        return argmax_leaves(tree)
-    return tree.replace(head=box_of(head))
+    return decided_leaves(tree, head if head.gives_labels else box_of(head))
 
 
 def box_of(head: Head) -> ClipBox:
@@ -131,6 +129,7 @@ def box_of(head: Head) -> ClipBox:
     Raises:
         TypeError: the head has no box.
     """
-    if not isinstance(head, TanhBox | ClipBox):
+    box = head.clip() if head.acts_by_output else None
+    if box is None:
         raise TypeError(f"the head is {head!r}, expected Argmax, TanhBox or ClipBox")
-    return ClipBox(head.low, head.high)
+    return box

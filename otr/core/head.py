@@ -3,13 +3,16 @@
 A head that decides a label (`Sign`, `Argmax`) does so by affine tests on y, which OTR appends to the tree below the
 tests of the hidden neurons (Orfanos 2023, section on classification). The other heads leave the tree as it is and are
 applied to the value of the leaf.
+
+What a head is, it says here; how a format writes its answers, and how a proof bounds them, is one entry for each head
+there: the functions that `functools.singledispatch` chooses by the head's class in `otr.programs` and `otr.proof`.
 """
 
 from __future__ import annotations
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,7 +21,20 @@ from numpy.typing import ArrayLike, NDArray
 from otr.core.arrays import BoolArray, FloatArray, IntArray, read_only
 from otr.errors import ArtefactError, InvalidNetworkError
 
-__all__ = ["Argmax", "ClipBox", "Head", "Identity", "PidBox", "Sign", "TanhBox", "head_from_dict"]
+__all__ = [
+    "HEADS",
+    "Argmax",
+    "ClipBox",
+    "Head",
+    "Identity",
+    "PidBox",
+    "Sign",
+    "TanhBox",
+    "head_from_dict",
+    "no_entry",
+]
+
+_ROUNDING = 1e-9  # by which a squashed answer may be beyond a box that it is to be clipped to
 
 
 class Head(ABC):
@@ -27,10 +43,14 @@ class Head(ABC):
     Attributes:
         name: in files.
         acts_by_output: whether an action is a function of one output alone, which never falls as that rises.
+        gives_labels: whether the answer is a label.
+        is_projection: whether the head leaves its own answers as they are: h(h(y)) = h(y).
     """
 
     name: str
     acts_by_output = True
+    gives_labels = False
+    is_projection = False
 
     @abstractmethod
     def __call__(self, Y: FloatArray) -> NDArray[Any]:
@@ -41,9 +61,49 @@ class Head(ABC):
         if n_outputs < 1:
             raise InvalidNetworkError(f"{type(self).__name__} needs at least 1 output, the network has {n_outputs}")
 
+    def controls(self, Y: FloatArray) -> FloatArray:
+        """Return what the head clips, squashes or compares, (n, a) or (a,): outputs Y themselves but for `PidBox`."""
+        return Y
+
     def n_answers(self, n_outputs: int) -> int:
         """Return how many numbers, or labels, are named in a printed answer."""
         return n_outputs
+
+    def n_labels(self, n_outputs: int) -> int:
+        """Return how many labels there are, where the answers are labels."""
+        return self.n_answers(n_outputs)
+
+    def output_names(self, n_outputs: int, answers: Sequence[str]) -> list[str]:
+        """Return names of the outputs where these are other things than the named answers; else none."""
+        return []
+
+    def limits(self, n_outputs: int) -> tuple[FloatArray, FloatArray] | None:
+        """Return the box of the answers, low and high of shape (n_answers,) each; None for a head without one."""
+        return None
+
+    def clip(self) -> ClipBox | None:
+        """Return the head that clips to the box of the answers; None for a head without one."""
+        return None
+
+    def slopes(self, n_outputs: int) -> FloatArray | None:
+        """Return the steepest slope of each answer in its own output (n_outputs,); None where there is none."""
+        return None
+
+    def weights_of_label(self, label: int, n_outputs: int) -> FloatArray:
+        """Return a label as the vector (n_outputs,) that a linear condition weighs: 1 at the label, else 0."""
+        return np.asarray(np.eye(n_outputs)[label])
+
+    def clipped_to(self, low: FloatArray, high: FloatArray) -> Head:
+        """Return the head whose answers are this one's, clipped to the box [low, high] of shape (o,) each.
+
+        Raises:
+            ValueError: there is no such head.
+        """
+        return ClipBox(low, high)
+
+    def tangent(self, n_outputs: int) -> tuple[FloatArray, FloatArray] | None:
+        """Return slopes and values (n_outputs,) of squashed answers at y = 0; None for a head that squashes nothing."""
+        return None
 
     def n_tests(self, n_outputs: int) -> int:
         """Return the number of tests on y that decide the label; 0 for a head without labels."""
@@ -109,9 +169,13 @@ class Identity(Head):
     """The affine outputs are the answer."""
 
     name = "identity"
+    is_projection = True
 
     def __call__(self, Y: FloatArray) -> NDArray[Any]:
         return Y
+
+    def slopes(self, n_outputs: int) -> FloatArray | None:
+        return np.ones(n_outputs)
 
 
 class _Box(Head):
@@ -142,14 +206,19 @@ class _Box(Head):
                 f"{type(self).__name__} has limits for {len(self.low)} outputs, the network has {n_outputs}"
             )
 
+    def limits(self, n_outputs: int) -> tuple[FloatArray, FloatArray]:
+        shape = (self.n_answers(n_outputs),)
+        return np.broadcast_to(self.low, shape), np.broadcast_to(self.high, shape)
+
+    def clip(self) -> ClipBox | None:
+        return ClipBox(self.low, self.high)
+
     def to_dict(self) -> dict[str, Any]:
         return {"name": self.name, "low": self.low.tolist(), "high": self.high.tolist()}
 
 
-class TanhBox(_Box):
-    """low + (tanh(y) + 1) / 2 * (high - low): the action of a SAC, TD3 or DDPG actor."""
-
-    name = "tanh_box"
+class _Squashed(_Box):
+    """A head whose answers are low + (tanh(u) + 1) / 2 * (high - low), for controls u."""
 
     def __init__(self, low: ArrayLike, high: ArrayLike) -> None:
         super().__init__(low, high)
@@ -157,23 +226,62 @@ class TanhBox(_Box):
         self._middle = self.low + self._half
 
     def __call__(self, Y: FloatArray) -> NDArray[Any]:
-        answers: FloatArray = np.tanh(Y)
+        answers: FloatArray = np.tanh(self.controls(Y))
         answers *= self._half
         answers += self._middle
         return answers
+
+    def halves_and_middles(self, n_outputs: int) -> tuple[FloatArray, FloatArray]:
+        """Return half the width and the middle of each answer's range, (n_answers,) each."""
+        shape = (self.n_answers(n_outputs),)
+        return np.broadcast_to(self._half, shape), np.broadcast_to(self._middle, shape)
+
+    def clipped_to(self, low: FloatArray, high: FloatArray) -> Head:
+        if (self.low < low - _ROUNDING).any() or (self.high > high + _ROUNDING).any():
+            raise ValueError(
+                f"the answers go through tanh to {self.low.tolist()} .. {self.high.tolist()}, the "
+                f"actions are {low.tolist()} .. {high.tolist()}; scale the tanh to these"
+            )
+        return self
+
+
+class TanhBox(_Squashed):
+    """low + (tanh(y) + 1) / 2 * (high - low): the action of a SAC, TD3 or DDPG actor."""
+
+    name = "tanh_box"
+
+    def slopes(self, n_outputs: int) -> FloatArray | None:
+        return self.halves_and_middles(n_outputs)[0]
+
+    def tangent(self, n_outputs: int) -> tuple[FloatArray, FloatArray] | None:
+        halves, _ = self.halves_and_middles(n_outputs)
+        return halves, np.broadcast_to((self.high + self.low) / 2, (n_outputs,))
 
 
 class ClipBox(_Box):
     """min(max(y, low), high): the deterministic action of a PPO or A2C actor."""
 
     name = "clip_box"
+    is_projection = True
 
     def __call__(self, Y: FloatArray) -> NDArray[Any]:
         # np.clip costs several times this on a single state.
         return np.minimum(np.maximum(Y, self.low), self.high)
 
+    def slopes(self, n_outputs: int) -> FloatArray | None:
+        return np.ones(n_outputs)
 
-class PidBox(_Box):
+    def clipped_to(self, low: FloatArray, high: FloatArray) -> Head:
+        both = np.clip(self.low, low, high), np.clip(self.high, low, high)
+        if (both[0] >= both[1]).any():
+            raise ValueError(
+                f"a clip to {self.low.tolist()} .. {self.high.tolist()} leaves none of the actions "
+                f"{low.tolist()} .. {high.tolist()}"
+            )
+        return ClipBox(*both)
+
+
+class PidBox(_Squashed):
     """A PID controller's action, squashed into the box [low, high] as `TanhBox` does (Orfanos 2023, Fig. 4.3).
 
     Of the outputs y the first 3 d are the terms phi = [P, I, D] and every further 3 d the gains theta_j of one action:
@@ -186,6 +294,7 @@ class PidBox(_Box):
 
     name = "pid_box"
     acts_by_output = False
+    terms = ("P", "I", "D")
 
     def __init__(self, low: ArrayLike, high: ArrayLike) -> None:
         """Keep the limits, of shape (a,) each: their length is the number of actions.
@@ -196,10 +305,10 @@ class PidBox(_Box):
         super().__init__(low, high)
         if self.low.ndim != 1:
             raise InvalidNetworkError(f"PidBox: low is {self.low.tolist()}; give arrays of one number an action")
-        self._squash = TanhBox(self.low, self.high)
 
-    def __call__(self, Y: FloatArray) -> NDArray[Any]:
-        return self._squash(self.controls(Y))
+    def n_terms(self, n_outputs: int) -> int:
+        """Return how many terms phi has: 3 d."""
+        return n_outputs // (len(self.low) + 1)
 
     def controls(self, Y: FloatArray) -> FloatArray:
         """Return u = theta . phi, the actions before the tanh: (n, a) for outputs Y (n, o), or (a,) for (o,)."""
@@ -209,6 +318,13 @@ class PidBox(_Box):
 
     def n_answers(self, n_outputs: int) -> int:
         return len(self.low)
+
+    def output_names(self, n_outputs: int, answers: Sequence[str]) -> list[str]:
+        """Return P0, ..., I0, ..., D0, ..., theta_P0, ... action by action, with its name where there are several."""
+        d = self.n_terms(n_outputs) // len(self.terms)
+        terms = [f"{term}{i}" for term in self.terms for i in range(d)]
+        suffixes = [f"_{answer}" if len(answers) > 1 else "" for answer in answers]
+        return [*terms, *(f"theta_{term}{suffix}" for suffix in suffixes for term in terms)]
 
     def check(self, n_outputs: int) -> None:
         unit = 3 * (len(self.low) + 1)
@@ -223,6 +339,7 @@ class Sign(Head):
     """Binary label of one output: 0 where y <= 0, else 1."""
 
     name = "sign"
+    gives_labels = True
 
     def __call__(self, Y: FloatArray) -> NDArray[Any]:
         return (Y[..., 0] > 0).astype(np.int64)
@@ -230,6 +347,13 @@ class Sign(Head):
     def check(self, n_outputs: int) -> None:
         if n_outputs != 1:
             raise InvalidNetworkError(f"Sign needs 1 output, the network has {n_outputs}; use Argmax for several")
+
+    def n_labels(self, n_outputs: int) -> int:
+        return 2
+
+    def weights_of_label(self, label: int, n_outputs: int) -> FloatArray:
+        """Return the label itself, 0 or 1."""
+        return np.array([float(label)])
 
     def n_tests(self, n_outputs: int) -> int:
         return 1
@@ -252,6 +376,7 @@ class Argmax(Head):
     """
 
     name = "argmax"
+    gives_labels = True
 
     def __call__(self, Y: FloatArray) -> NDArray[Any]:
         return np.asarray(Y.argmax(axis=-1))
@@ -280,7 +405,7 @@ class Argmax(Head):
         return 1
 
 
-_HEADS: dict[str, type[Head]] = {head.name: head for head in (Identity, TanhBox, ClipBox, PidBox, Sign, Argmax)}
+HEADS: dict[str, type[Head]] = {head.name: head for head in (Identity, TanhBox, ClipBox, PidBox, Sign, Argmax)}
 
 
 def head_from_dict(description: Mapping[str, Any]) -> Head:
@@ -292,9 +417,14 @@ def head_from_dict(description: Mapping[str, Any]) -> Head:
     """
     arguments = {key: value for key, value in description.items() if key != "name"}
     name = description.get("name")
-    if name not in _HEADS:
-        raise ArtefactError(f"unknown head {name!r}; known heads: {', '.join(sorted(_HEADS))}")
+    if name not in HEADS:
+        raise ArtefactError(f"unknown head {name!r}; known heads: {', '.join(sorted(HEADS))}")
     try:
-        return _HEADS[name](**arguments)
+        return HEADS[name](**arguments)
     except TypeError as error:
         raise ArtefactError(f"head {name!r} cannot be made from {arguments}: {error}") from error
+
+
+def no_entry(head: Head, what: str) -> TypeError:
+    """Return the error for a head that a format, or a proof, has no entry for."""
+    return TypeError(f"{what} has no entry for the head {type(head).__name__}; register one beside the other heads'")

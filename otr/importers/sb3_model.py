@@ -134,7 +134,7 @@ def _require_same_answers(model: Any, network: ReluNetwork) -> None:
         for part, mode in modes:
             part.training = mode
     rounding = _ROUNDING * reach(zip(network.weights, network.biases, strict=True), states.astype(np.float64))
-    if isinstance(network.head, Argmax):
+    if network.head.gives_labels:
         # How far the label's output lies below the largest.
         differences = outputs.max(axis=1, keepdims=True) - np.take_along_axis(outputs, found, axis=1)
         rounding = 2 * rounding.max(axis=1, keepdims=True)

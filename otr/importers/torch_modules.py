@@ -127,11 +127,12 @@ def _kind(layer: Any) -> str:
     return ""
 
 
+_DECIDED_BY: dict[str, Head] = {"Sigmoid": Sign(), "Softmax": Argmax(), "LogSoftmax": Argmax()}
+
+
 def _is_decided_by(kind: str, head: Head | None) -> bool:
     """Return whether `head` answers the same before a last layer of this kind as after it."""
-    return (isinstance(head, Sign) and kind == "Sigmoid") or (
-        isinstance(head, Argmax) and kind in ("Softmax", "LogSoftmax")
-    )
+    return head is not None and head == _DECIDED_BY.get(kind)
 
 
 def _remedy(kind: str) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from otr.core.tree import ObliqueTree
 from otr.programs.names import names_for
-from otr.programs.picture.boxes import Box, Style, head_note, tree_boxes
+from otr.programs.picture.boxes import NodeBox, Style, head_note, tree_boxes
 from otr.programs.picture.drawing import LABEL_COLOURS, SUBTREE_FILL, TEST_FILL, TEST_LINE, VALUE_COLOURS
 
 __all__ = ["to_dot"]
@@ -60,7 +60,7 @@ def to_dot(
     return "\n".join([*lines, "}"]) + "\n"
 
 
-def _attributes(box: Box) -> str:
+def _attributes(box: NodeBox) -> str:
     line, fill = TEST_LINE, TEST_FILL if box.kind == "test" else SUBTREE_FILL
     if box.kind == "leaf":
         line, fill = VALUE_COLOURS if box.label is None else LABEL_COLOURS[box.label % len(LABEL_COLOURS)]
@@ -69,7 +69,7 @@ def _attributes(box: Box) -> str:
     return f'label=<{_table(box)}>, style="{style}"{shape}, color="{line}", fillcolor="{fill}"'
 
 
-def _table(box: Box) -> str:
+def _table(box: NodeBox) -> str:
     """Return a box's lines as Graphviz's table: numbers flush right, beside what they multiply."""
     rows = [f'<TR><TD COLSPAN="2"><B>{html.escape(box.title)}</B></TD></TR>'] if box.title else []
     for row in box.rows:

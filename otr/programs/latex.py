@@ -5,14 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-import numpy as np
-
-from otr.core.arrays import FloatArray
-from otr.core.head import Argmax, ClipBox, PidBox, Sign, TanhBox
 from otr.core.tree import ObliqueTree
-from otr.programs.names import label_name, names_for
-from otr.programs.pid_gains import gain_vectors, term_vectors
-from otr.programs.walk import box_limits, summary_of, walk
+from otr.programs.names import names_for
+from otr.programs.notation import Notation
+from otr.programs.walk import summary_of
 
 __all__ = ["to_latex"]
 
@@ -52,21 +48,10 @@ def to_latex(
         ValueError: the wrong number of names, precision < 1, or a PID policy whose terms differ between leaves.
     """
     names = names_for(tree, feature_names, output_names)
-    if precision < 1:
-        raise ValueError(f"precision is {precision}, expected at least 1 significant digit")
-    features = [math_name(name) for name in names.features]
+    features, answers = ([math_name(name) for name in given] for given in (names.features, names.answers))
+    latex = _Latex(tree, features, answers, names.answers, precision)
     lines = [f"% {summary_of(tree)[3:].capitalize()}. Needs \\usepackage{{amsmath}}.", _PROLOGUE]
-    if isinstance(tree.head, PidBox):
-        terms = term_vectors(tree, lambda row, offset: _affine(row, offset, features, precision))
-        lines += [_line(0, f"${_vector(term, entries)}$") for term, entries in terms]
-    for what, index, depth in walk(tree):
-        if what == "if":
-            test = _affine(tree.P[index], float(tree.v[index]), features, precision)
-            lines.append(_line(depth, rf"\textbf{{if}} ${test} \le\nobreak 0$~\textbf{{then}}"))
-        elif what == "else":
-            lines.append(_line(depth, r"\textbf{else}"))
-        elif what == "leaf":
-            lines += [_line(depth, text) for text in _leaf(tree, index, features, names.answers, precision)]
+    lines += [rf"\otrline{{{depth}}}{{{line}}}" for depth, line in latex.lines()]
     return "\n".join([*lines, r"\par\endgroup"]) + "\n"
 
 
@@ -85,73 +70,49 @@ def escaped(text: str) -> str:
     return "".join(_SPECIAL.get(character, character) for character in text)
 
 
-def _line(depth: int, text: str) -> str:
-    return rf"\otrline{{{depth}}}{{{text}}}"
+class _Latex(Notation):
+    """Formulas of amsmath."""
 
+    times = r"\,"
 
-def _leaf(tree: ObliqueTree, leaf: int, features: Sequence[str], answers: Sequence[str], precision: int) -> list[str]:
-    """Return the lines that state a leaf's answer."""
-    if tree.labels is not None:
-        return [rf"\textbf{{return}} \textit{{{escaped(label_name(int(tree.labels[leaf]), answers))}}}"]
-    outputs = [math_name(answer) for answer in answers]
-    if isinstance(tree.head, PidBox):
-        gains, values = _gains(tree, leaf, features, outputs, precision)
-    else:
-        gains = []
-        maps = zip(tree.M[leaf], tree.c[leaf].tolist(), strict=True)
-        values = [_affine(row, offset, features, precision) for row, offset in maps]
-    if isinstance(tree.head, Sign):
-        return [rf"\textbf{{return}} $1$ \textbf{{if}} ${values[0]} > 0$ \textbf{{else}} $0$"]
-    if isinstance(tree.head, Argmax):
-        assigned = [f"${output} \\gets {value}$" for output, value in zip(outputs, values, strict=True)]
-        return [*assigned, rf"\textbf{{return}} $\operatorname{{arg\,max}}({', '.join(outputs)})$"]
-    values = [_through_head(tree, output, value, precision) for output, value in enumerate(values)]
-    if len(values) == 1:
-        return [*gains, rf"\textbf{{return}} ${values[0]}$"]
-    return [*gains, *(f"${output} \\gets {value}$" for output, value in zip(outputs, values, strict=True))]
+    def number(self, value: float) -> str:
+        mantissa, _, exponent = f"{value:.{self.precision}g}".partition("e")
+        return rf"{mantissa} \cdot 10^{{{int(exponent)}}}" if exponent else mantissa
 
+    def test(self, value: str) -> str:
+        return rf"\textbf{{if}} ${value} \le\nobreak 0$~\textbf{{then}}"
 
-def _gains(
-    tree: ObliqueTree, leaf: int, features: Sequence[str], outputs: Sequence[str], precision: int
-) -> tuple[list[str], list[str]]:
-    """Return the lines that state a leaf's gains, and what each action is before the tanh."""
-    lines, controls = [], []
-    for action, output in enumerate(outputs):
-        vectors = gain_vectors(tree, leaf, action, lambda row, offset: _affine(row, offset, features, precision))
-        suffix = rf",\,{output}" if len(outputs) > 1 else ""
-        named = [(rf"\theta_{{{term}{suffix}}}", term, gains) for term, gains in vectors]
-        lines += [f"${_vector(name, gains)}$" for name, _, gains in named]
-        controls.append(" + ".join(rf"{name} \cdot {term}" for name, term, _ in named))
-    return lines, controls
+    def otherwise(self) -> str:
+        return r"\textbf{else}"
 
+    def returned(self, value: str) -> str:
+        return rf"\textbf{{return}} ${value}$"
 
-def _vector(name: str, entries: Sequence[str]) -> str:
-    listed = r",\; ".join(entries)
-    return rf"{name} \gets ({listed})"
+    def returned_label(self, name: str) -> str:
+        return rf"\textbf{{return}} \textit{{{escaped(name)}}}"
 
+    def returned_sign(self, value: str) -> str:
+        return rf"\textbf{{return}} $1$ \textbf{{if}} ${value} > 0$ \textbf{{else}} $0$"
 
-def _through_head(tree: ObliqueTree, output: int, value: str, precision: int) -> str:
-    if not isinstance(tree.head, TanhBox | ClipBox | PidBox):
-        return value
-    low, high = (float(limit[output]) for limit in box_limits(tree.head, tree.n_outputs))
-    if isinstance(tree.head, ClipBox):
-        return rf"\operatorname{{clip}}({value},\, {_number(low, precision)},\, {_number(high, precision)})"
-    return _affine(np.array([(high - low) / 2]), (high + low) / 2, [rf"\tanh({value})"], precision)
+    def returned_argmax(self, names: Sequence[str]) -> str:
+        return rf"\textbf{{return}} $\operatorname{{arg\,max}}({', '.join(names)})$"
 
+    def assigned(self, name: str, value: str) -> str:
+        return rf"${name} \gets {value}$"
 
-def _affine(coefficients: FloatArray, offset: float, names: Sequence[str], precision: int) -> str:
-    r"""Return ``offset + coefficients @ names``, constant first, zeros left out."""
-    terms = [] if offset == 0 else [(float(offset), "")]
-    terms += [(float(coefficients[i]), names[i]) for i in np.flatnonzero(coefficients).tolist()]
-    text = ""
-    for position, (value, name) in enumerate(terms):
-        size = _number(abs(value), precision)
-        word = name if name and size == "1" else rf"{size}\,{name}" if name else size
-        sign = ("-" if value < 0 else "") if position == 0 else (" - " if value < 0 else " + ")
-        text += sign + word
-    return text or "0"
+    def clip(self, value: str, low: float, high: float) -> str:
+        return rf"\operatorname{{clip}}({value},\, {self.number(low)},\, {self.number(high)})"
 
+    def tanh(self, value: str) -> str:
+        return rf"\tanh({value})"
 
-def _number(value: float, precision: int) -> str:
-    mantissa, _, exponent = f"{value:.{precision}g}".partition("e")
-    return rf"{mantissa} \cdot 10^{{{int(exponent)}}}" if exponent else mantissa
+    def vector(self, name: str, entries: Sequence[str], *, one_a_line: bool) -> list[str]:
+        listed = r",\; ".join(entries)
+        return [rf"${name} \gets ({listed})$"]
+
+    def gain(self, term: str, answer: str) -> str:
+        suffix = rf",\,{answer}" if answer else ""
+        return rf"\theta_{{{term}{suffix}}}"
+
+    def product(self, gain: str, term: str) -> str:
+        return rf"{gain} \cdot {term}"

@@ -7,10 +7,8 @@ import unicodedata
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from otr.core.head import Argmax, PidBox, Sign
 from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
-from otr.programs.pid_gains import pid_output_names
 
 __all__ = [
     "Names",
@@ -67,7 +65,7 @@ def names_for(
     require_tree(tree)
     features, answers = shown_names(tree, feature_names, output_names)
     outputs = [f"y{i}" for i in range(tree.n_outputs)] if give_labels(tree) else answers
-    joined = pid_output_names(tree, answers) if isinstance(tree.head, PidBox) else []
+    joined = tree.head.output_names(tree.n_outputs, answers)
     fallbacks = [f"x{i}" for i in range(len(features))] + [f"y{i}" for i in range(len(outputs) + len(joined))]
     made = identifiers([*features, *outputs, *joined], fallbacks, reserved=reserved, ignore_case=ignore_case)
     d, o = len(features), len(features) + len(outputs)
@@ -84,9 +82,8 @@ def names_of(
         ValueError: the wrong number of names.
     """
     # The tree that a network is decides its labels by tests.
-    by_head = isinstance(policy.head, Sign | Argmax)
-    labelled = policy.labels is not None if isinstance(policy, ObliqueTree) else by_head
-    n_answers = 2 if labelled and isinstance(policy.head, Sign) else policy.head.n_answers(policy.n_outputs)
+    labelled = policy.labels is not None if isinstance(policy, ObliqueTree) else policy.head.gives_labels
+    n_answers = (policy.head.n_labels if labelled else policy.head.n_answers)(policy.n_outputs)
     features = _names(feature_names, policy.n_inputs, "x", "feature_names")
     return features, _names(output_names, n_answers, "" if labelled else "y", "output_names")
 
@@ -129,7 +126,7 @@ def check_policy(policy: ObliqueTree | ReluNetwork) -> None:
 def give_labels(policy: ObliqueTree | ReluNetwork) -> bool:
     """Return whether the answers of a tree or network are labels."""
     decided = isinstance(policy, ObliqueTree) and policy.labels is not None
-    return decided or isinstance(policy.head, Sign | Argmax)
+    return decided or policy.head.gives_labels
 
 
 def label_name(label: int, answers: Sequence[str]) -> str:

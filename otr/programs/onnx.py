@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from functools import singledispatch
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from otr.core.head import Argmax, ClipBox, PidBox, Sign, TanhBox
+from otr.core.head import Argmax, ClipBox, Head, Identity, PidBox, Sign, TanhBox, no_entry
 from otr.core.tree import ObliqueTree
 from otr.extras import naming_the_extra
 from otr.programs.names import give_labels, names_of, one_line, require_tree
-from otr.programs.walk import box_limits, child, distinct_rows, summary_of
+from otr.programs.walk import child, distinct_rows, summary_of
 
 if TYPE_CHECKING:
     from onnx import ModelProto, NodeProto
 
-__all__ = ["to_onnx"]
+__all__ = ["answer_node", "to_onnx"]
 
 OPSET, IR_VERSION = 17, 8  # runtimes from 2022 on read these
 # A tree deeper than this walks in a Loop; others level by level, which more converters to small devices know.
@@ -195,26 +196,56 @@ def _answer(graph: _Graph, tree: ObliqueTree, leaf: str) -> str:
     products = graph.add("MatMul", [maps, graph.add("Unsqueeze", ["x", column])])
     offsets = graph.add("Gather", [graph.constant("leaf_offsets", tree.c), leaf])
     y = graph.add("Add", [graph.add("Squeeze", [products, column]), offsets])
-    if isinstance(tree.head, Sign):
-        from onnx import TensorProto
+    return answer_node(tree.head, graph, y, tree.n_outputs)
 
-        above = graph.add("Greater", [graph.add("Squeeze", [y, "axis_1"]), "zero"])
-        return graph.add("Cast", [above], to=TensorProto.INT64)
-    if isinstance(tree.head, Argmax):
-        return graph.add("ArgMax", [y], axis=1, keepdims=0)
-    if isinstance(tree.head, PidBox):
-        n_actions = len(tree.head.low)
-        shape = np.array([-1, 1 + n_actions, tree.n_outputs // (1 + n_actions)])
-        vectors = graph.add("Reshape", [y, graph.constant("vectors", shape)])
-        terms = graph.add("Gather", [vectors, graph.constant("of_terms", np.array([0]))], axis=1)
-        gains = graph.add("Gather", [vectors, graph.constant("of_gains", np.arange(1, 1 + n_actions))], axis=1)
-        y = graph.add("ReduceSum", [graph.add("Mul", [gains, terms]), column], keepdims=0)
-    if isinstance(tree.head, ClipBox):
-        low, high = box_limits(tree.head, tree.n_outputs)
-        return graph.add("Min", [graph.add("Max", [y, graph.constant("low", low)]), graph.constant("high", high)])
-    if isinstance(tree.head, TanhBox | PidBox):
-        low, high = box_limits(tree.head, tree.n_outputs)
-        half, middle = (high - low) / 2, low + (high - low) / 2
-        scaled = graph.add("Mul", [graph.add("Tanh", [y]), graph.constant("half", half)])
-        return graph.add("Add", [scaled, graph.constant("middle", middle)])
+
+@singledispatch
+def answer_node(head: Head, graph: _Graph, y: str, n_outputs: int) -> str:
+    """Return the name of the answers under a head, given that of the outputs (n, n_outputs)."""
+    raise no_entry(head, "to_onnx")
+
+
+@answer_node.register
+def _(head: Identity, graph: _Graph, y: str, n_outputs: int) -> str:
     return y
+
+
+@answer_node.register
+def _(head: ClipBox, graph: _Graph, y: str, n_outputs: int) -> str:
+    low, high = head.limits(n_outputs)
+    return graph.add("Min", [graph.add("Max", [y, graph.constant("low", low)]), graph.constant("high", high)])
+
+
+@answer_node.register
+def _(head: TanhBox, graph: _Graph, y: str, n_outputs: int) -> str:
+    return _squashed(head, graph, y, n_outputs)
+
+
+@answer_node.register
+def _(head: PidBox, graph: _Graph, y: str, n_outputs: int) -> str:
+    n_actions = len(head.low)
+    shape = np.array([-1, 1 + n_actions, head.n_terms(n_outputs)])
+    vectors = graph.add("Reshape", [y, graph.constant("vectors", shape)])
+    terms = graph.add("Gather", [vectors, graph.constant("of_terms", np.array([0]))], axis=1)
+    gains = graph.add("Gather", [vectors, graph.constant("of_gains", np.arange(1, 1 + n_actions))], axis=1)
+    controls = graph.add("ReduceSum", [graph.add("Mul", [gains, terms]), "axis_2"], keepdims=0)
+    return _squashed(head, graph, controls, n_outputs)
+
+
+@answer_node.register
+def _(head: Sign, graph: _Graph, y: str, n_outputs: int) -> str:
+    from onnx import TensorProto
+
+    above = graph.add("Greater", [graph.add("Squeeze", [y, "axis_1"]), "zero"])
+    return graph.add("Cast", [above], to=TensorProto.INT64)
+
+
+@answer_node.register
+def _(head: Argmax, graph: _Graph, y: str, n_outputs: int) -> str:
+    return graph.add("ArgMax", [y], axis=1, keepdims=0)
+
+
+def _squashed(head: TanhBox | PidBox, graph: _Graph, controls: str, n_outputs: int) -> str:
+    half, middle = head.halves_and_middles(n_outputs)
+    scaled = graph.add("Mul", [graph.add("Tanh", [controls]), graph.constant("half", half)])
+    return graph.add("Add", [scaled, graph.constant("middle", middle)])

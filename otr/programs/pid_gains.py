@@ -10,18 +10,10 @@ from otr.core.arrays import FloatArray
 from otr.core.head import PidBox
 from otr.core.tree import ObliqueTree
 
-__all__ = ["control_text", "gain_lines", "gain_vectors", "joined", "pid_output_names", "term_lines", "term_vectors"]
+__all__ = ["gain_vectors", "joined", "term_vectors"]
 
-TERMS = ("P", "I", "D")
+TERMS = PidBox.terms
 AffineText = Callable[[FloatArray, float], str]
-
-
-def pid_output_names(tree: ObliqueTree, answers: Sequence[str]) -> list[str]:
-    """Return a name for every output of a PID policy: P0, ..., I0, ..., D0, ..., theta_P0, ... action by action."""
-    d = _n_terms(tree) // len(TERMS)
-    terms = [f"{term}{i}" for term in TERMS for i in range(d)]
-    suffixes = [f"_{answer}" if len(answers) > 1 else "" for answer in answers]
-    return [*terms, *(f"theta_{term}{suffix}" for suffix in suffixes for term in terms)]
 
 
 def joined(outputs: Sequence[str], n_actions: int) -> list[str]:
@@ -29,15 +21,6 @@ def joined(outputs: Sequence[str], n_actions: int) -> list[str]:
     n_terms = len(outputs) // (n_actions + 1)
     gains = [outputs[(action + 1) * n_terms : (action + 2) * n_terms] for action in range(n_actions)]
     return [" + ".join(f"{gain} * {term}" for gain, term in zip(own, outputs, strict=False)) for own in gains]
-
-
-def term_lines(tree: ObliqueTree, affine: AffineText) -> list[str]:
-    """Return the definitions of P, I and D that hold in all leaves, ``P = [P_x, P_y]`` and so on.
-
-    Raises:
-        ValueError: the terms differ between leaves, which no PID policy does.
-    """
-    return [f"{term} = [{', '.join(entries)}]" for term, entries in term_vectors(tree, affine)]
 
 
 def term_vectors(tree: ObliqueTree, affine: AffineText) -> list[tuple[str, list[str]]]:
@@ -52,39 +35,12 @@ def term_vectors(tree: ObliqueTree, affine: AffineText) -> list[tuple[str, list[
     return _vectors(tree, 0, 0, affine)
 
 
-def gain_vectors(tree: ObliqueTree, leaf: int, action: int, affine: AffineText) -> list[tuple[str, list[str]]]:
-    """Return P, I and D, each with the texts of a leaf's gains for it, for one action."""
-    return _vectors(tree, leaf, (action + 1) * _n_terms(tree), affine)
-
-
-def gain_lines(tree: ObliqueTree, leaf: int, answers: Sequence[str], affine: AffineText) -> list[str]:
-    """Return the lines that state a leaf's gains; a vector with a gain that varies takes a line for each of its gains.
-
-    Args:
-        tree: a tree with the head `PidBox`.
-        leaf: which leaf.
-        answers: names of the actions.
-        affine: from coefficients (d,) and an offset to text.
-    """
-    lines, n_actions = [], len(answers)
-    for action, answer in enumerate(answers):
-        suffix = f"_{answer}" if n_actions > 1 else ""
-        first = (action + 1) * _n_terms(tree)
-        by_term = tree.M[leaf, first : first + _n_terms(tree)].reshape(len(TERMS), -1)
-        varies = np.count_nonzero(by_term, axis=1).tolist()
-        for (term, entries), one_a_line in zip(gain_vectors(tree, leaf, action, affine), varies, strict=True):
-            name = f"theta_{term}{suffix}"
-            if one_a_line:
-                lines += [f"{name} = [", *(f"    {entry}," for entry in entries), "]"]
-            else:
-                lines.append(f"{name} = [{', '.join(entries)}]")
-    return lines
-
-
-def control_text(answers: Sequence[str], action: int) -> str:
-    """Return ``theta_P . P + theta_I . I + theta_D . D``, the action's name in it where there are several."""
-    suffix = f"_{answers[action]}" if len(answers) > 1 else ""
-    return " + ".join(f"theta_{term}{suffix} . {term}" for term in TERMS)
+def gain_vectors(tree: ObliqueTree, leaf: int, action: int, affine: AffineText) -> list[tuple[str, list[str], bool]]:
+    """Return P, I and D with the texts of a leaf's gains for one action, and whether one of these varies."""
+    first, n = (action + 1) * _n_terms(tree), _n_terms(tree)
+    varies = np.any(tree.M[leaf, first : first + n].reshape(len(TERMS), -1), axis=1)
+    vectors = _vectors(tree, leaf, first, affine)
+    return [(term, gains, bool(each)) for (term, gains), each in zip(vectors, varies, strict=True)]
 
 
 def _vectors(tree: ObliqueTree, leaf: int, first: int, affine: AffineText) -> list[tuple[str, list[str]]]:
@@ -98,5 +54,4 @@ def _vectors(tree: ObliqueTree, leaf: int, first: int, affine: AffineText) -> li
 
 
 def _n_terms(tree: ObliqueTree) -> int:
-    assert isinstance(tree.head, PidBox)
-    return tree.n_outputs // (len(tree.head.low) + 1)
+    return tree.n_outputs // (tree.head.n_answers(tree.n_outputs) + 1)

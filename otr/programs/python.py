@@ -5,10 +5,11 @@ from __future__ import annotations
 import keyword
 import unicodedata
 from collections.abc import Sequence
+from functools import singledispatch
 
 import numpy as np
 
-from otr.core.head import Argmax, ClipBox, PidBox, Sign, TanhBox
+from otr.core.head import Argmax, ClipBox, Head, Identity, PidBox, Sign, TanhBox, no_entry
 from otr.core.tree import ObliqueTree
 from otr.programs.names import Names, give_labels, label_name, names_for
 from otr.programs.pid_gains import joined
@@ -17,7 +18,6 @@ from otr.programs.walk import (
     TIE,
     WIDTH,
     affine_expression,
-    box_limits,
     child,
     distinct_rows,
     summary_of,
@@ -25,7 +25,7 @@ from otr.programs.walk import (
     wrapped,
 )
 
-__all__ = ["to_python"]
+__all__ = ["answer_lines", "to_python"]
 
 # A sum is parsed and compiled by recursion over its terms.
 MAX_TERMS = 200
@@ -62,14 +62,17 @@ def to_python(
     names = names_for(tree, feature_names, output_names, reserved=(*_RESERVED, name))
     n_terms = max(np.count_nonzero(tree.P, axis=1).max(initial=0), np.count_nonzero(tree.M, axis=2).max())
     nested = tree.depth <= MAX_NESTED_DEPTH and n_terms <= MAX_TERMS
-    body = [*(_nested(tree, names) if nested else _tables(tree)), *_head(tree, names, nested)]
+    body, imports = _nested(tree, names) if nested else _tables(tree), list[str]()
+    if tree.labels is None:
+        outputs = names.output_ids if nested else [f"outputs[{i}]" for i in range(tree.n_outputs)]
+        answer = answer_lines(tree.head, outputs, names)
+        imports = ["from math import tanh", ""] if any("tanh(" in line for line in answer) else []
+        body += answer
     # Python looks for a declaration of the file's encoding in comments on the first two lines: no name stands there.
     what = summary_of(tree)
     lines = [f"# {what[0].upper()}{what[1:]}.", "# It needs nothing but the standard library.", "#"]
     lines += _interface(tree, names)
-    if isinstance(tree.head, TanhBox | PidBox) and not give_labels(tree):
-        lines += ["from math import tanh", ""]
-    lines += ["", f"def {name}(state):", *(_INDENT + line if line else "" for line in body)]
+    lines += [*imports, "", f"def {name}(state):", *(_INDENT + line if line else "" for line in body)]
     return "\n".join(lines) + "\n"
 
 
@@ -174,30 +177,53 @@ def _tuple(values: np.ndarray) -> str:
     return f"({', '.join(str(value) for value in values.tolist())},)"
 
 
-def _head(tree: ObliqueTree, names: Names, nested: bool) -> list[str]:
-    """Return the lines that make the answer of the outputs."""
-    if tree.labels is not None:
-        return []
-    outputs = names.output_ids if nested else [f"outputs[{i}]" for i in range(tree.n_outputs)]
-    if isinstance(tree.head, Sign):
-        return [f"return 1 if {outputs[0]} > 0 else 0"]
-    if isinstance(tree.head, Argmax):
-        if nested:
-            return [f"outputs = [{', '.join(outputs)}]", "return outputs.index(max(outputs))"]
-        return ["return outputs.index(max(outputs))"]
-    lines = []
-    if isinstance(tree.head, PidBox):
-        controls = zip(names.answer_ids, joined(outputs, len(names.answers)), strict=True)
-        lines = [line for answer, control in controls for line in _statement(f"{answer} = ", control, "", "")]
-        outputs = names.answer_ids
-    if isinstance(tree.head, ClipBox):
-        limits = zip(outputs, *(limit.tolist() for limit in box_limits(tree.head, tree.n_outputs)), strict=True)
-        outputs = [f"min(max({value}, {low!r}), {high!r})" for value, low, high in limits]
-    if isinstance(tree.head, TanhBox | PidBox):
-        low, high = box_limits(tree.head, tree.n_outputs)
-        half, middle = (high - low) / 2, low + (high - low) / 2
-        parts = zip(outputs, half.tolist(), middle.tolist(), strict=True)
-        outputs = [
-            f"tanh({value})" if (h, m) == (1.0, 0.0) else f"{m!r} + {h!r} * tanh({value})" for value, h, m in parts
-        ]
-    return [*lines, f"return [{', '.join(outputs)}]"]
+@singledispatch
+def answer_lines(head: Head, outputs: Sequence[str], names: Names) -> list[str]:
+    """Return the lines that make the answer under a head of the outputs, which are variables or items of a list."""
+    raise no_entry(head, "to_python")
+
+
+@answer_lines.register
+def _(head: Identity, outputs: Sequence[str], names: Names) -> list[str]:
+    return [_returned(outputs)]
+
+
+@answer_lines.register
+def _(head: ClipBox, outputs: Sequence[str], names: Names) -> list[str]:
+    limits = zip(outputs, *(limit.tolist() for limit in head.limits(len(outputs))), strict=True)
+    return [_returned([f"min(max({value}, {low!r}), {high!r})" for value, low, high in limits])]
+
+
+@answer_lines.register
+def _(head: TanhBox, outputs: Sequence[str], names: Names) -> list[str]:
+    return [_returned(_squashed(head, len(outputs), outputs))]
+
+
+@answer_lines.register
+def _(head: PidBox, outputs: Sequence[str], names: Names) -> list[str]:
+    controls = zip(names.answer_ids, joined(outputs, len(names.answers)), strict=True)
+    lines = [line for answer, control in controls for line in _statement(f"{answer} = ", control, "", "")]
+    return [*lines, _returned(_squashed(head, len(outputs), names.answer_ids))]
+
+
+@answer_lines.register
+def _(head: Sign, outputs: Sequence[str], names: Names) -> list[str]:
+    return [f"return 1 if {outputs[0]} > 0 else 0"]
+
+
+@answer_lines.register
+def _(head: Argmax, outputs: Sequence[str], names: Names) -> list[str]:
+    lines = [f"outputs = [{', '.join(outputs)}]"] if outputs == names.output_ids else []
+    return [*lines, "return outputs.index(max(outputs))"]
+
+
+def _returned(values: Sequence[str]) -> str:
+    return f"return [{', '.join(values)}]"
+
+
+def _squashed(head: TanhBox | PidBox, n_outputs: int, values: Sequence[str]) -> list[str]:
+    halves, middles = (part.tolist() for part in head.halves_and_middles(n_outputs))
+    return [
+        f"tanh({value})" if (half, middle) == (1.0, 0.0) else f"{middle!r} + {half!r} * tanh({value})"
+        for value, half, middle in zip(values, halves, middles, strict=True)
+    ]

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from functools import singledispatch
 
 import numpy as np
 
-from otr.core.head import Argmax, ClipBox, PidBox, Sign, TanhBox
+from otr.core.head import Argmax, ClipBox, Head, Identity, PidBox, Sign, TanhBox, no_entry
 from otr.core.tree import ObliqueTree
 from otr.programs.names import Names, give_labels, in_comment, label_name, names_for
 from otr.programs.pid_gains import joined
-from otr.programs.walk import MAX_NESTED_DEPTH, affine_expression, box_limits, distinct_rows, summary_of, walk, wrapped
+from otr.programs.walk import MAX_NESTED_DEPTH, affine_expression, child, distinct_rows, summary_of, walk, wrapped
 
-__all__ = ["to_structured_text"]
+__all__ = ["answer_statements", "to_structured_text"]
 
 # IEC 61131-3 (2013), Table 4, without what has a digit, and words of the dialects; what ends a block of these; then the
 # types, the standard functions that controllers know, and the block's own variables.
@@ -68,7 +69,7 @@ def to_structured_text(
     names = names_for(tree, feature_names, output_names, reserved=(*_RESERVED, name.lower()), ignore_case=True)
     nested = tree.depth <= MAX_NESTED_DEPTH
     declarations, statements = _nested(tree, names) if nested else _tables(tree, names)
-    head_variables, head = _head(tree, names)
+    head_variables, head = answer_statements(tree.head, names) if tree.labels is None else ([], [])
     lines = [f"(* {name}: {summary_of(tree)}. *)", f"FUNCTION_BLOCK {name}"]
     lines += _section("VAR_INPUT", map(_declared, names.feature_ids, names.features))
     lines += _section("VAR_OUTPUT", _outputs(tree, names))
@@ -110,7 +111,7 @@ def _integer_type(tree: ObliqueTree) -> str:
 
 def _locals(tree: ObliqueTree, names: Names) -> list[str]:
     """Return the declarations of outputs that are only steps towards the answer."""
-    if tree.labels is None and (give_labels(tree) or isinstance(tree.head, PidBox)):
+    if tree.labels is None and (give_labels(tree) or not tree.head.acts_by_output):
         return [f"{', '.join(names.output_ids)} : LREAL;"]
     return []
 
@@ -141,8 +142,7 @@ def _tables(tree: ObliqueTree, names: Names) -> tuple[dict[str, list[str]], list
     """Return the same as `_nested` with the tests and leaves in tables, found by a loop."""
     d, o = tree.n_inputs, tree.n_outputs
     tests, test_of = distinct_rows(np.column_stack((tree.P, tree.v)))
-    children = np.stack((tree.children_left, tree.children_right), axis=1)
-    constants = [_reals("tests", tests), _integers("test_of", test_of), _integers("child", children)]
+    constants = [_reals("tests", tests), _integers("test_of", test_of), _integers("child", child(tree))]
     variables = [f"inputs : ARRAY [0..{d - 1}] OF LREAL;", "node, first, column : DINT;", "total : LREAL;"]
     lines = [f"inputs[{i}] := {identifier};" for i, identifier in enumerate(names.feature_ids)]
     lines += [
@@ -189,44 +189,65 @@ def _integers(table: str, values: np.ndarray, kind: str = "DINT") -> str:
     return f"{table} : ARRAY [0..{values.size - 1}] OF {kind} := [{text}];"
 
 
-def _head(tree: ObliqueTree, names: Names) -> tuple[list[str], list[str]]:
-    """Return the variables and the statements that make the answer of the outputs."""
-    outputs = names.output_ids
-    if tree.labels is not None:
-        return [], []
-    if isinstance(tree.head, Sign):
-        return [], [f"IF {outputs[0]} > 0.0 THEN", "    label := 1;", "ELSE", "    label := 0;", "END_IF;"]
-    if isinstance(tree.head, Argmax):
-        lines = ["label := 0;", f"best := {outputs[0]};"]
-        for i, output in enumerate(outputs[1:], start=1):
-            lines += [f"IF {output} > best THEN", f"    label := {i};", f"    best := {output};", "END_IF;"]
-        return ["best : LREAL;"], lines
-    if isinstance(tree.head, ClipBox):
-        limits = zip(outputs, *(limit.tolist() for limit in box_limits(tree.head, tree.n_outputs)), strict=True)
-        return [], [f"{output} := LIMIT({number(low)}, {output}, {number(high)});" for output, low, high in limits]
-    if isinstance(tree.head, PidBox):
-        controls = zip(names.answer_ids, joined(outputs, len(names.answers)), strict=True)
-        lines = [line for answer, control in controls for line in wrapped(f"{answer} := {control};", "")]
-        return ["decay : LREAL;"], [*lines, *_tanh(tree, names.answer_ids)]
-    if isinstance(tree.head, TanhBox):
-        return ["decay : LREAL;"], _tanh(tree, outputs)
+@singledispatch
+def answer_statements(head: Head, names: Names) -> tuple[list[str], list[str]]:
+    """Return the variables and the statements that make the answer under a head of the outputs."""
+    raise no_entry(head, "to_structured_text")
+
+
+@answer_statements.register
+def _(head: Identity, names: Names) -> tuple[list[str], list[str]]:
     return [], []
 
 
-def _tanh(tree: ObliqueTree, outputs: Sequence[str]) -> list[str]:
-    low, high = box_limits(tree.head, tree.n_outputs)
-    half, middle = (high - low) / 2, low + (high - low) / 2
+@answer_statements.register
+def _(head: ClipBox, names: Names) -> tuple[list[str], list[str]]:
+    outputs = names.output_ids
+    limits = zip(outputs, *(limit.tolist() for limit in head.limits(len(outputs))), strict=True)
+    return [], [f"{output} := LIMIT({number(low)}, {output}, {number(high)});" for output, low, high in limits]
+
+
+@answer_statements.register
+def _(head: TanhBox, names: Names) -> tuple[list[str], list[str]]:
+    return _squashed(head, names)
+
+
+@answer_statements.register
+def _(head: PidBox, names: Names) -> tuple[list[str], list[str]]:
+    controls = zip(names.answer_ids, joined(names.output_ids, len(names.answers)), strict=True)
+    lines = [line for answer, control in controls for line in wrapped(f"{answer} := {control};", "")]
+    variables, squashed = _squashed(head, names)
+    return variables, [*lines, *squashed]
+
+
+@answer_statements.register
+def _(head: Sign, names: Names) -> tuple[list[str], list[str]]:
+    return [], [f"IF {names.output_ids[0]} > 0.0 THEN", "    label := 1;", "ELSE", "    label := 0;", "END_IF;"]
+
+
+@answer_statements.register
+def _(head: Argmax, names: Names) -> tuple[list[str], list[str]]:
+    first, *others = names.output_ids
+    lines = ["label := 0;", f"best := {first};"]
+    for i, output in enumerate(others, start=1):
+        lines += [f"IF {output} > best THEN", f"    label := {i};", f"    best := {output};", "END_IF;"]
+    return ["best : LREAL;"], lines
+
+
+def _squashed(head: TanhBox | PidBox, names: Names) -> tuple[list[str], list[str]]:
+    """Return the variable and the statements that squash every answer in its own variable."""
+    halves, middles = (part.tolist() for part in head.halves_and_middles(len(names.output_ids)))
     lines = ["(* tanh(u) = (1 - decay) / (1 + decay) with the sign of u, where decay = exp(-2 |u|). *)"]
-    for output, h, m in zip(outputs, half.tolist(), middle.tolist(), strict=True):
+    for answer, half, middle in zip(names.answer_ids, halves, middles, strict=True):
         lines += [
-            f"decay := EXP(-2.0 * ABS({output}));",
-            f"IF {output} < 0.0 THEN",
-            f"    {output} := {_scaled('(decay - 1.0) / (1.0 + decay)', h, m)};",
+            f"decay := EXP(-2.0 * ABS({answer}));",
+            f"IF {answer} < 0.0 THEN",
+            f"    {answer} := {_scaled('(decay - 1.0) / (1.0 + decay)', half, middle)};",
             "ELSE",
-            f"    {output} := {_scaled('(1.0 - decay) / (1.0 + decay)', h, m)};",
+            f"    {answer} := {_scaled('(1.0 - decay) / (1.0 + decay)', half, middle)};",
             "END_IF;",
         ]
-    return lines
+    return ["decay : LREAL;"], lines
 
 
 def _scaled(ratio: str, half: float, middle: float) -> str:

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
-from otr.core.arrays import FloatArray
-from otr.core.head import Argmax, ClipBox, PidBox, Sign, TanhBox
 from otr.core.tree import ObliqueTree
 from otr.programs.language.tokens import written
 from otr.programs.names import names_of
-from otr.programs.pid_gains import control_text, gain_lines, term_lines
+from otr.programs.notation import Notation
 
-__all__ = ["affine_text", "to_text"]
+__all__ = ["to_text"]
 
 _INDENT = "    "
 
@@ -48,84 +44,55 @@ def to_text(
     """
     if not isinstance(tree, ObliqueTree):
         raise TypeError(f"tree is a {type(tree).__name__}, expected an ObliqueTree; a PatternTree has to_tree()")
-    if precision < 1:
-        raise ValueError(f"precision is {precision}, expected at least 1 significant digit")
     features, answers = names_of(tree, feature_names, output_names)
-    features = [written(name) for name in features]
     is_number = [tree.labels is not None and name == str(label) for label, name in enumerate(answers)]
     answers = [name if own else written(name) for name, own in zip(answers, is_number, strict=True)]
-    is_pid = isinstance(tree.head, PidBox)
-    lines = term_lines(tree, lambda row, offset: affine_text(row, offset, features, precision)) if is_pid else []
-    # What is still to be written, last first: (indentation, a line) or (indentation, a reference to a child).
-    pending: list[tuple[int, str | int]] = [(0, 0 if tree.n_nodes else ~0)]
-    while pending:
-        indent, item = pending.pop()
-        if isinstance(item, str):
-            lines.append(_INDENT * indent + item)
-        elif item < 0:
-            lines += [_INDENT * indent + line for line in _leaf_lines(tree, ~item, features, answers, precision)]
-        else:
-            test = affine_text(tree.P[item], tree.v[item], features, precision)
-            lines.append(f"{_INDENT * indent}if {test} <= 0 then")
-            pending.append((indent + 1, int(tree.children_right[item])))
-            pending.append((indent, "else"))
-            pending.append((indent + 1, int(tree.children_left[item])))
-    return "\n".join(lines) + "\n"
+    text = _Text(tree, [written(name) for name in features], answers, answers, precision)
+    return "".join(f"{_INDENT * depth}{line}\n" for depth, line in text.lines())
 
 
-def affine_text(coefficients: FloatArray, offset: float, names: Sequence[str], precision: int) -> str:
-    """Return ``offset + coefficients @ names`` as text, constant first, zeros left out."""
-    terms = [] if offset == 0 else [(float(offset), "")]
-    terms += [(float(coefficients[i]), names[i]) for i in np.flatnonzero(coefficients).tolist()]
-    if not terms:
-        return "0"
-    text = ""
-    for position, (value, name) in enumerate(terms):
-        size = f"{abs(value):.{precision}g}"
-        word = name if name and size == "1" else f"{size} {name}".rstrip()
-        sign = ("-" if value < 0 else "") if position == 0 else (" - " if value < 0 else " + ")
-        text += sign + word
-    return text
+class _Text(Notation):
+    """The notation of the thesis's programs, which `parse_program` reads."""
 
+    times = " "
 
-def _leaf_lines(
-    tree: ObliqueTree, leaf: int, features: Sequence[str], answers: Sequence[str], precision: int
-) -> list[str]:
-    """Return the lines that state a leaf's answer."""
-    if tree.labels is not None:
-        label = int(tree.labels[leaf])
-        return [f"return {answers[label] if 0 <= label < len(answers) else label}"]
-    if isinstance(tree.head, PidBox):
-        gains = gain_lines(tree, leaf, answers, lambda row, offset: affine_text(row, offset, features, precision))
-        controls = [control_text(answers, action) for action in range(len(answers))]
-        return [*gains, *_answer_lines(tree, controls, answers, precision)]
-    values = [
-        affine_text(tree.M[leaf, output], tree.c[leaf, output], features, precision) for output in range(tree.n_outputs)
-    ]
-    if isinstance(tree.head, Sign):
-        return [f"return 1 if {values[0]} > 0 else 0"]
-    if isinstance(tree.head, Argmax):
-        assignments = [f"{name} = {value}" for name, value in zip(answers, values, strict=True)]
-        return [*assignments, f"return argmax({', '.join(answers)})"]
-    return _answer_lines(tree, values, answers, precision)
+    def number(self, value: float) -> str:
+        return f"{value:.{self.precision}g}"
 
+    def test(self, value: str) -> str:
+        return f"if {value} <= 0 then"
 
-def _answer_lines(tree: ObliqueTree, values: Sequence[str], answers: Sequence[str], precision: int) -> list[str]:
-    """Return the lines of continuous answers, from the text of each before the head."""
-    values = [_through_head(tree, answer, value, precision) for answer, value in enumerate(values)]
-    if len(values) == 1:
-        return [f"return {values[0]}"]
-    return [f"{name} = {value}" for name, value in zip(answers, values, strict=True)]
+    def otherwise(self) -> str:
+        return "else"
 
+    def returned(self, value: str) -> str:
+        return f"return {value}"
 
-def _through_head(tree: ObliqueTree, answer: int, value: str, precision: int) -> str:
-    """Return the expression of one answer with a box head around it."""
-    head = tree.head
-    if not isinstance(head, TanhBox | ClipBox | PidBox):
-        return value
-    n_answers = head.n_answers(tree.n_outputs)
-    low, high = (float(np.broadcast_to(limit, (n_answers,))[answer]) for limit in (head.low, head.high))
-    if isinstance(head, ClipBox):
-        return f"clip({value}, {low:.{precision}g}, {high:.{precision}g})"
-    half, middle = (high - low) / 2, (high + low) / 2
-    return affine_text(np.array([half]), middle, [f"tanh({value})"], precision)
+    def returned_label(self, name: str) -> str:
+        return f"return {name}"
+
+    def returned_sign(self, value: str) -> str:
+        return f"return 1 if {value} > 0 else 0"
+
+    def returned_argmax(self, names: Sequence[str]) -> str:
+        return f"return argmax({', '.join(names)})"
+
+    def assigned(self, name: str, value: str) -> str:
+        return f"{name} = {value}"
+
+    def clip(self, value: str, low: float, high: float) -> str:
+        return f"clip({value}, {self.number(low)}, {self.number(high)})"
+
+    def tanh(self, value: str) -> str:
+        return f"tanh({value})"
+
+    def vector(self, name: str, entries: Sequence[str], *, one_a_line: bool) -> list[str]:
+        if one_a_line:
+            return [f"{name} = [", *(f"    {entry}," for entry in entries), "]"]
+        return [f"{name} = [{', '.join(entries)}]"]
+
+    def gain(self, term: str, answer: str) -> str:
+        return f"theta_{term}_{answer}" if answer else f"theta_{term}"
+
+    def product(self, gain: str, term: str) -> str:
+        return f"{gain} . {term}"

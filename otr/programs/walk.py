@@ -1,4 +1,4 @@
-"""What several program formats share: the walk over a tree, rows that are stored once, what a head needs."""
+"""What several program formats share: the walk over a tree, rows that are stored once, affine expressions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Literal
 import numpy as np
 
 from otr.core.arrays import FloatArray, IntArray
-from otr.core.head import ClipBox, Head, PidBox, TanhBox
 from otr.core.tree import ObliqueTree
 
 __all__ = [
@@ -17,7 +16,6 @@ __all__ = [
     "TIE",
     "WIDTH",
     "affine_expression",
-    "box_limits",
     "child",
     "distinct_rows",
     "summary_of",
@@ -68,27 +66,36 @@ def distinct_rows(rows: FloatArray) -> tuple[FloatArray, IntArray]:
     return unique[order], rank[index.reshape(-1)]
 
 
-def box_limits(head: Head, n_outputs: int) -> tuple[FloatArray, FloatArray]:
-    """Return a box head's limits for every value of the answer: low and high, (n_answers,) each."""
-    n_answers = head.n_answers(n_outputs)
-    assert isinstance(head, ClipBox | TanhBox | PidBox)
-    return np.broadcast_to(head.low, (n_answers,)), np.broadcast_to(head.high, (n_answers,))
-
-
 def affine_expression(
-    coefficients: FloatArray, offset: float, names: Sequence[str], number: Callable[[float], str]
+    coefficients: FloatArray,
+    offset: float,
+    names: Sequence[str],
+    number: Callable[[float], str],
+    *,
+    times: str = f"{TIE}*{TIE}",
+    tie: str = TIE,
+    leaves_out_ones: bool = False,
 ) -> str:
-    """Return ``offset + coefficient * name - ...`` in the notation of most languages; zeros are left out.
+    """Return ``offset + coefficient * name - ...``, by default in the notation of most languages; without zeros.
 
-    The spaces within a term are ties.
+    Args:
+        coefficients: (d,).
+        offset: comes first.
+        names: d names.
+        number: writes a number that is not negative.
+        times: between a coefficient and its name.
+        tie: between a sign and its term; by default, as in `times`, a space at which no line is broken.
+        leaves_out_ones: whether a coefficient that is written as 1 is left out.
     """
     terms = [] if offset == 0 else [(float(offset), "")]
-    terms += [(float(coefficients[i]), f"{TIE}*{TIE}{names[i]}") for i in np.flatnonzero(coefficients).tolist()]
-    if not terms:
-        return number(0.0)
-    (first, name), *rest = terms
-    signed = (f" {'-' if value < 0 else '+'}{TIE}{number(abs(value))}{name}" for value, name in rest)
-    return f"{number(first)}{name}{''.join(signed)}"
+    terms += [(float(coefficients[i]), names[i]) for i in np.flatnonzero(coefficients).tolist()]
+    text = ""
+    for position, (value, name) in enumerate(terms):
+        size = number(abs(value))
+        term = size if not name else name if leaves_out_ones and size == "1" else f"{size}{times}{name}"
+        sign = "-" if value < 0 else "+" if position else ""
+        text += f" {sign}{tie}{term}" if position else f"{sign}{term}"
+    return text or number(0.0)
 
 
 def wrapped(text: str, indent: str) -> list[str]:

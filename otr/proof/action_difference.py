@@ -7,7 +7,6 @@ import numpy as np
 from otr.core.arrays import FloatArray, IntArray
 from otr.core.domain import Box, Domain, as_domain
 from otr.core.half_spaces import HalfSpaces
-from otr.core.head import ClipBox, Head, Identity, TanhBox
 from otr.core.tree import ObliqueTree
 from otr.geometry.largest_balls import largest_balls
 from otr.geometry.largest_values import largest_values
@@ -55,7 +54,7 @@ def largest_difference(tree: ObliqueTree, other: ObliqueTree, box: Box | Domain)
     ranges = [_ranges(rows, signs, domain, each, at) for each, at in ((tree, leaves), (other, others))]
     (low, high), (other_low, other_high) = ranges
     apart = np.maximum(high - other_low, other_high - low)
-    slope = _common_slope(tree.head, other.head, tree.n_outputs)
+    slope = tree.head.slopes(tree.n_outputs) if tree.head == other.head else None
     if slope is not None:
         between = _outputs(tree, leaves) - _outputs(other, others)
         widest = np.maximum(_largest(rows, signs, domain, between), _largest(rows, signs, domain, -between))
@@ -100,14 +99,3 @@ def _ranges(
     forms = _outputs(tree, leaves)
     low, high = -_largest(rows, signs, domain, -forms), _largest(rows, signs, domain, forms)
     return np.asarray(tree.head(low)), np.asarray(tree.head(high))
-
-
-def _common_slope(head: Head, other: Head, n_outputs: int) -> FloatArray | None:
-    """Return the steepest slope (n_outputs,) of two heads that are the same; None if they are not."""
-    if head != other:
-        return None
-    if isinstance(head, Identity | ClipBox):
-        return np.ones(n_outputs)
-    if isinstance(head, TanhBox):
-        return np.broadcast_to((head.high - head.low) / 2, (n_outputs,))
-    return None

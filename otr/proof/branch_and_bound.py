@@ -10,21 +10,20 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import product
+from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
 
 from otr.core.arrays import FloatArray, IntArray
 from otr.core.half_spaces import HalfSpaces
-from otr.core.head import ClipBox
 from otr.errors import CertificateError, OtrError
 from otr.geometry.largest_values import LargestValues, largest_values
 from otr.geometry.rational import Point, as_point
 from otr.geometry.regions import leaf_rows
 from otr.proof.certificate import Sum
 from otr.proof.exact_cells import decide
-from otr.proof.head_bounds import half_and_middle, limits_of_head, line_above
-from otr.proof.statement import Row
+from otr.proof.exact_rows import Row
 from otr.proof.verdict import Piece, Question, Verdict
 from otr.proof.verify import rounded_up
 
@@ -99,7 +98,7 @@ class Search:
             return piece
         rows = self.question.rows(piece.leaf, piece.low, piece.high)
         form = self.question.left_side(piece.leaf, piece.lines)
-        tolerances = (0.0, self.tolerance) if self.question.is_tanh else (0.0,)
+        tolerances = (0.0, self.tolerance) if not self.question.is_exact else (0.0,)
         point: Point | None = None
         for tolerance in tolerances:
             # The rounding of tanh's lines is in what is allowed, too, so that the check finds no more.
@@ -173,16 +172,16 @@ class Search:
         ]  # fmt: skip
 
     def _first_pieces(self, max_pieces: int) -> _Open:
-        """Return a piece for every leaf, or the three parts of each clip."""
+        """Return a piece for every leaf and, of actions that are affine in pieces, every combination of these."""
         n, m = self.tree.n_leaves, len(self.weighed)
         leaves = np.arange(n)
-        if isinstance(self.tree.head, ClipBox) and m:
-            limits = [limits_of_head(self.tree.head, self.tree.n_outputs, k) for k in self.weighed]
-            if n * 3**m > max_pieces:
-                raise OtrError(f"{m} clipped outputs make {n * 3**m:,} pieces; weigh fewer of them at a time")
-            parts = product(*(((-np.inf, a), (a, b), (b, np.inf)) for a, b in limits))
-            chosen = np.array(list(parts), dtype=np.float64)
-            return _Open(np.repeat(leaves, 3**m), np.tile(chosen[..., 0], (n, 1)), np.tile(chosen[..., 1], (n, 1)))
+        if self.question.is_exact:
+            parts = [self.question.actions[k].pieces() for k in self.weighed]
+            n_parts = prod(map(len, parts))
+            if n_parts > 1 and n * n_parts > max_pieces:
+                raise OtrError(f"{m} clipped outputs make {n * n_parts:,} pieces; weigh fewer of them at a time")
+            low, high = np.array(list(product(*parts)), dtype=np.float64).reshape(n_parts, m, 2).transpose(2, 0, 1)
+            return _Open(np.repeat(leaves, n_parts), np.tile(low, (n, 1)), np.tile(high, (n, 1)))
         both = [self.question.limits(leaf) for leaf in leaves.tolist()]
         low, high = (np.array([pair[side] for pair in both], dtype=np.float64).reshape(n, m) for side in (0, 1))
         return _Open(leaves, low, high)
@@ -231,21 +230,15 @@ class Search:
     def _line(self, i: int, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return slope and offset (n,) of lines above a weighed output's share in the condition, on intervals (n,)."""
         output = self.weighed[i]
-        return line_above(self.tree.head, self.tree.n_outputs, output, self.question.action[output], low, high)
+        return self.question.actions[output].line_above(self.question.action[output], low, high)
 
     def _exact_line(self, i: int, slope: float, offset: float) -> tuple[float, float | Fraction]:
-        """Return a line's slope and offset, that of a clip's end without the rounding of its product."""
-        if not isinstance(self.tree.head, ClipBox) or slope != 0:
-            return float(slope), float(offset)
         output = self.weighed[i]
-        weight = self.question.action[output]
-        ends = limits_of_head(self.tree.head, self.tree.n_outputs, output)
-        return 0.0, next(Fraction(weight) * Fraction(end) for end in ends if weight * end == offset)
+        return self.question.actions[output].exact_line(self.question.action[output], slope, offset)
 
     def _gap(self, i: int, y: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
         """Return how far the line of a weighed output is above what it bounds, at outputs y (n,)."""
         output = self.weighed[i]
         slope, offset = self._line(i, low, high)
-        half, middle = half_and_middle(self.tree.head, self.tree.n_outputs, output)
-        gap: FloatArray = slope * y + offset - self.question.action[output] * (middle + half * np.tanh(y))
+        gap: FloatArray = slope * y + offset - self.question.action[output] * self.question.actions[output].near(y)
         return gap

@@ -31,7 +31,7 @@ class Sum:
     """A sum of rows with multipliers that are not negative.
 
     Attributes:
-        rows: names of rows, as in otr/proof/statement.py: "low i", "high i", "test i", "neuron i".
+        rows: names of rows, as in otr/proof/exact_rows.py: "low i", "high i", "test i", "neuron i".
         multipliers: one each; a fraction where no float64 would do.
     """
 

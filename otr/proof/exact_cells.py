@@ -20,7 +20,7 @@ from otr.core.head import Identity
 from otr.errors import CertificateError
 from otr.geometry.rational import Integers, Point, as_point, integers, nearest_state
 from otr.geometry.rational_linear_programs import inner_point, largest_value
-from otr.proof.statement import Row, Statement
+from otr.proof.exact_rows import Row, TreeAndNetwork
 
 __all__ = [
     "ExactCell",
@@ -71,18 +71,18 @@ def decide(rows: dict[str, Row], n_inputs: int) -> Point | Multipliers:
     return {names[row]: multiplier for row, multiplier in found.multipliers.items()}
 
 
-def cells_of_leaf(statement: Statement, leaf: int) -> Iterator[ExactCell]:
+def cells_of_leaf(pair: TreeAndNetwork, leaf: int) -> Iterator[ExactCell]:
     """Yield the network's cells in a leaf's region; none if it is empty."""
-    rows = statement.rows_of_leaf(leaf)
-    point = decide(rows, statement.network.n_inputs)
+    rows = pair.rows_of_leaf(leaf)
+    point = decide(rows, pair.network.n_inputs)
     if isinstance(point, tuple):
-        yield from find_cells(statement, leaf, rows, point)
+        yield from find_cells(pair, leaf, rows, point)
 
 
-def find_cells(statement: Statement, leaf: int, rows: dict[str, Row], point: Point) -> Iterator[ExactCell]:
+def find_cells(pair: TreeAndNetwork, leaf: int, rows: dict[str, Row], point: Point) -> Iterator[ExactCell]:
     """Yield the network's cells in a leaf's region of these rows, in which a point lies, depth first."""
-    n = statement.network.n_hidden
-    starts = set(statement.network.unit_form().layer_starts)
+    n = pair.network.n_hidden
+    starts = set(pair.network.unit_form().layer_starts)
     waiting: list[tuple[tuple[bool, ...], dict[str, Row], dict[int, Multipliers], Point, Integers]] = [
         ((), rows, {}, point, np.empty((0, 0), dtype=object))
     ]
@@ -90,16 +90,16 @@ def find_cells(statement: Statement, leaf: int, rows: dict[str, Row], point: Poi
         outcomes, rows, proofs, point, forms = waiting.pop()
         test = len(outcomes)
         if test <= n and test in starts:
-            forms = statement.forms(outcomes)
-        if test == statement.n_tests:
+            forms = pair.forms(outcomes)
+        if test == pair.n_tests:
             yield ExactCell(leaf, outcomes, rows, proofs, point, forms)
             continue
-        padded = (*outcomes, *(False for _ in range(statement.n_tests - test)))
-        form = forms[test] if test < n else statement.head_tests(forms, padded)[test - n]
-        near = statement.values(form[None], point)[0] > 0
+        padded = (*outcomes, *(False for _ in range(pair.n_tests - test)))
+        form = forms[test] if test < n else pair.head_tests(forms, padded)[test - n]
+        near = pair.values(form[None], point)[0] > 0
         name = f"neuron {test}"
         sides = {outcome: rows | {name: Row(form if outcome else -form, outcome)} for outcome in (False, True)}
-        far = decide(sides[not near], statement.network.n_inputs)
+        far = decide(sides[not near], pair.network.n_inputs)
         if isinstance(far, tuple):
             waiting.append(((*outcomes, not near), sides[not near], proofs, far, forms))
             waiting.append(((*outcomes, near), sides[near], proofs, point, forms))
@@ -109,13 +109,13 @@ def find_cells(statement: Statement, leaf: int, rows: dict[str, Row], point: Poi
         waiting.append(((*outcomes, near), rows, proofs | {test: proof}, point, forms))
 
 
-def largest_gap(statement: Statement, cell: ExactCell) -> list[tuple[list[Point], Multipliers]]:
+def largest_gap(pair: TreeAndNetwork, cell: ExactCell) -> list[tuple[list[Point], Multipliers]]:
     """Return where each difference of leaf and network in a cell, and its negative, is largest, and what bounds it.
 
     These are points of the cell's closure, and multipliers of its rows. On a domain with open sides it is largest in
     units of 1 + the size of the open inputs, which may be reached only ever farther in a direction.
     """
-    rows, domain = stacked(cell.rows, statement.network.n_inputs), statement.domain
+    rows, domain = stacked(cell.rows, pair.network.n_inputs), pair.domain
     names, is_open = list(cell.rows), np.isinf(domain.low) | np.isinf(domain.high)
     widest = Fraction(float(np.abs([domain.low[~is_open], domain.high[~is_open]]).max(initial=1.0)))
     if is_open.any():  # x / s for x, with |x_i| <= 1 where it is open and 0 <= s <= 1
@@ -124,7 +124,7 @@ def largest_gap(statement: Statement, cell: ExactCell) -> list[tuple[list[Point]
         bounds = [*(ones - limit for limit in limits), *(ones + limit for limit in limits[:-1]), limits[-1]]
         rows = np.concatenate((np.column_stack((rows, [0] * len(rows))), np.array(bounds).astype(object)))
     found = []
-    for form in statement.differences(cell.leaf, cell.forms, cell.outcomes):
+    for form in pair.differences(cell.leaf, cell.forms, cell.outcomes):
         for signed in (form, -form):
             numbers = [*signed.tolist(), 0] if is_open.any() else signed.tolist()
             best = largest_value(rows, numbers, sum(map(abs, numbers)) * (widest + 1) + 1)
@@ -155,50 +155,50 @@ def largest_over(rows: Integers, form: FloatArray, domain: Domain) -> tuple[floa
     return float(best.t / 2**power), np.array([float(value) for value in best.point])
 
 
-def counterexample(statement: Statement, cell: ExactCell, max_error: Fraction) -> Point | None:
+def counterexample(pair: TreeAndNetwork, cell: ExactCell, max_error: Fraction) -> Point | None:
     """Return a point of a cell where leaf and network differ by more than `max_error`, or None.
 
     On a domain with open sides the error is relative, and a point is looked for among few.
     """
     candidates = [cell.point]
-    for points, _ in largest_gap(statement, cell):
+    for points, _ in largest_gap(pair, cell):
         # The farthest point may lie on a side that the cell is without: from it, ever nearer to the point inside.
         candidates += [_between(far, cell.point, Fraction(1, 2**k)) for far in points for k in (60, 30, 10, 3, 1)]
     for point in candidates:
-        leaf, gap = statement.gap(point)
-        if leaf == cell.leaf and gap > max_error * statement.unit_at(point):
+        leaf, gap = pair.gap(point)
+        if leaf == cell.leaf and gap > max_error * pair.unit_at(point):
             state = nearest_state(point)
             if state is None:
                 return point
             rounded = as_point(state)
-            leaf, gap = statement.gap(rounded)
-            shows_it = leaf == cell.leaf and gap > max_error * statement.unit_at(rounded)
-            return rounded if shows_it and statement.is_inside(rounded) else point
+            leaf, gap = pair.gap(rounded)
+            shows_it = leaf == cell.leaf and gap > max_error * pair.unit_at(rounded)
+            return rounded if shows_it and pair.is_inside(rounded) else point
     return None
 
 
-def refusal(error: CertificateError, statement: Statement, max_error: float) -> CertificateError:
+def refusal(error: CertificateError, pair: TreeAndNetwork, max_error: float) -> CertificateError:
     """Return a refusal with a point of its leaf where tree and network differ, or as it was if none is found soon."""
-    if error.leaf is None or not 0 <= error.leaf < statement.tree.n_leaves:
+    if error.leaf is None or not 0 <= error.leaf < pair.tree.n_leaves:
         return error
-    for cell in islice(cells_of_leaf(statement, error.leaf), _MAX_CELLS):
-        point = counterexample(statement, cell, Fraction(max_error))
+    for cell in islice(cells_of_leaf(pair, error.leaf), _MAX_CELLS):
+        point = counterexample(pair, cell, Fraction(max_error))
         if point is not None:
-            return refused_at(statement, error.leaf, point)
+            return refused_at(pair, error.leaf, point)
     return error
 
 
-def refused_at(statement: Statement, leaf: int, point: Point) -> CertificateError:
+def refused_at(pair: TreeAndNetwork, leaf: int, point: Point) -> CertificateError:
     """Return the error that says that tree and network differ at a point of a leaf."""
-    tree, network = statement.tree, statement.network
+    tree, network = pair.tree, pair.network
     if tree.labels is None:
-        ours: object = [_shown(value) for value in statement.outputs(leaf, point)]
-        theirs: object = [_shown(value) for value in statement.units.outputs(point)]
+        ours: object = [_shown(value) for value in pair.outputs(leaf, point)]
+        theirs: object = [_shown(value) for value in pair.units.outputs(point)]
     else:
-        outputs = statement.units.outputs(point)
+        outputs = pair.units.outputs(point)
         ours = int(tree.labels[leaf])
         theirs = int(outputs[0] > 0) if len(outputs) == 1 else max(range(len(outputs)), key=outputs.__getitem__)
-    what = "answers" if tree.labels is not None or isinstance(network.head, Identity) else "computes, before its head,"
+    what = "answers" if tree.labels is not None or network.head == Identity() else "computes, before its head,"
     state = ", ".join(_shown(value) for value in point)
     text = f"leaf {leaf}: at the state [{state}] the tree {what} {_listed(ours)} and the network {_listed(theirs)}"
     return CertificateError(f"{text}; they are not the same function", leaf, point)

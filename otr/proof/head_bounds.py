@@ -1,46 +1,193 @@
-"""Lines above a head's answer: an action weighed by a number, bounded by an affine function of its output."""
+"""What proofs know of a head: for each of its actions the exact value, and lines above it.
+
+An action weighed by a number w is bounded by an affine function of its output y, a line nowhere below ``w * h(y)`` on
+an interval. Under an affine head and a clip, lines and values are exact; under tanh they are as exact as float64 is.
+"""
 
 from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import singledispatch
 
 import numpy as np
 
 from otr.core.arrays import FloatArray
-from otr.core.head import ClipBox, Head, TanhBox
+from otr.core.head import Argmax, ClipBox, Head, Identity, Sign, TanhBox, no_entry
 
-__all__ = ["half_and_middle", "limits_of_head", "line_above", "tanh_line"]
+__all__ = ["Action", "action_of", "tanh_line"]
 
+_TANH = Fraction(1, 10**12)  # of an action's range: up to where float64 knows a tanh
 
-def limits_of_head(head: Head, n_outputs: int, output: int) -> tuple[float, float]:
-    assert isinstance(head, ClipBox | TanhBox)
-    low, high = (np.broadcast_to(limit, (n_outputs,)) for limit in (head.low, head.high))
-    return float(low[output]), float(high[output])
+Line = tuple[float, float | Fraction]  # slope and offset
 
 
-def half_and_middle(head: Head, n_outputs: int, output: int) -> tuple[float, float]:
-    low, high = limits_of_head(head, n_outputs, output)
-    return (high - low) / 2, (high + low) / 2
+class Action(ABC):
+    """One action as a function h of its output y, which never falls as that rises.
+
+    Attributes:
+        is_exact: whether values and lines are exact.
+    """
+
+    is_exact = True
+
+    def pieces(self) -> tuple[tuple[float, float], ...]:
+        """Return intervals of y that make up the line, on each of which the action is affine if it is exact."""
+        return ((-math.inf, math.inf),)
+
+    @abstractmethod
+    def value(self, y: Fraction) -> tuple[Fraction, Fraction]:
+        """Return h(y), and how far that may be off: 0 where it is exact."""
+
+    @abstractmethod
+    def near(self, y: FloatArray) -> FloatArray:
+        """Return h(y) in float64."""
+
+    @abstractmethod
+    def line_above(self, weight: float, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return slopes and offsets of lines nowhere below ``weight * h(y)`` between low and high (n,)."""
+
+    def exact_line(self, weight: float, slope: float, offset: float) -> Line:
+        """Return a line of `line_above` without the rounding of its products, where it may be told."""
+        return float(slope), float(offset)
+
+    @abstractmethod
+    def turns(self, weight: float, slope: float, low: float, high: float) -> set[float]:
+        """Return where a line of this slope, less ``weight * h(y)``, may be smallest within an interval."""
+
+    @abstractmethod
+    def stays_above(self, weight: float, slope: float, low: float, high: float) -> bool:
+        """Return whether a line of this slope stays above ``weight * h(y)`` towards the open ends of an interval."""
 
 
-def line_above(
-    head: Head, n_outputs: int, output: int, weight: float, low: FloatArray, high: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return slope and offset of a line in y that is nowhere below ``weight * head(y)`` between low and high (n,)."""
-    n = len(low)
-    if isinstance(head, ClipBox):
-        bottom, top = limits_of_head(head, n_outputs, output)
+class _AffineAction(Action):
+    """h(y) = y."""
+
+    def value(self, y: Fraction) -> tuple[Fraction, Fraction]:
+        return y, Fraction(0)
+
+    def near(self, y: FloatArray) -> FloatArray:
+        return y
+
+    def line_above(self, weight: float, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return np.full(len(low), weight), np.zeros(len(low))
+
+    def turns(self, weight: float, slope: float, low: float, high: float) -> set[float]:
+        return {0.0}
+
+    def stays_above(self, weight: float, slope: float, low: float, high: float) -> bool:
+        return Fraction(slope) == Fraction(weight)
+
+
+@dataclass(frozen=True)
+class _ClippedAction(Action):
+    """h(y) = min(max(y, bottom), top)."""
+
+    bottom: float
+    top: float
+
+    def pieces(self) -> tuple[tuple[float, float], ...]:
+        return (-math.inf, self.bottom), (self.bottom, self.top), (self.top, math.inf)
+
+    def value(self, y: Fraction) -> tuple[Fraction, Fraction]:
+        return min(max(y, Fraction(self.bottom)), Fraction(self.top)), Fraction(0)
+
+    def near(self, y: FloatArray) -> FloatArray:
+        return np.clip(y, self.bottom, self.top)
+
+    def line_above(self, weight: float, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
         inside = np.isfinite(low) & np.isfinite(high)
-        constant = np.where(np.isfinite(high), bottom, top)
+        constant = np.where(np.isfinite(high), self.bottom, self.top)
         return np.where(inside, weight, 0.0), np.where(inside, 0.0, weight * constant)
-    if not isinstance(head, TanhBox):
-        return np.full(n, weight), np.zeros(n)
-    half, middle = half_and_middle(head, n_outputs, output)
-    if weight < 0:  # weight tanh(y) = -weight tanh(-y)
-        slope, offset = tanh_line(-high, -low)
-        slope = -slope
-    else:
-        slope, offset = tanh_line(low, high)
-    scale = abs(weight) * half
-    return scale * slope, scale * offset + weight * middle
+
+    def exact_line(self, weight: float, slope: float, offset: float) -> Line:
+        if slope != 0:
+            return float(slope), float(offset)
+        ends = (self.bottom, self.top)
+        return 0.0, next(Fraction(weight) * Fraction(end) for end in ends if weight * end == offset)
+
+    def turns(self, weight: float, slope: float, low: float, high: float) -> set[float]:
+        return {y for y in (self.bottom, self.top) if low < y < high}
+
+    def stays_above(self, weight: float, slope: float, low: float, high: float) -> bool:
+        return (math.isfinite(low) or slope <= 0) and (math.isfinite(high) or slope >= 0)
+
+
+@dataclass(frozen=True)
+class _SquashedAction(Action):
+    """h(y) = bottom + (tanh(y) + 1) / 2 * (top - bottom)."""
+
+    bottom: float
+    top: float
+    is_exact = False
+
+    def value(self, y: Fraction) -> tuple[Fraction, Fraction]:
+        low, high = Fraction(self.bottom), Fraction(self.top)
+        squashed = Fraction(math.tanh(min(max(y, Fraction(-40)), Fraction(40))))
+        return low + (squashed + 1) / 2 * (high - low), _TANH * (high - low)
+
+    def near(self, y: FloatArray) -> FloatArray:
+        half, middle = self._half_and_middle()
+        return np.asarray(middle + half * np.tanh(y))
+
+    def _half_and_middle(self) -> tuple[float, float]:
+        return (self.top - self.bottom) / 2, (self.top + self.bottom) / 2
+
+    def line_above(self, weight: float, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+        half, middle = self._half_and_middle()
+        if weight < 0:  # weight tanh(y) = -weight tanh(-y)
+            slope, offset = tanh_line(-high, -low)
+            slope = -slope
+        else:
+            slope, offset = tanh_line(low, high)
+        scale = abs(weight) * half
+        return scale * slope, scale * offset + weight * middle
+
+    def turns(self, weight: float, slope: float, low: float, high: float) -> set[float]:
+        half = (Fraction(self.top) - Fraction(self.bottom)) / 2
+        share = slope / (weight * float(half))
+        root = math.sqrt(1 - share) if 0 < share < 1 else 1.0
+        # Where the line is parallel to the curve.
+        return {y for y in (-math.atanh(root), math.atanh(root)) if low < y < high} if root < 1 else set()
+
+    def stays_above(self, weight: float, slope: float, low: float, high: float) -> bool:
+        return math.isfinite(low) and math.isfinite(high)
+
+
+@singledispatch
+def action_of(head: Head, n_outputs: int, output: int) -> Action:
+    """Return what proofs know of one action of a head that acts by output.
+
+    Raises:
+        ValueError: the head decides labels.
+    """
+    raise no_entry(head, "a proof")
+
+
+@action_of.register
+def _(head: Identity, n_outputs: int, output: int) -> Action:
+    return _AffineAction()
+
+
+@action_of.register
+def _(head: ClipBox, n_outputs: int, output: int) -> Action:
+    return _ClippedAction(*(float(limit[output]) for limit in head.limits(n_outputs)))
+
+
+@action_of.register
+def _(head: TanhBox, n_outputs: int, output: int) -> Action:
+    return _SquashedAction(*(float(limit[output]) for limit in head.limits(n_outputs)))
+
+
+@action_of.register(Sign)
+@action_of.register(Argmax)
+def _(head: Head, n_outputs: int, output: int) -> Action:
+    raise ValueError(
+        f"the head is {head!r}, and no test of the tree decides the label; otr.map_network(network) makes a tree whose "
+        "leaves have labels"
+    )
 
 
 def tanh_line(low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -21,7 +21,7 @@ from otr.geometry.regions import leaf_rows
 from otr.geometry.simplex import Bases
 from otr.proof.branch_and_bound import Search
 from otr.proof.exact_cells import decide, largest_over, stacked
-from otr.proof.statement import TreeOnDomain
+from otr.proof.exact_rows import TreeOnDomain
 from otr.proof.verdict import Condition, Question, Verdict
 
 __all__ = ["Condition", "OutputRange", "Verdict", "check_verdict", "find_violation", "output_range", "reachable_labels"]

@@ -18,17 +18,14 @@ from numpy.typing import ArrayLike
 
 from otr.core.arrays import FloatArray
 from otr.core.domain import Domain
-from otr.core.head import ClipBox, Sign, TanhBox
 from otr.core.tree import ObliqueTree
 from otr.errors import CertificateError
 from otr.geometry.rational import Integers, Point, as_point
 from otr.proof.certificate import Sum
-from otr.proof.head_bounds import limits_of_head
-from otr.proof.statement import Row, TreeOnDomain
+from otr.proof.exact_rows import Row, TreeOnDomain
+from otr.proof.head_bounds import action_of
 
 __all__ = ["Condition", "Piece", "Question", "Verdict"]
-
-_TANH = Fraction(1, 10**12)  # of an action's range: up to where float64 knows a tanh
 
 
 @dataclass(frozen=True)
@@ -111,11 +108,12 @@ class Question(TreeOnDomain):
         if not (np.isfinite(self.state).all() and np.isfinite(self.action).all() and np.isfinite(self.bound)):
             raise ValueError("the condition has a coefficient or a bound that is no finite number")
         self.weighed = np.flatnonzero(self.action).tolist() if tree.labels is None else []
-        self.is_tanh = isinstance(tree.head, TanhBox) and bool(self.weighed)
+        self.actions = {output: action_of(tree.head, tree.n_outputs, output) for output in self.weighed}
+        self.is_exact = all(action.is_exact for action in self.actions.values())
 
     def allowed(self, tolerance: float) -> Fraction:
         """Return what the condition's left side may be."""
-        return Fraction(self.bound) + (Fraction(tolerance) if self.is_tanh else 0)
+        return Fraction(self.bound) + (0 if self.is_exact else Fraction(tolerance))
 
     def rows(self, leaf: int, low: Sequence[float], high: Sequence[float]) -> dict[str, Row]:
         """Return the rows of a piece, by name."""
@@ -143,8 +141,7 @@ class Question(TreeOnDomain):
         """Return a leaf's label's share in the condition; 0 in a tree without labels."""
         if self.tree.labels is None:
             return 0.0
-        label = int(self.tree.labels[leaf])
-        return float(self.action[0]) * label if isinstance(self.tree.head, Sign) else float(self.action[label])
+        return float(self.tree.head.weights_of_label(int(self.tree.labels[leaf]), self.tree.n_outputs) @ self.action)
 
     def value(self, point: Point) -> tuple[int, Fraction, Fraction]:
         """Return a point's leaf, the condition's left side there, and how far that may be off: 0 without tanh."""
@@ -154,21 +151,10 @@ class Question(TreeOnDomain):
         off = Fraction(0)
         outputs = self.outputs(leaf, point)
         for output in self.weighed:
-            answer, error = self.answer(output, outputs[output])
+            answer, error = self.actions[output].value(outputs[output])
             value += Fraction(self.action[output]) * answer
             off += abs(Fraction(self.action[output])) * error
         return leaf, value, off
-
-    def answer(self, output: int, y: Fraction) -> tuple[Fraction, Fraction]:
-        """Return the action for an output, and how far it may be off: 0 without tanh."""
-        head = self.tree.head
-        if not isinstance(head, ClipBox | TanhBox):
-            return y, Fraction(0)
-        low, high = map(Fraction, limits_of_head(head, self.tree.n_outputs, output))
-        if isinstance(head, ClipBox):
-            return min(max(y, low), high), Fraction(0)
-        squashed = Fraction(math.tanh(min(max(y, Fraction(-40)), Fraction(40))))
-        return low + (squashed + 1) / 2 * (high - low), _TANH * (high - low)
 
     def check(self, verdict: Verdict) -> None:
         """Raise CertificateError unless a verdict is shown."""
@@ -193,7 +179,7 @@ class Question(TreeOnDomain):
 
     def limits(self, leaf: int) -> tuple[list[float], list[float]]:
         """Return limits (n_weighed,) of the outputs that pieces must cover: all, or under tanh what the box leaves."""
-        if not self.is_tanh:
+        if self.is_exact:
             return [-math.inf] * len(self.weighed), [math.inf] * len(self.weighed)
         limits: tuple[list[float], list[float]] = ([], [])
         for output in self.weighed:
@@ -250,32 +236,18 @@ class Question(TreeOnDomain):
         low, high, weight = piece.low[at], piece.high[at], Fraction(self.action[output])
         if not (math.isfinite(slope) and math.isfinite(offset)):
             raise CertificateError(f"leaf {piece.leaf}: a line of a piece is of no finite numbers", piece.leaf)
-        places, is_above = {y for y in (low, high) if math.isfinite(y)}, True
-        if self.is_tanh:
-            share = slope / (float(weight) * float(self._half(output)))
-            root = math.sqrt(1 - share) if 0 < share < 1 else 1.0
-            if root < 1:  # where the line is parallel to the curve
-                places |= {y for y in (-math.atanh(root), math.atanh(root)) if low < y < high}
-            is_above = math.isfinite(low) and math.isfinite(high)
-        elif isinstance(self.tree.head, ClipBox):
-            places |= {y for y in limits_of_head(self.tree.head, self.tree.n_outputs, output) if low < y < high}
-            is_above = (math.isfinite(low) or slope <= 0) and (math.isfinite(high) or slope >= 0)
-        else:
-            places |= {0.0}
-            is_above = Fraction(slope) == weight
+        action = self.actions[output]
+        is_above = action.stays_above(float(weight), slope, low, high)
+        places = {y for y in (low, high) if math.isfinite(y)} | action.turns(float(weight), slope, low, high)
         worst = Fraction(0)
         for y in places:
-            answer, error = self.answer(output, Fraction(y))
+            answer, error = action.value(Fraction(y))
             short = weight * answer - (Fraction(slope) * Fraction(y) + Fraction(offset))
             is_above = is_above and short <= 10 * abs(weight) * error
-            worst = max(worst, short + abs(weight) * error if self.is_tanh else Fraction(0))
+            worst = max(worst, Fraction(0) if action.is_exact else short + abs(weight) * error)
         if not is_above:
             raise CertificateError(f"leaf {piece.leaf}: a line of a piece is below what it should bound", piece.leaf)
         return worst
-
-    def _half(self, output: int) -> Fraction:
-        low, high = limits_of_head(self.tree.head, self.tree.n_outputs, output)
-        return (Fraction(high) - Fraction(low)) / 2
 
     def _check_failure(self, verdict: Verdict) -> None:
         """Check that the point lies in the box and fails the condition under the tree's answer, and the state, too."""
@@ -302,9 +274,7 @@ class Question(TreeOnDomain):
         answer = self.tree.predict(state)
         if self.tree.labels is None:
             return np.asarray(answer, dtype=np.float64)
-        if isinstance(self.tree.head, Sign):
-            return np.array([float(answer)])
-        return np.asarray(np.eye(self.tree.n_outputs)[int(answer)])
+        return self.tree.head.weights_of_label(int(answer), self.tree.n_outputs)
 
 
 def covers(pieces: Sequence[Piece], low: Sequence[float], high: Sequence[float]) -> bool:

@@ -29,7 +29,7 @@ from otr.core.tree import ObliqueTree
 from otr.errors import CertificateError
 from otr.geometry.rational import Integers, common_integers, integers
 from otr.proof.certificate import Cell, Certificate, Sum
-from otr.proof.statement import Row, Statement
+from otr.proof.exact_rows import Row, TreeAndNetwork
 
 __all__ = ["Checker", "rounded_up", "verify"]
 
@@ -54,13 +54,13 @@ def verify(certificate: Certificate, tree: ObliqueTree, network: ReluNetwork) ->
         names = ", ".join(type(each).__name__ for each in given)
         raise TypeError(f"verify takes a Certificate, an ObliqueTree and a ReluNetwork, got {names}")
     _check_fit(certificate, tree, network)
-    checker = Checker(Statement(tree, network, certificate.domain))
+    checker = Checker(TreeAndNetwork(tree, network, certificate.domain))
     try:
         return checker.run(certificate)
     except CertificateError as error:
         from otr.proof.exact_cells import refusal  # the solver; what is refused is refused without it
 
-        raise refusal(error, checker.statement, certificate.max_error) from error
+        raise refusal(error, checker.pair, certificate.max_error) from error
 
 
 def _check_fit(certificate: Certificate, tree: ObliqueTree, network: ReluNetwork) -> None:
@@ -83,12 +83,12 @@ def _check_fit(certificate: Certificate, tree: ObliqueTree, network: ReluNetwork
 
 
 class Checker:
-    """Checks cells of a statement."""
+    """Checks cells of a pair."""
 
-    def __init__(self, statement: Statement) -> None:
-        """Keep the statement."""
-        self.statement = statement
-        self.bounds = Bounds(statement.domain, statement.power)
+    def __init__(self, pair: TreeAndNetwork) -> None:
+        """Keep the pair."""
+        self.pair = pair
+        self.bounds = Bounds(pair.domain, pair.power)
 
     def run(self, certificate: Certificate) -> float:
         """Check everything and return the bound on the difference."""
@@ -97,7 +97,7 @@ class Checker:
             self._check_form(cell)
             by_leaf.setdefault(cell.leaf, []).append(cell)
         worst = Fraction(0)
-        for leaf in range(self.statement.tree.n_leaves):
+        for leaf in range(self.pair.tree.n_leaves):
             if leaf not in by_leaf:
                 raise CertificateError(f"leaf {leaf}: the certificate does not cover it", leaf)
             check_cover(leaf, by_leaf[leaf])
@@ -118,12 +118,12 @@ class Checker:
         Raises:
             CertificateError: a sum is none of the cell's rows, or a cell is not shown to be empty.
         """
-        outcomes, n = [outcome == "1" for outcome in cell.outcomes], self.statement.network.n_hidden
-        padded = outcomes + [False] * (self.statement.n_tests - len(outcomes))
-        forms = self.statement.forms(padded[:n])
-        tests = [*forms[:n], *self.statement.head_tests(forms, padded)]
+        outcomes, n = [outcome == "1" for outcome in cell.outcomes], self.pair.network.n_hidden
+        padded = outcomes + [False] * (self.pair.n_tests - len(outcomes))
+        forms = self.pair.forms(padded[:n])
+        tests = [*forms[:n], *self.pair.head_tests(forms, padded)]
         turned = [test if outcome else -test for test, outcome in zip(tests, outcomes, strict=False)]
-        rows = self.statement.rows_of_leaf(cell.leaf)
+        rows = self.pair.rows_of_leaf(cell.leaf)
         rows |= {f"neuron {split}": Row(turned[split], outcomes[split]) for split in cell.splits}
         if cell.empty is not None:
             self._check_empty(cell, cell.empty, rows)
@@ -134,13 +134,13 @@ class Checker:
             total, scale = self._total(cell.leaf, proof, rows)
             shortfall = self.bounds.highest(total - turned[test] * scale) / scale
             shortfalls[test] = _few_digits(shortfall)
-        differences = self.statement.differences(cell.leaf, forms, outcomes)
+        differences = self.pair.differences(cell.leaf, forms, outcomes)
         bounds = [self._bound(cell, at, form, rows) for at, form in enumerate(differences)]
         errors = self._output_errors(shortfalls[:n])
-        if self.statement.tree.labels is None:
+        if self.pair.tree.labels is None:
             return max(bound + error for bound, error in zip(bounds, errors, strict=True))
         # Where the label is another, the winner passed every test to it within the shortfalls.
-        of_pairs = [errors[i] + (errors[j] if j >= 0 else 0) for i, j in self.statement.pairs(outcomes)]
+        of_pairs = [errors[i] + (errors[j] if j >= 0 else 0) for i, j in self.pair.pairs(outcomes)]
         return sum(shortfalls[n:], Fraction(0)) + sum(of_pairs, Fraction(0)) + sum(bounds, Fraction(0))
 
     def _bound(self, cell: Cell, at: int, form: Integers, rows: dict[str, Row]) -> Fraction:
@@ -154,7 +154,7 @@ class Checker:
 
     def _output_errors(self, shortfalls: Sequence[Fraction]) -> list[Fraction]:
         """Return E of the outputs, given e of the hidden neurons."""
-        network = self.statement.network
+        network = self.pair.network
         if not any(shortfalls):
             return [Fraction(0)] * network.n_outputs
         units, n, active = network.unit_form(), len(shortfalls), Fraction(1) - Fraction(network.negative_slope)
@@ -184,7 +184,7 @@ class Checker:
                 )
         ratios = [multiplier.as_integer_ratio() for multiplier in terms.multipliers]
         scale = math.lcm(*(denominator for _, denominator in ratios))
-        total = np.array([0] * (self.statement.domain.n_inputs + 1), dtype=object)
+        total = np.array([0] * (self.pair.domain.n_inputs + 1), dtype=object)
         for name, (numerator, denominator) in zip(terms.rows, ratios, strict=True):
             total += rows[name].numbers * (numerator * (scale // denominator))
         return total, scale
@@ -202,9 +202,9 @@ class Checker:
             )
 
     def _check_form(self, cell: Cell) -> None:
-        n_tests, n_outcomes = self.statement.n_tests, len(cell.outcomes)
+        n_tests, n_outcomes = self.pair.n_tests, len(cell.outcomes)
         well_formed = (
-            0 <= cell.leaf < self.statement.tree.n_leaves
+            0 <= cell.leaf < self.pair.tree.n_leaves
             and set(cell.outcomes) <= {"0", "1"}
             and list(cell.splits) == sorted(set(cell.splits))
             and all(0 <= split < n_outcomes for split in cell.splits)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from otr.core.arrays import FloatArray, IntArray
-from otr.core.head import ClipBox, Identity, TanhBox
+from otr.core.head import Identity
 from otr.core.pruning import keep_leaves
 from otr.core.tree import ObliqueTree
 from otr.geometry.regions import leaf_paths
@@ -52,16 +52,15 @@ def without_a_test(tree: ObliqueTree) -> Iterator[ObliqueTree]:
 
 def clipped(tree: ObliqueTree) -> Iterator[ObliqueTree]:
     """Yield the tree with clipped outputs in the place of tanh, of the same slope at 0."""
-    head = tree.head
-    if isinstance(head, TanhBox):
-        half = np.broadcast_to((head.high - head.low) / 2, (tree.n_outputs,))
-        middle = np.broadcast_to((head.high + head.low) / 2, (tree.n_outputs,))
-        yield tree.replace(M=tree.M * half[:, None], c=tree.c * half + middle, head=ClipBox(head.low, head.high))
+    tangent = tree.head.tangent(tree.n_outputs)
+    if tangent is not None:
+        slopes, values = tangent
+        yield tree.replace(M=tree.M * slopes[:, None], c=tree.c * slopes + values, head=tree.head.clip())
 
 
 def constant_leaves(tree: ObliqueTree, X: FloatArray) -> Iterator[ObliqueTree]:
     """Yield trees in which a leaf's output is one number: its mean action on the states X, or the limit nearby."""
-    if tree.labels is not None or not isinstance(tree.head, Identity | ClipBox):
+    if tree.labels is not None or not tree.head.is_projection:
         return
     leaves, actions = tree.apply(X), tree.predict(X)
     visits = np.bincount(leaves, minlength=tree.n_leaves)
@@ -78,9 +77,10 @@ def constant_leaves(tree: ObliqueTree, X: FloatArray) -> Iterator[ObliqueTree]:
 
 def _nearest_limit(tree: ObliqueTree, output: int, value: float) -> float:
     """Return the limit of an action that a value is near to, or the value."""
-    if not isinstance(tree.head, ClipBox):
+    limits = tree.head.limits(tree.n_outputs)
+    if limits is None:
         return value
-    low, high = (float(np.broadcast_to(limit, (tree.n_outputs,))[output]) for limit in (tree.head.low, tree.head.high))
+    low, high = (float(limit[output]) for limit in limits)
     near = _NEAR_LIMIT * (high - low)
     return low if value - low <= near else high if high - value <= near else value
 
@@ -114,7 +114,7 @@ def with_unit_tests(tree: ObliqueTree) -> ObliqueTree:
 
 def without_idle_head(tree: ObliqueTree) -> ObliqueTree:
     """Return the tree without a clip that never acts, because all outputs are constants within the limits."""
-    if not isinstance(tree.head, ClipBox) or tree.labels is not None or tree.M.any():
+    if not tree.head.is_projection or tree.labels is not None or tree.M.any():
         return tree
     return tree.replace(c=np.asarray(tree.head(tree.c)), head=Identity())
 

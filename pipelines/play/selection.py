@@ -52,9 +52,8 @@ def compare_with_trained(network: otr.ReluNetwork, trained: Predict, states: np.
     sizes = otr.ReluNetwork(
         [np.abs(weight) for weight in network.weights], [np.abs(bias) for bias in network.biases], dense=network.dense
     ).forward(np.abs(states))
-    if isinstance(network.head, otr.PidBox):  # whose answers are sums of the outputs' products
-        sizes = network.head.controls(sizes)
-    wrong = ~answers_agree(ours, theirs, outputs, TOLERANCE, slack=FLOAT32_ROUNDING * sizes)
+    slack = FLOAT32_ROUNDING * network.head.controls(sizes)
+    wrong = ~answers_agree(ours, theirs, outputs, TOLERANCE, slack=slack)
     if wrong.any():
         i = int(np.flatnonzero(wrong)[0])
         raise PolicyMismatchError(

@@ -111,7 +111,7 @@ def _ndps(method: NdpsConfig, depth: int, oracle: otr.ReluNetwork, folder: Path)
     torch.set_num_threads(1)
     own = {name: value for name, value in asdict(method).items() if name in {f.name for f in fields(NdpsSettings)}}
     settings = NdpsSettings(depth=depth, **own)
-    head = oracle.head if isinstance(oracle.head, otr.Argmax) else box_of(oracle.head)
+    head = oracle.head if oracle.head.gives_labels else box_of(oracle.head)
     return NdpsImitator(head, settings, method.n_updates_next, method.max_samples, folder)
 
 

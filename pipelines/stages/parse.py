@@ -4,8 +4,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 import otr
 from pipelines.config import EnvConfig, ProgramConfig, RunConfig
 from pipelines.engine.stage import Stage
@@ -13,8 +11,6 @@ from pipelines.engine.store import write_json, write_text
 from pipelines.errors import ConfigError
 from pipelines.play.environments import action_names, feature_names, spaces
 from pipelines.stages.printed_programs import write_program
-
-ROUNDING = 1e-9
 
 
 def parse_settings(config: RunConfig) -> dict[str, Any]:
@@ -64,28 +60,14 @@ def policy_tree(text: str, env: EnvConfig, where: str) -> otr.ObliqueTree:
             output_names=action_names(env, space.n_actions),
             labels=space.box is None,
         )
+        if space.box is not None:
+            tree = tree.replace(head=tree.head.clipped_to(*space.box))
     except otr.ProgramError as error:
         place = f"{where}:{error.line}:{error.column}"
         raise ConfigError(f"{place}: {error.reason}\n{error.excerpt}") from error
     except (otr.TreeTooLargeError, ValueError) as error:
         raise ConfigError(f"{where}: {error}") from error
-    return tree if space.box is None else _clipped(tree, *space.box, where)
-
-
-def _clipped(tree: otr.ObliqueTree, low: np.ndarray, high: np.ndarray, where: str) -> otr.ObliqueTree:
-    """Return a tree whose actions are clipped to the box, on top of its own head."""
-    if isinstance(tree.head, otr.TanhBox):
-        if (tree.head.low < low - ROUNDING).any() or (tree.head.high > high + ROUNDING).any():
-            raise ConfigError(
-                f"{where}: the answers go through tanh to {tree.head.low.tolist()} .. {tree.head.high.tolist()}, the "
-                f"actions are {low.tolist()} .. {high.tolist()}; scale the tanh to these"
-            )
-        return tree
-    if isinstance(tree.head, otr.ClipBox):
-        low, high = np.clip(tree.head.low, low, high), np.clip(tree.head.high, low, high)
-        if (low >= high).any():
-            raise ConfigError(f"{where}: a clip of the program leaves none of the actions that the environment has")
-    return tree.replace(head=otr.ClipBox(low, high))
+    return tree
 
 
 PARSE = Stage("parse", version=1, inputs=(), settings=parse_settings, run=parse)

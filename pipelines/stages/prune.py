@@ -63,7 +63,7 @@ def prune(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
         pruned = otr.prune_to_k(tree, states, config.prune.k)
     otr.save(pruned, out / "tree")
     write_program(pruned, config.env, out)
-    if isinstance(pruned.head, otr.PidBox):
+    if not pruned.head.acts_by_output:  # gains in the leaves
         constant = constant_gains(pruned, states)
         otr.save(constant, out / "constant_gains")
         write_text(out / "constant_gains.txt", program_text(constant, config.env))

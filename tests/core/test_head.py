@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 import otr
-from otr.core.head import head_from_dict
+from otr.core.head import HEADS, head_from_dict
 
 
 def test_tanh_box_spans_the_box() -> None:
@@ -82,3 +82,61 @@ def test_unknown_heads_are_refused() -> None:
         head_from_dict({"name": "softmax"})
     with pytest.raises(otr.ArtefactError, match="cannot be made"):
         head_from_dict({"name": "tanh_box"})
+
+
+KNOWN: dict[str, tuple[otr.Head, int]] = {  # a head of each kind and its number of outputs
+    "identity": (otr.Identity(), 2),
+    "tanh_box": (otr.TanhBox([-1.0, 0.0], [1.0, 4.0]), 2),
+    "clip_box": (otr.ClipBox(-1.0, 0.5), 2),
+    "pid_box": (otr.PidBox([-1.0, 0.0], [1.0, 4.0]), 9),
+    "sign": (otr.Sign(), 1),
+    "argmax": (otr.Argmax(), 3),
+}
+
+
+@pytest.mark.parametrize("name", sorted(HEADS))
+def test_what_a_head_says_of_itself_is_so(name: str) -> None:
+    head, o = KNOWN[name]
+    head.check(o)
+    Y = np.random.default_rng(0).normal(size=(200, o)) * 3
+    answers, far = head(Y), head(Y + 0.25)
+    assert (answers.ndim == 1) == head.gives_labels == (head.n_tests(o) > 0)
+    if head.gives_labels:
+        labels = np.arange(head.n_labels(o))
+        assert set(answers) == set(labels)
+        vectors = [head.weights_of_label(label, o).tolist() for label in labels]
+        assert vectors == ([[0.0], [1.0]] if name == "sign" else np.eye(o).tolist())
+        return
+    assert answers.shape == (len(Y), head.n_answers(o)) == head.controls(Y).shape
+    assert head.acts_by_output == (not head.output_names(o, ["a", "b"]))
+    if head.acts_by_output:
+        assert np.array_equal(head(answers), answers) == head.is_projection
+        slopes = head.slopes(o)
+        assert slopes is not None and (far - answers <= 0.25 * slopes + 1e-12).all() and (far >= answers).all()
+    limits, clip = head.limits(o), head.clip()
+    assert (limits is None) == (clip is None)
+    if limits is not None and clip is not None:
+        assert (limits[0] <= answers).all() and (answers <= limits[1]).all()
+        assert np.array_equal(clip(answers), answers)
+        for at, side in zip(limits, (0, 1), strict=True):
+            np.testing.assert_allclose(clip(np.full(len(at), (-1e9, 1e9)[side])), at)
+
+
+def test_the_tangent_of_squashed_answers() -> None:
+    for head, o in KNOWN.values():
+        tangent = head.tangent(o)
+        assert (tangent is None) == (head.name != "tanh_box")
+        if tangent is not None:
+            slopes, values = tangent
+            np.testing.assert_allclose(values, head(np.zeros(o)))
+            np.testing.assert_allclose(slopes, (head(np.full(o, 1e-6)) - head(np.full(o, -1e-6))) / 2e-6, rtol=1e-9)
+
+
+def test_a_head_clipped_to_a_box() -> None:
+    Y, low, high = np.random.default_rng(0).normal(size=(100, 2)) * 3, np.array([-0.5, -1.0]), np.array([2.0, 3.0])
+    for head in (otr.Identity(), otr.ClipBox(-1.0, 0.5), otr.TanhBox(low, high), otr.TanhBox([0.0, 0.0], [2.0, 3.0])):
+        np.testing.assert_allclose(head.clipped_to(low, high)(Y), np.clip(head(Y), low, high))
+    with pytest.raises(ValueError, match=r"go through tanh to \[-1.0, 0.0\] .. \[1.0, 4.0\], .* scale the tanh"):
+        KNOWN["tanh_box"][0].clipped_to(low, high)
+    with pytest.raises(ValueError, match=r"a clip to 5.0 .. 6.0 leaves none of the actions \[-0.5, -1.0\] .. \[2.0"):
+        otr.ClipBox(5.0, 6.0).clipped_to(low, high)

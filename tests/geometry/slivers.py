@@ -8,7 +8,7 @@ import otr
 from otr.core.domain import as_domain
 from otr.geometry.rational import nearest_state
 from otr.proof.exact_cells import cells_of_leaf
-from otr.proof.statement import Statement
+from otr.proof.exact_rows import TreeAndNetwork
 
 DOMAINS = (None, (-1.0, 1.0), (-10.0, 10.0), (-1000.0, 1000.0))
 
@@ -41,7 +41,7 @@ def states_in_cells(network: otr.ReluNetwork, domain: tuple[float, float] | None
     """A state in every cell of the network, as near as float64 comes, and its neighbours."""
     d, o = network.n_inputs, network.n_outputs
     single = otr.ObliqueTree([], [], np.zeros((0, d)), [], np.zeros((1, o, d)), np.zeros((1, o)), head=network.head)
-    cells = cells_of_leaf(Statement(single, network, as_domain(domain, d)), 0)
+    cells = cells_of_leaf(TreeAndNetwork(single, network, as_domain(domain, d)), 0)
     states = [nearest_state(cell.point) for cell in cells]
     X = np.array([state for state in states if state is not None and np.abs(state).max() < 1e100])
     X = np.concatenate((X, np.nextafter(X, np.inf), np.nextafter(X, -np.inf)))

@@ -225,6 +225,19 @@ def test_text_is_read_back_whatever_names_hold(case: Named, is_distinct: bool) -
     assert_answers(tree, states_for(tree, 40), parsed.predict(states_for(tree, 40)))
 
 
+@pytest.mark.parametrize(
+    "name", ["then", ":", ";", "{", "}", "(", ")", ",", "=", "if", "else", "elif", "end", "return"]
+)
+def test_a_name_between_backquotes_is_no_word_of_the_language(name: str) -> None:
+    tree = TREES["plain"]
+    text = otr.to_text(tree, output_names=[name, "other"], precision=17)
+    parsed = otr.parse_program(text, ["x0", "x1"], output_names=[name, "other"])
+    assert_answers(tree, states_for(tree, 40), parsed.predict(states_for(tree, 40)))
+    text = "if (a > 0) `" + name + "`, (`" + name + "` + 1) else 1, 2"
+    parsed = otr.parse_program(text, ["a", name], output_names=["y", "z"])
+    assert parsed.predict([[1.0, 5.0], [-1.0, 5.0]]).tolist() == [[5.0, 6.0], [1.0, 2.0]]
+
+
 def read_by_tex(formula: str) -> str:
     """Return what TeX prints for a name in a formula, which holds nothing but what stands for a character."""
     words = ("backslash", "asciicircum", "asciitilde", "less", "greater", "bar")

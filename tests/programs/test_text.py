@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 import otr
-from otr.programs.text import affine_text
+from otr.programs.walk import affine_expression
 from tests.core.strategies import make_network
 from tests.core.test_tree import small_tree
 
@@ -75,8 +75,11 @@ def test_argmax_without_labels() -> None:
         ([0.00001234567, 1.00001], 2.0, "2 + 1.235e-05 a + b"),
     ],
 )
-def test_affine_text(coefficients: list[float], offset: float, text: str) -> None:
-    assert affine_text(np.array(coefficients), offset, ["a", "b"], 4) == text
+def test_affine_expression(coefficients: list[float], offset: float, text: str) -> None:
+    written = affine_expression(
+        np.array(coefficients), offset, ["a", "b"], lambda size: f"{size:.4g}", times=" ", tie=" ", leaves_out_ones=True
+    )
+    assert written == text
 
 
 def test_bad_arguments_are_refused() -> None:

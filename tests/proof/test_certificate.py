@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import otr
 from otr.core.domain import as_domain
 from otr.proof.certificate import Cell, Certificate, Sum
-from otr.proof.statement import Statement
+from otr.proof.exact_rows import TreeAndNetwork
 from tests.core.strategies import Case, cases, make_network, worked_network
 
 BOX = (-2.0, 2.0)
@@ -145,7 +145,7 @@ def test_a_tampered_tree_is_refused_with_the_leaf(head: str) -> None:
     for other in tampered:
         with pytest.raises(otr.CertificateError, match=rf"^leaf {leaf}: at the state \[.* not the same") as refusal:
             otr.verify(certificate, other, network)
-        assert Statement(other, network, certificate.domain).gap(refusal.value.state)[1] > certificate.max_error
+        assert TreeAndNetwork(other, network, certificate.domain).gap(refusal.value.state)[1] > certificate.max_error
         with pytest.raises(otr.CertificateError, match=rf"^leaf {leaf}:"):
             otr.certify(other, network, BOX)
     for node in range(0, tree.n_nodes, 3):
@@ -311,7 +311,7 @@ def test_a_leaf_of_a_single_point_counts(text: str, box: tuple[float, float] | N
     tree = otr.parse_program(text, ["x"])
     with pytest.raises(otr.CertificateError, match=r"leaf \d+: at the state \[.*\] the tree answers \[") as refusal:
         otr.certify(tree, network, box, exact=True)
-    leaf, gap = Statement(tree, network, as_domain(box, 1)).gap(refusal.value.state)
+    leaf, gap = TreeAndNetwork(tree, network, as_domain(box, 1)).gap(refusal.value.state)
     assert leaf == refusal.value.leaf and gap > 1
 
 
@@ -321,7 +321,7 @@ def test_a_leaf_beyond_all_floats_counts() -> None:
     tree = otr.ObliqueTree([~0], [~1], [[5e-324]], [-1.0], [[[1.0]], [[3.0]]], [[0.0], [0.0]])
     with pytest.raises(otr.CertificateError, match=r"leaf 1: at the state \[about 2\*\*\d+\]") as refusal:
         otr.certify(tree, network)
-    assert Statement(tree, network, as_domain(None, 1)).leaf_at(refusal.value.state) == 1
+    assert TreeAndNetwork(tree, network, as_domain(None, 1)).leaf_at(refusal.value.state) == 1
     assert otr.certify(tree, network, (-1e100, 1e100)).n_empty == 1
 
 

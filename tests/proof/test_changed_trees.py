@@ -8,7 +8,7 @@ import pytest
 import otr
 from otr.core.domain import as_domain
 from otr.proof.exact_cells import cells_of_leaf, largest_gap
-from otr.proof.statement import Statement
+from otr.proof.exact_rows import TreeAndNetwork
 from tests.core.strategies import make_network
 
 BOXES = ((-1.0, 1.0), (-2.0, 2.0), None, (-1e4, 1e4))
@@ -54,20 +54,20 @@ def changed(rng: np.random.Generator, tree: otr.ObliqueTree) -> otr.ObliqueTree:
 
 def gaps(tree: otr.ObliqueTree, network: otr.ReluNetwork, box: tuple[float, float] | None) -> list[Fraction]:
     """Differences, in the units of the bound, at a point of every cell in every leaf, and next to where they peak."""
-    statement = Statement(tree, network, as_domain(box, network.n_inputs))
+    pair = TreeAndNetwork(tree, network, as_domain(box, network.n_inputs))
     found = []
     for leaf in range(tree.n_leaves):
-        for cell in cells_of_leaf(statement, leaf):
-            corners = [point for points, _ in largest_gap(statement, cell) for point in points]
+        for cell in cells_of_leaf(pair, leaf):
+            corners = [point for points, _ in largest_gap(pair, cell) for point in points]
             nearer = [
                 tuple(a + (b - a) / 2**k for a, b in zip(corner, cell.point, strict=True))
                 for corner in corners
                 for k in (40, 3)
             ]
             for point in (cell.point, *nearer):
-                reached, gap = statement.gap(point)
+                reached, gap = pair.gap(point)
                 if reached == leaf:
-                    found.append(gap / statement.unit_at(point))
+                    found.append(gap / pair.unit_at(point))
     return found
 
 
@@ -90,9 +90,9 @@ def check_changes(k: int, n_changes: int) -> tuple[int, int]:
             except otr.CertificateError as error:
                 assert error.leaf is not None
                 if error.state is not None:
-                    statement = Statement(other, network, certificate.domain)
-                    leaf, gap = statement.gap(error.state)
-                    assert statement.is_inside(error.state) and leaf == error.leaf and gap > 0
+                    pair = TreeAndNetwork(other, network, certificate.domain)
+                    leaf, gap = pair.gap(error.state)
+                    assert pair.is_inside(error.state) and leaf == error.leaf and gap > 0
         n_accepted, n_refused = n_accepted + bool(bounds), n_refused + (not bounds)
         if bounds:
             assert max(gaps(other, network, box)) <= min(bounds)

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from otr.control.dagger.iterate_selection import successive_halving
 from otr.control.dagger.run_folder import RunFolder
 from otr.core.arrays import FloatArray
-from otr.core.head import Argmax, Sign
 from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
 from otr.errors import InvalidNetworkError
@@ -190,7 +189,7 @@ def run_dagger(
         InvalidNetworkError: the oracle's head is `Sign`.
         ArtefactError: the folder holds a run of another oracle, seed or settings, or a file of it is gone or cut off.
     """
-    if isinstance(oracle.head, Sign):
+    if oracle.head.gives_labels and oracle.head.n_labels(oracle.n_outputs) != oracle.n_outputs:
         raise InvalidNetworkError("the oracle's head is Sign; give it two outputs and Argmax")
     run = _Run(oracle, fit, play, episode_seeds, settings, seed, folder)
     while run.n_trees <= settings.n_rounds:
@@ -215,7 +214,7 @@ class _Run:
     ) -> None:
         self._oracle, self._fit, self._play, self._episode_seeds = oracle, fit, play, episode_seeds
         self._settings, self._seed = settings, seed
-        self._has_labels = isinstance(oracle.head, Argmax)
+        self._has_labels = oracle.head.gives_labels
         self._folder = RunFolder(folder, oracle, seed, asdict(settings))
 
     @property
@@ -300,7 +299,7 @@ def _label(oracle: ReluNetwork, X: FloatArray) -> tuple[FloatArray, FloatArray |
     """Return answers (n, o) and, for labels, weights (n,): the largest output less the smallest."""
     parts = [oracle.forward(X[start : start + _LABELLING_ROWS]) for start in range(0, len(X), _LABELLING_ROWS)]
     outputs = np.concatenate(parts)
-    if isinstance(oracle.head, Argmax):
+    if oracle.head.gives_labels:
         return outputs, outputs.max(axis=1) - outputs.min(axis=1)
     return oracle.head(outputs), None
 

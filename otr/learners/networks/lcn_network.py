@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from otr.core.arrays import BoolArray, FloatArray, as_batch
-from otr.core.head import Argmax, Head, Identity, Sign
+from otr.core.head import Head, Identity
 from otr.core.mapping import map_network
 from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
@@ -118,9 +118,7 @@ class LcnNetwork:
         tests = map_network(self._relu_network(), max_leaves=max_leaves)
         numbers = np.arange(2**M)[:, None]
         c = self._leaf_values((numbers >> np.arange(M - 1, -1, -1)) & 1 == 1)
-        labels = None
-        if isinstance(self.head, Sign | Argmax):
-            labels = np.asarray(self.head(c))
+        labels = self.head(c) if self.head.gives_labels else None
         return tests.replace(M=np.zeros((2**M, self.n_outputs, d)), c=c, labels=labels, head=self.head)
 
     def _relu_network(self) -> ReluNetwork:

@@ -6,40 +6,32 @@ import itertools
 
 import numpy as np
 
-from otr.core.head import PidBox
 from otr.core.network import ReluNetwork
-from otr.core.tree import ObliqueTree
+from otr.programs.c.answers import Answer
 from otr.programs.c.tables import CType, Table, literal, real_table
-from otr.programs.names import give_labels
 
-__all__ = ["network_code", "outputs_array"]
+__all__ = ["network_code"]
 
 
-def network_code(network: ReluNetwork, name: str, dtype: CType) -> tuple[list[Table], list[str]]:
+def network_code(network: ReluNetwork, answer: Answer, name: str, dtype: CType) -> tuple[list[Table], list[str]]:
     """Return tables, and the lines that write the affine outputs to their array; one hidden layer at least."""
-    _, declared = outputs_array(network, dtype)
     one_layer = len(network.weights) == 2 and network.dense is False
-    tables, lines = (_one_layer if one_layer else _layers)(network, name, dtype)
-    return tables, [*declared, *lines]
+    tables, lines = (_one_layer if one_layer else _layers)(network, answer.array, name, dtype)
+    return tables, [*answer.declared, *lines]
 
 
-def outputs_array(policy: ObliqueTree | ReluNetwork, dtype: CType) -> tuple[str, list[str]]:
-    """Return the array of the affine outputs, and its declaration where that is not the answer's own."""
-    o = policy.n_outputs
-    if isinstance(policy.head, PidBox):
-        return "u", [f"    {dtype} u[{o}];  /* P, I and D, then each action's gains */"]
-    return "y", [f"    {dtype} y[{o}];"] if give_labels(policy) else []
+def _one_layer(network: ReluNetwork, y: str, name: str, dtype: CType) -> tuple[list[Table], list[str]]:
+    """Return the form of one hidden layer, which writes the array y.
 
-
-def _one_layer(network: ReluNetwork, name: str, dtype: CType) -> tuple[list[Table], list[str]]:
-    """Return the form of one hidden layer: a neuron's row is its weights, its bias and what it adds to each output."""
+    A neuron's row is its weights, its bias and what it adds to each output.
+    """
     (W, V), (b, a) = network.weights, network.biases
     n, d, o = len(b), network.n_inputs, network.n_outputs
     tables = [
         real_table(f"{name}_neurons", np.column_stack((W, b, V.T)), dtype),
         real_table(f"{name}_biases", a, dtype),
     ]
-    slope, (y, _) = network.negative_slope, outputs_array(network, dtype)
+    slope = network.negative_slope
     adding = [f"for (k = 0; k < {o}; k++)", f"    {y}[k] += row[{d + 1} + k] * z;"]
     if slope:
         active = ["        if (!(z > 0))", f"            z *= {literal(slope, dtype)};"]
@@ -60,8 +52,11 @@ def _one_layer(network: ReluNetwork, name: str, dtype: CType) -> tuple[list[Tabl
     ]
 
 
-def _layers(network: ReluNetwork, name: str, dtype: CType) -> tuple[list[Table], list[str]]:
-    """Return the form of any network: a layer's row is its weights of activations, then of inputs, then its bias."""
+def _layers(network: ReluNetwork, y: str, name: str, dtype: CType) -> tuple[list[Table], list[str]]:
+    """Return the form of any network, which writes the array y.
+
+    A layer's row is its weights of activations, then of inputs, then its bias.
+    """
     d = network.n_inputs
     starts = [0, *itertools.accumulate(network.hidden_widths)]
     tables: list[Table] = []
@@ -83,7 +78,7 @@ def _layers(network: ReluNetwork, name: str, dtype: CType) -> tuple[list[Table],
             weight = f"row[{n_read} + k]" if n_read else "row[k]"
             lines += [f"        for (k = 0; k < {d}; k++)", f"            z += {weight} * x[k];"]
         if layer == len(network.weights) - 1:
-            lines += [f"        {outputs_array(network, dtype)[0]}[i] = z;", "    }"]
+            lines += [f"        {y}[i] = z;", "    }"]
         else:
             off = f"{literal(network.negative_slope, dtype)} * z" if network.negative_slope else "0"
             start = f"{starts[layer]} + " if starts[layer] else ""

@@ -7,16 +7,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from otr.core.head import Argmax, ClipBox, PidBox, Sign, TanhBox
 from otr.core.mapping import map_network
 from otr.core.network import ReluNetwork
 from otr.core.pattern_tree import PatternTree
 from otr.core.tree import ObliqueTree
-from otr.programs.c.network import network_code, outputs_array
+from otr.programs.c.answers import Answer, answer_of
+from otr.programs.c.network import network_code
 from otr.programs.c.reserved_words import is_function_name
-from otr.programs.c.tables import CType, Table, integer_table, integer_type, literal, real_table, row_table
+from otr.programs.c.tables import CType, Table, integer_table, integer_type, row_table
 from otr.programs.names import check_policy, give_labels, in_comment, shown_names
-from otr.programs.walk import box_limits, child, distinct_rows, summary_of
+from otr.programs.walk import child, distinct_rows, summary_of
 
 __all__ = ["to_c"]
 
@@ -65,17 +65,23 @@ def to_c(
         policy = map_network(policy)
     check_policy(policy)
     features, answers = shown_names(policy, feature_names, output_names)
-    tables, body = network_code(policy, name, dtype) if isinstance(policy, ReluNetwork) else _tree(policy, name, dtype)
-    head_tables, head = _head(policy, name, dtype)
-    n_bytes = sum(table.n_bytes for table in (*tables, *head_tables))
-    needs_tanh = isinstance(policy.head, TanhBox | PidBox) and not give_labels(policy)
+    if isinstance(policy, ObliqueTree) and policy.labels is not None:
+        answer = Answer([], [])
+    else:
+        answer = answer_of(policy.head, policy.n_outputs, name, dtype)
+    if isinstance(policy, ReluNetwork):
+        tables, body = network_code(policy, answer, name, dtype)
+    else:
+        tables, body = _tree(policy, answer, name, dtype)
+    tables += answer.tables
+    n_bytes = sum(table.n_bytes for table in tables)
     declared = _signature(policy, name, dtype)
-    lines = _comment(policy, declared, n_bytes, features, answers, needs_tanh)
-    written = [line for table in (*tables, *head_tables) for line in table.lines]
-    lines += ["#include <math.h>"] if needs_tanh else []
+    lines = _comment(policy, declared, n_bytes, features, answers, answer.needs_tanh)
+    written = [line for table in tables for line in table.lines]
+    lines += ["#include <math.h>"] if answer.needs_tanh else []
     lines += ["#include <stdint.h>"] if any(line.startswith(_OF_STDINT) for line in written) else []
     lines += ["", *written, "", f"{declared};  /* so that no compiler misses a prototype */", "", declared]
-    return re.sub("\n{3,}", "\n\n", "\n".join([*lines, "{", *body, *head, "}"])) + "\n"
+    return re.sub("\n{3,}", "\n\n", "\n".join([*lines, "{", *body, *answer.lines, "}"])) + "\n"
 
 
 def _signature(policy: ObliqueTree | ReluNetwork, name: str, dtype: CType) -> str:
@@ -120,13 +126,11 @@ def _comment(
 
 
 def _range(policy: ObliqueTree | ReluNetwork, output: int) -> str:
-    if not isinstance(policy.head, ClipBox | TanhBox | PidBox):
-        return ""
-    low, high = (float(limit[output]) for limit in box_limits(policy.head, policy.n_outputs))
-    return f", in [{low:g}, {high:g}]"
+    limits = policy.head.limits(policy.n_outputs)
+    return "" if limits is None else f", in [{limits[0][output]:g}, {limits[1][output]:g}]"
 
 
-def _tree(tree: ObliqueTree, name: str, dtype: CType) -> tuple[list[Table], list[str]]:
+def _tree(tree: ObliqueTree, answer: Answer, name: str, dtype: CType) -> tuple[list[Table], list[str]]:
     """Return tables, and the lines that find the leaf and write its outputs, or return its label."""
     tables: list[Table] = []
     index = "int" if tree.n_leaves * tree.n_outputs < 2**15 else "long"
@@ -154,77 +158,11 @@ def _tree(tree: ObliqueTree, name: str, dtype: CType) -> tuple[list[Table], list
     if not np.array_equal(row_of, np.arange(len(row_of))):
         tables.append(integer_table(f"{name}_leaves", row_of.reshape(tree.n_leaves, tree.n_outputs)))
         row = f"{name}_leaves[{leaf}][k]"
-    array, declared = outputs_array(tree, dtype)
     return tables, [
-        *declared,
+        *answer.declared,
         *body[:1],
         "    int k;",
         *body[1:],
         f"    for (k = 0; k < {tree.n_outputs}; k++)",
-        f"        {array}[k] = {name}_rows_at({row}, x);",
+        f"        {answer.array}[k] = {name}_rows_at({row}, x);",
     ]
-
-
-def _head(policy: ObliqueTree | ReluNetwork, name: str, dtype: CType) -> tuple[list[Table], list[str]]:
-    """Return tables, and the lines that make the answer of the affine outputs."""
-    o = policy.n_outputs
-    if isinstance(policy, ObliqueTree) and policy.labels is not None:
-        return [], []
-    if isinstance(policy.head, Sign):
-        return [], ["    return y[0] > 0;"]
-    if isinstance(policy.head, Argmax):
-        best = [
-            "    {",
-            "        int best = 0;",
-            f"        for (k = 1; k < {o}; k++)",
-            "            if (y[k] > y[best])",
-        ]
-        return [], [*best, "                best = k;", "        return best;", "    }"]
-    if isinstance(policy.head, ClipBox):
-        low, high = box_limits(policy.head, o)
-        tables, (lows, highs) = _per_output(name, {"low": low, "high": high}, dtype)
-        return tables, [
-            f"    for (k = 0; k < {o}; k++)",
-            f"        y[k] = y[k] < {lows} ? {lows} : y[k] > {highs} ? {highs} : y[k];",
-        ]
-    if isinstance(policy.head, PidBox):
-        n_actions = len(policy.head.low)
-        n_terms = o // (n_actions + 1)
-        tables, squashed = _squashed(policy, name, dtype, "sum")
-        return tables, [
-            f"    for (k = 0; k < {n_actions}; k++) {{",
-            f"        const {dtype} *gains = u + {n_terms} * (k + 1);",
-            f"        {dtype} sum = 0;",
-            "        int j;",
-            f"        for (j = 0; j < {n_terms}; j++)",
-            "            sum += gains[j] * u[j];",
-            f"        y[k] = {squashed};",
-            "    }",
-        ]
-    if isinstance(policy.head, TanhBox):
-        tables, squashed = _squashed(policy, name, dtype, "y[k]")
-        return tables, [f"    for (k = 0; k < {o}; k++)", f"        y[k] = {squashed};"]
-    return [], []
-
-
-def _squashed(policy: ObliqueTree | ReluNetwork, name: str, dtype: CType, value: str) -> tuple[list[Table], str]:
-    """Return tables, and an expression's tanh in the box of answer k."""
-    low, high = box_limits(policy.head, policy.n_outputs)
-    half, middle = (high - low) / 2, low + (high - low) / 2
-    tanh = f"{'tanh' if dtype == 'double' else 'tanhf'}({value})"
-    if (half == 1).all() and (middle == 0).all():
-        return [], tanh
-    tables, (halves, middles) = _per_output(name, {"half": half, "middle": middle}, dtype)
-    return tables, f"{middles} + {halves} * {tanh}"
-
-
-def _per_output(name: str, limits: dict[str, np.ndarray], dtype: CType) -> tuple[list[Table], list[str]]:
-    """Return each limit of output k as an expression: a literal where all outputs share it, else from a table."""
-    tables, expressions = [], []
-    for what, values in limits.items():
-        if (values == values[0]).all():
-            expressions.append(literal(float(values[0]), dtype))
-        else:
-            tables.append(real_table(f"{name}_{what}", np.ascontiguousarray(values), dtype))
-            expressions.append(f"{name}_{what}[k]")
-    return tables, expressions

@@ -68,12 +68,12 @@ class Cursor:
 
     def is_next(self, *texts: str) -> bool:
         """Return whether the next token of the statement is one of these symbols or keywords."""
-        return self.here.kind in ("symbol", "keyword") and self.here.text in texts
+        return self.here.word in texts
 
     def is_after(self, text: str) -> bool:
         """Return whether the token after the next one is this symbol, on the same line."""
         after = self._tokens[min(self._next + 1, len(self._tokens) - 1)]
-        return after.kind == "symbol" and after.text == text and after.at.line == self.token.at.line
+        return after.word == text and after.at.line == self.token.at.line
 
     def expect(self, text: str, why: str) -> Token:
         """Take a symbol or keyword of the statement; `why` says what it is for."""
@@ -117,12 +117,12 @@ class Cursor:
         """Return whether the next token opens round brackets with a comma directly in them."""
         depth = 0
         for token in self._tokens[self._next :]:
-            if token.kind == "symbol" and token.text in "([{":
+            if token.word in tuple("([{"):
                 depth += 1
-            elif token.kind == "symbol" and token.text in ")]}":
+            elif token.word in tuple(")]}"):
                 depth -= 1
                 if depth == 0:
                     return False
-            elif depth == 1 and token.text == ",":
+            elif depth == 1 and token.word == ",":
                 return True
         return False

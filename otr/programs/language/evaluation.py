@@ -8,7 +8,17 @@ from typing import TypeVar
 
 from otr.programs.language.paths import GrowingTree, Path
 from otr.programs.language.scope import Scope
-from otr.programs.language.syntax import Call, Chain, Choice, Comparison, Condition, Expression, Logic, Name, Number
+from otr.programs.language.syntax import (
+    BooleanExpression,
+    Call,
+    Chain,
+    Choice,
+    Comparison,
+    Expression,
+    Logic,
+    Name,
+    Number,
+)
 from otr.programs.language.tokens import Place, Source
 from otr.programs.language.values import Affine, Squashed, Value, clipped, constant
 
@@ -83,7 +93,7 @@ class Evaluator:
                 worth.append((above, constant(value.high)))
         return [(inside, value.inner), *worth] if inside else worth
 
-    def decide(self, node: Condition, path: Path) -> Split:
+    def decide(self, node: BooleanExpression, path: Path) -> Split:
         """Return the paths on which a condition holds, and those on which it does not."""
         if isinstance(node, Comparison):
             return self._comparison(node, path)

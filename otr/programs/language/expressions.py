@@ -5,11 +5,11 @@ from __future__ import annotations
 from otr.programs.language.cursor import Cursor
 from otr.programs.language.scope import FUNCTIONS, Scope
 from otr.programs.language.syntax import (
+    BooleanExpression,
     Call,
     Chain,
     Choice,
     Comparison,
-    Condition,
     Expression,
     Logic,
     Name,
@@ -23,7 +23,7 @@ __all__ = ["ExpressionReader"]
 COMPARISONS = ("<=", ">=", "<", ">", "==", "!=")
 OR, AND, NOT, COMPARE, SUM, PRODUCT, SIGN = range(1, 8)  # the higher, the closer the operands
 RANKS = {"or": OR, "and": AND, **dict.fromkeys(COMPARISONS, COMPARE), "+": SUM, "-": SUM, "*": PRODUCT, "/": PRODUCT}
-Node = Expression | Condition
+Node = Expression | BooleanExpression
 
 
 class ExpressionReader:
@@ -36,7 +36,7 @@ class ExpressionReader:
         """Read a number-valued expression: ``a``, ``a if condition else b`` or ``if condition then a else b``."""
         return self._number(self._node())
 
-    def condition(self) -> Condition:
+    def condition(self) -> BooleanExpression:
         """Read a condition."""
         return self._condition(self._chain(OR))
 
@@ -82,8 +82,8 @@ class ExpressionReader:
                 self._check_divisor(left, token)
                 left = self._joined(left, "*", self._right_hand(SIGN), token.at)
                 continue
-            rank = RANKS.get(token.text, 0) if token.kind in ("symbol", "keyword") else 0
-            if token.text == "^" and token.kind == "symbol":
+            rank = RANKS.get(token.word, 0)
+            if token.word == "^":
                 raise cursor.error("powers are not affine; write constants as numbers, such as 1e-3")
             if rank < max(lowest, OR):
                 return left
@@ -94,7 +94,7 @@ class ExpressionReader:
         last = self._cursor.last
         if last.kind != "number" or last.at.line != token.at.line:
             return False
-        return token.kind == "name" or (token.kind == "symbol" and token.text == "(")
+        return token.kind == "name" or token.word == "("
 
     def _check_divisor(self, left: Node, token: Token) -> None:
         if isinstance(left, Chain) and left.rest[-1][0] == "/":
@@ -138,15 +138,15 @@ class ExpressionReader:
     def _prefix(self) -> Node:
         cursor = self._cursor
         token = cursor.here
-        if token.kind == "keyword" and token.text == "not":
+        if token.word == "not":
             cursor.take()
             with cursor.nested():
                 return Negation(self._condition(self._chain(NOT)), token.at)
-        if token.kind == "symbol" and token.text in ("-", "+"):
+        if token.word in ("-", "+"):
             cursor.take()
             with cursor.nested():
                 operand = self._number(self._chain(SIGN))
-            if token.text == "+":
+            if token.word == "+":
                 return operand
             if isinstance(operand, Number):
                 return Number(-operand.value, token.at)
@@ -168,7 +168,7 @@ class ExpressionReader:
             cursor.take()
             self._scope.use(token.text, token.at)
             return Name(token.text, token.at)
-        if token.kind == "symbol" and token.text == "(":
+        if token.word == "(":
             with cursor.bracket():
                 cursor.take()
                 inner = self._node()
@@ -200,7 +200,7 @@ class ExpressionReader:
             )
         return node
 
-    def _condition(self, node: Node) -> Condition:
+    def _condition(self, node: Node) -> BooleanExpression:
         if isinstance(node, Comparison | Logic | Negation):
             return node
         if self._cursor.is_next("="):

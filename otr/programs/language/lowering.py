@@ -15,7 +15,7 @@ from otr.errors import ProgramError
 from otr.programs.language.evaluation import Evaluator, appended
 from otr.programs.language.paths import GrowingTree, Path
 from otr.programs.language.scope import Scope
-from otr.programs.language.syntax import Assign, Block, Return, Statement
+from otr.programs.language.syntax import Assign, Return, Statement, Statements
 from otr.programs.language.tokens import Place, Source
 from otr.programs.language.values import Affine, Clipped, Squashed, Value
 
@@ -36,7 +36,7 @@ class _Answer:
 def lower(
     source: Source,
     scope: Scope,
-    block: Block,
+    block: Statements,
     *,
     n_inputs: int,
     output_names: Sequence[str] | None,
@@ -66,7 +66,7 @@ class _Lowering:
         self._evaluator = Evaluator(source, scope, self._tree, answers_labels=answers_labels)
         self._answers: list[_Answer] = []
 
-    def run(self, block: Block, paths: list[Path]) -> list[Path]:
+    def run(self, block: Statements, paths: list[Path]) -> list[Path]:
         """Do a block's statements on each path; return the paths that go on after it."""
         for statement in block:
             paths = [after for path in paths for after in self._do(statement, path)]

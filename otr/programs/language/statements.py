@@ -5,13 +5,13 @@ from __future__ import annotations
 from otr.programs.language.cursor import Cursor
 from otr.programs.language.expressions import ExpressionReader
 from otr.programs.language.scope import Scope
-from otr.programs.language.syntax import Assign, Block, Expression, If, Return, Statement, always_returns
+from otr.programs.language.syntax import Assign, Expression, If, Return, Statement, Statements, always_returns
 from otr.programs.language.tokens import Token
 
 __all__ = ["read_program"]
 
 
-def read_program(cursor: Cursor, scope: Scope) -> Block:
+def read_program(cursor: Cursor, scope: Scope) -> Statements:
     """Return the statements of a whole program.
 
     Raises:
@@ -31,9 +31,9 @@ class _StatementReader:
         self._cursor, self._scope = cursor, scope
         self._expressions = ExpressionReader(cursor, scope)
 
-    def lines(self, indent: int) -> Block:
+    def lines(self, indent: int) -> Statements:
         """Read the statements of a block whose lines are indented alike."""
-        cursor, block = self._cursor, Block()
+        cursor, block = self._cursor, Statements()
         while not self._is_at_end() and (not cursor.token.is_first or cursor.token.indent == indent):
             self._add_to(block)
         if cursor.token.is_first and cursor.token.indent > indent and not self._is_at_end():
@@ -43,19 +43,17 @@ class _StatementReader:
     def unexpected(self) -> Exception:
         """Return the error for a token that fits nowhere."""
         token = self._cursor.token
-        if token.kind == "keyword" and token.text in ("else", "elif", "end"):
+        if token.word in ("else", "elif", "end"):
             return self._cursor.error(f"{token} without an 'if' that it could belong to", token.at)
-        if token.is_first and token.text != "}":
+        if token.is_first and token.word != "}":
             return self._cursor.error("this line is indented unlike those around it", token.at)
         return self._cursor.error(f"unexpected {token}", token.at)
 
     def _is_at_end(self) -> bool:
         token = self._cursor.token
-        return token.kind == "stop" or (
-            token.kind in ("keyword", "symbol") and token.text in ("else", "elif", "end", "}")
-        )
+        return token.kind == "stop" or (token.word in ("else", "elif", "end", "}"))
 
-    def _add_to(self, block: Block) -> None:
+    def _add_to(self, block: Statements) -> None:
         """Read a statement, and the semicolons after it."""
         cursor = self._cursor
         token = cursor.token
@@ -63,20 +61,20 @@ class _StatementReader:
             line = block[-1].at.line
             raise cursor.error(f"nothing reaches this: line {line} has answered", token.at)
         block.append(self._statement())
-        if self._cursor.token.text == ";":
-            while cursor.token.text == ";":
+        if self._cursor.token.word == ";":
+            while cursor.token.word == ";":
                 cursor.take()
-        elif not (cursor.token.is_first or self._is_at_end() or cursor.last.text in ("}", "end", "if", ";")):
-            is_factor = cursor.token.kind == "name" and (cursor.last.kind == "name" or cursor.last.text == ")")
+        elif not (cursor.token.is_first or self._is_at_end() or cursor.last.word in ("}", "end", "if", ";")):
+            is_factor = cursor.token.kind == "name" and (cursor.last.kind == "name" or cursor.last.word == ")")
             hint = "; write * for a product" if is_factor else ""
             raise cursor.error(f"unexpected {cursor.token} after a statement{hint}", cursor.token.at)
 
     def _statement(self) -> Statement:
         cursor = self._cursor
         token = cursor.begin_statement()
-        if token.kind == "keyword" and token.text == "if":
+        if token.word == "if":
             return self._if()
-        if token.kind == "keyword" and token.text == "return":
+        if token.word == "return":
             cursor.take()
             return Return(self._values(), token.at)
         if token.kind == "name" and cursor.is_after("="):
@@ -115,7 +113,7 @@ class _StatementReader:
             word = cursor.begin_statement()
             cursor.take()
             if word.text == "else" and not self._is_word_on_line("if", word):
-                is_announced = cursor.token.text in (":", "then")
+                is_announced = cursor.token.word in (":", "then")
                 if is_announced:
                     cursor.take()
                 statement.otherwise = self._block(word, is_announced or not is_c_like)
@@ -132,19 +130,19 @@ class _StatementReader:
     def _is_word_on_line(self, word: str, other: Token) -> bool:
         """Return whether a keyword comes next, on the line of the token before it."""
         token = self._cursor.token
-        return token.kind == "keyword" and token.text == word and token.at.line == other.at.line
+        return token.word == word and token.at.line == other.at.line
 
     def _continues(self, first: Token, word: str) -> bool:
         """Return whether `word` comes next and belongs to the `if` at `first`, as far as indentation can tell."""
         token = self._cursor.token
-        is_word = token.kind == "keyword" and token.text == word
+        is_word = token.word == word
         return is_word and (not token.is_first or token.indent >= first.indent)
 
     def _add_branch(self, statement: If, first: Token) -> bool:
         """Read a condition and its block; return whether it is as in C, without a word or colon between the two."""
         cursor = self._cursor
         condition = self._expressions.condition()
-        is_announced = cursor.token.text in ("then", ":")
+        is_announced = cursor.token.word in ("then", ":")
         if is_announced:
             cursor.take()
         elif not self._starts_block():
@@ -155,10 +153,10 @@ class _StatementReader:
     def _starts_block(self) -> bool:
         """Return whether braces follow, or a statement after round brackets, as in ``if (x > 0) return 1;``."""
         token = self._cursor.token
-        starts = token.kind == "name" or (token.kind == "keyword" and token.text in ("return", "if"))
-        return token.text == "{" or (starts and self._cursor.last.text == ")")
+        starts = token.kind == "name" or token.word in ("return", "if")
+        return token.word == "{" or (starts and self._cursor.last.word == ")")
 
-    def _block(self, owner: Token, is_announced: bool) -> Block:
+    def _block(self, owner: Token, is_announced: bool) -> Statements:
         """Read the block of an `if`, `elif` or `else`.
 
         Args:
@@ -168,12 +166,12 @@ class _StatementReader:
         cursor = self._cursor
         with cursor.nested(), self._scope.block():
             token = cursor.token
-            if token.text == "{" and token.kind == "symbol":
+            if token.word == "{":
                 return self._braces()
             if self._is_at_end():
                 raise cursor.error(f"expected a statement for {owner}, found {token}", token.at)
             if not is_announced:
-                block = Block()
+                block = Statements()
                 self._add_to(block)
                 return block
             if not token.is_first:
@@ -182,12 +180,12 @@ class _StatementReader:
                 return self.lines(token.indent)
             return self._unindented(owner)
 
-    def _braces(self) -> Block:
-        cursor, block = self._cursor, Block()
+    def _braces(self) -> Statements:
+        cursor, block = self._cursor, Statements()
         opening = cursor.take()
         while not self._is_at_end():
             self._add_to(block)
-        if cursor.token.text != "}":
+        if cursor.token.word != "}":
             raise cursor.error(
                 f"expected '}}' for the brace of line {opening.at.line}, found {cursor.token}", cursor.token.at
             )
@@ -196,18 +194,18 @@ class _StatementReader:
         cursor.take()
         return block
 
-    def _same_line(self) -> Block:
-        block = Block()
+    def _same_line(self) -> Statements:
+        block = Statements()
         while not self._is_at_end() and not (block and self._cursor.token.is_first):
             self._add_to(block)
         return block
 
-    def _unindented(self, owner: Token) -> Block:
+    def _unindented(self, owner: Token) -> Statements:
         """Read a block that is indented no more than its owner: its end is an answer, `else`, `elif` or `end`."""
-        cursor, block = self._cursor, Block()
+        cursor, block = self._cursor, Statements()
         while not self._is_at_end() and not always_returns(block):
             self._add_to(block)
-        if not always_returns(block) and cursor.token.text not in ("else", "elif", "end"):
+        if not always_returns(block) and cursor.token.word not in ("else", "elif", "end"):
             raise cursor.error(
                 f"where does the block of this {owner} end? Indent its lines, put braces around them, or write 'end'",
                 owner.at,

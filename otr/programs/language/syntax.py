@@ -8,8 +8,8 @@ from typing import TypeAlias
 from otr.programs.language.tokens import Place
 
 __all__ = [
-    "Assign", "Block", "Call", "Chain", "Choice", "Comparison", "Condition", "Expression", "If", "Logic", "Name",
-    "Negation", "Number", "Return", "Statement", "always_returns",
+    "Assign", "BooleanExpression", "Call", "Chain", "Choice", "Comparison", "Expression", "If", "Logic", "Name",
+    "Negation", "Number", "Return", "Statement", "Statements", "always_returns",
 ]  # fmt: skip
 
 
@@ -59,7 +59,7 @@ class Call:
 class Choice:
     """`first` where the condition holds, else `second`."""
 
-    condition: Condition
+    condition: BooleanExpression
     first: Expression
     second: Expression
     at: Place
@@ -79,7 +79,7 @@ class Logic:
     """All of the operands (`and`) or any of them (`or`)."""
 
     word: str
-    operands: list[Condition]
+    operands: list[BooleanExpression]
     at: Place
 
 
@@ -87,12 +87,12 @@ class Logic:
 class Negation:
     """That the operand does not hold."""
 
-    operand: Condition
+    operand: BooleanExpression
     at: Place
 
 
 Expression: TypeAlias = Number | Name | Chain | Call | Choice
-Condition: TypeAlias = Comparison | Logic | Negation
+BooleanExpression: TypeAlias = Comparison | Logic | Negation
 
 
 @dataclass(slots=True)
@@ -117,15 +117,15 @@ class If:
     """The block of the first condition that holds, else the last block, which may be missing."""
 
     at: Place
-    branches: list[tuple[Condition, Block]] = field(default_factory=list)
-    otherwise: Block | None = None
+    branches: list[tuple[BooleanExpression, Statements]] = field(default_factory=list)
+    otherwise: Statements | None = None
 
 
 Statement: TypeAlias = Assign | Return | If
-Block: TypeAlias = list[Statement]
+Statements: TypeAlias = list[Statement]
 
 
-def always_returns(block: Block) -> bool:
+def always_returns(block: Statements) -> bool:
     """Return whether nothing after `block` is reached, whichever conditions hold."""
     if not block:
         return False

@@ -56,6 +56,11 @@ class Token:
         """Whether it is the first token on its line."""
         return self.at.column == self.indent
 
+    @property
+    def word(self) -> str:
+        """The text of a keyword or symbol; "" of a name, which may hold any text, and of all else."""
+        return self.text if self.kind in ("keyword", "symbol") else ""
+
     def __str__(self) -> str:
         return "the end of the text" if self.kind == "stop" else repr(self.text)
 

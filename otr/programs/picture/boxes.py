@@ -6,17 +6,29 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import singledispatch
 from typing import Literal
 
 import numpy as np
 
 from otr.core.arrays import FloatArray, IntArray
-from otr.core.head import Argmax, ClipBox, PidBox, Sign, TanhBox
+from otr.core.head import Argmax, ClipBox, Head, Identity, PidBox, Sign, TanhBox, no_entry
 from otr.core.tree import ObliqueTree
+from otr.programs.names import label_name
 
-__all__ = ["Box", "Row", "Style", "affine_rows", "head_note", "number_text", "rows_of_test", "tree_boxes"]
+__all__ = [
+    "FormulaRow",
+    "NodeBox",
+    "Style",
+    "affine_rows",
+    "head_note",
+    "note_of",
+    "number_text",
+    "rows_of_test",
+    "tree_boxes",
+]
 
-Row = tuple[str, str] | str  # a number, set flush right, and what it multiplies; or a heading
+FormulaRow = tuple[str, str] | str  # a number, set flush right, and what it multiplies; or a heading
 _EXPONENT_BELOW, _EXPONENT_FROM = -4, 6
 
 
@@ -31,7 +43,7 @@ class Style:
 
 
 @dataclass(frozen=True)
-class Box:
+class NodeBox:
     """A box of the picture.
 
     Attributes:
@@ -45,13 +57,13 @@ class Box:
 
     kind: Literal["test", "leaf", "subtree"]
     title: str
-    rows: tuple[Row, ...]
+    rows: tuple[FormulaRow, ...]
     n_rows: int | None
     children: tuple[int, ...] = ()
     label: int | None = None
 
 
-def tree_boxes(tree: ObliqueTree, style: Style, counts: IntArray | None, max_depth: int | None) -> list[Box]:
+def tree_boxes(tree: ObliqueTree, style: Style, counts: IntArray | None, max_depth: int | None) -> list[NodeBox]:
     """Return the boxes of `tree`, parents before children; the root is box 0.
 
     Args:
@@ -61,7 +73,7 @@ def tree_boxes(tree: ObliqueTree, style: Style, counts: IntArray | None, max_dep
         max_depth: tests below this depth are folded up, with all that hangs on them; None folds nothing.
     """
     n_leaves, n_rows = _sums(tree, np.ones(tree.n_leaves, dtype=np.int64)), _sums(tree, counts)
-    boxes: list[Box] = []
+    boxes: list[NodeBox] = []
     waiting = deque([(0 if tree.n_nodes else ~0, 0)])
     while waiting:
         reference, depth = waiting.popleft()
@@ -69,17 +81,17 @@ def tree_boxes(tree: ObliqueTree, style: Style, counts: IntArray | None, max_dep
         if reference < 0:
             boxes.append(_leaf_box(tree, ~reference, style, reached))
         elif max_depth is not None and depth >= max_depth:
-            boxes.append(Box("subtree", f"{n_leaves[reference]:,} leaves", (), reached))
+            boxes.append(NodeBox("subtree", f"{n_leaves[reference]:,} leaves", (), reached))
         else:
             first = len(boxes) + 1 + len(waiting)
             rows = tuple(rows_of_test(tree.P[reference], float(tree.v[reference]), style))
-            boxes.append(Box("test", "", rows, reached, (first, first + 1)))
+            boxes.append(NodeBox("test", "", rows, reached, (first, first + 1)))
             waiting.append((int(tree.children_left[reference]), depth + 1))
             waiting.append((int(tree.children_right[reference]), depth + 1))
     return boxes
 
 
-def rows_of_test(coefficients: FloatArray, offset: float, style: Style) -> list[Row]:
+def rows_of_test(coefficients: FloatArray, offset: float, style: Style) -> list[FormulaRow]:
     """Return the lines of the test ``coefficients @ x + offset <= 0``; a test of one input is solved for it."""
     (used,) = np.nonzero(coefficients)
     if len(used) == 1:
@@ -122,51 +134,83 @@ def number_text(value: float, precision: int) -> str:
 
 def head_note(tree: ObliqueTree) -> str:
     """Return what the head makes of the leaves' formulas; empty where it makes nothing of them."""
-    head = tree.head
-    if tree.labels is not None or not tree.M.any():
-        return ""
-    if isinstance(head, Sign):
-        return "a formula answers 1 where it is above 0, else 0"
-    if isinstance(head, Argmax):
-        return "formulas answer which of the outputs is the largest"
-    if isinstance(head, ClipBox | TanhBox | PidBox):
-        lows, highs = np.broadcast_arrays(head.low, head.high)
-        limits = zip(np.atleast_1d(lows).tolist(), np.atleast_1d(highs).tolist(), strict=True)
-        boxes = ", ".join(dict.fromkeys(f"[{number_text(low, 4)}, {number_text(high, 4)}]" for low, high in limits))
-        what = "gains times terms" if isinstance(head, PidBox) else "formulas"
-        return f"{what} {'are clipped' if isinstance(head, ClipBox) else 'go through tanh, scaled'} to {boxes}"
+    return "" if tree.labels is not None or not tree.M.any() else note_of(tree.head, tree.n_outputs)
+
+
+@singledispatch
+def note_of(head: Head, n_outputs: int) -> str:
+    """Return what a head makes of formulas."""
+    raise no_entry(head, "a drawn tree")
+
+
+@note_of.register
+def _(head: Identity, n_outputs: int) -> str:
     return ""
 
 
-def _leaf_box(tree: ObliqueTree, leaf: int, style: Style, n_rows: int | None) -> Box:
+@note_of.register
+def _(head: ClipBox, n_outputs: int) -> str:
+    return f"formulas are clipped to {_boxes(head, n_outputs)}"
+
+
+@note_of.register
+def _(head: TanhBox, n_outputs: int) -> str:
+    return f"formulas go through tanh, scaled to {_boxes(head, n_outputs)}"
+
+
+@note_of.register
+def _(head: PidBox, n_outputs: int) -> str:
+    return f"gains times terms go through tanh, scaled to {_boxes(head, n_outputs)}"
+
+
+@note_of.register
+def _(head: Sign, n_outputs: int) -> str:
+    return "a formula answers 1 where it is above 0, else 0"
+
+
+@note_of.register
+def _(head: Argmax, n_outputs: int) -> str:
+    return "formulas answer which of the outputs is the largest"
+
+
+def _boxes(head: ClipBox | TanhBox | PidBox, n_outputs: int) -> str:
+    """Return the ranges of the answers, each once."""
+    limits = zip(*head.limits(n_outputs), strict=True)
+    return ", ".join(dict.fromkeys(f"[{number_text(low, 4)}, {number_text(high, 4)}]" for low, high in limits))
+
+
+def _leaf_box(tree: ObliqueTree, leaf: int, style: Style, n_rows: int | None) -> NodeBox:
     """Return the box of a leaf: its label, its answer where that is the same for all states, or its formulas."""
     if tree.labels is not None:
         label = int(tree.labels[leaf])
-        return Box("leaf", _answer_name(label, style), (), n_rows, label=label)
+        return NodeBox("leaf", label_name(label, style.answers), (), n_rows, label=label)
     if not tree.M[leaf].any():
         answer = np.asarray(tree.head(tree.c[leaf]))
         if answer.ndim == 0:
-            return Box("leaf", _answer_name(int(answer), style), (), n_rows, label=int(answer))
+            return NodeBox("leaf", label_name(int(answer), style.answers), (), n_rows, label=int(answer))
         if len(answer) == 1:
-            return Box("leaf", number_text(float(answer[0]), style.precision), (), n_rows)
+            return NodeBox("leaf", number_text(float(answer[0]), style.precision), (), n_rows)
         values = [number_text(value, style.precision) for value in answer.tolist()]
-        return Box("leaf", "", tuple(zip([f"{name} =" for name in style.answers], values, strict=True)), n_rows)
-    if isinstance(tree.head, PidBox):
-        return Box("leaf", "", tuple(_gain_rows(tree, leaf, style)), n_rows)
-    rows: list[Row] = []
+        return NodeBox("leaf", "", tuple(zip([f"{name} =" for name in style.answers], values, strict=True)), n_rows)
+    rows = _output_rows if tree.head.acts_by_output else _gain_rows
+    return NodeBox("leaf", "", tuple(rows(tree, leaf, style)), n_rows)
+
+
+def _output_rows(tree: ObliqueTree, leaf: int, style: Style) -> list[FormulaRow]:
+    """Return the lines of a leaf's formulas, output by output."""
+    rows: list[FormulaRow] = []
     for output in range(tree.n_outputs):
         if tree.n_outputs > 1:
             rows.append(f"{style.answers[output]} =")
         rows += affine_rows(tree.M[leaf, output], float(tree.c[leaf, output]), style)
-    return Box("leaf", "", tuple(rows), n_rows)
+    return rows
 
 
-def _gain_rows(tree: ObliqueTree, leaf: int, style: Style) -> list[Row]:
+def _gain_rows(tree: ObliqueTree, leaf: int, style: Style) -> list[FormulaRow]:
     """Return the lines of a PID policy's leaf: a gain and its term each, or that the gain varies with the state."""
-    assert isinstance(tree.head, PidBox)
-    n_actions = len(tree.head.low)
+    n_actions = tree.head.n_answers(tree.n_outputs)
     n_terms = tree.n_outputs // (n_actions + 1)
-    rows: list[Row] = []
+    rows: list[FormulaRow] = []
     for action in range(n_actions):
         if n_actions > 1:
             rows.append(f"{style.answers[action]} =")
@@ -176,10 +220,6 @@ def _gain_rows(tree: ObliqueTree, leaf: int, style: Style) -> list[Row]:
             name = style.features[inputs[0]] if len(inputs) == 1 else f"term {term}"
             rows.append(("θ(s)" if tree.M[leaf, gain].any() else constant, name))
     return rows
-
-
-def _answer_name(label: int, style: Style) -> str:
-    return style.answers[label] if 0 <= label < len(style.answers) else str(label)
 
 
 def _signed(value: float, precision: int, *, first: bool) -> str:

@@ -13,7 +13,7 @@ from otr.core.arrays import IntArray
 from otr.core.tree import ObliqueTree
 from otr.extras import naming_the_extra
 from otr.programs.names import one_line, shown_names
-from otr.programs.picture.boxes import Box, Style, head_note, tree_boxes
+from otr.programs.picture.boxes import NodeBox, Style, head_note, tree_boxes
 from otr.programs.picture.layout import tidy_layout
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ def _checked_counts(counts: ArrayLike, n_leaves: int) -> IntArray:
 class _Picture:
     """Boxes measured and placed; `figure` draws them. x grows to the right and y downwards, from the tree's corner."""
 
-    def __init__(self, boxes: list[Box], title: str, note: str) -> None:
+    def __init__(self, boxes: list[NodeBox], title: str, note: str) -> None:
         self.boxes, self.title, self.note = boxes, title, note
         self.sizes = [self._size(box) for box in boxes]
         self.depths = [0] * len(boxes)
@@ -167,7 +167,7 @@ class _Picture:
             self._draw_box(axes, i)
         return figure
 
-    def _size(self, box: Box) -> tuple[float, float]:
+    def _size(self, box: NodeBox) -> tuple[float, float]:
         """Return a box's width and height."""
         left, right = _columns(box)
         headings = [_text_width(row, TEXT, bold=True) for row in box.rows if isinstance(row, str)]
@@ -244,21 +244,21 @@ class _Picture:
         return max(EDGE_OF_ALL * n_rows / max(n_all, 1), EDGE_OF_NONE)
 
 
-def _columns(box: Box) -> tuple[float, float]:
+def _columns(box: NodeBox) -> tuple[float, float]:
     """Return the widths of the two columns of a box's rows."""
     rows = [row for row in box.rows if not isinstance(row, str)]
     left, right = (max((_text_width(row[column], TEXT) for row in rows), default=0.0) for column in (0, 1))
     return left, right
 
 
-def _colours(box: Box) -> tuple[str, str]:
+def _colours(box: NodeBox) -> tuple[str, str]:
     """Return the colours of a box's outline and inside."""
     if box.kind != "leaf":
         return TEST_LINE, TEST_FILL if box.kind == "test" else SUBTREE_FILL
     return VALUE_COLOURS if box.label is None else LABEL_COLOURS[box.label % len(LABEL_COLOURS)]
 
 
-def _count_text(box: Box) -> str:
+def _count_text(box: NodeBox) -> str:
     return "" if box.n_rows is None or box.kind == "test" else f"{box.n_rows:,} row{'' if box.n_rows == 1 else 's'}"
 
 

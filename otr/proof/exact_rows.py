@@ -20,11 +20,11 @@ from otr.core.tree import ObliqueTree
 from otr.geometry.rational import ExactTree, ExactUnits, Integers, Point, at, common_integers, integers
 from otr.geometry.regions import leaf_paths
 
-__all__ = ["Row", "Statement", "TreeOnDomain"]
+__all__ = ["Row", "TreeAndNetwork", "TreeOnDomain"]
 
 
 class Row(NamedTuple):
-    """A row: integers (d + 1,) over the statement's power of two, and whether it must be above 0, not just at it."""
+    """A row: integers (d + 1,) over a power of two, and whether it must be above 0, not just at it."""
 
     numbers: Integers
     is_strict: bool
@@ -81,7 +81,7 @@ class TreeOnDomain:
         return at(forms, self.power, point)
 
 
-class Statement(TreeOnDomain):
+class TreeAndNetwork(TreeOnDomain):
     """A tree and a network that are said to be the same function on a domain.
 
     Attributes:

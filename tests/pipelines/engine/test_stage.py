@@ -132,3 +132,24 @@ def test_manifest_records_origin_but_key_ignores_it(tiny, tmp_path, monkeypatch)
     assert two["git_revision"] == "another"
     assert one["key"] == two["key"]
     assert set(one["versions"]) >= {"python", "torch", "stable-baselines3", "gymnasium", "numpy"}
+
+
+def test_checkpoints_go_once_the_result_is_in_its_place(tiny, tmp_path):
+    checkpoints, n_calls = tmp_path / "checkpoints", 0
+
+    def killed_at_first(inputs, config, out):
+        nonlocal n_calls
+        n_calls += 1
+        checkpoints.mkdir(exist_ok=True)
+        (out / "value.txt").write_text("done\n")
+        if n_calls == 1:
+            raise KeyboardInterrupt
+
+    stage = Stage("third", 1, (), lambda config: {}, killed_at_first, checkpoints=lambda config, inputs: checkpoints)
+    with pytest.raises(KeyboardInterrupt):
+        run_stage(stage, tmp_path / "run", tiny(), "")
+    assert checkpoints.exists()
+    run_stage(stage, tmp_path / "run", tiny(), "")
+    assert not checkpoints.exists()
+    checkpoints.mkdir()  # as a kill between the two leaves it
+    assert run_stage(stage, tmp_path / "run", tiny(), "").skipped and not checkpoints.exists()

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from otr.core.tree import ObliqueTree
 from otr.programs.names import names_for
-from otr.programs.notation import Notation
+from otr.programs.notation import Notation, Program
 from otr.programs.walk import summary_of
 
 __all__ = ["to_latex"]
@@ -49,9 +49,9 @@ def to_latex(
     """
     names = names_for(tree, feature_names, output_names)
     features, answers = ([math_name(name) for name in given] for given in (names.features, names.answers))
-    latex = _Latex(tree, features, answers, names.answers, precision)
+    program = Program(tree, _LATEX, features, answers, list(map(escaped, names.answers)), precision)
     lines = [f"% {summary_of(tree)[3:].capitalize()}. Needs \\usepackage{{amsmath}}.", _PROLOGUE]
-    lines += [rf"\otrline{{{depth}}}{{{line}}}" for depth, line in latex.lines()]
+    lines += [rf"\otrline{{{depth}}}{{{line}}}" for depth, line in program.lines()]
     return "\n".join([*lines, r"\par\endgroup"]) + "\n"
 
 
@@ -70,49 +70,30 @@ def escaped(text: str) -> str:
     return "".join(_SPECIAL.get(character, character) for character in text)
 
 
-class _Latex(Notation):
-    """Formulas of amsmath."""
+def _number(value: float, precision: int) -> str:
+    mantissa, _, exponent = f"{value:.{precision}g}".partition("e")
+    return rf"{mantissa} \cdot 10^{{{int(exponent)}}}" if exponent else mantissa
 
-    times = r"\,"
 
-    def number(self, value: float) -> str:
-        mantissa, _, exponent = f"{value:.{self.precision}g}".partition("e")
-        return rf"{mantissa} \cdot 10^{{{int(exponent)}}}" if exponent else mantissa
+def _vector(name: str, entries: Sequence[str], one_a_line: bool) -> list[str]:
+    listed = r",\; ".join(entries)
+    return [rf"${name} \gets ({listed})$"]
 
-    def test(self, value: str) -> str:
-        return rf"\textbf{{if}} ${value} \le\nobreak 0$~\textbf{{then}}"
 
-    def otherwise(self) -> str:
-        return r"\textbf{else}"
-
-    def returned(self, value: str) -> str:
-        return rf"\textbf{{return}} ${value}$"
-
-    def returned_label(self, name: str) -> str:
-        return rf"\textbf{{return}} \textit{{{escaped(name)}}}"
-
-    def returned_sign(self, value: str) -> str:
-        return rf"\textbf{{return}} $1$ \textbf{{if}} ${value} > 0$ \textbf{{else}} $0$"
-
-    def returned_argmax(self, names: Sequence[str]) -> str:
-        return rf"\textbf{{return}} $\operatorname{{arg\,max}}({', '.join(names)})$"
-
-    def assigned(self, name: str, value: str) -> str:
-        return rf"${name} \gets {value}$"
-
-    def clip(self, value: str, low: float, high: float) -> str:
-        return rf"\operatorname{{clip}}({value},\, {self.number(low)},\, {self.number(high)})"
-
-    def tanh(self, value: str) -> str:
-        return rf"\tanh({value})"
-
-    def vector(self, name: str, entries: Sequence[str], *, one_a_line: bool) -> list[str]:
-        listed = r",\; ".join(entries)
-        return [rf"${name} \gets ({listed})$"]
-
-    def gain(self, term: str, answer: str) -> str:
-        suffix = rf",\,{answer}" if answer else ""
-        return rf"\theta_{{{term}{suffix}}}"
-
-    def product(self, gain: str, term: str) -> str:
-        return rf"{gain} \cdot {term}"
+_LATEX = Notation(
+    number=_number,
+    vector=_vector,
+    times=r"\,",
+    test=r"\textbf{if} $%s \le\nobreak 0$~\textbf{then}",
+    otherwise=r"\textbf{else}",
+    returned=r"\textbf{return} $%s$",
+    label=r"\textbf{return} \textit{%s}",
+    sign=r"\textbf{return} $1$ \textbf{if} $%s > 0$ \textbf{else} $0$",
+    argmax=r"\textbf{return} $\operatorname{arg\,max}(%s)$",
+    assigned=r"$%s \gets %s$",
+    clip=r"\operatorname{clip}(%s,\, %s,\, %s)",
+    tanh=r"\tanh(%s)",
+    product=r"%s \cdot %s",
+    gain=r"\theta_{%s}",
+    gain_of=r"\theta_{%s,\,%s}",
+)

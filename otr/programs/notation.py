@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import singledispatch
 
 import numpy as np
@@ -15,98 +15,73 @@ from otr.programs.names import label_name
 from otr.programs.pid_gains import gain_vectors, term_vectors
 from otr.programs.walk import affine_expression, walk
 
-__all__ = ["Notation", "answer_lines"]
+__all__ = ["Notation", "Program", "answer_lines"]
 
 
-class Notation(ABC):
-    """How a format writes a tree's formulas and statements.
+@dataclass(frozen=True)
+class Notation:
+    """How a format writes formulas and statements: mostly templates, in which a formula or a name stands for each %s.
+
+    Attributes:
+        number: from a number and significant digits to text.
+        vector: from a name, entries, and whether each takes a line, to the lines that give the name to the vector.
+        times: stands between a coefficient and its name.
+        test, otherwise: the line that asks whether a value is at most 0, and the one between the two sides.
+        returned, label, sign, argmax: the lines that answer a value, a label, whether a value is above 0, and which of
+            the values with these names is the largest.
+        assigned: the line that gives a name to a value.
+        clip, tanh, product: formulas.
+        gain, gain_of: the name of the gains of a term, for the only action and for a named one.
+    """
+
+    number: Callable[[float, int], str]
+    vector: Callable[[str, Sequence[str], bool], list[str]]
+    times: str
+    test: str
+    otherwise: str
+    returned: str
+    label: str
+    sign: str
+    argmax: str
+    assigned: str
+    clip: str
+    tanh: str
+    product: str
+    gain: str
+    gain_of: str
+
+
+@dataclass(frozen=True)
+class Program:
+    """A tree to be written in a notation.
 
     Attributes:
         tree: any tree.
-        features, answers: names of the inputs and of the answer's values, as they stand in formulas.
-        labels: names of the labels, as they stand in formulas.
-        precision: significant digits.
-        times: stands between a coefficient and its name.
+        notation: of the format.
+        features, answers, labels: names of inputs, of the answer's values and of labels, as the format has them.
+        precision: significant digits, at least 1.
     """
 
-    times: str
+    tree: ObliqueTree
+    notation: Notation
+    features: Sequence[str]
+    answers: Sequence[str]
+    labels: Sequence[str]
+    precision: int
 
-    def __init__(
-        self,
-        tree: ObliqueTree,
-        features: Sequence[str],
-        answers: Sequence[str],
-        labels: Sequence[str],
-        precision: int,
-    ) -> None:
-        """Keep what a program is written of.
+    def __post_init__(self) -> None:
+        if self.precision < 1:
+            raise ValueError(f"precision is {self.precision}, expected at least 1 significant digit")
 
-        Raises:
-            ValueError: precision < 1.
-        """
-        if precision < 1:
-            raise ValueError(f"precision is {precision}, expected at least 1 significant digit")
-        self.tree, self.precision = tree, precision
-        self.features, self.answers, self.labels = features, answers, labels
-
-    @abstractmethod
     def number(self, value: float) -> str:
         """Return a number to so many significant digits."""
-
-    @abstractmethod
-    def test(self, value: str) -> str:
-        """Return the line that asks whether a value is at most 0."""
-
-    @abstractmethod
-    def otherwise(self) -> str:
-        """Return the line between the two sides of a test."""
-
-    @abstractmethod
-    def returned(self, value: str) -> str:
-        """Return the line that answers a value."""
-
-    @abstractmethod
-    def returned_label(self, name: str) -> str:
-        """Return the line that answers a label."""
-
-    @abstractmethod
-    def returned_sign(self, value: str) -> str:
-        """Return the line that answers 1 where a value is above 0, else 0."""
-
-    @abstractmethod
-    def returned_argmax(self, names: Sequence[str]) -> str:
-        """Return the line that answers which of the named values is the largest."""
-
-    @abstractmethod
-    def assigned(self, name: str, value: str) -> str:
-        """Return the line that gives a name to a value."""
-
-    @abstractmethod
-    def clip(self, value: str, low: float, high: float) -> str:
-        """Return the formula of a clipped value."""
-
-    @abstractmethod
-    def tanh(self, value: str) -> str:
-        """Return the formula of a value's tanh."""
-
-    @abstractmethod
-    def vector(self, name: str, entries: Sequence[str], *, one_a_line: bool) -> list[str]:
-        """Return the lines that give a name to a vector, in one line or with a line for each entry."""
-
-    @abstractmethod
-    def gain(self, term: str, answer: str) -> str:
-        """Return the name of the gains of a term, for a named answer or, where there is one only, for ""."""
-
-    @abstractmethod
-    def product(self, gain: str, term: str) -> str:
-        """Return the formula of an inner product."""
+        return self.notation.number(value, self.precision)
 
     def affine(self, coefficients: FloatArray, offset: float, names: Sequence[str] | None = None) -> str:
         """Return ``offset + coefficients @ names``, without zeros and ones; the names are those of inputs if None."""
         names = self.features if names is None else names
-        return affine_expression(
-            coefficients, offset, names, self.number, times=self.times, tie=" ", leaves_out_ones=True
-        )
+        times = self.notation.times
+        return affine_expression(coefficients, offset, names, self.number, times=times, tie=" ", leaves_out_ones=True)
 
     def lines(self) -> list[tuple[int, str]]:
         """Return the lines of the program, each with its depth.
@@ -114,14 +89,15 @@ class Notation(ABC):
         Raises:
             ValueError: the tree is a PID policy whose terms differ between leaves.
         """
-        tree, lines = self.tree, [(0, line) for line in _first_lines(self.tree.head, self)]
+        tree, notation = self.tree, self.notation
+        lines = [(0, line) for line in self._first_lines()]
         for what, index, depth in walk(tree):
             if what == "if":
-                lines.append((depth, self.test(self.affine(tree.P[index], float(tree.v[index])))))
+                lines.append((depth, notation.test % self.affine(tree.P[index], float(tree.v[index]))))
             elif what == "else":
-                lines.append((depth, self.otherwise()))
+                lines.append((depth, notation.otherwise))
             elif what == "leaf" and tree.labels is not None:
-                lines.append((depth, self.returned_label(label_name(int(tree.labels[index]), self.labels))))
+                lines.append((depth, notation.label % label_name(int(tree.labels[index]), self.labels)))
             elif what == "leaf":
                 lines += [(depth, line) for line in answer_lines(tree.head, self, index)]
         return lines
@@ -134,67 +110,66 @@ class Notation(ABC):
     def answered(self, values: Sequence[str]) -> list[str]:
         """Return the lines that answer values: one is returned, several are given to their names."""
         if len(values) == 1:
-            return [self.returned(values[0])]
-        return [self.assigned(name, value) for name, value in zip(self.answers, values, strict=True)]
+            return [self.notation.returned % values[0]]
+        return [self.notation.assigned % pair for pair in zip(self.answers, values, strict=True)]
 
     def squashed(self, values: Sequence[str]) -> list[str]:
         """Return the formulas of values that go through tanh to the limits of the head."""
         limits = self.tree.head.limits(self.tree.n_outputs)
         assert limits is not None
         lines = zip(values, (limits[1] - limits[0]) / 2, ((limits[1] + limits[0]) / 2).tolist(), strict=True)
-        return [self.affine(np.array([half]), middle, [self.tanh(value)]) for value, half, middle in lines]
+        return [self.affine(np.array([half]), middle, [self.notation.tanh % value]) for value, half, middle in lines]
 
-
-def _first_lines(head: Head, notation: Notation) -> list[str]:
-    """Return what stands above the tests: of a PID policy, what its terms are."""
-    if head.acts_by_output:
-        return []
-    terms = term_vectors(notation.tree, notation.affine)
-    return [line for term, entries in terms for line in notation.vector(term, entries, one_a_line=False)]
+    def _first_lines(self) -> list[str]:
+        """Return what stands above the tests: of a PID policy, what its terms are."""
+        terms = [] if self.tree.head.acts_by_output else term_vectors(self.tree, self.affine)
+        return [line for term, entries in terms for line in self.notation.vector(term, entries, False)]
 
 
 @singledispatch
-def answer_lines(head: Head, notation: Notation, leaf: int) -> list[str]:
+def answer_lines(head: Head, program: Program, leaf: int) -> list[str]:
     """Return the lines that state a leaf's answer under a head."""
     raise no_entry(head, "a program to be read")
 
 
 @answer_lines.register
-def _(head: Identity, notation: Notation, leaf: int) -> list[str]:
-    return notation.answered(notation.outputs(leaf))
+def _(head: Identity, program: Program, leaf: int) -> list[str]:
+    return program.answered(program.outputs(leaf))
 
 
 @answer_lines.register
-def _(head: ClipBox, notation: Notation, leaf: int) -> list[str]:
-    low, high = (limit.tolist() for limit in head.limits(notation.tree.n_outputs))
-    return notation.answered(list(map(notation.clip, notation.outputs(leaf), low, high)))
+def _(head: ClipBox, program: Program, leaf: int) -> list[str]:
+    low, high = (limit.tolist() for limit in head.limits(program.tree.n_outputs))
+    values = zip(program.outputs(leaf), map(program.number, low), map(program.number, high), strict=True)
+    return program.answered([program.notation.clip % each for each in values])
 
 
 @answer_lines.register
-def _(head: TanhBox, notation: Notation, leaf: int) -> list[str]:
-    return notation.answered(notation.squashed(notation.outputs(leaf)))
+def _(head: TanhBox, program: Program, leaf: int) -> list[str]:
+    return program.answered(program.squashed(program.outputs(leaf)))
 
 
 @answer_lines.register
-def _(head: PidBox, notation: Notation, leaf: int) -> list[str]:
+def _(head: PidBox, program: Program, leaf: int) -> list[str]:
     """Return the lines of the gains theta, a vector that varies with the state an entry a line, then the actions."""
-    lines, controls = [], []
-    for action, answer in enumerate(notation.answers):
+    lines, controls, notation = [], [], program.notation
+    for action, answer in enumerate(program.answers):
         products = []
-        for term, entries, varies in gain_vectors(notation.tree, leaf, action, notation.affine):
-            gain = notation.gain(term, answer if len(notation.answers) > 1 else "")
-            lines += notation.vector(gain, entries, one_a_line=varies)
-            products.append(notation.product(gain, term))
+        for term, entries, varies in gain_vectors(program.tree, leaf, action, program.affine):
+            gain = notation.gain_of % (term, answer) if len(program.answers) > 1 else notation.gain % term
+            lines += notation.vector(gain, entries, varies)
+            products.append(notation.product % (gain, term))
         controls.append(" + ".join(products))
-    return [*lines, *notation.answered(notation.squashed(controls))]
+    return [*lines, *program.answered(program.squashed(controls))]
 
 
 @answer_lines.register
-def _(head: Sign, notation: Notation, leaf: int) -> list[str]:
-    return [notation.returned_sign(notation.outputs(leaf)[0])]
+def _(head: Sign, program: Program, leaf: int) -> list[str]:
+    return [program.notation.sign % program.outputs(leaf)[0]]
 
 
 @answer_lines.register
-def _(head: Argmax, notation: Notation, leaf: int) -> list[str]:
-    assigned = map(notation.assigned, notation.answers, notation.outputs(leaf))
-    return [*assigned, notation.returned_argmax(notation.answers)]
+def _(head: Argmax, program: Program, leaf: int) -> list[str]:
+    names, notation = program.answers, program.notation
+    assigned = [notation.assigned % pair for pair in zip(names, program.outputs(leaf), strict=True)]
+    return [*assigned, notation.argmax % ", ".join(names)]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from otr.core.tree import ObliqueTree
 from otr.programs.language.tokens import written
 from otr.programs.names import names_of
-from otr.programs.notation import Notation
+from otr.programs.notation import Notation, Program
 
 __all__ = ["to_text"]
 
@@ -47,52 +47,30 @@ def to_text(
     features, answers = names_of(tree, feature_names, output_names)
     is_number = [tree.labels is not None and name == str(label) for label, name in enumerate(answers)]
     answers = [name if own else written(name) for name, own in zip(answers, is_number, strict=True)]
-    text = _Text(tree, [written(name) for name in features], answers, answers, precision)
-    return "".join(f"{_INDENT * depth}{line}\n" for depth, line in text.lines())
+    program = Program(tree, _TEXT, [written(name) for name in features], answers, answers, precision)
+    return "".join(f"{_INDENT * depth}{line}\n" for depth, line in program.lines())
 
 
-class _Text(Notation):
-    """The notation of the thesis's programs, which `parse_program` reads."""
+def _vector(name: str, entries: Sequence[str], one_a_line: bool) -> list[str]:
+    if one_a_line:
+        return [f"{name} = [", *(f"    {entry}," for entry in entries), "]"]
+    return [f"{name} = [{', '.join(entries)}]"]
 
-    times = " "
 
-    def number(self, value: float) -> str:
-        return f"{value:.{self.precision}g}"
-
-    def test(self, value: str) -> str:
-        return f"if {value} <= 0 then"
-
-    def otherwise(self) -> str:
-        return "else"
-
-    def returned(self, value: str) -> str:
-        return f"return {value}"
-
-    def returned_label(self, name: str) -> str:
-        return f"return {name}"
-
-    def returned_sign(self, value: str) -> str:
-        return f"return 1 if {value} > 0 else 0"
-
-    def returned_argmax(self, names: Sequence[str]) -> str:
-        return f"return argmax({', '.join(names)})"
-
-    def assigned(self, name: str, value: str) -> str:
-        return f"{name} = {value}"
-
-    def clip(self, value: str, low: float, high: float) -> str:
-        return f"clip({value}, {self.number(low)}, {self.number(high)})"
-
-    def tanh(self, value: str) -> str:
-        return f"tanh({value})"
-
-    def vector(self, name: str, entries: Sequence[str], *, one_a_line: bool) -> list[str]:
-        if one_a_line:
-            return [f"{name} = [", *(f"    {entry}," for entry in entries), "]"]
-        return [f"{name} = [{', '.join(entries)}]"]
-
-    def gain(self, term: str, answer: str) -> str:
-        return f"theta_{term}_{answer}" if answer else f"theta_{term}"
-
-    def product(self, gain: str, term: str) -> str:
-        return f"{gain} . {term}"
+_TEXT = Notation(
+    number=lambda value, precision: f"{value:.{precision}g}",
+    vector=_vector,
+    times=" ",
+    test="if %s <= 0 then",
+    otherwise="else",
+    returned="return %s",
+    label="return %s",
+    sign="return 1 if %s > 0 else 0",
+    argmax="return argmax(%s)",
+    assigned="%s = %s",
+    clip="clip(%s, %s, %s)",
+    tanh="tanh(%s)",
+    product="%s . %s",
+    gain="theta_%s",
+    gain_of="theta_%s_%s",
+)

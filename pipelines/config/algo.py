@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-from pipelines.config.setting import AsBefore, Count, FreeText, NotNegative, OneOf, Positive, Range, Share, Text
+from pipelines.config.setting import AsBefore, Count, FreeText, NotNegative, OneOf, Positive, Range, Share, Text, Width
 from pipelines.errors import ConfigError
 
 
@@ -59,7 +59,7 @@ class GradientConfig(AlgoConfig):
 
     batch_size: Count
     gamma: Share
-    critic: list[Count]
+    critic: list[Width]
     weight_decay: Annotated[float, Range(0, 10)]
 
 

@@ -18,6 +18,7 @@ from pipelines.config.setting import (
     OneOf,
     OnlyWhere,
     Seed,
+    Width,
     check_settings,
     keyed_settings,
 )
@@ -75,7 +76,7 @@ class RunConfig:
     certify: Annotated[bool, EXECUTION] = False
     simplify: Annotated[bool, EXECUTION] = False
     tracking: Annotated[str, OneOf("none", "tensorboard", "mlflow"), EXECUTION] = "none"
-    oracle: Annotated[list[Count], OnlyWhere("imitates")] = field(default_factory=lambda: [256, 256])
+    oracle: Annotated[list[Width], OnlyWhere("imitates")] = field(default_factory=lambda: [256, 256])
     imitate: Annotated[ImitateConfig, OnlyWhere("imitates")] = field(default_factory=ImitateConfig)
     certification: CertificationConfig = field(default_factory=CertificationConfig)
     simplification: SimplificationConfig = field(default_factory=SimplificationConfig)

@@ -22,11 +22,15 @@ LARGEST_SEED = 2**32 - 1
 
 @dataclass(frozen=True)
 class Range:
-    """A number from `low` to `high`, or below it where `open`; of a list or a dict, every number in it."""
+    """A number from `low` to `high`, or below it where `open`; of a list or a dict, every number in it.
+
+    `remedy` tells what to give, where that says more than the bounds.
+    """
 
     low: float = -math.inf
     high: float = math.inf
     open: bool = False
+    remedy: str = ""
 
     def problem(self, value: Any) -> str | None:
         """Return what is wrong with a value, to stand after it; None where nothing is."""
@@ -35,8 +39,8 @@ class Range:
         if self.low <= value < self.high or (value == self.high and not self.open):
             return None
         low, high = _number(self.low), _number(self.high)
-        if self.open:
-            return f": give a number from {low} to below {high}"
+        if self.open or self.remedy:
+            return f": {self.remedy or f'give a number from {low} to below {high}'}"
         return f" is not at least {low}" if self.high == math.inf else f" is not between {low} and {high}"
 
 
@@ -88,6 +92,7 @@ EXECUTION = NotKeyed()  # how something is done, and where
 DERIVED = NotKeyed()  # worked out from settings that are keyed
 
 Count = Annotated[int, Range(1)]
+Width = Annotated[int, Range(1, remedy="every layer needs at least 1 neuron")]
 Seed = Annotated[int, Range(0, LARGEST_SEED)]
 Share = Annotated[float, Range(0, 1)]
 Positive = Annotated[float, Range(1e-12)]
@@ -129,8 +134,8 @@ def check_setting(kind: Any, name: str, value: Any, key: str) -> None:
         for leaf in _leaves(value) if hasattr(marker, "problem") else ():
             problem = marker.problem(leaf)
             if problem:
-                shown = f"{key}={value}" if value != "" else key
-                raise ConfigError(f"{shown}{problem}" if leaf is value else f"{shown}: {leaf}{problem}")
+                part = "" if leaf is value or problem[0] == ":" else f": {leaf}"
+                raise ConfigError(f"{key}={value}{part}{problem}" if value != "" else f"{key}{problem}")
 
 
 def keyed_settings(config: Any, method: Any = None) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from pipelines.config.setting import (
     Range,
     Seed,
     Share,
+    Width,
     check_setting,
     check_settings,
     keyed_settings,
@@ -104,7 +105,7 @@ class FirstLayerTreeConfig(LearnerConfig):
     max_depth: Count | None = None
     min_samples_leaf: Count = 1
     include_inputs: bool = True
-    hidden: list[Count] = field(default_factory=lambda: [8, 8])
+    hidden: list[Width] = field(default_factory=lambda: [8, 8])
 
 
 @dataclass(frozen=True)
@@ -132,7 +133,7 @@ class LcnConfig(LearnerConfig):
 class OtrConfig(LearnerConfig):
     """`OTRClassifier` and `OTRRegressor`."""
 
-    hidden: list[Count] = field(default_factory=lambda: [8, 8])
+    hidden: list[Width] = field(default_factory=lambda: [8, 8])
     dense: Annotated[str, OneOf("none", "input", "all")] = "none"
     negative_slope: BelowOne = 0.0
     shared: bool = False

@@ -1,9 +1,11 @@
 """The run's folder, its digest, and what is refused at the door."""
 
 import dataclasses
+from pathlib import Path
 
 import pytest
 
+from pipelines.cli.runs import load_config
 from pipelines.config import (
     ActorConfig,
     EnvConfig,
@@ -14,6 +16,8 @@ from pipelines.config.run import run_folder
 from pipelines.engine.digests import setting_differences
 from pipelines.errors import ConfigError
 from tests.pipelines.conftest import PPO, SAC
+
+RESULTS = Path(__file__).parents[3] / "results"
 
 
 def test_folder_names_env_method_depth_budget_and_seed(tiny):
@@ -87,3 +91,10 @@ def test_names_of_features_must_fit_the_policy(tiny):
     with pytest.raises(ConfigError, match="2 names, the policy has 3"):
         feature_names(env, 3)
     assert feature_names(dataclasses.replace(env, feature_names=[]), 2) == ["x0", "x1"]
+
+
+def test_runs_that_a_fleet_of_before_made_can_be_loaded():
+    folders = sorted(path.parent for path in RESULTS.glob("runs/*/*/*/*-fleet/seed-0/config.yaml"))
+    assert "device: cpu" in (folders[0] / "config.yaml").read_text()  # which fleets had, and have no more
+    config = load_config(folders[0], None)
+    assert config.fleet is not None and config.fleet.precision == "fp32"

@@ -26,7 +26,7 @@ from otr.errors import InvalidNetworkError, InvalidTreeError
 
 __all__ = ["constant_gains", "pid_network", "pid_observation", "pid_observation_names"]
 
-TERMS = ("P", "I", "D")
+TERMS = PidBox.terms
 
 
 def pid_observation(state: ArrayLike, history: ArrayLike, goal: ArrayLike) -> FloatArray:
@@ -123,7 +123,7 @@ def constant_gains(tree: ObliqueTree, X: ArrayLike) -> ObliqueTree:
         raise InvalidTreeError(f"no observation reaches leaf {empty[0]} of {tree.n_leaves}; prune_unreached first")
     means = np.stack([observations[leaves == leaf].mean(axis=0) for leaf in range(tree.n_leaves)])
     n_actions = len(tree.head.low)
-    n_terms = tree.n_outputs // (n_actions + 1)
+    n_terms = tree.head.n_terms(tree.n_outputs)
     outputs = np.einsum("lod,ld->lo", tree.M, means) + tree.c
     theta = outputs[:, n_terms:].reshape(tree.n_leaves, n_actions, n_terms)
     M = np.einsum("lam,lmd->lad", theta, tree.M[:, :n_terms])

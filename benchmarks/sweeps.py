@@ -22,8 +22,7 @@ JOBS_ALONE = """
 import sys
 from pipelines.cli.runs import RUN
 from pipelines.stages.run_job import run_job
-RUN.composer.register()
-for job in RUN.jobs(RUN.composer.expand(sys.argv[1:], multirun=True)):
+for job in RUN.jobs(RUN.expand(sys.argv[1:], multirun=True)):
     run_job(job)
 """
 

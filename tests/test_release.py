@@ -41,7 +41,7 @@ def test_wheel_brings_its_configuration(tmp_path):
         timeout=600,
     )
     code = (
-        "import sys; from pipelines import cli, conf_dir; "
+        "import sys; from pipelines import cli; from pipelines.config import conf_dir; "
         "sys.argv = ['otr-run', 'env=pendulum', 'depth=2', 'budget=smoke', "
         f"'n_workers=1']; assert conf_dir.CONF_DIR.is_relative_to({str(site)!r}), conf_dir.CONF_DIR; cli.run()"
     )

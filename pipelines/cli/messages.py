@@ -3,16 +3,17 @@
 from hydra.errors import HydraException
 from omegaconf.errors import OmegaConfBaseException
 
-from otr import OtrError
-from pipelines.errors import PipelineError
+from pipelines.engine.job import message_of as message_of_job
+from pipelines.errors import ConfigError
+
+USAGE_ERRORS = (ConfigError, HydraException, OmegaConfBaseException)  # the request itself is wrong
 
 
 def message_of(error: Exception) -> str:
     """Return the message alone where it was written for people, with the error's kind where it was not."""
-    foreseen = isinstance(error, PipelineError | HydraException | OtrError)
     if isinstance(error, OmegaConfBaseException):
         return readable(str(error))
-    return str(error) if foreseen else f"{type(error).__name__}: {error}"
+    return str(error) if isinstance(error, HydraException) else message_of_job(error)
 
 
 def readable(message: str) -> str:

@@ -1,4 +1,4 @@
-"""The words of `otr-run`, `otr-plan` and the figures: from them to jobs."""
+"""The overrides of `otr-run`, `otr-plan` and the figures: from them to jobs."""
 
 import dataclasses
 import functools
@@ -9,10 +9,12 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from pipelines import config as schemas
-from pipelines.cli.compose import Composer, schema_of, to_object
-from pipelines.cli.workflow import Workflow, command_of
-from pipelines.config import METHODS, MethodConfig, RunConfig
+from pipelines.cli.compose import schema_of, to_object
+from pipelines.cli.overrides import key_of
+from pipelines.cli.workflow import Compositions, Workflow, columns_spelt_out
+from pipelines.config import METHODS, ArsConfig, MethodConfig, ProgramConfig, RunConfig
 from pipelines.config.run import run_folder
+from pipelines.config.setting import not_keyed
 from pipelines.engine.store import corrupt
 from pipelines.errors import ConfigError
 from pipelines.stages.fleets import fleets
@@ -22,13 +24,14 @@ from pipelines.stages.shipped_programs import read_program
 from pipelines.tracking.tracker import check_tracking
 
 # The groups and keys that decide how an oracle is trained, and where and how that is done.
-OF_TRAINING = ("env", "algo", "actor", "trainer", "budget", "train", "seed", "experiment", "results_dir", "n_workers",
+OF_TRAINING = ("env", "algo", "actor", "trainer", "budget", "train", "experiment", "results_dir", "n_workers",
                "side_by_side", "debug", "tracking")  # fmt: skip
 
 
-def run_config(words: Sequence[str]) -> RunConfig:
-    """Return the configuration of `otr-run` with these words."""
-    return _run_config(tuple(words))
+def run_config(overrides: Sequence[str]) -> RunConfig:
+    """Return the configuration of `otr-run` with these overrides."""
+    config: RunConfig = to_object(RUN.compose(overrides))
+    return config
 
 
 def load_config(run_dir: Path, n_workers: int | None) -> RunConfig:
@@ -48,107 +51,108 @@ def load_config(run_dir: Path, n_workers: int | None) -> RunConfig:
     return loaded
 
 
-def _run_job(cfg: DictConfig, overrides: Sequence[str]) -> RunJob:
-    config = to_object(cfg)
-    assert isinstance(config, RunConfig)
-    if isinstance(config.method, schemas.ProgramConfig):
-        config = _with_program(config, config.method.program, overrides)
-        cfg.depth = config.depth
-    named = [
-        f"env={config.env.name}",
-        f"method={config.method.name}",
-        f"budget={config.budget.name}",
-        f"trainer={config.trainer.name}",
-        *(["algo=ars"] if isinstance(config.algo, schemas.ArsConfig) else []),
-    ]
-    baseline = _run_config((*named, f"depth={config.depth}"))
-    oracle = _oracle_job(config, overrides) if config.method.imitates else None
-    config = dataclasses.replace(config, oracle_run=oracle.config if oracle else None)
-    folder = run_folder(config, dataclasses.replace(baseline, seed=config.seed))
-    return RunJob(
-        config=dataclasses.replace(config, folder=folder),
-        folder=folder,
-        config_yaml=OmegaConf.to_yaml(cfg, resolve=True),
-        command=command_of("otr-run", overrides),
-        oracle=oracle,
-    )
+class RunWorkflow(Workflow):
+    """`otr-run`, whose jobs are runs."""
+
+    needs = ("env", "environment")
+    anything = "pendulum"
+    short = ("program", "column")
+    varied = ("seed", "depth", "oracle", "stages")
+    naming = ("env", "method", "budget", "trainer", "depth", "seed")
+    harmless = not_keyed(RunConfig)
+    do = staticmethod(run_job)
+    do_group = staticmethod(run_jobs)
+    groups = staticmethod(fleets)
+    check = staticmethod(check_tracking)
+
+    def implied(self, overrides: Sequence[str]) -> list[str]:
+        """Return the overrides that the choice of the method and the algorithm implies."""
+        given = dict(override.split("=", 1) for override in overrides if "=" in override)
+        return METHODS.get(given.get("method", "otr"), MethodConfig).implied(given)
+
+    def _compose(self, overrides: Sequence[str]) -> DictConfig:
+        """Compose what differs in the method alone once, and put the method in: its file fills `method` and no more."""
+        chosen = [override for override in overrides if override.startswith("method=")]
+        if not chosen or not all(map(self.is_plain, overrides)):
+            return super()._compose(overrides)
+        others = [override for override in overrides if override not in chosen]
+        cfg = self.compose([*self.implied(overrides), *others])
+        cfg.method = self._method(chosen[-1])
+        return cfg
+
+    @functools.cache  # noqa: B019 - there is one workflow of runs, which lives as long as the process
+    def _method(self, override: str) -> DictConfig:
+        method: DictConfig = super()._compose([f"env={self.anything}", override]).method
+        return method
+
+    def spelt_out(self, overrides: Sequence[str]) -> list[str]:
+        """Return overrides with `program=FILE` and `column=NAME` replaced by those that they are short for.
+
+        Hydra would take the first for a choice of the group conf/program, where the shipped programs lie.
+        """
+        methods = [
+            override for override in overrides if override.startswith("method=") and override != "method=program"
+        ]
+        named = [override for override in overrides if override.startswith("program=")]
+        if methods and named:
+            raise ConfigError(f"{named[0]} is evaluated by method=program, not by {methods[0]}; leave one of them out")
+        spelt_out = []
+        for override in overrides:
+            if override in named:
+                spelt_out += ["method=program", f"method.{override}"]
+            elif not (named and override == "method=program"):
+                spelt_out.append(override)
+        return columns_spelt_out(spelt_out)
+
+    def job(self, composed: Compositions, overrides: Sequence[str]) -> RunJob:
+        """Return the run with these overrides, and the run that trains its oracle."""
+        made = composed(overrides)
+        config: RunConfig = made.config
+        if isinstance(config.method, ProgramConfig):
+            text, depth = _program(config, config.method.program, overrides)
+            made = composed([*overrides, f"depth={depth}"])
+            config = dataclasses.replace(made.config, program_text=text)
+        oracle = self.job(composed, _of_oracle(config, overrides)) if config.method.imitates else None
+        baseline = config if all(map(self.is_plain, overrides)) else self._baseline(composed, config)
+        folder = run_folder(config, baseline)
+        config = dataclasses.replace(config, folder=folder, oracle_run=oracle.config if oracle else None)
+        return RunJob(config, folder, made.yaml, tuple(overrides), oracle)
+
+    def _baseline(self, composed: Compositions, config: RunConfig) -> RunConfig:
+        """Return what the same env, method, depth, budget, trainer and seed give without any other override."""
+        algorithm = ["algo=ars"] if isinstance(config.algo, ArsConfig) else []
+        baseline: RunConfig = composed([
+            f"env={config.env.name}", f"method={config.method.name}", f"budget={config.budget.name}",
+            f"trainer={config.trainer.name}", *algorithm, f"depth={config.depth}", f"seed={config.seed}",
+        ]).config  # fmt: skip
+        return baseline
 
 
-def _program_spelt_out(words: Sequence[str]) -> list[str]:
-    """Return the words with `program=FILE` replaced by what it is short for.
-
-    Hydra would take it for a choice of the group conf/program, where the shipped programs lie.
-    """
-    methods = [word for word in words if word.startswith("method=") and word != "method=program"]
-    named = [word for word in words if word.startswith("program=")]
-    if methods and named:
-        raise ConfigError(f"{named[0]} is evaluated by method=program, not by {methods[0]}; leave one of them out")
-    spelt_out = [word for word in words if not (named and word == "method=program")]
-    return [other for word in spelt_out for other in
-            (["method=program", f"method.{word}"] if word in named else [word])]  # fmt: skip
-
-
-def _with_program(config: RunConfig, program: str, overrides: Sequence[str]) -> RunConfig:
-    """Return the configuration with its program read, and the depth of that one's tree."""
+def _program(config: RunConfig, program: str, overrides: Sequence[str]) -> tuple[str, int]:
+    """Return a program's text and the depth of its tree."""
     text = read_program(program)
-    given = [word for word in overrides if word.startswith("depth=")]
+    given = [override for override in overrides if override.startswith("depth=")]
     if given:
         raise ConfigError(f"{given[0]}: the depth of a program's tree is its own; leave {given[0]} out")
-    depth = policy_tree(text, config.env, program).depth
-    return dataclasses.replace(config, program_text=text, depth=depth)
+    return text, policy_tree(text, config.env, program).depth
 
 
-def _implied(overrides: Sequence[str]) -> list[str]:
-    """Return the overrides that the choice of the method and the algorithm implies."""
-    given = dict(word.split("=", 1) for word in overrides if "=" in word)
-    return METHODS.get(given.get("method", "otr"), MethodConfig).implied(given)
+def _of_oracle(config: RunConfig, overrides: Sequence[str]) -> list[str]:
+    """Return the overrides of the run that trains an oracle: the oracle's layers are the depth of method=otr."""
+    own = [override for override in overrides if key_of(override).split(".")[0] in OF_TRAINING]
+    depth = f"depth={config.oracle}".replace(" ", "")
+    return [*own, depth, "method=otr", "stages=[train]", f"seed={config.seed}"]
 
 
-def _oracle_job(config: RunConfig, overrides: Sequence[str]) -> RunJob:
-    """Return the job that trains a job's oracle: method=otr with the oracle's layers as its depth, and as trained."""
-    own = [word for word in overrides if word.lstrip("+").split("=")[0].split(".")[0] in OF_TRAINING]
-    words = [*(word for word in own if not word.startswith("seed=")), f"depth={config.oracle}".replace(" ", ""),
-             "method=otr", "stages=[train]"]  # fmt: skip
-    cfg = _composed(tuple(words))
-    cfg.seed = config.seed
-    return _run_job(cfg, [*words, f"seed={config.seed}"])
-
-
-@functools.cache
-def _composed(words: tuple[str, ...]) -> DictConfig:
-    return RUN.composer.compose(words)
-
-
-@functools.cache
-def _run_config(words: tuple[str, ...]) -> RunConfig:
-    RUN.composer.register()
-    config = to_object(RUN.composer.compose(words))
-    assert isinstance(config, RunConfig)
-    return config
-
-
-RUN = Workflow(
-    "otr-run",
-    Composer(
-        "run",
-        groups=("env", "algo", "method", "trainer", "budget", "launcher", "experiment"),
-        needs="env",
-        anything="pendulum",
-        schemas={
-            (None, "run_schema"): RunConfig,
-            (None, "env_schema"): schemas.EnvConfig,
-            **{("method", f"run_{name}_schema"): method for name, method in METHODS.items()},
-            (None, "budget_schema"): schemas.BudgetConfig,
-            **{("algo", f"{name}_schema"): algorithm for name, algorithm in schemas.ALGORITHMS.items()},
-            **{("trainer", f"{name}_schema"): trainer for name, trainer in schemas.TRAINERS.items()},
-        },
-        implied=_implied,
-        shorthand=_program_spelt_out,
-        short=("program", "column"),
-    ),
-    job=_run_job,
-    groups=fleets,
-    do=run_job,
-    do_group=run_jobs,
-    check=check_tracking,
+RUN = RunWorkflow(
+    "run",
+    {
+        (None, "run_schema"): RunConfig,
+        (None, "env_schema"): schemas.EnvConfig,
+        **{("method", f"run_{name}_schema"): method for name, method in METHODS.items()},
+        (None, "budget_schema"): schemas.BudgetConfig,
+        **{("algo", f"{name}_schema"): algorithm for name, algorithm in schemas.ALGORITHMS.items()},
+        **{("trainer", f"{name}_schema"): trainer for name, trainer in schemas.TRAINERS.items()},
+    },
+    checked=("env", "algo", "method", "trainer", "budget", "launcher", "experiment"),
 )

@@ -1,53 +1,167 @@
-"""What a command does with its words: composes them, and has the jobs that come out done."""
+"""What `otr-run` and `otr-fit` share: from the overrides of a command to its jobs."""
 
-import shlex
+import dataclasses
+import functools
+import re
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
-from pipelines.cli.compose import Composer, parse
+from pipelines.cli.compose import Composer, to_object
+from pipelines.cli.overrides import combinations, is_of_launching, key_of, parse
+from pipelines.config.conf_dir import CONF_DIR
 from pipelines.engine.job import Job
+from pipelines.engine.waiting import counted
+from pipelines.errors import ConfigError, did_you_mean
 
 
 @dataclass(frozen=True)
-class Workflow:
-    """What a command does with its words: how they are composed, and how the jobs that come out are done.
+class Composed:
+    """A job's configuration: as a dataclass, and as the text of config.yaml."""
+
+    config: Any
+    yaml: str
+
+    def with_seed(self, seed: int) -> "Composed":
+        """Return the same with another seed."""
+        yaml = re.sub(r"(?m)^seed: .*$", f"seed: {seed}", self.yaml, count=1)
+        return dataclasses.replace(self, config=dataclasses.replace(self.config, seed=seed), yaml=yaml)
+
+
+class Workflow(Composer, ABC):
+    """A command that does jobs.
 
     Attributes:
-        program: the command.
-        composer: composes the words.
-        job: from a composed configuration and its words to the job.
-        groups: positions of the jobs that are done in one process, group by group.
-        do: does one job.
-        do_group: does the jobs of a group and returns what each failed with.
-        check: raises where something that the jobs need is not installed.
+        anything: an option of the group that is needed, for where it does not matter which.
+        naming: keys of overrides that the folder of a job names.
+        harmless: keys of overrides that do not decide what comes out of a job.
     """
 
-    program: str
-    composer: Composer
-    job: Callable[[DictConfig, Sequence[str]], Job]
-    groups: Callable[[Sequence[Any]], list[list[int]]]
-    do: Callable[[Any], Any]
-    do_group: Callable[[Sequence[Any]], list[Exception | None]]
-    check: Callable[[Any], None]
+    anything: str
+    naming: tuple[str, ...]
+    harmless: tuple[str, ...]
+    varied: tuple[str, ...] = ("seed",)
 
-    def jobs(self, words: Sequence[list[str]]) -> list[Job]:
-        """Return the jobs with these overrides; those that differ in their seed alone are composed once."""
-        composed: dict[tuple[str, ...], DictConfig] = {}
-        jobs = []
-        for job in words:
-            seeds = [word for word in job if word.startswith("seed=")]
-            rest = tuple(word for word in job if word not in seeds)
-            if len(seeds) == 1 and rest in composed:
-                composed[rest].seed = parse(seeds[0]).value()
-            else:
-                composed[rest] = self.composer.compose(job)
-            jobs.append(self.job(composed[rest], job))
-        return jobs
+    @abstractmethod
+    def job(self, composed: "Compositions", overrides: Sequence[str]) -> Job:
+        """Return the job with these overrides."""
+
+    # Functions, so that they can be handed to a sweep's processes.
+    do: Callable[[Any], Any]  # does one job
+    do_group: Callable[[Sequence[Any]], list[Exception | None]]  # does jobs and returns what each failed with
+    groups: Callable[[Sequence[Any]], list[list[int]]]  # positions of the configurations that one process does
+
+    def check(self, config: Any) -> None:
+        """Raise where something that the jobs need is not installed."""
+
+    def spelt_out(self, overrides: Sequence[str]) -> list[str]:
+        """Return a job's overrides with those replaced that are short for others."""
+        return list(overrides)
+
+    def jobs(self, overrides_of_jobs: Sequence[Sequence[str]]) -> list[Job]:
+        """Return the jobs with these overrides, in their order."""
+        composed = Compositions(self)
+        return [self.job(composed, own) for own in counted(overrides_of_jobs, "jobs composed")]
+
+    def expand(self, overrides: Sequence[str], multirun: bool) -> list[list[str]]:
+        """Return the overrides of every job that a command's overrides ask for, in the order of Hydra's own sweeper."""
+        if not self.is_sweep(overrides, multirun):
+            return [self.spelt_out(overrides)]
+        parameters = self._experiment(tuple(overrides))[1]
+        return [self.spelt_out(own) for own in combinations((*parameters, *overrides))]
+
+    def is_sweep(self, overrides: Sequence[str], multirun: bool) -> bool:
+        """Return whether a command's overrides ask for a sweep: by -m, or by an experiment that says so.
+
+        Raises:
+            ConfigError: there are several values of a key, and nothing that asks for a sweep.
+        """
+        swept = [parsed.get_key_element() for parsed in map(parse, overrides) if parsed.is_sweep_override()]
+        if swept and not multirun and not any(override.startswith("+experiment=") for override in overrides):
+            raise ConfigError(f"{', '.join(swept)}: several values make a sweep; add -m")
+        if any(key.lstrip("+") == "experiment" for key in swept):
+            raise ConfigError("experiment: one at a time; start a command for each")
+        return multirun or self._experiment(tuple(overrides))[0]
+
+    @functools.cache  # noqa: B019 - there are two workflows, which live as long as the process
+    def _experiment(self, overrides: tuple[str, ...]) -> tuple[bool, list[str]]:
+        """Return whether the experiment that overrides name is a sweep, and the parameters that it brings.
+
+        What conf/experiment/<name>/<budget>.yaml has comes on top of the experiment's own, so that a budget may sweep
+        less.
+        """
+        single = [override for override in overrides if not parse(override).is_sweep_override()]
+        experiments = [override for override in single if key_of(override) == "experiment"]
+        if not experiments:
+            return False, []
+        budgets = [override for override in single if override.startswith("budget=") and "budget" in self.checked]
+        for override in (*experiments, *budgets):
+            self.check_option(*override.lstrip("+").split("=", 1))
+        assert self.needs is not None
+        own = [f"{self.needs[0]}={self.anything}", *budgets, *experiments]
+        settings = self.settings_of_hydra(own)
+        name, budget = experiments[-1].split("=", 1)[1], settings.runtime.choices.get("budget")
+        if (CONF_DIR / self.folder / "experiment" / name / f"{budget}.yaml").is_file():
+            settings = self.settings_of_hydra([*own, f"+experiment/{name}={budget}"])
+        parameters = [f"{key}={value}" for key, value in (settings.sweeper.params or {}).items()]
+        return str(settings.mode).endswith("MULTIRUN"), parameters
+
+    @functools.cache  # noqa: B019 - as above
+    def is_plain(self, override: str) -> bool:
+        """Return whether an override changes nothing of what comes out but what the folder of a job names."""
+        key, _, value = override.lstrip("+").partition("=")
+        if key == "experiment":  # one that brings values to sweep over, and no settings that decide what comes out
+            path = CONF_DIR / self.folder / "experiment" / f"{value}.yaml"
+            return path.is_file() and OmegaConf.load(path).keys() <= {"hydra", *self.harmless}
+        return key in (*self.naming, *self.harmless) or is_of_launching(override)
 
 
-def command_of(program: str, overrides: Sequence[str]) -> str:
-    """Return the command that does one job, as it is recorded beside what it makes."""
-    return shlex.join([program, *(word for word in overrides if word.split("=")[0] not in ("stages", "hydra.mode"))])
+class Compositions:
+    """The configurations of jobs; what differs in the seed alone is composed once."""
+
+    def __init__(self, workflow: Workflow) -> None:
+        self._workflow = workflow
+        self._found: dict[tuple[str, ...], Composed] = {}
+
+    def __call__(self, overrides: Sequence[str]) -> Composed:
+        """Return the configuration that overrides make."""
+        seeds = [override for override in overrides if override.startswith("seed=")]
+        others = tuple(override for override in overrides if override not in seeds)
+        if others not in self._found:
+            self._found[others] = _composed(self._workflow.compose(others))
+        if not seeds:
+            return self._found[others]
+        seed = parse(seeds[-1]).value()
+        if type(seed) is not int or _uses_seed(others):
+            return _composed(self._workflow.compose(overrides))
+        return self._found[others].with_seed(seed)
+
+
+def _composed(cfg: DictConfig) -> Composed:
+    return Composed(to_object(cfg), OmegaConf.to_yaml(cfg, resolve=True))
+
+
+@functools.cache
+def _uses_seed(overrides: tuple[str, ...]) -> bool:
+    """Return whether a setting may depend on the seed, so that another seed has to be composed anew."""
+    files = (path.read_text(encoding="utf-8") for path in CONF_DIR.rglob("*.yaml"))
+    return any(re.search(r"\$[^}\n]*seed", text) for text in (*overrides, *files))
+
+
+@functools.cache
+def _columns() -> dict[str, list[str]]:
+    return {str(name): stands_for.split() for name, stands_for in OmegaConf.load(CONF_DIR / "column.yaml").items()}
+
+
+def columns_spelt_out(overrides: Sequence[str]) -> list[str]:
+    """Return overrides with `column=NAME` replaced by those that it stands for (conf/column.yaml)."""
+    columns, spelt_out = _columns(), []
+    for override in overrides:
+        name = override.removeprefix("column=")
+        if name != override and name not in columns:
+            raise ConfigError(f"{override}: there is no such column.{did_you_mean(name, list(columns))}")
+        spelt_out += [override] if name == override else columns[name]
+    return spelt_out

@@ -1,14 +1,17 @@
 """A job: one configuration, the folder that it names, the stages it takes, and what is kept of a failure."""
 
+import dataclasses
 import errno
+import shlex
 import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Self
 
+from otr import OtrError
 from pipelines.engine.archive import MANIFEST, verified_manifest
 from pipelines.engine.stage import Stage, stage_key, stage_status
 from pipelines.engine.store import exists, write_text
@@ -17,19 +20,28 @@ from pipelines.errors import PipelineError
 
 @dataclass(frozen=True)
 class Job(ABC):
-    """What is done in one folder.
+    """What is done in one folder. A job is composed once and is plain data, so that any process can be handed it.
 
     Attributes:
+        program: the command that does such jobs.
         config: what is asked: a `RunConfig` or a `FitConfig`.
         folder: the job's folder, relative to `config.results_dir`.
         config_yaml: the resolved configuration as text.
-        command: the command that does this job and all its stages.
+        overrides: what the job was composed from.
     """
+
+    program: ClassVar[str]
 
     config: Any
     folder: str
     config_yaml: str
-    command: str
+    overrides: tuple[str, ...] = ()
+
+    @property
+    def command(self) -> str:
+        """The command that does this job and all its stages."""
+        own = (override for override in self.overrides if override.split("=")[0] not in ("stages", "hydra.mode"))
+        return shlex.join([self.program, *own])
 
     @property
     def run_dir(self) -> Path:
@@ -45,6 +57,11 @@ class Job(ABC):
     @abstractmethod
     def ends_with(self) -> str:
         """The stage after which the job's summary is written."""
+
+    def side_by_side(self) -> Self:
+        """Return a job that knows that others share its terminal and its cores."""
+        config = dataclasses.replace(self.config, side_by_side=True, n_workers=self.config.n_workers or 1)
+        return dataclasses.replace(self, config=config)
 
     def found_done(self) -> None:  # noqa: B027 - nothing to do for most
         """Do what a job that is found done needs all the same."""
@@ -82,6 +99,11 @@ def _is_stage_done(job: Job, stage: Stage, gone: set[str]) -> bool:
         return True
     inputs = {name: job.run_dir / name for name in stage.inputs}
     return stage_status(stage, folder, job.config, stage_key(stage, job.config, inputs)) == "done"
+
+
+def message_of(error: Exception) -> str:
+    """Return the message alone where it was written for people, with the error's kind where it was not."""
+    return str(error) if isinstance(error, PipelineError | OtrError) else f"{type(error).__name__}: {error}"
 
 
 def record_failure(job: Job, error: BaseException, sweep: str) -> str:

@@ -7,6 +7,7 @@ from rich.table import Table
 
 from pipelines.engine.console import duration
 from pipelines.engine.stage import stage_status
+from pipelines.engine.waiting import counted
 from pipelines.stages import imitate
 from pipelines.stages.run_job import RunJob
 from pipelines.stages.train import seconds_left, trained_steps
@@ -55,7 +56,7 @@ def print_plan(jobs: Sequence[RunJob]) -> None:
     table = Table("job", "plan", "time", box=None)
     total, n_skipped = 0.0, 0
     planned: set[str] = set()
-    for job in jobs:
+    for job in counted(jobs, "jobs planned"):
         what, seconds = job_plan(job, planned)
         total += seconds
         n_skipped += what == "skip"

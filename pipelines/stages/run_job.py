@@ -1,9 +1,10 @@
 """Doing runs: the stages of each in order, those of a fleet trained as one."""
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, Self
 
 from pipelines.config.methods import EXTRA_STAGES
 from pipelines.engine.console import duration
@@ -26,6 +27,8 @@ class RunJob(Job):
         oracle: the job that trains the network to imitate; None for a method without an oracle.
     """
 
+    program = "otr-run"
+
     oracle: "RunJob | None" = None
 
     @property
@@ -43,6 +46,11 @@ class RunJob(Job):
     def ends_with(self) -> str:
         """The stage after which the run's summary is written."""
         return "evaluate"
+
+    def side_by_side(self) -> Self:
+        """Return a job that knows, as its oracle's does, that others share its terminal and its cores."""
+        oracle = self.oracle.side_by_side() if self.oracle else None
+        return dataclasses.replace(super().side_by_side(), oracle=oracle)
 
     def found_done(self) -> None:
         """Show the run to the tracker, which may be younger than the run."""

@@ -28,6 +28,8 @@ def stages_of(config: FitConfig) -> tuple[Stage, ...]:
 class FitJob(Job):
     """A fit: its configuration is a `FitConfig`."""
 
+    program = "otr-fit"
+
     @property
     def stages(self) -> tuple[Stage, ...]:
         """The stages that are asked for, in order."""

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ from pipelines.config.conf_dir import CONF_DIR
 from tests.pipelines.conftest import otr_command, otr_program
 from tests.pipelines.sweeps import PROGRAMS, children, wait_for
 
+PROGRAMS_OF_OTR = ("otr-run", "otr-plan", "otr-fit", "otr-tabulate", "otr-export", "otr-verify")
 SMOKE = ("env=pendulum", "depth=3", "budget=smoke", "n_workers=1")
 RUN = Path("results/runs/pendulum/otr/depth-3/smoke/seed-0")
 
@@ -310,7 +312,14 @@ def test_every_budget_has_every_environment_s_steps():
     assert steps[0] == steps[1] == steps[2] and len(steps[0]) == 10
 
 
-def test_help_names_the_words():
-    for program in ("otr-run", "otr-plan", "otr-fit", "otr-tabulate"):
+def test_help_names_the_overrides():
+    for program in PROGRAMS_OF_OTR:
         done = otr_command(program, "--help", cwd=Path.cwd())
-        assert done.returncode == 0 and "words:" in done.stdout
+        assert done.returncode == 0 and "overrides:" in done.stdout and "--version" in done.stdout
+
+
+def test_every_command_tells_its_version():
+    version = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]["version"]
+    for program in PROGRAMS_OF_OTR:
+        done = otr_command(program, "--version", cwd=Path.cwd())
+        assert (done.returncode, done.stdout) == (0, f"{program} {version}\n")

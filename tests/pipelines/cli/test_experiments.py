@@ -9,8 +9,7 @@ from tests.pipelines.conftest import otr_command
 
 def jobs(*words):
     """Return the jobs' words as {key: value}."""
-    RUN.composer.register()
-    return [dict(word.lstrip("+").split("=", 1) for word in own) for own in RUN.composer.expand([*words], False)]
+    return [dict(word.lstrip("+").split("=", 1) for word in own) for own in RUN.expand([*words], False)]
 
 
 def test_figure_4_6_is_swept_by_its_budget():
@@ -31,8 +30,7 @@ def test_two_workers_train_different_oracles():
 
 
 def test_a_list_gets_through_the_sweep_as_an_oracle():
-    RUN.composer.register()
-    words = RUN.composer.expand(
+    words = RUN.expand(
         ["+experiment=figure_4_6", "budget=quick", "method=viper", "depth=2", "seed=0", "oracle=[32],[8,8]"], False
     )
     runs = RUN.jobs(words)

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from pipelines.cli.commands import _with_path_quoted
+from pipelines.cli.overrides import with_path_quoted
 from pipelines.cli.runs import RUN
 from pipelines.config import EnvConfig
 from pipelines.errors import ConfigError
@@ -35,10 +35,9 @@ else none
 
 def jobs(*words):
     """Return the jobs of words, as otr-run makes them."""
-    RUN.composer.register()
     multirun = "-m" in words
-    given = [_with_path_quoted(word) for word in words if word != "-m"]
-    return RUN.jobs(RUN.composer.expand(given, multirun))
+    given = [with_path_quoted(word) for word in words if word != "-m"]
+    return RUN.jobs(RUN.expand(given, multirun))
 
 
 @pytest.mark.parametrize(("name", "published"), [("mountaincar", 92.8), ("mountaincar_simplified", 92.2)])
@@ -206,9 +205,3 @@ def test_what_a_run_prints_is_read_again():
     again = policy_tree(program_text(tree, MOUNTAIN_CAR), MOUNTAIN_CAR, "p")
     assert again.head == tree.head
     np.testing.assert_allclose(again.c, tree.c, rtol=1e-3)
-
-
-def test_a_path_is_quoted_only_where_it_must_be():
-    for word in ("program=a/b-c.txt", "program=a,b", "env=x~y", "program='a b'"):
-        assert _with_path_quoted(word) == word
-    assert _with_path_quoted("program=runs/s~1/p.txt,q r") == "program='runs/s~1/p.txt','q r'"

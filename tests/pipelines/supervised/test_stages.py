@@ -22,7 +22,7 @@ GRID = [{"max_depth": [1, 2, 5]}]
 
 
 def job_of(config):
-    return FitJob(config, config.folder, "data: {}\n", "otr-fit ...")
+    return FitJob(config, config.folder, "data: {}\n")
 
 
 def test_scores_and_predictions_are_those_of_the_kept_tree(fit_of):

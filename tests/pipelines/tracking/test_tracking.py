@@ -66,7 +66,7 @@ def backend(monkeypatch):
 @pytest.fixture
 def tracked(tiny):
     """A job with tracking."""
-    return RunJob(tiny(tracking="tensorboard", folder=FOLDER), FOLDER, "", "")
+    return RunJob(tiny(tracking="tensorboard", folder=FOLDER), FOLDER, "")
 
 
 def test_run_is_logged_as_it_goes_and_once(backend, tracked):

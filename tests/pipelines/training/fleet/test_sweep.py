@@ -10,7 +10,6 @@ import pytest
 
 from pipelines.engine.stage import run_stage_together
 from pipelines.engine.store import read_json
-from pipelines.engine.sweep import sweep_words
 from pipelines.stages.run_job import RunJob, run_jobs
 from pipelines.stages.table import STAGES
 from tests.pipelines.conftest import otr_command
@@ -87,7 +86,7 @@ def test_run_that_diverges_fails_alone(tmp_path):
 def job(config, tmp_path):
     """Return a job of a run that is made without the command line."""
     folder = f"runs/{config.env.name}/otr/depth-4/{config.budget_level}/seed-{config.seed}"
-    return RunJob(config, folder, "", "otr-run")
+    return RunJob(config, folder, "")
 
 
 def test_finished_and_busy_runs_are_left_out_of_a_fleet(tiny, tmp_path):
@@ -119,12 +118,3 @@ def test_a_fleet_is_one_command_in_a_file_of_jobs(tmp_path):
     assert [re.findall(r"depth=\S+ seed=\S+", line)[0] for line in lines] == [
         "depth=2 seed=0,1,2", "depth=2 seed=3,4,5,6", "depth=3 seed=0,1,2", "depth=3 seed=3,4,5,6"]  # fmt: skip
     assert all(line.startswith("otr-run -m ") for line in lines)
-
-
-def test_words_of_a_sweep_make_just_its_members():
-    assert sweep_words([["a=1", "b=2"]]) == ["a=1", "b=2"]
-    assert sweep_words([["a=1", "b=2"], ["a=1", "b=3"]]) == ["-m", "a=1", "b=2,3"]
-    members = [[f"a={i}", f"b={j}"] for i in (1, 2) for j in (3, 4)]
-    assert sweep_words(members) == ["-m", "a=1,2", "b=3,4"]
-    assert sweep_words(members[:3]) is None  # the product would be four
-    assert sweep_words([["a=1"], ["b=1"]]) is None

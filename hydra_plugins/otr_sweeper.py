@@ -1,0 +1,95 @@
+"""Hydra's sweeper of `otr-run` and `otr-fit`: hands tasks that are composed already to the launcher, one process each.
+
+`pipelines/cli/sweeps.py` makes the tasks, callables with a group of jobs each. A launcher's processes may be on other
+machines that share the file system, so every task is pickled into a file below results_dir and called from there. These
+pickles are internal: a sweep writes them, its own processes read them, and they are deleted when it is over; they are
+never published, and none is read that comes from elsewhere.
+"""
+
+import copy
+import pickle
+import shutil
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hydra.core.config_store import ConfigStore
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.plugins import Plugins
+from hydra.plugins.sweeper import Sweeper
+from hydra.types import HydraContext, TaskFunction
+from omegaconf import DictConfig
+
+
+@dataclass
+class OtrSweeperConf:
+    """The settings below hydra.sweeper: `params` are the values that an experiment sweeps over."""
+
+    _target_: str = "hydra_plugins.otr_sweeper.OtrSweeper"
+    params: dict[str, str] | None = None
+
+
+ConfigStore.instance().store(group="hydra/sweeper", name="otr", node=OtrSweeperConf, provider="otr")
+
+
+class OtrSweeper(Sweeper):
+    """Launches the tasks that Hydra is given in place of a function; each is called with whether others run beside it.
+
+    `pipelines/cli/workflow.py` has read `params` by then, because planning expands the same sweeps.
+    """
+
+    def __init__(self, params: dict[str, str] | None = None) -> None:
+        """Take what Hydra instantiates a sweeper with."""
+
+    def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
+        """Keep what the launcher needs; `task_function` is the list of tasks."""
+        loader: Any = _AsComposed()
+        self.context = HydraContext(config_loader=loader, callbacks=hydra_context.callbacks)
+        self.tasks: Any = task_function
+        self.config = config
+
+    def sweep(self, arguments: list[str]) -> list[Any]:
+        """Return what the tasks return, in their order."""
+        settings = self.config.hydra
+        outlives = "submitit_folder" in settings.launcher  # jobs that are queued go on where this process is stopped
+        sweep_dir = Path(str(settings.sweep.dir))
+        sweep_dir.mkdir(parents=True, exist_ok=True)
+        folder = Path(tempfile.mkdtemp(prefix="tasks-", dir=sweep_dir))
+        is_over = False
+        try:
+            for number, task in enumerate(self.tasks):
+                (folder / str(number)).write_bytes(pickle.dumps(task))
+            call = _CallPickled(str(folder), settings.runtime.choices["hydra/launcher"] != "basic")
+            launcher = Plugins.instance().instantiate_launcher(self.context, call, self.config)
+            if outlives:
+                n_jobs = sum(len(task.jobs) for task in self.tasks)
+                place = f"{self.config.results_dir}/sweeps/.submitit"
+                print(f"{n_jobs} jobs handed over; what they print: {place}", flush=True)
+            returned = launcher.launch([[] for _ in self.tasks], initial_job_idx=0)
+            results = [result.return_value for result in returned]
+            is_over = True
+            return results
+        finally:
+            if is_over or not outlives:
+                shutil.rmtree(folder, ignore_errors=True)
+
+
+class _AsComposed:
+    """Gives every process the configuration of the sweep as it is, where Hydra's own loader would compose it again."""
+
+    def load_sweep_config(self, master_config: DictConfig, sweep_overrides: list[str]) -> DictConfig:
+        return copy.deepcopy(master_config)
+
+
+@dataclass(frozen=True)
+class _CallPickled:
+    """Calls the task of the process that it is in; the launcher numbers the processes."""
+
+    folder: str
+    side_by_side: bool
+
+    def __call__(self, config: DictConfig) -> Any:
+        task: Callable[[bool], Any] = pickle.loads((Path(self.folder) / str(HydraConfig.get().job.num)).read_bytes())
+        return task(self.side_by_side)

@@ -1,0 +1,20 @@
+"""`otr-plan`: list what `otr-run` would do."""
+
+import argparse
+
+from pipelines.cli.jobs_file import how_to_use, write_jobs
+from pipelines.cli.overrides import with_path_quoted
+from pipelines.cli.runs import RUN
+from pipelines.report.plan import print_plan
+from pipelines.stages.run_job import RunJob
+
+
+def do(arguments: argparse.Namespace) -> int:
+    """Print the plan and write the file of jobs that --jobs names."""
+    overrides = [with_path_quoted(override) for override in arguments.overrides]
+    jobs = [job for job in RUN.jobs(RUN.expand(overrides, arguments.multirun)) if isinstance(job, RunJob)]
+    print_plan(jobs)
+    if arguments.jobs:
+        n_jobs = write_jobs(arguments.jobs, jobs, RUN.groups)
+        print(f"\n{how_to_use(arguments.jobs, n_jobs)}")
+    return 0

@@ -1,0 +1,89 @@
+"""`otr-tabulate`: tables and figures from the runs and fits that are there."""
+
+import argparse
+import dataclasses
+import functools
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pipelines.cli.compose import Composer, to_object
+from pipelines.cli.runs import RUN, load_config, run_config
+from pipelines.config import BudgetConfig
+from pipelines.engine.digests import differences_suffix
+from pipelines.errors import ConfigError, MissingInputError
+from pipelines.report.replay import replay
+
+if TYPE_CHECKING:
+    from pipelines.report.figure_4_6 import Planned
+
+
+@dataclass(frozen=True)
+class TabulateConfig:
+    """What `otr-tabulate` takes."""
+
+    table: str
+    figure: str | None
+    results_dir: str
+    evaluate: bool
+    n_workers: int | None
+    debug: bool
+    budget: BudgetConfig | None = None
+
+
+TABULATE = Composer(
+    "tabulate",
+    {(None, "tabulate_schema"): TabulateConfig, (None, "budget_schema"): BudgetConfig},
+    checked=("budget",),
+)
+
+
+def do(arguments: argparse.Namespace) -> int:
+    """Write the reports that are named, print them, and return whether runs that were played again differed."""
+    from pipelines.report.tabulate import reports_of, write_report  # imports pandas
+
+    names = [argument for argument in arguments.overrides if "=" not in argument]
+    cfg: TabulateConfig = to_object(TABULATE.compose([given for given in arguments.overrides if given not in names]))
+    asked = names or [f"figure={cfg.figure}" if cfg.figure else f"table={cfg.table}"]
+    reports = [report for name in asked for report in reports_of(name)]
+    results_dir = Path(cfg.results_dir)
+    if not (results_dir / "runs").is_dir():
+        raise ConfigError(f"results_dir={cfg.results_dir}: there is no folder {results_dir / 'runs'} with runs")
+    different = 0
+    if cfg.evaluate:
+        for run_dir in sorted(path.parent for path in results_dir.glob("runs/*/*/depth-*/**/summary.json")):
+            config = dataclasses.replace(load_config(run_dir, cfg.n_workers), results_dir=cfg.results_dir)
+            different += replay(config, run_dir)
+    budget = cfg.budget.name if cfg.budget else None
+    for report in reports:
+        try:
+            written = write_report(report, results_dir, budget, _planned, lambda run_dir: load_config(run_dir, 1))
+        except MissingInputError as error:
+            if "all" not in names:
+                raise
+            print(f"{report} is left out: {error}", file=sys.stderr)
+            continue
+        for path in written:
+            print(path)
+            if path.suffix in (".md", ".txt"):
+                print(f"\n{path.read_text(encoding='utf-8')}")
+    return 1 if different else 0
+
+
+@functools.cache
+def _planned(budget: str) -> list["Planned"]:
+    """Return the runs of the experiment that figures show; its overrides are the parts of their folders' names."""
+    from pipelines.report.figure_4_6 import ENVIRONMENT, EXPERIMENT, Planned
+
+    jobs = RUN.expand([f"+experiment={EXPERIMENT}", f"budget={budget}"], multirun=False)
+    usual = run_config([f"env={ENVIRONMENT}", "method=viper", f"budget={budget}"]).oracle
+    planned = []
+    for overrides in jobs:
+        given = dict(override.split("=", 1) for override in overrides)
+        oracle = json.loads(given["oracle"])
+        seed = f"seed-{given['seed']}{differences_suffix({'oracle': oracle}, {'oracle': usual})}"
+        run = f"{ENVIRONMENT}/{given['method']}/depth-{given['depth']}/{budget}/{seed}"
+        planned.append(Planned(given["oracle"], given["method"], int(given["depth"]), run))
+    return planned

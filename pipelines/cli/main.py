@@ -1,0 +1,65 @@
+"""What all commands share: their arguments, their help, and one message and an exit code for every foreseen failure."""
+
+import argparse
+import importlib
+import io
+import os
+import shlex
+import signal
+import sys
+import traceback
+from importlib.metadata import version
+from pathlib import Path
+
+EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE, EXIT_TERMINATED = 1, 2, 130, 141, 143
+HELP = Path(__file__).parent / "help"
+SWEEPING = ("otr-run", "otr-plan", "otr-fit")  # commands of jobs, which can be swept
+
+
+def main(program: str) -> None:
+    """Do a command and end the process; `pipelines.cli.commands` has a module each, with a function `do`."""
+    arguments = _arguments(program)
+    debug = "debug=true" in (override.lower() for override in arguments.overrides)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(EXIT_TERMINATED))  # so that workers are ended, too
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+    try:
+        command = importlib.import_module(f"pipelines.cli.commands.{program.removeprefix('otr-')}")
+        code = command.do(arguments)
+    except KeyboardInterrupt:
+        line = shlex.join([program, *sys.argv[1:]])
+        print(f"\nstopped; what was finished is kept, and the same command goes on from it: {line}")
+        code = EXIT_INTERRUPTED
+    except BrokenPipeError:  # the reader of a pipe has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = EXIT_BROKEN_PIPE
+    except Exception as error:  # the last resort of a command line: no traceback unless asked for
+        code = _complain(program, error, debug)
+    sys.exit(code)
+
+
+def _arguments(program: str) -> argparse.Namespace:
+    text = (HELP / f"{program}.txt").read_text(encoding="utf-8")
+    parser = argparse.ArgumentParser(program, description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("overrides", nargs="*", metavar="key=value")
+    parser.add_argument("--version", action="version", version=f"{program} {version('otr')}")
+    if program in SWEEPING:
+        parser.add_argument(
+            "-m", "--multirun", action="store_true", help="sweep over comma lists, range() and choice()"
+        )
+        parser.add_argument("--cfg", action="store_true", help="print the resolved configuration and stop")
+    if program == "otr-plan":
+        parser.add_argument(
+            "--jobs", type=Path, metavar="FILE", help="also write one command a line, for xargs or sbatch --array"
+        )
+    return parser.parse_intermixed_args()
+
+
+def _complain(program: str, error: Exception, debug: bool) -> int:
+    from pipelines.cli.messages import USAGE_ERRORS, message_of  # imports Hydra
+
+    if debug:
+        traceback.print_exception(error)
+    print(f"{program}: {message_of(error)}", file=sys.stderr)
+    return EXIT_USAGE if isinstance(error, USAGE_ERRORS) else EXIT_FAILED

@@ -1,0 +1,85 @@
+"""Hydra's overrides as text: how they are read and quoted, and which jobs a sweep over them has."""
+
+import itertools
+import re
+from collections.abc import Iterable, Sequence
+
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException
+
+from pipelines.errors import ConfigError
+
+PATHS = ("run", "out", "results_dir", "certificate", "tree", "actor")  # keys of otr-export and otr-verify
+
+
+def parse(override: str) -> Override:
+    """Return an override as Hydra reads it.
+
+    Raises:
+        ConfigError: it is no key=value.
+    """
+    try:
+        return OverridesParser.create().parse_override(override)
+    except HydraException as error:
+        raise ConfigError(f"{override} is no key=value: {str(error).splitlines()[0]}") from error
+
+
+def key_of(override: str) -> str:
+    """Return the key of an override, without the + of a new one."""
+    return override.lstrip("+").partition("=")[0]
+
+
+def is_of_launching(override: str) -> bool:
+    """Return whether an override concerns how a sweep is launched, and no job."""
+    return override.lstrip("+").startswith(("launcher=", "hydra.", "hydra/"))
+
+
+def combinations(overrides: Iterable[str]) -> list[list[str]]:
+    """Return the overrides of every job of a sweep: all combinations of the values, those of the last key fastest.
+
+    A key that is given twice keeps its place and has the values that come last.
+    """
+    values: dict[str, list[str]] = {}
+    for override in map(parse, overrides):
+        key = override.get_key_element()
+        if not override.is_sweep_override():
+            values[key] = [f"{key}={override.get_value_element_as_str()}"]
+        elif override.is_discrete_sweep():
+            values[key] = [f"{key}={value}" for value in override.sweep_string_iterator()]
+        else:
+            raise ConfigError(f"{override.input_line}: give values, range() or choice(); interval() has no end of jobs")
+    return [list(job) for job in itertools.product(*values.values())]
+
+
+def combined(jobs: Sequence[Sequence[str]]) -> list[str] | None:
+    """Return the overrides of one sweep that makes just these jobs; None where there is no such sweep."""
+    keys = [[override.split("=", 1)[0] for override in own] for own in jobs]
+    if any(own != keys[0] for own in keys):
+        return None
+    values = [list(dict.fromkeys(column)) for column in zip(*jobs, strict=True)]
+    if {tuple(own) for own in jobs} != set(itertools.product(*values)):
+        return None
+    listed = [f"{own[0].split('=', 1)[0]}={','.join(override.split('=', 1)[1] for override in own)}" for own in values]
+    return [*(["-m"] if len(jobs) > 1 else []), *listed]
+
+
+def quoted(value: str) -> str:
+    """Return a string as the value of a Hydra override."""
+    escaped = value.replace("\\", "\\\\").replace("'", "\\'")
+    return value if re.fullmatch("[A-Za-z0-9/._-]+", value) else f"'{escaped}'"
+
+
+def with_path_quoted(override: str) -> str:
+    """Return `program=PATH`, or several, quoted where Hydra would stumble over the ~ of a run's folder or a space."""
+    key, _, value = override.partition("=")
+    if key != "program" or re.fullmatch(r"[\w./,-]*", value) or value[:1] in ("'", '"', "[") or "(" in value:
+        return override
+    return f"{key}={','.join(quoted(path) for path in value.split(','))}"
+
+
+def path_quoted(override: str) -> str:
+    """Return an override with its value quoted if that is a path: folders of runs may have a ~ in them."""
+    key, equals, value = override.partition("=")
+    is_path = key in PATHS and value not in ("", "null") and value[0] not in "\"'"
+    return f"{key}={quoted(value)}" if equals and is_path else override

@@ -1,0 +1,69 @@
+"""Jobs that are composed together come out as if each were composed alone, whatever stands for several."""
+
+import itertools
+
+import pytest
+from omegaconf import OmegaConf
+
+from pipelines.cli.compose import Composer, to_object
+from pipelines.cli.fits import FIT
+from pipelines.cli.runs import RUN
+from pipelines.config import METHODS
+from pipelines.config.conf_dir import CONF_DIR
+
+METHOD_DEPTHS = {name: "depth=[3,3]" if name == "cdt" else "depth=0" if name == "linear" else "depth=4"
+                 for name in METHODS if name != "program"}  # fmt: skip
+
+
+def alone(workflow, overrides):
+    """Return a configuration and its text as Hydra composes it from all overrides at once."""
+    cfg = Composer._compose(workflow, overrides)
+    return to_object(cfg), OmegaConf.to_yaml(cfg, resolve=True)
+
+
+@pytest.mark.parametrize("method", METHOD_DEPTHS)
+def test_seeds_depths_and_methods_are_put_in_as_they_are_composed(method):
+    env = {"pid": "pendulum", "otr": "lunarlander", "pi_prl": "swimmer"}.get(method, "hopper")
+    own = [f"env={env}", f"method={method}", "budget=quick", METHOD_DEPTHS[method]]
+    for job in RUN.jobs([[*own, "seed=3"], [*own, "seed=11", "oracle=[8,8]"]]):
+        config, yaml = alone(RUN, job.overrides)
+        made = job.config
+        assert job.config_yaml == yaml
+        assert (made.method, made.algo, made.train, made.seed, made.depth, made.oracle) == (
+            config.method, config.algo, config.train, config.seed, config.depth, config.oracle)  # fmt: skip
+        assert f"/{method}/" in job.folder and f"/seed-{made.seed}" in job.folder
+
+
+def test_every_environment_takes_a_method_in():
+    names = sorted(path.stem for path in (CONF_DIR / "env").glob("*.yaml"))
+    methods = itertools.cycle(name for name in METHOD_DEPTHS if name != "pid")
+    for env, method in zip(names, methods, strict=False):
+        overrides = [f"env={env}", f"method={method}", METHOD_DEPTHS[method], "budget=smoke"]
+        (job,) = RUN.jobs([overrides])
+        assert job.config_yaml == alone(RUN, overrides)[1]
+
+
+def test_a_setting_that_depends_on_the_seed_is_composed_with_it():
+    overrides = ["env=pendulum", "budget=smoke", "evaluate.first_seed='${seed}'"]
+    jobs = RUN.jobs([[*overrides, f"seed={seed}"] for seed in (4, 5)])
+    assert [job.config.evaluate.first_seed for job in jobs] == [4, 5]
+    assert [job.config_yaml.count(f"seed: {seed}") for job, seed in zip(jobs, (4, 5), strict=True)] == [2, 2]
+    assert jobs[0].folder.split("~")[1] != jobs[1].folder.split("~")[1]
+
+
+def test_an_experiment_with_settings_of_its_own_names_the_folder():
+    own = ["data=breast_cancer", "method=cart"]
+    plain, harmless, own_settings = FIT.jobs([own, [*own, "keep_trees=false"], [*own, "+experiment=smoke"]])
+    assert plain.folder == harmless.folder == "runs/breast_cancer/cart/seed-0"
+    assert own_settings.folder.startswith("runs/breast_cancer/cart/seed-0~")  # it has method.grid=[]
+
+
+def test_what_hydra_composes_stays_small(monkeypatch):
+    composed = []
+    monkeypatch.setattr(RUN, "_composed", {})
+    original = Composer._compose
+    monkeypatch.setattr(Composer, "_compose", lambda self, own: composed.append(own) or original(self, own))
+    RUN._method.cache_clear()
+    jobs = RUN.jobs(RUN.expand(["+experiment=table_4_1", "env=hopper,pendulum"], multirun=False))
+    assert len(jobs) == 2 * 7 * 10
+    assert len(composed) <= 2 * 2 + 7  # an environment as it is and with pi-PRL's algorithm, and each method once

@@ -1,0 +1,55 @@
+"""Overrides as text: what a sweep of them makes, and how values are quoted."""
+
+import pytest
+
+from pipelines.cli.overrides import combinations, combined, parse, path_quoted, quoted, with_path_quoted
+from pipelines.errors import ConfigError
+
+
+def test_a_sweep_makes_all_combinations_the_last_key_fastest():
+    assert combinations(["a=1,2", "b=x", "c=range(0,2)"]) == [
+        ["a=1", "b=x", "c=0"], ["a=1", "b=x", "c=1"], ["a=2", "b=x", "c=0"], ["a=2", "b=x", "c=1"]]  # fmt: skip
+    assert combinations(["oracle=[32],[8,8]", "+experiment=e"]) == [
+        ["oracle=[32]", "+experiment=e"], ["oracle=[8,8]", "+experiment=e"]]  # fmt: skip
+    assert combinations(["a=choice(3,1)", "p='x y','~z'"])[0] == ["a=3", "p='x y'"]
+
+
+def test_a_key_that_is_given_again_keeps_its_place():
+    assert combinations(["a=1,2", "b=1", "a=3"]) == [["a=3", "b=1"]]
+    assert combinations(["seed=range(0,0)", "b=1"]) == []
+
+
+def test_a_sweep_without_an_end_is_refused():
+    with pytest.raises(ConfigError, match="give values, range"):
+        combinations(["a=interval(0,1)"])
+
+
+def test_what_is_no_override_is_refused():
+    with pytest.raises(ConfigError, match="depth is no key=value"):
+        parse("depth")
+
+
+def test_overrides_of_one_sweep_make_just_its_jobs():
+    assert combined([["a=1", "b=2"]]) == ["a=1", "b=2"]
+    assert combined([["a=1", "b=2"], ["a=1", "b=3"]]) == ["-m", "a=1", "b=2,3"]
+    members = [[f"a={i}", f"b={j}"] for i in (1, 2) for j in (3, 4)]
+    assert combined(members) == ["-m", "a=1,2", "b=3,4"]
+    assert combined(members[:3]) is None  # the product would be four
+    assert combined([["a=1"], ["b=1"]]) is None
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [("a/b_c-1.2", "a/b_c-1.2"), ("a b", "'a b'"), ("it's", r"'it\'s'"), ("dépôt", "'dépôt'")],
+)
+def test_values_are_quoted_for_hydra(text, value):
+    assert quoted(text) == value
+    assert parse(f"key={value}").value() == text
+
+
+def test_paths_are_quoted_and_nothing_else():
+    for override in ("program=a,b.txt", "program='x y'", "program=[a]", "program=glob(*)", "env=a~b"):
+        assert with_path_quoted(override) == override
+    assert with_path_quoted("program=runs/s~1/p.txt,q r") == "program='runs/s~1/p.txt','q r'"
+    assert path_quoted("run=runs/seed-0~1") == "run='runs/seed-0~1'"
+    assert [path_quoted(override) for override in ("run=", "out=null", "format=c")] == ["run=", "out=null", "format=c"]

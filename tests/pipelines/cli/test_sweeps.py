@@ -1,0 +1,171 @@
+"""Sweeps as commands: the same jobs under every launcher, killed workers, sweeps side by side, jobs as a file."""
+
+import os
+import re
+import shlex
+import signal
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pipelines.cli.jobs_file import job_command
+from pipelines.engine.store import read_json
+from pipelines.stages.run_job import RunJob
+from tests.pipelines.conftest import otr_command, otr_program
+from tests.pipelines.sweeps import PROGRAMS, STAGES, THREE, children, digests, start, times_made, wait_for
+
+LINUX = pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes under /proc")
+
+
+@pytest.fixture(scope="module")
+def one_by_one(tmp_path_factory):
+    """The digests of the three jobs, one after the other in one process."""
+    folder = tmp_path_factory.mktemp("basic")
+    done = otr_program("otr-run", *THREE, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert times_made(done.stdout) == dict.fromkeys(STAGES, 3)
+    found = digests(folder / "results")
+    assert len(found) == 3 * (3 + 3 + 3 + 3)
+    return found
+
+
+@pytest.mark.slow  # the test of the sbatch text takes the same way
+def test_slurms_launcher_leaves_the_same_bytes(one_by_one, tmp_path):
+    done = otr_program("otr-run", *THREE, "launcher=submitit_local", cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "3 jobs: 3 done, 0 failed" in done.stdout
+    assert digests(tmp_path / "results") == one_by_one
+
+
+@LINUX
+@pytest.mark.slow  # test_stage.py has two processes at one stage
+def test_two_sweeps_on_one_folder_do_each_job_once(one_by_one, tmp_path):
+    launchers = (("launcher=basic",), ("launcher=joblib", "hydra.launcher.n_jobs=2"))
+    sweeps = [start(*THREE, *launcher, cwd=tmp_path) for launcher in launchers]
+    printed = [sweep.communicate(timeout=300)[0] for sweep in sweeps]
+    assert [sweep.returncode for sweep in sweeps] == [0, 0], printed
+    assert all("3 jobs: 3 done, 0 failed" in text for text in printed)
+    assert times_made("\n".join(printed)) == dict.fromkeys(STAGES, 3)
+    assert digests(tmp_path / "results") == one_by_one
+
+
+@LINUX
+def test_sweep_goes_on_where_a_worker_is_killed(tmp_path):
+    words = ("-m", "env=pendulum", "depth=1,2", "budget=smoke", "train.steps=400", "train.eval_interval_steps=100")
+    results = tmp_path / "results"
+    with start(*words, "launcher=joblib", "hydra.launcher.n_jobs=2", cwd=tmp_path) as sweep:
+        wait_for(lambda: list(results.glob("checkpoints/*/segment-*")))
+        finished = {path: path.stat().st_mtime_ns for path in results.glob("runs/**/manifest.json")}
+        os.kill(children(sweep.pid, "LokyProcess")[0], signal.SIGKILL)
+        printed, _ = sweep.communicate(timeout=300)
+    assert sweep.returncode == 0, printed
+    assert "a worker was lost" in printed
+    assert "going on from step" in printed
+    assert "2 jobs: 2 done, 0 failed" in printed
+    assert len(list(results.glob("runs/**/summary.json"))) == 2
+    assert {path: path.stat().st_mtime_ns for path in finished} == finished
+    assert max(times_made(printed).values()) <= 2
+    assert printed.count("step 400/400") == 2  # each training came to its end once
+    assert not any((results / "checkpoints").iterdir())
+
+
+def test_missing_plugin_is_told_on_the_command_line(tmp_path):
+    done = otr_command("otr-run", "-m", "env=pendulum", "depth=1,2", "launcher=ray", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "launcher=ray needs the extra ray: pip install 'otr[ray]'" in done.stderr
+
+
+def test_jobs_file_does_the_jobs_that_are_left(tmp_path):
+    results = tmp_path / "it's here, = there"  # what shells and Hydra both must not take apart
+    words = (*PROGRAMS, "launcher=joblib")
+    planned = otr_command("otr-plan", *words, "--jobs", "jobs.txt", cwd=tmp_path, OTR_RESULTS_DIR=str(results))
+    assert planned.returncode == 0, planned.stderr
+    assert "xargs -0 -P 8" in planned.stdout and "sbatch --array=1-2 " in planned.stdout
+    lines = (tmp_path / "jobs.txt").read_text().splitlines()
+    assert [shlex.split(line)[:5] for line in lines] == [
+        ["otr-run", "env=mountaincar", "method=program", f"method.program={name}", "budget=smoke"]
+        for name in ("mountaincar", "mountaincar_simplified")
+    ]
+    (use,) = (line.strip() for line in planned.stdout.splitlines() if "xargs" in line)
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    (tmp_path / "jobs.txt").write_text(f"{lines[0]}\n")
+    subprocess.run(["sh", "-c", use], cwd=tmp_path, env={**os.environ, "PATH": path}, check=True, timeout=120)
+    (summary,) = results.glob("runs/mountaincar/**/summary.json")
+    assert read_json(summary)["program"] == "mountaincar"
+    otr_command("otr-plan", *words, "--jobs", "jobs.txt", cwd=tmp_path, OTR_RESULTS_DIR=str(results))
+    assert (tmp_path / "jobs.txt").read_text().splitlines() == lines[1:]
+
+
+def test_a_jobs_command_is_for_one_job_among_others(tiny):
+    job = RunJob(tiny(results_dir="results"), "runs/one", "")
+    assert job_command(job, ["env=hopper", "launcher=slurm", "hydra.launcher.partition=cpu", "n_workers=2"]) == (
+        "otr-run env=hopper n_workers=2 side_by_side=true results_dir=results"
+    )
+
+
+SBATCH = """\
+#!/bin/bash
+
+# Parameters
+#SBATCH --array=0-1%2
+#SBATCH --cpus-per-task=1
+#SBATCH --error=FOLDER/%A_%a/%A_%a_0_log.err
+#SBATCH --job-name=otr
+#SBATCH --mem=4GB
+#SBATCH --nodes=1
+#SBATCH --ntasks-per-node=1
+#SBATCH --open-mode=append
+#SBATCH --output=FOLDER/%A_%a/%A_%a_0_log.out
+#SBATCH --partition=cpu
+#SBATCH --signal=USR2@120
+#SBATCH --time=1440
+#SBATCH --wckey=submitit
+
+# command
+export SUBMITIT_EXECUTOR=slurm
+srun --unbuffered --output FOLDER/%A_%a/%A_%a_%t_log.out --error FOLDER/%A_%a/%A_%a_%t_log.err PYTHON
+"""
+# Slurm as far as submitit knows it: an array whose tasks run here, one after the other.
+FAKES = {
+    "sbatch": """\
+cp "$1" "$FAKE_SLURM/sbatch.txt"
+command=$(sed -n 's/^srun .*_log.err //p' "$1")
+folder=$(sed -n 's/.*--output=\\(.*\\)\\/%A_%a\\/.*/\\1/p' "$1")
+(
+  export SUBMITIT_EXECUTOR=slurm SLURM_JOB_NUM_NODES=1 SLURM_NTASKS=1 SLURM_JOB_NODELIST=here SLURM_NODEID=0
+  export SLURM_PROCID=0 SLURM_LOCALID=0 SLURM_ARRAY_JOB_ID=12
+  for i in 0 1; do
+    while [ ! -e "$folder/12_$i/12_${i}_submitted.pkl" ]; do sleep 0.1; done
+    unset OTR_RESULTS_DIR
+    (cd / && SLURM_JOB_ID=12_$i SLURM_ARRAY_TASK_ID=$i sh -c "$command" > "$FAKE_SLURM/log_$i" 2>&1)
+  done
+) > "$FAKE_SLURM/tasks" 2>&1 &
+echo Submitted batch job 12
+""",
+    "srun": "exit 1\n",
+    "sacct": "echo 'JobID|State|NodeList'\necho '12_0|RUNNING|here'\necho '12_1|RUNNING|here'\n",
+}
+
+
+def test_slurm_is_handed_one_array(tmp_path):
+    for name, text in FAKES.items():
+        program = tmp_path / "bin" / name
+        program.parent.mkdir(exist_ok=True)
+        program.write_text(f"#!/bin/bash\n{text}")
+        program.chmod(program.stat().st_mode | stat.S_IXUSR)
+    done = otr_program(
+        "otr-run", *PROGRAMS, "launcher=slurm", "hydra.launcher.partition=cpu",
+        cwd=tmp_path, PATH=f"{tmp_path / 'bin'}:{os.environ['PATH']}", FAKE_SLURM=str(tmp_path),
+        OTR_RESULTS_DIR="elsewhere",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    text = (tmp_path / "sbatch.txt").read_text()
+    text = re.sub(r"(%t_log.err) .*", r"\1 PYTHON", text)
+    text = text.replace(str(tmp_path / "elsewhere/sweeps/.submitit"), "FOLDER")
+    assert text == SBATCH
+    assert otr_command("otr-run", *PROGRAMS, cwd=tmp_path).returncode == 0
+    expected = digests(tmp_path / "results")
+    assert len(expected) == 18 and digests(tmp_path / "elsewhere") == expected

@@ -167,7 +167,8 @@ def run_folder(config: RunConfig, baseline: RunConfig) -> str:
     """
     depth = "-".join(str(width) for width in config.hidden_widths) or "0"
     place = f"{config.env.name}/{config.method.name}/depth-{depth}/{config.budget_level}"
-    return f"runs/{place}/seed-{config.seed}{differences_suffix(config.settings(), baseline.settings())}"
+    suffix = "" if config is baseline else differences_suffix(config.settings(), baseline.settings())
+    return f"runs/{place}/seed-{config.seed}{suffix}"
 
 
 def _check_depth(depth: Any) -> None:

@@ -42,7 +42,7 @@ def decided_leaves(tree: ObliqueTree, head: Head) -> ObliqueTree:
     """
     if not head.gives_labels:
         return tree.replace(head=head)
-    grower = _Grower(tree, head)
+    grower = _Tournaments(tree, head)
     grower.grow()
     return ObliqueTree(
         grower.left,
@@ -80,7 +80,7 @@ class _Path:
 
 
 @dataclass
-class _Grower:
+class _Tournaments:
     """Copies a tree in preorder, so that a child's index is above its parent's, and grows its leaves on."""
 
     tree: ObliqueTree

@@ -248,17 +248,13 @@ def _ridge(
     for _ in range(_MAX_ACTIVE_SETS):
         weighted = X1[counts] * weights[counts, None]
         gram = weighted.T @ X1[counts] + ridge * np.eye(len(prior))
-        solution = _solve(gram, weighted.T @ wanted[counts] + ridge * prior)
+        solution = np.asarray(np.linalg.solve(gram, weighted.T @ wanted[counts] + ridge * prior))
         values = X1 @ solution
         still = ~(((wanted >= high) & (values > high)) | ((wanted <= low) & (values < low)))
         if np.array_equal(still, counts):
             break
         counts = still
     return solution
-
-
-def _solve(gram: FloatArray, right: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.solve(gram, right), dtype=np.float64)
 
 
 def _refit_logits(module: SoftTree, X1: FloatArray, leaves: IntArray, problem: _Problem, ridge: float) -> None:

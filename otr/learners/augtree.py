@@ -25,16 +25,48 @@ from otr.learners.model_tree import LinearModelTreeRegressor
 __all__ = ["AugTreeClassifier", "AugTreeRegressor"]
 
 
-_OF_BOTH: Constraints = {
-    "network": [ReluNetwork, None],
-    "hidden_layer_sizes": [Widths(), AT_LEAST_1],
-    "mlp_max_iter": [AT_LEAST_1],
-    "include_inputs": ["boolean"],
-    **some_of(DecisionTreeClassifier, "max_depth", "random_state"),
-}
+class _AugTree:
+    """What both have: the network, and the inputs x~ = A x + a of the tree."""
+
+    network: ReluNetwork | None
+    hidden_layer_sizes: Sequence[int] | int
+    mlp_max_iter: int
+    include_inputs: bool
+
+    _parameter_constraints: ClassVar[Constraints] = {
+        "network": [ReluNetwork, None],
+        "hidden_layer_sizes": [Widths(), AT_LEAST_1],
+        "mlp_max_iter": [AT_LEAST_1],
+        "include_inputs": ["boolean"],
+        **some_of(DecisionTreeClassifier, "max_depth", "random_state"),
+    }
+
+    def _augmentation(
+        self, mlp_class: type, X: NDArray[Any], y: NDArray[Any], random_state: np.random.RandomState
+    ) -> tuple[FloatArray, FloatArray]:
+        """Set `network_`, trained where none was given, and return A (m, d) and a (m,)."""
+        network = self.network
+        if network is None:
+            size = np.abs(X).max(axis=0).astype(np.float64)
+            size = np.where(size > 0, size, 1.0)
+            mlp = mlp_class(
+                hidden_layer_sizes=self.hidden_layer_sizes, max_iter=self.mlp_max_iter, random_state=random_state
+            )
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", ConvergenceWarning)
+                mlp.fit(X / size, y)
+            network = from_sklearn(mlp).fold_input_normalisation(0.0, size)
+        self.network_, d = network, X.shape[1]
+        if network.n_inputs != d or network.n_hidden == 0:
+            raise ValueError(
+                f"the network reads {network.n_inputs} inputs and has {network.n_hidden} hidden neurons; "
+                f"expected {d} inputs, as X has, and at least one hidden neuron"
+            )
+        W, b = network.weights[0], network.biases[0]
+        return (np.concatenate((np.eye(d), W)), np.concatenate((np.zeros(d), b))) if self.include_inputs else (W, b)
 
 
-class AugTreeClassifier(GrownClassifier):
+class AugTreeClassifier(_AugTree, GrownClassifier):
     """Neurally augmented decision tree (Orfanos 2023): CART on x~ = [x, z_1], z_1 = W_1 x + b_1 of a ReLU network.
 
     A test ``z_1k <= t`` is the oblique test ``W_1[k] @ x + b_1[k] - t <= 0`` on x. Units of deeper layers are no
@@ -59,7 +91,7 @@ class AugTreeClassifier(GrownClassifier):
     """
 
     _parameter_constraints: ClassVar[Constraints] = {
-        **_OF_BOTH,
+        **_AugTree._parameter_constraints,
         **some_of(DecisionTreeClassifier, "min_samples_leaf", "max_leaf_nodes"),
     }
 
@@ -92,11 +124,7 @@ class AugTreeClassifier(GrownClassifier):
         """
         X, labels = self._checked_fit(X, y)
         random_state = check_random_state(self.random_state)
-        self.network_ = self.network
-        if self.network_ is None:
-            mlp = MLPClassifier(self.hidden_layer_sizes, max_iter=self.mlp_max_iter, random_state=random_state)
-            self.network_ = _trained(mlp, X, labels)
-        A, a = _augmentation(self.network_, X.shape[1], self.include_inputs)
+        A, a = self._augmentation(MLPClassifier, X, labels, random_state)
         cart = DecisionTreeClassifier(
             max_depth=self.max_depth,
             min_samples_leaf=self.min_samples_leaf,
@@ -107,7 +135,7 @@ class AugTreeClassifier(GrownClassifier):
         return self
 
 
-class AugTreeRegressor(GrownRegressor):
+class AugTreeRegressor(_AugTree, GrownRegressor):
     """Neurally augmented decision tree for regression: as `AugTreeClassifier`, with constant or linear leaves.
 
     Linear leaves come from `LinearModelTreeRegressor` on x~ and are written in x; its cost is in its docstring, with
@@ -126,7 +154,7 @@ class AugTreeRegressor(GrownRegressor):
     """
 
     _parameter_constraints: ClassVar[Constraints] = {
-        **_OF_BOTH,
+        **_AugTree._parameter_constraints,
         "leaves": [StrOptions({"constant", "linear"})],
         "min_samples_leaf": [*DecisionTreeRegressor._parameter_constraints["min_samples_leaf"], None],
     }
@@ -160,15 +188,9 @@ class AugTreeRegressor(GrownRegressor):
         """
         X, targets = self._checked_fit(X, y)
         random_state = check_random_state(self.random_state)
-        self.network_ = self.network
-        if self.network_ is None:
-            scale = targets.std(axis=0)
-            Y = (targets - targets.mean(axis=0)) / np.where(scale > 0, scale, 1.0)
-            mlp = MLPRegressor(
-                hidden_layer_sizes=self.hidden_layer_sizes, max_iter=self.mlp_max_iter, random_state=random_state
-            )
-            self.network_ = _trained(mlp, X, Y if Y.shape[1] > 1 else Y[:, 0])
-        A, a = _augmentation(self.network_, X.shape[1], self.include_inputs)
+        scale = targets.std(axis=0)
+        Y = (targets - targets.mean(axis=0)) / np.where(scale > 0, scale, 1.0)
+        A, a = self._augmentation(MLPRegressor, X, Y if Y.shape[1] > 1 else Y[:, 0], random_state)
         options = {"max_depth": self.max_depth, "random_state": random_state}
         if self.min_samples_leaf is not None:
             options["min_samples_leaf"] = self.min_samples_leaf
@@ -179,26 +201,3 @@ class AugTreeRegressor(GrownRegressor):
             tree = from_sklearn_tree(DecisionTreeRegressor(**options).fit(features, targets))
         self.tree_ = tree.compose(A, a)
         return self
-
-
-def _augmentation(network: ReluNetwork, n_inputs: int, include_inputs: bool) -> tuple[FloatArray, FloatArray]:
-    """Return A (m, d), a (m,) with x~ = A x + a."""
-    if network.n_inputs != n_inputs or network.n_hidden == 0:
-        raise ValueError(
-            f"the network reads {network.n_inputs} inputs and has {network.n_hidden} hidden neurons; "
-            f"expected {n_inputs} inputs, as X has, and at least one hidden neuron"
-        )
-    if not include_inputs:
-        return network.weights[0], network.biases[0]
-    A = np.concatenate((np.eye(n_inputs), network.weights[0]))
-    return A, np.concatenate((np.zeros(n_inputs), network.biases[0]))
-
-
-def _trained(mlp: MLPClassifier | MLPRegressor, X: NDArray[Any], y: NDArray[Any]) -> ReluNetwork:
-    """Return the network that `mlp` learns, on the inputs as they come."""
-    size = np.abs(X).max(axis=0).astype(np.float64)
-    size = np.where(size > 0, size, 1.0)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        mlp.fit(X / size, y)
-    return from_sklearn(mlp).fold_input_normalisation(0.0, size)

@@ -147,7 +147,7 @@ _PARAMETERS = """
     `trees_`. `fit_seeds` trains many seeds together.
 
     Args:
-        hidden: widths of the hidden layers.
+        hidden: widths of the hidden layers; none is a linear model.
         dense, negative_slope: as in `ReluNetwork`.
         shared: labels or targets share their hidden layers in training, see `MlpSettings`.
         input_dropout, hidden_dropout: share of the inputs, and of the hidden neurons, dropped in training.

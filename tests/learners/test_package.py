@@ -1,9 +1,10 @@
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
-from otr import learners
+from otr import control, learners
 
 
 def test_importing_the_package_loads_no_learner():
@@ -18,3 +19,9 @@ def test_everything_exported_exists():
     assert set(learners.__all__) <= set(dir(learners))
     with pytest.raises(AttributeError, match="no attribute 'CHART'"):
         learners.CHART  # noqa: B018
+
+
+@pytest.mark.parametrize("package", [control, learners])
+def test_no_module_of_the_package_has_the_name_of_something_exported(package):
+    """Importing such a module would put it in the place of what is exported."""
+    assert not {path.stem for path in Path(package.__file__).parent.iterdir()} & set(package.__all__)

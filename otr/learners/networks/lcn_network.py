@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -98,15 +98,13 @@ class LcnNetwork:
         W = self.W / scale
         # On x, the Jacobian is J / scale and the offset c - (J / scale) mean.
         G = self.G * scale + self.h[:, :, None] * mean
-        return LcnNetwork(W, self.U, self.b - W @ mean, G, self.h, self.offset, self.V, self.v, self.head)
+        return replace(self, W=W, b=self.b - W @ mean, G=G)
 
     def with_output_scaling(self, mean: float, scale: float) -> LcnNetwork:
         """Return the network whose outputs are mean + scale times this one's."""
         if self.V is not None and self.v is not None:
-            V, v = scale * self.V, scale * self.v + mean
-            return LcnNetwork(self.W, self.U, self.b, self.G, self.h, self.offset, V, v, self.head)
-        G, h, offset = scale * self.G, scale * self.h, scale * self.offset + mean
-        return LcnNetwork(self.W, self.U, self.b, G, h, offset, None, None, self.head)
+            return replace(self, V=scale * self.V, v=scale * self.v + mean)
+        return replace(self, G=scale * self.G, h=scale * self.h, offset=scale * self.offset + mean)
 
     def to_tree(self, *, max_leaves: int = 2**12) -> ObliqueTree:
         """Return the tree of depth M with a constant in each of its 2**M leaves; its tests are OTR's.

@@ -22,6 +22,7 @@ from stable_baselines3.common.monitor import Monitor
 import otr
 from benchmarks.measure import Entry
 from benchmarks.peers import HOPPER, sac_with_actor
+from pipelines.engine.store import exists
 from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import make_env
 from pipelines.play.rollout import rollout
@@ -71,7 +72,7 @@ def measure(quick: bool) -> list[Entry]:
 
 def hopper_policy() -> tuple[otr.ReluNetwork, str]:
     """Return an actor of six neurons whose episodes are long, and what to call it."""
-    if (COMMITTED / "actor.json").exists():
+    if exists(COMMITTED / "actor.json"):
         return load_actor(COMMITTED), "trained policy"
     return standing_policy(), "standing policy"
 

@@ -23,6 +23,7 @@ import numpy as np
 import otr
 from benchmarks.measure import Entry, alternate
 from benchmarks.peers import HOPPER, sac_with_actor
+from pipelines.engine.archive import opened
 from pipelines.play.actor_files import load_actor
 from pipelines.play.rollout import rollout
 
@@ -87,9 +88,11 @@ def measure(quick: bool) -> list[Entry]:
         print("latency: there is no C compiler or no `size` (binutils); nothing is measured", flush=True)
         return []
     network = load_actor(RUN / "train")
+    with opened(RUN, ["prune"]) as whole:
+        pruned = otr.load(whole / "prune" / "tree")
     forms = [
         Form("full tree, 64 leaves", otr.map_network(network)),
-        Form("pruned tree", otr.load(RUN / "prune" / "tree")),
+        Form("pruned tree", pruned),
         Form("compact form", network, f"value <= {MAX_BYTES}"),
     ]
     seeds = range(3 if quick else N_EPISODES)

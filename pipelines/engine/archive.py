@@ -60,7 +60,7 @@ def opened(run_dir: Path, stages: Collection[str], derive: Derive | None = None)
     Args:
         run_dir: the run's folder.
         stages: names of stages.
-        derive: makes again what the archive leaves out.
+        derive: makes again what the archive leaves out; without it that stays out.
 
     Raises:
         PipelineError: a packed file was changed, or what is made again is not what was recorded.
@@ -80,15 +80,17 @@ def opened(run_dir: Path, stages: Collection[str], derive: Derive | None = None)
         for name, files in packed.items():
             (whole / name).mkdir()
             write_files(files, whole / name)
-            _complete(run_dir, whole / name, derive)
+            verified_manifest(run_dir / name)
+            if derive:
+                _complete(run_dir, whole / name, derive)
         yield whole
 
 
-def _complete(run_dir: Path, folder: Path, derive: Derive | None) -> None:
+def _complete(run_dir: Path, folder: Path, derive: Derive) -> None:
     """Add to an unpacked stage what its run's archive leaves out."""
-    manifest = verified_manifest(run_dir / folder.name)
+    manifest = read_manifest(folder)
     left_out = [name for name in manifest["outputs"] if not (folder / name).is_file()]
-    made = derive(run_dir, folder) if left_out and derive else {}
+    made = derive(run_dir, folder) if left_out else {}
     for name in left_out:
         if _digest(made.get(name, b"")) != manifest["outputs"][name]:
             raise PipelineError(

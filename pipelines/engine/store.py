@@ -11,14 +11,14 @@ import json
 import os
 import tarfile
 from collections.abc import Iterable, Mapping
-from lzma import LZMAError
+from lzma import LZMADecompressor, LZMAError
 from pathlib import Path
 from typing import Any
 
 from pipelines.errors import PipelineError
 
 ARCHIVE = "stages.tar.xz"
-LARGEST_FILE_BYTES = 2**28
+LARGEST_ARCHIVE_BYTES = 2**28  # unpacked
 REWRITTEN = ("summary.json", "config.yaml")  # made anew by the run's command, from the finished stages
 
 
@@ -122,13 +122,17 @@ def _read_archive(archive: Path, mtime_ns: int, n_bytes: int) -> Mapping[str, by
     """Return the files of an archive; its time and size tell it from another one that was there before."""
     files = {}
     try:
-        with tarfile.open(archive, "r:xz") as packed:
+        unpacking = LZMADecompressor()
+        content = unpacking.decompress(archive.read_bytes(), max_length=LARGEST_ARCHIVE_BYTES)
+        if not unpacking.eof:
+            raise ValueError(f"it is cut off, or unpacks to more than {LARGEST_ARCHIVE_BYTES:,} bytes")
+        with tarfile.open(fileobj=io.BytesIO(content), mode="r:") as packed:
             for member in packed:
                 file = packed.extractfile(member)
-                if file is None or member.size > LARGEST_FILE_BYTES:
-                    raise ValueError(f"{member.name!r} is no file of a stage, or too large for one")
+                if file is None:
+                    raise ValueError(f"{member.name!r} is no file of a stage")
                 files[member.name] = file.read()
-    except (OSError, EOFError, ValueError, LZMAError, tarfile.TarError) as error:
+    except (OSError, ValueError, LZMAError, tarfile.TarError) as error:
         raise corrupt(archive, error) from error
     return files
 

@@ -6,11 +6,11 @@ from pathlib import Path
 import otr
 from pipelines.config import RunConfig
 from pipelines.config.setting import Folder, FreeText, check_settings
+from pipelines.engine.archive import opened
 from pipelines.engine.store import exists
 from pipelines.errors import MissingInputError, PipelineError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import state_limits
-from pipelines.stages.derived import opened_run
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def verify_run(config: VerifyConfig, run: RunConfig, folder: Path) -> str:
             f"{path} is not there: the run has no certificate\nAdd certify=true to the command that made the run; "
             "nothing is trained anew. A tree that was too large for one says so in certify/report.json."
         )
-    with opened_run(run, folder, "certify") as whole:
+    with opened(folder, ["certify"]) as whole:
         certificate = otr.load_certificate(config.certificate or whole / "certify" / "certificate.json")
         tree = otr.load(config.tree or whole / "certify" / "tree")
     limits, domain = state_limits(run.env), certificate.domain

@@ -3,30 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 import otr
 from otr.control import pid_network
+from tests.committed import committed_tree
 from tests.core.strategies import make_network, worked_network
 
-RUNS = Path(__file__).parents[2] / "results" / "runs"
 COMMITTED = {
-    "hopper": "hopper/otr/depth-6/quick/seed-0/prune/tree",
-    "lander": "lunarlander/otr/depth-2/thesis/seed-0/prune/tree",
-    "viper": "lunarlander/viper/depth-6/quick/seed-0/prune/tree",
-    "swimmer": "swimmer/sdt/depth-6/quick/seed-0/prune/tree",
-    "pid": "pendulum/pid/depth-1/quick/seed-0/prune/tree",
+    "hopper": "hopper/otr/depth-6/quick/seed-0",
+    "lander": "lunarlander/otr/depth-2/thesis/seed-0",
+    "viper": "lunarlander/viper/depth-6/quick/seed-0",
+    "swimmer": "swimmer/sdt/depth-6/quick/seed-0",
+    "pid": "pendulum/pid/depth-1/quick/seed-0",
 }
 
 
 def committed(name: str) -> otr.ObliqueTree:
     """Return the tree of a committed run."""
-    tree = otr.load(RUNS / COMMITTED[name])
-    assert isinstance(tree, otr.ObliqueTree)
-    return tree
+    return committed_tree(COMMITTED[name])
 
 
 def chain(n_nodes: int, head: otr.Head | None = None) -> otr.ObliqueTree:

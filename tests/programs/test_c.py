@@ -15,8 +15,9 @@ import otr
 from otr.control import pid_network
 from otr.core.network import ReluNetwork
 from pipelines.play.actor_files import load_actor
+from tests.committed import RESULTS
 from tests.core.strategies import make_network
-from tests.programs.policies import COMMITTED, RUNS, assert_answers, chain, committed, policies, states_for
+from tests.programs.policies import COMMITTED, assert_answers, chain, committed, policies, states_for
 
 COMPILER = shutil.which("gcc") or shutil.which("cc")
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler (gcc or cc) on the PATH")
@@ -137,7 +138,7 @@ def test_networks_in_the_compact_form(dtype: str, tmp_path: Path) -> None:
 
 
 def test_the_compact_form_is_the_full_tree_in_fewer_bytes() -> None:
-    run = RUNS / "hopper/otr/depth-6/quick/seed-0"
+    run = RESULTS / "runs/hopper/otr/depth-6/quick/seed-0"
     network = load_actor(run / "train")
     full, compact = otr.map_network(network), network
     # One row of 11 weights, a bias and 3 contributions a neuron, and 3 biases; against maps for 64 leaves.

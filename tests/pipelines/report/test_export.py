@@ -14,8 +14,8 @@ import pytest
 import otr
 from pipelines.play.actor_files import load_actor
 from pipelines.report.export import FORMATS, run_command
+from tests.committed import RESULTS, committed_tree, copy_run
 
-RESULTS = Path(__file__).parents[3] / "results"
 HOPPER, LANDER = "hopper/otr/depth-6/quick/seed-0", "lunarlander/otr/depth-2/thesis/seed-0"
 
 
@@ -31,7 +31,8 @@ def test_the_command_from_another_folder(tmp_path):
     done = subprocess.run([*program, f"run={RESULTS / 'runs' / LANDER}", "format=text"], cwd=tmp_path,
                           capture_output=True, text=True)  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert done.stdout == (RESULTS / "runs" / LANDER / "prune/program.txt").read_text()
+    copy_run(LANDER, tmp_path / "run")
+    assert done.stdout == (tmp_path / "run/prune/program.txt").read_text()
     help_text = subprocess.run([*program, "--help"], capture_output=True, text=True, check=True).stdout
     assert all(name in help_text for name in FORMATS)
 
@@ -42,7 +43,7 @@ def test_python(run, export):
     assert done.returncode == 0, done.stderr
     scope = {}
     exec(done.stdout, scope)
-    tree = otr.load(RESULTS / "runs" / run / "prune" / "tree")
+    tree = committed_tree(run)
     states = np.random.default_rng(0).normal(size=(200, tree.n_inputs))
     answers = [scope["pilot"](state) for state in states.tolist()]
     np.testing.assert_allclose(answers, tree.predict(states), rtol=1e-12, atol=1e-12)
@@ -54,11 +55,12 @@ def test_files_of_every_format(export, tmp_path):
         done = export(f"run={HOPPER}", f"format={name}", f"out={tmp_path}")
         assert done.returncode == 0, done.stderr
         assert done.stdout == f"{tmp_path}/policy{kind.suffix}\n"
-    assert (tmp_path / "policy.txt").read_text() == (RESULTS / "runs" / HOPPER / "prune/program.txt").read_text()
+    copy_run(HOPPER, tmp_path / "run")
+    assert (tmp_path / "policy.txt").read_text() == (tmp_path / "run/prune/program.txt").read_text()
     assert json.loads((tmp_path / "policy.json").read_text())["outputs"] == ["thigh", "leg", "foot"]
     session = onnxruntime.InferenceSession(tmp_path / "policy.onnx")
     states = np.random.default_rng(0).normal(size=(50, 11))
-    tree = otr.load(RESULTS / "runs" / HOPPER / "prune" / "tree")
+    tree = committed_tree(HOPPER)
     np.testing.assert_allclose(session.run(None, {"x": states})[0], tree.predict(states), atol=1e-12)
     for suffix in (".c", ".st", ".tex", ".dot"):
         assert "foot" in (tmp_path / f"policy{suffix}").read_text()
@@ -104,7 +106,7 @@ def test_what_cannot_be_exported_is_told(export, words, code, told):
 
 def test_an_unfinished_or_damaged_run_is_told(export, tmp_path):
     run = tmp_path / "runs" / LANDER
-    shutil.copytree(RESULTS / "runs" / LANDER, run)
+    copy_run(LANDER, run)
     command = "Run: otr-run env=lunarlander depth=2 budget=thesis seed=0"
     (run / "prune/tree.npz").write_bytes(b"")
     assert "tree.npz is not what was written" in export(f"run={run}", "format=c").stderr

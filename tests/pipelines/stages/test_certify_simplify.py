@@ -1,8 +1,6 @@
 """certify=true and simplify=true on committed runs: what they add, what otr-verify accepts, and what it refuses."""
 
 import json
-import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +10,9 @@ from pipelines.config import PruneConfig
 from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import state_limits
 from pipelines.stages.certify import certify
+from tests.committed import RESULTS, copy_run
 from tests.pipelines.conftest import HOPPER, PENDULUM
 
-RESULTS = Path(__file__).parents[3] / "results"
 PENDULUM_RUN = "runs/pendulum/otr/depth-6/quick/seed-0"
 CAR_RUN = "runs/mountaincar/otr/depth-1/quick/seed-0"
 
@@ -23,8 +21,7 @@ CAR_RUN = "runs/mountaincar/otr/depth-1/quick/seed-0"
 def results(tmp_path):
     """Return a results folder with the committed runs of the pendulum and the car, without their extra stages."""
     for run in (PENDULUM_RUN, CAR_RUN):
-        ignored = shutil.ignore_patterns("certify", "simplify")
-        shutil.copytree(RESULTS / run, tmp_path / "results" / run, ignore=ignored)
+        copy_run(run.removeprefix("runs/"), tmp_path / "results" / run, "certify", "simplify")
     return tmp_path / "results"
 
 
@@ -103,7 +100,8 @@ def test_a_tree_that_is_too_large_is_told_and_fails_nothing(command, results):
 
 def test_unbounded_states_are_proved_on_the_box_of_those_visited(tiny, tmp_path):
     assert state_limits(HOPPER) is None
-    run = RESULTS / "runs/hopper/otr/depth-6/quick/seed-0"
+    run = tmp_path / "run"
+    copy_run("hopper/otr/depth-6/quick/seed-0", run)
     config = tiny(env=HOPPER, depth=6, prune=PruneConfig(2, None))
     certify({"train": run / "train", "map": run / "map"}, config, tmp_path)
     report = json.loads((tmp_path / "report.json").read_text())
@@ -149,7 +147,7 @@ def test_a_bound_on_actions_decides_in_the_return_s_place(command, results):
 
 def test_pid_policies_are_proved_exported_and_simplified_in_the_form_that_fits(command, tmp_path):
     run = "runs/pendulum/pid/depth-1/quick/seed-0"
-    shutil.copytree(RESULTS / run, tmp_path / run, ignore=shutil.ignore_patterns("certify", "simplify"))
+    copy_run(run.removeprefix("runs/"), tmp_path / run, "certify", "simplify")
     words = ("env=pendulum", "method=pid", "budget=quick", "stages=[certify]", f"results_dir={tmp_path}", "n_workers=1")
     assert command("run", *words).returncode == 0
     report = json.loads((tmp_path / run / "certify/report.json").read_text())
@@ -160,6 +158,6 @@ def test_pid_policies_are_proved_exported_and_simplified_in_the_form_that_fits(c
         assert written.returncode == 0 and "P_cos_angle" in written.stdout
     other = command("export", f"run={RESULTS / PENDULUM_RUN}", "format=c", "tree=constant_gains")
     assert other.returncode == 2 and "gains are of method=pid" in other.stderr
-    tree = otr.load(RESULTS / run / "prune/tree")
+    tree = otr.load(tmp_path / run / "prune/tree")
     with pytest.raises(ValueError, match="multiplies outputs"):
         otr.output_range(tree, (-1.0, 1.0))

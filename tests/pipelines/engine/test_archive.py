@@ -1,0 +1,193 @@
+"""Packed runs: the same files under the same names, what is left out made again, and damage always told."""
+
+import multiprocessing
+import shutil
+from functools import partial
+
+import pytest
+
+from pipelines.cli.runs import load_config
+from pipelines.engine.archive import file_digest, opened, pack, read_manifest, verified_manifest
+from pipelines.engine.store import ARCHIVE, archive_files, exists, read_csv, read_json
+from pipelines.errors import PipelineError
+from pipelines.play.actor_files import load_actor
+from pipelines.stages.derived import derive, opened_run
+from pipelines.stages.oracle import load_oracle
+from tests.committed import copy_run
+
+PENDULUM = "pendulum/otr/depth-6/quick/seed-0"
+ORACLE = "pendulum/otr/depth-256-256/quick/seed-0"
+VIPER = "pendulum/viper/depth-6/quick/seed-0"
+LEFT_OUT = {
+    "map": ["program.txt", "tree.json", "tree.npz"],
+    "prune": ["program.txt"],
+    "certify": ["program.txt"],
+    "simplify": ["program.txt"],
+}
+
+
+def files_of(folder):
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def pack_run(run_dir):
+    pack(run_dir, partial(derive, load_config(run_dir, None)))
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Return the folder of a finished run, unpacked."""
+    copy_run(PENDULUM, tmp_path / "runs" / PENDULUM)
+    return tmp_path / "runs" / PENDULUM
+
+
+@pytest.fixture
+def packed(run):
+    """Return the folder of a packed run."""
+    pack_run(run)
+    return run
+
+
+def test_a_packed_run_opens_with_every_file_that_it_had(run):
+    before = files_of(run)
+    pack_run(run)
+    assert sorted(path.name for path in run.iterdir()) == ["config.yaml", ARCHIVE, "summary.json"]
+    kept = archive_files(run)
+    for stage, names in LEFT_OUT.items():
+        if f"{stage}/manifest.json" in before:
+            assert sorted(set(read_manifest(run / stage)["outputs"]) - {n.partition("/")[2] for n in kept if
+                          n.startswith(f"{stage}/")}) == names  # fmt: skip
+    with opened_run(load_config(run, None), run) as whole:
+        assert whole != run
+        assert files_of(whole) == before
+        for stage in ("train", "map", "prune", "evaluate"):
+            verified_manifest(whole / stage)
+    assert not whole.exists()
+
+
+def test_the_same_run_gives_the_same_archive_and_new_stages_join_it(run, tmp_path):
+    shutil.copytree(run, tmp_path / "copy")
+    shutil.move(run / "prune", tmp_path / "prune")
+    pack_run(run)
+    assert not exists(run / "prune/manifest.json")
+    shutil.move(tmp_path / "prune", run / "prune")
+    pack_run(run)
+    pack_run(tmp_path / "copy")
+    assert (run / ARCHIVE).read_bytes() == (tmp_path / "copy" / ARCHIVE).read_bytes()
+    pack_run(run)  # nothing is left to pack
+    assert (run / ARCHIVE).read_bytes() == (tmp_path / "copy" / ARCHIVE).read_bytes()
+
+
+def test_files_are_read_from_where_they_lie(run):
+    def read():
+        return [read_json(run / "evaluate/report.json"), read_csv(run / "train/progress.csv"),
+                load_actor(run / "train").weights[0].tolist(), verified_manifest(run / "map")]  # fmt: skip
+
+    before = read()
+    pack_run(run)
+    assert read() == before
+    assert exists(run / "train/manifest.json") and not exists(run / "train/other.json")
+    with pytest.raises(PipelineError, match=r"other.json is not there"):
+        read_json(run / "train/other.json")
+
+
+def test_what_is_made_again_otherwise_is_refused(packed):
+    config = load_config(packed, None)
+
+    def other_printer(run_dir, folder):
+        return derive(config, run_dir, folder) | {"program.txt": b"if\n"}
+
+    with (
+        pytest.raises(PipelineError, match=r"prune/program.txt is left out of .* another sha256 .*\n.*'numpy'"),
+        opened(packed, ["prune"], other_printer),
+    ):
+        pass
+    with pytest.raises(PipelineError, match="cannot be made again"), opened(packed, ["map"], lambda *_: {}):
+        pass
+
+
+def test_what_cannot_be_made_again_byte_for_byte_is_kept(run):
+    config, before = load_config(run, None), files_of(run / "prune")
+    pack(run, lambda run_dir, folder: derive(config, run_dir, folder) | {"program.txt": b"if\n"})
+    assert archive_files(run)["prune/program.txt"] == before["program.txt"]
+    assert "map/tree.npz" not in archive_files(run)
+
+
+def test_a_changed_file_is_not_packed(run):
+    (run / "prune/tree.npz").write_bytes(b"")
+    with pytest.raises(PipelineError, match=r"prune/tree.npz is not what was written"):
+        pack_run(run)
+    assert (run / "train").is_dir() and not (run / ARCHIVE).exists()
+
+
+@pytest.mark.parametrize("place", [0, 0.01, 0.5, 0.99])
+@pytest.mark.parametrize("cut", [True, False])
+def test_a_damaged_archive_is_named_with_the_way_out(packed, place, cut):
+    archive = packed / ARCHIVE
+    content = bytearray(archive.read_bytes())
+    i = int(place * len(content))
+    content[i:] = b"" if cut else bytes([content[i] ^ 255]) + content[i + 1 :]
+    archive.write_bytes(content)
+    with pytest.raises(
+        PipelineError, match=rf"{ARCHIVE} cannot be read: .*\nRestore it, or delete the folder {packed}"
+    ):
+        read_manifest(packed / "evaluate")
+
+
+def test_a_run_that_imitates_finds_its_packed_oracle(tmp_path):
+    copy_run(VIPER, tmp_path / "runs" / VIPER)
+    copy_run(ORACLE, tmp_path / "runs" / ORACLE)
+    before = load_oracle(tmp_path / "runs" / VIPER / "oracle", tmp_path)
+    pack(tmp_path / "runs" / ORACLE)
+    pack_run(tmp_path / "runs" / VIPER)
+    again = load_oracle(tmp_path / "runs" / VIPER / "oracle", tmp_path)
+    assert [W.tolist() for W in again.weights] == [W.tolist() for W in before.weights]
+
+
+def test_commands_find_a_packed_run_as_it_was(packed, tmp_path, command):
+    before = (packed / "summary.json").read_bytes()
+    words = ("env=pendulum", "depth=6", "budget=quick", f"results_dir={tmp_path}")
+    assert "1 jobs: 1 to skip" in command("plan", *words).stdout
+    done = command("run", *words)
+    assert done.returncode == 0 and "train: done before" in done.stdout and "format=text\n" in done.stdout
+    assert (packed / "summary.json").read_bytes() == before
+    again = command("tabulate", "table=4.1", "evaluate=true", f"results_dir={tmp_path}", "n_workers=1")
+    assert again.returncode == 0 and again.stdout.count("episodes played again, as recorded") == 3, again.stderr
+    for tree in ("full", "pruned", "compact"):
+        assert command("export", f"run={packed}", "format=c", f"tree={tree}").returncode == 0
+    assert not [path for path in packed.iterdir() if path.is_dir()]
+
+
+def test_a_packed_run_gets_a_certificate_and_another_run_shares_its_stages(run, tmp_path, command):
+    for extra in ("certify", "simplify"):
+        shutil.rmtree(run / extra, ignore_errors=True)
+    pack_run(run)
+    words = ("env=pendulum", "depth=6", "budget=quick", f"results_dir={tmp_path}", "n_workers=1")
+    assert command("run", *words, "certify=true").returncode == 0
+    assert [path.name for path in run.iterdir() if path.is_dir()] == ["certify"]
+    assert command("verify", f"run={run}").stdout.startswith("verified: 29 leaves")
+    pack_run(run)
+    assert command("verify", f"run={run}").stdout.startswith("verified: 29 leaves")
+    done = command("run", *words, "evaluate.n_episodes=2")
+    (other,) = run.parent.glob("seed-0~*")
+    assert done.returncode == 0 and "train: done before" in done.stdout
+    for stage in ("train", "map", "prune"):
+        assert read_manifest(other / stage)["key"] == verified_manifest(run / stage)["key"]
+        verified_manifest(other / stage)
+
+
+def open_and_hash(run_dir, queue):
+    with opened_run(load_config(run_dir, None), run_dir) as whole:
+        queue.put({path.relative_to(whole).as_posix(): file_digest(path) for path in whole.glob("*/*")})
+
+
+def test_processes_open_a_run_at_once(packed):
+    context = multiprocessing.get_context("fork")
+    queue = context.Queue()
+    workers = [context.Process(target=open_and_hash, args=(packed, queue)) for _ in range(2)]
+    for worker in workers:
+        worker.start()
+    first, second = queue.get(timeout=60), queue.get(timeout=60)
+    for worker in workers:
+        worker.join()
+    assert first == second and first["map/tree.npz"] == read_manifest(packed / "map")["outputs"]["tree.npz"]

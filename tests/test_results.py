@@ -1,22 +1,27 @@
 """What is committed under results: the table is that of the runs, and the runs reach what the README says."""
 
 import json
-from pathlib import Path
 
 import pytest
 
 import otr
+from pipelines.cli.runs import load_config
 from pipelines.config.methods import METHODS
-from pipelines.engine.stage import verified_manifest
-from pipelines.engine.store import read_csv
+from pipelines.engine.archive import MANIFEST, opened, verified_manifest
+from pipelines.engine.store import exists, read_csv
 from pipelines.play.actor_files import load_actor
 from pipelines.report.tabulate import TABLES
+from pipelines.stages.derived import opened_run
 from pipelines.stages.oracle import load_oracle
+from tests.committed import RESULTS
 from tests.pipelines.conftest import otr_command
 
-RESULTS = Path(__file__).parent.parent / "results"
 SUMMARIES = sorted((RESULTS / "runs").glob("*/*/depth-*/**/summary.json"))
 FITS = sorted((RESULTS / "runs").glob("*/*/seed-*/summary.json"))
+
+
+def id_of(run_dir):
+    return run_dir.relative_to(RESULTS / "runs").as_posix()
 
 
 @pytest.mark.parametrize("table", ["4.1", "4.2", "certificates"])
@@ -36,7 +41,7 @@ def test_committed_figures_are_those_of_the_committed_runs(figure, file, tmp_pat
     assert (tmp_path / "figures" / file).read_text() == (RESULTS / "figures" / file).read_text()
 
 
-@pytest.mark.parametrize("summary", SUMMARIES, ids=lambda path: "-".join(path.parts[-6:-1]))
+@pytest.mark.parametrize("summary", SUMMARIES, ids=lambda path: id_of(path.parent))
 def test_committed_artefacts_are_whole(summary):
     told = json.loads(summary.read_text())
     for stage in METHODS[told["method"]].stages:
@@ -46,10 +51,24 @@ def test_committed_artefacts_are_whole(summary):
     assert told["n_episodes"] == (1000 if told["method"] == "pid" else 100)  # as the thesis
 
 
+@pytest.mark.parametrize(
+    "run_dir",
+    [
+        pytest.param(path.parent, marks=() if path.parent.name == "seed-0" else pytest.mark.slow, id=id_of(path.parent))
+        for path in SUMMARIES
+    ],
+)
+def test_what_archives_leave_out_is_made_again_byte_for_byte(run_dir):
+    config = load_config(run_dir, None)
+    with opened_run(config, run_dir) as whole:
+        for stage in config.method.stages:
+            verified_manifest(whole / stage)
+
+
 def test_committed_fits_are_whole_and_tell_what_they_were_made_with():
     for summary in FITS:
         for stage in ("tune", "score"):
-            if stage == "score" or (summary.parent / stage).exists():
+            if stage == "score" or exists(summary.parent / stage / MANIFEST):
                 assert "+" not in verified_manifest(summary.parent / stage)["git_revision"]
         scores = read_csv(summary.parent / "score" / "scores.csv")
         told = [float(row["test"]) for row in scores if row["test"]]
@@ -71,20 +90,18 @@ def test_committed_runs_have_learnt(run, least):
     assert json.loads((RESULTS / "runs" / run / "summary.json").read_text())["return_mean"] >= least
 
 
-def takes_seconds(certificate):
-    """Whether a certificate has megabytes; of these seed 0's alone is checked every time."""
-    return certificate.stat().st_size > 2**20 and certificate.parents[1].name != "seed-0"
+def certified():
+    """Return the runs with a certificate; of those that take seconds to check, seed 0's alone is checked every time."""
+    for summary in SUMMARIES:
+        report = json.loads(summary.read_text()).get("certify", {"certified": False})
+        if report["certified"]:
+            is_slow = report["seconds"]["verify"] > 2 and summary.parent.name != "seed-0"
+            yield pytest.param(summary.parent, marks=pytest.mark.slow if is_slow else (), id=id_of(summary.parent))
 
 
-CERTIFICATES = sorted(RESULTS.glob("runs/*/*/depth-*/*/seed-*/certify/certificate.json"))
-
-
-@pytest.mark.parametrize(
-    "path",
-    [pytest.param(path, marks=pytest.mark.slow if takes_seconds(path) else ()) for path in CERTIFICATES],
-    ids=lambda path: path.parents[1].relative_to(RESULTS / "runs").as_posix(),
-)
-def test_committed_certificates_prove_what_they_claim(path):
-    certificate, network = otr.load_certificate(path), load_actor(path.parents[1] / "train")
-    bound = otr.verify(certificate, otr.load(path.parent / "tree"), network)
+@pytest.mark.parametrize("run_dir", certified())
+def test_committed_certificates_prove_what_they_claim(run_dir):
+    with opened(run_dir, ["certify"]) as whole:
+        certificate = otr.load_certificate(whole / "certify/certificate.json")
+        bound = otr.verify(certificate, otr.load(whole / "certify/tree"), load_actor(run_dir / "train"))
     assert bound <= certificate.max_error < 1e-10

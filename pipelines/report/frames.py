@@ -5,7 +5,7 @@ Beside RUN_COLUMNS and FIT_COLUMNS the frames have the other entries of each sum
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ RUN_COLUMNS = {
     "pruned_depth": NUMBER, "patterns": WHOLE, "fidelity": NUMBER, "oracle.hidden_widths": TEXT,
     "versions.gymnasium": TEXT, "certify.certified": "boolean",
 }  # fmt: skip
+NEEDED = {"task", "env_id", "trainer", "algorithm", "steps", "versions.gymnasium"}  # beside what the folder tells
 FIT_COLUMNS = {
     "run": TEXT, "data": TEXT, "method": TEXT, "learner": TEXT, "seed": WHOLE, "settings": TEXT, "metric": TEXT,
     "train": NUMBER, "valid": NUMBER, "test": NUMBER, "n_labels": WHOLE, "leaves": NUMBER, "depth": NUMBER,
@@ -41,7 +42,7 @@ def load_runs(results_dir: str | Path) -> pd.DataFrame:
     """
     rows: list[dict[str, Any]] = []
     for path in sorted(Path(results_dir).glob("runs/*/*/depth-*/*/seed-*/summary.json")):
-        rows += _read(path, RunConfig.summary_schema, _run_rows)
+        rows += _read(path, RunConfig.summary_schema, _run_rows, NEEDED)
     return _frame(rows, RUN_COLUMNS)
 
 
@@ -53,18 +54,21 @@ def load_fits(results_dir: str | Path) -> pd.DataFrame:
     """
     rows: list[dict[str, Any]] = []
     for path in sorted(Path(results_dir).glob("runs/*/*/seed-*/summary.json")):
-        rows += _read(path, FitConfig.summary_schema, _fit_rows)
+        rows += _read(path, FitConfig.summary_schema, _fit_rows, {*FIT_COLUMNS} - {"seconds.tune"})
     return _frame(sorted(rows, key=lambda row: (row["data"], row["method"], row["seed"])), FIT_COLUMNS)
 
 
 def _read(
-    path: Path, schema: str, rows_of: Callable[[dict[str, Any], Path], list[dict[str, Any]]]
+    path: Path, schema: str, rows_of: Callable[[dict[str, Any], Path], list[dict[str, Any]]], needed: Set[str]
 ) -> list[dict[str, Any]]:
     summary = read_json(path)
     try:
         if summary["schema"] != schema:
             raise ValueError(f"schema {summary['schema']!r} where {schema!r} was expected")
-        return [_flat(row) for row in rows_of(summary, path.parent)]
+        rows = [_flat(row) for row in rows_of(summary, path.parent)]
+        for name in sorted(needed - rows[0].keys()):
+            raise KeyError(name)
+        return rows
     except KeyError as error:
         raise corrupt(path, ValueError(f"it has no {error}")) from error
     except (AttributeError, TypeError, ValueError) as error:
@@ -77,16 +81,12 @@ def _run_rows(summary: dict[str, Any], run_dir: Path) -> list[dict[str, Any]]:
     depth = "-".join(str(int(width)) for width in widths if int(width) > 0) or "0"
     budget = run_dir.parent.name
     where = _place(run_dir, f"{summary['env']}/{summary['method']}/depth-{depth}/{budget}", summary["seed"])
-    for name in ("task", "env_id", "trainer", "algorithm", "steps"):
-        summary[name]
-    summary["versions"]["gymnasium"]
     own = summary | where | {"depth": depth, "budget": budget}
     if own.get("pruned_depth") is not None:
         _finite(own["pruned_depth"], "pruned_depth")
-    del own["schema"]
     forms = own.pop("policies", {}) | {"tree": summary}
-    if "oracle" in own:
-        forms["oracle"]
+    if "oracle" in own and "oracle" not in forms:
+        raise KeyError("policies.oracle")
     if "simplify" in own:
         forms["simplified"] = own["simplify"]
     return [
@@ -106,7 +106,7 @@ def _fit_rows(summary: dict[str, Any], run_dir: Path) -> list[dict[str, Any]]:
     for name in ("train", "valid", "test"):
         if summary[name] is not None:
             _finite(summary[name], name)
-    return [{name: value for name, value in (summary | where).items() if name != "schema"}]
+    return [summary | where]
 
 
 def _place(run_dir: Path, above: str, seed: int) -> dict[str, str]:
@@ -137,6 +137,6 @@ def _flat(value: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def _frame(rows: Sequence[Mapping[str, Any]], types: Mapping[str, str]) -> pd.DataFrame:
     """Return rows under the columns of `types` and whatever else they have, that as its values' types say."""
-    further = sorted({name for row in rows for name in row} - types.keys())
+    further = sorted({name for row in rows for name in row} - types.keys() - {"schema"})
     values = {name: [row.get(name) for row in rows] for name in (*types, *further)}
     return pd.DataFrame({name: pd.array(column, dtype=types.get(name)) for name, column in values.items()})

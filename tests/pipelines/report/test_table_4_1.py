@@ -298,7 +298,7 @@ def test_latex_compiles(tmp_path: Path) -> None:
         ({"schema": "otr/summary/9"}, "schema 'otr/summary/9' where 'otr/summary/1' was expected"),
         ({"return_mean": float("nan")}, "return_mean is nan where a number was expected"),
         ({"return_mean": None}, "return_mean is None where a number was expected"),
-        ({"versions": {}}, "it has no 'gymnasium'"),
+        ({"versions": {}}, "it has no 'versions.gymnasium'"),
         ({"seed": 1}, "it describes the run hopper/otr/depth-6/quick/seed-1, not the one whose folder it is in"),
         ({"method": "viper"}, "it describes the run hopper/viper/depth-6/quick/seed-0"),
         ({"depth": 7}, "it describes the run hopper/otr/depth-7/quick/seed-0"),

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from pipelines.cli.compose import Composer, to_object
 from pipelines.cli.runs import RUN, load_config, run_config
 from pipelines.config import BudgetConfig
+from pipelines.config.setting import Count, Folder, FreeText, check_settings
 from pipelines.engine.digests import differences_suffix
 from pipelines.errors import ConfigError, MissingInputError
 from pipelines.report.replay import replay
@@ -24,13 +25,16 @@ if TYPE_CHECKING:
 class TabulateConfig:
     """What `otr-tabulate` takes."""
 
-    table: str
-    figure: str | None
-    results_dir: str
+    table: FreeText
+    figure: FreeText | None
+    results_dir: Folder
     evaluate: bool
-    n_workers: int | None
+    n_workers: Count | None
     debug: bool
     budget: BudgetConfig | None = None
+
+    def __post_init__(self) -> None:
+        check_settings(self)
 
 
 TABULATE = Composer(

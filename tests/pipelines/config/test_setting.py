@@ -11,6 +11,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import pytest
 
+from pipelines.cli.commands.tabulate import TabulateConfig
 from pipelines.config import ALGORITHMS, METHODS, TRAINERS, RunConfig
 from pipelines.config.setting import (
     EXECUTION,
@@ -92,7 +93,7 @@ FIT_SETTINGS = settings_of(FitConfig, {"method": LEARNERS})
 KINDS = list(dict.fromkeys(kind for _, kind, _ in (*RUN_SETTINGS, *FIT_SETTINGS)))
 
 
-@pytest.mark.parametrize("kind", [*KINDS, ExportConfig, VerifyConfig], ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("kind", [*KINDS, TabulateConfig, ExportConfig, VerifyConfig], ids=lambda kind: kind.__name__)
 def test_numbers_declare_a_range_and_texts_their_options(kind):
     for field, hint in get_type_hints(kind).items():
         if field not in declared(kind):  # a fact of the class, not a setting

@@ -96,8 +96,8 @@ class Composer:
         """Return what tasks return (see `hydra_plugins/otr_sweeper.py`), under the launcher that the overrides name."""
         with self.hydra():
             hydra: Any = GlobalHydra.instance().hydra
-            words = [*self._search_path(), *overrides]
-            returned: list[Any] = hydra.multirun(self.name, tasks, words, with_log_configuration=False)
+            asked = [*self._search_path(), *overrides]
+            returned: list[Any] = hydra.multirun(self.name, tasks, asked, with_log_configuration=False)
         return returned
 
     def check_option(self, group: str, value: str) -> None:

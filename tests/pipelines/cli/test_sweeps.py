@@ -10,8 +10,11 @@ import sys
 from pathlib import Path
 
 import pytest
+from hydra import initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
 
 from pipelines.cli.jobs_file import job_command
+from pipelines.config.conf_dir import CONF_DIR
 from pipelines.engine.store import read_json
 from pipelines.stages.run_job import RunJob
 from tests.pipelines.conftest import otr_command, otr_program
@@ -65,11 +68,22 @@ def test_sweep_goes_on_where_a_worker_is_killed(tmp_path):
     assert "a worker was lost" in printed
     assert "going on from step" in printed
     assert "2 jobs: 2 done, 0 failed" in printed
+    assert not any((results / "sweeps").iterdir())
     assert len(list(results.glob("runs/**/summary.json"))) == 2
     assert {path: path.stat().st_mtime_ns for path in finished} == finished
     assert max(times_made(printed).values()) <= 2
     assert printed.count("step 400/400") == 2  # each training came to its end once
     assert not any((results / "checkpoints").iterdir())
+
+
+def test_hydra_composes_nothing_for_a_sweep_s_processes(tmp_path, monkeypatch):
+    with initialize_config_dir(str(CONF_DIR), version_base="1.3"):
+        loader = GlobalHydra.instance().config_loader().__class__
+    monkeypatch.setattr(loader, "load_sweep_config", None)
+    done = otr_command("otr-run", *PROGRAMS, cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "2 jobs: 2 done, 0 failed" in done.stdout
+    assert not any((tmp_path / "results/sweeps").iterdir())  # the pickled tasks are gone
 
 
 def test_missing_plugin_is_told_on_the_command_line(tmp_path):
@@ -169,3 +183,4 @@ def test_slurm_is_handed_one_array(tmp_path):
     assert otr_command("otr-run", *PROGRAMS, cwd=tmp_path).returncode == 0
     expected = digests(tmp_path / "results")
     assert len(expected) == 18 and digests(tmp_path / "elsewhere") == expected
+    assert [path.name for path in (tmp_path / "elsewhere/sweeps").iterdir()] == [".submitit"]

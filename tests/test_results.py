@@ -99,7 +99,7 @@ def certified():
             yield pytest.param(summary.parent, marks=pytest.mark.slow if is_slow else (), id=id_of(summary.parent))
 
 
-@pytest.mark.parametrize("run_dir", certified())
+@pytest.mark.parametrize("run_dir", list(certified()))
 def test_committed_certificates_prove_what_they_claim(run_dir):
     with opened(run_dir, ["certify"]) as whole:
         certificate = otr.load_certificate(whole / "certify/certificate.json")

@@ -64,12 +64,12 @@ if TYPE_CHECKING:
     from otr.proof.certificate import Certificate as Certificate, load_certificate as load_certificate
     from otr.proof.certify import certify as certify
     from otr.proof.properties import (
-        Condition as Condition,
         check_verdict as check_verdict,
         find_violation as find_violation,
         output_range as output_range,
         reachable_labels as reachable_labels,
     )
+    from otr.proof.verdict import Condition as Condition
     from otr.proof.verify import verify as verify
     from otr.shorten.refit_tests import refit_tests as refit_tests
     from otr.shorten.simplify import simplify as simplify, within as within
@@ -95,7 +95,8 @@ _NAMES_OF_MODULES = {
     "to_structured_text to_text",
     "proof.certificate": "Certificate load_certificate",
     "proof.certify": "certify",
-    "proof.properties": "Condition check_verdict find_violation output_range reachable_labels",
+    "proof.properties": "check_verdict find_violation output_range reachable_labels",
+    "proof.verdict": "Condition",
     "proof.verify": "verify",
     "shorten.refit_tests": "refit_tests",
     "shorten.simplify": "simplify within",

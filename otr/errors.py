@@ -2,17 +2,6 @@
 
 from fractions import Fraction
 
-__all__ = [
-    "ArtefactError",
-    "CertificateError",
-    "InvalidNetworkError",
-    "InvalidTreeError",
-    "MissingExtraError",
-    "OtrError",
-    "ProgramError",
-    "TreeTooLargeError",
-]
-
 
 class OtrError(Exception):
     """Base of every error that is particular to this library."""

@@ -11,8 +11,6 @@ from typing import Any
 
 from otr.errors import MissingExtraError
 
-__all__ = ["lazy_exports", "naming_the_extra"]
-
 # A package as it is imported: its name for pip, and the extra of otr that installs it.
 _EXTRAS = {
     "joblib": ("joblib", "learn"),

@@ -19,8 +19,6 @@ from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
 from otr.learners.model_tree import LinearModelTreeRegressor, grow_models
 
-__all__ = ["AugTreeFit"]
-
 # Columns whose every threshold is looked at, of those that some thresholds on some rows promise most for.
 _N_SEARCHED = 8
 

@@ -13,8 +13,6 @@ from otr.core.arrays import FloatArray, IntArray
 from otr.core.head import Head
 from otr.core.tree import ObliqueTree
 
-__all__ = ["CascadingTree"]
-
 
 class CascadingTree(nn.Module):
     """A soft tree of features, affine in x, and a soft tree with constant leaves that tests those features.

@@ -10,8 +10,6 @@ from otr.core.arrays import BoolArray, FloatArray
 from otr.core.head import Argmax, Head
 from otr.core.tree import ObliqueTree
 
-__all__ = ["argmax_leaves", "decided_leaves"]
-
 # Two unit normals count as the same where no component differs by more.
 _SAME_NORMAL = 4 * np.finfo(np.float64).eps
 

@@ -18,8 +18,6 @@ from otr.core.arrays import BoolArray, FloatArray, IntArray
 from otr.core.head import Head
 from otr.core.tree import ObliqueTree
 
-__all__ = ["NdpsFit", "NdpsImitator", "NdpsSettings", "fit_ndps"]
-
 _MAX_ACTIVE_SETS = 20
 _MAX_LBFGS_STEPS = 25
 

@@ -7,8 +7,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-__all__ = ["path_probabilities", "reach", "reach_gradient"]
-
 
 def path_probabilities(left: Tensor) -> tuple[Tensor, Tensor]:
     """Return how likely each test node and each leaf of a complete binary tree is reached.

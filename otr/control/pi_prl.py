@@ -23,8 +23,6 @@ from otr.core.arrays import FloatArray
 from otr.core.head import Head
 from otr.core.tree import ObliqueTree
 
-__all__ = ["Learns", "RelaxedProgram"]
-
 Learns = Literal["all", "program", "architecture"]
 
 

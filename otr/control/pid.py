@@ -24,8 +24,6 @@ from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
 from otr.errors import InvalidNetworkError, InvalidTreeError
 
-__all__ = ["constant_gains", "pid_network", "pid_observation", "pid_observation_names"]
-
 TERMS = PidBox.terms
 
 

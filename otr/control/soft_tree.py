@@ -16,18 +16,6 @@ from otr.core.head import Head, Identity
 from otr.core.mapping import perfect_tree_children
 from otr.core.tree import ObliqueTree
 
-__all__ = [
-    "LEAF_SCALE",
-    "SoftTree",
-    "as_numpy",
-    "axis_aligned_tests",
-    "initial_tests",
-    "left_probabilities",
-    "mixed_maps",
-    "substitute_inputs",
-    "with_ones",
-]
-
 LEAF_SCALE = 0.01  # of fresh leaves: a policy starts near uniform, as Stable-Baselines3's do
 
 

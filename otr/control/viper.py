@@ -18,8 +18,6 @@ from otr.learners.base.single_tree import class_tree
 from otr.learners.cart import from_sklearn_tree
 from otr.learners.model_tree import LinearModelTreeRegressor
 
-__all__ = ["CartFit", "Criterion", "LinearModelTreeFit", "box_of", "centred", "fit_cart", "with_head"]
-
 Criterion = Literal["gini", "entropy"]
 
 

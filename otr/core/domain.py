@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike
 from otr.core.arrays import BoolArray, FloatArray, as_batch, read_only
 from otr.core.half_spaces import HalfSpaces, rounding_of_terms
 
-__all__ = ["Box", "Domain", "as_domain"]
-
 Box = tuple[ArrayLike, ArrayLike]  # low (d,), high (d,)
 _WIDEST = 1e100
 _FARTHEST = 1e150  # a hyperplane beyond meets nothing

@@ -8,8 +8,6 @@ import numpy as np
 
 from otr.core.arrays import BoolArray, FloatArray, IntArray
 
-__all__ = ["HalfSpaces", "rounding_of_terms"]
-
 _UNIT = 2.0**-52  # of rounding
 _TERMS = 8  # of a sum beside two for each input: how often, at least, a number may have been rounded
 

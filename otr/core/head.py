@@ -21,19 +21,6 @@ from numpy.typing import ArrayLike, NDArray
 from otr.core.arrays import BoolArray, FloatArray, IntArray, read_only
 from otr.errors import ArtefactError, InvalidNetworkError
 
-__all__ = [
-    "HEADS",
-    "Argmax",
-    "ClipBox",
-    "Head",
-    "Identity",
-    "PidBox",
-    "Sign",
-    "TanhBox",
-    "head_from_dict",
-    "no_entry",
-]
-
 _ROUNDING = 1e-9  # by which a squashed answer may be beyond a box that it is to be clipped to
 
 

@@ -25,8 +25,6 @@ from otr.core.tree import ObliqueTree
 from otr.core.zip_members import read_members
 from otr.errors import ArtefactError
 
-__all__ = ["SCHEMA", "load", "save"]
-
 SCHEMA = "otr/tree/1"
 
 Arrays = dict[str, NDArray[Any]]

@@ -6,8 +6,6 @@ import numpy as np
 
 from otr.core.arrays import FloatArray, IntArray
 
-__all__ = ["LeafMaps"]
-
 # All leaves are evaluated for all states while that is less work than gathering each state's own map.
 _ALL_LEAVES_MAX_OUTPUTS = 24
 _CHUNK_BYTES = 2**20

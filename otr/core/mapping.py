@@ -10,8 +10,6 @@ from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
 from otr.errors import TreeTooLargeError
 
-__all__ = ["map_network", "perfect_tree_children"]
-
 
 def map_network(network: ReluNetwork, *, max_leaves: int = 2**16) -> ObliqueTree:
     """Return the oblique tree that computes the same function as `network` (Orfanos 2023, Alg. 3-4).

@@ -15,8 +15,6 @@ from otr.core.domain import Box, Domain, as_domain
 from otr.core.head import Head, Identity
 from otr.errors import InvalidNetworkError
 
-__all__ = ["ReluNetwork", "UnitForm"]
-
 Dense = Literal[False, "input", "all"]
 
 

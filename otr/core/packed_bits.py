@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from otr.core.arrays import BoolArray, IntArray
 
-__all__ = ["PackedRows", "count_rows", "pack_rows", "unpack_rows"]
-
 # (n, n_words); the first bit is the highest of the first word, so numeric order is the lexicographic order of bits.
 PackedRows = NDArray[np.uint64]
 

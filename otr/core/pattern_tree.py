@@ -19,8 +19,6 @@ from otr.core.network import ReluNetwork, UnitForm
 from otr.core.packed_bits import PackedRows, count_rows, pack_rows, unpack_rows
 from otr.core.tree import ObliqueTree
 
-__all__ = ["PatternTree", "tree_of_paths"]
-
 _CHUNK_STATES = 2**16
 _WIDE = 64  # inputs, from which on a tree is held in the basis of the weights on them
 _CHUNK_BYTES = 2**24

@@ -9,8 +9,6 @@ from otr.core.arrays import BoolArray, FloatArray, IntArray, as_batch
 from otr.core.pattern_tree import PatternTree
 from otr.core.tree import ObliqueTree
 
-__all__ = ["keep_leaves", "most_frequent", "prune_to_k", "prune_unreached"]
-
 
 def prune_unreached(tree: ObliqueTree | PatternTree, X: ArrayLike) -> ObliqueTree:
     """Return the tree of the paths that the states X reach: OTR-hat (Orfanos 2023, section on pruning).

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from otr.core.arrays import BoolArray, FloatArray, IntArray
 
-__all__ = ["Router"]
-
 # One matrix product over all distinct tests beats gathering each state's next test up to about this many tests.
 _MAX_SHARED_TESTS = 512
 # Tables larger than this leave the cache, and cost more to fill than they save.

@@ -17,8 +17,6 @@ from otr.errors import InvalidTreeError
 if TYPE_CHECKING:
     from scipy import sparse
 
-__all__ = ["ObliqueTree"]
-
 
 class ObliqueTree:
     """A tree with oblique tests and affine leaves, held as parallel arrays.

@@ -12,8 +12,6 @@ from typing import IO
 
 from otr.errors import ArtefactError
 
-__all__ = ["LIMIT_BYTES", "read_members"]
-
 LIMIT_BYTES = 2**28
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # the others unpack a chunk without a limit
 _BROKEN = (OSError, ValueError, EOFError, RuntimeError, OverflowError, struct.error, zipfile.BadZipFile, zlib.error)

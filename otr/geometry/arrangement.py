@@ -29,8 +29,6 @@ from otr.geometry.rational import independent_rows
 from otr.geometry.simplex import Bases
 from otr.geometry.vertices import regions_at_vertices
 
-__all__ = ["Block", "Regions", "Walk", "find_regions"]
-
 _BLOCK = 2**13  # regions walked together; more are set aside, so that memory does not grow with their number
 _AT_VERTICES_S = 2.0  # vertices take less: with less time than that, only the walk keeps to it
 _INDEPENDENT = 1e-6  # singular value of rows whose largest number is 1: beyond, they are beyond doubt

@@ -27,8 +27,6 @@ from otr.core.arrays import BoolArray, FloatArray, IntArray
 from otr.core.half_spaces import HalfSpaces, rounding_of_terms
 from otr.geometry.simplex import FREE, LARGEST_RADIUS, MAX_PIVOTS, Bases, pivot
 
-__all__ = ["Balls", "largest_balls", "rounding_at"]
-
 _ROUNDED = 1e-10  # value of a test, in units of its slope, that rounding may hide on a side that is left out
 _SLACK = 8.0  # times the rounding of a sum, for that of its multipliers
 _GOOD_SHARE = 0.2  # of the bound on the radius: a point with such a margin is good enough

@@ -12,8 +12,6 @@ from otr.core.half_spaces import HalfSpaces
 from otr.errors import OtrError
 from otr.geometry.simplex import MAX_PIVOTS, Bases, pivot
 
-__all__ = ["LargestValues", "largest_values"]
-
 _FEASIBLE = 1e-11  # what a row may be violated by
 
 

@@ -17,8 +17,6 @@ from otr.core.tree import ObliqueTree
 from otr.geometry.arrangement import find_regions
 from otr.geometry.test_order import balanced_tree
 
-__all__ = ["Order", "merge_equal_leaves", "minimal_tree"]
-
 Order = Literal["layers", "balanced", "visits"]
 _SAME_MAP = 1e-12  # of the largest coefficient: leaves that differ by less are the same
 _UNSEEN = 1e-3  # visits that all regions together count for beside those of X

@@ -19,19 +19,6 @@ from otr.core.arrays import FloatArray
 from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
 
-__all__ = [
-    "ExactTree",
-    "ExactUnits",
-    "Integers",
-    "Point",
-    "as_point",
-    "at",
-    "common_integers",
-    "independent_rows",
-    "integers",
-    "nearest_state",
-]
-
 Integers = NDArray[Any]  # of Python's int
 Point = tuple[Fraction, ...]  # a state (d,)
 

@@ -19,8 +19,6 @@ import numpy as np
 
 from otr.geometry.rational import Integers, Point
 
-__all__ = ["Optimum", "inner_point", "largest_value"]
-
 _BLAND = 10  # times as many pivots as places, before the rule that cannot go round in circles
 _FREE, _CAP = -2, -1  # what is tight at a place of the basis, where it is no row: x_j = 0, t = cap
 

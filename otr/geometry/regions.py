@@ -15,8 +15,6 @@ from otr.geometry.largest_balls import largest_balls
 from otr.geometry.largest_values import largest_values
 from otr.geometry.simplex import Bases
 
-__all__ = ["LeafPaths", "Region", "leaf_paths", "leaf_region", "leaf_rows"]
-
 
 @dataclass(frozen=True)
 class LeafPaths:

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from otr.core.arrays import BoolArray, FloatArray, IntArray
 
-__all__ = ["FREE", "LARGEST_RADIUS", "MAX_PIVOTS", "Bases", "pivot"]
-
 LARGEST_RADIUS = 1.0  # of a ball, so that unbounded polytopes have one
 FREE = -1  # in a basis: the place of a coordinate that no row has fixed yet
 MAX_PIVOTS = 200  # afterwards HiGHS takes over

@@ -9,8 +9,6 @@ from otr.core.network import ReluNetwork
 from otr.core.pattern_tree import PatternTree, tree_of_paths
 from otr.core.tree import ObliqueTree
 
-__all__ = ["balanced_tree"]
-
 
 def balanced_tree(network: ReluNetwork, patterns: BoolArray, weights: FloatArray) -> ObliqueTree:
     """Return the tree of distinct paths (k, n_bits) whose nodes part the weights (k,) as evenly as their layer allows.

@@ -19,8 +19,6 @@ from otr.core.packed_bits import pack_rows
 from otr.geometry.largest_balls import rounding_at
 from otr.geometry.simplex import LARGEST_RADIUS
 
-__all__ = ["regions_at_vertices"]
-
 _MAX_SIGNS = 2**25  # around all vertices: half a second
 _MAX_NUMBERS = 2**23  # of all regions
 _MAX_SHARE = 16  # signs around all vertices for a region: beyond, the walk is as fast

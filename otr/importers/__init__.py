@@ -20,8 +20,6 @@ from otr.importers.vec_normalize import fold_observation_statistics
 if TYPE_CHECKING:
     import torch
 
-__all__ = ["from_sb3", "from_sklearn", "from_torch"]
-
 
 @naming_the_extra("otr.from_torch")
 def from_torch(module: torch.nn.Module, *, head: Head | None = None) -> ReluNetwork:

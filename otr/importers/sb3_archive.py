@@ -26,8 +26,6 @@ from otr.errors import ArtefactError, InvalidNetworkError
 from otr.importers.sb3_model import require_widths
 from otr.importers.torch_modules import RELU_REMEDY, real_values
 
-__all__ = ["network_of_file"]
-
 _RELU = "<class 'torch.nn.modules.activation.ReLU'>"
 _LEAKY_RELU = "<class 'torch.nn.modules.activation.LeakyReLU'>"
 _LEAKY_RELU_SLOPE = 0.01  # torch's default

@@ -13,8 +13,6 @@ from otr.core.network import ReluNetwork
 from otr.errors import InvalidNetworkError
 from otr.importers.torch_modules import flat_layers, network_of_layers, probe_states, reach
 
-__all__ = ["network_of_model", "require_widths"]
-
 _ROUNDING = 1e-5  # of the size of a sum's terms, in float32
 
 

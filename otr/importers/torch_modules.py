@@ -17,9 +17,6 @@ from otr.errors import InvalidNetworkError
 if TYPE_CHECKING:
     import torch
 
-__all__ = ["RELU_REMEDY", "flat_layers", "network_of_layers", "network_of_module", "probe_states", "reach",
-           "real_values"]  # fmt: skip
-
 RELU_REMEDY = (
     "a tree needs ReLU or LeakyReLU: train with torch.nn.ReLU (in Stable-Baselines3, "
     "policy_kwargs=dict(activation_fn=torch.nn.ReLU)), or imitate the policy with such a network"

@@ -18,8 +18,6 @@ from otr.core.domain import Domain
 from otr.core.network import ReluNetwork
 from otr.errors import ArtefactError, InvalidNetworkError
 
-__all__ = ["ObservationStatistics", "fold_observation_statistics"]
-
 _VEC_NORMALIZE = "stable_baselines3.common.vec_env.vec_normalize.VecNormalize"
 _LIMIT_BYTES = (
     2**24

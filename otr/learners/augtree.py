@@ -22,8 +22,6 @@ from otr.learners.base.single_tree import GrownClassifier, GrownRegressor
 from otr.learners.cart import from_sklearn_tree
 from otr.learners.model_tree import LinearModelTreeRegressor
 
-__all__ = ["AugTreeClassifier", "AugTreeRegressor"]
-
 
 class _AugTree:
     """What both have: the network, and the inputs x~ = A x + a of the tree."""

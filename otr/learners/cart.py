@@ -13,8 +13,6 @@ from otr.core.tree import ObliqueTree
 from otr.learners.base.parameters import Constraints, some_of
 from otr.learners.base.single_tree import GrownClassifier, GrownRegressor, class_tree
 
-__all__ = ["CARTClassifier", "CARTRegressor", "from_sklearn_tree"]
-
 
 def from_sklearn_tree(model: BaseDecisionTree) -> ObliqueTree:
     """Return the tree of a fitted scikit-learn `DecisionTreeClassifier` or `DecisionTreeRegressor`.

@@ -25,8 +25,6 @@ from sklearn.utils._param_validation import StrOptions
 from otr.core.arrays import FloatArray
 from otr.learners.base.parameters import AT_LEAST_0, POSITIVE, SHARE, Constraints, Settings, some_of
 
-__all__ = ["Teacher", "distillation_set"]
-
 _MAX_DENSITY = 0.03  # up to it scikit-learn grows trees faster on sparse rows, on 33,000 molecules seven times
 _FORESTS = {"extra_trees": ExtraTreesRegressor, "random_forest": RandomForestRegressor}
 

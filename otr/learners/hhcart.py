@@ -18,8 +18,6 @@ from otr.learners.growing.eigenvector import dominant_direction
 from otr.learners.growing.greedy import Test, grow
 from otr.learners.growing.splits import TIE, AxisSplit, best_bit_split, best_split
 
-__all__ = ["HHCARTClassifier", "HHCARTRegressor", "householder_normal"]
-
 # An eigenvector nearer than this (L2) to an axis, or to its opposite, is left to the axis-aligned split.
 _NEAR_AXIS = 0.05
 

@@ -16,8 +16,6 @@ from otr.learners.networks.batched_training import Schedule
 from otr.learners.networks.labels_and_seeds import TrainedNetworks, train_many
 from otr.learners.networks.lcn_network import LcnNetwork
 
-__all__ = ["LCNClassifier", "LCNRegressor"]
-
 
 class _LCNLearner(NetworkLearner):
     networks_: list[LcnNetwork]

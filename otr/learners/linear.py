@@ -15,8 +15,6 @@ from otr.learners.base.parameters import AT_LEAST_1, NOT_NEGATIVE, POSITIVE, STA
 from otr.learners.base.problem import Problem
 from otr.learners.base.tree_per_label import TreeClassifier, TreeLearner, TreeRegressor
 
-__all__ = ["LinearTreeClassifier", "LinearTreeRegressor"]
-
 
 class _LinearLearner(TreeLearner):
     def _fit_problem(self, problem: Problem) -> None:

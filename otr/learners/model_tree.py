@@ -17,8 +17,6 @@ from otr.learners.base.parameters import AT_LEAST_0, AT_LEAST_1, NOT_NEGATIVE, C
 from otr.learners.base.single_tree import GrownRegressor
 from otr.learners.growing.greedy import Skeleton, Test, grow
 
-__all__ = ["GrownModels", "LinearModelTreeRegressor", "grow_models", "ridge_objectives"]
-
 # A split has to lower the objective by this share of the targets' total sum of squares.
 _MIN_GAIN = 1e-9
 # Added to the Gram matrices, as a share of the rows: keeps them regular with alpha = 0 and collinear inputs.

@@ -27,8 +27,6 @@ from otr.learners.networks.batched_mlp import MlpSettings
 from otr.learners.networks.batched_training import Schedule
 from otr.learners.networks.labels_and_seeds import TrainedNetworks, train_many
 
-__all__ = ["OTRClassifier", "OTRRegressor"]
-
 
 class _OTRLearner(NetworkLearner):
     networks_: list[ReluNetwork]

@@ -25,8 +25,6 @@ from otr.learners.base.single_tree import GrownClassifier, class_tree
 from otr.learners.cart import from_sklearn_tree
 from otr.learners.growing.greedy import Test, grow
 
-__all__ = ["TAOClassifier"]
-
 # Below this share of non-zeros the inputs are kept as a sparse matrix.
 _SPARSE_BELOW = 0.25
 

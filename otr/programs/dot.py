@@ -10,8 +10,6 @@ from otr.programs.names import names_for
 from otr.programs.picture.boxes import NodeBox, Style, head_note, tree_boxes
 from otr.programs.picture.drawing import LABEL_COLOURS, SUBTREE_FILL, TEST_FILL, TEST_LINE, VALUE_COLOURS
 
-__all__ = ["to_dot"]
-
 
 def to_dot(
     tree: ObliqueTree,

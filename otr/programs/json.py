@@ -8,8 +8,6 @@ from collections.abc import Sequence
 from otr.core.tree import ObliqueTree
 from otr.programs.names import give_labels, names_of, require_tree
 
-__all__ = ["PROGRAM_SCHEMA", "to_json"]
-
 PROGRAM_SCHEMA = "otr/program/1"
 
 

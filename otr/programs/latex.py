@@ -10,8 +10,6 @@ from otr.programs.names import names_for
 from otr.programs.notation import Notation, Program
 from otr.programs.walk import summary_of
 
-__all__ = ["to_latex"]
-
 _SPECIAL = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#", "%": r"\%", "_": r"\_",
     "^": r"\textasciicircum{}", "~": r"\textasciitilde{}", "<": r"\textless{}", ">": r"\textgreater{}",

@@ -10,20 +10,6 @@ from dataclasses import dataclass
 from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
 
-__all__ = [
-    "Names",
-    "check_policy",
-    "give_labels",
-    "identifiers",
-    "in_comment",
-    "label_name",
-    "names_for",
-    "names_of",
-    "one_line",
-    "require_tree",
-    "shown_names",
-]
-
 # What ends a comment in C or structured text, opens one there, or begins a trigraph: a space goes between.
 _MARKS = re.compile(r"(?<=\*)(?=[/)])|(?<=[/(])(?=\*)|(?<=\?)(?=\?)")
 

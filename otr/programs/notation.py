@@ -15,8 +15,6 @@ from otr.programs.names import label_name
 from otr.programs.pid_gains import gain_vectors, term_vectors
 from otr.programs.walk import affine_expression, walk
 
-__all__ = ["Notation", "Program", "answer_lines"]
-
 
 @dataclass(frozen=True)
 class Notation:

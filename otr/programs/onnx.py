@@ -19,8 +19,6 @@ from otr.programs.walk import child, distinct_rows, summary_of
 if TYPE_CHECKING:
     from onnx import ModelProto, NodeProto
 
-__all__ = ["answer_node", "to_onnx"]
-
 OPSET, IR_VERSION = 17, 8  # runtimes from 2022 on read these
 # A tree deeper than this walks in a Loop; others level by level, which more converters to small devices know.
 MAX_UNROLLED_DEPTH = 64

@@ -11,8 +11,6 @@ from otr.programs.language.scope import FUNCTIONS, Scope
 from otr.programs.language.statements import read_program
 from otr.programs.language.tokens import Source, tokenize
 
-__all__ = ["parse_program"]
-
 
 def parse_program(
     text: str,

@@ -10,8 +10,6 @@ from otr.core.arrays import FloatArray
 from otr.core.head import PidBox
 from otr.core.tree import ObliqueTree
 
-__all__ = ["gain_vectors", "joined", "term_vectors"]
-
 TERMS = PidBox.terms
 AffineText = Callable[[FloatArray, float], str]
 

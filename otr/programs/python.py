@@ -25,8 +25,6 @@ from otr.programs.walk import (
     wrapped,
 )
 
-__all__ = ["answer_lines", "to_python"]
-
 # A sum is parsed and compiled by recursion over its terms.
 MAX_TERMS = 200
 _CALLED = ("tanh", "min", "max")

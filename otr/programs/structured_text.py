@@ -14,8 +14,6 @@ from otr.programs.names import Names, give_labels, in_comment, label_name, names
 from otr.programs.pid_gains import joined
 from otr.programs.walk import MAX_NESTED_DEPTH, affine_expression, child, distinct_rows, summary_of, walk, wrapped
 
-__all__ = ["answer_statements", "to_structured_text"]
-
 # IEC 61131-3 (2013), Table 4, without what has a digit, and words of the dialects; what ends a block of these; then the
 # types, the standard functions that controllers know, and the block's own variables.
 _KEYWORDS = """

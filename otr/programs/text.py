@@ -9,8 +9,6 @@ from otr.programs.language.tokens import written
 from otr.programs.names import names_of
 from otr.programs.notation import Notation, Program
 
-__all__ = ["to_text"]
-
 _INDENT = "    "
 
 

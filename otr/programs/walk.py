@@ -11,18 +11,6 @@ import numpy as np
 from otr.core.arrays import FloatArray, IntArray
 from otr.core.tree import ObliqueTree
 
-__all__ = [
-    "MAX_NESTED_DEPTH",
-    "TIE",
-    "WIDTH",
-    "affine_expression",
-    "child",
-    "distinct_rows",
-    "summary_of",
-    "walk",
-    "wrapped",
-]
-
 # Nested ifs up to this depth; Python's parser bears 100 indentations, and nobody reads as many.
 MAX_NESTED_DEPTH = 64
 WIDTH = 110  # of a line of code

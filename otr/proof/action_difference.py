@@ -13,8 +13,6 @@ from otr.geometry.largest_values import largest_values
 from otr.geometry.regions import leaf_rows
 from otr.geometry.simplex import Bases
 
-__all__ = ["largest_difference"]
-
 _THIN = 1e-10  # radius; `largest_balls` finds a fifth of the largest, at least
 
 

@@ -27,8 +27,6 @@ from otr.proof.exact_rows import Row
 from otr.proof.verdict import Piece, Question, Verdict
 from otr.proof.verify import rounded_up
 
-__all__ = ["Search"]
-
 
 @dataclass(frozen=True)
 class _Open:

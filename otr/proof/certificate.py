@@ -21,8 +21,6 @@ from typing import Any
 from otr.core.domain import Domain
 from otr.errors import ArtefactError
 
-__all__ = ["SCHEMA", "Cell", "Certificate", "Sum", "load_certificate"]
-
 SCHEMA = "otr/certificate/2"
 
 

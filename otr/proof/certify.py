@@ -30,8 +30,6 @@ from otr.proof.exact_rows import Row, TreeAndNetwork
 from otr.proof.float_cells import cells_of, empty_sum, row_names, start_of_walk
 from otr.proof.verify import Checker, check_cover, rounded_up
 
-__all__ = ["certify"]
-
 
 def certify(
     tree: ObliqueTree,

@@ -22,20 +22,6 @@ from otr.geometry.rational import Integers, Point, as_point, integers, nearest_s
 from otr.geometry.rational_linear_programs import inner_point, largest_value
 from otr.proof.exact_rows import Row, TreeAndNetwork
 
-__all__ = [
-    "ExactCell",
-    "Multipliers",
-    "cells_of_leaf",
-    "counterexample",
-    "decide",
-    "find_cells",
-    "largest_gap",
-    "largest_over",
-    "refusal",
-    "refused_at",
-    "stacked",
-]
-
 _MAX_CELLS = 1000  # looked at for a point that shows a refusal
 
 Multipliers = dict[str, Fraction]  # of rows, by name

@@ -20,8 +20,6 @@ from otr.core.tree import ObliqueTree
 from otr.geometry.rational import ExactTree, ExactUnits, Integers, Point, at, common_integers, integers
 from otr.geometry.regions import leaf_paths
 
-__all__ = ["Row", "TreeAndNetwork", "TreeOnDomain"]
-
 
 class Row(NamedTuple):
     """A row: integers (d + 1,) over a power of two, and whether it must be above 0, not just at it."""

@@ -17,8 +17,6 @@ from otr.geometry.largest_balls import Balls, largest_balls
 from otr.geometry.regions import leaf_paths
 from otr.proof.certificate import Cell, Sum
 
-__all__ = ["cells_of", "empty_sum", "row_names", "start_of_walk"]
-
 _NEGLIGIBLE = 1e-13  # of the largest multiplier
 _DIGITS = (3, 6)  # of multipliers, tried in this order
 _CLEAR = 1e-9  # of a row of unit length: a remainder above it shows the sign beyond rounding

@@ -17,8 +17,6 @@ import numpy as np
 from otr.core.arrays import FloatArray
 from otr.core.head import Argmax, ClipBox, Head, Identity, Sign, TanhBox, no_entry
 
-__all__ = ["Action", "action_of", "tanh_line"]
-
 _TANH = Fraction(1, 10**12)  # of an action's range: up to where float64 knows a tanh
 
 Line = tuple[float, float | Fraction]  # slope and offset

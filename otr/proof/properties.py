@@ -24,8 +24,6 @@ from otr.proof.exact_cells import decide, largest_over, stacked
 from otr.proof.exact_rows import TreeOnDomain
 from otr.proof.verdict import Condition, Question, Verdict
 
-__all__ = ["Condition", "OutputRange", "Verdict", "check_verdict", "find_violation", "output_range", "reachable_labels"]
-
 _MAX_PIECES = 2**17
 
 

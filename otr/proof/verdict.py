@@ -25,8 +25,6 @@ from otr.proof.certificate import Sum
 from otr.proof.exact_rows import Row, TreeOnDomain
 from otr.proof.head_bounds import action_of
 
-__all__ = ["Condition", "Piece", "Question", "Verdict"]
-
 
 @dataclass(frozen=True)
 class Condition:

@@ -31,8 +31,6 @@ from otr.geometry.rational import Integers, common_integers, integers
 from otr.proof.certificate import Cell, Certificate, Sum
 from otr.proof.exact_rows import Row, TreeAndNetwork
 
-__all__ = ["Checker", "rounded_up", "verify"]
-
 
 def verify(certificate: Certificate, tree: ObliqueTree, network: ReluNetwork) -> float:
     """Check that a certificate proves that `tree` computes the same function as `network`, and return the bound.

@@ -13,21 +13,6 @@ from otr.core.tree import ObliqueTree
 from otr.geometry.regions import leaf_paths
 from otr.shorten.refit_tests import refit_tests
 
-__all__ = [
-    "clipped",
-    "constant_leaves",
-    "n_numbers",
-    "numbers_by_effect",
-    "numbers_of",
-    "of_numbers",
-    "refitted",
-    "turned",
-    "with_numbers",
-    "with_unit_tests",
-    "without_a_test",
-    "without_idle_head",
-]
-
 _AGREEMENTS = (0.8, 0.9, 0.95)  # with the original test, of one that is refitted; the loosest is tried first
 _NEAR_LIMIT = 0.1  # of an action's range: a constant so near to its limit is tried as the limit
 

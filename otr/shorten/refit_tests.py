@@ -17,8 +17,6 @@ from numpy.typing import ArrayLike
 from otr.core.arrays import BoolArray, FloatArray, as_batch
 from otr.core.tree import ObliqueTree
 
-__all__ = ["RefittedTest", "RefittedTree", "refit_tests"]
-
 N_PENALTIES, SMALLEST_PENALTY = 60, 1e-3  # of the largest, which leaves no coefficient
 MAX_SWEEPS, TOLERANCE = 1000, 1e-9  # of coordinate descent
 

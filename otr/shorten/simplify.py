@@ -23,8 +23,6 @@ from otr.shorten import edits as shorter
 from otr.shorten.edits import n_numbers
 from otr.shorten.refit_tests import rounded
 
-__all__ = ["Judge", "Simplification", "simplify", "within"]
-
 Judge = Callable[[ObliqueTree], bool]
 DIGITS = (1, 2, 3, 4)
 

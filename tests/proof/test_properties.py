@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 import otr
 from otr.proof.certificate import Sum
 from otr.proof.head_bounds import tanh_line
-from otr.proof.properties import Condition, check_verdict
-from otr.proof.verdict import Piece
+from otr.proof.properties import check_verdict
+from otr.proof.verdict import Condition, Piece
 from tests.core.strategies import cases, make_network
 
 BOX = (-1.5, 2.0)

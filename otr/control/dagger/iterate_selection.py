@@ -6,8 +6,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-__all__ = ["halving_plan", "successive_halving"]
-
 # (stage, candidate, number of episodes) -> returns
 PlayStage = Callable[[int, int, int], Sequence[float]]
 

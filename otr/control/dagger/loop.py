@@ -26,8 +26,6 @@ from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
 from otr.errors import InvalidNetworkError
 
-__all__ = ["DaggerProgress", "DaggerResult", "DaggerSettings", "Episodes", "Fit", "Iterate", "Play", "run_dagger"]
-
 _LABELLING_ROWS = 2**14
 
 Policy = Callable[[FloatArray], NDArray[Any]]

@@ -6,8 +6,6 @@ import numpy as np
 
 from otr.core.arrays import FloatArray, IntArray
 
-__all__ = ["draw_rows"]
-
 
 def draw_rows(
     n_rows: int, weights: FloatArray | None, max_samples: int, generator: np.random.Generator

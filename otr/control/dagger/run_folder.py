@@ -16,8 +16,6 @@ from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
 from otr.errors import ArtefactError
 
-__all__ = ["GrowingArray", "RunFolder"]
-
 SCHEMA = "otr/dagger/1"
 
 

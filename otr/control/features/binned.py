@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from otr.core.tree import ObliqueTree
 
-__all__ = ["quantised", "with_thresholds_between"]
-
 _N_BINS = 255
 _N_CELLS = 2**12
 

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from otr.core.arrays import BoolArray, FloatArray
 from otr.core.network import ReluNetwork
 
-__all__ = ["AffineFeatures", "deep_features", "first_layer_features", "unit_forms"]
-
 # Unit normals count as the same where they agree to this many decimals.
 _DECIMALS = 10
 

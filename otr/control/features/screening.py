@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from otr.core.arrays import FloatArray, IntArray
 from otr.learners.model_tree import LinearModelTreeRegressor, ridge_objectives
 
-__all__ = ["best_columns"]
-
 _N_CUTS = 7
 _N_ROWS = 2000
 _BLOCK = 64

@@ -15,22 +15,6 @@ import numpy as np
 from sklearn.base import BaseEstimator
 from sklearn.utils._param_validation import Interval, StrOptions, validate_parameter_constraints
 
-__all__ = [
-    "AT_LEAST_0",
-    "AT_LEAST_1",
-    "BELOW_1",
-    "NOT_NEGATIVE",
-    "POSITIVE",
-    "SEED",
-    "SHARE",
-    "STANDARDIZE",
-    "Constraints",
-    "Settings",
-    "Widths",
-    "parameters_of",
-    "some_of",
-]
-
 Constraints = dict[str, list[Any]]
 
 AT_LEAST_0 = Interval(Integral, 0, None, closed="left")

@@ -8,8 +8,6 @@ import numpy as np
 
 from otr.core.arrays import FloatArray
 
-__all__ = ["Problem"]
-
 
 class Problem:
     """A learning problem after the checks at the door.

@@ -17,8 +17,6 @@ from otr.core.arrays import FloatArray, IntArray
 from otr.core.head import Argmax
 from otr.core.tree import ObliqueTree
 
-__all__ = ["GrownClassifier", "GrownRegressor", "class_tree"]
-
 # Bits are kept in float32 where the caller gives them so: half the memory, and no bit is lost.
 _FLOATS = [np.float64, np.float32]
 

@@ -24,8 +24,6 @@ from otr.core.pruning import prune_unreached
 from otr.core.tree import ObliqueTree
 from otr.learners.base.problem import Problem
 
-__all__ = ["NetworkLearner", "TreeClassifier", "TreeLearner", "TreeRegressor", "seed_of"]
-
 Validation = tuple[ArrayLike, ArrayLike] | None
 Thing = TypeVar("Thing")
 

@@ -11,8 +11,6 @@ from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 
 from otr.core.arrays import FloatArray
 
-__all__ = ["dominant_direction"]
-
 # Up to this size of the smaller of the two Gram matrices, n x n or d x d, it is formed and solved exactly.
 _MAX_GRAM = 128
 # Relative accuracy asked of Lanczos; a product in float32 gives no more.

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from otr.core.arrays import BoolArray, FloatArray, IntArray
 from otr.core.tree import ObliqueTree
 
-__all__ = ["Skeleton", "Test", "goes_right", "grow"]
-
 _CHUNK_ENTRIES = 2**22
 
 
@@ -58,7 +56,7 @@ def grow(X: NDArray[Any], find_test: Callable[[IntArray], Test | None], max_dept
     right: list[int] = []
     tests: list[Test] = []
     leaf_rows: list[IntArray] = []
-    # InputRows, depth, and the list and position where the reference to this node or leaf belongs.
+    # Rows, depth, and the list and position where the reference to this node or leaf belongs.
     pending: list[tuple[IntArray, int, list[int], int]] = [(np.arange(len(X)), 0, [0], 0)]
     while pending:
         rows, depth, siblings, position = pending.pop()

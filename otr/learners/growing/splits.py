@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from otr.core.arrays import FloatArray
 
-__all__ = ["TIE", "AxisSplit", "best_bit_split", "best_split"]
-
 # Entries of a block of columns: the few arrays of this size stay in the cache.
 _BLOCK_ENTRIES = 2**18
 # Two values of a column count as different where they differ by more than this share of the column's largest.

@@ -23,8 +23,6 @@ from otr.learners.networks.first_layer import InputRows
 from otr.learners.networks.labels_and_seeds import NetworkSettings
 from otr.learners.networks.lcn_network import LcnNetwork
 
-__all__ = ["BatchedLcns", "LcnSettings"]
-
 _EVALUATION_ROWS = 1024
 
 

@@ -19,8 +19,6 @@ from otr.learners.networks.batched_models import BatchedModels, Parameter, SeedS
 from otr.learners.networks.first_layer import InputRows
 from otr.learners.networks.labels_and_seeds import NetworkSettings
 
-__all__ = ["BatchedMlps", "MlpSettings"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class MlpSettings(NetworkSettings[ReluNetwork]):

@@ -20,17 +20,6 @@ from torch import Tensor
 from otr.core.arrays import IntArray
 from otr.learners.networks.first_layer import InputRows
 
-__all__ = [
-    "PADDED_TO",
-    "BatchedModels",
-    "Loss",
-    "Network",
-    "Parameter",
-    "SeedStreams",
-    "loss_derivatives",
-    "streams_of",
-]
-
 PADDED_TO = 64
 Loss = Literal["logistic", "softmax", "squared"]
 Network = TypeVar("Network")

@@ -25,8 +25,6 @@ from otr.learners.networks.batched_models import PADDED_TO, BatchedModels, Loss,
 from otr.learners.networks.first_layer import InputRows
 from otr.learners.networks.validation_scores import areas_under_curve, negative_losses
 
-__all__ = ["DivergedError", "Fitted", "Schedule", "train_models"]
-
 
 class DivergedError(OtrError, ArithmeticError):
     """Training ended in numbers that are not finite."""

@@ -19,8 +19,6 @@ from torch import Tensor
 
 from otr.core.arrays import IntArray
 
-__all__ = ["Batch", "DenseRows", "InputRows", "SparseRows", "new_rows"]
-
 IndexArray = NDArray[np.signedinteger]  # scipy takes the smallest integers that do
 _MAX_DENSITY = 0.15  # a sum over ones costs about as much as this share of the product
 

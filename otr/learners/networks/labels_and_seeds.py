@@ -19,8 +19,6 @@ from otr.learners.networks.batched_models import BatchedModels, Loss, Network, S
 from otr.learners.networks.batched_training import Schedule, train_models
 from otr.learners.networks.first_layer import InputRows, new_rows
 
-__all__ = ["NetworkSettings", "TrainedNetworks", "train_many"]
-
 _CHUNK_BYTES = 2**22  # weights of the first layers that are trained together: they should stay in the cache
 _HEADS: dict[Loss, Head] = {"logistic": Sign(), "softmax": Argmax(), "squared": Identity()}
 

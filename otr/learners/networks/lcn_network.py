@@ -14,8 +14,6 @@ from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
 from otr.errors import InvalidNetworkError
 
-__all__ = ["LcnNetwork"]
-
 _CHUNK_BYTES = 2**26
 
 

@@ -7,8 +7,6 @@ from scipy.stats import rankdata
 
 from otr.core.arrays import FloatArray
 
-__all__ = ["areas_under_curve", "negative_losses"]
-
 
 def areas_under_curve(scores: FloatArray, labels: FloatArray) -> FloatArray:
     """Return the area under the ROC curve of every model; NaN where a label has one class only.

@@ -10,8 +10,6 @@ import numpy as np
 from otr.core.head import Argmax, ClipBox, Head, Identity, PidBox, Sign, TanhBox, no_entry
 from otr.programs.c.tables import CType, Table, literal, real_table
 
-__all__ = ["Answer", "answer_of"]
-
 
 @dataclass(frozen=True)
 class Answer:

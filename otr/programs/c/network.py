@@ -10,8 +10,6 @@ from otr.core.network import ReluNetwork
 from otr.programs.c.answers import Answer
 from otr.programs.c.tables import CType, Table, literal, real_table
 
-__all__ = ["network_code"]
-
 
 def network_code(network: ReluNetwork, answer: Answer, name: str, dtype: CType) -> tuple[list[Table], list[str]]:
     """Return tables, and the lines that write the affine outputs to their array; one hidden layer at least."""

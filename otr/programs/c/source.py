@@ -18,8 +18,6 @@ from otr.programs.c.tables import CType, Table, integer_table, integer_type, row
 from otr.programs.names import check_policy, give_labels, in_comment, shown_names
 from otr.programs.walk import child, distinct_rows, summary_of
 
-__all__ = ["to_c"]
-
 _OF_STDINT = ("static const int", "static const uint")
 
 

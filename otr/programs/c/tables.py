@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from otr.core.arrays import FloatArray, IntArray
 from otr.programs.walk import wrapped
 
-__all__ = ["CType", "Table", "integer_table", "integer_type", "literal", "real_table", "row_table"]
-
 CType = Literal["double", "float"]
 N_BYTES = {"double": 8, "float": 4}
 _INTEGERS = tuple((f"{sign}int{bits}_t", bits // 8, np.iinfo(f"{sign}int{bits}")) for bits in (8, 16, 32, 64)

@@ -8,8 +8,6 @@ from contextlib import contextmanager
 from otr.errors import ProgramError
 from otr.programs.language.tokens import Place, Source, Token
 
-__all__ = ["Cursor"]
-
 # Of blocks, brackets and operators whose right-hand side is being read. A level takes at most eight of the 1,000 calls
 # within calls that Python allows, when it is read and when it is evaluated.
 MAX_NESTING = 100

@@ -22,8 +22,6 @@ from otr.programs.language.syntax import (
 from otr.programs.language.tokens import Place, Source
 from otr.programs.language.values import Affine, Squashed, Value, clipped, constant
 
-__all__ = ["Evaluator", "appended"]
-
 ONLY_LAST = "tanh may only be scaled and shifted by constants, as the last step of an answer"
 NOT_AFFINE = {
     "*": "this multiplies two values that depend on the inputs, which is not affine; one factor must be constant",

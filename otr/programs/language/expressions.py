@@ -18,8 +18,6 @@ from otr.programs.language.syntax import (
 )
 from otr.programs.language.tokens import Place, Token
 
-__all__ = ["ExpressionReader"]
-
 COMPARISONS = ("<=", ">=", "<", ">", "==", "!=")
 OR, AND, NOT, COMPARE, SUM, PRODUCT, SIGN = range(1, 8)  # the higher, the closer the operands
 RANKS = {"or": OR, "and": AND, **dict.fromkeys(COMPARISONS, COMPARE), "+": SUM, "-": SUM, "*": PRODUCT, "/": PRODUCT}

@@ -19,8 +19,6 @@ from otr.programs.language.syntax import Assign, Return, Statement, Statements
 from otr.programs.language.tokens import Place, Source
 from otr.programs.language.values import Affine, Clipped, Squashed, Value
 
-__all__ = ["lower"]
-
 MAX_LABELS = 1024  # where they have no names; every leaf has an output for each
 
 

@@ -11,8 +11,6 @@ from otr.errors import TreeTooLargeError
 from otr.programs.language.tokens import Place
 from otr.programs.language.values import Affine, Value
 
-__all__ = ["GrowingTree", "Path"]
-
 Slot = tuple[int, int]  # a test node and its side, 0 is left; node -1 is above the root
 Key = tuple[object, ...]  # of a test: equal for equal functions
 

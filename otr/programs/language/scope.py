@@ -8,8 +8,6 @@ from contextlib import contextmanager
 
 from otr.programs.language.tokens import Place, Source, written
 
-__all__ = ["FUNCTIONS", "Scope"]
-
 FUNCTIONS = {"abs": (1, 1), "argmax": (1, None), "clip": (3, 3), "max": (1, None), "min": (1, None), "tanh": (1, 1)}
 
 

@@ -8,8 +8,6 @@ from otr.programs.language.scope import Scope
 from otr.programs.language.syntax import Assign, Expression, If, Return, Statement, Statements, always_returns
 from otr.programs.language.tokens import Token
 
-__all__ = ["read_program"]
-
 
 def read_program(cursor: Cursor, scope: Scope) -> Statements:
     """Return the statements of a whole program.

@@ -7,11 +7,6 @@ from typing import TypeAlias
 
 from otr.programs.language.tokens import Place
 
-__all__ = [
-    "Assign", "BooleanExpression", "Call", "Chain", "Choice", "Comparison", "Expression", "If", "Logic", "Name",
-    "Negation", "Number", "Return", "Statement", "Statements", "always_returns",
-]  # fmt: skip
-
 
 @dataclass(slots=True)
 class Number:

@@ -10,8 +10,6 @@ from typing import Literal
 
 from otr.errors import ProgramError
 
-__all__ = ["Place", "Source", "Token", "tokenize", "written"]
-
 KEYWORDS = frozenset(("if", "then", "else", "elif", "end", "return", "and", "or", "not"))
 _OTHER_SPELLINGS = {
     "elseif": "elif", "elsif": "elif", "endif": "end",

@@ -7,8 +7,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TypeAlias
 
-__all__ = ["Affine", "Clipped", "Squashed", "Value", "clipped", "constant"]
-
 
 @dataclass(frozen=True, slots=True)
 class Affine:

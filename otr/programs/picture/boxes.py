@@ -16,18 +16,6 @@ from otr.core.head import Argmax, ClipBox, Head, Identity, PidBox, Sign, TanhBox
 from otr.core.tree import ObliqueTree
 from otr.programs.names import label_name
 
-__all__ = [
-    "FormulaRow",
-    "NodeBox",
-    "Style",
-    "affine_rows",
-    "head_note",
-    "note_of",
-    "number_text",
-    "rows_of_test",
-    "tree_boxes",
-]
-
 FormulaRow = tuple[str, str] | str  # a number, set flush right, and what it multiplies; or a heading
 _EXPONENT_BELOW, _EXPONENT_FROM = -4, 6
 

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.text import Text
 
-__all__ = ["MAX_SHOWN_LEAVES", "draw_tree", "save_picture"]
-
 MAX_SHOWN_LEAVES = 64
 FONT = "DejaVu Sans"  # comes with matplotlib, so a picture is the same everywhere
 # All lengths are points, 1/72 inch.

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-__all__ = ["tidy_layout"]
-
 
 def tidy_layout(children: Sequence[Sequence[int]], widths: Sequence[float], gap: float) -> list[float]:
     """Return the x of every box's centre, the leftmost edge at 0 (Reingold & Tilford 1981, with boxes of any width).

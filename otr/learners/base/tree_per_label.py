@@ -1,6 +1,6 @@
 """Base of the learners of one tree for every label, networks and linear models: scikit-learn's contract.
 
-The learners that grow a tree are built on `otr/learners/growing/estimators.py`.
+The learners that grow a tree are built on `otr/learners/base/single_tree.py`.
 """
 
 from __future__ import annotations

@@ -1,0 +1,70 @@
+"""What the documentation names exists: files and folders, and the names of `otr` and `pipelines`."""
+
+import ast
+import re
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("benchmarks/*.md")])
+MODULES = sorted([*ROOT.glob("otr/**/*.py"), *ROOT.glob("pipelines/**/*.py"), *ROOT.glob("benchmarks/*.py")])
+FOLDERS = "otr|pipelines|tests|conf|benchmarks|results|docs"
+PATH = re.compile(rf"(?<![\w./~-])(?:{FOLDERS})/[\w./-]*[\w/]")
+NAME = re.compile(r"(?<![\w./`-])`?((?:otr|pipelines|benchmarks)(?:\.[A-Za-z_]\w*)+)")
+LINK = re.compile(r"\]\(([^)#\s]+)\)")
+# Written when commands run.
+MADE = tuple(f"results/{name}" for name in "runs/ local sweeps failures checkpoints smoke tensorboard data".split())
+MADE += ("results/benchmarks/quick", "results/tables/runs", "results/tables/fits")
+
+
+def docstrings(module: Path) -> Iterator[str]:
+    for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            yield ast.get_docstring(node) or ""
+
+
+def text_of(file: Path) -> str:
+    if file.suffix == ".md":
+        text = file.read_text(encoding="utf-8")
+        return text.split("\n## ")[1] if file.name == "CHANGELOG.md" else text  # older entries speak of older names
+    return "\n".join(docstrings(file))
+
+
+def exists(name: str) -> bool:
+    """Return whether a dotted name leads somewhere: a module, or an attribute of one, as far down as it goes."""
+    module, *rest = name.split(".")
+    found = import_module(module)
+    for i, part in enumerate(rest):
+        if not hasattr(found, part):
+            try:
+                found = import_module(".".join([module, *rest[: i + 1]]))
+                continue
+            except ImportError:
+                annotations = getattr(found, "__annotations__", {})  # a dataclass's field has no value on the class
+                return part in annotations and i == len(rest) - 1
+        found = getattr(found, part)
+    return True
+
+
+@pytest.mark.parametrize("file", [*PAGES, *MODULES], ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_named_paths_exist(file):
+    text = text_of(file)
+    named = [path for path in PATH.findall(text) if not path.startswith(MADE) and "..." not in path]
+    gone = [
+        path
+        for path in named
+        if not any(True for _ in ROOT.glob(path.rstrip("/."))) and not re.search("[*<{]|/[0-9]$", path)
+    ]
+    assert gone == []
+    if file.suffix == ".md":
+        links = [link for link in LINK.findall(text) if "://" not in link]
+        assert [link for link in links if not (file.parent / link).exists()] == []
+
+
+@pytest.mark.parametrize("file", [*PAGES, *MODULES], ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_named_names_exist(file):
+    names = {re.sub(r"\.(py|md|yaml|json|toml|csv)$", "", name) for name in NAME.findall(text_of(file))}
+    assert [name for name in sorted(names) if not exists(name)] == []

@@ -18,7 +18,10 @@ _EXTRAS = {
     "onnx": ("onnx", "onnx"),
     "sklearn": ("scikit-learn", "learn"),
     "torch": ("torch", "learn"),
-}
+    "hydra": ("hydra-core", "run"),
+    "sb3_contrib": ("sb3-contrib", "run"),
+    "stable_baselines3": ("stable-baselines3", "run"),
+} | {name: (name, "run") for name in ("filelock", "gymnasium", "omegaconf", "pandas", "rich", "safetensors")}
 
 
 @contextmanager

@@ -16,8 +16,9 @@ PATH = re.compile(rf"(?<![\w./~-])(?:{FOLDERS})/[\w./-]*[\w/]")
 NAME = re.compile(r"(?<![\w./`-])`?((?:otr|pipelines|benchmarks)(?:\.[A-Za-z_]\w*)+)")
 LINK = re.compile(r"\]\(([^)#\s]+)\)")
 # Written when commands run.
-MADE = tuple(f"results/{name}" for name in "runs/ local sweeps failures checkpoints smoke tensorboard data".split())
-MADE += ("results/benchmarks/quick", "results/tables/runs", "results/tables/fits")
+MADE = ("results/runs/", "results/local", "results/sweeps", "results/failures", "results/checkpoints", "results/smoke",
+        "results/tensorboard", "results/data", "results/benchmarks/quick", "results/tables/runs",
+        "results/tables/fits")  # fmt: skip
 
 
 def docstrings(module: Path) -> Iterator[str]:

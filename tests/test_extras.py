@@ -94,3 +94,15 @@ def test_other_missing_modules_are_told_as_they_are():
     with pytest.raises(ModuleNotFoundError, match="otr") as raised, naming_the_extra("a test"):
         raise ModuleNotFoundError("No module named 'otr.growth'", name="otr.growth")
     assert not isinstance(raised.value, otr.MissingExtraError)
+
+
+def test_commands_name_the_extra_that_brings_them():
+    """With numpy and scipy alone: a message and exit code 1, no traceback."""
+    code = (
+        "import sys; missing = ['hydra', 'omegaconf', 'rich', 'pandas', 'gymnasium', 'filelock', 'safetensors']\n"
+        "sys.modules.update(dict.fromkeys(missing)); from pipelines import cli; sys.argv = ['x']; getattr(cli, '{}')()"
+    )
+    for name in ("run", "plan", "fit", "tabulate", "export", "verify", "data"):
+        done = subprocess.run([sys.executable, "-c", code.format(name)], capture_output=True, text=True)
+        assert (done.returncode, done.stderr.count("\n")) == (1, 1), done.stderr
+        assert done.stderr.startswith(f"otr-{name}: ") and done.stderr.endswith("pip install 'otr[run]'\n")

@@ -1,6 +1,6 @@
 """The command line: the only place that knows Hydra and OmegaConf."""
 
-from pipelines.cli.main import main
+from pipelines.cli.main import main, stopping_without_extra
 
 
 def run() -> None:
@@ -31,3 +31,11 @@ def export() -> None:
 def verify() -> None:
     """Entry point of `otr-verify`."""
     main("otr-verify")
+
+
+def data() -> None:
+    """Entry point of `otr-data`."""
+    with stopping_without_extra("otr-data"):
+        from pipelines.datasets import command  # reads data sets without Hydra
+
+        command.run()

@@ -8,8 +8,13 @@ import shlex
 import signal
 import sys
 import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
+
+from otr import MissingExtraError
+from otr.extras import naming_the_extra
 
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE, EXIT_TERMINATED = 1, 2, 130, 141, 143
 HELP = Path(__file__).parent / "help"
@@ -25,8 +30,9 @@ def main(program: str) -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
-        command = importlib.import_module(f"pipelines.cli.commands.{program.removeprefix('otr-')}")
-        code = command.do(arguments)
+        with stopping_without_extra(program):
+            command = importlib.import_module(f"pipelines.cli.commands.{program.removeprefix('otr-')}")
+            code = command.do(arguments)
     except KeyboardInterrupt:
         line = shlex.join([program, *sys.argv[1:]])
         print(f"\nstopped; what was finished is kept, and the same command goes on from it: {line}")
@@ -37,6 +43,17 @@ def main(program: str) -> None:
     except Exception as error:  # the last resort of a command line: no traceback unless asked for
         code = _complain(program, error, debug)
     sys.exit(code)
+
+
+@contextmanager
+def stopping_without_extra(program: str) -> Iterator[None]:
+    """End the process with one message where a package is missing that an extra of otr installs."""
+    try:
+        with naming_the_extra(program):
+            yield
+    except MissingExtraError as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        sys.exit(EXIT_FAILED)
 
 
 def _arguments(program: str) -> argparse.Namespace:

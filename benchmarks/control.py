@@ -24,7 +24,7 @@ from torch import nn
 from benchmarks.measure import Entry, alternate, repeats_for
 from otr.control import AugTreeFit, CartFit, DaggerSettings, RelaxedProgram, SoftTree, run_dagger
 from otr.control.dagger.loop import Fit
-from pipelines.config import EnvConfig
+from pipelines.config.env import EnvConfig
 from pipelines.engine.seeding import episode_seeds
 from pipelines.play.actor_files import load_actor
 from pipelines.play.rollout import Policy, Rollout, rollout

@@ -30,7 +30,7 @@ import torch
 from benchmarks.measure import Entry, alternate
 from benchmarks.training import plain_trainer
 from pipelines.cli import runs
-from pipelines.config import RunConfig
+from pipelines.config.run import RunConfig
 from pipelines.stages.fleets import fleets
 from pipelines.training.fleet.fleet_run import FleetRun
 from pipelines.training.fleet.progress import FleetProgress

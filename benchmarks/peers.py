@@ -10,7 +10,7 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.monitor import Monitor
 
 import otr
-from pipelines.config import EnvConfig
+from pipelines.config.env import EnvConfig
 from pipelines.play.environments import make_env
 
 torch.set_num_threads(1)

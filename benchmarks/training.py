@@ -23,7 +23,8 @@ from torch import nn
 
 from benchmarks.measure import Entry
 from pipelines.cli import runs
-from pipelines.config import PpoConfig, RunConfig, SacConfig
+from pipelines.config.algo import PpoConfig, SacConfig
+from pipelines.config.run import RunConfig
 from pipelines.play.environments import make_env
 from pipelines.training.actors import actor_of
 from pipelines.training.checkpoints import History

@@ -8,13 +8,16 @@ from pathlib import Path
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from pipelines import config as schemas
 from pipelines.cli.compose import schema_of, to_object
 from pipelines.cli.overrides import key_of
 from pipelines.cli.workflow import Compositions, Workflow, columns_spelt_out
-from pipelines.config import METHODS, ArsConfig, MethodConfig, ProgramConfig, RunConfig
-from pipelines.config.run import run_folder
+from pipelines.config.algo import ALGORITHMS, ArsConfig
+from pipelines.config.budget import BudgetConfig
+from pipelines.config.env import EnvConfig
+from pipelines.config.methods import METHODS, MethodConfig, ProgramConfig
+from pipelines.config.run import RunConfig, run_folder
 from pipelines.config.setting import not_keyed
+from pipelines.config.trainer import TRAINERS, FleetConfig, TrainerConfig
 from pipelines.engine.store import corrupt
 from pipelines.errors import ConfigError
 from pipelines.stages.fleets import fleets
@@ -39,11 +42,11 @@ def load_config(run_dir: Path, n_workers: int | None) -> RunConfig:
     try:
         cfg = OmegaConf.load(run_dir / "config.yaml")
         schema = schema_of(RunConfig)
-        schema.algo = schema_of(schemas.ALGORITHMS[cfg.algo.name])
+        schema.algo = schema_of(ALGORITHMS[cfg.algo.name])
         schema.method = schema_of(METHODS[cfg.method.name])
         if "trainer" in cfg:  # there was one trainer only before
             cfg.trainer.pop("device", None)  # fleets had one, which decided nothing
-            schema.trainer = schema_of(schemas.FleetConfig if "n_envs" in cfg.trainer else schemas.TrainerConfig)
+            schema.trainer = schema_of(FleetConfig if "n_envs" in cfg.trainer else TrainerConfig)
         loaded = to_object(OmegaConf.merge(schema, cfg, {"n_workers": n_workers}))
     except (OSError, KeyError, OmegaConfBaseException, ConfigError) as error:
         raise corrupt(run_dir / "config.yaml", error) from error
@@ -148,11 +151,11 @@ RUN = RunWorkflow(
     "run",
     {
         (None, "run_schema"): RunConfig,
-        (None, "env_schema"): schemas.EnvConfig,
+        (None, "env_schema"): EnvConfig,
         **{("method", f"run_{name}_schema"): method for name, method in METHODS.items()},
-        (None, "budget_schema"): schemas.BudgetConfig,
-        **{("algo", f"{name}_schema"): algorithm for name, algorithm in schemas.ALGORITHMS.items()},
-        **{("trainer", f"{name}_schema"): trainer for name, trainer in schemas.TRAINERS.items()},
+        (None, "budget_schema"): BudgetConfig,
+        **{("algo", f"{name}_schema"): algorithm for name, algorithm in ALGORITHMS.items()},
+        **{("trainer", f"{name}_schema"): trainer for name, trainer in TRAINERS.items()},
     },
     checked=("env", "algo", "method", "trainer", "budget", "launcher", "experiment"),
 )

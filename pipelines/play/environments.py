@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 
 from otr.control import pid_observation_names
-from pipelines.config import EnvConfig, PidTerms
+from pipelines.config.env import EnvConfig, PidTerms
 from pipelines.errors import ConfigError
 from pipelines.play.pid_environment import PidObservation
 

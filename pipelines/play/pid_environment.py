@@ -7,7 +7,7 @@ import gymnasium as gym
 import numpy as np
 
 from otr.control import pid_observation
-from pipelines.config import PidTerms
+from pipelines.config.env import PidTerms
 
 
 class PidObservation(gym.Wrapper[np.ndarray, Any, np.ndarray, Any]):

@@ -15,7 +15,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from pipelines.config import EnvConfig
+from pipelines.config.env import EnvConfig
 from pipelines.play.environments import is_discrete, make_env
 
 Policy = Callable[[np.ndarray], np.ndarray]  # states (n, d) -> actions (n, a), or labels (n,)

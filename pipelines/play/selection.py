@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 import otr
-from pipelines.config import RunConfig
+from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import episode_seeds
 from pipelines.errors import PipelineError, PolicyMismatchError
 from pipelines.play.agreement import answers_agree

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pipelines.config import METHODS
+from pipelines.config.methods import METHODS
 from pipelines.report.published import Published, published
 
 CSV_COLUMNS = ("table", "task", "method", "depth", "mean", "std", "ci_low", "ci_high", "n_runs", "n_episodes", "budget",

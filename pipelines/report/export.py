@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import otr
-from pipelines.config import RunConfig
 from pipelines.config.methods import EXTRA_STAGES
+from pipelines.config.run import RunConfig
 from pipelines.config.setting import Folder, FreeText, OneOf, Range, check_settings
 from pipelines.engine.archive import MANIFEST, verified_manifest
 from pipelines.engine.store import exists

@@ -10,7 +10,7 @@ import pandas as pd
 
 import otr
 from otr.shorten.refit_tests import RefittedTest, RefittedTree, refit_tests
-from pipelines.config import RunConfig
+from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import episode_seeds, evaluation_seeds
 from pipelines.engine.store import read_csv
 from pipelines.errors import MissingInputError, PipelineError

@@ -11,7 +11,7 @@ from typing import Any
 
 import pandas as pd
 
-from pipelines.config import RunConfig
+from pipelines.config.run import RunConfig
 from pipelines.engine.store import corrupt, read_json
 from pipelines.supervised.config import FitConfig
 

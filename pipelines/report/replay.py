@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from pipelines.config import RunConfig
+from pipelines.config.run import RunConfig
 from pipelines.engine.store import read_csv
 from pipelines.stages.derived import opened_run
 from pipelines.stages.evaluate import EPISODES_FILES, episode_rows, load_policies, play

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from pipelines.config import RunConfig
+from pipelines.config.run import RunConfig
 from pipelines.errors import ConfigError
 from pipelines.report.certificates import write_certificates
 from pipelines.report.figure_4_6 import Planned, budget_of_runs, write_figure_4_6

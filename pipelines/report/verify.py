@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import otr
-from pipelines.config import RunConfig
+from pipelines.config.run import RunConfig
 from pipelines.config.setting import Folder, FreeText, check_settings
 from pipelines.engine.archive import opened
 from pipelines.engine.store import exists

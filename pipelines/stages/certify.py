@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import otr
-from pipelines.config import RunConfig
+from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import episode_seeds
 from pipelines.engine.stage import Stage
 from pipelines.engine.store import write_json

@@ -6,8 +6,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import otr
-from pipelines.config import RunConfig
 from pipelines.config.methods import EXTRA_STAGES
+from pipelines.config.run import RunConfig
 from pipelines.engine.archive import opened
 from pipelines.engine.store import write_text
 from pipelines.play.actor_files import load_actor

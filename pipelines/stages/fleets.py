@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Iterable, Sequence
 
-from pipelines.config import RunConfig
+from pipelines.config.run import RunConfig
 from pipelines.engine.digests import digest
 from pipelines.stages.train import train_settings
 

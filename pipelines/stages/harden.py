@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import otr
-from pipelines.config import RunConfig
+from pipelines.config.run import RunConfig
 from pipelines.engine.stage import Stage
 from pipelines.engine.store import write_json
 from pipelines.play.environments import make_env

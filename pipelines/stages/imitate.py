@@ -12,7 +12,8 @@ import gymnasium as gym
 
 import otr
 from otr.control.dagger.loop import DaggerProgress, DaggerSettings, Fit, Play, run_dagger
-from pipelines.config import AugTreeConfig, ImitatingConfig, LmViperConfig, NdpsConfig, RunConfig, ViperConfig
+from pipelines.config.methods import AugTreeConfig, ImitatingConfig, LmViperConfig, NdpsConfig, ViperConfig
+from pipelines.config.run import RunConfig
 from pipelines.engine.archive import verified_manifest
 from pipelines.engine.console import duration
 from pipelines.engine.digests import digest

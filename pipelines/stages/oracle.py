@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import otr
-from pipelines.config import RunConfig
+from pipelines.config.run import RunConfig
 from pipelines.engine.archive import MANIFEST, verified_manifest
 from pipelines.engine.stage import Stage
 from pipelines.engine.store import exists, read_csv, read_json, write_json

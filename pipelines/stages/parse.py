@@ -5,7 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import otr
-from pipelines.config import EnvConfig, ProgramConfig, RunConfig
+from pipelines.config.env import EnvConfig
+from pipelines.config.methods import ProgramConfig
+from pipelines.config.run import RunConfig
 from pipelines.engine.stage import Stage
 from pipelines.engine.store import write_json, write_text
 from pipelines.errors import ConfigError

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import otr
-from pipelines.config import EnvConfig
+from pipelines.config.env import EnvConfig
 from pipelines.engine.store import write_text
 from pipelines.play.environments import action_names, feature_names
 

@@ -9,7 +9,7 @@ import numpy as np
 
 import otr
 from otr.control import constant_gains
-from pipelines.config import RunConfig
+from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import episode_seeds
 from pipelines.engine.stage import Stage
 from pipelines.engine.store import write_json, write_text

@@ -10,7 +10,7 @@ import numpy as np
 
 import otr
 from otr.shorten.simplify import Judge, Simplification
-from pipelines.config import RunConfig
+from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import episode_seeds, evaluation_seeds
 from pipelines.engine.stage import Stage
 from pipelines.engine.store import write_csv, write_json

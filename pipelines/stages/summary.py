@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from pipelines.config import RunConfig
 from pipelines.config.methods import EXTRA_STAGES
+from pipelines.config.run import RunConfig
 from pipelines.engine.archive import MANIFEST, read_manifest
 from pipelines.engine.store import exists, read_csv, read_json
 

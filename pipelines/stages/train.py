@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pipelines.config import RunConfig
+from pipelines.config.run import RunConfig
 from pipelines.engine.console import duration
 from pipelines.engine.digests import digest
 from pipelines.engine.stage import Stage

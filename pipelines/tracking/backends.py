@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
-from pipelines.config import RunConfig
+from pipelines.config.run import RunConfig
 from pipelines.engine.store import read_json, write_json
 
 MLFLOW_DEFAULTS = {  # for what the environment does not say

@@ -12,7 +12,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from pipelines.config import RunConfig
+from pipelines.config.run import RunConfig
 from pipelines.engine.store import read_csv, read_json
 from pipelines.errors import ConfigError
 from pipelines.tracking.backends import Backend, Mlflow, TensorBoard

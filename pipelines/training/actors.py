@@ -1,6 +1,7 @@
 """Which kind of actor a run trains by Stable-Baselines3."""
 
-from pipelines.config import MethodConfig, PidConfig, RunConfig, SoftConfig
+from pipelines.config.methods import MethodConfig, PidConfig, SoftConfig
+from pipelines.config.run import RunConfig
 from pipelines.training.pid_actor import PidActor
 from pipelines.training.relu_actor import ReluActor
 from pipelines.training.soft_actor import SoftActor

@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from pipelines.config import OffPolicyConfig, RunConfig
+from pipelines.config.algo import OffPolicyConfig
+from pipelines.config.run import RunConfig
 from pipelines.play.environments import make_env
 
 FLEET_STEPS_PER_S = 400.0

@@ -17,7 +17,8 @@ from torch import nn
 
 import otr
 from otr.control import pid_network
-from pipelines.config import PidConfig, RunConfig
+from pipelines.config.methods import PidConfig
+from pipelines.config.run import RunConfig
 from pipelines.training.relu_actor import ReluActor
 
 # The gains' output weights and biases at first, as in Lillicrap et al. (2016), so that actions begin near zero: torch's

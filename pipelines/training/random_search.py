@@ -3,7 +3,7 @@
 from sb3_contrib import ARS
 from stable_baselines3.common.vec_env import VecEnv
 
-from pipelines.config import ArsConfig
+from pipelines.config.algo import ArsConfig
 from pipelines.errors import ConfigError
 
 

@@ -7,7 +7,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.policies import BasePolicy
 
 import otr
-from pipelines.config import RunConfig
+from pipelines.config.run import RunConfig
 from pipelines.play.actor_files import actor_files
 from pipelines.play.rollout import Rollout
 from pipelines.play.selection import compare_with_trained, diverged, play_selection_episodes

@@ -14,7 +14,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, OrnsteinUhlenbeckActionNoise
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from pipelines.config import (
+from pipelines.config.algo import (
     AlgoConfig,
     ArsConfig,
     ContinuousConfig,
@@ -24,11 +24,11 @@ from pipelines.config import (
     OffPolicyConfig,
     OnPolicyConfig,
     PpoConfig,
-    RunConfig,
     SacConfig,
     Td3Config,
     TrpoConfig,
 )
+from pipelines.config.run import RunConfig
 from pipelines.errors import ConfigError
 from pipelines.play.environments import flat_state_size, is_discrete, make_training_env
 from pipelines.training.actors import actor_of

@@ -20,7 +20,8 @@ from torch import nn
 
 import otr
 from otr.control.pi_prl import RelaxedProgram
-from pipelines.config import PiPrlConfig, RunConfig, SoftConfig
+from pipelines.config.methods import PiPrlConfig, SoftConfig
+from pipelines.config.run import RunConfig
 from pipelines.play.environments import state_box
 from pipelines.play.rollout import Rollout
 from pipelines.play.selection import diverged, play_episodes

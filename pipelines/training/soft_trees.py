@@ -16,7 +16,8 @@ import otr
 from otr.control.cdt import CascadingTree
 from otr.control.pi_prl import RelaxedProgram
 from otr.control.soft_tree import SoftTree
-from pipelines.config import RunConfig, SoftConfig
+from pipelines.config.methods import SoftConfig
+from pipelines.config.run import RunConfig
 from pipelines.engine.store import corrupt, json_text, read_json
 from pipelines.errors import ConfigError
 

@@ -14,19 +14,12 @@ from pathlib import Path
 import pytest
 
 from pipelines import cli
-from pipelines.config import (
-    ActorConfig,
-    BudgetConfig,
-    EnvConfig,
-    EvaluateConfig,
-    MapConfig,
-    MappedConfig,
-    PpoConfig,
-    PruneConfig,
-    RunConfig,
-    SacConfig,
-    TrainConfig,
-)
+from pipelines.config.algo import PpoConfig, SacConfig
+from pipelines.config.budget import BudgetConfig
+from pipelines.config.env import EnvConfig
+from pipelines.config.methods import MappedConfig
+from pipelines.config.run import RunConfig
+from pipelines.config.stages import ActorConfig, EvaluateConfig, MapConfig, PruneConfig, TrainConfig
 
 PENDULUM = EnvConfig("pendulum", "pendulum", "Pendulum-v1", {}, ["cos_angle", "sin_angle", "angle_rate"], ["torque"])
 LANDER = EnvConfig("lunarlander", "lunarlander", "LunarLander-v3")

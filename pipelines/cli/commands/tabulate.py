@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from pipelines.cli.compose import Composer, to_object
 from pipelines.cli.runs import RUN, load_config, run_config
-from pipelines.config import BudgetConfig
+from pipelines.config.budget import BudgetConfig
 from pipelines.config.setting import Count, Folder, FreeText, check_settings
 from pipelines.engine.digests import differences_suffix
 from pipelines.errors import ConfigError, MissingInputError

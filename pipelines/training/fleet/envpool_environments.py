@@ -11,7 +11,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from pipelines.config import EnvConfig
+from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.training.fleet.vector_environments import Step, VectorEnv, check_actions, check_seeds
 

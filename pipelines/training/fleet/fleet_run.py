@@ -7,7 +7,8 @@ from safetensors.torch import load_file
 from safetensors.torch import save as safetensors_bytes
 from torch import Tensor
 
-from pipelines.config import RunConfig, SacConfig
+from pipelines.config.algo import SacConfig
+from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import stream_seed, stream_seeds
 from pipelines.tracking.tracker import open_tracker
 from pipelines.training.checkpoints import History, last_segment, read_segment, write_segment

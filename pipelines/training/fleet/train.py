@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from pipelines.config import RunConfig
+from pipelines.config.run import RunConfig
 from pipelines.errors import PipelineError
 from pipelines.play.actor_files import actor_files
 from pipelines.play.selection import compare_with_trained, diverged, play_selection_episodes

@@ -10,7 +10,9 @@ import torch
 from torch import Tensor
 
 import otr
-from pipelines.config import EnvConfig, FleetConfig, RunConfig
+from pipelines.config.env import EnvConfig
+from pipelines.config.run import RunConfig
+from pipelines.config.trainer import FleetConfig
 from pipelines.errors import ConfigError
 from pipelines.play.environments import flat_state_size, is_discrete, make_env
 from pipelines.training.estimates import learning_starts, segment_steps

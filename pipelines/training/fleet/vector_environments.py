@@ -12,7 +12,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from pipelines.config import EnvConfig
+from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError
 from pipelines.play.environments import is_discrete, make_training_env
 

@@ -8,8 +8,8 @@ from omegaconf import OmegaConf
 from pipelines.cli.compose import Composer, to_object
 from pipelines.cli.fits import FIT
 from pipelines.cli.runs import RUN
-from pipelines.config import METHODS
 from pipelines.config.conf_dir import CONF_DIR
+from pipelines.config.methods import METHODS
 
 METHOD_DEPTHS = {name: "depth=[3,3]" if name == "cdt" else "depth=0" if name == "linear" else "depth=4"
                  for name in METHODS if name != "program"}  # fmt: skip

@@ -6,13 +6,9 @@ from pathlib import Path
 import pytest
 
 from pipelines.cli.runs import load_config
-from pipelines.config import (
-    ActorConfig,
-    EnvConfig,
-    EvaluateConfig,
-    PruneConfig,
-)
+from pipelines.config.env import EnvConfig
 from pipelines.config.run import run_folder
+from pipelines.config.stages import ActorConfig, EvaluateConfig, PruneConfig
 from pipelines.engine.digests import setting_differences
 from pipelines.errors import ConfigError
 from tests.pipelines.conftest import PPO, SAC

@@ -12,7 +12,9 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import pytest
 
 from pipelines.cli.commands.tabulate import TabulateConfig
-from pipelines.config import ALGORITHMS, METHODS, TRAINERS, RunConfig
+from pipelines.config.algo import ALGORITHMS
+from pipelines.config.methods import METHODS
+from pipelines.config.run import RunConfig
 from pipelines.config.setting import (
     EXECUTION,
     AsBefore,
@@ -28,6 +30,7 @@ from pipelines.config.setting import (
     keyed_settings,
     not_keyed,
 )
+from pipelines.config.trainer import TRAINERS
 from pipelines.errors import ConfigError
 from pipelines.report.export import ExportConfig
 from pipelines.report.verify import VerifyConfig

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 import yaml
 
-from pipelines.config import EnvConfig
 from pipelines.config.conf_dir import CONF_DIR
+from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError
 from pipelines.play.environments import make_env
 

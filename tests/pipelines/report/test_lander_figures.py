@@ -7,7 +7,8 @@ import pandas as pd
 import pytest
 
 import otr
-from pipelines.config import AugTreeConfig, BudgetConfig
+from pipelines.config.budget import BudgetConfig
+from pipelines.config.methods import AugTreeConfig
 from pipelines.engine.store import read_csv
 from pipelines.errors import MissingInputError, PipelineError
 from pipelines.play.rollout import rollout

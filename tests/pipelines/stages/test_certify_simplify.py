@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import otr
-from pipelines.config import PruneConfig
+from pipelines.config.stages import PruneConfig
 from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import state_limits
 from pipelines.stages.certify import certify

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import otr
-from pipelines.config import MapConfig, PruneConfig
+from pipelines.config.stages import MapConfig, PruneConfig
 from pipelines.engine.store import read_csv, write_files
 from pipelines.errors import PipelineError, PolicyMismatchError
 from pipelines.play.actor_files import actor_files, load_actor

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 import otr
-from pipelines.config import AugTreeConfig, ImitateConfig, MappedConfig, NdpsConfig, RunConfig, ViperConfig
+from pipelines.config.methods import AugTreeConfig, MappedConfig, NdpsConfig, ViperConfig
+from pipelines.config.run import RunConfig
+from pipelines.config.stages import ImitateConfig
 from pipelines.engine.digests import digest
 from pipelines.engine.seeding import FIRST_STREAM_SEED, STREAMS, episode_seeds
 from pipelines.engine.stage import file_digest

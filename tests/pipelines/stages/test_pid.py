@@ -10,7 +10,8 @@ import torch
 import otr
 from otr.control import constant_gains
 from pipelines.cli.runs import run_config
-from pipelines.config import EnvConfig, PidConfig, PidTerms
+from pipelines.config.env import EnvConfig, PidTerms
+from pipelines.config.methods import PidConfig
 from pipelines.errors import ConfigError, PolicyMismatchError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import feature_names, make_env

@@ -7,7 +7,7 @@ import pytest
 
 from pipelines.cli.overrides import with_path_quoted
 from pipelines.cli.runs import RUN
-from pipelines.config import EnvConfig
+from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError
 from pipelines.stages.parse import policy_tree
 from pipelines.stages.printed_programs import program_text

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import otr
-from pipelines.config import ActorConfig, DdpgConfig, DqnConfig, Td3Config, TrainConfig
+from pipelines.config.algo import DdpgConfig, DqnConfig, Td3Config
+from pipelines.config.stages import ActorConfig, TrainConfig
 from pipelines.engine.seeding import episode_seeds
 from pipelines.engine.stage import run_stage
 from pipelines.engine.store import read_csv

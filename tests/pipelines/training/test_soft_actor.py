@@ -15,7 +15,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 import otr
 from pipelines.cli.runs import run_config
-from pipelines.config import ArsConfig
+from pipelines.config.algo import ArsConfig
 from pipelines.engine.store import write_files
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.training.checkpoints import History

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import ks_2samp
 
-from pipelines.config import EnvConfig
+from pipelines.config.env import EnvConfig
 from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import make_env
 from pipelines.training.fleet.envpool_environments import EQUAL_IDS, UNEQUAL_IDS, EnvPoolVectorEnv, make_pool

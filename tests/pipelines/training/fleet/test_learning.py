@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import mannwhitneyu
 
-from pipelines.config import FleetConfig, SacConfig, TrainConfig
+from pipelines.config.algo import SacConfig
+from pipelines.config.stages import TrainConfig
+from pipelines.config.trainer import FleetConfig
 from pipelines.engine.store import read_csv
 from pipelines.stages.train import checkpoint_folder
 from pipelines.stages.train import train as train_by_sb3

@@ -10,7 +10,9 @@ import pytest
 import torch
 
 import otr
-from pipelines.config import ActorConfig, EnvConfig, FleetConfig, TrainConfig
+from pipelines.config.env import EnvConfig
+from pipelines.config.stages import ActorConfig, TrainConfig
+from pipelines.config.trainer import FleetConfig
 from pipelines.engine.store import read_csv
 from pipelines.errors import ConfigError
 from pipelines.play.actor_files import load_actor

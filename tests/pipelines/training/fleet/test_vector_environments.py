@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import yaml
 
-from pipelines.config import EnvConfig
 from pipelines.config.conf_dir import CONF_DIR
+from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.play.environments import make_env
 from pipelines.training.fleet.envpool_environments import EQUAL_IDS, UNEQUAL_IDS, EnvPoolVectorEnv

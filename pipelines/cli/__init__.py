@@ -1,36 +1,15 @@
-"""The command line: the only place that knows Hydra and OmegaConf."""
+"""The command line: the only place that knows Hydra and OmegaConf. Each command has its entry point here."""
+
+from functools import partial
 
 from pipelines.cli.main import main, stopping_without_extra
 
-
-def run() -> None:
-    """Entry point of `otr-run`."""
-    main("otr-run")
-
-
-def plan() -> None:
-    """Entry point of `otr-plan`."""
-    main("otr-plan")
-
-
-def fit() -> None:
-    """Entry point of `otr-fit`."""
-    main("otr-fit")
-
-
-def tabulate() -> None:
-    """Entry point of `otr-tabulate`."""
-    main("otr-tabulate")
-
-
-def export() -> None:
-    """Entry point of `otr-export`."""
-    main("otr-export")
-
-
-def verify() -> None:
-    """Entry point of `otr-verify`."""
-    main("otr-verify")
+run = partial(main, "otr-run")
+plan = partial(main, "otr-plan")
+fit = partial(main, "otr-fit")
+tabulate = partial(main, "otr-tabulate")
+export = partial(main, "otr-export")
+verify = partial(main, "otr-verify")
 
 
 def data() -> None:

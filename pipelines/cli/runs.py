@@ -21,9 +21,8 @@ from pipelines.config.trainer import TRAINERS, FleetConfig, TrainerConfig
 from pipelines.engine.store import corrupt
 from pipelines.errors import ConfigError
 from pipelines.stages.fleets import fleets
-from pipelines.stages.parse import policy_tree
+from pipelines.stages.parse import policy_tree, read_program
 from pipelines.stages.run_job import RunJob, run_job, run_jobs
-from pipelines.stages.shipped_programs import read_program
 from pipelines.tracking.tracker import check_tracking
 
 # The groups and keys that decide how an oracle is trained, and where and how that is done.

@@ -13,8 +13,8 @@ from omegaconf import DictConfig, OmegaConf
 from pipelines.cli.compose import Composer, to_object
 from pipelines.cli.overrides import combinations, is_of_launching, key_of, parse
 from pipelines.config.conf_dir import CONF_DIR
+from pipelines.engine.console import counted
 from pipelines.engine.job import Job
-from pipelines.engine.waiting import counted
 from pipelines.errors import ConfigError, did_you_mean
 
 

@@ -97,7 +97,7 @@ class _Dtype:
         self.dtype = self.dtype.newbyteorder(state[1])
 
 
-class _Name:
+class _Callable:
     """Stands for a function or class that a pickle names. Nothing can be set on it."""
 
     __slots__ = ("_make",)
@@ -141,4 +141,4 @@ class _ArraysOnly(pickle.Unpickler):
         }
         if (module, name) not in known:
             raise pickle.UnpicklingError(f"{module}.{name} is refused")
-        return _Name(known[module, name])
+        return _Callable(known[module, name])

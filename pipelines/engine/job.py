@@ -5,16 +5,17 @@ import errno
 import shlex
 import traceback
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, TypeVar
 
 from otr import OtrError
-from pipelines.engine.archive import MANIFEST, verified_manifest
-from pipelines.engine.stage import Stage, stage_key, stage_status
-from pipelines.engine.store import exists, write_text
+from pipelines.engine.archive import MANIFEST, Derive, verified_manifest
+from pipelines.engine.console import duration
+from pipelines.engine.stage import Stage, run_stage, stage_key, stage_status
+from pipelines.engine.store import exists, write_json, write_text
 from pipelines.errors import PipelineError
 
 
@@ -24,6 +25,7 @@ class Job(ABC):
 
     Attributes:
         program: the command that does such jobs.
+        ends_with: the stage after which the job's summary is written.
         config: what is asked: a `RunConfig` or a `FitConfig`.
         folder: the job's folder, relative to `config.results_dir`.
         config_yaml: the resolved configuration as text.
@@ -31,6 +33,7 @@ class Job(ABC):
     """
 
     program: ClassVar[str]
+    ends_with: ClassVar[str]
 
     config: Any
     folder: str
@@ -53,11 +56,6 @@ class Job(ABC):
     def stages(self) -> tuple[Stage, ...]:
         """The stages that are asked for, in order."""
 
-    @property
-    @abstractmethod
-    def ends_with(self) -> str:
-        """The stage after which the job's summary is written."""
-
     def side_by_side(self) -> Self:
         """Return a job that knows that others share its terminal and its cores."""
         config = dataclasses.replace(self.config, side_by_side=True, n_workers=self.config.n_workers or 1)
@@ -65,6 +63,32 @@ class Job(ABC):
 
     def found_done(self) -> None:  # noqa: B027 - nothing to do for most
         """Do what a job that is found done needs all the same."""
+
+
+J = TypeVar("J", bound=Job)
+
+
+def do_stage(job: Job, stage: Stage, derive: Derive | None = None) -> None:
+    """Bring a stage of a job up to date, see to the job's config.yaml, and print how long the stage took."""
+    result = run_stage(stage, job.run_dir, job.config, job.command, derive)
+    if not (job.run_dir / "config.yaml").exists():
+        write_text(job.run_dir / "config.yaml", job.config_yaml)
+    print(f"{stage.name}: {'done before, ' * result.skipped}{duration(result.seconds)}", flush=True)
+
+
+def write_summary(job: Job, summary: dict[str, Any]) -> None:
+    """Write the summary of a finished job; what an earlier attempt failed with is no longer of use."""
+    write_json(job.run_dir / "summary.json", summary)
+    (job.run_dir / "error.log").unlink(missing_ok=True)
+
+
+def failure(do: Callable[[J], Any], job: J) -> Exception | None:
+    """Do a job and return what it failed with, None if it did not."""
+    try:
+        do(job)
+    except Exception as error:
+        return error
+    return None
 
 
 def is_done(job: Job) -> bool:

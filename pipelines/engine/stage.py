@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 from filelock import FileLock, Timeout
 
@@ -19,17 +19,6 @@ from pipelines.engine.archive import MANIFEST, Derive, file_digest, opened, read
 from pipelines.engine.digests import digest, setting_differences
 from pipelines.engine.store import exists, write_json
 from pipelines.errors import MissingInputError, OtherSettingsError, PipelineError
-
-
-class StageConfig(Protocol):
-    """What a stage's machinery reads of a configuration."""
-
-    @property
-    def results_dir(self) -> str:
-        """The folder below which all results lie."""
-
-
-C = TypeVar("C", bound=StageConfig)
 
 
 @dataclass(frozen=True)
@@ -66,7 +55,7 @@ class StageResult:
 
 
 def run_stage(
-    stage: Stage, run_dir: Path, config: StageConfig, rerun_command: str, derive: Derive | None = None
+    stage: Stage, run_dir: Path, config: Any, rerun_command: str, derive: Derive | None = None
 ) -> StageResult:
     """Bring a stage's result up to date and return where it belongs.
 
@@ -90,7 +79,7 @@ def run_stage(
 
 
 def _found_or_made(
-    stage: Stage, run_dir: Path, config: StageConfig, inputs: Mapping[str, Path], derive: Derive | None
+    stage: Stage, run_dir: Path, config: Any, inputs: Mapping[str, Path], derive: Derive | None
 ) -> StageResult:
     """Return a stage's result: the one in its folder, a sibling run's, or a new one."""
     wanted = stage_key(stage, config, inputs)
@@ -114,8 +103,8 @@ def _found_or_made(
 
 def run_stage_together(
     stage: Stage,
-    requests: Sequence[tuple[Path, C]],
-    run: Callable[[Sequence[Mapping[str, Path]], Sequence[C], Sequence[Path]], Sequence[Exception | None]],
+    requests: Sequence[tuple[Path, Any]],
+    run: Callable[[Sequence[Mapping[str, Path]], Sequence[Any], Sequence[Path]], Sequence[Exception | None]],
 ) -> list[Exception | None]:
     """Make the results of a stage for several runs in one go, where nothing is in the way.
 
@@ -137,10 +126,10 @@ def run_stage_together(
         inputs = [{name: run_dir / name for name in stage.inputs} for run_dir, _ in requests]
         for i, (run_dir, config) in enumerate(requests):
             folder, wanted = run_dir / stage.name, stage_key(stage, config, inputs[i])
-            lock = stack.enter_context(_try_lock(run_dir / f".{stage.name}.lock"))
+            lock = stack.enter_context(_lock(run_dir / f".{stage.name}.lock"))
             if not lock or stage_status(stage, folder, config, wanted) in ("done", "other settings"):
                 continue
-            is_first = stack.enter_context(_try_lock(_result_lock(config, stage, wanted)))
+            is_first = stack.enter_context(_lock(_result_lock(config, stage, wanted)))
             if is_first and _twin(run_dir, stage.name, wanted) is None:
                 chosen.append((i, folder, wanted))
         if not chosen:
@@ -156,13 +145,13 @@ def run_stage_together(
     return errors
 
 
-def stage_key(stage: Stage, config: StageConfig, inputs: Mapping[str, Path]) -> str:
+def stage_key(stage: Stage, config: Any, inputs: Mapping[str, Path]) -> str:
     """Return the key of a stage's result: what it is made by, with and from."""
     digests = {name: verified_manifest(folder)["output_digest"] for name, folder in inputs.items()}
     return digest({"stage": stage.name, "version": stage.version, "settings": stage.settings(config), "in": digests})
 
 
-def stage_status(stage: Stage, folder: Path, config: StageConfig, wanted: str | None = None) -> str:
+def stage_status(stage: Stage, folder: Path, config: Any, wanted: str | None = None) -> str:
     """Return `missing`, `done`, `stale` (inputs or code changed since) or `other settings`.
 
     Without the `wanted` key only the settings are compared.
@@ -176,7 +165,7 @@ def stage_status(stage: Stage, folder: Path, config: StageConfig, wanted: str | 
     return "done" if current else "stale"
 
 
-def _make(stage: Stage, folder: Path, config: StageConfig, inputs: Mapping[str, Path], wanted: str) -> StageResult:
+def _make(stage: Stage, folder: Path, config: Any, inputs: Mapping[str, Path], wanted: str) -> StageResult:
     with _unfinished(folder) as temporary:
         start = time.monotonic()
         origin = _origin()
@@ -211,7 +200,7 @@ def _finish(
     stage: Stage,
     folder: Path,
     temporary: Path,
-    config: StageConfig,
+    config: Any,
     wanted: str,
     seconds: float,
     origin: dict[str, Any],
@@ -231,9 +220,7 @@ def _finish(
             **origin,
         },
     )
-    if folder.exists():  # stale: made by an older version of the stage or from inputs that have changed
-        shutil.rmtree(folder)
-    temporary.rename(folder)
+    _put(temporary, folder)
 
 
 def _input_folder(run_dir: Path, name: str, stage: Stage, rerun_command: str) -> Path:
@@ -245,7 +232,7 @@ def _input_folder(run_dir: Path, name: str, stage: Stage, rerun_command: str) ->
     return folder
 
 
-def _other_settings(stage: Stage, folder: Path, config: StageConfig) -> OtherSettingsError:
+def _other_settings(stage: Stage, folder: Path, config: Any) -> OtherSettingsError:
     old = read_manifest(folder)["settings"]
     changes = setting_differences(stage.settings(config), old)
     lines = [f"  {key}: there was {was!r}, asked for {now!r}" for key, (now, was) in changes.items()]
@@ -267,47 +254,36 @@ def _twin(run_dir: Path, name: str, wanted: str) -> Path | None:
 
 def _copy_twin(twin: Path, folder: Path, derive: Derive | None) -> None:
     verified_manifest(twin)
-    temporary = folder.with_name(f".{folder.name}.tmp")
-    shutil.rmtree(temporary, ignore_errors=True)
-    with opened(twin.parent, [twin.name], derive) as whole:
-        shutil.copytree(whole / twin.name, temporary)
+    with _unfinished(folder) as temporary:
+        with opened(twin.parent, [twin.name], derive) as whole:
+            shutil.copytree(whole / twin.name, temporary, dirs_exist_ok=True)
+        _put(temporary, folder)
+
+
+def _put(temporary: Path, folder: Path) -> None:
+    """Put a whole result in its place; one that is there is stale: of an older version of the stage, or its inputs."""
     if folder.exists():
         shutil.rmtree(folder)
     temporary.rename(folder)
 
 
-def _result_lock(config: StageConfig, stage: Stage, wanted: str) -> Path:
+def _result_lock(config: Any, stage: Stage, wanted: str) -> Path:
     """Return the lock of a result, whichever run makes it."""
     return Path(config.results_dir) / "locks" / f"{stage.name}-{wanted[:16]}.lock"
 
 
 @contextmanager
-def _try_lock(path: Path) -> Iterator[bool]:
-    """Hold a lock file where it is free, and tell whether it was."""
+def _lock(path: Path, busy: str = "") -> Iterator[bool]:
+    """Hold a lock file; where another process has it, give False, or with the message `busy` print it and wait."""
     path.parent.mkdir(parents=True, exist_ok=True)
     lock = FileLock(path)
     try:
         lock.acquire(timeout=0)
     except Timeout:
-        yield False
-        return
+        if busy:
+            print(f"{busy}; waiting for it", flush=True)
+            lock.acquire()
     try:
-        yield True
-    finally:
-        lock.release()
-
-
-@contextmanager
-def _lock(path: Path, busy: str) -> Iterator[None]:
-    """Hold a lock file; say so once where another process has it, then wait for that process."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(path)
-    try:
-        lock.acquire(timeout=0)
-    except Timeout:
-        print(f"{busy}; waiting for it", flush=True)
-        lock.acquire()
-    try:
-        yield
+        yield lock.is_locked
     finally:
         lock.release()

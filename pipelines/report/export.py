@@ -13,7 +13,7 @@ from pipelines.config.run import RunConfig
 from pipelines.config.setting import Folder, FreeText, OneOf, Range, check_settings
 from pipelines.engine.archive import MANIFEST, verified_manifest
 from pipelines.engine.store import exists
-from pipelines.errors import ConfigError, MissingInputError, PipelineError
+from pipelines.errors import ConfigError, MissingInputError, PipelineError, did_you_mean
 from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import action_names, feature_names
 from pipelines.stages.derived import opened_run
@@ -201,11 +201,9 @@ def _extra_word(stage: str) -> str:
     return f" {stage}=true" if stage in EXTRA_STAGES else ""
 
 
-def _check_name(word: str, value: str, known: Sequence[str]) -> None:
+def _check_name(key: str, value: str, known: Sequence[str]) -> None:
     if value not in known:
-        near = difflib.get_close_matches(value, known, n=2, cutoff=0.5)
-        hint = f"Did you mean {' or '.join(near)}?" if near else f"There are: {', '.join(known)}"
-        raise ConfigError(f"{word}={value}: there is no such {word}. {hint}")
+        raise ConfigError(f"{key}={value}: there is no such {key}.{did_you_mean(value, known)}")
 
 
 def _no_such_run(run: str, runs: Path) -> str:

@@ -5,9 +5,8 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.table import Table
 
-from pipelines.engine.console import duration
+from pipelines.engine.console import counted, duration
 from pipelines.engine.stage import stage_status
-from pipelines.engine.waiting import counted
 from pipelines.stages import imitate
 from pipelines.stages.run_job import RunJob
 from pipelines.stages.train import seconds_left, trained_steps

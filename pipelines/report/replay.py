@@ -5,7 +5,7 @@ from pathlib import Path
 from pipelines.config.run import RunConfig
 from pipelines.engine.store import read_csv
 from pipelines.stages.derived import opened_run
-from pipelines.stages.evaluate import EPISODES_FILES, episode_rows, load_policies, play
+from pipelines.stages.evaluate import episodes_file, load_policies, play
 
 TOLERANCE = 1e-6  # of the return, relative
 
@@ -20,8 +20,8 @@ def replay(config: RunConfig, run_dir: Path) -> int:
     played = play(policies, config)
     n_different = 0
     for name in played:
-        recorded = [float(row["return"]) for row in read_csv(run_dir / "evaluate" / EPISODES_FILES[name])]
-        again = [row["return"] for row in episode_rows(played[name])]
+        recorded = [float(row["return"]) for row in read_csv(run_dir / "evaluate" / episodes_file(name))]
+        again = played[name].returns.tolist()
         different = [
             i
             for i, (old, new) in enumerate(zip(recorded, again, strict=True))

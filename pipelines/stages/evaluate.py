@@ -19,15 +19,11 @@ from pipelines.stages.oracle import load_oracle
 
 TOLERANCE = 1e-6
 EPISODE_COLUMNS = ("episode", "seed", "return", "length", "terminated", "truncated")
-EPISODES_FILES = {
-    "network": "episodes_network.csv",
-    "oracle": "episodes_oracle.csv",
-    "soft": "episodes_soft.csv",
-    "tree": "episodes.csv",
-    "pruned_tree": "episodes_pruned_tree.csv",
-    "discretised": "episodes_discretised.csv",
-    "constant_gains": "episodes_constant_gains.csv",
-}
+
+
+def episodes_file(form: str) -> str:
+    """Return the name of the file of a form's episodes."""
+    return "episodes.csv" if form == "tree" else f"episodes_{form}.csv"
 
 
 def evaluate_settings(config: RunConfig) -> dict[str, Any]:
@@ -84,7 +80,7 @@ def evaluate(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
         _require_agreement(states, answers, policies["tree"].predict(states), outputs)
     alike = answers_agree(answers, policies["pruned_tree"].predict(states), outputs, TOLERANCE)
     for name, result in played.items():
-        write_csv(out / EPISODES_FILES[name], episode_rows(result), EPISODE_COLUMNS)
+        write_csv(out / episodes_file(name), episode_rows(result), EPISODE_COLUMNS)
     report = {
         "fidelity": float(alike.mean()),
         "n_states": len(states),

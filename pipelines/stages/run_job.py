@@ -7,16 +7,15 @@ from functools import partial
 from typing import Any, Self
 
 from pipelines.config.methods import EXTRA_STAGES
-from pipelines.engine.console import duration
-from pipelines.engine.job import Job, disk_errors_explained
-from pipelines.engine.stage import Stage, StageResult, run_stage, run_stage_together, stage_status
-from pipelines.engine.store import read_json, write_json, write_text
+from pipelines.engine.job import Job, disk_errors_explained, do_stage, failure, write_summary
+from pipelines.engine.stage import Stage, run_stage_together, stage_status
+from pipelines.engine.store import read_json
 from pipelines.stages.derived import derive, opened_run
 from pipelines.stages.result import show_result
 from pipelines.stages.summary import summarise
 from pipelines.stages.table import stages_of
 from pipelines.stages.train import TRAIN, announce_training, train_together
-from pipelines.tracking.tracker import open_tracker
+from pipelines.tracking.tracker import Tracker
 
 
 @dataclass(frozen=True)
@@ -28,6 +27,7 @@ class RunJob(Job):
     """
 
     program = "otr-run"
+    ends_with = "evaluate"
 
     oracle: "RunJob | None" = None
 
@@ -42,11 +42,6 @@ class RunJob(Job):
         """The job whose stage train this one needs: the oracle's, or its own."""
         return self.oracle or self
 
-    @property
-    def ends_with(self) -> str:
-        """The stage after which the run's summary is written."""
-        return "evaluate"
-
     def side_by_side(self) -> Self:
         """Return a job that knows, as its oracle's does, that others share its terminal and its cores."""
         oracle = self.oracle.side_by_side() if self.oracle else None
@@ -56,7 +51,7 @@ class RunJob(Job):
         """Show the run to the tracker, which may be younger than the run."""
         if self.ends_with in self.config.selected_stages and self.config.tracking != "none":
             with opened_run(self.config, self.run_dir) as whole:
-                open_tracker(self.config).finish(read_json(whole / "summary.json"), whole)
+                Tracker(self.config).finish(read_json(whole / "summary.json"), whole)
 
 
 def run_job(job: RunJob) -> dict[str, Any] | None:
@@ -74,20 +69,12 @@ def run_jobs(jobs: Sequence[RunJob]) -> list[Exception | None]:
             errors = dict(zip(trained, _train_together(list(trained.values())), strict=True))
     except Exception as error:  # of the whole fleet, such as a full disk
         return [error] * len(jobs)
-    return [errors.get(job.trained.folder) or _failure(job) for job in jobs]
+    return [errors.get(job.trained.folder) or failure(run_job, job) for job in jobs]
 
 
 def _trains(job: RunJob) -> bool:
     """Return whether a job asks for training, its own or its oracle's."""
     return not {"train", "oracle"}.isdisjoint(job.config.selected_stages)
-
-
-def _failure(job: RunJob) -> Exception | None:
-    try:
-        run_job(job)
-    except Exception as error:
-        return error
-    return None
 
 
 def _train_together(jobs: Sequence[RunJob]) -> list[Exception | None]:
@@ -98,7 +85,6 @@ def _train_together(jobs: Sequence[RunJob]) -> list[Exception | None]:
         job.run_dir.mkdir(parents=True, exist_ok=True)
     if missing:
         announce_training([job.config for job in missing])
-
     return run_stage_together(TRAIN, [(job.run_dir, job.config) for job in jobs], train_together)
 
 
@@ -106,30 +92,19 @@ def _run_stages(job: RunJob) -> dict[str, Any] | None:
     config, run_dir = job.config, job.run_dir
     print(f"{run_dir}", flush=True)
     run_dir.mkdir(parents=True, exist_ok=True)
-    results: dict[str, StageResult] = {}
     for stage in job.stages:
-        name = stage.name
-        if name == "oracle" and job.oracle and stage_status(stage, run_dir / name, config) != "done":
+        if stage.name == "oracle" and job.oracle and stage_status(stage, run_dir / "oracle", config) != "done":
             _run_stages(job.oracle)
             print(f"{run_dir}", flush=True)
-        if name == "train" and stage_status(stage, run_dir / name, config) == "missing":
+        if stage.name == "train" and stage_status(stage, run_dir / "train", config) == "missing":
             announce_training([config])
-        results[name] = run_stage(stage, run_dir, config, job.command, partial(derive, config))
-        if not (run_dir / "config.yaml").exists():
-            write_text(run_dir / "config.yaml", job.config_yaml)
-        print(_stage_line(name, results[name]), flush=True)
-    if "evaluate" not in results:
+        do_stage(job, stage, partial(derive, config))
+    if job.ends_with not in config.selected_stages:
         return None
     summary = summarise(config, run_dir)
-    write_json(run_dir / "summary.json", summary)
-    (run_dir / "error.log").unlink(missing_ok=True)
+    write_summary(job, summary)
     unasked = {extra for extra in EXTRA_STAGES if extra not in config.selected_stages}
     with opened_run(config, run_dir) as whole:
         show_result({key: value for key, value in summary.items() if key not in unasked}, run_dir, whole)
-        open_tracker(config).finish(summary, whole)
+        Tracker(config).finish(summary, whole)
     return summary
-
-
-def _stage_line(name: str, result: StageResult) -> str:
-    how = f"done before, {duration(result.seconds)}" if result.skipped else duration(result.seconds)
-    return f"{name}: {how}"

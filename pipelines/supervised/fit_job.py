@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from typing import Any
 
 from pipelines.engine.archive import MANIFEST, read_manifest
-from pipelines.engine.console import duration
 from pipelines.engine.digests import digest
-from pipelines.engine.job import Job, disk_errors_explained, is_done
-from pipelines.engine.stage import Stage, StageResult, run_stage, run_stage_together
-from pipelines.engine.store import exists, read_json, write_json, write_text
+from pipelines.engine.job import Job, disk_errors_explained, do_stage, failure, is_done, write_summary
+from pipelines.engine.stage import Stage, run_stage, run_stage_together
+from pipelines.engine.store import exists, read_json
 from pipelines.supervised.config import FitConfig
 from pipelines.supervised.fit import FIT, fit_together
 from pipelines.supervised.learners import BATCHED
@@ -29,16 +28,12 @@ class FitJob(Job):
     """A fit: its configuration is a `FitConfig`."""
 
     program = "otr-fit"
+    ends_with = "score"
 
     @property
     def stages(self) -> tuple[Stage, ...]:
         """The stages that are asked for, in order."""
         return stages_of(self.config)
-
-    @property
-    def ends_with(self) -> str:
-        """The stage after which the fit's summary is written."""
-        return "score"
 
 
 def fit_groups(configs: Sequence[FitConfig]) -> list[list[int]]:
@@ -75,15 +70,7 @@ def fit_jobs(jobs: Sequence[FitJob]) -> list[Exception | None]:
                 _fit_together(left)
     except Exception as error:  # of all of them
         return [error if job in left else None for job in jobs]
-    return [_failure(job) for job in jobs]
-
-
-def _failure(job: FitJob) -> Exception | None:
-    try:
-        fit_job(job)
-    except Exception as error:
-        return error
-    return None
+    return [failure(fit_job, job) for job in jobs]
 
 
 def _fit_together(jobs: Sequence[FitJob]) -> None:
@@ -91,7 +78,7 @@ def _fit_together(jobs: Sequence[FitJob]) -> None:
     for stage in jobs[0].stages:
         if stage.name == "tune":
             for job in jobs:
-                _stage_done(job, stage)
+                run_stage(stage, job.run_dir, job.config, job.command)
         elif stage.name == "fit":
             print(f"{jobs[0].run_dir} and {len(jobs) - 1} more seeds as one batched model", flush=True)
             for job in jobs:
@@ -101,22 +88,11 @@ def _fit_together(jobs: Sequence[FitJob]) -> None:
 
 def _run_stages(job: FitJob) -> None:
     for stage in job.stages:
-        result = _stage_done(job, stage)
-        how = f"done before, {duration(result.seconds)}" if result.skipped else duration(result.seconds)
-        print(f"{stage.name}: {how}", flush=True)
+        do_stage(job, stage)
     if job.stages[-1].name == job.ends_with:
-        write_json(job.run_dir / "summary.json", summarise(job))
-        (job.run_dir / "error.log").unlink(missing_ok=True)
+        write_summary(job, summarise(job))
         if not job.config.keep_trees:
             shutil.rmtree(job.run_dir / "fit")
-
-
-def _stage_done(job: FitJob, stage: Stage) -> StageResult:
-    job.run_dir.mkdir(parents=True, exist_ok=True)
-    result = run_stage(stage, job.run_dir, job.config, job.command)
-    if not (job.run_dir / "config.yaml").exists():
-        write_text(job.run_dir / "config.yaml", job.config_yaml)
-    return result
 
 
 def summarise(job: FitJob) -> dict[str, Any]:

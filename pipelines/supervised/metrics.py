@@ -1,6 +1,5 @@
 """How trees on data are scored: the area under the ROC curve, accuracy or error, and their size."""
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,19 +10,6 @@ if TYPE_CHECKING:
     from otr import ObliqueTree, PatternTree
 
 METRICS = {"auc": "AUC", "accuracy": "accuracy", "rmse": "RMSE"}
-
-
-@dataclass(frozen=True)
-class Size:
-    """How large a tree is.
-
-    Attributes:
-        depth: tests on the longest path.
-        leaves: leaves that the training rows reach, the leaves of OTR-hat.
-    """
-
-    depth: int
-    leaves: int
 
 
 def metric_of(dataset: Dataset) -> str:
@@ -57,10 +43,10 @@ def gain(metric: str, value: float) -> float:
     return -value if metric == "rmse" else value
 
 
-def size_of(tree: "ObliqueTree | PatternTree", X: np.ndarray) -> Size:
-    """Return the tree's size, its leaves being those that X (n, d) reaches."""
+def size_of(tree: "ObliqueTree | PatternTree", X: np.ndarray) -> tuple[int, int]:
+    """Return the tests on a tree's longest path, and its leaves that X (n, d) reaches, the leaves of OTR-hat."""
     import otr
 
     if isinstance(tree, otr.PatternTree):
-        return Size(tree.n_bits, len(tree.observe(X).patterns))
-    return Size(tree.depth, len(np.unique(tree.apply(X))))
+        return tree.n_bits, len(tree.observe(X).patterns)
+    return tree.depth, len(np.unique(tree.apply(X)))

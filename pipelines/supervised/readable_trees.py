@@ -21,20 +21,18 @@ def program_of(tree: otr.ObliqueTree | otr.PatternTree, dataset: Dataset) -> str
         tree: the tree of a data set of one label.
         dataset: where it was learned.
     """
-    X, _ = dataset.labelled("train")
-    if size_of(tree, X).leaves > MOST_LEAVES:
+    pruned, _ = _reached(tree, dataset)
+    if pruned is None:
         return None
-    pruned = otr.prune_unreached(tree, X)
     text = to_text(pruned, feature_names=fragment_names(dataset.name), output_names=_answers(pruned, dataset))
     return wrapped(text) if len(text) <= MOST_CHARACTERS else None
 
 
 def draw(tree: otr.ObliqueTree | otr.PatternTree, dataset: Dataset, path: Path) -> bool:
     """Draw what the training rows reach of a tree, if that has few leaves; tell whether it was drawn."""
-    X, _ = dataset.labelled("train")
-    if size_of(tree, X).leaves > MOST_LEAVES:
+    pruned, X = _reached(tree, dataset)
+    if pruned is None:
         return False
-    pruned = otr.prune_unreached(tree, X)
     figure = draw_tree(
         pruned,
         feature_names=fragment_names(dataset.name),
@@ -44,6 +42,12 @@ def draw(tree: otr.ObliqueTree | otr.PatternTree, dataset: Dataset, path: Path) 
     )
     save_picture(figure, path)
     return True
+
+
+def _reached(tree: otr.ObliqueTree | otr.PatternTree, dataset: Dataset) -> tuple[otr.ObliqueTree | None, np.ndarray]:
+    """Return what the training rows reach of a tree, None if that has many leaves, and the rows."""
+    X, _ = dataset.labelled("train")
+    return otr.prune_unreached(tree, X) if size_of(tree, X)[1] <= MOST_LEAVES else None, X
 
 
 def wrapped(program: str) -> str:

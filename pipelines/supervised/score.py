@@ -41,11 +41,11 @@ def score_trees(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> Non
             value = score(metric, outputs, y)
             row |= {part: "" if np.isnan(value) else f"{value:.8g}", f"n_{part}": len(y)}
             if part == "train":
-                size = size_of(tree, X)
+                depth, leaves = size_of(tree, X)
             elif part == "test" and outputs.ndim == 1:
                 measured = ~np.isnan(dataset.test.Y[:, dataset.label_names.index(label)])
                 predictions[measured, i] = outputs
-        row |= {"leaves": size.leaves, "depth": size.depth}
+        row |= {"leaves": leaves, "depth": depth}
         rows.append(row | {key: described[key] for key in COLUMNS if key in described})
     program = program_of(tree, dataset) if len(trees) == 1 else None
     if program:

@@ -5,7 +5,7 @@ import shutil
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from pipelines.config.run import RunConfig
 from pipelines.engine.store import read_json, write_json
@@ -21,27 +21,12 @@ STEPS = "train/steps"  # every row has it, so its latest value tells how far the
 MAX_PARAMETERS = 100  # in one request to MLflow
 
 
-class Backend(Protocol):
-    """Where a tracker writes to; the run's latest record there is taken up again."""
-
-    def result(self) -> str | None:
-        """Return the digest that `complete` was called with, None for a run under way."""
-
-    def last_step(self) -> int:
-        """Return the environment steps of the last row that was logged; 0 where there is none."""
-
-    def start(self, parameters: Mapping[str, str]) -> None:
-        """Begin a new record of the run."""
-
-    def log(self, step: int, numbers: Mapping[str, float]) -> None:
-        """Add a point to each of the named curves."""
-
-    def complete(self, step: int, numbers: Mapping[str, float], run_dir: Path, result: str) -> None:
-        """Add the final numbers at this step, and the run's files."""
-
-
 class TensorBoard:
-    """Event files under `results_dir/tensorboard`, with a note of how far they go."""
+    """Event files under `results_dir/tensorboard`, with a note of how far they go.
+
+    `Mlflow` has the same methods. Either takes up the run's latest record again: `result` is the digest that `complete`
+    was called with, None for a run under way; `start` begins a new record.
+    """
 
     def __init__(self, config: RunConfig, parameters: Mapping[str, str]) -> None:
         self._folder = Path(config.results_dir) / "tensorboard" / config.folder.removeprefix("runs/")

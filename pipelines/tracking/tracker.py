@@ -15,7 +15,7 @@ from typing import Any
 from pipelines.config.run import RunConfig
 from pipelines.engine.store import read_csv, read_json
 from pipelines.errors import ConfigError
-from pipelines.tracking.backends import Backend, Mlflow, TensorBoard
+from pipelines.tracking.backends import Mlflow, TensorBoard
 
 Row = Mapping[str, Any]
 SERVER_VARIABLE = "MLFLOW_TRACKING_URI"
@@ -33,20 +33,12 @@ def check_tracking(config: RunConfig) -> None:
         )
 
 
-def open_tracker(config: RunConfig) -> "Tracker":
-    """Return the tracker of one run, `config.folder`; with tracking=none it does nothing.
-
-    A process that trains many runs holds one for each.
-    """
-    return Tracker(config)
-
-
 class Tracker:
-    """Logs one run; no method ever raises for a tracker's sake."""
+    """Logs one run, `config.folder`; with tracking=none it does nothing. No method ever raises for a tracker's sake."""
 
     def __init__(self, config: RunConfig) -> None:
         self._config = config
-        self._backend: Backend | None = None
+        self._backend: TensorBoard | Mlflow | None = None
         self._last_step = 0
         self._is_off = config.tracking == "none"
 
@@ -72,16 +64,14 @@ class Tracker:
 
     def _complete(self, summary: Mapping[str, Any], run_dir: Path) -> None:
         backend = _open_backend(self._config)
-        result = _result(run_dir)
+        result: str = read_json(run_dir / "evaluate" / "manifest.json")["key"]
         if backend.result() == result:
             return
         if backend.result() is not None:
             backend.start(_parameters(self._config))
         step = backend.last_step()
-        names = (
-            ("progress", "evaluations") if (run_dir / "train").is_dir() else ()
-        )  # not of what imitates or is written
-        rows = (read_csv(run_dir / "train" / f"{name}.csv") for name in names)
+        is_trained = (run_dir / "train").is_dir()  # not what imitates or is written
+        rows = (read_csv(run_dir / "train" / f"{name}.csv") for name in ("progress", "evaluations") if is_trained)
         for progress, evaluation in zip(*rows, strict=True):
             if int(progress["steps"]) > step:
                 step = int(progress["steps"])
@@ -107,7 +97,7 @@ def _warn_once(tracker: str, folder: str, reason: str) -> None:
     )
 
 
-def _open_backend(config: RunConfig) -> Backend:
+def _open_backend(config: RunConfig) -> TensorBoard | Mlflow:
     kind = Mlflow if config.tracking == "mlflow" else TensorBoard
     return kind(config, _parameters(config))
 
@@ -138,8 +128,3 @@ def _numbers(row: Row, prefix: str) -> dict[str, float]:
         except (TypeError, ValueError):
             continue
     return numbers
-
-
-def _result(run_dir: Path) -> str:
-    digest: str = read_json(run_dir / "evaluate" / "manifest.json")["key"]
-    return digest

@@ -43,12 +43,18 @@ class PidActor(ReluActor):
         return {"l1": self.method.l1, "first_layer_scale": self.method.first_layer_scale}
 
     def segment_learnt(self, model: BaseAlgorithm) -> None:
-        """Set small output weights to zero."""
-        zero_small_weights(model, self.method.zero_below)
+        """Set the gains' output weights below `zero_below` to zero."""
+        weight = _controller(model).gains[-1].weight
+        with torch.no_grad():
+            weight[weight.abs() < self.method.zero_below] = 0.0  # type: ignore[operator]
 
     def exported(self, model: BaseAlgorithm) -> otr.ReluNetwork:
         """Return the network of [s, P, I, D]."""
-        return exported_network(model)
+        box = model.action_space
+        assert isinstance(box, gym.spaces.Box)
+        gains = otr.from_torch(_controller(model).gains)
+        network: otr.ReluNetwork = pid_network(gains, box.low.ravel(), box.high.ravel())
+        return network
 
 
 class PidController(nn.Module):
@@ -111,18 +117,6 @@ class PidPolicy(TD3Policy):
         return super()._get_constructor_parameters() | self.own
 
 
-def zero_small_weights(model: Any, below: float) -> None:
-    """Set the gains' output weights of a model with a `PidPolicy` that are smaller than `below` to zero."""
-    assert isinstance(model.actor, PidControllerActor)
-    weight = model.actor.mu.gains[-1].weight
-    with torch.no_grad():
-        weight[weight.abs() < below] = 0.0  # type: ignore[operator]
-
-
-def exported_network(model: Any) -> otr.ReluNetwork:
-    """Return the actor of a model with a `PidPolicy` as a network of [s, P, I, D]."""
-    assert isinstance(model.actor, PidControllerActor)
-    box = model.action_space
-    assert isinstance(box, gym.spaces.Box)
-    network: otr.ReluNetwork = pid_network(otr.from_torch(model.actor.mu.gains), box.low.ravel(), box.high.ravel())
-    return network
+def _controller(model: BaseAlgorithm) -> PidController:
+    assert isinstance(model.policy, PidPolicy)
+    return model.policy.actor.mu

@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import torch
-from sb3_contrib import TRPO
+from sb3_contrib import ARS, TRPO
 from stable_baselines3 import DDPG, DQN, PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.monitor import Monitor
@@ -33,7 +33,6 @@ from pipelines.errors import ConfigError
 from pipelines.play.environments import flat_state_size, is_discrete, make_training_env
 from pipelines.training.actors import actor_of
 from pipelines.training.estimates import learning_starts
-from pipelines.training.random_search import build_ars
 from pipelines.training.relu_actor import ReluActor
 
 torch.set_num_threads(1)  # two threads make these small networks a hundred times slower
@@ -78,6 +77,32 @@ def build_model(config: RunConfig, seed: int) -> BaseAlgorithm:
     if isinstance(algo, DqnConfig):
         _explore_by_steps(model, algo, config.train.steps)
     return model
+
+
+def build_ars(env: DummyVecEnv, config: ArsConfig, seed: int) -> ARS:
+    """Return an untrained linear policy of zeros, searched at random (Mania et al. 2018).
+
+    The weights that it searches around share the memory of its policy's parameters, so that a checkpoint of those
+    resumes it. `learn` ends after the update under way: an update is 2 n_delta whole episodes, however long they are.
+
+    Raises:
+        ConfigError: several environments, whose steps it would count wrongly, or more directions used than tried.
+    """
+    if env.num_envs != 1:
+        raise ConfigError(f"algo=ars plays one episode at a time, but there are {env.num_envs} environments; use one")
+    if config.n_top > config.n_delta:
+        raise ConfigError(f"algo.n_top={config.n_top} is more than algo.n_delta={config.n_delta}")
+    return ARS(
+        "LinearPolicy",
+        env,
+        n_delta=config.n_delta,
+        n_top=config.n_top,
+        learning_rate=config.learning_rate,
+        delta_std=config.delta_std,
+        policy_kwargs={"with_bias": config.with_bias},
+        seed=seed,
+        device="cpu",
+    )
 
 
 def _check_actions(config: RunConfig, discrete: bool) -> None:

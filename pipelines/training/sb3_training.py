@@ -17,7 +17,7 @@ from stable_baselines3.common.logger import Logger
 
 from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import stream_seed
-from pipelines.tracking.tracker import open_tracker
+from pipelines.tracking.tracker import Tracker
 from pipelines.training.actors import actor_of
 from pipelines.training.checkpoints import progress_row
 from pipelines.training.estimates import segment_steps
@@ -43,7 +43,7 @@ def train_by_sb3(config: RunConfig, checkpoints: Path, out: Path) -> None:
     checkpoints.mkdir(parents=True, exist_ok=True)
     model, actor = build_model(config, stream_seed(config.seed, "train")), actor_of(config)
     history = load_checkpoint(checkpoints, model)
-    tracker = open_tracker(config)
+    tracker = Tracker(config)
     for rows in zip(history.progress, history.evaluations, strict=True):
         tracker.segment_done(*rows)  # a kill may have come between a checkpoint and its log
     with TrainingProgress(config, model.num_timesteps) as progress:

@@ -8,7 +8,6 @@ interrupted, on one type of processor with the same package versions.
 
 import copy
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, cast
 
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -46,7 +45,8 @@ class SoftActor(ReluActor):
 
     def callbacks(self) -> list[BaseCallback]:
         """Return what changes in the course of training."""
-        return [SoftSchedule(schedule_of(self.config))]
+        assert isinstance(self.config.method, SoftConfig)
+        return [SoftSchedule(self.config.method, self.config.train.steps)]
 
     def evaluate(self, model: BaseAlgorithm) -> tuple[dict[str, bytes], Rollout]:
         """Return the soft tree's files, and what came of the hard tree's selection episodes."""
@@ -59,72 +59,29 @@ class SoftActor(ReluActor):
         return soft_files(module, shape_of(self.config)), play_episodes(tree.predict, self.config)
 
 
-def schedule_of(config: RunConfig) -> "ScheduleConfig":
-    """Return what changes in the course of a run's training."""
-    method = config.method
-    assert isinstance(method, SoftConfig)
-    discretise_at = method.discretise_at if isinstance(method, PiPrlConfig) else 1.0
-    return ScheduleConfig(
-        config.train.steps,
-        method.beta_first,
-        method.beta_last,
-        method.anneal_until,
-        discretise_at,
-        method.learning_rate_end,
-    )
-
-
-@dataclass(frozen=True)
-class ScheduleConfig:
-    """What changes in the course of training, in fractions of `n_steps`.
-
-    Attributes:
-        n_steps: environment steps of the whole training.
-        beta_first, beta_last: how hard the tests are at first and at last; in between beta grows geometrically.
-        anneal_until: fraction at which beta has reached its last value.
-        discretise_at: fraction at which pi-PRL's structure is chosen; before it, rollouts update its program and its
-            architecture in turns.
-        learning_rate_end: what is left of the learning rate at the end, falling linearly.
-    """
-
-    n_steps: int
-    beta_first: float
-    beta_last: float
-    anneal_until: float
-    discretise_at: float
-    learning_rate_end: float = 1.0
-
-    def learning_rate(self, first: float, num_timesteps: int) -> float:
-        """Return the learning rate of the rollout that begins after `num_timesteps`."""
-        done = min(1.0, num_timesteps / self.n_steps)
-        return first * (1.0 + done * (self.learning_rate_end - 1.0))
-
-    def apply(self, module: SoftModule, num_timesteps: int, rollout_steps: int) -> None:
-        """Bring `module` to what holds for the rollout that begins after `num_timesteps`."""
-        done = num_timesteps / self.n_steps
-        progress = min(1.0, done / self.anneal_until) if self.anneal_until > 0.0 else 1.0
-        module.set_beta(self.beta_first * (self.beta_last / self.beta_first) ** progress)
-        if isinstance(module, RelaxedProgram):
-            if done >= self.discretise_at:
-                module.discretise()
-            in_turn = (num_timesteps // rollout_steps) % 2 == 0
-            module.learns = "program" if module.is_discrete or in_turn else "architecture"
-
-
 class SoftSchedule(BaseCallback):
-    """Applies a `ScheduleConfig` at the start of every rollout."""
+    """What changes in the course of a training of `n_steps`, set at the start of every rollout."""
 
     model: OnPolicyAlgorithm
 
-    def __init__(self, schedule: ScheduleConfig) -> None:
+    def __init__(self, method: SoftConfig, n_steps: int) -> None:
         super().__init__()
-        self._schedule = schedule
+        self._method, self._n_steps = method, n_steps
 
     def _on_rollout_start(self) -> None:
-        rollout_steps = self.model.n_steps * self.model.n_envs
-        num_timesteps = self.model.num_timesteps
-        self._schedule.apply(soft_module(self.model), num_timesteps, rollout_steps)
-        rate = self._schedule.learning_rate(cast(float, self.model.learning_rate), num_timesteps)
+        """Set how hard the tests are, what of pi-PRL's program learns, and the learning rate, by the steps done."""
+        method, module = self._method, soft_module(self.model)
+        done = self.model.num_timesteps / self._n_steps
+        progress = min(1.0, done / method.anneal_until) if method.anneal_until > 0.0 else 1.0
+        module.set_beta(method.beta_first * (method.beta_last / method.beta_first) ** progress)
+        if isinstance(module, RelaxedProgram):
+            assert isinstance(method, PiPrlConfig)
+            if done >= method.discretise_at:
+                module.discretise()
+            # Until its structure is chosen, rollouts update its program and its architecture in turns.
+            in_turn = (self.model.num_timesteps // (self.model.n_steps * self.model.n_envs)) % 2 == 0
+            module.learns = "program" if module.is_discrete or in_turn else "architecture"
+        rate = cast(float, self.model.learning_rate) * (1.0 + min(1.0, done) * (method.learning_rate_end - 1.0))
         # By the steps done: Stable-Baselines3's own measure of progress begins anew with each segment.
         self.model.lr_schedule = lambda _progress_remaining: rate
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from pipelines.config.algo import SacConfig
 from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import stream_seed, stream_seeds
-from pipelines.tracking.tracker import open_tracker
+from pipelines.tracking.tracker import Tracker
 from pipelines.training.checkpoints import History, last_segment, read_segment, write_segment
 from pipelines.training.estimates import segment_steps
 from pipelines.training.fleet.replay_buffer import RowLayout, open_rows
@@ -41,7 +41,7 @@ class FleetRun:
             self.history, counters = read_segment(segment)
             self.n_steps, self.n_updates = counters["num_timesteps"], counters["n_updates"]
             self.tensors = load_file(segment / STATE_FILE)
-        self.tracker = open_tracker(config)
+        self.tracker = Tracker(config)
         for rows in zip(self.history.progress, self.history.evaluations, strict=True):
             self.tracker.segment_done(*rows)  # a kill may have come between a checkpoint and its log
         self.rows = open_rows(self.folder / "replay.bin", self._capacity, layout)

@@ -135,7 +135,7 @@ class FleetTrainer:
             seeds = [run.seeds(1 + n_envs) for run in self.runs]
             streams = Streams([own[0] for own in seeds], n_envs, self.runs[0].algo.batch_size, n_actions)
             first_update = learning_starts(config)
-            episodes = _Episodes(n_runs, n_envs)
+            episodes = _EpisodeSums(n_runs, n_envs)
             states = self._by_run(self._env.reset([seed for own in seeds for seed in own[1:]]))
             for t in range(n_vector_steps):
                 ahead = t % streams.n_steps_ahead
@@ -184,7 +184,7 @@ class FleetTrainer:
         return rows.view(len(self.runs), self._n_envs, -1)
 
 
-class _Episodes:
+class _EpisodeSums:
     """Returns and lengths of the episodes that end, by run."""
 
     def __init__(self, n_runs: int, n_envs: int) -> None:

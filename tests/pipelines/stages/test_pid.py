@@ -18,7 +18,7 @@ from pipelines.play.environments import feature_names, make_env
 from pipelines.play.rollout import rollout
 from pipelines.play.selection import compare_with_trained
 from pipelines.stages.train import TRAIN, train_settings, trained_steps
-from pipelines.training.pid_actor import exported_network, zero_small_weights
+from pipelines.training.actors import actor_of
 from pipelines.training.sb3_models import build_model
 from tests.control.pids import thesis_policy
 from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM, otr_command
@@ -98,7 +98,7 @@ def test_the_thesis_s_program_swings_up():
 def test_exported_network_is_the_trained_actor(pid, depth, slope):
     config = pid(depth=depth, actor=dataclasses.replace(pid().actor, negative_slope=slope))
     model = build_model(config, 0)
-    network = exported_network(model)
+    network = actor_of(config).exported(model)
     assert network.n_hidden == sum(config.hidden_widths) and network.negative_slope == slope
     states = np.random.default_rng(0).normal(size=(200, 12))
 
@@ -147,9 +147,10 @@ def test_small_output_weights_become_zero(pid):
     weight = model.actor.mu.gains[-1].weight
     with torch.no_grad():
         weight[:3, 0] = torch.tensor([0.009, -0.009, 0.011])
-    zero_small_weights(model, 0.01)
+    actor = actor_of(pid())
+    actor.segment_learnt(model)
     assert weight[:3, 0].tolist() == pytest.approx([0.0, 0.0, 0.011])
-    assert exported_network(model).weights[-1][9:12, 0].tolist() == pytest.approx([0.0, 0.0, 0.011])
+    assert actor.exported(model).weights[-1][9:12, 0].tolist() == pytest.approx([0.0, 0.0, 0.011])
 
 
 def test_killed_and_resumed_equals_uninterrupted(pid, tmp_path):

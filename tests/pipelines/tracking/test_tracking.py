@@ -18,7 +18,7 @@ from pipelines.engine.store import read_csv
 from pipelines.errors import ConfigError
 from pipelines.stages.run_job import RunJob, run_job
 from pipelines.tracking import tracker as tracking
-from pipelines.tracking.tracker import check_tracking, open_tracker
+from pipelines.tracking.tracker import Tracker, check_tracking
 from tests.pipelines.sweeps import start, wait_for
 
 FOLDER = "runs/pendulum/otr/depth-4/smoke/seed-0"
@@ -95,7 +95,7 @@ def test_finished_run_is_logged_from_its_files(backend, tracked):
 
 def test_rows_that_were_logged_are_passed_over(backend, tracked):
     backend.rows = [(100, {}), (200, {})]
-    tracker = open_tracker(tracked.config)
+    tracker = Tracker(tracked.config)
     for steps in (100, 200, 300):
         tracker.segment_done({"steps": steps, "seconds": 1.5}, {"steps": steps, "best": True})
     assert [step for step, _ in backend.rows] == [100, 200, 300]
@@ -105,7 +105,7 @@ def test_rows_that_were_logged_are_passed_over(backend, tracked):
 
 def test_run_that_is_made_anew_gets_a_new_record(backend, tracked):
     backend.rows, backend.known_result = [(300, {})], "of the run that was deleted"
-    open_tracker(tracked.config).segment_done({"steps": 100}, {"steps": 100})
+    Tracker(tracked.config).segment_done({"steps": 100}, {"steps": 100})
     assert backend.started == 1
     assert [step for step, _ in backend.rows] == [100]
 

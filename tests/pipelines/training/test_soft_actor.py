@@ -16,14 +16,13 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 import otr
 from pipelines.cli.runs import run_config
 from pipelines.config.algo import ArsConfig
+from pipelines.config.methods import PiPrlConfig
 from pipelines.engine.store import write_files
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.training.checkpoints import History
-from pipelines.training.random_search import build_ars
 from pipelines.training.sb3_checkpoints import load_checkpoint, save_checkpoint
-from pipelines.training.sb3_models import build_model
+from pipelines.training.sb3_models import build_ars, build_model
 from pipelines.training.soft_actor import (
-    ScheduleConfig,
     SoftActorCriticPolicy,
     SoftSchedule,
     exported_module,
@@ -41,8 +40,14 @@ ACTORS = [
 ]
 N_STEPS, N_ENVS = 32, 2
 ROLLOUT = N_STEPS * N_ENVS
-SCHEDULE = ScheduleConfig(
-    4 * ROLLOUT, beta_first=1.0, beta_last=16.0, anneal_until=0.5, discretise_at=0.75, learning_rate_end=0.2
+METHOD = PiPrlConfig(
+    "pi_prl",
+    beta_first=1.0,
+    beta_last=16.0,
+    anneal_until=0.5,
+    learning_rate_end=0.2,
+    structure_penalty=0.25,
+    discretise_at=0.75,
 )
 
 ids = pytest.mark.parametrize("actor", ACTORS, ids=lambda actor: actor.kind)
@@ -71,7 +76,14 @@ def learn_segment(model: OnPolicyAlgorithm, env_id: str, segment: int, n_rollout
     model.set_logger(Logger(folder=None, output_formats=[]))
     model.set_env(make_env(env_id), force_reset=True)
     model.set_random_seed(segment)
-    model.learn(n_rollouts * ROLLOUT, SoftSchedule(SCHEDULE), log_interval=None, reset_num_timesteps=False)
+    model.learn(n_rollouts * ROLLOUT, SoftSchedule(METHOD, 4 * ROLLOUT), log_interval=None, reset_num_timesteps=False)
+
+
+def start_rollout(model: OnPolicyAlgorithm, n_steps_done: int, **changes: float) -> None:
+    schedule = SoftSchedule(dataclasses.replace(METHOD, **changes), 4 * ROLLOUT)
+    schedule.init_callback(model)
+    model.num_timesteps = n_steps_done
+    schedule.on_rollout_start()
 
 
 def parameters(model: OnPolicyAlgorithm) -> dict[str, torch.Tensor]:
@@ -92,7 +104,7 @@ def test_a_resumed_run_is_the_run(tmp_path: Path, actor: Shape, env_id: str) -> 
         save_checkpoint(tmp_path, model, history, segment * ROLLOUT)
     for name, tensor in parameters(whole).items():
         assert torch.equal(tensor, parameters(model)[name]), name
-    assert model.num_timesteps == whole.num_timesteps == SCHEDULE.n_steps
+    assert model.num_timesteps == whole.num_timesteps == 4 * ROLLOUT
 
 
 @pytest.mark.parametrize("algorithm", [PPO, TRPO])
@@ -114,11 +126,12 @@ def test_the_phases_of_pi_prl(algorithm: type) -> None:
 
 
 def test_beta_grows_geometrically_up_to_its_end() -> None:
-    module = build_module(ACTORS[1], 4, 2)
+    model = make_model(ACTORS[1])
+    module = soft_module(model)
     for steps, beta in ((0, 1.0), (ROLLOUT, 4.0), (2 * ROLLOUT, 16.0), (3 * ROLLOUT, 16.0)):
-        SCHEDULE.apply(module, steps, ROLLOUT)
+        start_rollout(model, steps)
         assert float(module.features.beta) == float(module.decisions.beta) == pytest.approx(beta)
-    dataclasses.replace(SCHEDULE, anneal_until=0.0).apply(module, 0, ROLLOUT)
+    start_rollout(model, 0, anneal_until=0.0)
     assert float(module.features.beta) == 16.0
 
 
@@ -129,7 +142,8 @@ def test_the_learning_rate_falls_linearly_over_all_segments() -> None:
         learn_segment(model, "CartPole-v1", segment)
         rates.append(model.policy.optimizer.param_groups[0]["lr"])
     assert rates == pytest.approx([3e-4, 2.4e-4, 1.8e-4, 1.2e-4])
-    assert SCHEDULE.learning_rate(3e-4, 5 * ROLLOUT) == pytest.approx(0.6e-4)
+    start_rollout(model, 5 * ROLLOUT)
+    assert model.lr_schedule(1.0) == pytest.approx(0.6e-4)
 
 
 @pytest.mark.parametrize("env_id", ["CartPole-v1", "Pendulum-v1"])

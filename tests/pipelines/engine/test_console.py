@@ -2,7 +2,7 @@
 
 import pytest
 
-from pipelines.engine import waiting
+from pipelines.engine import console
 
 
 @pytest.mark.parametrize(
@@ -10,7 +10,7 @@ from pipelines.engine import waiting
     [(True, -1.0, "\rjobs: 0 of 2\rjobs: 1 of 2\r\x1b[K"), (True, 60.0, ""), (False, -1.0, "")],
 )
 def test_a_terminal_is_told_where_it_takes_long(monkeypatch, capsys, terminal, patience, told):
-    monkeypatch.setattr(waiting, "PATIENCE_S", patience)
+    monkeypatch.setattr(console, "PATIENCE_S", patience)
     monkeypatch.setattr("sys.stderr.isatty", lambda: terminal)
-    assert list(waiting.counted(["a", "b"], "jobs")) == ["a", "b"]
+    assert list(console.counted(["a", "b"], "jobs")) == ["a", "b"]
     assert capsys.readouterr() == ("", told)

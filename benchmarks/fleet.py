@@ -31,7 +31,7 @@ from benchmarks.measure import Entry, alternate
 from benchmarks.training import plain_trainer
 from pipelines.cli import runs
 from pipelines.config.run import RunConfig
-from pipelines.stages.fleets import fleets
+from pipelines.stages.train import fleets
 from pipelines.training.fleet.fleet_run import FleetRun
 from pipelines.training.fleet.progress import FleetProgress
 from pipelines.training.fleet.sac import FleetSac, Minibatch, RunSettings, Shapes

@@ -10,13 +10,15 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
-from pipelines.cli.messages import readable
 from pipelines.cli.overrides import key_of, parse, quoted
 from pipelines.config.conf_dir import CONF_DIR
+from pipelines.engine.job import message_of as message_of_job
 from pipelines.engine.sweep import check_launcher
 from pipelines.errors import ConfigError, did_you_mean
 
+USAGE_ERRORS = (ConfigError, HydraException, OmegaConfBaseException)  # the request itself is wrong
 NEW_KEYS = ("experiment", "env.kwargs.", "hydra.")  # what a + may add
 
 
@@ -51,11 +53,7 @@ class Composer:
         return []
 
     def compose(self, overrides: Sequence[str]) -> DictConfig:
-        """Return the composed configuration; unknown names come back with the nearest known ones.
-
-        Raises:
-            ConfigError: an override is wrong, or one is missing.
-        """
+        """Return the composed configuration; ConfigError names the override that is wrong or missing."""
         values = [override for override in overrides if override.partition("=")[0] in self.varied]
         others = [override for override in overrides if override not in values]
         found = tuple(sorted(others))
@@ -141,12 +139,23 @@ class Composer:
         return readable("\n".join(lines))
 
 
-def to_object(cfg: Any) -> Any:
-    """Return a configuration as the dataclass that is its schema.
+def message_of(error: Exception) -> str:
+    """Return the message alone where it was written for people, with the error's kind where it was not."""
+    if isinstance(error, OmegaConfBaseException):
+        return readable(str(error))
+    return str(error) if isinstance(error, HydraException) else message_of_job(error)
 
-    Raises:
-        ConfigError: a value is missing, or the dataclass refuses one.
-    """
+
+def readable(message: str) -> str:
+    """Return OmegaConf's message in one line that begins with the key."""
+    lines = [line.strip() for line in message.splitlines() if line.strip() and "_type=" not in line]
+    keys = [line.removeprefix("full_key: ") for line in lines if line.startswith("full_key: ")]
+    rest = "\n".join(line for line in lines if not line.startswith("full_key: "))
+    return f"{keys[0]}: {rest}" if keys else rest
+
+
+def to_object(cfg: Any) -> Any:
+    """Return a configuration as the dataclass that is its schema; ConfigError where a value is missing or refused."""
     missing = OmegaConf.missing_keys(cfg)
     if missing:
         raise ConfigError(f"no value for {', '.join(sorted(missing))}")

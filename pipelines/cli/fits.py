@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 
-from pipelines.cli.workflow import Compositions, Workflow
+from pipelines.cli.workflow import Workflow
 from pipelines.config.setting import not_keyed
 from pipelines.supervised.config import LEARNERS, DataConfig, FitConfig, fit_folder
 from pipelines.supervised.fit_job import FitJob, fit_groups, fit_job, fit_jobs
@@ -21,13 +21,13 @@ class FitWorkflow(Workflow):
     do_group = staticmethod(fit_jobs)
     groups = staticmethod(fit_groups)
 
-    def job(self, composed: Compositions, overrides: Sequence[str]) -> FitJob:
+    def job(self, overrides: Sequence[str]) -> FitJob:
         """Return the fit with these overrides."""
-        made = composed(overrides)
+        made = self.composed(overrides)
         config: FitConfig = made.config
         baseline = config
         if not all(map(self.is_plain, overrides)):
-            named = composed([f"data={config.data.name}", f"method={config.method.name}"])
+            named = self.composed([f"data={config.data.name}", f"method={config.method.name}"])
             baseline = dataclasses.replace(named.config, seed=config.seed)
         folder = fit_folder(config, baseline)
         return FitJob(dataclasses.replace(config, folder=folder), folder, made.yaml, tuple(overrides))

@@ -13,12 +13,8 @@ from pipelines.engine.store import write_text
 def write_jobs(path: Path, jobs: Sequence[Job], groups: Callable[[Sequence[Any]], list[list[int]]]) -> int:
     """Write one shell command a line for every job that is not done, in the jobs' order; return how many lines.
 
-    Jobs that one process does together are one line where a sweep of their own gives just them, else a line each.
-
-    Args:
-        path: the file.
-        jobs: the jobs.
-        groups: from configurations to the positions of those that one process does.
+    Jobs that one process does together (`groups`: positions of configurations) are one line where a sweep of their own
+    gives just them, else a line each.
     """
     left = [job for job in jobs if not is_done(job)]
     lines = []

@@ -74,7 +74,7 @@ def _arguments(program: str) -> argparse.Namespace:
 
 
 def _complain(program: str, error: Exception, debug: bool) -> int:
-    from pipelines.cli.messages import USAGE_ERRORS, message_of  # imports Hydra
+    from pipelines.cli.compose import USAGE_ERRORS, message_of  # imports Hydra
 
     if debug:
         traceback.print_exception(error)

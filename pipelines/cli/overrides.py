@@ -14,11 +14,7 @@ PATHS = ("run", "out", "results_dir", "certificate", "tree", "actor")  # keys of
 
 
 def parse(override: str) -> Override:
-    """Return an override as Hydra reads it.
-
-    Raises:
-        ConfigError: it is no key=value.
-    """
+    """Return an override as Hydra reads it; ConfigError where it is no key=value."""
     try:
         return OverridesParser.create().parse_override(override)
     except HydraException as error:

@@ -10,7 +10,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from pipelines.cli.compose import schema_of, to_object
 from pipelines.cli.overrides import key_of
-from pipelines.cli.workflow import Compositions, Workflow, columns_spelt_out
+from pipelines.cli.workflow import Workflow, columns_spelt_out
 from pipelines.config.algo import ALGORITHMS, ArsConfig
 from pipelines.config.budget import BudgetConfig
 from pipelines.config.env import EnvConfig
@@ -20,9 +20,9 @@ from pipelines.config.setting import not_keyed
 from pipelines.config.trainer import TRAINERS, FleetConfig, TrainerConfig
 from pipelines.engine.store import corrupt
 from pipelines.errors import ConfigError
-from pipelines.stages.fleets import fleets
 from pipelines.stages.parse import policy_tree, read_program
 from pipelines.stages.run_job import RunJob, run_job, run_jobs
+from pipelines.stages.train import fleets
 from pipelines.tracking.tracker import check_tracking
 
 # The groups and keys that decide how an oracle is trained, and where and how that is done.
@@ -106,24 +106,24 @@ class RunWorkflow(Workflow):
                 spelt_out.append(override)
         return columns_spelt_out(spelt_out)
 
-    def job(self, composed: Compositions, overrides: Sequence[str]) -> RunJob:
+    def job(self, overrides: Sequence[str]) -> RunJob:
         """Return the run with these overrides, and the run that trains its oracle."""
-        made = composed(overrides)
+        made = self.composed(overrides)
         config: RunConfig = made.config
         if isinstance(config.method, ProgramConfig):
             text, depth = _program(config, config.method.program, overrides)
-            made = composed([*overrides, f"depth={depth}"])
+            made = self.composed([*overrides, f"depth={depth}"])
             config = dataclasses.replace(made.config, program_text=text)
-        oracle = self.job(composed, _of_oracle(config, overrides)) if config.method.imitates else None
-        baseline = config if all(map(self.is_plain, overrides)) else self._baseline(composed, config)
+        oracle = self.job(_of_oracle(config, overrides)) if config.method.imitates else None
+        baseline = config if all(map(self.is_plain, overrides)) else self._baseline(config)
         folder = run_folder(config, baseline)
         config = dataclasses.replace(config, folder=folder, oracle_run=oracle.config if oracle else None)
         return RunJob(config, folder, made.yaml, tuple(overrides), oracle)
 
-    def _baseline(self, composed: Compositions, config: RunConfig) -> RunConfig:
+    def _baseline(self, config: RunConfig) -> RunConfig:
         """Return what the same env, method, depth, budget, trainer and seed give without any other override."""
         algorithm = ["algo=ars"] if isinstance(config.algo, ArsConfig) else []
-        baseline: RunConfig = composed([
+        baseline: RunConfig = self.composed([
             f"env={config.env.name}", f"method={config.method.name}", f"budget={config.budget.name}",
             f"trainer={config.trainer.name}", *algorithm, f"depth={config.depth}", f"seed={config.seed}",
         ]).config  # fmt: skip

@@ -44,10 +44,24 @@ class Workflow(Composer, ABC):
     naming: tuple[str, ...]
     harmless: tuple[str, ...]
     varied: tuple[str, ...] = ("seed",)
+    _made: dict[tuple[str, ...], Composed]  # of the jobs that are asked for
 
     @abstractmethod
-    def job(self, composed: "Compositions", overrides: Sequence[str]) -> Job:
+    def job(self, overrides: Sequence[str]) -> Job:
         """Return the job with these overrides."""
+
+    def composed(self, overrides: Sequence[str]) -> Composed:
+        """Return the configuration that overrides make; what differs in the seed alone is composed once."""
+        seeds = [override for override in overrides if override.startswith("seed=")]
+        others = tuple(override for override in overrides if override not in seeds)
+        if others not in self._made:
+            self._made[others] = _composed(self.compose(others))
+        if not seeds:
+            return self._made[others]
+        seed = parse(seeds[-1]).value()
+        if type(seed) is not int or _uses_seed(others):
+            return _composed(self.compose(overrides))
+        return self._made[others].with_seed(seed)
 
     # Functions, so that they can be handed to a sweep's processes.
     do: Callable[[Any], Any]  # does one job
@@ -63,8 +77,8 @@ class Workflow(Composer, ABC):
 
     def jobs(self, overrides_of_jobs: Sequence[Sequence[str]]) -> list[Job]:
         """Return the jobs with these overrides, in their order."""
-        composed = Compositions(self)
-        return [self.job(composed, own) for own in counted(overrides_of_jobs, "jobs composed")]
+        self._made = {}
+        return [self.job(own) for own in counted(overrides_of_jobs, "jobs composed")]
 
     def expand(self, overrides: Sequence[str], multirun: bool) -> list[list[str]]:
         """Return the overrides of every job that a command's overrides ask for, in the order of Hydra's own sweeper."""
@@ -74,11 +88,7 @@ class Workflow(Composer, ABC):
         return [self.spelt_out(own) for own in combinations((*parameters, *overrides))]
 
     def is_sweep(self, overrides: Sequence[str], multirun: bool) -> bool:
-        """Return whether a command's overrides ask for a sweep: by -m, or by an experiment that says so.
-
-        Raises:
-            ConfigError: there are several values of a key, and nothing that asks for a sweep.
-        """
+        """Return whether a command's overrides ask for a sweep: by -m, or by an experiment that says so."""
         swept = [parsed.get_key_element() for parsed in map(parse, overrides) if parsed.is_sweep_override()]
         if swept and not multirun and not any(override.startswith("+experiment=") for override in overrides):
             raise ConfigError(f"{', '.join(swept)}: several values make a sweep; add -m")
@@ -117,27 +127,6 @@ class Workflow(Composer, ABC):
             path = CONF_DIR / self.folder / "experiment" / f"{value}.yaml"
             return path.is_file() and OmegaConf.load(path).keys() <= {"hydra", *self.harmless}
         return key in (*self.naming, *self.harmless) or is_of_launching(override)
-
-
-class Compositions:
-    """The configurations of jobs; what differs in the seed alone is composed once."""
-
-    def __init__(self, workflow: Workflow) -> None:
-        self._workflow = workflow
-        self._found: dict[tuple[str, ...], Composed] = {}
-
-    def __call__(self, overrides: Sequence[str]) -> Composed:
-        """Return the configuration that overrides make."""
-        seeds = [override for override in overrides if override.startswith("seed=")]
-        others = tuple(override for override in overrides if override not in seeds)
-        if others not in self._found:
-            self._found[others] = _composed(self._workflow.compose(others))
-        if not seeds:
-            return self._found[others]
-        seed = parse(seeds[-1]).value()
-        if type(seed) is not int or _uses_seed(others):
-            return _composed(self._workflow.compose(overrides))
-        return self._found[others].with_seed(seed)
 
 
 def _composed(cfg: DictConfig) -> Composed:

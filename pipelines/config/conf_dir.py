@@ -2,7 +2,5 @@
 
 from pathlib import Path
 
-__all__ = ["CONF_DIR"]
-
 _PACKAGED = Path(__file__).parents[1] / "conf"  # in a wheel; in a checkout conf/ is beside the packages
 CONF_DIR = _PACKAGED if _PACKAGED.is_dir() else Path(__file__).parents[2] / "conf"

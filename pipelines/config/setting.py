@@ -114,12 +114,7 @@ def not_keyed(kind: type) -> tuple[str, ...]:
 
 
 def check_settings(config: Any, prefix: str = "") -> None:
-    """Raise ConfigError if a setting is not in the range that its field declares, naming key, value and range.
-
-    Args:
-        config: a dataclass; dataclasses inside it are checked, too.
-        prefix: of the keys in the message.
-    """
+    """Raise ConfigError if a setting of a dataclass, or of one inside it, is not in its field's range."""
     for name in declared(config.__class__):
         value = getattr(config, name)
         if dataclasses.is_dataclass(value):
@@ -139,12 +134,7 @@ def check_setting(kind: Any, name: str, value: Any, key: str) -> None:
 
 
 def keyed_settings(config: Any, method: Any = None) -> dict[str, Any]:
-    """Return the settings that decide what comes out, as plain data.
-
-    Args:
-        config: a dataclass; dataclasses inside it become dicts.
-        method: the method, which `OnlyWhere` asks.
-    """
+    """Return a dataclass's settings that decide what comes out, as plain data; `OnlyWhere` asks the method."""
     kept = {}
     for name, markers in declared(config.__class__).items():
         value = getattr(config, name)

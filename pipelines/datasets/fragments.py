@@ -48,13 +48,6 @@ def fragment_names(name: str) -> tuple[str, ...]:
     """Return a data set's feature names for people: ``C=O (bit1917)`` where a table knows the bit, else its own names.
 
     A long SMILES is cut short; the number of the bit never is.
-
-    Args:
-        name: as `load_dataset` takes it.
-
-    Raises:
-        ConfigError: there is no such data set.
-        MissingInputError, PipelineError: as `load_dataset`, of data sets that are no fingerprints.
     """
     check_name(name)
     if name in TABLES:
@@ -72,11 +65,7 @@ def read_fragments(name: str) -> tuple[Fragment, ...]:
 
 
 def write_fragments(fragments: Iterable[Fragment], path: Path) -> None:
-    """Write a table as CSV.
-
-    Raises:
-        PipelineError: the file cannot be written.
-    """
+    """Write a table as CSV."""
     try:
         with path.open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file, lineterminator="\n")
@@ -87,12 +76,7 @@ def write_fragments(fragments: Iterable[Fragment], path: Path) -> None:
 
 
 def find_fragments(entry: MoleculeSet) -> list[Fragment]:
-    """Return what each bit stands for in a data set's training molecules, found with RDKit.
-
-    Raises:
-        MissingInputError: the file of SMILES is not here and could not be fetched.
-        PipelineError: RDKit is not installed.
-    """
+    """Return what each bit stands for in a data set's training molecules; raises as `perceive`."""
     perceived = perceive(entry)
     n_molecules = [0] * N_BITS
     n_with: list[Counter[str]] = [Counter() for _ in range(N_BITS)]

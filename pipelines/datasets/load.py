@@ -14,10 +14,7 @@ from pipelines.errors import ConfigError, MissingInputError, PipelineError
 
 
 def load_dataset(name: str) -> Dataset:
-    """Return a data set, fetching it or rebuilding it from SMILES where it is not on this machine yet.
-
-    Args:
-        name: bace, hiv, sider, tox21 (fingerprints, uint8), pdbbind, breast_cancer, digits or diabetes (float32).
+    """Return a data set of NAMES, fetching it or rebuilding it from SMILES where it is not on this machine yet.
 
     Raises:
         ConfigError: there is no such data set.

@@ -20,12 +20,7 @@ N_FEATURES = 2052
 
 
 def load_pdbbind() -> Dataset:
-    """Return PDBbind.
-
-    Raises:
-        MissingInputError: the file is not here and could not be fetched.
-        PipelineError: the file is damaged, or holds something else than the arrays that are expected.
-    """
+    """Return PDBbind; raises as `download.read`, and PipelineError where it holds something else than arrays."""
     packed = read(PDBBIND)
     try:
         arrays = unpickle_arrays(gunzip(packed, LARGEST_BYTES))

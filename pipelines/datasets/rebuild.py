@@ -28,12 +28,7 @@ def can_rebuild() -> bool:
 
 
 def rebuild(entry: MoleculeSet) -> dict[str, bytes]:
-    """Return the content of a data set's split files, made from SMILES and labels.
-
-    Raises:
-        MissingInputError: the file of SMILES is not here and could not be fetched.
-        PipelineError: RDKit is not installed, or what it gives differs from LCN's file.
-    """
+    """Return the content of a data set's split files, made from SMILES; PipelineError where it is not LCN's."""
     perceived = perceive(entry)
     import rdkit
 

@@ -2,8 +2,12 @@
 
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from typing import TypeVar
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from rich.console import Console
+from rich.table import Table
 
 PATIENCE_S = 1.5
 SHORT_PROGRAM = 40  # lines; a longer one is named, not shown
@@ -31,3 +35,33 @@ def counted(items: Sequence[T], what: str) -> Iterator[T]:
         yield item
     if shown:
         print("\r\033[K", end="", file=sys.stderr, flush=True)
+
+
+def show_finished(
+    program: str,
+    where: Any,
+    table: Table,
+    lines: Sequence[str],
+    seconds: Mapping[str, float],
+    run_dir: Path,
+    picture: Path | None = None,
+) -> None:
+    """Print what came out of a job, its time and where its files lie; its program in full where that is short.
+
+    Args:
+        program: its text; empty where there is none.
+        where: the file or the command that shows a long program.
+        table, lines: the results, and what is to be said below them.
+        seconds: of each stage.
+        run_dir: the job's folder.
+        picture: a file, named where it is there.
+    """
+    console = Console(highlight=False, soft_wrap=True)
+    n_lines = program.count("\n")
+    if 0 < n_lines <= SHORT_PROGRAM:
+        console.print(f"\n{program}", markup=False)
+    console.print(table)
+    shown = [*lines, f"time: {', '.join(f'{stage} {duration(spent)}' for stage, spent in seconds.items())}"]
+    shown += [f"program: {n_lines} lines, {where}"] if n_lines > SHORT_PROGRAM else []
+    shown += [f"picture: {picture}"] if picture and picture.exists() else []
+    console.print("\n".join([*shown, f"artefacts: {run_dir}"]), markup=False)

@@ -131,11 +131,7 @@ def message_of(error: Exception) -> str:
 
 
 def record_failure(job: Job, error: BaseException, sweep: str) -> str:
-    """Write a failed job's traceback to `results/failures/<sweep>/` and to the job's `error.log`.
-
-    Returns:
-        The former's path, or why it could not be written.
-    """
+    """Write a failed job's traceback to `results/failures/<sweep>/`, whose path is returned, and to its `error.log`."""
     text = f"{job.command}\n\n{''.join(traceback.format_exception(error))}"
     path = Path(job.config.results_dir) / "failures" / sweep / f"{job.folder.replace('/', '_')}.txt"
     try:

@@ -4,11 +4,12 @@ A stage is keyed by the sha256 of its name, its version, its settings and its in
 done, waits where another process is at it, writes into a temporary folder, writes `manifest.json` last and renames.
 """
 
+import operator
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,25 @@ class Stage:
     checkpoints: Callable[[Any, Mapping[str, Path]], Path] | None = None
 
 
+def picked(**paths: str) -> Callable[[Any], dict[str, Any]]:
+    """Return a stage's `settings`: under each name what lies at its dotted path in the run's configuration.
+
+    A part of the configuration is picked with all its settings, or with what its own function `settings` returns.
+    """
+
+    def settings(config: Any) -> dict[str, Any]:
+        found = {name: operator.attrgetter(path)(config) for name, path in paths.items()}
+        return {name: _plain(value) for name, value in found.items()}
+
+    return settings
+
+
+def _plain(value: Any) -> Any:
+    if not is_dataclass(value) or isinstance(value, type):
+        return value
+    return value.settings() if hasattr(value, "settings") else asdict(value)
+
+
 @dataclass(frozen=True)
 class StageResult:
     """Where a stage's files lie, whether they were there before, and the seconds that making them took."""
@@ -57,14 +77,7 @@ class StageResult:
 def run_stage(
     stage: Stage, run_dir: Path, config: Any, rerun_command: str, derive: Derive | None = None
 ) -> StageResult:
-    """Bring a stage's result up to date and return where it belongs.
-
-    Args:
-        stage: the stage.
-        run_dir: the run's folder.
-        config: the run's configuration.
-        rerun_command: the command that does all stages of the run.
-        derive: makes again what archives of packed runs leave out.
+    """Bring a stage's result up to date; `rerun_command` does all stages, `derive` makes what archives leave out.
 
     Raises:
         MissingInputError: an input stage has not been done; names the command that does it.
@@ -114,11 +127,10 @@ def run_stage_together(
     Args:
         stage: the stage; what it reads is done in every run folder.
         requests: run folder and configuration of each run.
-        run: `(inputs, configs, outs)` writes each run's files into its folder and returns what it failed with, if it
-            did.
+        run: `(inputs, configs, outs)` writes each run's files and returns what it failed with, or None.
 
     Returns:
-        For each request what it failed with, or None.
+        What each request failed with, or None.
     """
     errors: list[Exception | None] = [None] * len(requests)
     with ExitStack() as stack:

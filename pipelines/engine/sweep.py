@@ -46,14 +46,8 @@ def run_sweep(jobs: Sequence[Job], launch: Callable[[Sequence[int]], list[Outcom
     """Do every job that is not done, going on with those that are left whenever a launcher loses a worker.
 
     A worker that is killed takes the launcher's answers with it, so which jobs are done is read from their folders.
-    What a lost worker was at goes on from its checkpoint.
-
-    Args:
-        jobs: the jobs.
-        launch: does the jobs with these numbers and returns their outcomes in the same order.
-
-    Returns:
-        One outcome a job, in the jobs' order.
+    What a lost worker was at goes on from its checkpoint. `launch` does the jobs with these numbers and returns their
+    outcomes in the same order.
     """
     outcomes: dict[int, Outcome] = {}
     for i, job in enumerate(jobs):

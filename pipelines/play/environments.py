@@ -102,18 +102,7 @@ def _names(given: list[str], n: int, prefix: str, where: str) -> list[str]:
 
 def state_limits(env: EnvConfig) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the lowest and the highest state, (d,) each; None where one has no bounds, or is a PID policy's."""
-    if env.pid is not None:
-        return None
-    return _state_limits(env.id, json.dumps(env.kwargs, sort_keys=True))
-
-
-@functools.cache
-def _state_limits(env_id: str, kwargs: str) -> tuple[np.ndarray, np.ndarray] | None:
-    env = make_env(EnvConfig(env_id, env_id, env_id, json.loads(kwargs)))
-    space = env.observation_space
-    env.close()
-    bounded = isinstance(space, gym.spaces.Box) and space.is_bounded()
-    return (space.low.astype(np.float64), space.high.astype(np.float64)) if bounded else None  # type: ignore[attr-defined]
+    return None if env.pid is not None else spaces(env).states
 
 
 def state_box(env: EnvConfig) -> tuple[np.ndarray, np.ndarray]:
@@ -133,11 +122,13 @@ class Spaces:
         n_inputs: length of the state vector.
         n_actions: number of labels, or of the action's components.
         box: least and greatest actions, (n_actions,) each; None where actions are labels.
+        states: least and greatest states, (n_inputs,) each; None where one has no bounds.
     """
 
     n_inputs: int
     n_actions: int
     box: tuple[np.ndarray, np.ndarray] | None
+    states: tuple[np.ndarray, np.ndarray] | None
 
 
 def spaces(env: EnvConfig) -> Spaces:
@@ -148,14 +139,20 @@ def spaces(env: EnvConfig) -> Spaces:
 @functools.cache
 def _spaces(env_id: str, kwargs: str) -> Spaces:
     env = make_env(EnvConfig(env_id, env_id, env_id, json.loads(kwargs)))
-    n_inputs, actions = flat_state_size(env), env.action_space
+    n_inputs, states, actions = flat_state_size(env), env.observation_space, env.action_space
     is_discrete(env)  # refuses what is neither labels nor a box
     env.close()
+    assert isinstance(states, gym.spaces.Box)
+    limits = _bounds(states) if states.is_bounded() else None
     if isinstance(actions, gym.spaces.Discrete):
-        return Spaces(n_inputs, int(actions.n), None)
+        return Spaces(n_inputs, int(actions.n), None, limits)
     assert isinstance(actions, gym.spaces.Box)
-    low, high = actions.low.ravel().astype(np.float64), actions.high.ravel().astype(np.float64)
-    return Spaces(n_inputs, len(low), (low, high))
+    box = _bounds(actions)
+    return Spaces(n_inputs, len(box[0]), box, limits)
+
+
+def _bounds(space: gym.spaces.Box) -> tuple[np.ndarray, np.ndarray]:
+    return space.low.ravel().astype(np.float64), space.high.ravel().astype(np.float64)
 
 
 def flat_state_size(env: gym.Env) -> int:

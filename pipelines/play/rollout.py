@@ -44,14 +44,10 @@ class Rollout:
 def rollout(
     policy: Policy, env: EnvConfig, seeds: Sequence[int], *, keep_states: bool = False, n_workers: int | None = None
 ) -> Rollout:
-    """Play one episode a seed and return what came of them.
+    """Play one episode a seed and return what came of them, with the visited states where these are kept.
 
-    Args:
-        policy: acts on a batch of states; picklable where several processes are used.
-        env: the environment.
-        seeds: reset seeds.
-        keep_states: return the visited states too.
-        n_workers: processes; None for one a core where the episodes are long enough to pay for it.
+    The policy must be picklable where several processes are used. Without `n_workers` there is a process for each core,
+    if the episodes are long enough to pay for it.
     """
     n_workers = _n_workers(env, len(seeds)) if n_workers is None else min(n_workers, len(seeds))
     if n_workers == 1:

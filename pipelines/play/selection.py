@@ -35,16 +35,11 @@ def play_episodes(policy: Policy, config: RunConfig) -> Rollout:
 
 
 def compare_with_trained(network: otr.ReluNetwork, trained: Predict, states: np.ndarray, config: RunConfig) -> None:
-    """Raise PolicyMismatchError where network and trainer disagree by more than TOLERANCE on a state.
+    """Raise PolicyMismatchError where network and trainer disagree by more than TOLERANCE on a state (n, d).
 
     The trainer computes in float32, whose rounding grows with the terms that are summed up, not with their sum; that
-    much is allowed for, as bounded by the network of the absolute weights on the absolute states.
-
-    Args:
-        network: the exported network.
-        trained: the trainer's own deterministic actions on states (n, d) float32, as it was trained on them.
-        states: (n, d), as the network reads them.
-        config: the run, which says whether training rescales the states.
+    much is allowed for, as bounded by the network of the absolute weights on the absolute states. `trained` gives the
+    trainer's own deterministic actions on float32 states, rescaled as it was trained on them.
     """
     middle, half_width = state_box(config.env) if config.actor.rescale_inputs else (0.0, 1.0)
     ours, outputs = network.predict(states), network.forward(states)

@@ -59,11 +59,8 @@ def table_runs(runs: pd.DataFrame) -> pd.DataFrame:
 def summarise(frame: pd.DataFrame, by: Sequence[str], value: str, **further: tuple[str, Any]) -> pd.DataFrame:
     """Return a row a group: mean, sample standard deviation (n - 1), interval and number; NaN where there is none.
 
-    Args:
-        frame: a row a run.
-        by: the columns to group by; groups stay in the order in which they first come.
-        value: the column of numbers.
-        further: column to (column, how it is summarised), as pandas' `agg` takes them.
+    Groups of a frame's rows (runs) stay in the order in which they first come. `further` has more columns, each with
+    the column that it is made of and how, as pandas' `agg` takes them.
     """
     return (
         frame.groupby(list(by), sort=False)

@@ -25,10 +25,7 @@ HEAD = ["Task", "Method", "Depth", "Budget", "Runs", "Paths", "Leaves", "Proved 
 def write_certificates(results_dir: Path) -> list[Path]:
     """Write `certificates.md` and `certificates.csv` under `results_dir/tables` from the runs that have one.
 
-    Left out are smoke budgets and runs with other settings (`seed-<s>~<digest>`). The same runs give the same bytes.
-
-    Raises:
-        PipelineError: a run's summary cannot be read; names the file.
+    Smoke budgets and runs with other settings (`seed-<s>~<digest>`) are left out.
     """
     runs = reported(load_runs(results_dir))
     own = runs[(runs["form"] == "tree") & runs["certify.certified"].notna()]

@@ -85,13 +85,7 @@ def check_run(run: str) -> None:
 
 
 def find_run(run: str, results_dir: str) -> Path:
-    """Return a run's folder: as given, or below results_dir, or below results_dir/runs.
-
-    Raises:
-        ConfigError: none is named, or there is no such folder; names the nearest runs and the
-            command that makes this one.
-        PipelineError: what lies there is no run of otr-run.
-    """
+    """Return a run's folder: as given, or below results_dir, or below results_dir/runs; errors name what is there."""
     check_run(run)
     given, runs = Path(run), Path(results_dir) / "runs"
     tried = [given] if given.is_absolute() else [given, Path(results_dir) / given, runs / given]

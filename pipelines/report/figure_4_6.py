@@ -38,8 +38,6 @@ def budget_of_runs(runs: pd.DataFrame) -> str:
 def write_figure_4_6(runs: pd.DataFrame, planned: Sequence[Planned], budget: str, results_dir: Path) -> list[Path]:
     """Write Figure 4.6 under `results_dir/figures` from those of the experiment's runs that are finished.
 
-    The same runs give the same bytes.
-
     Args:
         runs: what `load_runs` returned.
         planned: the experiment's runs, finished or not, all under one budget.
@@ -48,9 +46,6 @@ def write_figure_4_6(runs: pd.DataFrame, planned: Sequence[Planned], budget: str
 
     Returns:
         The CSV, the PNG and the SVG file; the CSV alone where nothing was run.
-
-    Raises:
-        PipelineError: a run's oracle is another one than the experiment's; names its summary.
     """
     cells = make_cells(runs, planned, results_dir).assign(budget=budget)
     folder = results_dir / "figures"

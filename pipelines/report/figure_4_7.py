@@ -35,19 +35,7 @@ def write_figure_4_7(
     The run is the one with the best selection return, of those with an oracle of 256 units where there are any. As in
     the thesis the tests below the root are refitted and the root is rounded. States, and the returns that say how far
     to go, are those of the run's prune stream; no choice sees an episode that is reported. The return of the original
-    is the one that the run recorded; all others are played.
-
-    Args:
-        runs: what `load_runs` returned.
-        planned: the experiment's runs, finished or not.
-        load_config: from a run's folder to the configuration that it was made with.
-        results_dir: the folder that holds the runs.
-
-    Returns:
-        The text and the picture.
-
-    Raises:
-        MissingInputError: none of AugTree's runs of depth 2 is finished.
+    is the one that the run recorded; all others are played. The arguments are those of `write_report`.
     """
     run = _chosen(runs, planned, results_dir)
     run_dir = results_dir / "runs" / run.run
@@ -119,10 +107,7 @@ def selection_return(run_dir: Path) -> float:
 def _simplest(
     tree: otr.ObliqueTree, played: Rollout, config: RunConfig, seeds: Sequence[int]
 ) -> tuple[float, RefittedTree]:
-    """Return the loosest agreement, and its tree, with which the pruning episodes' return is almost what it was.
-
-    The tightest one where none of them is.
-    """
+    """Return the loosest agreement that almost keeps the pruning episodes' return, else the tightest, and its tree."""
     least = played.returns.mean() - MOST_LOST * abs(played.returns.mean())
     nodes = range(1, tree.n_nodes)
     for agreement in reversed(AGREEMENTS):

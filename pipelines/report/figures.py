@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-__all__ = ["auc_against_leaves", "return_against_depth"]
-
 PANEL_WIDTH, PANEL_HEIGHT, LEGEND_ROW = 3.4, 2.35, 0.2  # inches
 SMALL, NORMAL = 8, 9  # points
 MOST_TICKS = 6

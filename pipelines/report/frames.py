@@ -47,11 +47,7 @@ def load_runs(results_dir: str | Path) -> pd.DataFrame:
 
 
 def load_fits(results_dir: str | Path) -> pd.DataFrame:
-    """Return the finished fits under `results_dir`, a row each, in order of data, method and seed.
-
-    Raises:
-        PipelineError: a summary is broken, lacks something or lies in another fit's folder; names the file.
-    """
+    """Return the finished fits under `results_dir`, a row each, by data, method and seed; raises as `load_runs`."""
     rows: list[dict[str, Any]] = []
     for path in sorted(Path(results_dir).glob("runs/*/*/seed-*/summary.json")):
         rows += _read(path, FitConfig.summary_schema, _fit_rows, {*FIT_COLUMNS} - {"seconds.tune"})

@@ -15,9 +15,7 @@ from pipelines.stages.train import seconds_left, trained_steps
 def job_plan(job: RunJob, planned: set[str]) -> tuple[str, float]:
     """Return what is to be done for a job, in words, and the seconds of training and imitating it leaves.
 
-    Args:
-        job: the job.
-        planned: folders of the oracles that jobs before it train; its own is added.
+    `planned` has the folders of the oracles that jobs before it train; its own is added.
     """
     config = job.config
     statuses = {stage.name: stage_status(stage, job.run_dir / stage.name, config) for stage in job.stages}

@@ -36,11 +36,7 @@ TEXT = [("mountaincar", "otr", "1"), ("lunarlander", "otr", "2"), ("lunarlander"
 
 
 def write_table_4_1(results_dir: Path) -> list[Path]:
-    """Write Table 4.1, return and standard deviation on the eight control tasks, and the runs beyond it.
-
-    Raises:
-        PipelineError: a run's summary cannot be read; names the file.
-    """
+    """Write Table 4.1, return and standard deviation on the eight control tasks, and the runs beyond it."""
     runs = table_runs(load_runs(results_dir))
     cells = make_cells(runs)
     table = cells["table"] == "4.1"

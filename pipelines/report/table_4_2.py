@@ -46,14 +46,7 @@ HEAD = ["Method", "", *DATA.values()]
 
 
 def write_table_4_2(results_dir: Path) -> list[Path]:
-    """Write Table 4.2 under `results_dir/tables` and, where there are fits, its figure under `results_dir/figures`.
-
-    Returns:
-        The Markdown, the CSV and the LaTeX file, the figure, and the picture of a tree where it is at hand.
-
-    Raises:
-        PipelineError: a fit's summary cannot be read; names the file.
-    """
+    """Write Table 4.2 and, where there are fits, its figure; also the picture of a tree where that is at hand."""
     cells = make_cells(load_fits(results_dir))
     table = cells[cells["table"] == "4.2"]
     rows = {LEARNERS[method]: row for method, row in table.groupby("method", sort=False)}

@@ -10,7 +10,7 @@ import numpy as np
 import otr
 from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import episode_seeds
-from pipelines.engine.stage import Stage
+from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import write_json
 from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import state_limits
@@ -18,17 +18,6 @@ from pipelines.play.rollout import rollout
 from pipelines.stages.printed_programs import write_program
 
 MARGIN = 0.05  # of the width of what was visited, on either side
-
-
-def certify_settings(config: RunConfig) -> dict[str, Any]:
-    """Return what decides the minimal tree and its certificate."""
-    return {
-        "env": config.env.settings(),
-        "n_episodes": config.prune.n_episodes,
-        "seed": config.seed,
-        "max_leaves": config.certification.max_leaves,
-        "max_seconds": config.certification.max_seconds,
-    }
 
 
 def certify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
@@ -90,4 +79,11 @@ def _domain(inputs: Mapping[str, Path], config: RunConfig) -> tuple[otr.Domain, 
     return otr.Domain(low - margin, high + margin), f"the box around the states of {config.prune.n_episodes} episodes"
 
 
-CERTIFY = Stage("certify", version=2, inputs=("train", "map"), settings=certify_settings, run=certify)
+CERTIFY_SETTINGS = picked(
+    env="env",
+    n_episodes="prune.n_episodes",
+    seed="seed",
+    max_leaves="certification.max_leaves",
+    max_seconds="certification.max_seconds",
+)
+CERTIFY = Stage("certify", version=2, inputs=("train", "map"), settings=CERTIFY_SETTINGS, run=certify)

@@ -25,10 +25,7 @@ def opened_run(config: RunConfig, run_dir: Path, *stages: str) -> AbstractContex
 def derive(config: RunConfig, run_dir: Path, folder: Path) -> dict[str, bytes]:
     """Return the files of a stage that are made again from its others, or from the actor, by name.
 
-    Args:
-        config: the run's configuration.
-        run_dir: the run's folder.
-        folder: the stage's own, which may lack what is made.
+    `folder` is the stage's own, unpacked, which may lack what is made.
     """
     with TemporaryDirectory(prefix="otr-") as place:
         out = Path(place)

@@ -9,7 +9,7 @@ import numpy as np
 import otr
 from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import evaluation_seeds
-from pipelines.engine.stage import Stage
+from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import write_csv, write_json
 from pipelines.errors import PolicyMismatchError
 from pipelines.play.actor_files import load_actor
@@ -24,15 +24,6 @@ EPISODE_COLUMNS = ("episode", "seed", "return", "length", "terminated", "truncat
 def episodes_file(form: str) -> str:
     """Return the name of the file of a form's episodes."""
     return "episodes.csv" if form == "tree" else f"episodes_{form}.csv"
-
-
-def evaluate_settings(config: RunConfig) -> dict[str, Any]:
-    """Return what decides the evaluation."""
-    return {
-        "env": config.env.settings(),
-        "n_episodes": config.evaluate.n_episodes,
-        "first_seed": config.evaluate.first_seed,
-    }
 
 
 def load_policies(inputs: Mapping[str, Path], config: RunConfig) -> dict[str, Any]:
@@ -142,4 +133,5 @@ def _require_agreement(states: np.ndarray, network: np.ndarray, tree: np.ndarray
 
 
 # What it reads is the method's own: `pipelines.stages.table.stages_of` fills it in.
-EVALUATE = Stage("evaluate", version=1, inputs=(), settings=evaluate_settings, run=evaluate)
+EVALUATE_SETTINGS = picked(env="env", n_episodes="evaluate.n_episodes", first_seed="evaluate.first_seed")
+EVALUATE = Stage("evaluate", version=1, inputs=(), settings=EVALUATE_SETTINGS, run=evaluate)

@@ -6,15 +6,10 @@ from typing import Any
 
 import otr
 from pipelines.config.run import RunConfig
-from pipelines.engine.stage import Stage
+from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import write_json
 from pipelines.play.environments import make_env
 from pipelines.stages.printed_programs import write_program
-
-
-def harden_settings(config: RunConfig) -> dict[str, Any]:
-    """Return what decides the hard tree, given the soft one."""
-    return {"env": config.env.id, "feature_names": config.env.feature_names, "action_names": config.env.action_names}
 
 
 def harden_actor(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
@@ -36,4 +31,5 @@ def harden_actor(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> No
     write_json(out / "report.json", report)
 
 
-HARDEN = Stage("harden", version=1, inputs=("train",), settings=harden_settings, run=harden_actor)
+HARDEN_SETTINGS = picked(env="env.id", feature_names="env.feature_names", action_names="env.action_names")
+HARDEN = Stage("harden", version=1, inputs=("train",), settings=HARDEN_SETTINGS, run=harden_actor)

@@ -2,23 +2,13 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import otr
 from pipelines.config.run import RunConfig
-from pipelines.engine.stage import Stage
+from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import write_json
 from pipelines.play.actor_files import load_actor
 from pipelines.stages.printed_programs import write_program
-
-
-def map_settings(config: RunConfig) -> dict[str, Any]:
-    """Return what decides the mapped tree and its printed program."""
-    return {
-        "max_leaves": config.map.max_leaves,
-        "feature_names": config.env.feature_names,
-        "action_names": config.env.action_names,
-    }
 
 
 def map_actor(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
@@ -46,4 +36,5 @@ def _n_tests(network: otr.ReluNetwork) -> int:
     return network.n_hidden + network.head.n_tests(network.n_outputs)
 
 
-MAP = Stage("map", version=1, inputs=("train",), settings=map_settings, run=map_actor)
+MAP_SETTINGS = picked(max_leaves="map.max_leaves", feature_names="env.feature_names", action_names="env.action_names")
+MAP = Stage("map", version=1, inputs=("train",), settings=MAP_SETTINGS, run=map_actor)

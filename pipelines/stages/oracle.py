@@ -45,11 +45,7 @@ def refer(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
 
 
 def load_oracle(reference: Path, results_dir: Path) -> otr.ReluNetwork:
-    """Return the network that the stage's folder `reference` names.
-
-    Raises:
-        PipelineError: it is gone, or another one lies there now.
-    """
+    """Return the network that the stage's folder names; PipelineError where it is gone or another one lies there."""
     about = read_json(reference / REFERENCE)
     folder = results_dir / about["folder"]
     if not exists(folder / MANIFEST):

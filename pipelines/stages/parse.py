@@ -47,13 +47,9 @@ def parse(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
 def policy_tree(text: str, env: EnvConfig, where: str) -> otr.ObliqueTree:
     """Return a program as a policy: its answers are labels, or actions clipped to the environment's box.
 
-    Args:
-        text: the program, over the names in the environment's file.
-        env: the environment.
-        where: the program's name or file, for errors.
-
     Raises:
-        ConfigError: the text is no program, or no policy for this environment; begins with where:line:column.
+        ConfigError: the text is no program over the environment's names, or no policy for it; begins with
+            where:line:column.
     """
     space = spaces(env)
     try:
@@ -79,11 +75,7 @@ def shipped_programs() -> list[str]:
 
 
 def read_program(name: str) -> str:
-    """Return the text of a program; a shipped one's name comes before a file's.
-
-    Raises:
-        ConfigError: there is no such program, or it is no text.
-    """
+    """Return the text of a shipped program, or of a file; ConfigError where there is none or it is no text."""
     shipped = shipped_programs()
     if not name:
         raise ConfigError(f"method=program: which program? Add program=FILE, or one of: {', '.join(shipped)}")

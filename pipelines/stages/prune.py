@@ -11,7 +11,7 @@ import otr
 from otr.control import constant_gains
 from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import episode_seeds
-from pipelines.engine.stage import Stage
+from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import write_json, write_text
 from pipelines.errors import PolicyMismatchError
 from pipelines.play.actor_files import load_actor
@@ -20,16 +20,6 @@ from pipelines.play.rollout import rollout
 from pipelines.stages.printed_programs import program_text, write_program
 
 TOLERANCE = 1e-6
-
-
-def prune_settings(config: RunConfig) -> dict[str, Any]:
-    """Return what decides the pruned tree."""
-    return {
-        "env": config.env.settings(),
-        "n_episodes": config.prune.n_episodes,
-        "k": config.prune.k,
-        "seed": config.seed,
-    }
 
 
 def prune(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
@@ -82,4 +72,5 @@ def prune(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
 
 
 # What it reads is the method's own: `pipelines.stages.table.stages_of` fills it in.
-PRUNE = Stage("prune", version=1, inputs=(), settings=prune_settings, run=prune)
+PRUNE_SETTINGS = picked(env="env", n_episodes="prune.n_episodes", k="prune.k", seed="seed")
+PRUNE = Stage("prune", version=1, inputs=(), settings=PRUNE_SETTINGS, run=prune)

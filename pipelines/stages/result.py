@@ -3,50 +3,37 @@
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
-from pipelines.engine.console import SHORT_PROGRAM, duration
+from pipelines.engine.console import SHORT_PROGRAM, duration, show_finished
 
 
 def show_result(summary: dict[str, Any], run_dir: Path, whole: Path) -> None:
     """Print the run's returns, sizes and times, where its artefacts lie, and its program when that is short.
 
-    Args:
-        summary: the run's.
-        run_dir: the run's folder.
-        whole: the folder in which its stages lie unpacked.
+    `whole` is the folder in which its stages lie unpacked.
     """
-    console = Console(highlight=False, soft_wrap=True)
     program = whole / "prune" / "program.txt"
     text = program.read_text(encoding="utf-8") if program.exists() else ""
-    n_lines = text.count("\n")
-    if 0 < n_lines <= SHORT_PROGRAM:
-        console.print(f"\n{text}", markup=False)
-    console.print(_table(summary))
-    seconds = ", ".join(f"{stage} {duration(spent)}" for stage, spent in summary["seconds"].items())
     policy = "network" if "network" in summary["policies"] else "whole tree"
     paths = "activation pattern" if policy == "network" else "leaf"
-    console.print(
+    lines = [
         f"{_count(summary['patterns'], paths)} reached, estimated pruned depth {summary['pruned_depth']:.1f}; "
         f"the pruned tree acts as the {policy} in {100 * summary['fidelity']:.2f} % of the states"
-    )
+    ]
     if "n_outside_domain" in summary:
-        console.print(
+        lines.append(
             f"{summary['n_outside_domain']:,} of {summary['n_states']:,} visited states lie outside the box in which "
             "the network is the trained policy, whose observations are clipped there"
         )
     if "oracle" in summary:
-        console.print(_likeness(summary["oracle"]))
+        lines.append(_likeness(summary["oracle"]))
     if "certify" in summary:
-        console.print(_proof(summary["certify"]), markup=False)
+        lines.append(_proof(summary["certify"]))
     if "simplify" in summary:
-        _show_simplified(console, summary["simplify"], whole)
-    console.print(f"time: {seconds}", markup=False)
-    if n_lines > SHORT_PROGRAM:
-        where = program if whole == run_dir else f"otr-export run={run_dir} format=text"
-        console.print(f"program: {n_lines} lines, {where}", markup=False)
-    console.print(f"artefacts: {run_dir}", markup=False)
+        lines += _simplified(summary["simplify"], whole)
+    where = program if whole == run_dir else f"otr-export run={run_dir} format=text"
+    show_finished(text, where, _table(summary), lines, summary["seconds"], run_dir)
 
 
 def _count(n: int, what: str) -> str:
@@ -76,24 +63,22 @@ def _proof(report: dict[str, Any]) -> str:
     )
 
 
-def _show_simplified(console: Console, report: dict[str, Any], whole: Path) -> None:
-    """Print the shorter program and what it costs."""
+def _simplified(report: dict[str, Any], whole: Path) -> list[str]:
+    """Return the shorter program, where it is short, and what it costs."""
     path = whole / "simplify" / "program.txt"
     text = path.read_text(encoding="utf-8") if path.exists() else ""
-    if 0 < text.count("\n") <= SHORT_PROGRAM:
-        console.print(f"\nsimplified:\n\n{text}", markup=False)
     before, after = (
         f"{report[f'return_mean{when}']:.1f} ± {report[f'return_std{when}']:.1f}" for when in ("_before", "")
     )
     same, apart = 100 * report["fidelity"], report["mean_difference"]
     within = f", to {100 * report['fidelity_tolerance']:.0f} % of its range," if report["fidelity_tolerance"] else ""
     leaves = f"{_count(report['n_leaves_before'], 'leaf')} to {report['n_leaves']}"
-    console.print(
+    return [
+        *([f"\nsimplified:\n\n{text}"] if 0 < text.count("\n") <= SHORT_PROGRAM else []),
         f"simplified: {report['n_numbers_before']} numbers to {report['n_numbers']}, {leaves}; over "
         f"{report['n_episodes']} other episodes {before} before and {after} after; the same action{within} in "
         f"{same:.1f} % of the states, {apart:.2g} apart on average",
-        markup=False,
-    )
+    ]
 
 
 def _leaves(n_leaves: int) -> str:

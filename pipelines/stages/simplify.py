@@ -4,7 +4,6 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -12,7 +11,7 @@ import otr
 from otr.shorten.simplify import Judge, Simplification
 from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import episode_seeds, evaluation_seeds
-from pipelines.engine.stage import Stage
+from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import write_csv, write_json
 from pipelines.play.environments import spaces, state_limits
 from pipelines.play.rollout import rollout
@@ -22,19 +21,6 @@ MAX_ATTEMPTS = 4
 FIRST_LOOK = 0.2  # of the deciding episodes: a tree that loses clearly on these is not played on
 ANNOUNCE_S = 10.0
 CLOSE = 0.05  # of an action's range: nearer than that, actions count as the same
-
-
-def simplify_settings(config: RunConfig) -> dict[str, Any]:
-    """Return what decides the simpler tree."""
-    return {
-        "env": config.env.settings(),
-        "seed": config.seed,
-        "n_episodes": config.simplification.n_episodes,
-        "return_loss": config.simplification.return_loss,
-        "action_bound": config.simplification.action_bound,
-        "refit": config.simplification.refit,
-        "evaluate": {"n_episodes": config.evaluate.n_episodes, "first_seed": config.evaluate.first_seed},
-    }
 
 
 def simplify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
@@ -172,4 +158,13 @@ def _report(
     )
 
 
-SIMPLIFY = Stage("simplify", version=1, inputs=("prune",), settings=simplify_settings, run=simplify)
+SIMPLIFY_SETTINGS = picked(
+    env="env",
+    seed="seed",
+    n_episodes="simplification.n_episodes",
+    return_loss="simplification.return_loss",
+    action_bound="simplification.action_bound",
+    refit="simplification.refit",
+    evaluate="evaluate",
+)
+SIMPLIFY = Stage("simplify", version=1, inputs=("prune",), settings=SIMPLIFY_SETTINGS, run=simplify)

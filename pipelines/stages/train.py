@@ -1,7 +1,8 @@
-"""Stage train: the actor, the best of its evaluations, by Stable-Baselines3 or in a fleet."""
+"""Stage train: the actor, the best of its evaluations, by Stable-Baselines3 or together with others in a fleet."""
 
+import itertools
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ from pipelines.training.estimates import estimated_bytes, estimated_seconds
 VERSION = 1
 FLEET_VERSION = 1  # of the fleet trainer alone; part of its runs' settings
 LONG_RUN_S = 60.0
+# What runs of a fleet may differ in: a row of each stack has its own.
+OWN_SETTINGS = ("learning_rate", "gamma", "weight_decay", "ent_coef", "action_noise", "action_noise_std")
 
 
 def train_settings(config: RunConfig) -> dict[str, Any]:
@@ -31,12 +34,9 @@ def train_settings(config: RunConfig) -> dict[str, Any]:
 
 
 def train(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
-    """Train, and write the best actor, `evaluations.csv` and `progress.csv` into `out`.
+    """Train, and write the best actor, `evaluations.csv` and `progress.csv` into `out`; raises as `train_by_sb3`.
 
-    Raises:
-        PipelineError: the training diverged.
-        PolicyMismatchError: the exported network and the trained policy disagree on a visited state.
-        KeyboardInterrupt: Ctrl-C; the checkpoint of the last whole segment stays.
+    Where Ctrl-C stops it, the checkpoint of the last whole segment stays.
     """
     if config.fleet:
         (error,) = train_together([inputs], [config], [out])
@@ -93,6 +93,39 @@ def announce_training(configs: Sequence[RunConfig]) -> None:
             f"up to {max(1, round(n_bytes / 1e6))} MB of checkpoints; Ctrl-C stops, the same command goes on",
             flush=True,
         )
+
+
+def group_key(config: RunConfig) -> str:
+    """Return a digest that two runs share exactly if a fleet can train them together.
+
+    Depths make fleets of their own: mixed ones are no faster, and a run's bits stay what they are alone.
+    """
+    assert config.fleet is not None
+    common = train_settings(config.oracle_run or config)
+    del common["seed"]
+    common["algo"] = {key: value for key, value in common["algo"].items() if key not in OWN_SETTINGS}
+    return digest([common, config.results_dir])
+
+
+def fleets(configs: Iterable[RunConfig]) -> list[list[int]]:
+    """Return the positions of the runs that train together, in order of their first run.
+
+    A run that no fleet trains is alone. A group larger than `runs_per_process` is cut into parts of nearly equal size.
+    """
+    groups: dict[str, list[int]] = {}
+    sizes: dict[str, int] = {}
+    for i, config in enumerate(configs):
+        key = group_key(config) if config.fleet else f"alone {i}"
+        groups.setdefault(key, []).append(i)
+        sizes[key] = config.fleet.runs_per_process if config.fleet else 1
+    parts = [part for key, group in groups.items() for part in _parts(group, sizes[key])]
+    return sorted(parts, key=lambda part: part[0])
+
+
+def _parts(group: Sequence[int], most: int) -> list[list[int]]:
+    n_parts = -(-len(group) // most)
+    bounds = [len(group) * part // n_parts for part in range(n_parts + 1)]
+    return [list(group[start:end]) for start, end in itertools.pairwise(bounds)]
 
 
 TRAIN = Stage("train", VERSION, inputs=(), settings=train_settings, run=train, checkpoints=checkpoint_folder)

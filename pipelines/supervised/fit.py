@@ -29,11 +29,7 @@ def fit(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> None:
 def fit_together(
     inputs: Sequence[Mapping[str, Path]], configs: Sequence[FitConfig], outs: Sequence[Path]
 ) -> list[Exception | None]:
-    """Do `fit` for several seeds of one method, tuned alike, on one data set.
-
-    Returns:
-        What each failed with, which is nothing: what goes wrong is raised and concerns them all.
-    """
+    """Do `fit` for seeds of one method, tuned alike, on one data set; an error is raised and concerns them all."""
     first = configs[0]
     dataset = dataset_of(first)
     check_learner(first.method, dataset)

@@ -76,21 +76,16 @@ def fit_trees(
     n_workers: int | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[list[FittedTree]]:
-    """Fit a tree for every label and seed.
+    """Fit a tree for every label (column of Y) and seed, by the training and the validation part.
 
     Args:
         method: settings; its grid is not looked at.
-        dataset: training and validation parts are read.
-        labels: columns of Y.
-        seeds: every learner's `random_state`.
+        dataset, labels, seeds: what to fit.
         n_workers: threads of learners that have them.
         progress: called with the number of trees done and of all.
 
     Returns:
         [label][seed], in the order of the arguments.
-
-    Raises:
-        ConfigError: the learner is not for this task.
     """
     name = _estimator_name(method.learner, dataset)
     if method.learner in BATCHED:

@@ -15,12 +15,7 @@ MOST_LEAVES, MOST_CHARACTERS, WIDTH = 32, 20_000, 110
 
 
 def program_of(tree: otr.ObliqueTree | otr.PatternTree, dataset: Dataset) -> str | None:
-    """Return the program of what the training rows reach of a tree; None if it is too long to read.
-
-    Args:
-        tree: the tree of a data set of one label.
-        dataset: where it was learned.
-    """
+    """Return the program of what the training rows reach of a one-label tree; None if it is too long to read."""
     pruned, _ = _reached(tree, dataset)
     if pruned is None:
         return None

@@ -56,13 +56,7 @@ def score_trees(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> Non
 
 
 def report(metric: str, n_labels: int, rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return the means over labels; a label that was not learned, or has no score in a part, is left out and counted.
-
-    Args:
-        metric: what the scores are.
-        n_labels: of the data set.
-        rows: as in `scores.csv`.
-    """
+    """Return the means over labels; what was not learned, or has no score in a part, is left out and counted."""
     scores = {part: [float(row[part]) for row in rows if row[part] != ""] for part in PARTS}
     return {
         "metric": metric,

@@ -59,13 +59,10 @@ def tune(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> None:
 
 
 def best_of(scores: np.ndarray, for_label: bool, metric: str) -> list[int]:
-    """Return, for every label, the best combination, the first of equals.
+    """Return, for every label, the best combination of scores (combinations, labels), the first of equals.
 
-    Args:
-        scores: (combinations, labels); NaN where the validation rows of a label do not tell, which then takes what is
-            best for the others on average.
-        for_label: every label has its own; else one serves all.
-        metric: what the scores are.
+    A label whose validation rows do not tell (NaN) takes what is best for the others on average; so do all of them
+    unless `for_label`.
     """
     gains = np.array([[gain(metric, value) for value in row] for row in scores])
     told = ~np.isnan(gains).all(axis=0)

@@ -68,11 +68,7 @@ def progress_row(steps: int, start: int, seconds: float, returns: np.ndarray, le
 def write_segment(folder: Path, history: History, counters: dict[str, int], state: tuple[str, bytes]) -> None:
     """Write the checkpoint of a segment's end beside the last one, then make it the current one.
 
-    Args:
-        folder: the run's checkpoint folder.
-        history: the history, the segment included.
-        counters: what the trainer counts; `num_timesteps` among them.
-        state: name and content of the file that holds the learner's state.
+    The trainer's counters have `num_timesteps` among them; `state` is name and content of the file of what was learnt.
     """
     temporary = folder / "next"
     shutil.rmtree(temporary, ignore_errors=True)

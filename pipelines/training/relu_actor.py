@@ -43,12 +43,7 @@ class ReluActor:
         return otr.from_sb3(model)
 
     def evaluate(self, model: BaseAlgorithm) -> tuple[dict[str, bytes], Rollout]:
-        """Return the files of what the actor becomes, and what came of its selection episodes.
-
-        Raises:
-            PipelineError: the training diverged.
-            PolicyMismatchError: the network and the model's policy disagree on a visited state.
-        """
+        """Return the files of what the actor becomes, and what came of its selection episodes."""
         try:
             network = self.exported(model)
         except otr.InvalidNetworkError as error:

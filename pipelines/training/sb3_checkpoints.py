@@ -20,14 +20,7 @@ REPLAY_ARRAYS = ("observations", "next_observations", "actions", "rewards", "don
 
 
 def save_checkpoint(folder: Path, model: BaseAlgorithm, history: History, replay_start: int) -> None:
-    """Write the checkpoint of a segment's end.
-
-    Args:
-        folder: the run's checkpoint folder.
-        model: the model after the segment.
-        history: the history, the segment included.
-        replay_start: transitions collected before the segment began.
-    """
+    """Write the checkpoint of a segment's end; `replay_start` transitions were collected before the segment began."""
     folder.mkdir(parents=True, exist_ok=True)
     if isinstance(model, OffPolicyAlgorithm):
         _write_replay(folder, model, replay_start, history.n_segments)

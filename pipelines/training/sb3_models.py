@@ -84,9 +84,6 @@ def build_ars(env: DummyVecEnv, config: ArsConfig, seed: int) -> ARS:
 
     The weights that it searches around share the memory of its policy's parameters, so that a checkpoint of those
     resumes it. `learn` ends after the update under way: an update is 2 n_delta whole episodes, however long they are.
-
-    Raises:
-        ConfigError: several environments, whose steps it would count wrongly, or more directions used than tried.
     """
     if env.num_envs != 1:
         raise ConfigError(f"algo=ars plays one episode at a time, but there are {env.num_envs} environments; use one")

@@ -28,17 +28,11 @@ from pipelines.training.sb3_models import build_env, build_model
 
 
 def train_by_sb3(config: RunConfig, checkpoints: Path, out: Path) -> None:
-    """Train, and write the best actor, `evaluations.csv` and `progress.csv` into `out`.
-
-    Args:
-        config: the run.
-        checkpoints: the folder of its checkpoints, where a killed training is taken up again.
-        out: an empty folder.
+    """Train, going on from a checkpoint where there is one; write the best actor and the curves' CSV files into `out`.
 
     Raises:
         PipelineError: the training diverged.
         PolicyMismatchError: the exported network and Stable-Baselines3's policy disagree on a visited state.
-        KeyboardInterrupt: Ctrl-C; the checkpoint of the last whole segment stays.
     """
     checkpoints.mkdir(parents=True, exist_ok=True)
     model, actor = build_model(config, stream_seed(config.seed, "train")), actor_of(config)

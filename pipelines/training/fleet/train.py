@@ -28,14 +28,9 @@ from pipelines.training.fleet.trainer import FleetTrainer, Task
 def train_fleet(
     configs: Sequence[RunConfig], checkpoints: Sequence[Path], outs: Sequence[Path]
 ) -> list[Exception | None]:
-    """Train runs as one, each from its own checkpoint, and write each one's result into its folder.
+    """Train runs that are one fleet as one, each from its own checkpoint; write each one's result into its folder.
 
     Runs that are behind the others catch up first; a run that diverges is left behind.
-
-    Args:
-        configs: runs that `pipelines/stages/fleets.py` puts together.
-        checkpoints: the folder of each run's checkpoints.
-        outs: an empty folder for each.
 
     Returns:
         For each run None, or why it has no result: the training diverged (PipelineError), or the exported network and

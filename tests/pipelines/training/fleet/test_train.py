@@ -17,8 +17,7 @@ from pipelines.engine.store import read_csv
 from pipelines.errors import ConfigError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import make_env
-from pipelines.stages.fleets import fleets, group_key
-from pipelines.stages.train import checkpoint_folder, train_settings, trained_steps
+from pipelines.stages.train import checkpoint_folder, fleets, group_key, train_settings, trained_steps
 from pipelines.training.fleet import trainer as trainer_module
 from pipelines.training.fleet.fleet_run import FleetRun
 from pipelines.training.fleet.progress import FleetProgress

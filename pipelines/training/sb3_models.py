@@ -36,7 +36,6 @@ from pipelines.training.estimates import learning_starts
 from pipelines.training.relu_actor import ReluActor
 
 torch.set_num_threads(1)  # two threads make these small networks a hundred times slower
-torch.set_flush_denormal(True)  # decayed weights become denormal numbers, which are many times slower and worth nothing
 
 
 ALGORITHMS: dict[type[AlgoConfig], type[BaseAlgorithm]] = {

@@ -15,6 +15,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from stable_baselines3.common.logger import Logger
 
+from otr.learners.networks.denormals import denormals_as_zero
 from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import stream_seed
 from pipelines.tracking.tracker import Tracker
@@ -62,7 +63,8 @@ def train_segment(model: BaseAlgorithm, actor: ReluActor, segment: int, progress
         model.exploration_rate = model.exploration_schedule(1.0)
     began = time.monotonic()
     callbacks = CallbackList([_MovesTheBar(progress), *actor.callbacks()] if progress.bar else actor.callbacks())
-    model.learn(n_steps, callback=callbacks, log_interval=None, reset_num_timesteps=False)  # type: ignore[arg-type]
+    with denormals_as_zero():
+        model.learn(n_steps, callback=callbacks, log_interval=None, reset_num_timesteps=False)  # type: ignore[arg-type]
     actor.segment_learnt(model)
     seconds = time.monotonic() - began
     assert model.env is not None

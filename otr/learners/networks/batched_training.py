@@ -9,7 +9,6 @@ differs.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -22,6 +21,7 @@ from otr.core.arrays import BoolArray, FloatArray, IntArray
 from otr.errors import OtrError
 from otr.learners.base.parameters import AT_LEAST_1, BELOW_1, NOT_NEGATIVE, POSITIVE, SHARE, Constraints, Settings
 from otr.learners.networks.batched_models import PADDED_TO, BatchedModels, Loss, SeedStreams
+from otr.learners.networks.denormals import denormals_as_zero
 from otr.learners.networks.first_layer import InputRows
 from otr.learners.networks.validation_scores import areas_under_curve, negative_losses
 
@@ -93,19 +93,8 @@ class Fitted:
     epochs: IntArray
 
 
-@contextmanager
-def _without_denormals() -> Iterator[None]:
-    """Let numbers below 1e-38 be zero: a rare input's momentum gets there, where arithmetic is ten times slower."""
-    before = not (torch.tensor([1e-39]) * 1.0).any()
-    torch.set_flush_denormal(True)
-    try:
-        yield
-    finally:
-        torch.set_flush_denormal(before)
-
-
 @torch.no_grad()
-@_without_denormals()
+@denormals_as_zero()
 def train_models(
     models: BatchedModels[Any],
     rows: InputRows,

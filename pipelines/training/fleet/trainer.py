@@ -1,7 +1,6 @@
 """A cohort of runs at the same step, stacked: collects transitions and updates, a segment at a time."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +9,7 @@ import torch
 from torch import Tensor
 
 import otr
+from otr.learners.networks.denormals import denormals_as_zero
 from pipelines.config.env import EnvConfig
 from pipelines.config.run import RunConfig
 from pipelines.config.trainer import FleetConfig
@@ -127,7 +127,7 @@ class FleetTrainer:
     @torch.no_grad()
     def train_segment(self, progress: FleetProgress) -> Collected:
         """Collect a segment's transitions and do its updates; the rows are on the disk afterwards."""
-        with _flushed_denormals():
+        with denormals_as_zero():
             config, n_runs, n_envs = self._config, len(self.runs), self._n_envs
             start, n_actions = self.runs[0].n_steps, self._task.layout.n_actions
             n_steps = min(segment_steps(config), config.train.steps - start)
@@ -202,19 +202,6 @@ class _EpisodeSums:
             self.returns[i // self._n_envs].append(float(self._return[i]))
             self.lengths[i // self._n_envs].append(int(self._length[i]))
             self._return[i], self._length[i] = 0.0, 0
-
-
-@contextmanager
-def _flushed_denormals() -> Iterator[None]:
-    """Take denormal numbers, which are slow, as zero for a while.
-
-    Not for the whole process: what else it trains must not depend on whether this module was imported.
-    """
-    torch.set_flush_denormal(True)
-    try:
-        yield
-    finally:
-        torch.set_flush_denormal(False)
 
 
 def uses_envpool(env: EnvConfig, fleet: FleetConfig) -> bool:

@@ -55,15 +55,15 @@ def decided_leaves(tree: ObliqueTree, head: Head) -> ObliqueTree:
 
 
 @dataclass(frozen=True)
-class _Path:
+class _KnownTests:
     """What is known at a node: each test above it as ``unit @ x <= bound`` or, `above`, ``unit @ x > bound``."""
 
     units: FloatArray  # (k, d)
     bounds: FloatArray  # (k,)
     above: BoolArray  # (k,)
 
-    def extended(self, unit: FloatArray, bound: float, above: bool) -> _Path:
-        return _Path(np.vstack((self.units, unit)), np.append(self.bounds, bound), np.append(self.above, above))
+    def extended(self, unit: FloatArray, bound: float, above: bool) -> _KnownTests:
+        return _KnownTests(np.vstack((self.units, unit)), np.append(self.bounds, bound), np.append(self.above, above))
 
     def outcome(self, unit: FloatArray, bound: float) -> bool | None:
         """Return whether ``unit @ x > bound`` holds for all x of the path (True) or none (False); else None."""
@@ -92,11 +92,11 @@ class _Tournaments:
 
     def grow(self) -> None:
         d = self.tree.n_inputs
-        nothing = _Path(np.zeros((0, d)), np.zeros(0), np.zeros(0, dtype=np.bool_))
+        nothing = _KnownTests(np.zeros((0, d)), np.zeros(0), np.zeros(0, dtype=np.bool_))
         root = 0 if self.tree.n_nodes else ~0
         self._copy(root, nothing)
 
-    def _copy(self, reference: int, path: _Path) -> int:
+    def _copy(self, reference: int, path: _KnownTests) -> int:
         """Copy what stands at `reference` of the old tree; return its reference in the new one."""
         if reference < 0:
             return self._decide(~reference, (), path)
@@ -106,7 +106,7 @@ class _Tournaments:
             self._link(node, side, self._copy(int(children[reference]), _known(path, P, v, side)))
         return node
 
-    def _decide(self, leaf: int, outcomes: tuple[bool, ...], path: _Path) -> int:
+    def _decide(self, leaf: int, outcomes: tuple[bool, ...], path: _KnownTests) -> int:
         """Grow the head's tests from those with known outcomes on; return the reference of the first."""
         so_far = np.array([outcomes], dtype=np.bool_)
         if len(outcomes) == self.head.n_tests(self.tree.n_outputs):
@@ -138,6 +138,6 @@ class _Tournaments:
         (self.right if side else self.left)[node] = reference
 
 
-def _known(path: _Path, P: FloatArray, v: float, above: bool) -> _Path:
+def _known(path: _KnownTests, P: FloatArray, v: float, above: bool) -> _KnownTests:
     norm = float(np.linalg.norm(P))
     return path.extended(P / norm, -v / norm, above) if norm > 0 else path

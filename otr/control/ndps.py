@@ -89,7 +89,7 @@ def fit_ndps(
         raise ValueError(f"{len(X)} states, {len(answers)} answers and {len(weights)} weights; give as many of each")
     centre, spread = X.mean(axis=0), X.std(axis=0)
     spread[spread < 1e-8] = 1.0
-    problem = _Problem.of((X - centre) / spread, answers, weights / weights.mean(), head, n_outputs)
+    problem = _StandardisedRows.of((X - centre) / spread, answers, weights / weights.mean(), head, n_outputs)
     torch_generator = torch.Generator().manual_seed(int(generator.integers(2**63)))
     if start is None:
         module = SoftTree(X.shape[1], n_outputs, settings.depth, affine_leaves=True, generator=torch_generator)
@@ -156,7 +156,7 @@ class NdpsImitator:
 
 
 @dataclass(frozen=True)
-class _Problem:
+class _StandardisedRows:
     """Standardised states, and answers in units of their own spread."""
 
     X: FloatArray
@@ -173,7 +173,7 @@ class _Problem:
     @classmethod
     def of(
         cls, X: FloatArray, answers: FloatArray | IntArray, weights: FloatArray, head: Head, n_outputs: int
-    ) -> _Problem:
+    ) -> _StandardisedRows:
         unlimited = np.full(n_outputs, np.inf)
         if head.gives_labels:
             return cls(X, np.asarray(answers, dtype=np.int64), weights, -unlimited, unlimited, np.ones(n_outputs))
@@ -182,7 +182,9 @@ class _Problem:
         return cls(X, answers / scale, weights, low / scale, high / scale, scale)
 
 
-def _fit_softly(module: SoftTree, problem: _Problem, settings: NdpsSettings, generator: torch.Generator) -> None:
+def _fit_softly(
+    module: SoftTree, problem: _StandardisedRows, settings: NdpsSettings, generator: torch.Generator
+) -> None:
     """Fit all parameters by Adam while the tests grow hard."""
     X = torch.tensor(problem.X, dtype=torch.float32)
     answers = torch.tensor(problem.answers, dtype=torch.int64 if problem.has_labels else torch.float32)
@@ -212,7 +214,7 @@ def _clipped_errors(outputs: Tensor, wanted: Tensor, low: Tensor, high: Tensor) 
     return errors.masked_fill(overshot, 0.0)
 
 
-def _refit_leaves(module: SoftTree, problem: _Problem, ridge: float) -> None:
+def _refit_leaves(module: SoftTree, problem: _StandardisedRows, ridge: float) -> None:
     """Fit every leaf to the rows that the hard tests send to it; a leaf without rows stays as it is."""
     rows_of = module.harden().apply(problem.X)
     X1 = np.concatenate((problem.X, np.ones((len(problem.X), 1))), axis=1)
@@ -255,7 +257,7 @@ def _ridge(
     return solution
 
 
-def _refit_logits(module: SoftTree, X1: FloatArray, leaves: IntArray, problem: _Problem, ridge: float) -> None:
+def _refit_logits(module: SoftTree, X1: FloatArray, leaves: IntArray, problem: _StandardisedRows, ridge: float) -> None:
     """Fit all leaves' logits at once: multinomial logistic regressions by L-BFGS, with a ridge to where they start."""
     states, rows = torch.tensor(X1), torch.tensor(leaves)
     labels, weights = torch.tensor(problem.answers), torch.tensor(problem.weights)

@@ -204,7 +204,7 @@ class _Box(Head):
         return {"name": self.name, "low": self.low.tolist(), "high": self.high.tolist()}
 
 
-class _Squashed(_Box):
+class _TanhHead(_Box):
     """A head whose answers are low + (tanh(u) + 1) / 2 * (high - low), for controls u."""
 
     def __init__(self, low: ArrayLike, high: ArrayLike) -> None:
@@ -232,7 +232,7 @@ class _Squashed(_Box):
         return self
 
 
-class TanhBox(_Squashed):
+class TanhBox(_TanhHead):
     """low + (tanh(y) + 1) / 2 * (high - low): the action of a SAC, TD3 or DDPG actor."""
 
     name = "tanh_box"
@@ -268,7 +268,7 @@ class ClipBox(_Box):
         return ClipBox(*both)
 
 
-class PidBox(_Squashed):
+class PidBox(_TanhHead):
     """A PID controller's action, squashed into the box [low, high] as `TanhBox` does (Orfanos 2023, Fig. 4.3).
 
     Of the outputs y the first 3 d are the terms phi = [P, I, D] and every further 3 d the gains theta_j of one action:

@@ -87,6 +87,16 @@ class ObliqueTree:
         return self.M_of_basis if self.basis is None else read_only(self.M_of_basis @ self.basis)
 
     @property
+    def test_forms(self) -> FloatArray:
+        """The tests as affine forms [P | v]: (n_nodes, d + 1)."""
+        return np.column_stack((self.P, self.v))
+
+    @property
+    def leaf_forms(self) -> FloatArray:
+        """The leaves' maps as affine forms [M | c]: (n_leaves, o, d + 1)."""
+        return np.concatenate((self.M, self.c[:, :, None]), axis=2)
+
+    @property
     def n_nodes(self) -> int:
         """Number of test nodes."""
         return len(self.v)

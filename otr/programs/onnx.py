@@ -136,7 +136,7 @@ def _find_leaf(graph: _Graph, tree: ObliqueTree) -> str:
     node = graph.add("Expand", [graph.constant("root", np.zeros(1, dtype=np.int64)), n_states])
     if not n_nodes:
         return node
-    tests, test_of = distinct_rows(np.column_stack((tree.P, tree.v)))
+    tests, test_of = distinct_rows(tree.test_forms)
     references = child(tree)
     children = np.where(references >= 0, references, n_nodes + ~references)
     arrived = np.arange(n_nodes, n_nodes + n_leaves)

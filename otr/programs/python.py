@@ -130,7 +130,7 @@ def _tables(tree: ObliqueTree) -> list[str]:
     """Return tables, a loop that finds the leaf, and what assigns `outputs` or returns the label."""
     lines = []
     if tree.n_nodes:
-        tests, test_of_node = distinct_rows(np.column_stack((tree.P, tree.v)))
+        tests, test_of_node = distinct_rows(tree.test_forms)
         lines += [
             "# A test's offset, and its weights by input; a negative child r is the leaf ~r.",
             f"tests = {_rows(tests)}",
@@ -147,7 +147,7 @@ def _tables(tree: ObliqueTree) -> list[str]:
         lines.append("node = -1")
     if tree.labels is not None:
         return [*lines, f"return {_tuple(tree.labels)}[~node]"]
-    rows, row_of = distinct_rows(np.concatenate((tree.M, tree.c[:, :, None]), axis=2).reshape(-1, tree.n_inputs + 1))
+    rows, row_of = distinct_rows(tree.leaf_forms.reshape(-1, tree.n_inputs + 1))
     of_leaf = row_of.reshape(tree.n_leaves, tree.n_outputs)
     return [
         *lines,

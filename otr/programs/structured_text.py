@@ -139,7 +139,7 @@ def _nested(tree: ObliqueTree, names: Names) -> tuple[dict[str, list[str]], list
 def _tables(tree: ObliqueTree, names: Names) -> tuple[dict[str, list[str]], list[str]]:
     """Return the same as `_nested` with the tests and leaves in tables, found by a loop."""
     d, o = tree.n_inputs, tree.n_outputs
-    tests, test_of = distinct_rows(np.column_stack((tree.P, tree.v)))
+    tests, test_of = distinct_rows(tree.test_forms)
     constants = [_reals("tests", tests), _integers("test_of", test_of), _integers("child", child(tree))]
     variables = [f"inputs : ARRAY [0..{d - 1}] OF LREAL;", "node, first, column : DINT;", "total : LREAL;"]
     lines = [f"inputs[{i}] := {identifier};" for i, identifier in enumerate(names.feature_ids)]
@@ -159,7 +159,7 @@ def _tables(tree: ObliqueTree, names: Names) -> tuple[dict[str, list[str]], list
     if tree.labels is not None:
         constants.append(_integers("label_of", tree.labels, _integer_type(tree)))
         return {"VAR CONSTANT": constants, "VAR": variables}, [*lines, "label := label_of[node];"]
-    rows, row_of = distinct_rows(np.concatenate((tree.M, tree.c[:, :, None]), axis=2).reshape(-1, d + 1))
+    rows, row_of = distinct_rows(tree.leaf_forms.reshape(-1, d + 1))
     constants += [_reals("rows", rows), _integers("row_of", row_of)]
     for output, identifier in enumerate(names.output_ids):
         lines += [*_sum_of_row("rows", f"row_of[{o} * node + {output}]", d, ""), f"{identifier} := total;"]

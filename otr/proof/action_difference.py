@@ -54,7 +54,7 @@ def largest_difference(tree: ObliqueTree, other: ObliqueTree, box: Box | Domain)
     apart = np.maximum(high - other_low, other_high - low)
     slope = tree.head.slopes(tree.n_outputs) if tree.head == other.head else None
     if slope is not None:
-        between = _outputs(tree, leaves) - _outputs(other, others)
+        between = tree.leaf_forms[leaves] - other.leaf_forms[others]
         widest = np.maximum(_largest(rows, signs, domain, between), _largest(rows, signs, domain, -between))
         apart = np.minimum(apart, slope * widest)
     return float(apart.max(initial=0.0))
@@ -76,12 +76,6 @@ def _meetings(
     return rows.take(at), signs[at], leaves[at], others[at]
 
 
-def _outputs(tree: ObliqueTree, leaves: IntArray) -> FloatArray:
-    """Return the affine forms of leaves' outputs: (n, o, d + 1)."""
-    forms: FloatArray = np.concatenate((tree.M, tree.c[:, :, None]), axis=2)[leaves]
-    return forms
-
-
 def _largest(rows: HalfSpaces, signs: np.ndarray, domain: Domain, forms: FloatArray) -> FloatArray:
     """Return the largest values of forms (n, o, d + 1), each over its own polytope: (n, o)."""
     n, o, _ = forms.shape
@@ -94,6 +88,6 @@ def _ranges(
     rows: HalfSpaces, signs: np.ndarray, domain: Domain, tree: ObliqueTree, leaves: IntArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the smallest and the largest actions of leaves, (n, o) each, over polytopes: heads are monotone."""
-    forms = _outputs(tree, leaves)
+    forms = tree.leaf_forms[leaves]
     low, high = -_largest(rows, signs, domain, -forms), _largest(rows, signs, domain, forms)
     return np.asarray(tree.head(low)), np.asarray(tree.head(high))

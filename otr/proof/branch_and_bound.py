@@ -23,7 +23,7 @@ from otr.geometry.rational import Point, as_point
 from otr.geometry.regions import leaf_rows
 from otr.proof.certificate import Sum
 from otr.proof.exact_cells import decide
-from otr.proof.exact_rows import Row
+from otr.proof.exact_rows import ExactRow
 from otr.proof.verdict import Piece, Question, Verdict
 from otr.proof.verify import rounded_up
 
@@ -45,7 +45,7 @@ class Search:
         self.question, self.tolerance = question, tolerance
         self.tree, self.domain, self.weighed = question.tree, question.domain, question.weighed
         self.rows, self.signs = leaf_rows(self.tree, self.domain, np.arange(self.tree.n_leaves))
-        self.outputs = np.concatenate((self.tree.M, self.tree.c[:, :, None]), axis=2)[:, self.weighed]
+        self.outputs = self.tree.leaf_forms[:, self.weighed]
 
     def run(self, max_pieces: int) -> Verdict:
         """Return the answer.
@@ -105,11 +105,11 @@ class Search:
             beyond[-1] -= limit * 2**self.question.power
             denominator = np.lcm.reduce([value.denominator for value in beyond.tolist()])
             numbers = np.array([int(value * denominator) for value in beyond], dtype=object)
-            found = decide(rows | {"beyond": Row(numbers, True)}, self.tree.n_inputs)
+            found = decide(rows | {"beyond": ExactRow(numbers, True)}, self.tree.n_inputs)
             if isinstance(found, tuple):
                 if point is None:  # well inside, if there is an inside, where float64 finds it, too
-                    strict = {name: Row(row.numbers, True) for name, row in rows.items()}
-                    deeper = decide(strict | {"beyond": Row(numbers, True)}, self.tree.n_inputs)
+                    strict = {name: ExactRow(row.numbers, True) for name, row in rows.items()}
+                    deeper = decide(strict | {"beyond": ExactRow(numbers, True)}, self.tree.n_inputs)
                     point = deeper if isinstance(deeper, tuple) else found
                 continue
             own = found.pop("beyond", Fraction(0)) * int(denominator)
@@ -142,7 +142,7 @@ class Search:
         leaf, value, _ = question.value(point)
         state = np.array([float(value) for value in point])
         exact = as_point(state)
-        if question.fails_in_float64(state) and question.leaf_at(exact) == leaf:
+        if question.fails_in_float64(state) and question.leaf(exact) == leaf:
             point, (_, value, _) = exact, question.value(exact)
         action = question.own_action(state)
         return Verdict(False, rounded_up(value), leaf, state, action, point, (), self.tolerance)

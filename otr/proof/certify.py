@@ -26,7 +26,7 @@ from otr.geometry.regions import leaf_rows
 from otr.geometry.simplex import Bases
 from otr.proof.certificate import Cell, Certificate, Sum
 from otr.proof.exact_cells import ExactCell, Multipliers, counterexample, decide, find_cells, largest_gap, refused_at
-from otr.proof.exact_rows import Row, TreeAndNetwork
+from otr.proof.exact_rows import ExactRow, TreeAndNetwork
 from otr.proof.float_cells import cells_of, empty_sum, row_names, start_of_walk
 from otr.proof.verify import Checker, check_cover, rounded_up
 
@@ -67,7 +67,7 @@ def certify(
         raise ValueError(f"max_error is {max_error}, expected a finite number of at least 0")
     box = as_domain(network.domain if domain is None else domain, network.n_inputs)
     _check_fit(tree, network)
-    search = _Search(TreeAndNetwork(tree, network, box), max_error, max_regions, max_seconds)
+    search = _Certification(TreeAndNetwork(tree, network, box), max_error, max_regions, max_seconds)
     return search.run()
 
 
@@ -78,7 +78,7 @@ def _check_fit(tree: ObliqueTree, network: ReluNetwork) -> None:
         raise ValueError(f"the tree has (inputs, outputs, head) {ours}, the network {theirs}; they must be the same")
 
 
-class _Search:
+class _Certification:
     def __init__(self, pair: TreeAndNetwork, max_error: float, max_regions: int, max_seconds: float | None) -> None:
         self.pair, self.checker = pair, Checker(pair)
         self.max_error, self.max_regions, self.max_seconds = Fraction(max_error), max_regions, max_seconds
@@ -170,7 +170,7 @@ class _Search:
         tests = [*forms[:n], *pair.head_tests(forms, outcomes)]
         rows = pair.rows_of_leaf(cell.leaf)
         for split in cell.splits:
-            rows[f"neuron {split}"] = Row(tests[split] if outcomes[split] else -tests[split], outcomes[split])
+            rows[f"neuron {split}"] = ExactRow(tests[split] if outcomes[split] else -tests[split], outcomes[split])
         point = decide(rows, pair.network.n_inputs)
         self.n_programs += 1
         if not isinstance(point, tuple):
@@ -194,7 +194,7 @@ class _Search:
         self.n_programs += len(gaps)
         return replace(cell, bounds=tuple(_as_sum(multipliers) for _, multipliers in gaps))
 
-    def _exact_cells(self, leaf: int, rows: dict[str, Row], point: Point) -> list[Cell]:
+    def _exact_cells(self, leaf: int, rows: dict[str, ExactRow], point: Point) -> list[Cell]:
         """Return the cells of a leaf's region, in exact arithmetic.
 
         Raises:

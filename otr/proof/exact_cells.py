@@ -20,7 +20,7 @@ from otr.core.head import Identity
 from otr.errors import CertificateError
 from otr.geometry.rational import Integers, Point, as_point, integers, nearest_state
 from otr.geometry.rational_linear_programs import inner_point, largest_value
-from otr.proof.exact_rows import Row, TreeAndNetwork
+from otr.proof.exact_rows import ExactRow, TreeAndNetwork
 
 _MAX_CELLS = 1000  # looked at for a point that shows a refusal
 
@@ -42,13 +42,13 @@ class ExactCell:
 
     leaf: int
     outcomes: tuple[bool, ...]
-    rows: dict[str, Row]
+    rows: dict[str, ExactRow]
     proofs: dict[int, Multipliers]
     point: Point
     forms: Integers
 
 
-def decide(rows: dict[str, Row], n_inputs: int) -> Point | Multipliers:
+def decide(rows: dict[str, ExactRow], n_inputs: int) -> Point | Multipliers:
     """Return a point at which all rows hold, or multipliers that show that there is none."""
     names = list(rows)
     found = inner_point(stacked(rows, n_inputs), [rows[name].is_strict for name in names])
@@ -65,11 +65,11 @@ def cells_of_leaf(pair: TreeAndNetwork, leaf: int) -> Iterator[ExactCell]:
         yield from find_cells(pair, leaf, rows, point)
 
 
-def find_cells(pair: TreeAndNetwork, leaf: int, rows: dict[str, Row], point: Point) -> Iterator[ExactCell]:
+def find_cells(pair: TreeAndNetwork, leaf: int, rows: dict[str, ExactRow], point: Point) -> Iterator[ExactCell]:
     """Yield the network's cells in a leaf's region of these rows, in which a point lies, depth first."""
     n = pair.network.n_hidden
     starts = set(pair.network.unit_form().layer_starts)
-    waiting: list[tuple[tuple[bool, ...], dict[str, Row], dict[int, Multipliers], Point, Integers]] = [
+    waiting: list[tuple[tuple[bool, ...], dict[str, ExactRow], dict[int, Multipliers], Point, Integers]] = [
         ((), rows, {}, point, np.empty((0, 0), dtype=object))
     ]
     while waiting:
@@ -84,7 +84,7 @@ def find_cells(pair: TreeAndNetwork, leaf: int, rows: dict[str, Row], point: Poi
         form = forms[test] if test < n else pair.head_tests(forms, padded)[test - n]
         near = pair.values(form[None], point)[0] > 0
         name = f"neuron {test}"
-        sides = {outcome: rows | {name: Row(form if outcome else -form, outcome)} for outcome in (False, True)}
+        sides = {outcome: rows | {name: ExactRow(form if outcome else -form, outcome)} for outcome in (False, True)}
         far = decide(sides[not near], pair.network.n_inputs)
         if isinstance(far, tuple):
             waiting.append(((*outcomes, not near), sides[not near], proofs, far, forms))
@@ -210,6 +210,6 @@ def _between(point: Point, other: Point, share: Fraction) -> Point:
     return tuple(a + (b - a) * share for a, b in zip(point, other, strict=True))
 
 
-def stacked(rows: dict[str, Row], n_inputs: int) -> Integers:
+def stacked(rows: dict[str, ExactRow], n_inputs: int) -> Integers:
     """Return rows as one array (m, d + 1)."""
     return np.array([row.numbers for row in rows.values()], dtype=object).reshape(len(rows), n_inputs + 1)

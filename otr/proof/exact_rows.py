@@ -21,53 +21,42 @@ from otr.geometry.rational import ExactTree, ExactUnits, Integers, Point, at, co
 from otr.geometry.regions import leaf_paths
 
 
-class Row(NamedTuple):
+class ExactRow(NamedTuple):
     """A row: integers (d + 1,) over a power of two, and whether it must be above 0, not just at it."""
 
     numbers: Integers
     is_strict: bool
 
 
-class TreeOnDomain:
-    """A tree on a domain in exact arithmetic.
+class TreeOnDomain(ExactTree):
+    """A tree on a domain in exact arithmetic: all rows and forms are integers over 2**power.
 
     Attributes:
-        tree, domain: these.
-        power: all rows and forms here are integers over 2**power.
+        domain: where.
         sides: the domain's, by name.
-        maps: (n_leaves, o, d + 1), the leaves' forms.
     """
 
     def __init__(self, tree: ObliqueTree, domain: Domain, power: int = 0) -> None:
         """Take tree and domain apart; `power` is the least that is wanted."""
-        self.tree, self.domain = tree, domain
-        self._exact = ExactTree(tree)
+        super().__init__(tree)
+        self.domain = domain
         forms, names = domain.sides()
         sides, of_sides = integers(forms)
-        self.power = max(power, self._exact.power, of_sides)
-        (sides,) = common_integers([(sides, of_sides)], self.power)
-        self.sides = {name: Row(row, False) for name, row in zip(names, sides, strict=True)}
-        parts = [(self._exact.tests, self._exact.power), (self._exact.maps, self._exact.power)]
-        self._tests, self.maps = common_integers(parts, self.power)
+        parts = [(self.tests, self.power), (self.maps, self.power), (sides, of_sides)]
+        self.power = max(power, self.power, of_sides)
+        self.tests, self.maps, sides = common_integers(parts, self.power)
+        self.sides = {name: ExactRow(row, False) for name, row in zip(names, sides, strict=True)}
         self._paths = leaf_paths(tree)
 
-    def rows_of_leaf(self, leaf: int) -> dict[str, Row]:
+    def rows_of_leaf(self, leaf: int) -> dict[str, ExactRow]:
         """Return the rows of the leaf's region: the domain's sides and the tests on its path."""
         path = zip(self._paths.nodes[leaf].tolist(), self._paths.signs[leaf].tolist(), strict=True)
         tests = {
-            f"test {node}": Row(self._tests[node] if sign > 0 else -self._tests[node], sign > 0)
+            f"test {node}": ExactRow(self.tests[node] if sign > 0 else -self.tests[node], sign > 0)
             for node, sign in path
             if node >= 0
         }
         return self.sides | tests
-
-    def leaf_at(self, point: Point) -> int:
-        """Return the leaf that a point reaches."""
-        return self._exact.leaf(point)
-
-    def outputs(self, leaf: int, point: Point) -> list[Fraction]:
-        """Return the affine outputs of a leaf at a point."""
-        return self._exact.outputs(leaf, point)
 
     def is_inside(self, point: Point) -> bool:
         """Return whether a point is in the domain."""
@@ -134,7 +123,7 @@ class TreeAndNetwork(TreeOnDomain):
 
     def gap(self, point: Point) -> tuple[int, Fraction]:
         """Return the leaf that a point reaches, and the difference of tree and network there."""
-        leaf, outputs = self.leaf_at(point), self.units.outputs(point)
+        leaf, outputs = self.leaf(point), self.units.outputs(point)
         if self.tree.labels is None:
             theirs = self.outputs(leaf, point)
             return leaf, max(abs(a - b) for a, b in zip(outputs, theirs, strict=True))

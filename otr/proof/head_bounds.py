@@ -114,7 +114,7 @@ class _ClippedAction(Action):
 
 
 @dataclass(frozen=True)
-class _SquashedAction(Action):
+class _TanhAction(Action):
     """h(y) = bottom + (tanh(y) + 1) / 2 * (top - bottom)."""
 
     bottom: float
@@ -176,7 +176,7 @@ def _(head: ClipBox, n_outputs: int, output: int) -> Action:
 
 @action_of.register
 def _(head: TanhBox, n_outputs: int, output: int) -> Action:
-    return _SquashedAction(*(float(limit[output]) for limit in head.limits(n_outputs)))
+    return _TanhAction(*(float(limit[output]) for limit in head.limits(n_outputs)))
 
 
 @action_of.register(Sign)

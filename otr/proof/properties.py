@@ -58,7 +58,7 @@ def output_range(tree: ObliqueTree, box: Box | Domain) -> OutputRange:
     wide, thin = _reached(tree, domain)
     o = tree.n_outputs
     rows, signs = leaf_rows(tree, domain, wide)
-    forms = domain.scaled(np.concatenate((tree.M[wide], tree.c[wide][:, :, None]), axis=2))
+    forms = domain.scaled(tree.leaf_forms[wide])
     objectives = np.concatenate((-forms, forms), axis=1).reshape(len(wide) * 2 * o, -1)
     best = largest_values(rows, np.repeat(np.arange(len(wide)), 2 * o), np.repeat(signs, 2 * o, axis=0), objectives)
     of_wide = np.clip(domain.unscaled(best.states), domain.low, domain.high).reshape(len(wide), 2 * o, -1)
@@ -149,8 +149,9 @@ def _largest_outputs(exact: TreeOnDomain, leaves: IntArray) -> tuple[FloatArray,
     tree = exact.tree
     n_values = 2 * tree.n_outputs
     values, states = np.zeros((len(leaves), n_values)), np.zeros((len(leaves), n_values, tree.n_inputs))
+    forms = tree.leaf_forms
     for at, leaf in enumerate(leaves.tolist()):
-        rows, forms = stacked(exact.rows_of_leaf(leaf), tree.n_inputs), np.column_stack((tree.M[leaf], tree.c[leaf]))
-        for i, form in enumerate((*-forms, *forms)):
+        rows = stacked(exact.rows_of_leaf(leaf), tree.n_inputs)
+        for i, form in enumerate((*-forms[leaf], *forms[leaf])):
             values[at, i], states[at, i] = largest_over(rows, form, exact.domain)
     return values, states

@@ -22,7 +22,7 @@ from otr.core.tree import ObliqueTree
 from otr.errors import CertificateError
 from otr.geometry.rational import Integers, Point, as_point
 from otr.proof.certificate import Sum
-from otr.proof.exact_rows import Row, TreeOnDomain
+from otr.proof.exact_rows import ExactRow, TreeOnDomain
 from otr.proof.head_bounds import action_of
 
 
@@ -113,7 +113,7 @@ class Question(TreeOnDomain):
         """Return what the condition's left side may be."""
         return Fraction(self.bound) + (0 if self.is_exact else Fraction(tolerance))
 
-    def rows(self, leaf: int, low: Sequence[float], high: Sequence[float]) -> dict[str, Row]:
+    def rows(self, leaf: int, low: Sequence[float], high: Sequence[float]) -> dict[str, ExactRow]:
         """Return the rows of a piece, by name."""
         rows = self.rows_of_leaf(leaf)
         for output, least, most in zip(self.weighed, low, high, strict=True):
@@ -123,7 +123,7 @@ class Question(TreeOnDomain):
                     form[-1] -= Fraction(limit) * 2**self.power
                     denominator = form[-1].denominator
                     numbers = np.array([int(value * denominator) * sign for value in form], dtype=object)
-                    rows[f"output {output} {name}"] = Row(numbers, False)
+                    rows[f"output {output} {name}"] = ExactRow(numbers, False)
         return rows
 
     def left_side(self, leaf: int, lines: Sequence[tuple[float, float | Fraction]]) -> Integers:
@@ -143,7 +143,7 @@ class Question(TreeOnDomain):
 
     def value(self, point: Point) -> tuple[int, Fraction, Fraction]:
         """Return a point's leaf, the condition's left side there, and how far that may be off: 0 without tanh."""
-        leaf = self.leaf_at(point)
+        leaf = self.leaf(point)
         value = Fraction(self.of_label(leaf))
         value += sum((Fraction(a) * x for a, x in zip(self.state.tolist(), point, strict=True)), Fraction(0))
         off = Fraction(0)
@@ -253,7 +253,7 @@ class Question(TreeOnDomain):
             raise CertificateError(
                 f"leaf {verdict.leaf}: the condition does not fail at the state {verdict.state}", verdict.leaf
             )
-        if self.leaf_at(verdict.point) != verdict.leaf:
+        if self.leaf(verdict.point) != verdict.leaf:
             raise CertificateError(f"leaf {verdict.leaf}: the state is not in it", verdict.leaf)
 
     def fails(self, point: Point) -> bool:

@@ -29,7 +29,7 @@ from otr.core.tree import ObliqueTree
 from otr.errors import CertificateError
 from otr.geometry.rational import Integers, common_integers, integers
 from otr.proof.certificate import Cell, Certificate, Sum
-from otr.proof.exact_rows import Row, TreeAndNetwork
+from otr.proof.exact_rows import ExactRow, TreeAndNetwork
 
 
 def verify(certificate: Certificate, tree: ObliqueTree, network: ReluNetwork) -> float:
@@ -122,7 +122,7 @@ class Checker:
         tests = [*forms[:n], *self.pair.head_tests(forms, padded)]
         turned = [test if outcome else -test for test, outcome in zip(tests, outcomes, strict=False)]
         rows = self.pair.rows_of_leaf(cell.leaf)
-        rows |= {f"neuron {split}": Row(turned[split], outcomes[split]) for split in cell.splits}
+        rows |= {f"neuron {split}": ExactRow(turned[split], outcomes[split]) for split in cell.splits}
         if cell.empty is not None:
             self._check_empty(cell, cell.empty, rows)
             return Fraction(0)
@@ -141,7 +141,7 @@ class Checker:
         of_pairs = [errors[i] + (errors[j] if j >= 0 else 0) for i, j in self.pair.pairs(outcomes)]
         return sum(shortfalls[n:], Fraction(0)) + sum(of_pairs, Fraction(0)) + sum(bounds, Fraction(0))
 
-    def _bound(self, cell: Cell, at: int, form: Integers, rows: dict[str, Row]) -> Fraction:
+    def _bound(self, cell: Cell, at: int, form: Integers, rows: dict[str, ExactRow]) -> Fraction:
         """Return the bound on the absolute value of difference number `at` in a cell."""
         highest = []
         for side, signed in enumerate((form, -form)):
@@ -167,7 +167,7 @@ class Checker:
                 of_activations[neuron] = of_units[neuron] + active * shortfalls[neuron]
         return of_units[n:]
 
-    def _total(self, leaf: int, terms: Sum, rows: dict[str, Row]) -> tuple[Integers, int]:
+    def _total(self, leaf: int, terms: Sum, rows: dict[str, ExactRow]) -> tuple[Integers, int]:
         """Return a sum of rows, times the number that comes with it, and that number."""
         if len(terms.rows) != len(terms.multipliers):
             raise CertificateError(
@@ -187,7 +187,7 @@ class Checker:
             total += rows[name].numbers * (numerator * (scale // denominator))
         return total, scale
 
-    def _check_empty(self, cell: Cell, proof: Sum, rows: dict[str, Row]) -> None:
+    def _check_empty(self, cell: Cell, proof: Sum, rows: dict[str, ExactRow]) -> None:
         """Check that at no point all rows of a cell hold."""
         total, _ = self._total(cell.leaf, proof, rows)
         used = [rows[name] for name, multiplier in zip(proof.rows, proof.multipliers, strict=True) if multiplier > 0]

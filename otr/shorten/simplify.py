@@ -70,7 +70,7 @@ def simplify(
         )
     if any(few < 1 for few in digits):
         raise ValueError(f"digits are {digits}, expected at least 1 each")
-    search = _Search(tree, judge, states)
+    search = _Shortening(tree, judge, states)
     search.take(shorter.clipped, must_save=False)
     search.take(partial(shorter.constant_leaves, X=states), repeat=True)
     search.take(shorter.without_a_test, repeat=True)
@@ -103,7 +103,7 @@ def within(tree: ObliqueTree, box: Box | Domain, bound: float) -> Judge:
     return lambda candidate: largest_difference(tree, candidate, box) <= bound
 
 
-class _Search:
+class _Shortening:
     def __init__(self, tree: ObliqueTree, judge: Judge, states: FloatArray) -> None:
         self.tree, self.judge, self.states = tree, judge, states
         self.n_tried = self.n_kept = 0

@@ -11,7 +11,7 @@ from typing import Any
 import gymnasium as gym
 
 import otr
-from otr.control.dagger.loop import DaggerProgress, DaggerSettings, Fit, Play, run_dagger
+from otr.control.dagger.loop import DaggerProgress, DaggerSettings, Play, TreeFit, run_dagger
 from pipelines.config.methods import AugTreeConfig, ImitatingConfig, LmViperConfig, NdpsConfig, ViperConfig
 from pipelines.config.run import RunConfig
 from pipelines.engine.archive import verified_manifest
@@ -86,7 +86,7 @@ def imitate(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     )
 
 
-def _fit(config: RunConfig, oracle: otr.ReluNetwork, folder: Path) -> Fit:
+def _fit(config: RunConfig, oracle: otr.ReluNetwork, folder: Path) -> TreeFit:
     """Return the learner of a method's trees."""
     from otr.control.augtree import AugTreeFit  # imports scikit-learn, as the next line does
     from otr.control.viper import CartFit, LinearModelTreeFit
@@ -103,7 +103,7 @@ def _fit(config: RunConfig, oracle: otr.ReluNetwork, folder: Path) -> Fit:
     return AugTreeFit(oracle, config.depth, **options)
 
 
-def _ndps(method: NdpsConfig, depth: int, oracle: otr.ReluNetwork, folder: Path) -> Fit:
+def _ndps(method: NdpsConfig, depth: int, oracle: otr.ReluNetwork, folder: Path) -> TreeFit:
     import torch
 
     from otr.control.ndps import NdpsImitator, NdpsSettings

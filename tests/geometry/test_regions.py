@@ -1,4 +1,4 @@
-"""Leaves' regions: who is inside, inner points, and the bounds of affine functions on them."""
+"""Leaves' regions: who is inside, which are reached, and the bounds of affine functions on them."""
 
 import numpy as np
 import pytest
@@ -6,10 +6,26 @@ from hypothesis import given, settings
 
 import otr
 from otr.core.domain import Domain, as_domain
-from otr.geometry.regions import leaf_paths, leaf_region
+from otr.geometry.regions import leaf_paths
 from tests.core.strategies import Case, cases
 
 BOX = (-2.0, 2.0)
+
+
+def numbered(tree: otr.ObliqueTree) -> otr.ObliqueTree:
+    """Return the tree whose leaves answer with their own numbers."""
+    return tree.replace(labels=np.arange(tree.n_leaves), head=otr.Argmax())
+
+
+def bounds(tree: otr.ObliqueTree, leaf: int, form: np.ndarray, box: tuple) -> tuple[float, float]:
+    """Return the least and the largest value of an affine form on a leaf's region; all other leaves answer far off."""
+    found = []
+    for sign in (-1.0, 1.0):
+        M, c = np.zeros((tree.n_leaves, 1, tree.n_inputs)), np.full((tree.n_leaves, 1), -1e6)
+        M[leaf, 0], c[leaf, 0] = sign * form[:-1], sign * form[-1]
+        only = tree.replace(M=M, c=c, labels=None, head=otr.Identity())
+        found.append(sign * otr.output_range(only, box).high[0])
+    return found[0], found[1]
 
 
 @settings(max_examples=50)
@@ -17,50 +33,41 @@ BOX = (-2.0, 2.0)
 def test_a_region_holds_the_states_that_take_its_path(case: Case) -> None:
     tree = otr.map_network(case.network)
     X = np.clip(case.states, *BOX)
-    leaves = tree.apply(X)
-    for leaf in np.unique(leaves).tolist():
-        inside = leaf_region(tree, leaf, BOX).contains(X)
-        if case.exact:
-            np.testing.assert_array_equal(inside, leaves == leaf)
-        else:  # states on a boundary may be sent either way by rounding
-            paths = leaf_paths(tree)
-            nodes = paths.nodes[leaf]
-            values = X @ tree.P[nodes].T + tree.v[nodes]
-            clear = (np.abs(values) > 1e-9).all(axis=1) if len(nodes) else np.ones(len(X), dtype=bool)
-            np.testing.assert_array_equal(inside[clear], (leaves == leaf)[clear])
+    leaves, paths = tree.apply(X), leaf_paths(tree)
+    for leaf in range(tree.n_leaves):
+        nodes, signs = paths.nodes[leaf], paths.signs[leaf]
+        values = X @ tree.P[nodes].T + tree.v[nodes]
+        inside = ((values > 0) == (signs > 0)).all(axis=1)
+        # States on a boundary may be sent either way by rounding.
+        clear = np.full(len(X), True) if case.exact else (np.abs(values) > 1e-9).all(axis=1)
+        np.testing.assert_array_equal(inside[clear], (leaves == leaf)[clear])
 
 
 @settings(max_examples=50)
 @given(cases(max_layers=2))
-def test_inner_points_and_bounds(case: Case) -> None:
+def test_reached_leaves_and_bounds_on_them(case: Case) -> None:
     tree = otr.map_network(case.network)
     X = np.random.default_rng(0).uniform(*BOX, (2000, tree.n_inputs))
     leaves = tree.apply(X)
-    for leaf in range(tree.n_leaves):
-        region = leaf_region(tree, leaf, BOX)
-        point = region.inner_point()
-        if point is None:
-            assert (leaves == leaf).sum() == 0
-            continue
-        assert region.contains(point).all() and tree.apply(point) == leaf
-        form = np.append(tree.M[leaf, 0], tree.c[leaf, 0])
-        low, high = region.bounds(form)
+    reached = otr.reachable_labels(numbered(tree), BOX)
+    assert set(leaves.tolist()) <= set(reached.tolist())
+    for leaf in np.unique(leaves).tolist():
+        form = tree.leaf_forms[leaf, 0]
+        low, high = bounds(tree, leaf, form, BOX)
         there = X[leaves == leaf] @ form[:-1] + form[-1]
-        assert low - 1e-7 <= point @ form[:-1] + form[-1] <= high + 1e-7
-        if len(there):
-            assert low - 1e-7 <= there.min() and there.max() <= high + 1e-7
+        assert low - 1e-7 <= there.min() and there.max() <= high + 1e-7
 
 
 def test_a_worked_region() -> None:
     network = otr.ReluNetwork([[[1.0, 0.0], [1.0, 1.0]], [[1.0, 1.0]]], [[-1.0, 0.0], [0.0]])
     tree = otr.map_network(network)
-    region = leaf_region(tree, 1, ([-2.0, -2.0], [2.0, 2.0]))  # x <= 1 and x + y > 0
-    assert region.contains([[0.5, 0.5], [1.0, 0.0], [1.5, 0.5], [0.0, 0.0]]).tolist() == [True, True, False, False]
-    assert region.bounds([0.0, 1.0, 0.0]) == pytest.approx((-1.0, 2.0))
-    assert region.bounds([1.0, 1.0, 5.0]) == pytest.approx((5.0, 8.0))
-    empty = leaf_region(tree, 2, ([-2.0, -2.0], [2.0, -1.5]))
-    assert empty.inner_point() is not None
-    assert leaf_region(tree, 2, ([-2.0, -0.5], [2.0, 2.0])).inner_point() is None  # x > 1 and x + y <= 0
+    assert tree.apply([[0.5, 0.5], [1.0, 0.0], [1.5, 0.5], [0.0, 0.0]]).tolist() == [1, 1, 3, 0]
+    box = ([-2.0, -2.0], [2.0, 2.0])  # leaf 1 is x <= 1 and x + y > 0
+    assert bounds(tree, 1, np.array([0.0, 1.0, 0.0]), box) == pytest.approx((-1.0, 2.0))
+    assert bounds(tree, 1, np.array([1.0, 1.0, 5.0]), box) == pytest.approx((5.0, 8.0))
+    # Leaf 2 is x > 1 and x + y <= 0.
+    assert 2 in otr.reachable_labels(numbered(tree), ([-2.0, -2.0], [2.0, -1.5]))
+    assert 2 not in otr.reachable_labels(numbered(tree), ([-2.0, -0.5], [2.0, 2.0]))
 
 
 def test_a_path_is_listed_from_the_root() -> None:
@@ -72,12 +79,10 @@ def test_a_path_is_listed_from_the_root() -> None:
     assert single.nodes.shape == (1, 0)
 
 
-def test_bad_requests_are_told() -> None:
+def test_bad_domains_are_told() -> None:
     tree = otr.map_network(otr.ReluNetwork([[[1.0]], [[1.0]]], [[0.0], [0.0]]))
-    with pytest.raises(ValueError, match="leaf is 2, the tree has the leaves 0 to 1"):
-        leaf_region(tree, 2)
     with pytest.raises(ValueError, match="expected a bounded box"):
-        leaf_region(tree, 0).bounds([1.0, 0.0])
+        otr.output_range(tree, Domain([-np.inf], [1.0]))
     with pytest.raises(ValueError, match="low has shape"):
         Domain([0.0, 1.0], [1.0])
     assert as_domain(Domain([0.0], [1.0]), 1) == Domain([0.0], [1.0])

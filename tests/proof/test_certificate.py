@@ -321,7 +321,7 @@ def test_a_leaf_beyond_all_floats_counts() -> None:
     tree = otr.ObliqueTree([~0], [~1], [[5e-324]], [-1.0], [[[1.0]], [[3.0]]], [[0.0], [0.0]])
     with pytest.raises(otr.CertificateError, match=r"leaf 1: at the state \[about 2\*\*\d+\]") as refusal:
         otr.certify(tree, network)
-    assert TreeAndNetwork(tree, network, as_domain(None, 1)).leaf_at(refusal.value.state) == 1
+    assert TreeAndNetwork(tree, network, as_domain(None, 1)).leaf(refusal.value.state) == 1
     assert otr.certify(tree, network, (-1e100, 1e100)).n_empty == 1
 
 

@@ -28,11 +28,11 @@ from otr.errors import InvalidNetworkError
 
 _LABELLING_ROWS = 2**14
 
-Policy = Callable[[FloatArray], NDArray[Any]]
+BatchPolicy = Callable[[FloatArray], NDArray[Any]]
 EpisodeSeeds = Callable[[str, int, int], Sequence[int]]  # (name, index, n) -> n reset seeds
 
 
-class Episodes(Protocol):
+class PlayedEpisodes(Protocol):
     """What `Play` returns: states (sum of lengths, d), episode after episode, returns (m,) and lengths (m,)."""
 
     @property
@@ -46,10 +46,10 @@ class Episodes(Protocol):
 class Play(Protocol):
     """Plays one episode a seed with a policy that acts on batches of states; `keep_states` asks for the states."""
 
-    def __call__(self, policy: Policy, seeds: Sequence[int], keep_states: bool, /) -> Episodes: ...
+    def __call__(self, policy: BatchPolicy, seeds: Sequence[int], keep_states: bool, /) -> PlayedEpisodes: ...
 
 
-class Fit(Protocol):
+class TreeFit(Protocol):
     """Fits a tree to states X (n, d), memory-mapped, and the oracle's answers on them.
 
     For an oracle of labels, answers (n, o) are its affine outputs, whose argmax is the label, and weights (n,) say how
@@ -154,7 +154,7 @@ class DaggerResult:
 
 def run_dagger(
     oracle: ReluNetwork,
-    fit: Fit,
+    fit: TreeFit,
     play: Play,
     episode_seeds: EpisodeSeeds,
     settings: DaggerSettings,
@@ -172,7 +172,7 @@ def run_dagger(
 
     Args:
         oracle: its head is `Argmax` for labels; continuous actions have `TanhBox`, `ClipBox` or `Identity`.
-        fit: from states, answers and weights to a tree; see `Fit`.
+        fit: from states, answers and weights to a tree; see `TreeFit`.
         play: plays episodes; must depend on policy and seeds alone.
         episode_seeds: gives reset seeds. Asked for "oracle" with index 0, "dagger" with the playing tree's number as
             index, and "selection" with the stage of the halving as index; no two of these may share a seed, nor any of
@@ -203,7 +203,7 @@ class _Run:
     def __init__(
         self,
         oracle: ReluNetwork,
-        fit: Fit,
+        fit: TreeFit,
         play: Play,
         episode_seeds: EpisodeSeeds,
         settings: DaggerSettings,
@@ -265,7 +265,7 @@ class _Run:
         oracle_mean, n_steps = float(np.mean(oracle_returns)), self._folder.state["n_steps"]
         return DaggerResult(self._folder.tree(best), best, oracle_mean, iterates, n_steps)
 
-    def _rollout(self, r: int, keep_states: bool = True) -> Episodes:
+    def _rollout(self, r: int, keep_states: bool = True) -> PlayedEpisodes:
         """Play round r's episodes: the oracle's for r = 0, else tree r - 1's."""
         if r == 0:
             seeds = self._episode_seeds("oracle", 0, self._settings.n_initial_episodes)
@@ -283,12 +283,12 @@ class _Run:
         returns: list[float] = self._folder.state["selection"][key]
         return returns
 
-    def _played(self, episodes: Episodes) -> dict[str, Any]:
+    def _played(self, episodes: PlayedEpisodes) -> dict[str, Any]:
         """Return what changes in the state by a round's episodes."""
         rollouts = [*self._folder.state["rollouts"], _floats(episodes.returns)]
         return {"n_steps": self._n_steps_after(episodes), "rollouts": rollouts}
 
-    def _n_steps_after(self, episodes: Episodes) -> int:
+    def _n_steps_after(self, episodes: PlayedEpisodes) -> int:
         n_steps: int = self._folder.state["n_steps"]
         return n_steps + int(np.sum(episodes.lengths))
 

@@ -134,7 +134,7 @@ def _tree(tree: ObliqueTree, answer: Answer, name: str, dtype: CType) -> tuple[l
     index = "int" if tree.n_leaves * tree.n_outputs < 2**15 else "long"
     body = []
     if tree.n_nodes:
-        tests, test_of = distinct_rows(np.column_stack((tree.P, tree.v)))
+        tests, test_of = distinct_rows(tree.test_forms)
         tables = [row_table(f"{name}_tests", tests, dtype), integer_table(f"{name}_children", child(tree))]
         test = "node"
         if not np.array_equal(test_of, np.arange(tree.n_nodes)):
@@ -150,7 +150,7 @@ def _tree(tree: ObliqueTree, answer: Answer, name: str, dtype: CType) -> tuple[l
         tables.append(integer_table(f"{name}_labels", tree.labels))
         unused = [] if tree.n_nodes else ["    (void)x;"]
         return tables, [*body, *unused, f"    return {name}_labels[{leaf}];"]
-    rows, row_of = distinct_rows(np.concatenate((tree.M, tree.c[:, :, None]), axis=2).reshape(-1, tree.n_inputs + 1))
+    rows, row_of = distinct_rows(tree.leaf_forms.reshape(-1, tree.n_inputs + 1))
     tables.append(row_table(f"{name}_rows", rows, dtype))
     row = f"{tree.n_outputs}L * ({leaf}) + k"
     if not np.array_equal(row_of, np.arange(len(row_of))):

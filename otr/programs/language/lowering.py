@@ -23,7 +23,7 @@ MAX_LABELS = 1024  # where they have no names; every leaf has an output for each
 
 
 @dataclass(slots=True)
-class _Answer:
+class _PathEnd:
     """What a path ends with: the values of its outputs, and where the text says so."""
 
     path: Path
@@ -62,7 +62,7 @@ class _Lowering:
         self._output_names, self._answers_labels = output_names, answers_labels
         self._tree = GrowingTree(n_inputs, max_leaves)
         self._evaluator = Evaluator(source, scope, self._tree, answers_labels=answers_labels)
-        self._answers: list[_Answer] = []
+        self._answers: list[_PathEnd] = []
 
     def run(self, block: Statements, paths: list[Path]) -> list[Path]:
         """Do a block's statements on each path; return the paths that go on after it."""
@@ -147,7 +147,7 @@ class _Lowering:
                 expected = len(values)
         if len(values) != expected:
             raise self._source.error(f"this answer has {len(values)} values, expected {expected}: {why}", at)
-        self._answers.append(_Answer(path, values, at))
+        self._answers.append(_PathEnd(path, values, at))
 
     def label_tree(self) -> ObliqueTree:
         """Return the tree whose leaves have labels; the outputs behind them are 1 for the label, else 0."""
@@ -192,9 +192,9 @@ class _Lowering:
                 c[leaf, output] = inner.offset
         return ObliqueTree(*self._tree.arrays(), M, c, head=head)
 
-    def _decided(self, answers: list[_Answer]) -> list[_Answer]:
+    def _decided(self, answers: list[_PathEnd]) -> list[_PathEnd]:
         """Return the answers with clips decided by tests, which may be several for one."""
-        decided: list[_Answer] = []
+        decided: list[_PathEnd] = []
         for answer in answers:
             ends: list[tuple[Path, list[Value]]] = [(answer.path, [])]
             for value in answer.values:
@@ -203,7 +203,7 @@ class _Lowering:
                     for own, values in ends
                     for end in appended(values, [*self._evaluator.unclipped(own, value, answer.at)])
                 ]
-            decided += [_Answer(path, values, answer.at) for path, values in ends]
+            decided += [_PathEnd(path, values, answer.at) for path, values in ends]
         return decided
 
     def _tanh_box(self) -> TanhBox:

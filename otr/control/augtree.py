@@ -61,11 +61,7 @@ class AugTreeFit:
     min_samples_leaf: int = 1
 
     def __post_init__(self) -> None:
-        """Check the choices.
-
-        Raises:
-            ValueError: an unknown choice, or an oracle without the hidden layers that it needs.
-        """
+        """Raise ValueError for an unknown choice, or an oracle without the hidden layers that it needs."""
         if self.features not in ("all", "z", "deep") or self.leaves not in ("constant", "linear"):
             raise ValueError(
                 f"features={self.features!r}, leaves={self.leaves!r}; expected features to be 'all', 'z' or 'deep' and "
@@ -128,8 +124,8 @@ class AugTreeFit:
         def searched(rows: IntArray, Z: FloatArray, Y: FloatArray) -> IntArray:
             return best_columns(S[rows], Z, Y, options, _N_SEARCHED)
 
-        grown = grow_models(S, np.repeat(states, counts, axis=0), np.repeat(targets, counts, axis=0), options, searched)
-        tests = grown.tests
+        states, targets = np.repeat(states, counts, axis=0), np.repeat(targets, counts, axis=0)
+        tests, M, c = grow_models(S, states, targets, options, searched)
         P, v = tests.P @ features.A, tests.v + tests.P @ features.a
-        tree = ObliqueTree(tests.children_left, tests.children_right, P, v, grown.M, grown.c)
+        tree = ObliqueTree(tests.children_left, tests.children_right, P, v, M, c)
         return with_head(tree, self.oracle.head)

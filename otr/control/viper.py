@@ -122,11 +122,7 @@ def with_head(tree: ObliqueTree, head: Head) -> ObliqueTree:
 
 
 def box_of(head: Head) -> ClipBox:
-    """Return the head that clips actions to the box of a `TanhBox` or `ClipBox`.
-
-    Raises:
-        TypeError: the head has no box.
-    """
+    """Return the head that clips actions to the box of a head; raise TypeError if it has none."""
     box = head.clip() if head.acts_by_output else None
     if box is None:
         raise TypeError(f"the head is {head!r}, expected Argmax, TanhBox or ClipBox")

@@ -13,11 +13,7 @@ BoolArray = NDArray[np.bool_]
 
 
 def as_states(X: ArrayLike, n_inputs: int) -> FloatArray:
-    """Return `X` as float64 of shape (n, n_inputs) or, for a single state, (n_inputs,).
-
-    Raises:
-        ValueError: the last axis is not `n_inputs` long, or there are more than two axes.
-    """
+    """Return `X` as float64 (n, n_inputs) or, for a single state, (n_inputs,); raise ValueError for other shapes."""
     states: FloatArray = np.asarray(X, dtype=np.float64)
     if states.ndim not in (1, 2) or states.shape[-1] != n_inputs:
         raise ValueError(

@@ -146,11 +146,7 @@ def _restore_pattern_tree(description: dict[str, Any], arrays: Arrays) -> Patter
 
 
 def _field(description: dict[str, Any], name: str, *types: type) -> Any:
-    """Return an entry of the JSON file.
-
-    Raises:
-        ValueError: it is missing or of another type.
-    """
+    """Return an entry of the JSON file; raise ValueError if it is missing or of another type."""
     value = description.get(name)
     if type(value) not in types:
         expected = " or ".join(kind.__name__ for kind in types)
@@ -205,11 +201,7 @@ def _read_arrays(path: Path) -> Arrays:
 
 
 def _array_of(content: bytes) -> NDArray[Any]:
-    """Return the array of numbers that a file in numpy's format holds.
-
-    Raises:
-        ValueError: it holds something else, or more or fewer bytes than its header says; nothing is allocated before.
-    """
+    """Return the array in a file of numpy's format; raise ValueError before anything is allocated if there is none."""
     stream = io.BytesIO(content)
     version = np.lib.format.read_magic(stream)
     if version not in _HEADERS:

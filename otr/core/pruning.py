@@ -80,15 +80,14 @@ def keep_leaves(tree: ObliqueTree, keep: BoolArray) -> ObliqueTree:
     new_reference = np.zeros(n_nodes + tree.n_leaves, dtype=np.int64)
     new_reference[nodes] = np.arange(len(nodes))
     new_reference[n_nodes + leaves] = ~np.arange(len(leaves))
-    return ObliqueTree(
-        new_reference[stand_in[left[nodes]]],
-        new_reference[stand_in[right[nodes]]],
-        tree.P_of_basis[nodes],
-        tree.v[nodes],
-        tree.M_of_basis[leaves],
-        tree.c[leaves],
+    return tree.replace(
+        children_left=new_reference[stand_in[left[nodes]]],
+        children_right=new_reference[stand_in[right[nodes]]],
+        P=tree.P_of_basis[nodes],
+        v=tree.v[nodes],
+        M=tree.M_of_basis[leaves],
+        c=tree.c[leaves],
         labels=None if tree.labels is None else tree.labels[leaves],
-        head=tree.head,
         basis=tree.basis,
     )
 

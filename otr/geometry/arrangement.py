@@ -42,13 +42,11 @@ class Regions:
     Attributes:
         patterns: (k, n_bits) bool, each region's activation pattern and the outcomes of the head's tests.
         inner_points: (k, d), a state inside each; NaN where rounding left none to be found.
-        n_linear_programs: solved to find them; none where vertices tell.
-        n_tests: pairs of a region and a test that the walk looked at.
+        n_tests: pairs of a region and a test that the walk looked at; none where vertices tell.
     """
 
     patterns: BoolArray
     inner_points: FloatArray
-    n_linear_programs: int
     n_tests: int
 
 
@@ -117,7 +115,7 @@ def find_regions(
     for block in walk.run(whole):
         patterns.append(block.outcomes)
         points.append(domain.unscaled(np.where(block.radii[:, None] > 0, block.centres, np.nan)))
-    return Regions(np.concatenate(patterns), np.concatenate(points) @ embedding, walk.n_linear_programs, walk.n_tests)
+    return Regions(np.concatenate(patterns), np.concatenate(points) @ embedding, walk.n_tests)
 
 
 def _in_fewer_inputs(units: UnitForm, domain: Domain) -> tuple[UnitForm, Domain, FloatArray]:
@@ -165,7 +163,7 @@ def _regions_of_a_layer(units: UnitForm, domain: Domain, n_hidden: int, max_regi
     signs, centres = found
     patterns = np.tile(b > 0, (len(signs), 1))
     patterns[:, ~constant] = signs[:, len(side_of) :]
-    return Regions(patterns, domain.unscaled(centres), 0, 0)
+    return Regions(patterns, domain.unscaled(centres), 0)
 
 
 class Walk:
@@ -182,11 +180,7 @@ class Walk:
         self.n_linear_programs = self.n_tests = self.n_found = 0
 
     def run(self, start: Block) -> Iterator[Block]:
-        """Yield all regions in those of `start`, which have no outcomes yet, in blocks.
-
-        Raises:
-            TreeTooLargeError: as in `find_regions`.
-        """
+        """Yield all regions in those of `start`, which have no outcomes yet, in blocks; errors are `find_regions`'s."""
         self.began = time.monotonic()
         waiting = [start]
         while waiting:

@@ -128,8 +128,7 @@ def _with_label_scores(tree: ObliqueTree, merged: BoolArray) -> ObliqueTree:
     M, c = tree.M_of_basis.copy(), tree.c.copy()
     M[merged] = 0.0
     c[merged] = label_scores(tree.labels[merged], tree.n_outputs)
-    arrays = (tree.children_left, tree.children_right, tree.P_of_basis, tree.v, M, c)
-    return ObliqueTree(*arrays, labels=tree.labels, head=tree.head, basis=tree.basis)
+    return tree.replace(P=tree.P_of_basis, M=M, c=c, basis=tree.basis)
 
 
 def label_scores(labels: IntArray, n_outputs: int) -> FloatArray:

@@ -39,13 +39,12 @@ class Optimum:
     multipliers: dict[int, Fraction]
 
 
-def inner_point(rows: Integers, strict: Sequence[bool], likely: Sequence[int] = ()) -> Optimum:
+def inner_point(rows: Integers, strict: Sequence[bool]) -> Optimum:
     """Return a point with ``a_i . x + b_i >= 0``, above 0 in the strict rows, or multipliers that show there is none.
 
     Args:
         rows: (m, d + 1) integers [a | b].
         strict: (m,).
-        likely: rows that a solver in floating point found tight; they are tried first.
 
     Returns:
         With ``t > 0`` a point. Else the sum of the rows with the multipliers is the same at all x, and it is below 0,
@@ -53,27 +52,26 @@ def inner_point(rows: Integers, strict: Sequence[bool], likely: Sequence[int] = 
     """
     sizes = [max(map(abs, row[:-1]), default=0) or 1 for row in rows.tolist()]
     weights = [size if is_strict else 0 for size, is_strict in zip(sizes, strict, strict=True)]
-    return _largest_t(rows, weights, Fraction(1), likely)
+    return _largest_t(rows, weights, Fraction(1))
 
 
-def largest_value(rows: Integers, form: Sequence[int], cap: Fraction, likely: Sequence[int] = ()) -> Optimum:
+def largest_value(rows: Integers, form: Sequence[int], cap: Fraction) -> Optimum:
     """Return the largest value t of an affine form where no row is below 0, or `cap` if it is above that.
 
     Args:
         rows: (m, d + 1) integers [a | b].
         form: (d + 1,) integers.
         cap: what is large enough.
-        likely: as in `inner_point`.
 
     Returns:
         Below the cap, the form and the sum of the rows with their multipliers, without its own, is t at all x.
     """
     m = len(rows)
-    found = _largest_t(np.concatenate((rows, np.array([list(form)], dtype=object))), [0] * m + [1], cap, likely)
+    found = _largest_t(np.concatenate((rows, np.array([list(form)], dtype=object))), [0] * m + [1], cap)
     return replace(found, multipliers={row: value for row, value in found.multipliers.items() if row < m})
 
 
-def _largest_t(rows: Integers, weights: Sequence[int], cap: Fraction, likely: Sequence[int]) -> Optimum:
+def _largest_t(rows: Integers, weights: Sequence[int], cap: Fraction) -> Optimum:
     """Return the largest t, as at the head of this file; `weights` are the w_i."""
     d = rows.shape[1] - 1
     q = d + 1  # places of the basis, and unknowns (x, t): over them a row is [a | -w], its offset b
@@ -82,12 +80,11 @@ def _largest_t(rows: Integers, weights: Sequence[int], cap: Fraction, likely: Se
     # The rows x_j = 0, which no multiplier may hold, and cap.numerator - cap.denominator t >= 0.
     places, beta = [_FREE] * d + [_CAP], np.array([0] * d + [cap.numerator], dtype=object)
     inverse, determinant = np.diag(np.array([cap.denominator] * d + [-1], dtype=object)), cap.denominator
-    hints = [row for row in likely if 0 <= row < len(rows)]
     n_pivots = 0
     while True:
         solution = -(inverse @ beta)
         margins = normals @ solution + offsets * determinant
-        entering = _entering(margins.tolist(), sizes, determinant, hints, n_pivots > _BLAND * q)
+        entering = _entering(margins.tolist(), sizes, determinant, n_pivots > _BLAND * q)
         if entering is None:
             t = Fraction(int(solution[d]), determinant)
             point = tuple(Fraction(int(value), determinant) for value in solution[:d])
@@ -107,14 +104,8 @@ def _largest_t(rows: Integers, weights: Sequence[int], cap: Fraction, likely: Se
         n_pivots += 1
 
 
-def _entering(
-    margins: list[int], sizes: list[int], determinant: int, hints: list[int], lowest_index: bool
-) -> int | None:
-    """Return a row that the solution violates: the first of `hints`, or the one by most, or the first; or None."""
-    while hints:
-        row = hints.pop(0)
-        if margins[row] < 0:
-            return row
+def _entering(margins: list[int], sizes: list[int], determinant: int, lowest_index: bool) -> int | None:
+    """Return a row that the solution violates: the one by most, or the first; None if there is none."""
     violated = [row for row, margin in enumerate(margins) if margin < 0]
     if not violated:
         return None

@@ -89,18 +89,9 @@ class LinearModelTreeRegressor(GrownRegressor):
                 return features
             return np.sort(random_state.choice(features, self.max_features, replace=False))
 
-        grown = grow_models(X, X, targets, self, drawn)
-        self.tree_ = grown.tests.with_leaves(grown.c, grown.M)
+        tests, M, c = grow_models(X, X, targets, self, drawn)
+        self.tree_ = tests.with_leaves(c, M)
         return self
-
-
-@dataclass(frozen=True)
-class GrownModels:
-    """Axis-aligned tests on features (m of them) over linear models of inputs (d of them)."""
-
-    tests: Skeleton  # P is (n_nodes, m)
-    M: FloatArray  # (n_leaves, o, d)
-    c: FloatArray  # (n_leaves, o)
 
 
 def grow_models(
@@ -109,7 +100,7 @@ def grow_models(
     targets: FloatArray,
     options: LinearModelTreeRegressor,
     searched: Callable[[IntArray, FloatArray, FloatArray], IntArray],
-) -> GrownModels:
+) -> tuple[Skeleton, FloatArray, FloatArray]:
     """Grow the tree of `LinearModelTreeRegressor` with tests on `features` and models of `X`, which may differ.
 
     Args:
@@ -138,7 +129,7 @@ def grow_models(
     models = [_ridge(Z[rows], Y[rows], options.alpha) for rows in tests.leaf_rows]
     M = np.array([W.T for W, _ in models]) * y_scale[:, None] / x_scale
     c = np.array([offset for _, offset in models]) * y_scale + y_mean - M @ x_mean
-    return GrownModels(tests, M, c)
+    return tests, M, c
 
 
 @dataclass(frozen=True)

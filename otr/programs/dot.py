@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from otr.core.tree import ObliqueTree
 from otr.programs.names import names_for
 from otr.programs.picture.boxes import NodeBox, Style, head_note, tree_boxes
-from otr.programs.picture.drawing import LABEL_COLOURS, SUBTREE_FILL, TEST_FILL, TEST_LINE, VALUE_COLOURS
+from otr.programs.picture.drawing import colours
 
 
 def to_dot(
@@ -59,9 +59,7 @@ def to_dot(
 
 
 def _attributes(box: NodeBox) -> str:
-    line, fill = TEST_LINE, TEST_FILL if box.kind == "test" else SUBTREE_FILL
-    if box.kind == "leaf":
-        line, fill = VALUE_COLOURS if box.label is None else LABEL_COLOURS[box.label % len(LABEL_COLOURS)]
+    line, fill = colours(box)
     style = "rounded,filled" if box.kind == "test" else "filled"
     shape = ", shape=folder" if box.kind == "subtree" else ""
     return f'label=<{_table(box)}>, style="{style}"{shape}, color="{line}", fillcolor="{fill}"'

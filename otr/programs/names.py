@@ -41,12 +41,9 @@ def names_for(
 ) -> Names:
     """Return the names of a tree's inputs and answers, and identifiers for its inputs and its affine outputs.
 
-    The identifiers of the outputs are made from `output_names` where these name outputs, and are y0, y1, ... where
-    they name labels; the terms and gains of a PID policy are P0, ..., theta_P0, ... No two identifiers are the same.
-
-    Raises:
-        TypeError: `tree` is no ObliqueTree, or a name is no text.
-        ValueError: the wrong number of names, or a tree without inputs.
+    The identifiers of the outputs are made from `output_names` where these name outputs, and are y0, y1, ... where they
+    name labels; the terms and gains of a PID policy are P0, ..., theta_P0, ... No two identifiers are the same.
+    Raise TypeError for what is no tree or no text, ValueError for a wrong number of names or a tree without inputs.
     """
     require_tree(tree)
     features, answers = shown_names(tree, feature_names, output_names)
@@ -63,9 +60,7 @@ def names_of(
 ) -> tuple[list[str], list[str]]:
     """Return the names, as given, of a policy's inputs and of its outputs or, where it decides labels, of these.
 
-    Raises:
-        TypeError: a name is no text.
-        ValueError: the wrong number of names.
+    Raise TypeError for a name that is no text, ValueError for a wrong number of names.
     """
     # The tree that a network is decides its labels by tests.
     labelled = policy.labels is not None if isinstance(policy, ObliqueTree) else policy.head.gives_labels

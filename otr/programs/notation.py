@@ -82,11 +82,7 @@ class Program:
         return affine_expression(coefficients, offset, names, self.number, times=times, tie=" ", leaves_out_ones=True)
 
     def lines(self) -> list[tuple[int, str]]:
-        """Return the lines of the program, each with its depth.
-
-        Raises:
-            ValueError: the tree is a PID policy whose terms differ between leaves.
-        """
+        """Return the program's lines with their depths; raise ValueError if a PID policy's terms differ by leaf."""
         tree, notation = self.tree, self.notation
         lines = [(0, line) for line in self._first_lines()]
         for what, index, depth in walk(tree):

@@ -22,11 +22,7 @@ def joined(outputs: Sequence[str], n_actions: int) -> list[str]:
 
 
 def term_vectors(tree: ObliqueTree, affine: AffineText) -> list[tuple[str, list[str]]]:
-    """Return P, I and D, each with the texts of its components, which hold in all leaves.
-
-    Raises:
-        ValueError: the terms differ between leaves, which no PID policy does.
-    """
+    """Return P, I and D with the texts of their components; raise ValueError if these differ between leaves."""
     n_terms = _n_terms(tree)
     if (tree.M[:, :n_terms] != tree.M[0, :n_terms]).any() or (tree.c[:, :n_terms] != tree.c[0, :n_terms]).any():
         raise ValueError("the terms P, I, D differ between leaves; a PID policy's leaves differ in their gains alone")

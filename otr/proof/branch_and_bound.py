@@ -48,11 +48,7 @@ class Search:
         self.outputs = self.tree.leaf_forms[:, self.weighed]
 
     def run(self, max_pieces: int) -> Verdict:
-        """Return the answer.
-
-        Raises:
-            OtrError: more than `max_pieces` pieces would have to be looked at.
-        """
+        """Return the answer; raise OtrError if more than `max_pieces` pieces would have to be looked at."""
         waiting, pieces = self._first_pieces(max_pieces), list[Piece]()
         largest, where = Fraction(-(10**400)), 0
         while len(waiting.leaves):

@@ -195,11 +195,7 @@ class _Certification:
         return replace(cell, bounds=tuple(_as_sum(multipliers) for _, multipliers in gaps))
 
     def _exact_cells(self, leaf: int, rows: dict[str, ExactRow], point: Point) -> list[Cell]:
-        """Return the cells of a leaf's region, in exact arithmetic.
-
-        Raises:
-            CertificateError: tree and network differ in one of them.
-        """
+        """Return the cells of a leaf's region, in exact arithmetic; raise CertificateError if one differs."""
         cells: list[Cell] = []
         for exact in find_cells(self.pair, leaf, rows, point):
             self.n_programs += len(exact.outcomes)

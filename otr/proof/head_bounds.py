@@ -156,11 +156,7 @@ class _TanhAction(Action):
 
 @singledispatch
 def action_of(head: Head, n_outputs: int, output: int) -> Action:
-    """Return what proofs know of one action of a head that acts by output.
-
-    Raises:
-        ValueError: the head decides labels.
-    """
+    """Return what proofs know of one action of a head that acts by output; raise ValueError for labels."""
     raise no_entry(head, "a proof")
 
 

@@ -90,11 +90,7 @@ class Question(TreeOnDomain):
     """A condition asked of a tree on a bounded box, in exact arithmetic."""
 
     def __init__(self, tree: ObliqueTree, condition: Condition, domain: Domain) -> None:
-        """Take tree, condition and box apart.
-
-        Raises:
-            ValueError: the condition does not fit the tree, or is of numbers that are not finite.
-        """
+        """Take the parts; raise ValueError if the condition does not fit the tree or is not finite."""
         super().__init__(tree, domain)
         self.state, self.action = (np.asarray(part, dtype=np.float64) for part in (condition.state, condition.action))
         if self.state.shape != (tree.n_inputs,) or self.action.shape != (tree.n_outputs,):
@@ -190,11 +186,7 @@ class Question(TreeOnDomain):
         return limits
 
     def highest(self, piece: Piece) -> Fraction | None:
-        """Return a bound on the condition's left side in a piece; None if it is empty.
-
-        Raises:
-            CertificateError: the piece's numbers make no sense, or do not show what they should.
-        """
+        """Return a bound on the left side in a piece, None if that is empty; raise CertificateError without a proof."""
         leaf, proof = piece.leaf, piece.proof
         m = len(self.weighed)
         sizes = {len(piece.low), len(piece.high), *([] if piece.is_empty else [len(piece.lines)])}
@@ -225,11 +217,7 @@ class Question(TreeOnDomain):
         return highest
 
     def _line_below(self, piece: Piece, at: int) -> Fraction:
-        """Return how far a piece's line is, at most, below what it should bound: 0 without tanh.
-
-        Raises:
-            CertificateError: it is below, and by more than float64 knows a tanh.
-        """
+        """Return how far, at most, a piece's line is below its share; raise CertificateError beyond rounding."""
         output, (slope, offset) = self.weighed[at], piece.lines[at]
         low, high, weight = piece.low[at], piece.high[at], Fraction(self.action[output])
         if not (math.isfinite(slope) and math.isfinite(offset)):

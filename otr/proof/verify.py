@@ -111,11 +111,7 @@ class Checker:
         return rounded_up(worst)
 
     def error(self, cell: Cell) -> Fraction:
-        """Return the bound on the difference of tree and network in a cell; 0 in one that is proved to be empty.
-
-        Raises:
-            CertificateError: a sum is none of the cell's rows, or a cell is not shown to be empty.
-        """
+        """Return the bound on the difference in a cell, 0 in an empty one; raise CertificateError if none is shown."""
         outcomes, n = [outcome == "1" for outcome in cell.outcomes], self.pair.network.n_hidden
         padded = outcomes + [False] * (self.pair.n_tests - len(outcomes))
         forms = self.pair.forms(padded[:n])
@@ -218,11 +214,7 @@ class Checker:
 
 
 def check_cover(leaf: int, cells: Sequence[Cell], after: int = 0) -> None:
-    """Check that cells are all of a leaf's region: both sides of every test that splits it, and so on.
-
-    Raises:
-        CertificateError: they are not.
-    """
+    """Raise CertificateError unless cells are all of a leaf's region: both sides of every test that splits it."""
     firsts = {next((split for split in cell.splits if split >= after), None) for cell in cells}
     if firsts == {None} and len(cells) == 1:
         return

@@ -29,11 +29,7 @@ class RunFolder:
     def __init__(
         self, folder: Path, oracle: ReluNetwork, seed: np.random.SeedSequence, settings: dict[str, Any]
     ) -> None:
-        """Make the folder, or go on with the run in it.
-
-        Raises:
-            ArtefactError: the folder holds a run of another oracle, seed or settings, or its state cannot be read.
-        """
+        """Make the folder, or go on with its run; raise ArtefactError if that is another run or cannot be read."""
         folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder
         self._states = GrowingArray(folder / "states.f64", oracle.n_inputs)
@@ -120,11 +116,7 @@ class GrowingArray:
         self._width = width
 
     def append(self, n_rows: int, rows: FloatArray) -> int:
-        """Put `rows` (m, width) behind the first `n_rows`, on the disk itself; return the new number of rows.
-
-        Raises:
-            ArtefactError: the file holds fewer than `n_rows` rows.
-        """
+        """Put `rows` (m, width) behind the first `n_rows`, on the disk itself; return the new number of rows."""
         if rows.ndim != 2 or rows.shape[1] != self._width:
             raise ValueError(f"rows have shape {rows.shape}, expected (m, {self._width})")
         self._check(n_rows)
@@ -137,11 +129,7 @@ class GrowingArray:
         return n_rows + len(rows)
 
     def view(self, n_rows: int) -> FloatArray:
-        """Return the first `n_rows` rows, memory-mapped and read-only.
-
-        Raises:
-            ArtefactError: the file holds fewer.
-        """
+        """Return the first `n_rows` rows, memory-mapped and read-only."""
         self._check(n_rows)
         return np.memmap(self._path, dtype="<f8", mode="r", shape=(n_rows, self._width))
 

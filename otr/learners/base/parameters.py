@@ -48,11 +48,7 @@ class Settings:
     _parameter_constraints: ClassVar[Constraints]
 
     def __post_init__(self) -> None:
-        """Check every field.
-
-        Raises:
-            ValueError: names the field, its value and what it may be; a TypeError, too.
-        """
+        """Raise ValueError, or TypeError, that names a field, its value and what it may be."""
         validate_parameter_constraints(self._parameter_constraints, vars(self), type(self).__name__)
 
 

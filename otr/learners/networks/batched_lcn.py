@@ -54,11 +54,9 @@ class LcnSettings(NetworkSettings[LcnNetwork]):
     drop_connect: float = 0.0
 
     def n_columns(self, n_labels: int) -> int:
-        """Return how many neurons of a seed's networks read the inputs."""
         return n_labels * self.depth
 
     def new_models(self, n_inputs: int, n_labels: int, streams: Sequence[SeedStreams]) -> BatchedLcns:
-        """Return the models of all seeds and labels with their first weights."""
         return BatchedLcns(n_inputs, n_labels, self, streams)
 
 
@@ -175,7 +173,6 @@ class BatchedLcns(BatchedModels[LcnNetwork]):
         return first.relu() @ named["V"].transpose(2, 3) + named["v"].unsqueeze(2)
 
     def step_gradients(self, rows: InputRows, chosen: IntArray, targets: Tensor, weights: Tensor) -> None:
-        """Go forward and back through a mini-batch."""
         S, L, M, _ = self._shape
         p = self._settings.drop_connect
         draws = [stream.dropout for stream in self._streams]
@@ -220,7 +217,6 @@ class BatchedLcns(BatchedModels[LcnNetwork]):
             parameter.set_gradient(gradients[name])
 
     def network(self, values: Sequence[Tensor], seed: int, label: int) -> LcnNetwork:
-        """Return one network of these values."""
         one = {
             name: parameter.of_models(value)[seed, label].double().numpy()
             for name, parameter, value in zip(self._names, self.parameters, values, strict=True)

@@ -59,7 +59,6 @@ class MlpSettings(NetworkSettings[ReluNetwork]):
             raise ValueError("shared is True and loss 'softmax'; hidden layers are shared by labels of one output each")
 
     def n_models(self, n_labels: int) -> int:
-        """Return how many models a seed has: one for each label, or one of all labels."""
         return 1 if self.shared else n_labels
 
     def widths(self, n_labels: int) -> list[int]:
@@ -73,11 +72,9 @@ class MlpSettings(NetworkSettings[ReluNetwork]):
         return widths if self.dense else widths[:1]
 
     def n_columns(self, n_labels: int) -> int:
-        """Return how many neurons of a seed's networks read the inputs."""
         return sum(self.widths_on_inputs(n_labels)) * self.n_models(n_labels)
 
     def new_models(self, n_inputs: int, n_labels: int, streams: Sequence[SeedStreams]) -> BatchedMlps:
-        """Return the models of all seeds and labels with their first weights."""
         return BatchedMlps(n_inputs, n_labels, self, streams)
 
 
@@ -176,7 +173,6 @@ class BatchedMlps(BatchedModels[ReluNetwork]):
         return activations[-1]
 
     def step_gradients(self, rows: InputRows, chosen: IntArray, targets: Tensor, weights: Tensor) -> None:
-        """Go forward and back through a mini-batch."""
         settings = self._settings
         draws = [stream.dropout for stream in self._streams]
         batch = rows.batch(chosen, settings.input_dropout, draws)
@@ -239,7 +235,6 @@ class BatchedMlps(BatchedModels[ReluNetwork]):
         return on_inputs.flatten(2)
 
     def network(self, values: Sequence[Tensor], seed: int, label: int) -> ReluNetwork:
-        """Return one network of these values."""
         shared = self._settings.shared
         table, *others = (
             parameter.of_models(value)[seed, 0 if shared else label].double().numpy()

@@ -47,11 +47,7 @@ class LcnNetwork:
     head: Head = field(default_factory=Identity)
 
     def __post_init__(self) -> None:
-        """Check the shapes.
-
-        Raises:
-            InvalidNetworkError: names the array.
-        """
+        """Raise InvalidNetworkError that names an array of the wrong shape."""
         M, d = self.W.shape
         q = len(self.offset)
         expected = {"U": (M, M), "b": (M,), "G": (q, M, d), "h": (q, M)}
@@ -105,11 +101,7 @@ class LcnNetwork:
         return replace(self, G=scale * self.G, h=scale * self.h, offset=scale * self.offset + mean)
 
     def to_tree(self, *, max_leaves: int = 2**12) -> ObliqueTree:
-        """Return the tree of depth M with a constant in each of its 2**M leaves; its tests are OTR's.
-
-        Raises:
-            TreeTooLargeError: names the depth and the limit.
-        """
+        """Return the tree of depth M with a constant in each leaf; raise TreeTooLargeError beyond `max_leaves`."""
         M, d = self.W.shape
         tests = map_network(self._relu_network(), max_leaves=max_leaves)
         numbers = np.arange(2**M)[:, None]

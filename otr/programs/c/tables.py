@@ -27,11 +27,7 @@ class Table:
 
 
 def literal(value: float, dtype: CType) -> str:
-    """Return the shortest literal that stands for exactly this number, in float after rounding to it.
-
-    Raises:
-        ValueError: a float cannot hold a number of this size.
-    """
+    """Return the shortest literal that stands for exactly this number; raise ValueError if a float cannot hold it."""
     if dtype == "double":
         return repr(float(value))
     with np.errstate(over="ignore", under="ignore"):

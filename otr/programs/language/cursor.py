@@ -98,11 +98,7 @@ class Cursor:
 
     @contextmanager
     def nested(self) -> Iterator[None]:
-        """Read what stands one level deeper.
-
-        Raises:
-            ProgramError: that is too deep.
-        """
+        """Read what stands one level deeper; raise ProgramError if that is too deep."""
         self._nesting += 1
         if self._nesting > MAX_NESTING:
             raise self.error(

@@ -68,11 +68,7 @@ class Evaluator:
         return [decided for own, value in self.value(node, path) for decided in self.unclipped(own, value, node.at)]
 
     def unclipped(self, path: Path, value: Value, at: Place) -> AffineWorth:
-        """Return a value with its clip decided by tests.
-
-        Raises:
-            ProgramError: it is no clip but a tanh.
-        """
+        """Return a value with its clip decided by tests; raise ProgramError if it is a tanh."""
         if isinstance(value, Squashed):
             raise self._source.error(ONLY_LAST, at)
         if isinstance(value, Affine):

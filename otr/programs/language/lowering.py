@@ -71,11 +71,7 @@ class _Lowering:
         return paths
 
     def end_of_text(self, path: Path) -> None:
-        """Answer with the outputs that a path has given values, where it has come to the end without an answer.
-
-        Raises:
-            ProgramError: there are none, or some are missing.
-        """
+        """Answer with the values of the outputs at the end of the text; raise ProgramError if one has none."""
         names = self._outputs
         missing = [name for name in names if name not in path.values]
         if not names or len(missing) == len(names):
@@ -207,11 +203,7 @@ class _Lowering:
         return decided
 
     def _tanh_box(self) -> TanhBox:
-        """Return the head of answers that all are ``half * tanh(...) + middle``, alike in each output.
-
-        Raises:
-            ProgramError: they are not.
-        """
+        """Return the head of answers ``half * tanh(...) + middle``; raise ProgramError if an output's differ."""
         boxes: list[tuple[float, float]] = []
         for answer in self._answers:
             for output, value in enumerate(answer.values):

@@ -63,10 +63,8 @@ class GrowingTree:
     def divide(self, path: Path, form: Affine) -> tuple[Path | None, Path | None]:
         """Return how `path` goes on where ``form <= 0`` and where not; None where no input can get.
 
-        No test is made for a constant, nor for one that the path has decided, or whose negative it has.
-
-        Raises:
-            TreeTooLargeError: the tree has more than `max_leaves` leaves.
+        No test is made for a constant, nor for one that the path has decided, or whose negative it has. Raise
+        TreeTooLargeError beyond `max_leaves` leaves.
         """
         key = form.key
         outcome = form.offset <= 0 if form.is_constant else self._decided(path.slot, key)

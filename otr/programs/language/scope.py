@@ -23,22 +23,14 @@ class Scope:
         self._unread: list[dict[str, Place]] = [{}]  # of every block around, what it has named and nothing has used
 
     def use(self, name: str, at: Place) -> None:
-        """Note that a name is used.
-
-        Raises:
-            ProgramError: nothing has that name; says which are like it.
-        """
+        """Note that a name is used; raise ProgramError, with similar names, if nothing has that name."""
         if name not in self.features and name not in self.variables and name not in self.labels:
             raise self._source.error(f"unknown name {name!r}.{self._like(name)}", at)
         for block in self._unread:
             block.pop(name, None)
 
     def assign(self, name: str, at: Place) -> None:
-        """Note that a name is given a value.
-
-        Raises:
-            ProgramError: it is an input's, or the same block has given it a value that nothing has used.
-        """
+        """Note that a name is given a value; raise ProgramError for an input's name, or if the last value is unused."""
         if name in self.features:
             raise self._source.error(f"{name!r} is an input; give the value a name of its own", at)
         if name in self._unread[-1]:

@@ -10,11 +10,7 @@ from otr.programs.language.tokens import Token
 
 
 def read_program(cursor: Cursor, scope: Scope) -> Statements:
-    """Return the statements of a whole program.
-
-    Raises:
-        ProgramError: names what was expected and what was found.
-    """
+    """Return the statements of a program; ProgramError names what was expected and what was found."""
     reader = _StatementReader(cursor, scope)
     if cursor.is_at_end:
         raise cursor.error("the program is empty")

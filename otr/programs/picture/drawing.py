@@ -181,7 +181,7 @@ class _Picture:
         from matplotlib.patches import FancyBboxPatch, Polygon
 
         box, x, (width, height), top = self.boxes[i], self.x[i], self.sizes[i], self.tops[self.depths[i]]
-        line, fill = _colours(box)
+        line, fill = colours(box)
         if box.kind == "subtree":
             corners = [(x, top), (x - width / 2, top + height), (x + width / 2, top + height)]
             axes.add_patch(Polygon(corners, facecolor=fill, edgecolor=line, linewidth=1, joinstyle="round", zorder=2))
@@ -249,7 +249,7 @@ def _columns(box: NodeBox) -> tuple[float, float]:
     return left, right
 
 
-def _colours(box: NodeBox) -> tuple[str, str]:
+def colours(box: NodeBox) -> tuple[str, str]:
     """Return the colours of a box's outline and inside."""
     if box.kind != "leaf":
         return TEST_LINE, TEST_FILL if box.kind == "test" else SUBTREE_FILL

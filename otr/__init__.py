@@ -19,10 +19,10 @@ from otr.extras import lazy_exports
 # isort: off
 if TYPE_CHECKING:
     from otr.core.domain import Domain as Domain
-    from otr.core.head import (
+    from otr.core.head import Head as Head
+    from otr.core.heads import (
         Argmax as Argmax,
         ClipBox as ClipBox,
-        Head as Head,
         Identity as Identity,
         PidBox as PidBox,
         Sign as Sign,
@@ -79,7 +79,8 @@ __version__ = "0.1.0"
 
 _NAMES_OF_MODULES = {
     "core.domain": "Domain",
-    "core.head": "Argmax ClipBox Head Identity PidBox Sign TanhBox head_from_dict",
+    "core.head": "Head",
+    "core.heads": "Argmax ClipBox Identity PidBox Sign TanhBox head_from_dict",
     "core.io": "load save",
     "core.mapping": "map_network",
     "core.network": "ReluNetwork",

@@ -26,11 +26,7 @@ _EXTRAS = {
 
 @contextmanager
 def naming_the_extra(feature: str) -> Iterator[None]:
-    """Raise MissingExtraError in place of the ImportError of a package that one of otr's extras installs.
-
-    Args:
-        feature: what needs the package, for the message.
-    """
+    """Raise MissingExtraError, which says that `feature` needs an extra, in place of its package's ImportError."""
     try:
         yield
     except ModuleNotFoundError as error:
@@ -43,12 +39,7 @@ def naming_the_extra(feature: str) -> Iterator[None]:
 
 
 def lazy_exports(package: str, modules: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """Return `__getattr__` and `__dir__` of a package whose modules are loaded when one of their names is asked for.
-
-    Args:
-        package: its full name.
-        modules: from each public name to the module below the package that defines it.
-    """
+    """Return `__getattr__` and `__dir__` of a package whose names' `modules` are loaded when they are first used."""
 
     def load(name: str) -> Any:
         if name not in modules:

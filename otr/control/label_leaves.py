@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from otr.core.arrays import BoolArray, FloatArray
-from otr.core.head import Argmax, Head
+from otr.core.head import Head
+from otr.core.heads import Argmax
 from otr.core.tree import ObliqueTree
 
 # Two unit normals count as the same where no component differs by more.
@@ -34,9 +35,7 @@ def argmax_leaves(tree: ObliqueTree) -> ObliqueTree:
 def decided_leaves(tree: ObliqueTree, head: Head) -> ObliqueTree:
     """Return the tree with the tests of `head` below each leaf, and labels; as it is under a head without labels.
 
-    Args:
-        tree: its leaves hold (o, d) affine outputs; its own head is not asked.
-        head: what decides the label of the outputs.
+    The leaves hold affine outputs (o, d); the tree's own head is not asked.
     """
     if not head.gives_labels:
         return tree.replace(head=head)

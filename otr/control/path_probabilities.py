@@ -9,20 +9,15 @@ from torch import Tensor
 
 
 def path_probabilities(left: Tensor) -> tuple[Tensor, Tensor]:
-    """Return how likely each test node and each leaf of a complete binary tree is reached.
+    """Return how likely each test node (2**depth - 1, n) and leaf (2**depth, n) of a complete binary tree is reached.
 
     Nodes and leaves are in level order, so that the children of node i of a level are 2 i and 2 i + 1 of the next:
 
         reach(root) = 1,  reach(left) = reach(node) left(node),  reach(right) = reach(node) - reach(left)
 
-    Tests are the first axis, so that every level is one block of memory. The derivative is written out for speed, in
-    operations that can be differentiated again, as natural-gradient methods (TRPO) do.
-
-    Args:
-        left: (2**depth - 1, n), the probability of the left branch at every test.
-
-    Returns:
-        Probabilities (2**depth - 1, n) of the test nodes and (2**depth, n) of the leaves.
+    `left` (2**depth - 1, n) is the probability of the left branch at every test. Tests are the first axis, so that
+    every level is one block of memory. The derivative is written out for speed, in operations that can be
+    differentiated again, as natural-gradient methods (TRPO) do.
     """
     nodes, leaves = _PathProbabilities.apply(left)  # type: ignore[no-untyped-call]
     return nodes, leaves
@@ -43,13 +38,7 @@ def reach(left: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def reach_gradient(left: Tensor, nodes: Tensor, at_nodes: Tensor | None, at_leaves: Tensor) -> Tensor:
-    """Return the gradient for `left`, of its shape, given those for what `reach` returned; differentiable itself.
-
-    Args:
-        left, nodes: (2**depth - 1, n), what `reach` was given and its first result.
-        at_nodes: (2**depth - 1, n), or None for zero.
-        at_leaves: (2**depth, n).
-    """
+    """Return the gradient for `left`, given those of the nodes (None for zero) and leaves; differentiable itself."""
     n_tests, n = left.shape
     widths = _level_widths(n_tests)
     own = [None] * len(widths) if at_nodes is None else list(torch.split(at_nodes, widths))

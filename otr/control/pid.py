@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from otr.core.arrays import FloatArray, as_batch
-from otr.core.head import PidBox, TanhBox
+from otr.core.heads import PidBox, TanhBox
 from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
 from otr.errors import InvalidNetworkError, InvalidTreeError

@@ -12,7 +12,8 @@ from torch import Tensor, nn
 from otr.control.label_leaves import decided_leaves
 from otr.control.path_probabilities import path_probabilities, reach, reach_gradient
 from otr.core.arrays import FloatArray
-from otr.core.head import Head, Identity
+from otr.core.head import Head
+from otr.core.heads import Identity
 from otr.core.mapping import perfect_tree_children
 from otr.core.tree import ObliqueTree
 
@@ -174,12 +175,9 @@ def left_probabilities(tests: Tensor, X1: Tensor, beta: Tensor) -> Tensor:
 
 
 def mixed_maps(weights: Tensor, maps: Tensor, X1: Tensor) -> Tensor:
-    """Return the weighted mean (n, o) of affine maps, by the mean map of each state: less work than each map's value.
+    """Return the mean (n, o), with weights (k, n), of the values at X1 (n, d + 1) of affine maps (k, o, d + 1).
 
-    Args:
-        weights: (k, n).
-        maps: (k, o, d + 1).
-        X1: (n, d + 1).
+    It is computed by the mean map of each state, which is less work than each map's value.
     """
     mean_maps = weights.t() @ maps.flatten(1)
     return (mean_maps.view(len(X1), -1, X1.shape[1]) * X1[:, None, :]).sum(-1)

@@ -12,7 +12,7 @@ from sklearn.tree import DecisionTreeClassifier, DecisionTreeRegressor
 from otr.control.dagger.row_sampling import draw_rows
 from otr.control.label_leaves import decided_leaves
 from otr.core.arrays import FloatArray, IntArray
-from otr.core.head import ClipBox, Head
+from otr.core.head import Head
 from otr.core.tree import ObliqueTree
 from otr.learners.base.single_tree import class_tree
 from otr.learners.cart import from_sklearn_tree
@@ -121,7 +121,7 @@ def with_head(tree: ObliqueTree, head: Head) -> ObliqueTree:
     return decided_leaves(tree, head if head.gives_labels else box_of(head))
 
 
-def box_of(head: Head) -> ClipBox:
+def box_of(head: Head) -> Head:
     """Return the head that clips actions to the box of a head; raise TypeError if it has none."""
     box = head.clip() if head.acts_by_output else None
     if box is None:

@@ -166,11 +166,7 @@ class Domain:
 
 
 def as_domain(domain: Domain | Box | None, n_inputs: int) -> Domain:
-    """Return `domain` as a `Domain`: None is all of R^d, a pair (low, high) a box; numbers hold for every input.
-
-    Raises:
-        ValueError: it is of other dimensions than `n_inputs`, or no box.
-    """
+    """Return the `Domain` of a pair (low, high), or numbers for all inputs, or None for R^d; raise ValueError else."""
     if domain is None:
         return Domain(np.full(n_inputs, -np.inf), np.full(n_inputs, np.inf))
     if not isinstance(domain, Domain):

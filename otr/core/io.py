@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otr.core.domain import Domain
-from otr.core.head import head_from_dict
+from otr.core.heads import head_from_dict
 from otr.core.network import ReluNetwork
 from otr.core.pattern_tree import PatternTree
 from otr.core.tree import ObliqueTree

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from otr.core.arrays import BoolArray, FloatArray, as_states, read_only
 from otr.core.domain import Box, Domain, as_domain
-from otr.core.head import Head, Identity
+from otr.core.head import Head
+from otr.core.heads import Identity
 from otr.errors import InvalidNetworkError
 
 Dense = Literal[False, "input", "all"]
@@ -32,12 +33,10 @@ class UnitForm:
     layer_starts: tuple[int, ...]  # first row of every layer, the output layer last
 
     def forms(self, patterns: BoolArray, negative_slope: float, n_layers: int | None = None) -> FloatArray:
-        """Return the units' affine forms [P | v] in the inputs, given activation patterns: (k, n_units, d + 1).
+        """Return the affine forms [P | v] (k, n_units, d + 1) of the units of the first `n_layers` layers, or of all.
 
-        Args:
-            patterns: (k, n) bool, or its first columns: the hidden neurons of all layers before the last one asked for.
-            negative_slope: of the network's activation.
-            n_layers: the first so many layers, the output layer among them; None for all.
+        `patterns` (k, n) are the activations of the hidden neurons of all layers before the last one asked for, or
+        more.
         """
         layers = tuple(zip(self.layer_starts, (*self.layer_starts[1:], len(self.inputs)), strict=True))[:n_layers]
         gates = np.where(patterns, 1.0, negative_slope)

@@ -56,13 +56,7 @@ def prune_to_k(tree: ObliqueTree | PatternTree, X: ArrayLike, k: int) -> Oblique
 
 
 def keep_leaves(tree: ObliqueTree, keep: BoolArray) -> ObliqueTree:
-    """Return the tree of the leaves where `keep` (n_leaves,) is True, with nodes of one child spliced out.
-
-    Nodes and leaves that stay keep their order.
-
-    Raises:
-        ValueError: no leaf is kept, or `keep` has the wrong shape.
-    """
+    """Return the tree of the leaves where `keep` (n_leaves,) is True, in order; nodes of one child are spliced out."""
     if keep.shape != (tree.n_leaves,) or not keep.any():
         raise ValueError(
             f"keep has shape {keep.shape}, {keep.sum()} of it True; expected ({tree.n_leaves},) and one True"

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from otr.core.arrays import FloatArray, IntArray, as_states, read_only
-from otr.core.head import Head, Identity
+from otr.core.head import Head
+from otr.core.heads import Identity
 from otr.core.leaf_maps import LeafMaps
 from otr.core.routing import Router
 from otr.errors import InvalidTreeError

@@ -26,16 +26,9 @@ def read_members(
     stored as they are (numpy.savez, torch.save) may be of any size, small files that unpack to large ones are refused.
     What is read never exceeds what a member declares, whatever its stream unpacks to.
 
-    Args:
-        file: a path, or an open file that can seek.
-        label: what to call the file in messages.
-        names: the members wanted; None for all.
-        limit_bytes: see above.
-
-    Raises:
-        ArtefactError: too large, encrypted, packed by another method than deflate, two members of one name, a member
-            that is missing, cut off or changed, or no zip file.
-        FileNotFoundError: there is no such file.
+    `file` is a path, or an open file that can seek; `label` is its name in messages; `names` are the members wanted,
+    None for all. Raise FileNotFoundError, or ArtefactError for a file that is too large, encrypted, packed by another
+    method than deflate, cut off, changed or no zip file, and for a member that is missing or there twice.
     """
     try:
         with zipfile.ZipFile(file) as archive:

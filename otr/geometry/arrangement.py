@@ -90,14 +90,8 @@ def find_regions(
 ) -> Regions:
     """Return every region of `network` in `domain`, but those that `largest_balls` calls empty.
 
-    Args:
-        network: n hidden neurons; the tests of its head count as further ones.
-        domain: where to look.
-        max_regions: refuse to find more.
-        max_seconds: refuse to look longer.
-
-    Raises:
-        TreeTooLargeError: a limit was met; the message says how far the walk came.
+    The tests of the network's head count as further neurons. Raise TreeTooLargeError, which says how far the walk came,
+    beyond `max_regions` or `max_seconds`.
     """
     units, domain, embedding = _in_fewer_inputs(network.unit_form(), domain)
     is_one_layer = len(network.hidden_widths) == 1 and not network.head.n_tests(network.n_outputs)

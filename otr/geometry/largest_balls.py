@@ -46,14 +46,12 @@ class Balls:
         radii: (n,) of a ball around the centre that fits, though hardly ever the largest; 0 where none was found, and
             the polytope, unless it is empty, is undecided: it is thinner than rounding tells.
         bases: to go on from; where a polytope is empty, the proof.
-        n_solved_alone: problems that were given to HiGHS.
     """
 
     is_empty: BoolArray
     centres: FloatArray
     radii: FloatArray
     bases: Bases
-    n_solved_alone: int
 
 
 def largest_balls(
@@ -62,19 +60,15 @@ def largest_balls(
     """Return whether each polytope is empty, and a ball inside those where one is found.
 
     A polytope is called empty where its rows, wrong by as much as rounding may have made them, leave no state or, with
-    a row asked about, where but for rounding that row is nowhere above 0, and with it below 1e-10; on an open domain,
+    a row `asked` about, where but for rounding that row is nowhere above 0, and with it below 1e-10; on an open domain,
     times the size of the rows' terms.
 
-    Args:
-        rows: of m rows in d dimensions.
-        group: (n,) the group whose rows a polytope has.
-        signs: (n, m) int8: 1, -1, or 0 where a polytope does without the row.
-        bases: to start from: `Bases.start`, or those of polytopes that had some of the rows with the same signs.
-        asked: the row, of all polytopes, whose side they are.
+    Polytope p has the rows of group[p] with signs[p] (m,), 1, -1, or 0 where it does without the row. It starts from
+    its basis: `Bases.start`, or that of a polytope that had some of the rows with the same signs.
     """
     n, q = bases.rows.shape
     if not signs.shape[1]:  # no rows: any ball
-        return Balls(np.zeros(n, dtype=np.bool_), bases.solution[:, :-1], np.full(n, LARGEST_RADIUS), bases, 0)
+        return Balls(np.zeros(n, dtype=np.bool_), bases.solution[:, :-1], np.full(n, LARGEST_RADIUS), bases)
     parts = []
     chunk = max(64, _CHUNK_NUMBERS // (q * q))
     for start in range(0, max(n, 1), chunk):
@@ -88,7 +82,6 @@ def largest_balls(
         np.concatenate([part.centres for part in parts]),
         np.concatenate([part.radii for part in parts]),
         Bases.concatenate([part.bases for part in parts]),
-        sum(part.n_solved_alone for part in parts),
     )
 
 
@@ -139,7 +132,7 @@ def _pivot_until_decided(
         at = (rows, group[alone], signs[alone])
         radii[alone[_within_rounding(*at, centres[alone], radii[alone])]] = 0.0
         is_empty[alone] = (radii[alone] == 0.0) & _leaves_nothing(*at, done.take(alone), asked)
-    return Balls(is_empty, centres, radii, done, len(alone))
+    return Balls(is_empty, centres, radii, done)
 
 
 def rounding_at(X: FloatArray) -> FloatArray:
@@ -206,9 +199,7 @@ def _leaves_nothing(
 def _solve_alone(a: FloatArray, b: FloatArray, signs: NDArray[np.int8]) -> tuple[FloatArray, float, Bases]:
     """Return one polytope's centre (d,), margin and basis, by HiGHS; the margin is 0 where it finds none.
 
-    Args:
-        a, b: (m, d) and (m,), the rows.
-        signs: (m,).
+    The rows a (m, d), b (m,) have the signs (m,).
     """
     from scipy.optimize import linprog
 

@@ -35,10 +35,8 @@ class LargestValues:
 def largest_values(rows: HalfSpaces, group: IntArray, signs: NDArray[np.int8], objectives: FloatArray) -> LargestValues:
     """Return the largest value of an affine function over each polytope, by the dual simplex method side by side.
 
-    Args:
-        rows: in scaled coordinates; the first 2 d are the sides of a bounded domain, as `Domain.rows` gives them.
-        group, signs: as in `largest_balls`.
-        objectives: (n, d + 1) affine forms [f | f0] in scaled coordinates.
+    The first 2 d rows are the sides of a bounded domain, as `Domain.rows` gives them; `group` and `signs` are as in
+    `largest_balls`; the objectives (n, d + 1) are affine forms [f | f0] in scaled coordinates.
     """
     n, d = len(objectives), objectives.shape[1] - 1
     f, f0 = objectives[:, :d], objectives[:, d]

@@ -91,11 +91,7 @@ def at(forms: Integers, power: int, point: Point) -> list[Fraction]:
 
 
 class ExactUnits:
-    """A network's units as exact affine forms of its inputs, given the activation pattern.
-
-    Attributes:
-        power: the forms are integers over 2**power.
-    """
+    """A network's units as exact affine forms of its inputs, integers over 2**power, given the activation pattern."""
 
     def __init__(self, network: ReluNetwork) -> None:
         """Take a network apart."""
@@ -112,8 +108,7 @@ class ExactUnits:
     def forms(self, outcomes: Sequence[bool]) -> Integers:
         """Return the forms [P | v] (n_units, d + 1) of all units up to the first layer that `outcomes` do not feed.
 
-        Args:
-            outcomes: of the hidden neurons, in order, True for above 0; those of whole layers, or more.
+        The outcomes are of the hidden neurons of whole layers, in order, or more; True is above 0.
         """
         gates = np.array([1 << self._slope_power if active else self._slope for active in outcomes], dtype=object)
         forms = np.empty((0, self._own.shape[1]), dtype=object)

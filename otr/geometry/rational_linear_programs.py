@@ -40,15 +40,10 @@ class Optimum:
 
 
 def inner_point(rows: Integers, strict: Sequence[bool]) -> Optimum:
-    """Return a point with ``a_i . x + b_i >= 0``, above 0 in the strict rows, or multipliers that show there is none.
+    """Return a point with ``a_i . x + b_i >= 0``, above 0 in the strict rows (m,), for integer rows [a | b] (m, d + 1).
 
-    Args:
-        rows: (m, d + 1) integers [a | b].
-        strict: (m,).
-
-    Returns:
-        With ``t > 0`` a point. Else the sum of the rows with the multipliers is the same at all x, and it is below 0,
-        or 0 with a strict row in it.
+    With ``t > 0`` there is a point. Else the sum of the rows with the multipliers is the same at all x, and it is below
+    0, or 0 with a strict row in it.
     """
     sizes = [max(map(abs, row[:-1]), default=0) or 1 for row in rows.tolist()]
     weights = [size if is_strict else 0 for size, is_strict in zip(sizes, strict, strict=True)]
@@ -58,13 +53,8 @@ def inner_point(rows: Integers, strict: Sequence[bool]) -> Optimum:
 def largest_value(rows: Integers, form: Sequence[int], cap: Fraction) -> Optimum:
     """Return the largest value t of an affine form where no row is below 0, or `cap` if it is above that.
 
-    Args:
-        rows: (m, d + 1) integers [a | b].
-        form: (d + 1,) integers.
-        cap: what is large enough.
-
-    Returns:
-        Below the cap, the form and the sum of the rows with their multipliers, without its own, is t at all x.
+    Rows (m, d + 1) and form (d + 1,) are integers. Below the cap, the form and the sum of the rows with their
+    multipliers, without its own, is t at all x.
     """
     m = len(rows)
     found = _largest_t(np.concatenate((rows, np.array([list(form)], dtype=object))), [0] * m + [1], cap)
@@ -126,10 +116,8 @@ def _multipliers(places: list[int], values: Sequence[int], determinant: int) -> 
 def _leaving(places: list[int], steps: list[int], multipliers: list[int]) -> int | None:
     """Return the place that a row enters at: a free one, or the first whose multiplier falls to 0; None if none does.
 
-    Args:
-        places: what is tight at each.
-        steps: the entering row as a sum of the tight ones, times the determinant.
-        multipliers: of the tight rows, times the determinant.
+    `places` says what is tight at each; `steps` are the entering row as a sum of the tight ones. They and the
+    multipliers of the tight rows are times the determinant.
     """
     best: int | None = None
     for place, step in enumerate(steps):

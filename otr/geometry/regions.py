@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,21 +11,11 @@ from otr.core.half_spaces import HalfSpaces
 from otr.core.tree import ObliqueTree
 
 
-@dataclass(frozen=True)
-class LeafPaths:
-    """The paths of a tree's leaves.
+def leaf_paths(tree: ObliqueTree) -> tuple[IntArray, NDArray[np.int8]]:
+    """Return, (n_leaves, depth) each, the test nodes on every leaf's path and its signs, -1 for left, 1 for right.
 
-    Attributes:
-        nodes: (n_leaves, depth) int64, the test nodes on the way, from the root; -1 after the last.
-        signs: (n_leaves, depth) int8, -1 where the path goes left, 1 where right, 0 after the last.
+    The root comes first; after the last test nodes are -1 and signs 0.
     """
-
-    nodes: IntArray
-    signs: NDArray[np.int8]
-
-
-def leaf_paths(tree: ObliqueTree) -> LeafPaths:
-    """Return the path of every leaf."""
     n_nodes, depth = tree.n_nodes, tree.depth
     nodes = np.full((n_nodes + tree.n_leaves, depth), -1, dtype=np.int64)
     signs = np.zeros(nodes.shape, dtype=np.int8)
@@ -36,13 +24,13 @@ def leaf_paths(tree: ObliqueTree) -> LeafPaths:
             children = np.where(side[level] >= 0, side[level], n_nodes + ~side[level])
             nodes[children], signs[children] = nodes[level], signs[level]
             nodes[children, at], signs[children, at] = level, sign
-    return LeafPaths(nodes[n_nodes:], signs[n_nodes:])
+    return nodes[n_nodes:], signs[n_nodes:]
 
 
 def leaf_rows(tree: ObliqueTree, domain: Domain, leaves: IntArray) -> tuple[HalfSpaces, NDArray[np.int8]]:
     """Return the rows of leaves' regions, a group each: the domain's sides, then the path's tests; and their signs."""
-    paths, sides = leaf_paths(tree), domain.rows()
-    nodes, signs = paths.nodes[leaves], paths.signs[leaves]
+    sides = domain.rows()
+    nodes, signs = (of_paths[leaves] for of_paths in leaf_paths(tree))
     forms = np.concatenate((tree.test_forms, np.zeros((1, tree.n_inputs + 1))))[nodes]
     of_sides = np.ones((len(leaves), sides.n_rows), dtype=np.int8)
     return sides.followed_by(domain.rows_of(forms)), np.concatenate((of_sides, signs), axis=1)

@@ -69,17 +69,11 @@ class Bases:
 def pivot(
     bases: Bases, column: FloatArray, value: FloatArray, entering: IntArray, multipliers: FloatArray
 ) -> BoolArray:
-    """Let a row into each basis, in place.
+    """Let the rows `entering` (n,) into the n bases, in place.
 
-    Args:
-        bases: n of them, of q places.
-        column: (n, q), the row's normal, turned outwards.
-        value: (n,) of the row at the present solution, below 0.
-        entering: (n,) its index.
-        multipliers: (n, q), of the rows in the basis.
-
-    Returns:
-        (n,) whether no place can be left, which shows that the polytope is empty; such a basis is of no use any more.
+    A row's normal, turned outwards, is `column` (n, q), its value at the present solution, below 0, `value` (n,); the
+    multipliers (n, q) are of the rows in the basis. Return (n,) whether no place can be left, which shows that the
+    polytope is empty; such a basis is of no use any more.
     """
     basis, inverse, solution = bases.rows, bases.inverse, bases.solution
     each = np.arange(len(basis))

@@ -33,10 +33,9 @@ def regions_at_vertices(
 ) -> tuple[BoolArray, FloatArray] | None:
     """Return the signs (k, m) and inner points (k, d) of all regions between hyperplanes, or None: then look otherwise.
 
-    Args:
-        a, b: (m, d) and (m,), hyperplanes ``a . x + b = 0`` with normals of unit length.
-        side_of: (m,) the input whose limit a hyperplane is, so that only its positive side counts; -1 for others.
-        max_regions: do not begin where there will be more.
+    The hyperplanes ``a . x + b = 0`` have normals a (m, d) of unit length. `side_of` (m,) is the input whose limit a
+    hyperplane is, so that only its positive side counts; -1 for others. Nothing is begun where there will be more than
+    `max_regions`.
     """
     m, d = a.shape
     r, is_side = min(m, d), side_of >= 0
@@ -98,10 +97,8 @@ def _turns(r: int) -> BoolArray:
 def _signs_around(positive: BoolArray, on: IntArray, is_side: BoolArray) -> tuple[BoolArray, IntArray, IntArray]:
     """Return the distinct signs (k, m) around vertices, the first vertex (k,) of each and which of `_turns` (k,) it is.
 
-    Args:
-        positive: (n, m), the signs of all hyperplanes at the vertices.
-        on: (n, r) the hyperplanes that a vertex lies on.
-        is_side: (m,) whether only the positive side of a hyperplane counts.
+    All hyperplanes have the signs `positive` (n, m) at the vertices, which lie on the hyperplanes `on` (n, r); of those
+    with `is_side` (m,) only the positive side counts.
     """
     (n, m), r = positive.shape, on.shape[1]
     signs = np.repeat(positive[:, None], 2**r, axis=1)

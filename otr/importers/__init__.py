@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
-from otr.core.head import Argmax, Head, Identity, Sign
+from otr.core.head import Head
+from otr.core.heads import Argmax, Identity, Sign
 from otr.core.network import ReluNetwork
 from otr.errors import InvalidNetworkError
 from otr.extras import naming_the_extra

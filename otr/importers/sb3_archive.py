@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from otr.core.arrays import FloatArray
-from otr.core.head import Argmax, ClipBox, Head, TanhBox
+from otr.core.head import Head
+from otr.core.heads import Argmax, ClipBox, TanhBox
 from otr.core.network import ReluNetwork
 from otr.core.zip_members import read_members
 from otr.errors import ArtefactError, InvalidNetworkError

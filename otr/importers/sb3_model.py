@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from otr.core.head import Argmax, ClipBox, Head, TanhBox
+from otr.core.head import Head
+from otr.core.heads import Argmax, ClipBox, TanhBox
 from otr.core.network import ReluNetwork
 from otr.errors import InvalidNetworkError
 from otr.importers.torch_modules import flat_layers, network_of_layers, probe_states, reach

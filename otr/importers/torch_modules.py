@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from otr.core.arrays import FloatArray
-from otr.core.head import Argmax, Head, Sign, TanhBox
+from otr.core.head import Head
+from otr.core.heads import Argmax, Sign, TanhBox
 from otr.core.network import ReluNetwork
 from otr.errors import InvalidNetworkError
 

@@ -43,13 +43,8 @@ class ObservationStatistics:
 def fold_observation_statistics(network: ReluNetwork, given: Any) -> ReluNetwork:
     """Return the network on raw states; its domain is the box inside which nothing is clipped.
 
-    Args:
-        network: on normalised states.
-        given: the path of the file that `VecNormalize.save` wrote, a live VecNormalize, or `ObservationStatistics`.
-
-    Raises:
-        ArtefactError: the file is missing, cut off, or holds no VecNormalize.
-        InvalidNetworkError: statistics of another width, of several observations, or no numbers to divide by.
+    `given` is the path of the file that `VecNormalize.save` wrote, a live VecNormalize, or `ObservationStatistics`.
+    Raise ArtefactError if the file holds no VecNormalize, InvalidNetworkError if the statistics do not fit the network.
     """
     statistics = _statistics(given)
     if statistics is None:

@@ -9,7 +9,8 @@ import numpy as np
 from sklearn.linear_model import LogisticRegression, Ridge
 
 from otr.core.arrays import FloatArray
-from otr.core.head import Argmax, Head, Identity, Sign
+from otr.core.head import Head
+from otr.core.heads import Argmax, Identity, Sign
 from otr.core.tree import ObliqueTree
 from otr.learners.base.parameters import AT_LEAST_1, NOT_NEGATIVE, POSITIVE, STANDARDIZE, Constraints
 from otr.learners.base.problem import Problem

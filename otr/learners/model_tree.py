@@ -101,15 +101,10 @@ def grow_models(
     options: LinearModelTreeRegressor,
     searched: Callable[[IntArray, FloatArray, FloatArray], IntArray],
 ) -> tuple[Skeleton, FloatArray, FloatArray]:
-    """Grow the tree of `LinearModelTreeRegressor` with tests on `features` and models of `X`, which may differ.
+    """Return the tests of `LinearModelTreeRegressor` on features (n, m), and the leaves' models M, c of X (n, d).
 
-    Args:
-        features: (n, m), what a test may read.
-        X: (n, d), what the models read.
-        targets: (n, o).
-        options: depth, leaf size, penalty and bins.
-        searched: from a node's rows and the standardised inputs and targets of them to the columns of `features` that
-            are searched there.
+    `options` holds depth, leaf size, penalty and bins. `searched` maps a node's rows, and their standardised inputs and
+    targets, to the columns of `features` that are searched there.
     """
     x_mean, x_scale = _standard(X)
     y_mean, y_scale = _standard(targets)

@@ -17,7 +17,7 @@ from sklearn.utils._param_validation import Interval, StrOptions
 from sklearn.utils.validation import check_random_state
 
 from otr.core.arrays import BoolArray, FloatArray, IntArray
-from otr.core.head import Identity
+from otr.core.heads import Identity
 from otr.core.pruning import prune_unreached
 from otr.core.tree import ObliqueTree
 from otr.learners.base.parameters import AT_LEAST_0, AT_LEAST_1, POSITIVE, Constraints

@@ -121,13 +121,8 @@ def identifiers(
     """Return an identifier for each name: ASCII letters, digits and single underscores, a letter first, all distinct.
 
     A name that already is one, and taken by nobody, stays as it is. Accents are dropped, what is neither letter nor
-    digit becomes an underscore, and a number is appended to what is taken or reserved.
-
-    Args:
-        names: any text.
-        fallbacks: what to call a name of which nothing is left.
-        reserved: words of the language and what else the program uses.
-        ignore_case: whether names that differ in case alone are the same.
+    digit becomes an underscore, a number is appended to what is taken or one of the `reserved` words, and a name of
+    which nothing is left becomes its fallback. With `ignore_case`, names that differ in case alone are the same.
     """
     key = str.lower if ignore_case else str
     plain = [_plain(name, fallback) for name, fallback in zip(names, fallbacks, strict=True)]

@@ -9,7 +9,8 @@ from functools import singledispatch
 import numpy as np
 
 from otr.core.arrays import FloatArray
-from otr.core.head import Argmax, ClipBox, Head, Identity, PidBox, Sign, TanhBox, no_entry
+from otr.core.head import Head, no_entry
+from otr.core.heads import Argmax, ClipBox, Identity, PidBox, Sign, TanhBox
 from otr.core.tree import ObliqueTree
 from otr.programs.names import label_name
 from otr.programs.pid_gains import gain_vectors, term_vectors
@@ -51,14 +52,7 @@ class Notation:
 
 @dataclass(frozen=True)
 class Program:
-    """A tree to be written in a notation.
-
-    Attributes:
-        tree: any tree.
-        notation: of the format.
-        features, answers, labels: names of inputs, of the answer's values and of labels, as the format has them.
-        precision: significant digits, at least 1.
-    """
+    """A tree to be written in a notation; features, answers and labels are named as the format has them."""
 
     tree: ObliqueTree
     notation: Notation

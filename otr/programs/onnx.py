@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from otr.core.head import Argmax, ClipBox, Head, Identity, PidBox, Sign, TanhBox, no_entry
+from otr.core.head import Head, no_entry
+from otr.core.heads import Argmax, ClipBox, Identity, PidBox, Sign, TanhBox
 from otr.core.tree import ObliqueTree
 from otr.extras import naming_the_extra
 from otr.programs.names import give_labels, names_of, one_line, require_tree

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from otr.core.tree import ObliqueTree
 from otr.programs.language.cursor import Cursor
-from otr.programs.language.lowering import lower
+from otr.programs.language.lowering import Lowering
 from otr.programs.language.scope import FUNCTIONS, Scope
 from otr.programs.language.statements import read_program
 from otr.programs.language.tokens import Source, tokenize
@@ -71,15 +71,7 @@ def parse_program(
     label_names = {name: label for label, name in enumerate(output_names or ())} if labels else {}
     scope = Scope(source, feature_names, label_names)
     block = read_program(Cursor(source, tokens), scope)
-    return lower(
-        source,
-        scope,
-        block,
-        n_inputs=len(feature_names),
-        output_names=output_names,
-        answers_labels=labels,
-        max_leaves=max_leaves,
-    )
+    return Lowering(source, scope, len(feature_names), output_names, labels, max_leaves).tree(block)
 
 
 def _check_names(features: Sequence[str], outputs: Sequence[str]) -> None:

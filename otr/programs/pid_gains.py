@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from otr.core.arrays import FloatArray
-from otr.core.head import PidBox
+from otr.core.heads import PidBox
 from otr.core.tree import ObliqueTree
 
 TERMS = PidBox.terms

@@ -9,7 +9,8 @@ from functools import singledispatch
 
 import numpy as np
 
-from otr.core.head import Argmax, ClipBox, Head, Identity, PidBox, Sign, TanhBox, no_entry
+from otr.core.head import Head, no_entry
+from otr.core.heads import Argmax, ClipBox, Identity, PidBox, Sign, TanhBox
 from otr.core.tree import ObliqueTree
 from otr.programs.names import Names, give_labels, label_name, names_for
 from otr.programs.pid_gains import joined

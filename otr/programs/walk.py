@@ -66,14 +66,9 @@ def affine_expression(
 ) -> str:
     """Return ``offset + coefficient * name - ...``, by default in the notation of most languages; without zeros.
 
-    Args:
-        coefficients: (d,).
-        offset: comes first.
-        names: d names.
-        number: writes a number that is not negative.
-        times: between a coefficient and its name.
-        tie: between a sign and its term; by default, as in `times`, a space at which no line is broken.
-        leaves_out_ones: whether a coefficient that is written as 1 is left out.
+    `number` writes a number that is not negative; `times` stands between a coefficient and its name, `tie` between a
+    sign and its term, by default with spaces at which no line is broken. With `leaves_out_ones` a coefficient that is
+    written as 1 is left out.
     """
     terms = [] if offset == 0 else [(float(offset), "")]
     terms += [(float(coefficients[i]), names[i]) for i in np.flatnonzero(coefficients).tolist()]

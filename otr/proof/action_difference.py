@@ -22,14 +22,7 @@ def largest_difference(tree: ObliqueTree, other: ObliqueTree, box: Box | Domain)
     For each pair of leaves whose regions meet, an action's difference is at most that of its ranges there and, under
     one and the same clip or tanh, at most the outputs' own difference times the head's steepest slope. Meetings that
     hold no ball of radius 1e-9, in the box's scale, may be left out: a test that is moved by rounding alone makes such
-    slivers.
-
-    Args:
-        tree, other: of as many inputs and outputs; each with an identity, clip or tanh head.
-        box: bounded.
-
-    Returns:
-        The bound; 0 or 1 for trees with labels: whether a region exists where they differ.
+    slivers. Of trees with labels the bound is 1 where a region exists in which they differ, else 0.
 
     Raises:
         ValueError: the box is unbounded, or the trees do not fit each other.

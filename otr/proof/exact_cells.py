@@ -16,7 +16,7 @@ import numpy as np
 
 from otr.core.arrays import FloatArray
 from otr.core.domain import Domain
-from otr.core.head import Identity
+from otr.core.heads import Identity
 from otr.errors import CertificateError
 from otr.geometry.rational import Integers, Point, as_point, integers, nearest_state
 from otr.geometry.rational_linear_programs import inner_point, largest_value
@@ -127,12 +127,9 @@ def largest_gap(pair: TreeAndNetwork, cell: ExactCell) -> list[tuple[list[Point]
 
 
 def largest_over(rows: Integers, form: FloatArray, domain: Domain) -> tuple[float, FloatArray]:
-    """Return the largest value of a form (d + 1,) where no row (m, d + 1) is below 0, and a state (d,) where it is.
+    """Return the largest value of a form (d + 1,) of float64 where no row is below 0, and a state (d,) where it is.
 
-    Args:
-        rows: of integers, up to a factor; they leave a point.
-        form: of float64, taken as it is.
-        domain: bounded; the rows hold its sides.
+    The rows (m, d + 1) are integers, leave a point and hold the sides of the domain, which is bounded.
     """
     numbers, power = integers(form)
     widest = Fraction(float(max(np.abs(domain.low).max(), np.abs(domain.high).max())))

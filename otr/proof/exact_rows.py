@@ -29,12 +29,7 @@ class ExactRow(NamedTuple):
 
 
 class TreeOnDomain(ExactTree):
-    """A tree on a domain in exact arithmetic: all rows and forms are integers over 2**power.
-
-    Attributes:
-        domain: where.
-        sides: the domain's, by name.
-    """
+    """A tree on a domain in exact arithmetic; rows and forms, and the domain's `sides`, are integers over 2**power."""
 
     def __init__(self, tree: ObliqueTree, domain: Domain, power: int = 0) -> None:
         """Take tree and domain apart; `power` is the least that is wanted."""
@@ -50,7 +45,7 @@ class TreeOnDomain(ExactTree):
 
     def rows_of_leaf(self, leaf: int) -> dict[str, ExactRow]:
         """Return the rows of the leaf's region: the domain's sides and the tests on its path."""
-        path = zip(self._paths.nodes[leaf].tolist(), self._paths.signs[leaf].tolist(), strict=True)
+        path = zip(*(of_paths[leaf].tolist() for of_paths in self._paths), strict=True)
         tests = {
             f"test {node}": ExactRow(self.tests[node] if sign > 0 else -self.tests[node], sign > 0)
             for node, sign in path
@@ -69,12 +64,7 @@ class TreeOnDomain(ExactTree):
 
 
 class TreeAndNetwork(TreeOnDomain):
-    """A tree and a network that are said to be the same function on a domain.
-
-    Attributes:
-        network: the network, of the tree's inputs and outputs.
-        n_tests: of the network, its head's among them.
-    """
+    """A tree and a network that are said to be the same function on a domain; `n_tests` counts the network's tests."""
 
     def __init__(self, tree: ObliqueTree, network: ReluNetwork, domain: Domain) -> None:
         """Take tree, network and domain apart."""
@@ -89,8 +79,7 @@ class TreeAndNetwork(TreeOnDomain):
     def pairs(self, outcomes: Sequence[bool]) -> list[tuple[int, int]]:
         """Return, for each of the head's tests, the output asked about and the one subtracted, -1 for none.
 
-        Args:
-            outcomes: of all tests; a head's later ones do not count for its earlier ones.
+        Of the outcomes of all tests, a head's later ones do not count for its earlier ones.
         """
         head, of_head = self.network.head, np.array([outcomes[self.network.n_hidden :]], dtype=np.bool_)
         champions = head.champions(of_head)[0].tolist()

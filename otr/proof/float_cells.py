@@ -48,17 +48,13 @@ def empty_sum(leaf: int, balls: Balls, rows: HalfSpaces, names: list[str]) -> Su
 def row_names(tree: ObliqueTree, domain: Domain) -> list[list[str]]:
     """Return, for every leaf, the names of its region's rows: the domain's sides and the tests on its path."""
     _, sides = domain.sides()
-    return [[*sides, *(f"test {node}" for node in path)] for path in leaf_paths(tree).nodes.tolist()]
+    return [[*sides, *(f"test {node}" for node in path)] for path in leaf_paths(tree)[0].tolist()]
 
 
 def cells_of(block: Block, names: list[list[str]], first: int, domain: Domain) -> tuple[list[Cell], int]:
-    """Return a block's cells with their proofs, and how many linear programs these took.
+    """Return the cells of a finished block with their proofs, and how many linear programs these took.
 
-    Args:
-        block: finished regions.
-        names: of the rows that the walk started from, by leaf.
-        first: the row of the network's first test.
-        domain: as in `certify`.
+    `names` are those of the rows that the walk started from, by leaf; `first` is the row of the network's first test.
     """
     n, n_tests = block.outcomes.shape
     group = block.rows.of(block.group)

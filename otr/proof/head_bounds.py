@@ -15,7 +15,8 @@ from functools import singledispatch
 import numpy as np
 
 from otr.core.arrays import FloatArray
-from otr.core.head import Argmax, ClipBox, Head, Identity, Sign, TanhBox, no_entry
+from otr.core.head import Head, no_entry
+from otr.core.heads import Argmax, ClipBox, Identity, Sign, TanhBox
 
 _TANH = Fraction(1, 10**12)  # of an action's range: up to where float64 knows a tanh
 
@@ -23,11 +24,7 @@ Line = tuple[float, float | Fraction]  # slope and offset
 
 
 class Action(ABC):
-    """One action as a function h of its output y, which never falls as that rises.
-
-    Attributes:
-        is_exact: whether values and lines are exact.
-    """
+    """One action as a function h of its output y, which never falls as that rises; `is_exact`: without rounding."""
 
     is_exact = True
 

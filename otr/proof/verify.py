@@ -242,11 +242,9 @@ class Bounds:
         self._unit, self._scale = 2**of_limits, 2 ** (of_limits + power)
 
     def highest(self, form: Integers, *, is_relative: bool = True) -> Fraction:
-        """Return a bound on the highest value of a form (d + 1,) of integers.
+        """Return a bound on the highest value of a form (d + 1,) of integers, in the units above.
 
-        Args:
-            form: the form.
-            is_relative: in the units above; else a form that is not constant in the open inputs has no bound.
+        Without `is_relative`, a form that is not constant in the open inputs has no bound.
         """
         f = form[:-1]
         highest = form[-1] * self._unit + (f * np.where(f > 0, self._high, self._low)).sum()

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from otr.core.arrays import FloatArray, IntArray
-from otr.core.head import Identity
+from otr.core.heads import Identity
 from otr.core.pruning import keep_leaves
 from otr.core.tree import ObliqueTree
 from otr.geometry.regions import leaf_paths
@@ -25,11 +25,11 @@ def n_numbers(tree: ObliqueTree) -> int:
 
 def without_a_test(tree: ObliqueTree) -> Iterator[ObliqueTree]:
     """Yield trees without one of the tests and what hangs on one of its sides, those that save most first."""
-    paths = leaf_paths(tree)
+    nodes, signs = leaf_paths(tree)
     cuts = []
     for node in range(tree.n_nodes):
         for sign in (-1, 1):
-            below = ((paths.nodes == node) & (paths.signs == sign)).any(axis=1)
+            below = ((nodes == node) & (signs == sign)).any(axis=1)
             cuts.append((int(below.sum()), node, sign, below))
     for _, _, _, below in sorted(cuts, key=lambda cut: (-cut[0], cut[1], cut[2])):
         yield keep_leaves(tree, ~below)

@@ -8,7 +8,7 @@ from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as safetensors_bytes
 
 import otr
-from otr.core.head import head_from_dict
+from otr.core.heads import head_from_dict
 from pipelines.engine.store import corrupt, json_text, read_bytes, read_json
 
 ACTOR_SCHEMA = "otr/actor/1"

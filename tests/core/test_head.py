@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 import otr
-from otr.core.head import HEADS, head_from_dict
+from otr.core.heads import HEADS, head_from_dict
 
 
 def test_tanh_box_spans_the_box() -> None:

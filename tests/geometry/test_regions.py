@@ -33,9 +33,8 @@ def bounds(tree: otr.ObliqueTree, leaf: int, form: np.ndarray, box: tuple) -> tu
 def test_a_region_holds_the_states_that_take_its_path(case: Case) -> None:
     tree = otr.map_network(case.network)
     X = np.clip(case.states, *BOX)
-    leaves, paths = tree.apply(X), leaf_paths(tree)
-    for leaf in range(tree.n_leaves):
-        nodes, signs = paths.nodes[leaf], paths.signs[leaf]
+    leaves, paths = tree.apply(X), zip(*leaf_paths(tree), strict=True)
+    for leaf, (nodes, signs) in enumerate(paths):
         values = X @ tree.P[nodes].T + tree.v[nodes]
         inside = ((values > 0) == (signs > 0)).all(axis=1)
         # States on a boundary may be sent either way by rounding.
@@ -72,11 +71,11 @@ def test_a_worked_region() -> None:
 
 def test_a_path_is_listed_from_the_root() -> None:
     tree = otr.ObliqueTree([1, ~0], [~2, ~1], [[1.0], [2.0]], [0.0, 1.0], np.zeros((3, 1, 1)), np.zeros((3, 1)))
-    paths = leaf_paths(tree)
-    assert paths.nodes.tolist() == [[0, 1], [0, 1], [0, -1]]
-    assert paths.signs.tolist() == [[-1, -1], [-1, 1], [1, 0]]
+    nodes, signs = leaf_paths(tree)
+    assert nodes.tolist() == [[0, 1], [0, 1], [0, -1]]
+    assert signs.tolist() == [[-1, -1], [-1, 1], [1, 0]]
     single = leaf_paths(otr.ObliqueTree([], [], np.zeros((0, 2)), [], np.zeros((1, 1, 2)), [[1.0]]))
-    assert single.nodes.shape == (1, 0)
+    assert single[0].shape == (1, 0)
 
 
 def test_bad_domains_are_told() -> None:

@@ -11,7 +11,7 @@ import pytest
 import otr
 import otr.programs
 import otr.proof
-from otr.core.head import HEADS
+from otr.core.heads import HEADS
 from otr.programs.names import shown_names
 
 LOW, HIGH = np.array([-1.0, 0.0]), np.array([1.0, 4.0])

@@ -31,13 +31,9 @@ def successive_halving(
 ) -> tuple[int, list[list[float]]]:
     """Return the best candidate, and every candidate's returns on selection episodes (Jamieson & Talwalkar 2016).
 
-    Candidates are ranked by the mean of all returns they have so far, ties to the earlier one. The last two play until
-    each has `n_selection_episodes`, counting the first.
-
-    Args:
-        first_returns: of each candidate, the returns that are known already, as many for each.
-        n_selection_episodes: number of episodes that the last two end with.
-        play: gives the returns of one candidate's episodes of a stage; the episodes are the same for all of a stage.
+    Candidates are ranked by the mean of all returns they have so far, ties to the earlier one. `first_returns` are
+    known already, as many for each; the last two candidates play until each has `n_selection_episodes`, counting these.
+    All candidates of a stage play the same episodes.
     """
     returns = [list(map(float, first)) for first in first_returns]
     candidates = _ranking(returns, range(len(returns)))

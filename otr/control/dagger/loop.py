@@ -189,7 +189,8 @@ def run_dagger(
     """
     if oracle.head.gives_labels and oracle.head.n_labels(oracle.n_outputs) != oracle.n_outputs:
         raise InvalidNetworkError("the oracle's head is Sign; give it two outputs and Argmax")
-    run = _Run(oracle, fit, play, episode_seeds, settings, seed, folder)
+    state = RunFolder(folder, oracle, seed, asdict(settings))
+    run = _Run(oracle, fit, play, episode_seeds, settings, seed, state)
     while run.n_trees <= settings.n_rounds:
         progress = run.round()
         if on_round is not None:
@@ -197,23 +198,17 @@ def run_dagger(
     return run.choose()
 
 
+@dataclass(frozen=True)
 class _Run:
     """A run, as far as its folder says that it has come."""
 
-    def __init__(
-        self,
-        oracle: ReluNetwork,
-        fit: TreeFit,
-        play: Play,
-        episode_seeds: EpisodeSeeds,
-        settings: DaggerSettings,
-        seed: np.random.SeedSequence,
-        folder: Path,
-    ) -> None:
-        self._oracle, self._fit, self._play, self._episode_seeds = oracle, fit, play, episode_seeds
-        self._settings, self._seed = settings, seed
-        self._has_labels = oracle.head.gives_labels
-        self._folder = RunFolder(folder, oracle, seed, asdict(settings))
+    _oracle: ReluNetwork
+    _fit: TreeFit
+    _play: Play
+    _episode_seeds: EpisodeSeeds
+    _settings: DaggerSettings
+    _seed: np.random.SeedSequence
+    _folder: RunFolder
 
     @property
     def n_trees(self) -> int:
@@ -226,7 +221,7 @@ class _Run:
         states = episodes.states
         n_rows = self._folder.append(states, *_label(self._oracle, np.asarray(states, dtype=np.float64)))
         child = np.random.SeedSequence(self._seed.entropy, spawn_key=(*self._seed.spawn_key, r))
-        data = self._folder.data(n_rows, has_weights=self._has_labels)
+        data = self._folder.data(n_rows, has_weights=self._oracle.head.gives_labels)
         tree = self._fit(*data, np.random.default_rng(child))
         self._folder.save_tree(r, tree)
         progress = DaggerProgress(

@@ -20,11 +20,7 @@ SCHEMA = "otr/dagger/1"
 
 
 class RunFolder:
-    """A run's folder. dagger.json is replaced as a whole, after the other files are written.
-
-    Attributes:
-        state: what dagger.json holds.
-    """
+    """A run's folder: its `state` is dagger.json, which is replaced as a whole after the other files are written."""
 
     def __init__(
         self, folder: Path, oracle: ReluNetwork, seed: np.random.SeedSequence, settings: dict[str, Any]
@@ -102,12 +98,7 @@ class RunFolder:
 class GrowingArray:
     """A float64 array (n, width) in a raw file; rows are appended behind those that the caller has committed.
 
-    The file does not know how many rows count: the caller does, and a killed append leaves rows that the next one
-    overwrites.
-
-    Args:
-        path: the file, made when the first rows come.
-        width: number of columns.
+    The caller knows how many rows count; a killed append leaves rows that the next one overwrites.
     """
 
     def __init__(self, path: Path, width: int) -> None:

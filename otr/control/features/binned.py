@@ -12,15 +12,9 @@ _N_CELLS = 2**12
 
 
 def quantised(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return for each value the number of its bin, at most 255 a feature, in the order of the values.
+    """Return (n, m) the number of the bin of each of the values (m, n), at most 255 a feature, in their order.
 
     A feature's range is cut into 4,096 cells, and cells are put together into bins of about equally many rows.
-
-    Args:
-        values: (m, n), feature by feature.
-
-    Returns:
-        (n, m), C-contiguous.
     """
     m, n = values.shape
     low = values.min(axis=1, keepdims=True)

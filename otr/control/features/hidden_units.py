@@ -17,11 +17,7 @@ _DECIMALS = 10
 
 @dataclass(frozen=True)
 class AffineFeatures:
-    """The m features A x + a of a state x.
-
-    Attributes:
-        A, a: (m, d) and (m,).
-    """
+    """The m features A x + a of a state x, with A (m, d) and a (m,)."""
 
     A: FloatArray
     a: FloatArray
@@ -62,17 +58,10 @@ def deep_features(network: ReluNetwork, X: FloatArray, max_patterns: int) -> Aff
     """Return the pre-activations of the layers after the first, as they are in x where earlier neurons have a pattern.
 
     For layer l and activation pattern p of the layers before it, z_l^p(x) = W_l (p * z_(l-1)^p(x)) + b_l is affine, and
-    is z_l(x) where x has that pattern. Of the patterns that the states show before each layer, the `max_patterns` most
-    frequent ones are taken (ties: in the order of their bits). Orfanos (2023) counts 2^(n_1) n_2 such features for the
-    second layer; those of patterns that no state shows never come up.
-
-    Args:
-        network: at least two hidden layers.
-        X: (n, d), at least one state.
-        max_patterns: a layer.
-
-    Returns:
-        At most max_patterns (n_2 + ... + n_L) features, layer after layer, pattern after pattern.
+    is z_l(x) where x has that pattern. Of the patterns that the states X (n, d) show before each layer, the
+    `max_patterns` most frequent ones are taken (ties: in the order of their bits), which gives at most max_patterns
+    (n_2 + ... + n_L) features, layer after layer. Orfanos (2023) counts 2^(n_1) n_2 of them for the second layer; those
+    of patterns that no state shows never come up.
     """
     patterns = network.patterns(X)
     starts = network.unit_form().layer_starts
@@ -86,14 +75,9 @@ def deep_features(network: ReluNetwork, X: FloatArray, max_patterns: int) -> Aff
 
 
 def unit_forms(network: ReluNetwork, patterns: BoolArray, n_units: int) -> tuple[FloatArray, FloatArray]:
-    """Return the affine forms of the first hidden neurons' pre-activations, given which neurons are active.
+    """Return the first hidden neurons' pre-activations, ``forms[i, j] @ x + offsets[i, j]`` under activation pattern i.
 
-    Args:
-        patterns: (k, p), the p first neurons; those must be all that the first `n_units` neurons read.
-        n_units: number of neurons wanted.
-
-    Returns:
-        (k, n_units, d) and (k, n_units): neuron j is ``forms[i, j] @ x + offsets[i, j]`` under pattern i.
+    `patterns` (k, p) are those of all neurons that the first `n_units` read; forms are (k, n_units, d).
     """
     units = network.unit_form()
     k = len(patterns)

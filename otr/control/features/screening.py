@@ -18,19 +18,10 @@ _BLOCK = 64
 def best_columns(
     features: NDArray[Any], X: FloatArray, Y: FloatArray, options: LinearModelTreeRegressor, n_best: int
 ) -> IntArray:
-    """Return the features whose best of 7 quantiles lowers the ridge objective most, on at most 2,000 of the rows.
+    """Return the `n_best` features whose best of 7 quantiles lowers the ridge objective most, on up to 2,000 rows.
 
-    The Gram matrices left of all cuts of a block of features are one product: (cuts, rows) of 0 and 1 times the rows'
-    outer products.
-
-    Args:
-        features: (n, m).
-        X, Y: (n, d) and (n, o), inputs and targets of the linear models on either side.
-        options: the penalty.
-        n_best: features to return.
-
-    Returns:
-        At most `n_best` columns, ascending; all where there are no more.
+    `features` are (n, m); the linear models on either side read X (n, d) and answer Y (n, o). The Gram matrices left of
+    all cuts of a block of features are one product: (cuts, rows) of 0 and 1 times the rows' outer products.
     """
     n, m = features.shape
     if m <= n_best:

@@ -14,7 +14,7 @@ from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from otr.core.arrays import FloatArray, IntArray
-from otr.core.head import Argmax
+from otr.core.heads import Argmax
 from otr.core.tree import ObliqueTree
 
 # Bits are kept in float32 where the caller gives them so: half the memory, and no bit is lost.

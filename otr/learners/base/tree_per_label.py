@@ -100,12 +100,7 @@ class TreeLearner(BaseEstimator, ABC):  # type: ignore[misc]
 
 
 class NetworkLearner(TreeLearner):
-    """Base of the learners of networks, which many labels and seeds train together.
-
-    Attributes:
-        networks_, network_: the trained networks, or the one.
-        best_epochs_, validation_scores_: one entry a label, see `train_many`.
-    """
+    """Base of the learners of networks, which many labels and seeds train together."""
 
     random_state: int | np.random.RandomState | None
     networks_: list[Any]

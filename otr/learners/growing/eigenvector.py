@@ -24,12 +24,8 @@ def dominant_direction(X: NDArray[Any], random_state: np.random.RandomState) -> 
     """Return the largest eigenvalue of the covariance of X (n, d) and its unit eigenvector (d,).
 
     Lanczos (ARPACK) on ``v -> (X - mean)^T (X - mean) v / n``: O(n d) for each of some tens of products, and O(n + d)
-    memory beside X. Where n or d is small, the smaller Gram matrix is formed instead. The largest entry in absolute
-    value is positive, so that the sign is determined.
-
-    Args:
-        X: float64 or float32, n >= 1 rows.
-        random_state: draws Lanczos's start.
+    memory beside X; `random_state` draws the start. Where n or d is small, the smaller Gram matrix is formed instead.
+    The largest entry in absolute value is positive, so that the sign is determined.
     """
     n, d = X.shape
     mean = X.mean(axis=0, dtype=np.float64)

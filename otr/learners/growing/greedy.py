@@ -34,23 +34,15 @@ class Skeleton:
     leaf_rows: list[IntArray]
 
     def with_leaves(self, c: FloatArray, M: FloatArray | None = None) -> ObliqueTree:
-        """Return the tree whose leaf k answers ``M[k] @ x + c[k]``, or the constant c[k].
-
-        Args:
-            c: (n_leaves, o).
-            M: (n_leaves, o, d); None for zero.
-        """
+        """Return the tree whose leaf k answers ``M[k] @ x + c[k]``, or the constant c[k]; c (n_leaves, o)."""
         M = np.zeros((*c.shape, self.P.shape[1])) if M is None else M
         return ObliqueTree(self.children_left, self.children_right, self.P, self.v, M, c)
 
 
 def grow(X: NDArray[Any], find_test: Callable[[IntArray], Test | None], max_depth: int | None) -> Skeleton:
-    """Split rows from the root until `find_test` gives none, all rows go one way, or `max_depth` is reached.
+    """Split rows of X (n, d) from the root until `find_test` gives none, all rows go one way, or at `max_depth`.
 
-    Args:
-        X: (n, d).
-        find_test: from a node's rows, ascending, to its test, or None for a leaf. Called in preorder.
-        max_depth: number of tests on the longest path at most; None for no limit.
+    `find_test` maps a node's rows, ascending, to its test, or to None for a leaf; it is called in preorder.
     """
     left: list[int] = []
     right: list[int] = []

@@ -43,16 +43,11 @@ def best_split(
     of rows for Y one-hot, and half of that for two classes in one column of 0 and 1. With Y centred at the node and S
     the sums on the left, a split of n rows into p and n - p lowers it by ``|S|^2 (1 / p + 1 / (n - p))``.
 
-    Cost: O(d n log n), a sort of each column. The columns come in blocks, so each thread needs some tens of MB
-    beside X, or a few dozen numbers a row where there are more than 2**18 rows.
+    X is (n, d), Y (n, o); u is `normal` (d,), of unit length, or None for the columns as they are. `random_state`
+    decides between columns of equal gain, and the number of threads `n_jobs` changes nothing.
 
-    Args:
-        X: (n, d).
-        Y: (n, o).
-        normal: u (d,) of unit length, the reflection's; None for the columns as they are.
-        min_samples_leaf: rows on either side at least.
-        random_state: decides between columns of equal gain.
-        n_jobs: threads, as joblib counts them; the answer is the same for any number.
+    Cost: O(d n log n), a sort of each column. The columns come in blocks, so each thread needs some tens of MB beside
+    X, or a few dozen numbers a row where there are more than 2**18 rows.
     """
     n, d = X.shape
     if n < 2 * min_samples_leaf:

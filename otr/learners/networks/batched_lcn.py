@@ -137,13 +137,8 @@ class BatchedLcns(BatchedModels[LcnNetwork]):
     ) -> Tensor:
         """Return g's outputs, (S, L, b, o).
 
-        Args:
-            named: the parameters.
-            A: see `_pairs`.
-            seen: (S, L, b, M), W x as the neurons see it, with weights dropped.
-            products: (S, L, b, M), W x.
-            masks: (S, 1, b, M, M), what the links are multiplied with for the neurons' sake.
-            alpha: share of the ReLU.
+        The neurons see the products W x (S, L, b, M) with weights dropped, as `seen`, and links times `masks` (S, 1, b,
+        M, M); `A` is that of `_pairs`, `alpha` the share of the ReLU.
         """
         S, L, M, q = self._shape
         U = named["U"].unsqueeze(2)

@@ -140,10 +140,8 @@ class BatchedMlps(BatchedModels[ReluNetwork]):
     def _forward(self, values: Sequence[Tensor], products: Tensor, masks: list[Tensor] | None) -> list[Tensor]:
         """Return every layer's activations, the outputs last, (S, L, b, width) each.
 
-        Args:
-            values: the parameters.
-            products: (S, b, L * H), of the inputs with the table.
-            masks: what the activations of each hidden layer are multiplied with, None for nothing.
+        The products (S, b, L * H) are of the inputs with the table; the activations of each hidden layer are multiplied
+        with its mask, if there are masks.
         """
         _, links, biases = self._unpack(values)
         n_seeds, n_labels = self._shape

@@ -112,10 +112,8 @@ class BatchedModels(ABC, Generic[Network]):
     def step_gradients(self, rows: InputRows, chosen: IntArray, targets: Tensor, weights: Tensor) -> None:
         """Give the parameters the loss's derivatives.
 
-        Args:
-            rows: all rows.
-            chosen: (S, B), the rows of the mini-batch of each seed; B is a multiple of `PADDED_TO`.
-            targets, weights: (S, L, B), see `loss_derivatives`.
+        `chosen` (S, B) are the rows of the mini-batch of each seed, B a multiple of `PADDED_TO`; targets and weights
+        (S, L, B) are those of `loss_derivatives`.
         """
 
     @abstractmethod
@@ -130,13 +128,9 @@ class BatchedModels(ABC, Generic[Network]):
 def loss_derivatives(loss: Loss, outputs: Tensor, targets: Tensor, weights: Tensor, smoothing: float = 0.0) -> Tensor:
     """Return the derivatives of sum_i weights_i loss_i by the outputs (..., o).
 
-    Args:
-        loss: logistic: one output, targets in [0, 1]; softmax: o classes, targets their numbers; squared:
-            (y - target)**2.
-        outputs: (..., o).
-        targets: (...).
-        weights: (...), zero where the target is missing.
-        smoothing: share of a target that is spread evenly over the classes.
+    The logistic loss has one output and targets in [0, 1], softmax o classes and their numbers as targets, squared is
+    (y - target)**2. Targets and weights are (...); a weight is 0 where the target is missing. `smoothing` is the share
+    of a target that is spread evenly over the classes.
     """
     if loss == "squared":
         return (outputs - targets[..., None]) * (2 * weights[..., None])

@@ -103,23 +103,12 @@ def train_models(
     schedule: Schedule,
     validation: tuple[InputRows, FloatArray] | None,
 ) -> Fitted:
-    """Train all models and keep each at its best epoch by validation score, the first of equals.
+    """Train all S x L models on n rows and keep each at its best epoch by validation score, the first of equals.
 
-    Labels whose validation rows are of one class do not take part in choosing a common epoch, where others do.
-
-    The score is the area under the ROC curve for the logistic loss, or minus the loss where the validation rows of a
-    label are of one class and for the other losses. Without validation rows the last epoch is kept.
-
-    Args:
-        models: S x L of them with their first weights.
-        rows: n rows.
-        Y: (n, L), NaN where missing.
-        streams: S of them.
-        schedule: see there.
-        validation: rows and their Y.
-
-    Raises:
-        DivergedError: a model's parameters are not finite at its best epoch.
+    Labels Y (n, L) are NaN where missing. Labels whose validation rows are of one class do not take part in choosing a
+    common epoch, where others do. The score is the area under the ROC curve for the logistic loss, or minus the loss
+    where the validation rows of a label are of one class and for the other losses. Without validation rows the last
+    epoch is kept. Raise DivergedError if a model's parameters are not finite at its best epoch.
     """
     targets = torch.from_numpy(np.nan_to_num(Y.T).astype(np.float32))
     present = torch.from_numpy((~np.isnan(Y.T)).astype(np.float32))
@@ -158,12 +147,8 @@ def _mini_batches(
 ) -> Iterator[tuple[IntArray, Tensor, Tensor]]:
     """Yield an epoch's mini-batches: chosen rows (S, B), targets and weights (S, L, B); see `step_gradients`.
 
-    A mini-batch gets rows of weight zero up to a multiple of `PADDED_TO`.
-
-    Args:
-        order: (S, n), of the rows.
-        targets, present: (L, n), of all rows; 0 where missing, and whether they are there, as 0 and 1.
-        batch_size: rows of a mini-batch that count.
+    The rows come in `order` (S, n); of all rows, the targets are 0 where they are missing, and `present` (L, n) is 0
+    there, else 1. A mini-batch gets rows of weight zero up to a multiple of `PADDED_TO`.
     """
     picked = torch.from_numpy(order)
     targets, present = (labels[:, picked].transpose(0, 1).contiguous() for labels in (targets, present))

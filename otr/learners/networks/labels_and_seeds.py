@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 from sklearn.utils._param_validation import Interval, StrOptions
 
 from otr.core.arrays import FloatArray, IntArray
-from otr.core.head import Argmax, Head, Identity, Sign
+from otr.core.head import Head
+from otr.core.heads import Argmax, Identity, Sign
 from otr.learners.base.parameters import Constraints, Settings
 from otr.learners.networks.batched_models import BatchedModels, Loss, Network, SeedStreams, streams_of
 from otr.learners.networks.batched_training import Schedule, train_models

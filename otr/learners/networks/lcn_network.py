@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from otr.core.arrays import BoolArray, FloatArray, as_batch
-from otr.core.head import Head, Identity
+from otr.core.head import Head
+from otr.core.heads import Identity
 from otr.core.mapping import map_network
 from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree

@@ -11,11 +11,8 @@ from otr.core.arrays import FloatArray
 def areas_under_curve(scores: FloatArray, labels: FloatArray) -> FloatArray:
     """Return the area under the ROC curve of every model; NaN where a label has one class only.
 
-    AUC = (sum of the ranks of the ones - n_1 (n_1 + 1) / 2) / (n_0 n_1), ties at their mean rank.
-
-    Args:
-        scores: (..., n), larger for label 1.
-        labels: 0, 1 or NaN where it is missing; of a shape that broadcasts to that of `scores`.
+    AUC = (sum of the ranks of the ones - n_1 (n_1 + 1) / 2) / (n_0 n_1), ties at their mean rank. Scores (..., n) are
+    larger for label 1; labels, 0, 1 or NaN where it is missing, have a shape that broadcasts to theirs.
     """
     labels = np.broadcast_to(labels, scores.shape)
     missing = np.isnan(labels)
@@ -33,10 +30,8 @@ def areas_under_curve(scores: FloatArray, labels: FloatArray) -> FloatArray:
 def negative_losses(loss: str, outputs: FloatArray, labels: FloatArray) -> FloatArray:
     """Return minus the mean loss of every model over the labels that are there; 0 without any.
 
-    Args:
-        loss: "logistic", "softmax" or "squared".
-        outputs: (..., n, o), affine outputs; o is 1 but for softmax.
-        labels: as in `areas_under_curve`; for softmax the class's number.
+    Outputs (..., n, o) are affine, o is 1 but for softmax; labels are as in `areas_under_curve`, for softmax the
+    class's number.
     """
     labels = np.broadcast_to(labels, outputs.shape[:-1])
     missing = np.isnan(labels)

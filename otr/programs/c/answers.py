@@ -7,7 +7,8 @@ from functools import singledispatch
 
 import numpy as np
 
-from otr.core.head import Argmax, ClipBox, Head, Identity, PidBox, Sign, TanhBox, no_entry
+from otr.core.head import Head, no_entry
+from otr.core.heads import Argmax, ClipBox, Identity, PidBox, Sign, TanhBox
 from otr.programs.c.tables import CType, Table, literal, real_table
 
 

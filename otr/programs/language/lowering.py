@@ -9,7 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from otr.core.arrays import FloatArray
-from otr.core.head import Argmax, ClipBox, Head, Identity, TanhBox
+from otr.core.head import Head
+from otr.core.heads import Argmax, ClipBox, Identity, TanhBox
 from otr.core.tree import ObliqueTree
 from otr.errors import ProgramError
 from otr.programs.language.evaluation import Evaluator, appended
@@ -31,24 +32,9 @@ class _PathEnd:
     at: Place
 
 
-def lower(
-    source: Source,
-    scope: Scope,
-    block: Statements,
-    *,
-    n_inputs: int,
-    output_names: Sequence[str] | None,
-    answers_labels: bool,
-    max_leaves: int,
-) -> ObliqueTree:
-    """Return the tree of a program's statements; the arguments are those of `otr.parse_program`."""
-    lowering = _Lowering(source, scope, n_inputs, output_names, answers_labels, max_leaves)
-    for path in lowering.run(block, [Path((-1, 0), block[0].at)]):
-        lowering.end_of_text(path)
-    return lowering.label_tree() if answers_labels else lowering.value_tree()
+class Lowering:
+    """Makes the tree of a program's statements."""
 
-
-class _Lowering:
     def __init__(
         self,
         source: Source,
@@ -63,6 +49,12 @@ class _Lowering:
         self._tree = GrowingTree(n_inputs, max_leaves)
         self._evaluator = Evaluator(source, scope, self._tree, answers_labels=answers_labels)
         self._answers: list[_PathEnd] = []
+
+    def tree(self, block: Statements) -> ObliqueTree:
+        """Return the tree of the statements of a whole program."""
+        for path in self.run(block, [Path((-1, 0), block[0].at)]):
+            self.end_of_text(path)
+        return self.label_tree() if self._answers_labels else self.value_tree()
 
     def run(self, block: Statements, paths: list[Path]) -> list[Path]:
         """Do a block's statements on each path; return the paths that go on after it."""

@@ -151,11 +151,9 @@ class _StatementReader:
         return token.word == "{" or (starts and self._cursor.last.word == ")")
 
     def _block(self, owner: Token, is_announced: bool) -> Statements:
-        """Read the block of an `if`, `elif` or `else`.
+        """Read the block of an `if`, `elif` or `else`, its owner.
 
-        Args:
-            owner: that word.
-            is_announced: a colon or a word told that a block begins; else it is in braces or one statement, as in C.
+        Unless a colon or a word announced the block, it is in braces or one statement, as in C.
         """
         cursor = self._cursor
         with cursor.nested(), self._scope.block():

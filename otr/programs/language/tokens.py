@@ -108,15 +108,10 @@ def _spelled(text: str) -> str:
 def tokenize(source: Source, names: Sequence[str], functions: Collection[str]) -> list[Token]:
     """Return the tokens of a program, the last of kind `stop`.
 
-    Args:
-        source: the text.
-        names: names that may occur. One that is no word, such as ``left contact``, is found wherever it stands as a
-            whole, and the longest of several is taken; but where its text is an expression of other names, such as
-            ``x - 1``, it is that, and the name is found between backquotes alone.
-        functions: the functions of the language.
-
-    Raises:
-        ProgramError: a character belongs to nothing, or tabs and spaces indent lines of one program.
+    One of the `names` that is no word, such as ``left contact``, is found wherever it stands as a whole, and the
+    longest of several is taken; but where its text is an expression of other names, such as ``x - 1``, it is that, and
+    the name is found between backquotes alone. Raise ProgramError where a character belongs to nothing, or tabs and
+    spaces indent lines of one program.
     """
     pattern = _pattern(_found_bare(names, functions))
     tokens: list[Token] = []

@@ -12,7 +12,8 @@ from typing import Literal
 import numpy as np
 
 from otr.core.arrays import FloatArray, IntArray
-from otr.core.head import Argmax, ClipBox, Head, Identity, PidBox, Sign, TanhBox, no_entry
+from otr.core.head import Head, no_entry
+from otr.core.heads import Argmax, ClipBox, Identity, PidBox, Sign, TanhBox
 from otr.core.tree import ObliqueTree
 from otr.programs.names import label_name
 
@@ -54,11 +55,8 @@ class NodeBox:
 def tree_boxes(tree: ObliqueTree, style: Style, counts: IntArray | None, max_depth: int | None) -> list[NodeBox]:
     """Return the boxes of `tree`, parents before children; the root is box 0.
 
-    Args:
-        tree: any tree.
-        style: how formulas are written.
-        counts: (n_leaves,) int64, rows of data a leaf, or None.
-        max_depth: tests below this depth are folded up, with all that hangs on them; None folds nothing.
+    `counts` (n_leaves,) are rows of data a leaf. Tests below `max_depth`, if it is given, are folded up, with all
+    below.
     """
     n_leaves, n_rows = _sums(tree, np.ones(tree.n_leaves, dtype=np.int64)), _sums(tree, counts)
     boxes: list[NodeBox] = []

@@ -8,13 +8,9 @@ from collections.abc import Sequence
 def tidy_layout(children: Sequence[Sequence[int]], widths: Sequence[float], gap: float) -> list[float]:
     """Return the x of every box's centre, the leftmost edge at 0 (Reingold & Tilford 1981, with boxes of any width).
 
-    Boxes of one depth keep the order of the tree and lie at least `gap` apart; a parent is centred above its children,
-    which stand as close together as everything below them allows.
-
-    Args:
-        children: of each box none or two indices, above its own; box 0 is the root.
-        widths: one a box.
-        gap: the least distance between neighbours of one depth.
+    Box 0 is the root; `children` holds no or two indices a box, above its own. Boxes of one depth keep the order of the
+    tree and lie at least `gap` apart; a parent is centred above its children, which stand as close together as
+    everything below them allows.
     """
     shifts = [0.0] * len(children)  # of a box from its parent
     contours: list[list[tuple[float, float]]] = [[] for _ in children]  # (left, right) by depth, seen from the box

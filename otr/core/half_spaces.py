@@ -14,21 +14,13 @@ _TERMS = 8  # of a sum beside two for each input: how often, at least, a number 
 
 @dataclass(frozen=True)
 class HalfSpaces:
-    """The rows that polytopes are made of, in groups; every polytope takes the rows of one group, with its own signs.
+    """The rows that polytopes are made of, in groups; a polytope takes the rows of one group, with its own signs."""
 
-    Attributes:
-        a: (n_groups, m, d), each row of unit length, or 0.
-        b: (n_groups, m).
-        lengths: (n_groups, m), of the rows before they were made of unit length.
-        rounding: (n_groups, m, d + 1), how far each number of a row [a | b] may be off.
-        is_open: (d,) whether an input has no limits.
-    """
-
-    a: FloatArray
-    b: FloatArray
-    lengths: FloatArray
-    rounding: FloatArray
-    is_open: BoolArray
+    a: FloatArray  # (n_groups, m, d), each row of unit length, or 0
+    b: FloatArray  # (n_groups, m)
+    lengths: FloatArray  # (n_groups, m), of the rows before they were made of unit length
+    rounding: FloatArray  # (n_groups, m, d + 1), how far each number of a row [a | b] may be off
+    is_open: BoolArray  # (d,) whether an input has no limits
 
     @property
     def n_rows(self) -> int:

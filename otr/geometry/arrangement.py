@@ -37,44 +37,30 @@ _CLEAR_SHARE = 0.05  # of its margin to other tests: an inner point so far from 
 
 @dataclass(frozen=True)
 class Regions:
-    """Regions of a network, in no particular order.
+    """Regions of a network, in no particular order."""
 
-    Attributes:
-        patterns: (k, n_bits) bool, each region's activation pattern and the outcomes of the head's tests.
-        inner_points: (k, d), a state inside each; NaN where rounding left none to be found.
-        n_tests: pairs of a region and a test that the walk looked at; none where vertices tell.
-    """
-
-    patterns: BoolArray
-    inner_points: FloatArray
-    n_tests: int
+    patterns: BoolArray  # (k, n_bits), each region's activation pattern and the outcomes of the head's tests
+    inner_points: FloatArray  # (k, d), a state inside each; NaN where rounding left none to be found
+    n_tests: int  # pairs of a region and a test that the walk looked at; none where vertices tell
 
 
 @dataclass(frozen=True)
 class Block:
     """Regions walked together, all up to the same test.
 
-    Attributes:
-        origin: (n,) int64, what the walk started from: 0, or a leaf of a tree.
-        outcomes: (n, n_done) bool, of the tests so far.
-        signs: (n, n_rows) int8, of the rows in a region's group; 0 where a row does not bound it.
-        group: (n,) int64.
-        rows: those that the walk started from, then a row a test: the earlier layers' and this layer's.
-        centres, radii: inner points (n, d), and how far all rows are from them (n,); in the domain's scale. A radius of
-            0 says that there is no inner point, and that the region may be empty.
-        bases: of the linear programs.
-        n_ahead: tests of this layer that are still to come; they are the last rows.
+    The rows are those that the walk started from, then a row a test: the earlier layers' and this layer's. A radius of
+    0 says that there is no inner point, and that the region may be empty.
     """
 
-    origin: IntArray
-    outcomes: BoolArray
-    signs: NDArray[np.int8]
-    group: IntArray
+    origin: IntArray  # (n,), what the walk started from: 0, or a leaf of a tree
+    outcomes: BoolArray  # (n, n_done), of the tests so far
+    signs: NDArray[np.int8]  # (n, n_rows), of the rows in a region's group; 0 where a row does not bound it
+    group: IntArray  # (n,)
     rows: HalfSpaces
-    centres: FloatArray
-    radii: FloatArray
-    bases: Bases
-    n_ahead: int = 0
+    centres: FloatArray  # (n, d), inner points
+    radii: FloatArray  # (n,), how far all rows are from these, in the domain's scale
+    bases: Bases  # of the linear programs
+    n_ahead: int = 0  # tests of this layer that are still to come; they are the last rows
 
     def take(self, regions: NDArray[np.generic] | slice) -> Block:
         """Return the block of some regions."""

@@ -40,18 +40,14 @@ _CHUNK_NUMBERS = 2**17  # of the inverses in work at a time; they should stay in
 class Balls:
     """What `largest_balls` found.
 
-    Attributes:
-        is_empty: (n,) whether it was shown that the polytope has no state that matters.
-        centres: (n, d), inner points; of no meaning where the radius is 0.
-        radii: (n,) of a ball around the centre that fits, though hardly ever the largest; 0 where none was found, and
-            the polytope, unless it is empty, is undecided: it is thinner than rounding tells.
-        bases: to go on from; where a polytope is empty, the proof.
+    A radius of 0, where a polytope is not empty, says that it is undecided: the polytope is thinner than rounding
+    tells.
     """
 
-    is_empty: BoolArray
-    centres: FloatArray
-    radii: FloatArray
-    bases: Bases
+    is_empty: BoolArray  # (n,) whether it was shown that the polytope has no state that matters
+    centres: FloatArray  # (n, d), inner points; of no meaning where the radius is 0
+    radii: FloatArray  # (n,) of a ball around the centre that fits, hardly ever the largest; 0 where none was found
+    bases: Bases  # to go on from; where a polytope is empty, the proof
 
 
 def largest_balls(

@@ -17,19 +17,12 @@ _FEASIBLE = 1e-11  # what a row may be violated by
 
 @dataclass(frozen=True)
 class LargestValues:
-    """What `largest_values` found.
+    """What `largest_values` found: an objective is its value less the sum of the rows with these multipliers."""
 
-    Attributes:
-        values: (n,), -inf where the polytope is empty.
-        states: (n, d) where they are taken; of no meaning where there are none.
-        rows: (n, d) int16, the rows that bind there.
-        multipliers: (n, d): the objective is its value less the rows' sum with these, each of which is at least 0.
-    """
-
-    values: FloatArray
-    states: FloatArray
-    rows: NDArray[np.int16]
-    multipliers: FloatArray
+    values: FloatArray  # (n,), -inf where the polytope is empty
+    states: FloatArray  # (n, d) where they are taken; of no meaning where there are none
+    rows: NDArray[np.int16]  # (n, d), the rows that bind there
+    multipliers: FloatArray  # (n, d), each at least 0
 
 
 def largest_values(rows: HalfSpaces, group: IntArray, signs: NDArray[np.int8], objectives: FloatArray) -> LargestValues:

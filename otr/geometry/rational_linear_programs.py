@@ -27,16 +27,13 @@ _FREE, _CAP = -2, -1  # what is tight at a place of the basis, where it is no ro
 class Optimum:
     """What a linear program came to.
 
-    Attributes:
-        t: the largest; None where the rows with w = 0 alone leave no point.
-        point: where; None where there is none.
-        multipliers: by row, above 0. With t: ``sum_i multiplier_i (a_i . x + b_i - w_i t)`` is the same for all x and
-            t' as `t - t'`. Without: ``sum_i multiplier_i (a_i . x + b_i)`` is one number below 0 for all x.
+    With t, ``sum_i multiplier_i (a_i . x + b_i - w_i t')`` is `t - t'` at all x and t'. Without it, ``sum_i
+    multiplier_i (a_i . x + b_i)`` is one number below 0 for all x.
     """
 
-    t: Fraction | None
-    point: Point | None
-    multipliers: dict[int, Fraction]
+    t: Fraction | None  # the largest; None where the rows with w = 0 alone leave no point
+    point: Point | None  # where; None where there is none
+    multipliers: dict[int, Fraction]  # by row, above 0
 
 
 def inner_point(rows: Integers, strict: Sequence[bool]) -> Optimum:

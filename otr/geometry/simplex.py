@@ -23,17 +23,11 @@ _SMALLEST_PIVOT = 1e-9
 
 @dataclass(frozen=True)
 class Bases:
-    """Where the simplex method stands in n problems; q = d + 1.
+    """Where the simplex method stands in n problems; q = d + 1."""
 
-    Attributes:
-        rows: (n, q) int16, the row at each place, `FREE` or the radius's own.
-        inverse: (n, q, q), of the matrix whose columns are (-s a, 1); its last column is the multipliers mu.
-        solution: (n, q), centre and radius (x, t) of the basis.
-    """
-
-    rows: NDArray[np.int16]
-    inverse: FloatArray
-    solution: FloatArray
+    rows: NDArray[np.int16]  # (n, q), the row at each place, `FREE` or the radius's own
+    inverse: FloatArray  # (n, q, q), of the matrix whose columns are (-s a, 1); its last column is the multipliers mu
+    solution: FloatArray  # (n, q), centre and radius (x, t) of the basis
 
     @classmethod
     def start(cls, n: int, d: int) -> Bases:

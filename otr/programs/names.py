@@ -16,19 +16,13 @@ _MARKS = re.compile(r"(?<=\*)(?=[/)])|(?<=[/(])(?=\*)|(?<=\?)(?=\?)")
 
 @dataclass(frozen=True)
 class Names:
-    """What a program calls things.
+    """What a program calls things."""
 
-    Attributes:
-        features, answers: as given, in one line that prints (`shown_names`): for comments, labels and formulas.
-        feature_ids, output_ids: identifiers for the inputs and for the affine outputs.
-        answer_ids: identifiers for the values of the answer; the outputs' own, but for gains and terms.
-    """
-
-    features: list[str]
-    answers: list[str]
+    features: list[str]  # as given, in one line that prints (`shown_names`): for comments, labels and formulas
+    answers: list[str]  # likewise
     feature_ids: list[str]
-    output_ids: list[str]
-    answer_ids: list[str]
+    output_ids: list[str]  # of the affine outputs
+    answer_ids: list[str]  # of the values of the answer; the outputs' own, but for gains and terms
 
 
 def names_for(

@@ -26,15 +26,10 @@ SCHEMA = "otr/certificate/2"
 
 @dataclass(frozen=True)
 class Sum:
-    """A sum of rows with multipliers that are not negative.
+    """A sum of rows with multipliers that are not negative."""
 
-    Attributes:
-        rows: names of rows, as in otr/proof/exact_rows.py: "low i", "high i", "test i", "neuron i".
-        multipliers: one each; a fraction where no float64 would do.
-    """
-
-    rows: tuple[str, ...]
-    multipliers: tuple[float | Fraction, ...]
+    rows: tuple[str, ...]  # names, as in otr/proof/exact_rows.py: "low i", "high i", "test i", "neuron i"
+    multipliers: tuple[float | Fraction, ...]  # one each; a fraction where no float64 would do
 
 
 @dataclass(frozen=True)

@@ -31,21 +31,16 @@ Multipliers = dict[str, Fraction]  # of rows, by name
 class ExactCell:
     """A cell of a network inside a leaf's region.
 
-    Attributes:
-        leaf: the leaf.
-        outcomes: of the network's tests, in order.
-        rows: that bound it, by name: those of the leaf's region, and the tests that split it, as "neuron i".
-        proofs: for every other test: in the direction of its outcome it is at least the sum of rows with these.
-        point: of the cell.
-        forms: of the network's units in it.
+    The rows are those of the leaf's region, and the tests that split it, as "neuron i". Every other test, in the
+    direction of its outcome, is at least the sum of rows that its proof weighs.
     """
 
     leaf: int
-    outcomes: tuple[bool, ...]
-    rows: dict[str, ExactRow]
+    outcomes: tuple[bool, ...]  # of the network's tests, in order
+    rows: dict[str, ExactRow]  # that bound it, by name
     proofs: dict[int, Multipliers]
-    point: Point
-    forms: Integers
+    point: Point  # of the cell
+    forms: Integers  # of the network's units in it
 
 
 def decide(rows: dict[str, ExactRow], n_inputs: int) -> Point | Multipliers:

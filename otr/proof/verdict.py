@@ -42,22 +42,18 @@ class Condition:
 class Piece:
     """A part of a leaf's region on which the condition is proved, or that no state is in.
 
-    Attributes:
-        leaf: the leaf.
-        low, high: limits of the outputs that the condition weighs, in order.
-        lines: slope and offset, for each of these, of a line that is nowhere below its share in the condition.
-        proof: a sum of rows: the box's "low i" and "high i", the leaf's "test i", and "output k low" and "output k
-            high". With what the lines make of the condition's left side it is nowhere above what is allowed; of an
-            empty piece it is nowhere above 0, and not 0 where the rows hold.
-        is_empty: whether no state is in it.
+    The lines, slope and offset, are nowhere below the outputs' shares in the condition. The proof sums rows: "low i"
+    and "high i" of the box, "test i" of the leaf, "output k low" and "output k high". With what the lines make of the
+    condition's left side it is nowhere above what is allowed; of an empty piece it is nowhere above 0, and not 0 where
+    the rows hold.
     """
 
     leaf: int
-    low: tuple[float, ...]
+    low: tuple[float, ...]  # limits of the outputs that the condition weighs, in order
     high: tuple[float, ...]
-    lines: tuple[tuple[float, float | Fraction], ...]
+    lines: tuple[tuple[float, float | Fraction], ...]  # for each, a line above its share
     proof: Sum
-    is_empty: bool
+    is_empty: bool  # whether no state is in it
 
 
 @dataclass(frozen=True)

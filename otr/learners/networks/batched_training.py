@@ -80,17 +80,11 @@ class Schedule(Settings):
 
 @dataclass(frozen=True)
 class Fitted:
-    """What `train_models` kept.
+    """What `train_models` kept."""
 
-    Attributes:
-        values: of the parameters, every model's at its best epoch.
-        scores: (S, L), the validation score there; NaN without validation rows.
-        epochs: (S, L), the epoch, counted from 1.
-    """
-
-    values: list[Tensor]
-    scores: FloatArray
-    epochs: IntArray
+    values: list[Tensor]  # of the parameters, every model's at its best epoch
+    scores: FloatArray  # (S, L), the validation score there; NaN without validation rows
+    epochs: IntArray  # (S, L), the epoch, counted from 1
 
 
 @torch.no_grad()

@@ -64,17 +64,11 @@ class NetworkSettings(Settings, ABC, Generic[Network]):
 
 @dataclass(frozen=True)
 class TrainedNetworks(Generic[Network]):
-    """What `train_many` returns.
+    """What `train_many` returns."""
 
-    Attributes:
-        networks: [label][seed].
-        scores: (L, S), the validation scores of the epochs kept, NaN without validation rows.
-        epochs: (L, S), those epochs, counted from 1.
-    """
-
-    networks: list[list[Network]]
-    scores: FloatArray
-    epochs: IntArray
+    networks: list[list[Network]]  # [label][seed]
+    scores: FloatArray  # (L, S), the validation scores of the epochs kept, NaN without validation rows
+    epochs: IntArray  # (L, S), those epochs, counted from 1
 
 
 def train_many(

@@ -14,20 +14,12 @@ from otr.programs.c.tables import CType, Table, literal, real_table
 
 @dataclass(frozen=True)
 class Answer:
-    """A piece of C.
-
-    Attributes:
-        lines: make the answer of the outputs.
-        tables: that the lines read.
-        array: of the outputs; y is the answer's own where the answer is numbers.
-        declared: the declaration of that array, if it is another.
-        needs_tanh: whether the lines call tanh.
-    """
+    """A piece of C that makes the answer of the outputs."""
 
     lines: list[str]
-    tables: list[Table]
-    array: str = "y"
-    declared: tuple[str, ...] = ()
+    tables: list[Table]  # that the lines read
+    array: str = "y"  # of the outputs; y is the answer's own where the answer is numbers
+    declared: tuple[str, ...] = ()  # the declaration of that array, if it is another
     needs_tanh: bool = False
 
 

@@ -17,19 +17,12 @@ Key = tuple[object, ...]  # of a test: equal for equal functions
 
 @dataclass(slots=True)
 class Path:
-    """One way through the program.
+    """One way through the program."""
 
-    Attributes:
-        slot: where in the tree the path goes on.
-        at: the statement under way.
-        values: what the program's names are worth; `assign` changes it.
-        is_shared: whether another path may hold the same dict of values.
-    """
-
-    slot: Slot
-    at: Place
-    values: dict[str, Value] = field(default_factory=dict)
-    is_shared: bool = False
+    slot: Slot  # where in the tree the path goes on
+    at: Place  # the statement under way
+    values: dict[str, Value] = field(default_factory=dict)  # of the program's names; `assign` changes it
+    is_shared: bool = False  # whether another path may hold the same dict of values
 
     def fork(self, slot: Slot) -> Path:
         """Return the path that goes on at `slot` after a test."""

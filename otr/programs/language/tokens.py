@@ -33,21 +33,13 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Token:
-    """A piece of the text.
-
-    Attributes:
-        kind: what it is; `stop` is the end of the text.
-        text: as written, or the first of several spellings.
-        at: where it begins.
-        end: the column after it.
-        indent: the column of the first token on its line.
-    """
+    """A piece of the text; one of kind `stop` is the end of it."""
 
     kind: Literal["number", "name", "keyword", "symbol", "stop"]
-    text: str
-    at: Place
-    end: int
-    indent: int
+    text: str  # as written, or the first of several spellings
+    at: Place  # where it begins
+    end: int  # the column after it
+    indent: int  # the column of the first token on its line
 
     @property
     def is_first(self) -> bool:

@@ -33,22 +33,13 @@ class Style:
 
 @dataclass(frozen=True)
 class NodeBox:
-    """A box of the picture.
-
-    Attributes:
-        kind: a test node, a leaf, or a subtree that is folded up.
-        title: a line above the rows, such as a label; may be empty.
-        rows: lines of a formula.
-        n_rows: rows of data that reach the box; None where nobody counted.
-        children: indices of the boxes on the left and the right, or none.
-        label: the leaf's label, or None.
-    """
+    """A box of the picture: a test node, a leaf, or a subtree that is folded up."""
 
     kind: Literal["test", "leaf", "subtree"]
-    title: str
-    rows: tuple[FormulaRow, ...]
-    n_rows: int | None
-    children: tuple[int, ...] = ()
+    title: str  # a line above the rows, such as a label; may be empty
+    rows: tuple[FormulaRow, ...]  # lines of a formula
+    n_rows: int | None  # rows of data that reach the box; None where nobody counted
+    children: tuple[int, ...] = ()  # indices of the boxes on the left and the right, or none
     label: int | None = None
 
 

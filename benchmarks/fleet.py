@@ -104,7 +104,7 @@ def fleet_rate(precision: str, n_steps: int) -> Callable[[], float]:
         seconds, n_trained = 0.0, 0
         for trainer, progress in zip(trainers, quiet, strict=True):
             began = time.process_time()
-            end = trainer.train_segment(progress).end
+            end, _, _ = trainer.train_segment(progress)
             seconds += time.process_time() - began
             for run in trainer.runs:
                 n_trained += end - run.n_steps

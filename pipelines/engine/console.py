@@ -2,14 +2,14 @@
 
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 from rich.console import Console
 from rich.table import Table
 
-PATIENCE_S = 1.5
+PATIENCE_S, EVERY_S = 1.5, 10.0
 SHORT_PROGRAM = 40  # lines; a longer one is named, not shown
 T = TypeVar("T")
 
@@ -35,6 +35,21 @@ def counted(items: Sequence[T], what: str) -> Iterator[T]:
         yield item
     if shown:
         print("\r\033[K", end="", file=sys.stderr, flush=True)
+
+
+def progress_lines(what: str, unit: str) -> Callable[[int, int], None]:
+    """Return a function that prints how much of all is done, at most every ten seconds, with the time left."""
+    began = said = time.monotonic()
+
+    def tell(done: int, total: int) -> None:
+        nonlocal said
+        now = time.monotonic()
+        if now - said >= EVERY_S:
+            said, spent = now, now - began
+            left = duration(spent / done * (total - done)) if done else "?"
+            print(f"{what}: {done:,} of {total:,} {unit}, {duration(spent)}, about {left} left", flush=True)
+
+    return tell
 
 
 def show_finished(

@@ -132,23 +132,10 @@ def _action_converter(env: gym.Env) -> Callable[[np.ndarray], list[Any]]:
 def _interleave(parts: list[Rollout]) -> Rollout:
     """Put together the results of workers, of which worker w played every n-th episode from the w-th on."""
     n = sum(len(part.seeds) for part in parts)
-
-    def merged(name: str) -> np.ndarray:
-        whole = np.empty(n, dtype=getattr(parts[0], name).dtype)
-        for worker, part in enumerate(parts):
-            whole[worker :: len(parts)] = getattr(part, name)
-        return whole
-
-    pieces: list[np.ndarray] = [np.empty((0, 0))] * n
-    for worker, part in enumerate(parts):
-        if len(part.states):
-            pieces[worker :: len(parts)] = np.split(part.states, np.cumsum(part.lengths)[:-1])
-    states = np.concatenate(pieces) if len(parts[0].states) else np.empty((0, 0))
-    return Rollout(
-        seeds=merged("seeds"),
-        returns=merged("returns"),
-        lengths=merged("lengths"),
-        terminated=merged("terminated"),
-        truncated=merged("truncated"),
-        states=states,
-    )
+    order = np.argsort(np.concatenate([np.arange(worker, n, len(parts)) for worker in range(len(parts))]))
+    names = ("seeds", "returns", "lengths", "terminated", "truncated")
+    merged = {name: np.concatenate([getattr(part, name) for part in parts])[order] for name in names}
+    if not len(parts[0].states):
+        return Rollout(**merged, states=np.empty((0, 0)))
+    pieces = [piece for part in parts for piece in np.split(part.states, np.cumsum(part.lengths)[:-1])]
+    return Rollout(**merged, states=np.concatenate([pieces[i] for i in order]))

@@ -210,6 +210,11 @@ class FitConfig:
         """The stages to do, in the method's order."""
         return self.all_stages if self.stages is None else tuple(s for s in self.all_stages if s in self.stages)
 
+    @property
+    def line_start(self) -> str:
+        """What printed lines begin with where other jobs share the terminal."""
+        return f"{self.data.name} {self.method.name}: " if self.side_by_side else ""
+
     def settings(self) -> dict[str, Any]:
         """Return all the settings that decide what comes out, as plain JSON-able data."""
         files = [file.git_blob for file in files_of(self.data.name)]

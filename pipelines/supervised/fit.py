@@ -8,11 +8,11 @@ from typing import Any
 
 import otr
 from pipelines.datasets.dataset import Dataset
+from pipelines.engine.console import progress_lines
 from pipelines.engine.stage import Stage
 from pipelines.engine.store import read_json, write_csv
 from pipelines.supervised.config import FitConfig, fit_settings, with_settings
 from pipelines.supervised.learners import FittedTree, check_learner, dataset_of, fit_trees, usable_labels
-from pipelines.supervised.progress import FitProgress
 from pipelines.supervised.readable_trees import draw
 
 COLUMNS = ("label", "file", "settings", "epoch", "small_weights", "cpu_seconds")
@@ -43,7 +43,7 @@ def fit_together(
             labels,
             seeds,
             n_workers=first.n_workers,
-            progress=FitProgress(first, "fit", "trees"),
+            progress=progress_lines(f"{first.line_start}fit", "trees"),
         )
         seconds = (time.process_time() - began) / (len(labels) * len(seeds))
         for label, of_label in zip(labels, fitted, strict=True):

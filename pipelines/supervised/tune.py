@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 
 from pipelines.datasets.dataset import Dataset
+from pipelines.engine.console import progress_lines
 from pipelines.engine.digests import digest
 from pipelines.engine.stage import Stage
 from pipelines.engine.store import read_json, write_csv, write_json
 from pipelines.supervised.config import FitConfig, combinations, tune_settings, with_settings
 from pipelines.supervised.learners import check_learner, dataset_of, fit_trees, usable_labels
 from pipelines.supervised.metrics import gain, metric_of, outputs_of, score
-from pipelines.supervised.progress import FitProgress
 
 COLUMNS = ("label", "settings", "valid", "seconds")
 VERSION = 1
@@ -34,7 +34,7 @@ def tune(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     scores = np.full((len(tried), len(labels)), np.nan)
     rows: list[dict[str, Any]] = []
-    progress = FitProgress(config, "tune", "combinations")
+    progress = progress_lines(f"{config.line_start}tune", "combinations")
     for i, changes in enumerate(tried):
         scores[i], seconds = _scores(config, dataset, labels, changes, folder / f"{digest(changes)[:16]}.json")
         rows += [
@@ -87,7 +87,7 @@ def _scores(
         return np.array(before["scores"], dtype=np.float64), before["seconds"]
     began, metric = time.process_time(), metric_of(dataset)
     seeds = config.method.tuning_seeds
-    progress = FitProgress(config, f"tune {json.dumps(changes)}", "trees")
+    progress = progress_lines(f"{config.line_start}tune {json.dumps(changes)}", "trees")
     method = with_settings(config.method, changes)
     fitted = fit_trees(method, dataset, labels, seeds, n_workers=config.n_workers, progress=progress)
     means = []

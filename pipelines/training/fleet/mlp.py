@@ -60,16 +60,11 @@ def new_layers(n: int, widths: Sequence[int], precision: str = "fp32") -> Layers
     weights, biases = tensors[: len(shapes)], tensors[len(shapes) :]
     factors = [
         new_stack(n, *weight.shape[1:], dtype=torch.bfloat16)
-        if precision == "bf16" and 0 < i < len(shapes) - 1 and is_wide(weight)
+        if precision == "bf16" and 0 < i < len(shapes) - 1 and min(weight.shape[1:]) >= WIDE
         else weight
         for i, weight in enumerate(weights)
     ]
     return Layers(flat, weights, biases, factors)
-
-
-def is_wide(weight: Tensor) -> bool:
-    """Return whether products with this weight may take bfloat16 factors."""
-    return min(weight.shape[1:]) >= WIDE
 
 
 class StackedMlp:

@@ -59,10 +59,10 @@ def _cohort(runs: Sequence[FleetRun]) -> list[FleetRun]:
 def _segment(trainer: FleetTrainer, progress: FleetProgress) -> None:
     """Train a cohort for one segment, evaluate its actors, and write its checkpoints."""
     start, began = trainer.runs[0].n_steps, time.monotonic()
-    collected = trainer.train_segment(progress)
+    end, returns, lengths = trainer.train_segment(progress)
     trained_s = time.monotonic() - began
     for r, run in enumerate(trainer.runs):
-        run.n_steps, run.n_updates = collected.end, trainer.n_updates
+        run.n_steps, run.n_updates = end, trainer.n_updates
         run.tensors = trainer.tensors(r)
         try:
             if not all(bool(torch.isfinite(tensor).all()) for tensor in run.tensors.values()):
@@ -75,8 +75,7 @@ def _segment(trainer: FleetTrainer, progress: FleetProgress) -> None:
             continue
         # A run's seconds are its share of the fleet's, so that the runs' sum is what was spent.
         share = trained_s / len(trainer.runs)
-        returns, lengths = np.array(collected.returns[r]), np.array(collected.lengths[r])
-        row = progress_row(collected.end, start, share, returns, lengths)
+        row = progress_row(end, start, share, np.array(returns[r]), np.array(lengths[r]))
         run.history.segment_done(row, actor_files(network), episodes)
         run.save()
         run.tracker.segment_done(row, run.history.evaluations[-1])

@@ -22,7 +22,7 @@ from pipelines.training.fleet.progress import FleetProgress
 from pipelines.training.fleet.random_streams import Draws, Streams
 from pipelines.training.fleet.replay_buffer import FleetReplay, RowLayout
 from pipelines.training.fleet.sac import FleetSac, Shapes
-from pipelines.training.fleet.vector_environments import GymnasiumVectorEnv, Step, VectorEnv
+from pipelines.training.fleet.vector_environments import GymnasiumVectorEnv, Step
 
 torch.set_num_threads(1)  # two threads make these small networks a hundred times slower
 
@@ -51,15 +51,6 @@ class Task:
             return cls(RowLayout(flat_state_size(env), len(box.low)), box.low.ravel(), box.high.ravel())
         finally:
             env.close()
-
-
-@dataclass
-class Collected:
-    """What a segment collected: the steps done since the run began, and each run's finished episodes."""
-
-    end: int
-    returns: list[list[float]]
-    lengths: list[list[int]]
 
 
 class FleetTrainer:
@@ -125,8 +116,12 @@ class FleetTrainer:
         return self._unscale(self._learner.answers(r, torch.from_numpy(states)).numpy())
 
     @torch.no_grad()
-    def train_segment(self, progress: FleetProgress) -> Collected:
-        """Collect a segment's transitions and do its updates; the rows are on the disk afterwards."""
+    def train_segment(self, progress: FleetProgress) -> tuple[int, list[list[float]], list[list[int]]]:
+        """Collect a segment's transitions and do its updates; the rows are on the disk afterwards.
+
+        Returns:
+            The steps done since the run began, and the returns and lengths of each run's finished episodes.
+        """
         with denormals_as_zero():
             config, n_runs, n_envs = self._config, len(self.runs), self._n_envs
             start, n_actions = self.runs[0].n_steps, self._task.layout.n_actions
@@ -154,7 +149,7 @@ class FleetTrainer:
                 episodes.add(step)
                 progress.at_more_steps(n_runs * (t + 1) * n_envs)
             self._replay.flush()
-            return Collected(start + n_vector_steps * n_envs, episodes.returns, episodes.lengths)
+            return start + n_vector_steps * n_envs, episodes.returns, episodes.lengths
 
     def _act(self, states: Tensor, draws: Draws, ahead: int, random: bool) -> Tensor:
         """Return actions in [-1, 1], (R, E, n_actions), as they go into the replay buffer."""
@@ -209,7 +204,7 @@ def uses_envpool(env: EnvConfig, fleet: FleetConfig) -> bool:
     return fleet.environments == "envpool" and env.id in EQUAL_IDS
 
 
-def _vector_env(config: RunConfig, n_envs: int) -> VectorEnv:
+def _vector_env(config: RunConfig, n_envs: int) -> GymnasiumVectorEnv | EnvPoolVectorEnv:
     """Return the environments of a run's fleet, side by side."""
     assert config.fleet is not None
     if not uses_envpool(config.env, config.fleet):

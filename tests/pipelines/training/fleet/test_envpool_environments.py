@@ -12,8 +12,8 @@ from scipy.stats import ks_2samp
 from pipelines.config.env import EnvConfig
 from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import make_env
-from pipelines.training.fleet.envpool_environments import EQUAL_IDS, UNEQUAL_IDS, EnvPoolVectorEnv, make_pool
-from pipelines.training.fleet.vector_environments import GymnasiumVectorEnv, Step, VectorEnv
+from pipelines.training.fleet.envpool_environments import EQUAL_IDS, EnvPoolVectorEnv, make_pool
+from pipelines.training.fleet.vector_environments import GymnasiumVectorEnv, Step
 
 pytest.importorskip("envpool", reason="the extra fleet is not installed; make test-all installs it")
 
@@ -114,8 +114,8 @@ def test_steps_of_a_trained_hopper_are_gymnasiums():
     assert found.n_terminated == 0
 
 
-@pytest.mark.parametrize("env_id", UNEQUAL_IDS)
-def test_refused_environments_do_differ(env_id):
+@pytest.mark.parametrize("env_id", ["Ant-v4", "Ant-v5"])
+def test_other_environments_do_differ(env_id):
     """Should this fail with another MuJoCo, the environment can be moved to those that are known to be equal."""
     found = compare(env_id)
     print(env_id, found)
@@ -139,7 +139,7 @@ def actions_of(n_envs: int, n_components: int, n_steps: int, first: int = 0) -> 
     return np.stack([g.uniform(-1, 1, (n_steps, n_components)) for g in generators], axis=1).astype(np.float32)
 
 
-def play(envs: VectorEnv, seeds: list[int], actions: np.ndarray) -> tuple[np.ndarray, Step]:
+def play(envs: EnvPoolVectorEnv | GymnasiumVectorEnv, seeds: list[int], actions: np.ndarray) -> tuple[np.ndarray, Step]:
     first = envs.reset(seeds)
     steps = [envs.step(row) for row in actions]
     return first, Step(*(np.stack(parts) for parts in zip(*steps, strict=True)))
@@ -228,12 +228,3 @@ def test_steps_are_the_callers_to_keep():
         np.testing.assert_array_equal(part, copy)
     envs.close()
     envs.close()
-
-
-def test_wrong_number_of_seeds_or_actions():
-    envs = EnvPoolVectorEnv(config("Hopper-v4"), 2)
-    with pytest.raises(ValueError, match="3 seeds for 2 environments"):
-        envs.reset([1, 2, 3])
-    envs.reset([1, 2])
-    with pytest.raises(ValueError, match="for 2 environments: give one row each"):
-        envs.step(np.zeros((3, 3), np.float32))

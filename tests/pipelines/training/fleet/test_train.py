@@ -192,13 +192,13 @@ def test_replay_rows_are_what_the_environments_did(fleet_run, env, n_envs, monke
     run = fresh(config, task)
     seeds = run.seeds(1 + n_envs)[1:]
     trainer = FleetTrainer(task, [run])
-    collected = trainer.train_segment(FleetProgress([run]))
+    end, _, lengths = trainer.train_segment(FleetProgress([run]))
     d, a = task.layout.n_inputs, task.layout.n_actions
     n_ends = {True: 0, False: 0}
     for e, seed in enumerate(seeds):
         own = make_env(config.env)
         state, _ = own.reset(seed=seed)
-        for row in run.rows[e : collected.end : n_envs]:
+        for row in run.rows[e:end:n_envs]:
             np.testing.assert_array_equal(row[:d], state.astype(np.float32))
             scaled = row[d : d + a]
             assert np.abs(scaled).max() <= 1
@@ -211,8 +211,8 @@ def test_replay_rows_are_what_the_environments_did(fleet_run, env, n_envs, monke
                 state, _ = own.reset()
         own.close()
     assert n_ends[env is HOPPER] > 1, "no episode ended, so nothing was shown about ends"
-    assert sum(len(lengths) for lengths in collected.lengths) == sum(n_ends.values())
-    assert trainer.n_updates == collected.end - 100
+    assert sum(map(len, lengths)) == sum(n_ends.values())
+    assert trainer.n_updates == end - 100
 
 
 def test_first_actions_are_random_then_the_policys(fleet_run):

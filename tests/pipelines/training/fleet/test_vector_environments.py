@@ -10,8 +10,8 @@ from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.play.environments import make_env
-from pipelines.training.fleet.envpool_environments import EQUAL_IDS, UNEQUAL_IDS, EnvPoolVectorEnv
-from pipelines.training.fleet.vector_environments import GymnasiumVectorEnv, Step, VectorEnv
+from pipelines.training.fleet.envpool_environments import EQUAL_IDS, EnvPoolVectorEnv
+from pipelines.training.fleet.vector_environments import GymnasiumVectorEnv, Step
 
 HOPPER = EnvConfig("hopper", "hopper", "Hopper-v4")
 PENDULUM = EnvConfig("pendulum", "pendulum", "Pendulum-v1", {"max_episode_steps": 5})
@@ -25,7 +25,7 @@ def actions_of(n_envs: int, n_components: int, first: int = 0) -> np.ndarray:
     return np.stack([g.uniform(-1, 1, (N_STEPS, n_components)) for g in generators], axis=1).astype(np.float32)
 
 
-def play(envs: VectorEnv, seeds: list[int], actions: np.ndarray) -> tuple[np.ndarray, Step]:
+def play(envs: GymnasiumVectorEnv, seeds: list[int], actions: np.ndarray) -> tuple[np.ndarray, Step]:
     """Return the first states, and the steps stacked along a new first axis."""
     first = envs.reset(seeds)
     steps = [envs.step(row) for row in actions]
@@ -137,26 +137,15 @@ def test_refusals_name_what_is_wrong():
     with pytest.raises(ConfigError, match="Hopper-v4 have no bounds"):
         GymnasiumVectorEnv(HOPPER, 2, rescale_inputs=True)
     envs = GymnasiumVectorEnv(PENDULUM, 2)
-    with pytest.raises(ValueError, match="3 seeds for 2 environments"):
-        envs.reset([1, 2, 3])
-    envs.reset([1, 2])
-    for shape in ((1, 1), (3, 1), (2,)):
-        with pytest.raises(ValueError, match="for 2 environments: give one row each"):
-            envs.step(np.zeros(shape, np.float32))
     envs.close()
     envs.close()
 
 
 def test_envpool_knows_what_it_can_do():
-    """These refusals come before EnvPool is looked for, so that they are the same where it is not installed."""
+    """The refusal comes before EnvPool is looked for, so that it is the same where it is not installed."""
     ids = [yaml.safe_load(path.read_text())["env"]["id"] for path in sorted((CONF_DIR / "env").glob("*.yaml"))]
     mujoco = {i for i in ids if "mujoco" in make_env(EnvConfig(i, i, i)).spec.entry_point}
-    assert mujoco == {*EQUAL_IDS, *UNEQUAL_IDS} and len(mujoco) == 12
-    for env_id in ("Ant-v4", "Ant-v5"):
-        with pytest.raises(ConfigError, match=rf"{env_id} steps otherwise than gymnasium's"):
-            EnvPoolVectorEnv(EnvConfig("ant", "ant", env_id), 2)
-    with pytest.raises(ConfigError, match=r"Pendulum-v1 is not known to equal.*Hopper-v4"):
-        EnvPoolVectorEnv(PENDULUM, 2)
+    assert mujoco == {*EQUAL_IDS, "Ant-v4", "Ant-v5"} and len(mujoco) == 12
     with pytest.raises(ConfigError, match=r"env\.kwargs has healthy_reward"):
         limited = {"max_episode_steps": 5, "healthy_reward": 2.0}
         EnvPoolVectorEnv(EnvConfig("hopper", "hopper", "Hopper-v5", limited), 2)

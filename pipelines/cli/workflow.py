@@ -32,17 +32,11 @@ class Composed:
 
 
 class Workflow(Composer, ABC):
-    """A command that does jobs.
+    """A command that does jobs."""
 
-    Attributes:
-        anything: an option of the group that is needed, for where it does not matter which.
-        naming: keys of overrides that the folder of a job names.
-        harmless: keys of overrides that do not decide what comes out of a job.
-    """
-
-    anything: str
-    naming: tuple[str, ...]
-    harmless: tuple[str, ...]
+    anything: str  # an option of the group that is needed, for where it does not matter which
+    naming: tuple[str, ...]  # keys of overrides that the folder of a job names
+    harmless: tuple[str, ...]  # keys of overrides that do not decide what comes out of a job
     varied: tuple[str, ...] = ("seed",)
     _made: dict[tuple[str, ...], Composed]  # of the jobs that are asked for
 

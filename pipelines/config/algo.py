@@ -9,15 +9,12 @@ from pipelines.errors import ConfigError
 
 @dataclass(frozen=True)
 class AlgoConfig:
-    """What every algorithm has.
-
-    Attributes:
-        steps_per_s: environment steps per second on one core of a 2020s server, evaluations included, measured.
-    """
+    """What every algorithm has."""
 
     name: FreeText
     learning_rate: Annotated[float, Range(1e-12, 10)]
 
+    # Environment steps per second on one core of a 2020s server, evaluations included, measured
     steps_per_s: ClassVar[float]
 
     @property
@@ -31,19 +28,12 @@ class AlgoConfig:
 
 @dataclass(frozen=True)
 class ArsConfig(AlgoConfig):
-    """Augmented random search of a linear policy (Mania et al. 2018), under sb3-contrib's names.
+    """Augmented random search of a linear policy (Mania et al. 2018), under sb3-contrib's names."""
 
-    Attributes:
-        n_delta: directions tried an update, each forth and back: 2 n_delta episodes.
-        n_top: the best of them, which make the step.
-        delta_std: length of the directions.
-        with_bias: whether the policy has offsets; the original has none and normalises states instead.
-    """
-
-    n_delta: Count
-    n_top: Count
-    delta_std: Positive
-    with_bias: bool
+    n_delta: Count  # directions tried an update, each forth and back: 2 n_delta episodes
+    n_top: Count  # the best of them, which make the step
+    delta_std: Positive  # length of the directions
+    with_bias: bool  # whether the policy has offsets; the original has none and normalises states instead
 
     steps_per_s = 10_000.0
 
@@ -81,18 +71,15 @@ class OnPolicyConfig(GradientConfig):
 
 @dataclass(frozen=True)
 class PpoConfig(OnPolicyConfig):
-    """Proximal policy optimisation, under Stable-Baselines3's names.
-
-    Attributes:
-        use_sde: explore by a linear function of the state that is drawn anew every `sde_sample_freq` steps (-1: every
-            rollout), instead of by noise drawn at every step; for continuous actions.
-    """
+    """Proximal policy optimisation, under Stable-Baselines3's names."""
 
     n_epochs: Count
     clip_range: Annotated[float, Range(1e-6, 10)]
     ent_coef: NotNegative
     vf_coef: NotNegative
     max_grad_norm: Positive
+    # Explore by a linear function of the state that is drawn anew every `sde_sample_freq` steps (-1: every
+    # rollout), instead of by noise drawn at every step; for continuous actions
     use_sde: Annotated[bool, AsBefore(False)] = False
     sde_sample_freq: Annotated[int, Range(-1), AsBefore(-1)] = -1
 
@@ -120,17 +107,11 @@ class OffPolicyConfig(GradientConfig):
 
 @dataclass(frozen=True)
 class DqnConfig(OffPolicyConfig):
-    """Deep Q-learning, for labels: the actor is the network of the action values, so `critic` stays empty.
+    """Deep Q-learning, for labels: the actor is the network of the action values, so `critic` stays empty."""
 
-    Attributes:
-        target_update_interval: steps between updates of the target network.
-        exploration_fraction: of all steps, over which random actions become rarer.
-        exploration_final_eps: their share from then on.
-    """
-
-    target_update_interval: Count
-    exploration_fraction: Annotated[float, Range(1e-6, 1)]
-    exploration_final_eps: Share
+    target_update_interval: Count  # steps between updates of the target network
+    exploration_fraction: Annotated[float, Range(1e-6, 1)]  # of all steps, over which random actions become rarer
+    exploration_final_eps: Share  # their share from then on
     max_grad_norm: Positive
 
     steps_per_s = 900.0

@@ -8,19 +8,10 @@ from pipelines.config.setting import Count, FreeText, Range
 
 @dataclass(frozen=True)
 class BudgetConfig:
-    """How much is spent. The rest is the same for all tasks.
-
-    Attributes:
-        steps: environment steps per task.
-        on_policy_steps: the same for soft trees and augmented random search, whose steps are cheaper and teach less.
-        on_policy_interval_steps: between their evaluations. Training goes on with new episodes after each, in several
-            environments at once, so there have to be enough steps for whole episodes.
-        pid: what is spent on PID policies in place of the above: steps, eval_interval_steps, n_selection_episodes and
-            n_evaluation_episodes.
-    """
+    """How much is spent. The rest is the same for all tasks."""
 
     name: FreeText
-    steps: dict[str, Count]
+    steps: dict[str, Count]  # environment steps per task
     eval_interval_steps: Count
     n_selection_episodes: Count
     n_prune_episodes: Count
@@ -29,6 +20,11 @@ class BudgetConfig:
     n_rounds: Annotated[int, Range(0)] = 50
     n_round_episodes: Count = 25
     n_choice_episodes: Annotated[int, Range(0)] = 100
+    # The same for soft trees and augmented random search, whose steps are cheaper and teach less
     on_policy_steps: dict[str, Count] = field(default_factory=dict)
+    # Steps between their evaluations. Training goes on with new episodes after each, in several environments at once, so
+    # there have to be enough steps for whole episodes.
     on_policy_interval_steps: Count = 25_000
+    # What is spent on PID policies in place of the above: steps, eval_interval_steps, n_selection_episodes and
+    # n_evaluation_episodes
     pid: dict[str, Count] = field(default_factory=dict)

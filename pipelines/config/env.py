@@ -8,15 +8,10 @@ from pipelines.config.setting import DERIVED, FreeText
 
 @dataclass(frozen=True)
 class PidTerms:
-    """How a PID policy observes an environment: [s, P, I, D] in place of the state s (`otr.control.pid_observation`).
+    """What a PID policy observes: [s, P, I, D] in place of the state s (`otr.control.pid_observation`)."""
 
-    Attributes:
-        goal: e, one number a component of the state.
-        n_history: states before s that I sums over.
-    """
-
-    goal: tuple[float, ...]
-    n_history: int
+    goal: tuple[float, ...]  # e, one number a component of the state
+    n_history: int  # states before s that I sums over
 
 
 @dataclass(frozen=True)

@@ -36,30 +36,20 @@ Hardness = Annotated[float, Range(1e-6, 1e6)]
 
 @dataclass(frozen=True)
 class MethodConfig:
-    """What every method has. The attributes of the class are facts of the method, not settings.
+    """What every method has. The attributes of the class are facts of the method, not settings."""
 
-    Attributes:
-        name: the name of the method.
-        label: what tables call it.
-        forms: further forms of its policy that are evaluated beside the tree, each with what tables call it.
-        stages: its stages in order, without the extra ones.
-        tree_stage: the stage that makes its tree.
-        is_mapped: whether the tree is a trained network's, which it can be proved equal to.
-        imitates: whether the tree imitates an oracle, which is trained first.
-        is_trained: whether something is trained; not where the policy is a program that somebody wrote.
-        decides_training: whether the settings of the method decide what is trained.
-    """
+    name: FreeText  # the name of the method
 
-    name: FreeText
-
-    label: ClassVar[str]
+    label: ClassVar[str]  # what tables call it
+    # Further forms of its policy that are evaluated beside the tree, each with what tables call it
     forms: ClassVar[Mapping[str, str]] = {}
-    stages: ClassVar[tuple[str, ...]]
-    tree_stage: ClassVar[str]
-    is_mapped: ClassVar[bool] = False
-    imitates: ClassVar[bool] = False
+    stages: ClassVar[tuple[str, ...]]  # its stages in order, without the extra ones
+    tree_stage: ClassVar[str]  # the stage that makes its tree
+    is_mapped: ClassVar[bool] = False  # whether the tree is a trained network's, which it can be proved equal to
+    imitates: ClassVar[bool] = False  # whether the tree imitates an oracle, which is trained first
+    # Whether something is trained; not where the policy is a program that somebody wrote
     is_trained: ClassVar[bool] = True
-    decides_training: ClassVar[bool] = False
+    decides_training: ClassVar[bool] = False  # whether the settings of the method decide what is trained
 
     @classmethod
     def implied(cls, given: Mapping[str, str]) -> list[str]:
@@ -106,22 +96,16 @@ class LinearPolicyConfig(MappedConfig):
 
 @dataclass(frozen=True)
 class PidConfig(MappedConfig):
-    """A PID policy, whose actor gives the gains (Orfanos 2023, section 4.1.1).
+    """A PID policy, whose actor gives the gains (Orfanos 2023, section 4.1.1)."""
 
-    Attributes:
-        goal: the state to come to rest in, one number a component.
-        n_history: states before the present one that the policy knows.
-        l1: weight of the sum of the gains' absolute output weights in the actor's loss.
-        first_layer_scale: of the initial weights and biases of the first hidden layer, in units of torch's own. The
-            penalty is on the output weights alone, so gains vary more cheaply behind large first-layer weights.
-        zero_below: output weights smaller than this are set to zero before every evaluation: the penalty, taken in
-            steps of the learning rate's size, leaves them swinging about it.
-    """
-
-    goal: Annotated[list[float], Range()]
-    n_history: Count
-    l1: NotNegative
+    goal: Annotated[list[float], Range()]  # the state to come to rest in, one number a component
+    n_history: Count  # states before the present one that the policy knows
+    l1: NotNegative  # weight of the sum of the gains' absolute output weights in the actor's loss
+    # Scale of the first hidden layer's initial weights and biases, in units of torch's own. The penalty is on the
+    # output weights alone, so gains vary more cheaply behind large first-layer weights.
     first_layer_scale: Positive
+    # Output weights smaller than this are set to zero before every evaluation: the penalty, taken in steps of the
+    # learning rate's size, leaves them swinging about it
     zero_below: NotNegative
 
     label = "PID"
@@ -166,16 +150,12 @@ class GrownConfig(MethodConfig):
 
 @dataclass(frozen=True)
 class ImitatingConfig(GrownConfig):
-    """A method that imitates an oracle under DAgger.
-
-    Attributes:
-        fit_s: seconds of one fit at depth 6, measured on the lander.
-    """
+    """A method that imitates an oracle under DAgger."""
 
     stages = ("oracle", "imitate", "prune", "evaluate")
     tree_stage = "imitate"
     imitates = True
-    fit_s: ClassVar[float]
+    fit_s: ClassVar[float]  # seconds of one fit at depth 6, measured on the lander
 
     def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
         """Refuse an oracle that is no network."""
@@ -230,18 +210,12 @@ class AugTreeConfig(ImitatingConfig):
 
 @dataclass(frozen=True)
 class NdpsConfig(ImitatingConfig):
-    """NDPS: a soft tree fitted to the oracle, hardened and refitted; the names are those of `otr.control.NdpsImitator`.
+    """NDPS: a soft tree fitted to the oracle, hardened and refitted; names as in `otr.control.NdpsImitator`."""
 
-    Attributes:
-        max_samples: rows drawn for a fit.
-        n_updates, n_updates_next: Adam's updates of the first fit, and of those that go on from the last round's tree.
-        batch_size, learning_rate, beta_first, beta_last, ridge: see `otr.control.NdpsSettings`.
-    """
-
-    max_samples: Count
-    n_updates: Count
+    max_samples: Count  # rows drawn for a fit
+    n_updates: Count  # Adam's updates of the first fit, and of those that go on from the last round's tree
     n_updates_next: Count
-    batch_size: Count
+    batch_size: Count  # this and what follows: see `otr.control.NdpsSettings`
     learning_rate: Annotated[float, Range(1e-12, 10)]
     beta_first: Hardness
     beta_last: Hardness
@@ -253,18 +227,12 @@ class NdpsConfig(ImitatingConfig):
 
 @dataclass(frozen=True)
 class SoftConfig(GrownConfig):
-    """A method whose actor is a soft tree, trained by policy gradient.
+    """A method whose actor is a soft tree, trained by policy gradient."""
 
-    Attributes:
-        beta_first, beta_last: how hard its tests are at first and at last, growing geometrically.
-        anneal_until: the fraction of the steps at which beta has reached its last value.
-        learning_rate_end: what is left of the algorithm's learning rate at the end, a fraction; it falls linearly.
-    """
-
-    beta_first: Hardness
+    beta_first: Hardness  # how hard its tests are at first and at last, growing geometrically
     beta_last: Hardness
-    anneal_until: Share
-    learning_rate_end: Share
+    anneal_until: Share  # the fraction of the steps at which beta has reached its last value
+    learning_rate_end: Share  # what is left of the algorithm's learning rate at the end, a fraction; it falls linearly
 
     forms: ClassVar[Mapping[str, str]] = {"soft": "soft", "discretised": "discretised"}
     stages = ("train", "harden", "prune", "evaluate")

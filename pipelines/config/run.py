@@ -39,27 +39,13 @@ from pipelines.errors import ConfigError
 
 @dataclass(frozen=True)
 class RunConfig:
-    """One run.
-
-    Attributes:
-        depth: hidden neurons of the actor, or a list of them, one a hidden layer; tests on the longest path of a grown
-            tree.
-        stages: the stages to do; None for all.
-        side_by_side: whether other jobs share the terminal.
-        certify: whether to do a further stage, the minimal tree and its certificate.
-        simplify: whether to do a further stage, a shorter program.
-        tracking: where the run is logged, too.
-        oracle: hidden widths of the network that is imitated.
-        program_text: the text of method=program, which the command line reads: the run is keyed by it, whatever file it
-            came from.
-        folder: of the run below `results_dir`, which the command line works out from all other settings.
-        oracle_run: the run that trains the oracle, for a method that imitates one; worked out there, too.
-    """
+    """One run."""
 
     env: EnvConfig
     algo: Annotated[AlgoConfig, OnlyWhere("is_trained")]
     method: MethodConfig
     budget: BudgetConfig
+    # Hidden neurons of the actor, or a list of them, one a hidden layer; tests on the longest path of a grown tree
     depth: Any
     seed: Seed
     actor: Annotated[ActorConfig, OnlyWhere("is_trained")]
@@ -69,19 +55,23 @@ class RunConfig:
     evaluate: EvaluateConfig
     results_dir: Folder
     trainer: TrainerConfig = field(default_factory=lambda: TrainerConfig("sb3"))
-    stages: Annotated[list[FreeText] | None, EXECUTION] = None
+    stages: Annotated[list[FreeText] | None, EXECUTION] = None  # the stages to do; None for all
     n_workers: Annotated[Count | None, EXECUTION] = None
-    side_by_side: Annotated[bool, EXECUTION] = False
+    side_by_side: Annotated[bool, EXECUTION] = False  # whether other jobs share the terminal
     debug: Annotated[bool, EXECUTION] = False
-    certify: Annotated[bool, EXECUTION] = False
-    simplify: Annotated[bool, EXECUTION] = False
-    tracking: Annotated[str, OneOf("none", "tensorboard", "mlflow"), EXECUTION] = "none"
+    certify: Annotated[bool, EXECUTION] = False  # whether to do a further stage, the minimal tree and its certificate
+    simplify: Annotated[bool, EXECUTION] = False  # whether to do a further stage, a shorter program
+    tracking: Annotated[str, OneOf("none", "tensorboard", "mlflow"), EXECUTION] = "none"  # where the run is logged, too
+    # Hidden widths of the network that is imitated
     oracle: Annotated[list[Width], OnlyWhere("imitates")] = field(default_factory=lambda: [256, 256])
     imitate: Annotated[ImitateConfig, OnlyWhere("imitates")] = field(default_factory=ImitateConfig)
     certification: CertificationConfig = field(default_factory=CertificationConfig)
     simplification: SimplificationConfig = field(default_factory=SimplificationConfig)
+    # The text of method=program, which the command line reads: the run is keyed by it, whatever file it came from
     program_text: Annotated[FreeText | None, DERIVED] = field(default=None, metadata={"omegaconf_ignore": True})
+    # The run's folder below `results_dir`, which the command line works out from all other settings
     folder: Annotated[FreeText, DERIVED] = field(default="", metadata={"omegaconf_ignore": True})
+    # The run that trains the oracle, for a method that imitates one; worked out there, too
     oracle_run: "Annotated[RunConfig | None, DERIVED]" = field(default=None, metadata={"omegaconf_ignore": True})
 
     summary_schema: ClassVar[str] = "otr/summary/1"

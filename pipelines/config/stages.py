@@ -8,15 +8,11 @@ from pipelines.config.setting import AsBefore, Count, NotNegative, Range, Seed
 
 @dataclass(frozen=True)
 class ActorConfig:
-    """The actor beside its widths (`depth`).
+    """The actor beside its widths (`depth`)."""
 
-    Attributes:
-        negative_slope: 0 is ReLU, above 0 leaky ReLU.
-        rescale_inputs: train on states rescaled from the environment's box to [-1, 1]; the rescaling is affine and is
-            folded into the first layer afterwards, so the program reads the environment's own states.
-    """
-
-    negative_slope: Annotated[float, Range(0, 1, open=True)] = 0.0
+    negative_slope: Annotated[float, Range(0, 1, open=True)] = 0.0  # 0 is ReLU, above 0 leaky ReLU
+    # Train on states rescaled from the environment's box to [-1, 1]; the rescaling is affine and is folded into the
+    # first layer afterwards, so the program reads the environment's own states
     rescale_inputs: Annotated[bool, AsBefore(False)] = False
 
 
@@ -32,17 +28,12 @@ class TrainConfig:
 
 @dataclass(frozen=True)
 class ImitateConfig:
-    """Imitation under DAgger: the oracle plays first, then the imitator, which is fitted anew after every round.
+    """Imitation under DAgger: the oracle plays first, then the imitator, which is fitted anew after every round."""
 
-    Attributes:
-        n_initial_episodes: episodes of the oracle.
-        n_rounds, n_episodes: rounds, and episodes of the imitator in each.
-        n_choice_episodes: episodes on which the last two candidates are compared; none of them is reported.
-    """
-
-    n_initial_episodes: Count = 25
-    n_rounds: Annotated[int, Range(0)] = 50
+    n_initial_episodes: Count = 25  # episodes of the oracle
+    n_rounds: Annotated[int, Range(0)] = 50  # rounds, and episodes of the imitator in each
     n_episodes: Count = 25
+    # Episodes on which the last two candidates are compared; none of them is reported
     n_choice_episodes: Annotated[int, Range(0)] = 100
 
 
@@ -71,20 +62,14 @@ class CertificationConfig:
 
 @dataclass(frozen=True)
 class SimplificationConfig:
-    """Simplifying: what the program may lose, on episodes that are not reported.
+    """Simplifying: what the program may lose, on episodes that are not reported."""
 
-    Attributes:
-        n_episodes: that decide.
-        return_loss: share of the mean return that may be lost on them.
-        action_bound: instead of that: no action may change by more, anywhere in the environment's box of states or,
-            where that is open, in the box around those visited.
-        refit: whether tests may be refitted by sparse linear discriminant analysis.
-    """
-
-    n_episodes: Count = 100
-    return_loss: Annotated[float, Range(0, 1, open=True)] = 0.02
+    n_episodes: Count = 100  # that decide
+    return_loss: Annotated[float, Range(0, 1, open=True)] = 0.02  # share of the mean return that may be lost on them
+    # Instead of that: no action may change by more, anywhere in the environment's box of states or, where that is
+    # open, in the box around those visited
     action_bound: NotNegative | None = None
-    refit: bool = True
+    refit: bool = True  # whether tests may be refitted by sparse linear discriminant analysis
 
 
 @dataclass(frozen=True)

@@ -17,18 +17,13 @@ class TrainerConfig:
 
 @dataclass(frozen=True)
 class FleetConfig(TrainerConfig):
-    """Many runs of SAC trained as one (`pipelines/training/fleet`); Stable-Baselines3 trains all other algorithms.
+    """Many runs of SAC trained as one (`pipelines/training/fleet`); Stable-Baselines3 trains all other algorithms."""
 
-    Attributes:
-        n_envs: environments a run; as many updates follow each step of all of them.
-        precision: fp32, or bf16 for the products between wide layers.
-        environments: gymnasium, or envpool (an extra) for the environments that it computes as gymnasium does.
-        runs_per_process: runs that are trained as one at most; how they are grouped changes no run on the CPU.
-    """
-
-    n_envs: Annotated[int, Range(1, 4096)]
-    precision: Annotated[str, OneOf("fp32", "bf16")]
+    n_envs: Annotated[int, Range(1, 4096)]  # environments a run; as many updates follow each step of all of them
+    precision: Annotated[str, OneOf("fp32", "bf16")]  # fp32, or bf16 for the products between wide layers
+    # Gymnasium, or envpool (an extra) for the environments that it computes as gymnasium does
     environments: Annotated[str, OneOf("gymnasium", "envpool")]
+    # Runs that are trained as one at most; how they are grouped changes no run on the CPU
     runs_per_process: Annotated[int, Range(1, 4096), EXECUTION]
 
     def check(self, algo: AlgoConfig) -> None:

@@ -24,19 +24,12 @@ PACKED_AT_SOURCE = {"raw/hiv.csv"}
 
 @dataclass(frozen=True)
 class DataFile:
-    """A file and what its content must be.
+    """A file and what its content must be."""
 
-    Attributes:
-        path: in a data folder, `lcn/...` or `raw/...`; there it may also be packed, with `.gz` after its name.
-        n_bytes: size of the content; None where it is not known.
-        git_blob: what `git hash-object` gives.
-        sha256: in hex; None where it is not known.
-    """
-
-    path: str
-    n_bytes: int | None
-    git_blob: str
-    sha256: str | None
+    path: str  # in a data folder, `lcn/...` or `raw/...`; there it may also be packed, with `.gz` after its name
+    n_bytes: int | None  # size of the content; None where it is not known
+    git_blob: str  # what `git hash-object` gives
+    sha256: str | None  # in hex; None where it is not known
 
     @property
     def addresses(self) -> tuple[str, ...]:
@@ -65,17 +58,11 @@ class DataFile:
 
 @dataclass(frozen=True)
 class MoleculeSet:
-    """A classification data set of fingerprints.
+    """A classification data set of fingerprints."""
 
-    Attributes:
-        name: as `load_dataset` takes it.
-        lcn_name: as LCN's repository writes it.
-        split_rule: how LCN's parts come out of the rows of `raw`.
-    """
-
-    name: str
-    lcn_name: str
-    split_rule: Literal["scaffold", "random"]
+    name: str  # as `load_dataset` takes it
+    lcn_name: str  # as LCN's repository writes it
+    split_rule: Literal["scaffold", "random"]  # how LCN's parts come out of the rows of `raw`
 
     @property
     def raw(self) -> DataFile:

@@ -13,15 +13,10 @@ PARTS = ("train", "valid", "test")
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One part of a data set.
+    """One part of a data set."""
 
-    Attributes:
-        X: features, (n, d), uint8 for fingerprints and float32 otherwise.
-        Y: labels, (n, n_labels), float64; NaN where a label was not measured.
-    """
-
-    X: np.ndarray
-    Y: np.ndarray
+    X: np.ndarray  # features, (n, d), uint8 for fingerprints and float32 otherwise
+    Y: np.ndarray  # labels, (n, n_labels), float64; NaN where a label was not measured
 
     def __post_init__(self) -> None:
         if self.X.ndim != 2 or self.Y.ndim != 2 or len(self.X) != len(self.Y):
@@ -30,21 +25,13 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """A data set with fixed parts.
+    """A data set with fixed parts."""
 
-    Attributes:
-        name: as `load_dataset` takes it.
-        task: what its labels are.
-        label_names: one a column of Y.
-        feature_names: one a column of X.
-        train, valid, test: the parts; hyperparameters are chosen on `valid`, `test` is read once.
-    """
-
-    name: str
-    task: TaskKind
-    label_names: tuple[str, ...]
-    feature_names: tuple[str, ...]
-    train: Part
+    name: str  # as `load_dataset` takes it
+    task: TaskKind  # what its labels are
+    label_names: tuple[str, ...]  # one a column of Y
+    feature_names: tuple[str, ...]  # one a column of X
+    train: Part  # the parts; hyperparameters are chosen on `valid`, `test` is read once
     valid: Part
     test: Part
 

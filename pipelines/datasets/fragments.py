@@ -28,20 +28,13 @@ LONGEST_NAME = 20  # characters of SMILES; the longest of Bace has 28
 
 @dataclass(frozen=True)
 class Fragment:
-    """What a bit stands for.
+    """What a bit stands for."""
 
-    Attributes:
-        bit: 0 .. 2047.
-        fragment: SMILES without chirality; an atom alone has its hydrogens, ``[CH3]``. Empty if no molecule has the
-            bit.
-        n_molecules: training molecules with the bit.
-        share: of these, in how many the fragment sets it; below 1 where others do, too. 0 if there are none.
-    """
-
-    bit: int
+    bit: int  # 0 .. 2047.
+    # SMILES without chirality; an atom alone has its hydrogens, ``[CH3]``. Empty if no molecule has the bit.
     fragment: str
-    n_molecules: int
-    share: float
+    n_molecules: int  # training molecules with the bit
+    share: float  # of these, in how many the fragment sets it; below 1 where others do, too. 0 if there are none.
 
 
 def fragment_names(name: str) -> tuple[str, ...]:

@@ -48,19 +48,12 @@ def rebuild(entry: MoleculeSet) -> dict[str, bytes]:
 
 @dataclass(frozen=True)
 class Perceived:
-    """A data set's molecules as RDKit sees them.
+    """A data set's molecules as RDKit sees them."""
 
-    Attributes:
-        header: first line of the file of SMILES.
-        rows: its other lines: SMILES, then labels as text.
-        fingerprints: one a row, 2,048 characters 0 and 1.
-        split: the rows of train, valid and test.
-    """
-
-    header: str
-    rows: list[list[str]]
-    fingerprints: list[str]
-    split: dict[str, np.ndarray]
+    header: str  # first line of the file of SMILES
+    rows: list[list[str]]  # its other lines: SMILES, then labels as text
+    fingerprints: list[str]  # one a row, 2,048 characters 0 and 1
+    split: dict[str, np.ndarray]  # the rows of train, valid and test
 
 
 def perceive(entry: MoleculeSet) -> Perceived:

@@ -21,24 +21,15 @@ from pipelines.errors import PipelineError
 
 @dataclass(frozen=True)
 class Job(ABC):
-    """What is done in one folder. A job is composed once and is plain data, so that any process can be handed it.
+    """What is done in one folder. A job is composed once and is plain data, so that any process can be handed it."""
 
-    Attributes:
-        program: the command that does such jobs.
-        ends_with: the stage after which the job's summary is written.
-        config: what is asked: a `RunConfig` or a `FitConfig`.
-        folder: the job's folder, relative to `config.results_dir`.
-        config_yaml: the resolved configuration as text.
-        overrides: what the job was composed from.
-    """
+    program: ClassVar[str]  # the command that does such jobs
+    ends_with: ClassVar[str]  # the stage after which the job's summary is written
 
-    program: ClassVar[str]
-    ends_with: ClassVar[str]
-
-    config: Any
-    folder: str
-    config_yaml: str
-    overrides: tuple[str, ...] = ()
+    config: Any  # what is asked: a `RunConfig` or a `FitConfig`
+    folder: str  # the job's folder, relative to `config.results_dir`
+    config_yaml: str  # the resolved configuration as text
+    overrides: tuple[str, ...] = ()  # what the job was composed from
 
     @property
     def command(self) -> str:

@@ -24,25 +24,17 @@ from pipelines.errors import MissingInputError, OtherSettingsError, PipelineErro
 
 @dataclass(frozen=True)
 class Stage:
-    """One step of a method.
+    """One step of a method."""
 
-    Attributes:
-        name: its folder's name.
-        version: raised when the same inputs and settings would give something else.
-        inputs: the stages whose folders it reads.
-        settings: picks, from the run's configuration, what decides the result; JSON-able.
-        run: `(inputs, config, out)` writes the result's files into the empty folder `out`.
-        is_transient: its result is large and serves the stages after it; it may be gone once these are done.
-        checkpoints: from `(config, inputs)` to the folder in which it keeps what it has done so far; that folder is
-            removed once the result is in its place.
-    """
-
-    name: str
-    version: int
-    inputs: tuple[str, ...]
-    settings: Callable[[Any], dict[str, Any]]
+    name: str  # its folder's name
+    version: int  # raised when the same inputs and settings would give something else
+    inputs: tuple[str, ...]  # the stages whose folders it reads
+    settings: Callable[[Any], dict[str, Any]]  # picks, from the run's configuration, what decides the result; JSON-able
+    # `(inputs, config, out)` writes the result's files into the empty folder `out`
     run: Callable[[Mapping[str, Path], Any, Path], None]
-    is_transient: bool = False
+    is_transient: bool = False  # its result is large and serves the stages after it; it may be gone once these are done
+    # From `(config, inputs)` to the folder in which it keeps what it has done so far; that folder is removed once
+    # the result is in its place
     checkpoints: Callable[[Any, Mapping[str, Path]], Path] | None = None
 
 

@@ -84,21 +84,13 @@ def is_lost_worker(error: Exception) -> bool:
 
 @dataclass(frozen=True)
 class GroupTask:
-    """Does a group of a sweep's jobs in whatever process a launcher starts; reports failures instead of raising them.
-
-    Attributes:
-        jobs: the jobs of the group.
-        do: does jobs and returns what each failed with, or None.
-        sweep: names the folder of the sweep's failures.
-        cwd: the folder in which the command was given, which relative paths start from.
-        environment: the variables there that jobs depend on; None where one is not set.
-    """
+    """Does a group of a sweep's jobs in a launcher's process; reports failures instead of raising them."""
 
     jobs: Sequence[Job]
-    do: Callable[[Sequence[Any]], list[Exception | None]]
-    sweep: str
-    cwd: str
-    environment: Mapping[str, str | None]
+    do: Callable[[Sequence[Any]], list[Exception | None]]  # does jobs and returns what each failed with, or None
+    sweep: str  # names the folder of the sweep's failures
+    cwd: str  # the folder in which the command was given, which relative paths start from
+    environment: Mapping[str, str | None]  # the variables there that jobs depend on; None where one is not set
 
     def __call__(self, side_by_side: bool) -> list[Outcome]:
         """Return how each job ended; `side_by_side` says whether other groups are done at the same time."""

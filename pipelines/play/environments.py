@@ -116,18 +116,13 @@ def state_box(env: EnvConfig) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True)
 class Spaces:
-    """What an environment's policies map: states of `n_inputs` numbers to labels, or to `n_actions` numbers in a box.
+    """What an environment's policies map: states of `n_inputs` numbers to labels or to actions in a box."""
 
-    Attributes:
-        n_inputs: length of the state vector.
-        n_actions: number of labels, or of the action's components.
-        box: least and greatest actions, (n_actions,) each; None where actions are labels.
-        states: least and greatest states, (n_inputs,) each; None where one has no bounds.
-    """
-
-    n_inputs: int
-    n_actions: int
+    n_inputs: int  # length of the state vector
+    n_actions: int  # number of labels, or of the action's components
+    # Least and greatest actions, (n_actions,) each; None where actions are labels
     box: tuple[np.ndarray, np.ndarray] | None
+    # Least and greatest states, (n_inputs,) each; None where one has no bounds
     states: tuple[np.ndarray, np.ndarray] | None
 
 

@@ -26,18 +26,14 @@ STEPS_WORTH_A_PROCESS = 20_000  # below this a second process costs more time to
 
 @dataclass(frozen=True)
 class Rollout:
-    """What n episodes came to, in the order of their seeds.
+    """What n episodes came to, in the order of their seeds."""
 
-    Attributes:
-        seeds, returns, lengths, terminated, truncated: (n,) each.
-        states: (sum of lengths, d), the states acted on, episode after episode; empty unless they were asked for.
-    """
-
-    seeds: np.ndarray
+    seeds: np.ndarray  # (n,) each, as the next four are
     returns: np.ndarray
     lengths: np.ndarray
     terminated: np.ndarray
     truncated: np.ndarray
+    # (sum of lengths, d), the states acted on, episode after episode; empty unless they were asked for
     states: np.ndarray
 
 

@@ -20,16 +20,12 @@ from pipelines.tracking.tracker import Tracker
 
 @dataclass(frozen=True)
 class RunJob(Job):
-    """A run: its configuration is a `RunConfig`.
-
-    Attributes:
-        oracle: the job that trains the network to imitate; None for a method without an oracle.
-    """
+    """A run: its configuration is a `RunConfig`."""
 
     program = "otr-run"
     ends_with = "evaluate"
 
-    oracle: "RunJob | None" = None
+    oracle: "RunJob | None" = None  # the job that trains the network to imitate; None for a method without an oracle
 
     @property
     def stages(self) -> tuple[Stage, ...]:

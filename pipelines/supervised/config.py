@@ -43,21 +43,16 @@ class DataConfig:
 
 @dataclass(frozen=True)
 class LearnerConfig:
-    """What every method has.
+    """What every method has."""
 
-    Attributes:
-        name: of the method, a row of the table.
-        learner: which estimators, a key of `LEARNERS`.
-        grid: what is tried on the validation part, as scikit-learn's ParameterGrid has it: dicts of setting to values,
-            all combinations of each; empty if nothing is tuned.
-        tuned_for: `label`, every label its own best combination, or `data`, one for all.
-        tuning_seeds: a combination's score is the mean over these, which are not the seeds that are reported.
-    """
-
-    name: FreeText
-    learner: FreeText
+    name: FreeText  # of the method, a row of the table
+    learner: FreeText  # which estimators, a key of `LEARNERS`
+    # What is tried on the validation part, as scikit-learn's ParameterGrid has it: dicts of setting to values, all
+    # combinations of each; empty if nothing is tuned
     grid: list[dict[str, list[Any]]] = field(default_factory=list)
+    # `label`, every label its own best combination, or `data`, one for all
     tuned_for: Annotated[str, OneOf("label", "data")] = "label"
+    # A combination's score is the mean over these, which are not the seeds that are reported
     tuning_seeds: list[Seed] = field(default_factory=lambda: [1000])
 
 
@@ -169,25 +164,19 @@ TUNING = tuple(item.name for item in fields(LearnerConfig))
 
 @dataclass(frozen=True)
 class FitConfig:
-    """One fit.
-
-    Attributes:
-        stages: the stages to do; None for all.
-        keep_trees: whether the trees stay when the fit is scored.
-        side_by_side: whether other jobs share the terminal.
-        folder: of the fit below `results_dir`, which the command line works out from all other settings.
-    """
+    """One fit."""
 
     data: DataConfig
     method: LearnerConfig
     seed: Seed
     results_dir: Folder
-    stages: Annotated[list[FreeText] | None, EXECUTION] = None
-    keep_trees: Annotated[bool, EXECUTION] = True
+    stages: Annotated[list[FreeText] | None, EXECUTION] = None  # the stages to do; None for all
+    keep_trees: Annotated[bool, EXECUTION] = True  # whether the trees stay when the fit is scored
     n_workers: Annotated[Count | None, EXECUTION] = None
     seeds_per_process: Annotated[Count, EXECUTION] = 10
-    side_by_side: Annotated[bool, EXECUTION] = False
+    side_by_side: Annotated[bool, EXECUTION] = False  # whether other jobs share the terminal
     debug: Annotated[bool, EXECUTION] = False
+    # The fit's folder below `results_dir`, which the command line works out from all other settings
     folder: Annotated[FreeText, DERIVED] = field(default="", metadata={"omegaconf_ignore": True})
 
     summary_schema: ClassVar[str] = "otr/fit-summary/1"

@@ -31,17 +31,11 @@ BATCHED = ("lcn", "otr")  # labels and seeds train as one model
 
 @dataclass(frozen=True)
 class FittedTree:
-    """One label's tree.
+    """One label's tree."""
 
-    Attributes:
-        tree: the tree.
-        epoch: of the network that was kept; None for learners without.
-        small_weights: share of the network's weights below 1e-5 in size; None for learners without.
-    """
-
-    tree: "ObliqueTree | PatternTree"
-    epoch: int | None = None
-    small_weights: float | None = None
+    tree: "ObliqueTree | PatternTree"  # the tree
+    epoch: int | None = None  # of the network that was kept; None for learners without
+    small_weights: float | None = None  # share of the network's weights below 1e-5 in size; None for learners without
 
 
 def dataset_of(config: FitConfig) -> Dataset:

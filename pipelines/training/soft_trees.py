@@ -28,15 +28,10 @@ SoftModule = SoftTree | CascadingTree | RelaxedProgram
 
 @dataclass(frozen=True)
 class Shape:
-    """What module an actor is.
+    """What module an actor is."""
 
-    Attributes:
-        kind: sdt, cdt or pi_prl.
-        options: what its class takes beside the numbers of inputs and outputs.
-    """
-
-    kind: str
-    options: dict[str, Any]
+    kind: str  # sdt, cdt or pi_prl
+    options: dict[str, Any]  # what its class takes beside the numbers of inputs and outputs
 
 
 _MODULES: dict[str, type[SoftModule]] = {"sdt": SoftTree, "cdt": CascadingTree, "pi_prl": RelaxedProgram}

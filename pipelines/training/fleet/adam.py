@@ -15,18 +15,13 @@ BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
 
 @dataclass(frozen=True)
 class AdamGroup:
-    """Parameters that share a learning rate and a weight decay, with their gradients and moments.
+    """Parameters that share a learning rate and a weight decay, with their gradients and moments."""
 
-    Attributes:
-        learning_rate, weight_decay: as Stable-Baselines3 gives them to Adam.
-        tensors: parameters, gradients, first and second moments, in the kernel's lists of one each.
-        steps: the counter, likewise.
-    """
-
-    learning_rate: float
+    learning_rate: float  # as Stable-Baselines3 gives them to Adam
     weight_decay: float
+    # Parameters, gradients, first and second moments, in the kernel's lists of one each
     tensors: tuple[list[Tensor], list[Tensor], list[Tensor], list[Tensor]]
-    steps: list[Tensor]
+    steps: list[Tensor]  # the counter, likewise
 
     @classmethod
     def of(cls, learning_rate: float, weight_decay: float, tensors: Sequence[Tensor], n_steps: int) -> "AdamGroup":

@@ -22,19 +22,13 @@ WIDE = 64  # layers at least this wide on both sides take part in precision="bf1
 
 @dataclass(frozen=True)
 class Layers:
-    """A stack of n networks with layer widths w0, ..., wk, as views into `flat`.
+    """A stack of n networks with layer widths w0, ..., wk, as views into `flat`."""
 
-    Attributes:
-        flat: (n, padded), a network's weights, then its biases, layer by layer, each with zeros behind it.
-        weights: (n, w[i], w[i+1]) each: inputs times weights, which the products are faster with than transposed.
-        biases: (n, 1, w[i+1]) each.
-        factors: the weights as they enter products: the weights themselves, or their bfloat16 copies.
-    """
-
-    flat: Tensor
+    flat: Tensor  # (n, padded), a network's weights, then its biases, layer by layer, each with zeros behind it
+    # (n, w[i], w[i+1]) each: inputs times weights, which the products are faster with than transposed
     weights: list[Tensor]
-    biases: list[Tensor]
-    factors: list[Tensor]
+    biases: list[Tensor]  # (n, 1, w[i+1]) each
+    factors: list[Tensor]  # the weights as they enter products: the weights themselves, or their bfloat16 copies
 
     def only(self, network: int) -> "Layers":
         """Return one network as a stack of its own, in the same memory."""

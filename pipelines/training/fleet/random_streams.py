@@ -11,21 +11,13 @@ DRAWS_AHEAD = 32  # updates: enough to make the calls cheap, little enough to st
 
 @dataclass
 class Draws:
-    """Random numbers for N vector steps of R runs with E environments and E updates of B transitions each.
+    """Random numbers for N vector steps of R runs with E environments and E updates of B transitions each."""
 
-    Attributes:
-        policy: (R, N, E, n_actions), standard normal, of the stochastic policy.
-        exploration: (R, N, E, n_actions), standard normal, added to actions after scaling.
-        actions: (R, N, E, n_actions), uniform in [-1, 1), before learning starts.
-        updates: (R, N, E, 2 B, n_actions), standard normal, of an update's actions.
-        fractions: (R, N, E, B), uniform in [0, 1), float64, choose an update's transitions.
-    """
-
-    policy: Tensor
-    exploration: Tensor
-    actions: Tensor
-    updates: Tensor
-    fractions: Tensor
+    policy: Tensor  # (R, N, E, n_actions), standard normal, of the stochastic policy
+    exploration: Tensor  # (R, N, E, n_actions), standard normal, added to actions after scaling
+    actions: Tensor  # (R, N, E, n_actions), uniform in [-1, 1), before learning starts
+    updates: Tensor  # (R, N, E, 2 B, n_actions), standard normal, of an update's actions
+    fractions: Tensor  # (R, N, E, B), uniform in [0, 1), float64, choose an update's transitions
 
 
 class Streams:

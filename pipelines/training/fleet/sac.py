@@ -23,25 +23,16 @@ N_CRITICS = 2
 
 @dataclass(frozen=True)
 class Shapes:
-    """What all runs of a fleet have in common.
+    """What all runs of a fleet have in common."""
 
-    Attributes:
-        n_inputs, n_actions: of the environment.
-        actor, critic: widths of the hidden layers.
-        batch_size: transitions an update.
-        negative_slope: of the actor's and critics' activation.
-        tau: share of the online critics that goes into their targets at each update.
-        precision: fp32 or bf16 (see `mlp`).
-    """
-
-    n_inputs: int
+    n_inputs: int  # of the environment
     n_actions: int
-    actor: tuple[int, ...]
+    actor: tuple[int, ...]  # widths of the hidden layers
     critic: tuple[int, ...]
-    batch_size: int
-    negative_slope: float = 0.0
-    tau: float = 0.005
-    precision: str = "fp32"
+    batch_size: int  # transitions an update
+    negative_slope: float = 0.0  # of the actor's and critics' activation
+    tau: float = 0.005  # share of the online critics that goes into their targets at each update
+    precision: str = "fp32"  # fp32 or bf16 (see `mlp`)
 
 
 @dataclass(frozen=True)

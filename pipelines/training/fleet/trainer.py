@@ -29,15 +29,10 @@ torch.set_num_threads(1)  # two threads make these small networks a hundred time
 
 @dataclass(frozen=True)
 class Task:
-    """What the runs of a fleet have in common beyond their settings.
+    """What the runs of a fleet have in common beyond their settings."""
 
-    Attributes:
-        layout: of a transition.
-        low, high: (n_actions,) float32, the box of actions.
-    """
-
-    layout: RowLayout
-    low: np.ndarray
+    layout: RowLayout  # of a transition
+    low: np.ndarray  # (n_actions,) float32, the box of actions
     high: np.ndarray
 
     @classmethod

@@ -17,21 +17,14 @@ from pipelines.play.environments import is_discrete, make_training_env
 
 
 class Step(NamedTuple):
-    """What one step of n environments gave; the arrays belong to the caller.
+    """What one step of n environments gave; the arrays belong to the caller."""
 
-    Attributes:
-        next_states: (n, d) float32, the true successors: where an episode ended, its terminal state.
-        rewards: (n,) float32, as in Stable-Baselines3's buffers.
-        terminated: (n,) bool, the episode ended in a terminal state.
-        truncated: (n,) bool, the time limit was reached; both may be true, as in gymnasium.
-        states: (n, d) float32, to act on next: where an episode ended, the first state of the next one. The same array
-            as `next_states` where none ended.
-    """
-
-    next_states: np.ndarray
-    rewards: np.ndarray
-    terminated: np.ndarray
-    truncated: np.ndarray
+    next_states: np.ndarray  # (n, d) float32, the true successors: where an episode ended, its terminal state
+    rewards: np.ndarray  # (n,) float32, as in Stable-Baselines3's buffers
+    terminated: np.ndarray  # (n,) bool, the episode ended in a terminal state
+    truncated: np.ndarray  # (n,) bool, the time limit was reached; both may be true, as in gymnasium
+    # (n, d) float32, to act on next: where an episode ended, the first state of the next one. The same array as
+    # `next_states` where none ended.
     states: np.ndarray
 
 

@@ -22,8 +22,8 @@ class BudgetConfig:
     n_choice_episodes: Annotated[int, Range(0)] = 100
     # The same for soft trees and augmented random search, whose steps are cheaper and teach less
     on_policy_steps: dict[str, Count] = field(default_factory=dict)
-    # Steps between their evaluations. Training goes on with new episodes after each, in several environments at once, so
-    # there have to be enough steps for whole episodes.
+    # Steps between their evaluations. Training goes on with new episodes after each, in several environments at
+    # once, so there have to be enough steps for whole episodes.
     on_policy_interval_steps: Count = 25_000
     # What is spent on PID policies in place of the above: steps, eval_interval_steps, n_selection_episodes and
     # n_evaluation_episodes

@@ -40,14 +40,9 @@ class Dataset:
         return {"train": self.train, "valid": self.valid, "test": self.test}[name]
 
     def labelled(self, part: str, label: int | str = 0) -> tuple[np.ndarray, np.ndarray]:
-        """Return features and one label of a part, without the rows where that label is missing.
+        """Return features (m, d) and one label (m,) of a part, without the rows where that label is missing.
 
-        Args:
-            part: train, valid or test.
-            label: column of Y, or its name.
-
-        Returns:
-            X, (m, d); y, (m,), int64 for classification and float64 for regression.
+        The label is a column of Y or its name, int64 for classification and float64 for regression.
 
         Raises:
             ConfigError: there is no such label.

@@ -9,13 +9,9 @@ FEATURE_NAMES = tuple(f"bit{bit}" for bit in range(N_BITS))
 
 
 def parse_split(content: bytes) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
-    """Return label names, features and labels of a split file.
+    """Return label names, features (n, 2048), uint8, and labels (n, n_labels), NaN where empty, of a split file.
 
-    Args:
-        content: a header line, where names may be quoted (SIDER's have commas in them), and lines that end with LF.
-
-    Returns:
-        The names; X, (n, 2048), uint8; Y, (n, n_labels), float64 with NaN for empty labels.
+    The header's names may be quoted (SIDER's have commas in them); lines end with LF.
 
     Raises:
         ValueError: the content has another form; says in which line.

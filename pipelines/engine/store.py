@@ -88,11 +88,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def packed_files(folder: Path, name: str | None = None) -> dict[str, bytes]:
-    """Return the files of a stage, or the one named, from its run's archive; none where the stage's folder is there.
-
-    Raises:
-        PipelineError: the archive is damaged.
-    """
+    """Return the files of a stage, or the one named, from its run's archive; none where the stage's folder is there."""
     if folder.exists():
         return {}
     start = f"{folder.name}/"
@@ -105,11 +101,7 @@ def packed_files(folder: Path, name: str | None = None) -> dict[str, bytes]:
 
 
 def archive_files(run_dir: Path) -> Mapping[str, bytes]:
-    """Return the files of a run's archive, `<stage>/<file>`; none where the run has no archive.
-
-    Raises:
-        PipelineError: the archive is damaged.
-    """
+    """Return the files of a run's archive, `<stage>/<file>`; none where the run has no archive."""
     archive = run_dir / ARCHIVE
     if not archive.is_file():
         return {}

@@ -127,7 +127,7 @@ def program_of(config: ExportConfig, run: RunConfig, folder: Path) -> str | byte
     Raises:
         ConfigError: an option that the format refuses, or a tree that it cannot hold.
         MissingInputError: the stage that makes the tree is not finished; names the command.
-        PipelineError: a file was changed, or a package is missing.
+        PipelineError: a file was changed.
     """
     policy = _policy(config, run, folder)
     options = {name: getattr(config, name) for name in FORMATS[config.format].options}

@@ -36,13 +36,7 @@ def budget_of_runs(runs: pd.DataFrame) -> str:
 
 
 def write_figure_4_6(runs: pd.DataFrame, planned: Sequence[Planned], budget: str, results_dir: Path) -> list[Path]:
-    """Write Figure 4.6 under `results_dir/figures` from those of the experiment's runs that are finished.
-
-    Args:
-        runs: what `load_runs` returned.
-        planned: the experiment's runs, finished or not, all under one budget.
-        budget: its name.
-        results_dir: the folder below which the figure is written.
+    """Write Figure 4.6 from those of the experiment's runs, planned under one budget, that are finished.
 
     Returns:
         The CSV, the PNG and the SVG file; the CSV alone where nothing was run.

@@ -32,13 +32,10 @@ def return_against_depth(points: pd.DataFrame, solved: float, title: str | None 
     from which the problem counts as solved. Panels, and methods in the legend, come in the order of the points.
 
     Args:
-        points: columns `panel` (its title), `label` (the method in words), `depth` (of the tree), `mean` and `std` (of
-            the return over runs) and `oracle_mean` (of the oracle's return); a single run's `std` is NaN.
+        points: at least one; columns `panel` (its title), `label` (the method in words), `depth` (of the tree), `mean`
+            and `std` (of the return over runs; NaN of a single run) and `oracle_mean` (of the oracle's return).
         solved: the return from which the problem counts as solved.
         title: of the figure.
-
-    Raises:
-        ValueError: there are no points.
     """
     if points.empty:
         raise ValueError("no points were given")
@@ -66,12 +63,9 @@ def auc_against_leaves(points: pd.DataFrame) -> Figure:
     the legend, come in the order of the points.
 
     Args:
-        points: columns `panel` (its title), `label` (the method in words), `leaves` (that rows reach, at least 1; a
-            mean over runs need not be whole), `mean` and `std` (of the AUC over runs) and `published` (the thesis's
-            AUC); what there is not is NaN.
-
-    Raises:
-        ValueError: there are no points, or one has less than 1 leaf.
+        points: at least one; columns `panel` (its title), `label` (the method in words), `leaves` (that rows reach, at
+            least 1; a mean over runs need not be whole), `mean` and `std` (of the AUC over runs) and `published` (the
+            thesis's AUC); what there is not is NaN.
     """
     wrong = points[~(points["leaves"] >= 1)]
     if points.empty or len(wrong):

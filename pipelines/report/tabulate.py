@@ -21,11 +21,7 @@ ALL = ("4.2", "4.6", "4.7", "certificates", "4.1")
 
 
 def reports_of(word: str) -> tuple[str, ...]:
-    """Return the reports that `all`, a report's name, `table=NAME` or `figure=NAME` stands for.
-
-    Raises:
-        ConfigError: there is no such report; lists those there are.
-    """
+    """Return the reports that `all`, a report's name, `table=NAME` or `figure=NAME` stands for."""
     kind, equals, name = word.rpartition("=")
     known = {"table": (*TABLES,), "figure": FIGURES, "": ("all", *TABLES, *FIGURES)}[kind]
     if name not in known:

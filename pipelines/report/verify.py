@@ -32,7 +32,7 @@ def verify_run(config: VerifyConfig, run: RunConfig, folder: Path) -> str:
     """Check a run's certificate against its tree and its actor, and return what it proves, in words.
 
     Raises:
-        MissingInputError: the run has no certificate; names the word that makes one.
+        MissingInputError: the run has no certificate; names the override that makes one.
         PipelineError: the certificate's domain is smaller than the environment's box of states.
         otr.OtrError: the certificate, the tree or the actor was tampered with; names the leaf.
     """

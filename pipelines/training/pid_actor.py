@@ -60,8 +60,7 @@ class PidActor(ReluActor):
 class PidController(nn.Module):
     """tanh(theta(s) . [P, I, D]) of observations (n, 4 d): one gain a term and action, (n, a).
 
-    Attributes:
-        gains: Linear, (leaky) ReLU, ..., Linear from s (d,) to theta (a * 3 d,).
+    `gains` is Linear, (leaky) ReLU, ..., Linear from s (d,) to theta (a * 3 d,).
     """
 
     def __init__(self, gains: nn.Sequential, n_actions: int) -> None:

@@ -16,14 +16,9 @@ REFRESH_S = 0.25
 
 
 class TrainingDisplay:
-    """Shows the training of one run or of several; a context manager.
+    """Shows the training of one run or of several, of which `config` is the first's; a context manager.
 
-    Args:
-        config: of the run, or of the first one.
-        prefix: of each line.
-        n_steps: environment steps in all.
-        done_steps: those that were done before.
-        shown: what stands beside the bar.
+    `prefix` begins each line, `shown` stands beside the bar, `done_steps` of the `n_steps` were done before.
     """
 
     def __init__(

@@ -49,11 +49,7 @@ def build_module(shape: Shape, n_inputs: int, n_outputs: int) -> SoftModule:
 
 
 def harden(module: SoftModule, action_space: "gym.Space[Any]", *, axis_aligned: bool = False) -> otr.ObliqueTree:
-    """Return the hard tree as a policy: labels for discrete actions, values clipped to the box for continuous ones.
-
-    Raises:
-        ConfigError: the actions are neither, or a relaxed program is asked for axis-aligned tests.
-    """
+    """Return the hard tree as a policy: labels for discrete actions, values clipped to the box for continuous ones."""
     head = _head(action_space)
     if not isinstance(module, RelaxedProgram):
         return module.harden(head, axis_aligned=axis_aligned)

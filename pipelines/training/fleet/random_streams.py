@@ -21,14 +21,7 @@ class Draws:
 
 
 class Streams:
-    """The generators of R runs; what run r draws depends on its own seed alone.
-
-    Args:
-        seeds: one a run.
-        n_envs: E.
-        batch_size: B.
-        n_actions: of the environment.
-    """
+    """The generators of R runs, one a seed; what run r draws depends on its own seed alone (E, B as in `Draws`)."""
 
     def __init__(self, seeds: Sequence[int], n_envs: int, batch_size: int, n_actions: int) -> None:
         self._generators = [torch.Generator().manual_seed(seed) for seed in seeds]

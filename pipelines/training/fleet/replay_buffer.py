@@ -43,12 +43,9 @@ def open_rows(path: Path, capacity: int, layout: RowLayout) -> np.memmap:
 
 
 class FleetReplay:
-    """The replay buffers of R runs.
+    """The replay buffers of R runs, each with its rows from `open_rows`, all of one capacity.
 
-    Args:
-        files: each run's rows, from `open_rows`, all of one capacity.
-        layout: of a row.
-        size: transitions that can be sampled, the newest ones; at most the capacity.
+    The newest `size` transitions, at most the capacity, can be sampled.
     """
 
     def __init__(self, files: Sequence[np.memmap], layout: RowLayout, size: int) -> None:

@@ -57,13 +57,7 @@ class Minibatch:
 
 
 class FleetSac:
-    """The learner of R runs: `act` and `update`.
-
-    Args:
-        shapes: common to all runs.
-        runs: one row each.
-        n_updates: done before, by what `load` will bring.
-    """
+    """The learner of R runs: `act` and `update`. `load` brings what was learnt in `n_updates` before."""
 
     def __init__(self, shapes: Shapes, runs: Sequence[RunSettings], n_updates: int = 0) -> None:
         self.shapes, self.runs = shapes, tuple(runs)

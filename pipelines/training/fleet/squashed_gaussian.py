@@ -17,14 +17,7 @@ HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
 
 
 class SquashedActions:
-    """The workspace for the actions of R runs in `n_rows` states each.
-
-    Args:
-        n_runs, n_rows, n_actions: of the arrays.
-
-    Attributes:
-        actions: (R, n_rows, n_actions), what `sample` returned last.
-    """
+    """The workspace for the actions of R runs in `n_rows` states each; `actions` is what `sample` returned last."""
 
     def __init__(self, n_runs: int, n_rows: int, n_actions: int) -> None:
         # Functions like tanh are computed in stacks of ours: elsewhere their bits would depend on the place.

@@ -28,13 +28,7 @@ def new_stack(n: int, *shape: int, dtype: torch.dtype | None = None) -> Tensor:
 
 
 def multiply(left: Tensor, right: Tensor, out: Tensor) -> Tensor:
-    """Write left[i] @ right[i] into out[i] for each network i, and return `out`.
-
-    Args:
-        left: (n, k, l), from `new_stack`, or its transposed view.
-        right: (n, l, m), likewise.
-        out: (n, k, m), likewise.
-    """
+    """Write left[i] @ right[i] into out[i] for each network i of stacks (or transposed views) and return `out`."""
     for one_left, one_right, one_out in zip(left.unbind(), right.unbind(), out.unbind(), strict=True):
         torch.mm(one_left, one_right, out=one_out)
     return out

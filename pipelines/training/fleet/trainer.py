@@ -49,12 +49,7 @@ class Task:
 
 
 class FleetTrainer:
-    """Trains a cohort of runs at the same step, until it is closed.
-
-    Args:
-        task: of all of them.
-        runs: in the order of their rows; their tensors are taken over.
-    """
+    """Trains a cohort of runs of a task at the same step, until it is closed; takes their tensors over."""
 
     def __init__(self, task: Task, runs: Sequence[FleetRun]) -> None:
         self.runs, self._task = list(runs), task

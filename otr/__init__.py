@@ -48,19 +48,16 @@ if TYPE_CHECKING:
     from otr.geometry.minimal_tree import minimal_tree as minimal_tree
     from otr.importers import from_sb3 as from_sb3, from_sklearn as from_sklearn, from_torch as from_torch
     from otr.importers.vec_normalize import ObservationStatistics as ObservationStatistics
-    from otr.programs import (
-        draw_tree as draw_tree,
-        parse_program as parse_program,
-        save_picture as save_picture,
-        to_c as to_c,
-        to_dot as to_dot,
-        to_json as to_json,
-        to_latex as to_latex,
-        to_onnx as to_onnx,
-        to_python as to_python,
-        to_structured_text as to_structured_text,
-        to_text as to_text,
-    )
+    from otr.programs.c.source import to_c as to_c
+    from otr.programs.dot import to_dot as to_dot
+    from otr.programs.json import to_json as to_json
+    from otr.programs.latex import to_latex as to_latex
+    from otr.programs.onnx import to_onnx as to_onnx
+    from otr.programs.parser import parse_program as parse_program
+    from otr.programs.picture.drawing import draw_tree as draw_tree, save_picture as save_picture
+    from otr.programs.python import to_python as to_python
+    from otr.programs.structured_text import to_structured_text as to_structured_text
+    from otr.programs.text import to_text as to_text
     from otr.proof.certificate import Certificate as Certificate, load_certificate as load_certificate
     from otr.proof.certify import certify as certify
     from otr.proof.properties import (
@@ -92,8 +89,16 @@ _NAMES_OF_MODULES = {
     "geometry.minimal_tree": "minimal_tree",
     "importers": "from_sb3 from_sklearn from_torch",
     "importers.vec_normalize": "ObservationStatistics",
-    "programs": "draw_tree parse_program save_picture to_c to_dot to_json to_latex to_onnx to_python "
-    "to_structured_text to_text",
+    "programs.c.source": "to_c",
+    "programs.dot": "to_dot",
+    "programs.json": "to_json",
+    "programs.latex": "to_latex",
+    "programs.onnx": "to_onnx",
+    "programs.parser": "parse_program",
+    "programs.picture.drawing": "draw_tree save_picture",
+    "programs.python": "to_python",
+    "programs.structured_text": "to_structured_text",
+    "programs.text": "to_text",
     "proof.certificate": "Certificate load_certificate",
     "proof.certify": "certify",
     "proof.properties": "check_verdict find_violation output_range reachable_labels",

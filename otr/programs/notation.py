@@ -19,35 +19,26 @@ from otr.programs.walk import affine_expression, walk
 
 @dataclass(frozen=True)
 class Notation:
-    """How a format writes formulas and statements: mostly templates, in which a formula or a name stands for each %s.
+    """How a format writes formulas and statements: templates, in which a formula or a name stands for each %s.
 
-    Attributes:
-        number: from a number and significant digits to text.
-        vector: from a name, entries, and whether each takes a line, to the lines that give the name to the vector.
-        times: stands between a coefficient and its name.
-        test, otherwise: the line that asks whether a value is at most 0, and the one between the two sides.
-        returned, label, sign, argmax: the lines that answer a value, a label, whether a value is above 0, and which of
-            the values with these names is the largest.
-        assigned: the line that gives a name to a value.
-        clip, tanh, product: formulas.
-        gain, gain_of: the name of the gains of a term, for the only action and for a named one.
+    A vector's lines follow from a name, entries, and whether each entry takes a line of its own.
     """
 
-    number: Callable[[float, int], str]
+    number: Callable[[float, int], str]  # from a number and significant digits to text
     vector: Callable[[str, Sequence[str], bool], list[str]]
-    times: str
-    test: str
-    otherwise: str
-    returned: str
-    label: str
-    sign: str
-    argmax: str
-    assigned: str
-    clip: str
+    times: str  # stands between a coefficient and its name
+    test: str  # the line that asks whether a value is at most 0
+    otherwise: str  # the line between the two sides
+    returned: str  # the line that answers a value
+    label: str  # the one that answers a label
+    sign: str  # the one that answers whether a value is above 0
+    argmax: str  # the one that answers which of the values with these names is the largest
+    assigned: str  # the line that gives a name to a value
+    clip: str  # a formula, as the next two
     tanh: str
     product: str
-    gain: str
-    gain_of: str
+    gain: str  # the name of the gains of a term, for the only action
+    gain_of: str  # for a named one
 
 
 @dataclass(frozen=True)

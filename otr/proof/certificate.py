@@ -36,20 +36,16 @@ class Sum:
 class Cell:
     """What some outcomes of the network's tests leave of a leaf's region.
 
-    Attributes:
-        leaf: the leaf.
-        outcomes: a character for each of the network's tests, hidden neurons first, then the head's: "1" for above 0.
-            An empty cell has those up to its last split.
-        splits: the tests whose boundary cuts the leaf's region; they bound the cell.
-        proofs: for every other test, in order: its value, in the direction of its outcome, is this sum and a remainder.
-        bounds: for every difference of leaf and network in the cell, and its negative: with this sum it is a form that
-            is small over the domain. None where the differences themselves are.
-        empty: of a cell that no state is in: a sum that is nowhere above 0, and not 0 where the rows hold.
+    An outcome is "1" for above 0, one for each of the network's tests, hidden neurons first, then the head's; an empty
+    cell has those up to its last split. The value of every test but the splits, in the direction of its outcome, is its
+    proof and a remainder. Every difference of leaf and network in the cell, and its negative, is with its bound a form
+    that is small over the domain; there are no bounds where the differences themselves are. No state is in a cell with
+    a sum `empty`, which is nowhere above 0, and not 0 where the rows hold.
     """
 
     leaf: int
     outcomes: str
-    splits: tuple[int, ...]
+    splits: tuple[int, ...]  # the tests whose boundary cuts the leaf's region; they bound the cell
     proofs: tuple[Sum, ...] = ()
     bounds: tuple[Sum, ...] = ()
     empty: Sum | None = None

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 import otr
-from otr.programs import draw_tree, save_picture, to_text
+from otr import draw_tree, save_picture, to_text
 from pipelines.datasets import fragment_names
 from pipelines.datasets.dataset import Dataset
 from pipelines.supervised.metrics import size_of

@@ -24,7 +24,7 @@ MADE: dict[str, tuple[otr.Head, int]] = {  # a head of each kind and its number 
     "argmax": (otr.Argmax(), 3),
 }
 FORMATS: dict[str, Callable[[otr.ObliqueTree], object]] = {
-    name: getattr(otr, name) for name in otr.programs.__all__ if name.startswith("to_")
+    name: getattr(otr, name) for name in otr.__all__ if name.startswith("to_")
 }
 
 

@@ -10,25 +10,16 @@ from otr.core.arrays import FloatArray
 
 
 class Problem:
-    """A learning problem after the checks at the door.
-
-    Attributes:
-        X: (n, d) float64, shifted and scaled by `mean` and `scale`.
-        Y: (n, L), NaN where missing: 0 and 1 (logistic), class numbers (softmax), standardised targets (squared).
-        loss: "logistic", "softmax" or "squared".
-        n_classes: of the softmax loss.
-        X_valid, Y_valid: the same for the rows that choose the epoch, or None.
-        mean, scale: (d,), what X was shifted and scaled by.
-        y_mean, y_scale: (L,), what the targets were shifted and scaled by.
-    """
+    """A learning problem after the checks at the door."""
 
     def __init__(self, X: FloatArray, Y: FloatArray, loss: Literal["logistic", "softmax", "squared"]) -> None:
-        self.X, self.Y, self.loss = X, Y, loss
-        self.n_classes = 2
-        self.X_valid: FloatArray | None = None
+        self.X, self.loss = X, loss  # (n, d), shifted and scaled by `mean` and `scale`
+        self.Y = Y  # (n, L), NaN where missing: 0 and 1 (logistic), class numbers (softmax), standardised (squared)
+        self.n_classes = 2  # of the softmax loss
+        self.X_valid: FloatArray | None = None  # the same for the rows that choose the epoch
         self.Y_valid: FloatArray | None = None
-        self.mean, self.scale = np.zeros(X.shape[1]), np.ones(X.shape[1])
-        self.y_mean, self.y_scale = np.zeros(Y.shape[1]), np.ones(Y.shape[1])
+        self.mean, self.scale = np.zeros(X.shape[1]), np.ones(X.shape[1])  # (d,)
+        self.y_mean, self.y_scale = np.zeros(Y.shape[1]), np.ones(Y.shape[1])  # (L,), of the targets
 
     def standardise_inputs(self) -> None:
         """Shift and scale X to mean 0 and standard deviation 1 on the training rows."""

@@ -28,26 +28,21 @@ class Batch(Protocol):
 
     def times(self, table: Tensor) -> Tensor:
         """Return the products of every group's rows with its weights (G * d, C): (G, B, C)."""
-        ...
 
     def transposed_times(self, deltas: Tensor) -> Tensor:
         """Return the derivative by the table, (G * d, C), of derivatives (G, B, C) by what `times` returned."""
-        ...
 
     def draw_masks(self, draws: list[np.random.Generator], dropout: float, n_masks: int) -> Tensor:
         """Return 0 and 1, the latter with probability 1 - dropout, for every input of every row and of `n_masks`.
 
         Group g draws from `draws[g]`. The layout is the batch's own; the masks are for the two methods below.
         """
-        ...
 
     def masked_times(self, table: Tensor, masks: Tensor) -> Tensor:
         """Return `times` with column c's inputs multiplied with mask c % n_masks."""
-        ...
 
     def transposed_masked_times(self, deltas: Tensor, masks: Tensor) -> Tensor:
         """Return the derivative by the table of derivatives by what `masked_times` returned."""
-        ...
 
 
 class InputRows(Protocol):
@@ -58,7 +53,6 @@ class InputRows(Protocol):
 
     def times(self, table: Tensor) -> Tensor:
         """Return the product of all rows with one group's weights (d, C): (n, C)."""
-        ...
 
     def batch(self, rows: IntArray, dropout: float = 0.0, draws: list[np.random.Generator] | None = None) -> Batch:
         """Return the mini-batch of `rows` (G, B), with every input dropped with probability `dropout`.
@@ -66,7 +60,6 @@ class InputRows(Protocol):
         Inputs that stay are not scaled. Group g draws from `draws[g]`; a generator that stands there several times in
         a row draws for its groups one after another.
         """
-        ...
 
 
 def new_rows(X: NDArray[np.generic]) -> InputRows:

@@ -26,26 +26,19 @@ class LcnNetwork:
         a_i = J_i x + c_i,  J_i = [z_i > 0] (W_i + sum_(j < i) U_ij J_j),  c_i likewise of b_i and c_j
         y   = g(J_1, c_1, ..., J_M, c_M)
 
-    J and c are constant wherever the activation pattern is, and so is y: an oblique tree with constant leaves.
-
-    Attributes:
-        W: (M, d).
-        U: (M, M), zero on and above the diagonal.
-        b: (M,).
-        G, h, offset: (q, M, d), (q, M), (q,): the first layer of g, `G . J + h . c + offset`.
-        V, v: (o, q), (o,): its second layer after a ReLU; None where g is linear, then q = o.
-        head: from y to the answer.
+    J and c are constant wherever the activation pattern is, and so is y: an oblique tree with constant leaves. The
+    first layer of g is `G . J + h . c + offset`; a second one, V and v, comes after a ReLU where g is not linear.
     """
 
-    W: FloatArray
-    U: FloatArray
-    b: FloatArray
-    G: FloatArray
-    h: FloatArray
-    offset: FloatArray
-    V: FloatArray | None = None
-    v: FloatArray | None = None
-    head: Head = field(default_factory=Identity)
+    W: FloatArray  # (M, d)
+    U: FloatArray  # (M, M), zero on and above the diagonal
+    b: FloatArray  # (M,)
+    G: FloatArray  # (q, M, d)
+    h: FloatArray  # (q, M)
+    offset: FloatArray  # (q,)
+    V: FloatArray | None = None  # (o, q); without it q = o
+    v: FloatArray | None = None  # (o,)
+    head: Head = field(default_factory=Identity)  # from y to the answer
 
     def __post_init__(self) -> None:
         """Raise InvalidNetworkError that names an array of the wrong shape."""

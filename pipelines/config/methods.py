@@ -11,16 +11,7 @@ from typing import Annotated, Any, ClassVar
 from pipelines.config.algo import AlgoConfig, DdpgConfig, OnPolicyConfig
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import PidTerms
-from pipelines.config.setting import (
-    DERIVED,
-    Count,
-    FreeText,
-    NotNegative,
-    OneOf,
-    Positive,
-    Range,
-    Share,
-)
+from pipelines.config.setting import DERIVED, Count, FreeText, NotNegative, OneOf, Positive, Range, Share
 from pipelines.config.stages import ActorConfig
 from pipelines.errors import ConfigError
 
@@ -53,11 +44,7 @@ class MethodConfig:
 
     @classmethod
     def implied(cls, given: Mapping[str, str]) -> list[str]:
-        """Return the overrides that the choice of this method implies; they stand before the given ones.
-
-        Args:
-            given: the overrides of the command, key to value; one of them may name the method.
-        """
+        """Return the overrides that the choice of this method implies; they stand before those that are given."""
         return list(ON_POLICY_STEPS) if given.get("algo") == "ars" else []
 
     @property

@@ -1,7 +1,8 @@
-"""Digests and differences of settings, which are plain JSON-able data."""
+"""Digests, differences and flat forms of settings, which are plain JSON-able data."""
 
 import hashlib
 import json
+from collections.abc import Mapping
 from typing import Any
 
 
@@ -27,3 +28,11 @@ def differences_suffix(new: dict[str, Any], old: dict[str, Any]) -> str:
     """Return what the name of a folder ends with where settings differ from the usual ones: `~<digest>`, or nothing."""
     differences = setting_differences(new, old)
     return f"~{digest(differences)[:8]}" if differences else ""
+
+
+def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested mappings as one, with dotted keys."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        found |= flat(value, f"{prefix}{name}.") if isinstance(value, Mapping) else {f"{prefix}{name}": value}
+    return found

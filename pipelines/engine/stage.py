@@ -102,8 +102,12 @@ def _found_or_made(
             if twin is not None:
                 _copy_twin(twin, folder, derive)
                 return StageResult(folder, skipped=True, seconds=read_manifest(folder)["seconds"])
-            with opened(run_dir, stage.inputs, derive) as whole:
-                return _make(stage, folder, config, {name: whole / name for name in stage.inputs}, wanted)
+            with opened(run_dir, stage.inputs, derive) as whole, _unfinished(folder) as temporary:
+                origin, start = _origin(), time.monotonic()
+                stage.run({name: whole / name for name in stage.inputs}, config, temporary)
+                seconds = round(time.monotonic() - start, 3)
+                _finish(stage, folder, temporary, config, wanted, seconds, origin)
+    return StageResult(folder, skipped=False, seconds=seconds)
 
 
 def run_stage_together(
@@ -169,16 +173,6 @@ def stage_status(stage: Stage, folder: Path, config: Any, wanted: str | None = N
     return "done" if current else "stale"
 
 
-def _make(stage: Stage, folder: Path, config: Any, inputs: Mapping[str, Path], wanted: str) -> StageResult:
-    with _unfinished(folder) as temporary:
-        start = time.monotonic()
-        origin = _origin()
-        stage.run(inputs, config, temporary)
-        seconds = round(time.monotonic() - start, 3)
-        _finish(stage, folder, temporary, config, wanted, seconds, origin)
-    return StageResult(folder, skipped=False, seconds=seconds)
-
-
 @contextmanager
 def _unfinished(folder: Path) -> Iterator[Path]:
     """Give an empty folder beside `folder` to write a result into; whatever is still there afterwards is removed."""
@@ -201,13 +195,7 @@ def _origin() -> dict[str, Any]:
 
 
 def _finish(
-    stage: Stage,
-    folder: Path,
-    temporary: Path,
-    config: Any,
-    wanted: str,
-    seconds: float,
-    origin: dict[str, Any],
+    stage: Stage, folder: Path, temporary: Path, config: Any, wanted: str, seconds: float, origin: dict[str, Any]
 ) -> None:
     """Write the manifest of a result and put the result in its place."""
     outputs = {path.name: file_digest(path) for path in sorted(temporary.iterdir())}

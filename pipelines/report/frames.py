@@ -12,6 +12,7 @@ from typing import Any
 import pandas as pd
 
 from pipelines.config.run import RunConfig
+from pipelines.engine.digests import flat
 from pipelines.engine.store import corrupt, read_json
 from pipelines.supervised.config import FitConfig
 
@@ -120,15 +121,9 @@ def _finite(value: Any, name: str) -> float:
     return float(value)
 
 
-def _flat(value: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def _flat(summary: Mapping[str, Any]) -> dict[str, Any]:
     """Return nested entries under names joined by dots, lists as text: `oracle.hidden_widths` [64,64]."""
-    entries: dict[str, Any] = {}
-    for name, each in value.items():
-        if isinstance(each, Mapping):
-            entries |= _flat(each, f"{prefix}{name}.")
-        else:
-            entries[f"{prefix}{name}"] = str(each).replace(" ", "") if isinstance(each, list) else each
-    return entries
+    return {n: str(each).replace(" ", "") if isinstance(each, list) else each for n, each in flat(summary).items()}
 
 
 def _frame(rows: Sequence[Mapping[str, Any]], types: Mapping[str, str]) -> pd.DataFrame:

@@ -103,17 +103,9 @@ def play(policies: Mapping[str, Any], config: RunConfig, keep_states_of: str = "
 
 def episode_rows(played: Rollout) -> list[dict[str, Any]]:
     """Return the rows of an episodes file."""
-    return [
-        {
-            "episode": i,
-            "seed": int(played.seeds[i]),
-            "return": float(played.returns[i]),
-            "length": int(played.lengths[i]),
-            "terminated": bool(played.terminated[i]),
-            "truncated": bool(played.truncated[i]),
-        }
-        for i in range(len(played.seeds))
-    ]
+    columns = (played.seeds, played.returns, played.lengths, played.terminated, played.truncated)
+    rows = zip(range(len(played.seeds)), *(column.tolist() for column in columns), strict=True)
+    return [dict(zip(EPISODE_COLUMNS, row, strict=True)) for row in rows]
 
 
 def moments(played: Rollout) -> dict[str, Any]:

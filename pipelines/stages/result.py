@@ -107,8 +107,6 @@ def _table(summary: dict[str, Any]) -> Table:
     leaves = {"tree": _leaves(summary["n_leaves"]), "pruned_tree": f"{summary['pruned_leaves']:,}"}
     for name, moments in summary["policies"].items():
         table.add_row(
-            name.replace("_", " "),
-            f"{moments['return_mean']:z.1f} ± {moments['return_std']:.1f}",
-            leaves.get(name, ""),
+            name.replace("_", " "), f"{moments['return_mean']:z.1f} ± {moments['return_std']:.1f}", leaves.get(name, "")
         )
     return table

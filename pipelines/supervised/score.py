@@ -57,6 +57,7 @@ def score_trees(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> Non
 
 def report(metric: str, n_labels: int, rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the means over labels; what was not learned, or has no score in a part, is left out and counted."""
+    small_weights = [row["small_weights"] for row in rows]
     scores = {part: [float(row[part]) for row in rows if row[part] != ""] for part in PARTS}
     return {
         "metric": metric,
@@ -65,13 +66,9 @@ def report(metric: str, n_labels: int, rows: list[dict[str, Any]]) -> dict[str, 
         **{part: float(np.mean(values)) if values else None for part, values in scores.items()},
         "leaves": float(np.mean([row["leaves"] for row in rows])),
         "depth": float(np.mean([row["depth"] for row in rows])),
-        "small_weights": _mean_if_there([row["small_weights"] for row in rows]),
+        "small_weights": float(np.mean([float(text) for text in small_weights])) if all(small_weights) else None,
         "fit_cpu_seconds": float(np.sum([float(row["cpu_seconds"]) for row in rows])),
     }
-
-
-def _mean_if_there(texts: list[str]) -> float | None:
-    return float(np.mean([float(text) for text in texts])) if all(texts) else None
 
 
 SCORE = Stage("score", version=1, inputs=("fit",), settings=FitConfig.settings, run=score_trees)

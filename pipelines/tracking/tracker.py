@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pipelines.config.run import RunConfig
+from pipelines.engine.digests import flat
 from pipelines.engine.store import read_csv, read_json
 from pipelines.errors import ConfigError
 from pipelines.tracking.backends import Mlflow, TensorBoard
@@ -76,7 +77,7 @@ class Tracker:
             if int(progress["steps"]) > step:
                 step = int(progress["steps"])
                 backend.log(step, _curves(progress, evaluation))
-        backend.complete(step, _numbers(_flat(summary), "final/"), run_dir, result)
+        backend.complete(step, _numbers(flat(summary), "final/"), run_dir, result)
 
     def _try(self, action: Callable[[], None]) -> None:
         if self._is_off:
@@ -103,16 +104,8 @@ def _open_backend(config: RunConfig) -> TensorBoard | Mlflow:
 
 
 def _parameters(config: RunConfig) -> dict[str, str]:
-    values = _flat(config.settings())
+    values = flat(config.settings())
     return {name: value if isinstance(value, str) else json.dumps(value) for name, value in values.items()}
-
-
-def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested mappings as one, with dotted keys."""
-    flat: dict[str, Any] = {}
-    for name, value in values.items():
-        flat |= _flat(value, f"{prefix}{name}.") if isinstance(value, Mapping) else {f"{prefix}{name}": value}
-    return flat
 
 
 def _curves(progress: Row, evaluation: Row) -> dict[str, float]:

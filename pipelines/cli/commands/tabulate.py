@@ -38,9 +38,7 @@ class TabulateConfig:
 
 
 TABULATE = Composer(
-    "tabulate",
-    {(None, "tabulate_schema"): TabulateConfig, (None, "budget_schema"): BudgetConfig},
-    checked=("budget",),
+    "tabulate", {(None, "tabulate_schema"): TabulateConfig, (None, "budget_schema"): BudgetConfig}, checked=("budget",)
 )
 
 

@@ -37,8 +37,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("names", nargs="*", metavar="name", help=f"{', '.join(NAMES)}; none for all")
     parser.add_argument("--quick", action="store_true", help="fewer sizes, rounds and episodes")
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    asked = parser.parse_args(words)
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    asked = parser.parse_args(given)
     for name in asked.names:
         if name not in NAMES:
             parser.error(_unknown(name))
@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         began = time.monotonic()
         print(f"{name}: measuring", flush=True)
         measured = importlib.import_module(f"benchmarks.{name}").measure(asked.quick)
-        write_json(folder / f"{name}.json", document(measured, ["python", "-m", "benchmarks", *words]))
+        write_json(folder / f"{name}.json", document(measured, ["python", "-m", "benchmarks", *given]))
         print(f"{name}: {duration(time.monotonic() - began)}, {folder / name}.json", flush=True)
         entries += measured
     show(entries)

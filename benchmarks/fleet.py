@@ -83,9 +83,9 @@ def measure(quick: bool) -> list[Entry]:
 
 def run_config(precision: str, seed: int, n_steps: int) -> RunConfig:
     """Return the configuration of `otr-run env=hopper depth=6 trainer=fleet` with these steps a segment."""
-    words = ["env=hopper", "depth=6", "trainer=fleet", f"trainer.precision={precision}", f"seed={seed}"]
-    words += [f"train.max_learning_starts={N_RANDOM}", f"train.eval_interval_steps={n_steps}"]
-    return runs.run_config(words)
+    overrides = ["env=hopper", "depth=6", "trainer=fleet", f"trainer.precision={precision}", f"seed={seed}"]
+    overrides += [f"train.max_learning_starts={N_RANDOM}", f"train.eval_interval_steps={n_steps}"]
+    return runs.run_config(overrides)
 
 
 def fleet_rate(precision: str, n_steps: int) -> Callable[[], float]:

@@ -62,13 +62,13 @@ class Entry:
         }
 
     def _parsed_target(self) -> tuple[float, str, float]:
-        words = (self.target or "").split()
-        if len(words) != 3 or words[0] not in ("value", "ratio") or words[1] not in _COMPARE:
+        parts = (self.target or "").split()
+        if len(parts) != 3 or parts[0] not in ("value", "ratio") or parts[1] not in _COMPARE:
             raise ValueError(f"{self.name}: the target is {self.target!r}, expected 'value|ratio <=|>= number'")
-        measured = self.value if words[0] == "value" else self.ratio
+        measured = self.value if parts[0] == "value" else self.ratio
         if measured is None:
             raise ValueError(f"{self.name}: the target is {self.target!r}, but there is no peer_value to compare with")
-        return measured, words[1], float(words[2])
+        return measured, parts[1], float(parts[2])
 
 
 def alternate(

@@ -140,13 +140,13 @@ def entries_of(name: str, n_networks: int, seconds: Seconds, judged: bool) -> li
     ours = n_networks / seconds.ours
     each = seconds.ours / n_networks
 
-    def floor(words: str, of: float, target: str | None) -> Entry:
+    def floor(kind: str, of: float, target: str | None) -> Entry:
         return Entry(
-            f"{name}: of the {words} floor", ours, "networks/s", f"its {words} products alone", n_networks / of, target
+            f"{name}: of the {kind} floor", ours, "networks/s", f"its {kind} products alone", n_networks / of, target
         )
 
-    def plain(words: str, of: float, target: str | None) -> Entry:
-        return Entry(f"{name}: a network", each, "s", f"one by one in PyTorch, {words}", of / n_networks, target)
+    def plain(kind: str, of: float, target: str | None) -> Entry:
+        return Entry(f"{name}: a network", each, "s", f"one by one in PyTorch, {kind}", of / n_networks, target)
 
     entries = [
         Entry(f"{name}: training", seconds.ours, "s", target="value <= 300" if judged else None),

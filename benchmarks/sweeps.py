@@ -32,11 +32,11 @@ def measure(quick: bool) -> list[Entry]:
     n_jobs, rounds = (3, 1) if quick else (10, 3)
     (plan_s,) = alternate(command("otr-plan", "+experiment=table_4_1"), rounds=rounds, clock=time.perf_counter)
     entries = [Entry("otr-plan of 160 jobs", plan_s, "s", target="value <= 20", clock="wall")]
-    words = (*JOB, f"seed=range(0,{n_jobs})")
-    alone = python(JOBS_ALONE, *words)
+    overrides = (*JOB, f"seed=range(0,{n_jobs})")
+    alone = python(JOBS_ALONE, *overrides)
     for launcher in ("basic", "joblib"):
         one_at_a_time = ["hydra.launcher.n_jobs=1"] * (launcher == "joblib")
-        sweep = command("otr-run", "-m", *words, f"launcher={launcher}", *one_at_a_time)
+        sweep = command("otr-run", "-m", *overrides, f"launcher={launcher}", *one_at_a_time)
         entries.append(overhead(f"a job more in a sweep, launcher={launcher}", sweep, alone, n_jobs, rounds))
     sweep = command("otr-run", "-m", *JOB, "launcher=submitit_local")
     entries.append(overhead("a job under Slurm's launcher", sweep, command("otr-run", *JOB), 1, rounds))
@@ -50,22 +50,22 @@ def overhead(name: str, sweep: Callable[[], None], alone: Callable[[], None], n_
     return Entry(name, (ours - theirs) / n_jobs, "s", target="value <= 2", clock="wall")
 
 
-def command(program: str, *words: str) -> Callable[[], None]:
+def command(program: str, *arguments: str) -> Callable[[], None]:
     """Return a function that runs one of our commands in an empty folder."""
-    return in_empty_folder(str(Path(sys.executable).with_name(program)), *words)
+    return in_empty_folder(str(Path(sys.executable).with_name(program)), *arguments)
 
 
-def python(code: str, *words: str) -> Callable[[], None]:
+def python(code: str, *arguments: str) -> Callable[[], None]:
     """Return a function that runs Python code in an empty folder."""
-    return in_empty_folder(sys.executable, "-c", code, *words)
+    return in_empty_folder(sys.executable, "-c", code, *arguments)
 
 
-def in_empty_folder(*words: str) -> Callable[[], None]:
-    """Return a function that runs a command, without a word from it, in a new empty folder."""
+def in_empty_folder(*arguments: str) -> Callable[[], None]:
+    """Return a function that runs a command, without its output, in a new empty folder."""
 
     def run() -> None:
         with tempfile.TemporaryDirectory() as folder:
-            full = [*words, f"results_dir={folder}/results"]
+            full = [*arguments, f"results_dir={folder}/results"]
             subprocess.run(full, cwd=folder, check=True, stdout=subprocess.DEVNULL, timeout=600)
 
     return run

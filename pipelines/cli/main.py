@@ -37,7 +37,7 @@ def main(program: str) -> None:
         line = shlex.join([program, *sys.argv[1:]])
         print(f"\nstopped; what was finished is kept, and the same command goes on from it: {line}")
         code = EXIT_INTERRUPTED
-    except BrokenPipeError:  # the reader of a pipe has seen enough
+    except BrokenPipeError:  # the reader of the pipe has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = EXIT_BROKEN_PIPE
     except Exception as error:  # the last resort of a command line: no traceback unless asked for

@@ -18,7 +18,7 @@ class PidTerms:
 class EnvConfig:
     """One environment: its gymnasium id and the names that programs print.
 
-    `pid` is there where the method is a PID policy, which says so to whoever makes the environment.
+    `pid` is set for PID policies, whose environments show [s, P, I, D].
     """
 
     name: FreeText

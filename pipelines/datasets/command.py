@@ -46,14 +46,14 @@ def run() -> None:
     except KeyboardInterrupt:
         print("\nstopped; whole files are kept, and the same command goes on from there", file=sys.stderr)
         code = EXIT_INTERRUPTED
-    except BrokenPipeError:  # the reader of a pipe has seen enough
+    except BrokenPipeError:  # the reader of the pipe has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = EXIT_BROKEN_PIPE
     sys.exit(code)
 
 
-def main(words: Sequence[str]) -> int:
-    """Do what the words ask for and return the exit code; one data set's failure does not stop the others."""
+def main(given: Sequence[str]) -> int:
+    """Do what the arguments ask for and return the exit code; one data set's failure does not stop the others."""
     parser = argparse.ArgumentParser(
         "otr-data", description=HELP, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -65,7 +65,7 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument(
         "--fragments", type=Path, metavar="FILE", help="write what each bit stands for in one data set's molecules"
     )
-    arguments = parser.parse_args(words)
+    arguments = parser.parse_args(given)
     if not arguments.names and not arguments.list:
         parser.error(f"name data sets ({' '.join(NAMES)}) or give --list")
     try:

@@ -44,7 +44,7 @@ def unpickle_arrays(content: bytes) -> list[np.ndarray]:
     """
     try:
         found = _ArraysOnly(io.BytesIO(content)).load()
-    except Exception as error:  # a foreign pickle can fail in any way
+    except Exception as error:  # a pickle from elsewhere can fail in any way
         raise ValueError(f"it is no pickle of plain numeric arrays: {error}") from error
     if not isinstance(found, tuple | list) or len(found) != 2 * len(PARTS):
         raise ValueError(f"it holds a {type(found).__name__} and not six arrays")

@@ -35,6 +35,6 @@ def git_revision() -> str | None:
 
 
 def command_line() -> str:
-    """Return the command that is running: the program's name without its path, and no word on where results go."""
-    words = [word for word in sys.argv[1:] if not word.startswith("results_dir=")]
-    return " ".join([Path(sys.argv[0]).name, *words])
+    """Return the command that is running: the program's name without its path, and its arguments but results_dir."""
+    arguments = [argument for argument in sys.argv[1:] if not argument.startswith("results_dir=")]
+    return " ".join([Path(sys.argv[0]).name, *arguments])

@@ -238,7 +238,7 @@ def _other_settings(stage: Stage, folder: Path, config: Any) -> OtherSettingsErr
 def _twin(run_dir: Path, name: str, wanted: str) -> Path | None:
     """Return the folder of a sibling run (same place, other overrides) that already holds this very result."""
     for folder in (sibling / name for sibling in sorted(run_dir.parent.iterdir())):
-        with suppress(PipelineError):  # a damaged sibling is its own run's trouble
+        with suppress(PipelineError):  # a damaged sibling is reported by its own run
             if exists(folder / MANIFEST) and read_manifest(folder)["key"] == wanted:
                 return folder
     return None

@@ -18,7 +18,7 @@ from pipelines.play.pid_environment import PidObservation
 def make_env(env: EnvConfig) -> gym.Env:
     """Return a new environment with its time limit.
 
-    The environment checker is left out: it costs time at every step and checks the environments' authors, not us.
+    The environment checker is left out: it costs time at every step and checks the environment's implementation.
     The thesis's tables use the MuJoCo environments' v4 on purpose, so gymnasium's notice of a newer one is silenced.
     For a PID policy the environment shows [s, P, I, D] in place of its state.
     """
@@ -59,7 +59,7 @@ def make_training_env(env: EnvConfig, *, rescale_inputs: bool) -> gym.Env:
 
 
 def _hear_mujoco_warnings() -> None:
-    """Take MuJoCo's warnings as Python's; by default it prints them, and leaves a MUJOCO_LOG.TXT where we stand.
+    """Take MuJoCo's warnings as Python's; by default it prints them, and writes a file MUJOCO_LOG.TXT.
 
     Those of models that use deprecated attributes concern gymnasium's authors and come once per environment.
     """

@@ -59,7 +59,7 @@ def rollout(
             finally:
                 signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
             return _interleave([future.result() for future in futures])
-        except BaseException:  # do not wait for episodes that nobody wants any more
+        except BaseException:  # do not wait for the other workers' episodes
             for process in multiprocessing.active_children():
                 process.terminate()
             raise

@@ -112,13 +112,13 @@ def run_command(folder: Path) -> str | None:
     if not (re.fullmatch(r"depth-[\d-]+", depth) and re.fullmatch(r"seed-\d+(~[0-9a-f]+)?", seed)):
         return None
     widths = depth.removeprefix("depth-").split("-")
-    words = [f"env={env}", f"depth={widths[0]}" if len(widths) == 1 else f'"depth=[{",".join(widths)}]"']
-    words += [] if method == "otr" else [f"method={method}"]
+    overrides = [f"env={env}", f"depth={widths[0]}" if len(widths) == 1 else f'"depth=[{",".join(widths)}]"']
+    overrides += [] if method == "otr" else [f"method={method}"]
     name, *others = budget.split("-")
-    words += [f"budget={name}", *(f"algo={word}" if word == "ars" else f"trainer={word}" for word in others)]
+    overrides += [f"budget={name}", *(f"algo={other}" if other == "ars" else f"trainer={other}" for other in others)]
     number, _, digest = seed.removeprefix("seed-").partition("~")
-    words.append(f"seed={number}")
-    return f"otr-run {' '.join(words)}{' and the settings that made the digest ~' + digest if digest else ''}"
+    overrides.append(f"seed={number}")
+    return f"otr-run {' '.join(overrides)}{' and the settings that made the digest ~' + digest if digest else ''}"
 
 
 def program_of(config: ExportConfig, run: RunConfig, folder: Path) -> str | bytes:
@@ -172,9 +172,10 @@ def _policy(config: ExportConfig, run: RunConfig, folder: Path) -> Any:
     }
     stage = stages.get(config.tree, "train")
     if not exists(folder / stage / MANIFEST):
+        extra = f" {stage}=true" if stage in EXTRA_STAGES else ""
         raise MissingInputError(
             f"{folder}: stage {stage}, which makes tree={config.tree}, is not finished there\nRun: "
-            f"{run_command(folder.absolute()) or 'the command that made the run'}{_extra_word(stage)}"
+            f"{run_command(folder.absolute()) or 'the command that made the run'}{extra}"
         )
     verified_manifest(folder / stage)
     if config.tree == "compact":
@@ -189,10 +190,6 @@ def _policy(config: ExportConfig, run: RunConfig, folder: Path) -> Any:
             "use tree=pruned, or format=c, which writes the network that the tree is"
         )
     return tree.network
-
-
-def _extra_word(stage: str) -> str:
-    return f" {stage}=true" if stage in EXTRA_STAGES else ""
 
 
 def _check_name(key: str, value: str, known: Sequence[str]) -> None:

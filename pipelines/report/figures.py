@@ -26,7 +26,7 @@ Styles = dict[str, dict[str, Any]]
 
 
 def return_against_depth(points: pd.DataFrame, solved: float, title: str | None = None) -> Figure:
-    """Return a figure of what depth buys: return against a tree's depth, a panel for each oracle.
+    """Return a figure of the return against a tree's depth, a panel for each oracle.
 
     Bands are one standard deviation to either side; a dashed line is the oracle's own return, a dotted one the return
     from which the problem counts as solved. Panels, and methods in the legend, come in the order of the points.
@@ -56,7 +56,7 @@ def return_against_depth(points: pd.DataFrame, solved: float, title: str | None 
 
 
 def auc_against_leaves(points: pd.DataFrame) -> Figure:
-    """Return a figure of what leaves buy: test AUC against their number, a panel for each data set.
+    """Return a figure of the test AUC against the number of leaves, a panel for each data set.
 
     Bars are one standard deviation to either side; hollow markers are the thesis's numbers, put at the leaves that
     were reached here; a dashed line is the score of a single leaf, which is the linear model. Panels, and methods in

@@ -20,14 +20,14 @@ FIGURES = ("4.6", "4.7")
 ALL = ("4.2", "4.6", "4.7", "certificates", "4.1")
 
 
-def reports_of(word: str) -> tuple[str, ...]:
+def reports_of(asked: str) -> tuple[str, ...]:
     """Return the reports that `all`, a report's name, `table=NAME` or `figure=NAME` stands for."""
-    kind, equals, name = word.rpartition("=")
+    kind, equals, name = asked.rpartition("=")
     known = {"table": (*TABLES,), "figure": FIGURES, "": ("all", *TABLES, *FIGURES)}[kind]
     if name not in known:
         close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
         hint = f" Did you mean {kind}{equals}{close[0]}?" if close else ""
-        raise ConfigError(f"{word} is not known.{hint} Known {kind or 'report'}s: {', '.join(known)}")
+        raise ConfigError(f"{asked} is not known.{hint} Known {kind or 'report'}s: {', '.join(known)}")
     return ALL if name == "all" else (name,)
 
 

@@ -124,6 +124,6 @@ def _require_agreement(states: np.ndarray, network: np.ndarray, tree: np.ndarray
         )
 
 
-# What it reads is the method's own: `pipelines.stages.table.stages_of` fills it in.
+# Its inputs depend on the method: `pipelines.stages.table.stages_of` sets them.
 EVALUATE_SETTINGS = picked(env="env", n_episodes="evaluate.n_episodes", first_seed="evaluate.first_seed")
 EVALUATE = Stage("evaluate", version=1, inputs=(), settings=EVALUATE_SETTINGS, run=evaluate)

@@ -7,11 +7,11 @@ from pipelines.config.env import EnvConfig
 from pipelines.engine.store import write_text
 from pipelines.play.environments import action_names, feature_names
 
-LARGEST_PROGRAM = 256  # leaves; nobody reads a longer one, and it would outweigh all other artefacts of a run
+LARGEST_PROGRAM = 256  # leaves; a longer one is not readable, and larger than all other artefacts of a run
 
 
 def write_program(tree: otr.ObliqueTree, env: EnvConfig, out: Path) -> None:
-    """Write `program.txt` unless the tree is too large for anyone to read."""
+    """Write `program.txt` unless the tree has more than LARGEST_PROGRAM leaves."""
     if tree.n_leaves <= LARGEST_PROGRAM:
         write_text(out / "program.txt", program_text(tree, env))
 

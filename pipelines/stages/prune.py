@@ -71,6 +71,6 @@ def prune(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     )
 
 
-# What it reads is the method's own: `pipelines.stages.table.stages_of` fills it in.
+# Its inputs depend on the method: `pipelines.stages.table.stages_of` sets them.
 PRUNE_SETTINGS = picked(env="env", n_episodes="prune.n_episodes", k="prune.k", seed="seed")
 PRUNE = Stage("prune", version=1, inputs=(), settings=PRUNE_SETTINGS, run=prune)

@@ -44,7 +44,7 @@ class RunJob(Job):
         return dataclasses.replace(super().side_by_side(), oracle=oracle)
 
     def found_done(self) -> None:
-        """Show the run to the tracker, which may be younger than the run."""
+        """Log the run where it is tracked: it may be older than its tracking."""
         if self.ends_with in self.config.selected_stages and self.config.tracking != "none":
             with opened_run(self.config, self.run_dir) as whole:
                 Tracker(self.config).finish(read_json(whole / "summary.json"), whole)

@@ -55,8 +55,8 @@ def _simplest(
 ) -> tuple[Simplification, int]:
     """Return the simpler tree, and the number of attempts that it took.
 
-    A search that tries hundreds of trees on the same episodes flatters what it keeps. So its outcome plays as many
-    others; where it loses more than is allowed on them, the search is done again with half the allowance.
+    A search over hundreds of trees on the same episodes overestimates the tree that it keeps. So its outcome plays
+    as many others; where it loses more than is allowed on them, the search is done again with half the allowance.
     """
     seeds = episode_seeds(config.seed, "simplify", config.simplification.n_episodes, 1)
     check = _Judge(config, seeds, rollout(tree.predict, config.env, seeds, n_workers=config.n_workers).returns)

@@ -84,7 +84,7 @@ class Tracker:
             return
         try:
             action()
-        except Exception as error:  # whatever a tracker does, the run goes on
+        except Exception as error:  # no failure of a tracker ends a run
             self._is_off = True
             _warn_once(self._config.tracking, self._config.folder, f"{type(error).__name__}: {error}".splitlines()[0])
 

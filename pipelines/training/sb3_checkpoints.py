@@ -24,7 +24,7 @@ def save_checkpoint(folder: Path, model: BaseAlgorithm, history: History, replay
     folder.mkdir(parents=True, exist_ok=True)
     if isinstance(model, OffPolicyAlgorithm):
         _write_replay(folder, model, replay_start, history.n_segments)
-    # Through a buffer: torch reports a full disk as an internal failure of its own, a file as what it is.
+    # Through a buffer: torch would report a full disk as an internal error.
     buffer = io.BytesIO()
     torch.save({"parameters": model.get_parameters(), "tensors": _loose_tensors(model)}, buffer)
     counters = {name: int(getattr(model, name)) for name in COUNTERS if hasattr(model, name)}

@@ -25,20 +25,15 @@ NEW_KEYS = ("experiment", "env.kwargs.", "hydra.")  # what a + may add
 class Composer:
     """What one command's overrides are composed from.
 
-    Attributes:
-        name: of the main configuration file.
-        schemas: the dataclasses that the configuration files build on, by group and name.
-        checked: the groups whose options are checked.
-        folder: below conf/, where that file and the command's own groups lie; "" for conf/ itself. What is not there is
-            looked for in conf/.
-        needs: the group of which an option must be named, and what such an option is; None if there is none.
-        short: keys of overrides that stand for others (`Workflow.spelt_out`).
-        varied: keys of single values. Overrides that differ in these alone are composed once, and the values put in.
+    `name` is that of the main configuration file, `schemas` are the dataclasses that the files build on, by group and
+    name, and `checked` the groups whose options are checked.
     """
 
+    # Where that file and the command's own groups lie, below conf/; what is not there is looked for in conf/ itself.
     folder = ""
-    needs: tuple[str, str] | None = None
-    short: tuple[str, ...] = ()
+    needs: tuple[str, str] | None = None  # the group of which an option must be named, and what such an option is
+    short: tuple[str, ...] = ()  # keys of overrides that stand for others (`Workflow.spelt_out`)
+    # Keys of single values. Overrides that differ in these alone are composed once, and the values put in.
     varied: tuple[str, ...] = ()
 
     def __init__(

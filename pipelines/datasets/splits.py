@@ -24,15 +24,10 @@ def scaffold_split(scaffolds: Sequence[Hashable]) -> dict[str, np.ndarray]:
     groups: dict[Hashable, list[int]] = {}
     for row, scaffold in enumerate(scaffolds):
         groups.setdefault(scaffold, []).append(row)
-    train: list[int] = []
-    valid: list[int] = []
-    test: list[int] = []
+    parts: dict[str, list[int]] = {"train": [], "valid": [], "test": []}
     n_rows = len(scaffolds)
     for group in sorted(groups.values(), key=lambda rows: (len(rows), rows[0]), reverse=True):
-        if len(train) + len(group) <= 0.8 * n_rows:
-            train += group
-        elif len(train) + len(valid) + len(group) <= 0.9 * n_rows:
-            valid += group
-        else:
-            test += group
-    return {name: np.array(rows, dtype=np.int64) for name, rows in (("train", train), ("valid", valid), ("test", test))}
+        n_train, n_valid = len(parts["train"]) + len(group), len(parts["valid"])
+        fits = "train" if n_train <= 0.8 * n_rows else "valid" if n_train + n_valid <= 0.9 * n_rows else "test"
+        parts[fits] += group
+    return {name: np.array(rows, dtype=np.int64) for name, rows in parts.items()}

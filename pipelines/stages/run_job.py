@@ -29,7 +29,6 @@ class RunJob(Job):
 
     @property
     def stages(self) -> tuple[Stage, ...]:
-        """The stages that are asked for, in order."""
         stages = stages_of(self.config.method.name)
         return tuple(stages[name] for name in self.config.selected_stages)
 

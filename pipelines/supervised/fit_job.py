@@ -32,7 +32,6 @@ class FitJob(Job):
 
     @property
     def stages(self) -> tuple[Stage, ...]:
-        """The stages that are asked for, in order."""
         return stages_of(self.config)
 
 

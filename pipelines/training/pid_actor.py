@@ -35,11 +35,9 @@ class PidActor(ReluActor):
         self.method = config.method
 
     def policy_class(self) -> type[TD3Policy]:
-        """Return the policy with a PID controller as its actor."""
         return PidPolicy
 
     def policy_kwargs(self) -> dict[str, Any]:
-        """Return the penalty's weight and the scale of the first layer."""
         return {"l1": self.method.l1, "first_layer_scale": self.method.first_layer_scale}
 
     def segment_learnt(self, model: BaseAlgorithm) -> None:
@@ -49,7 +47,6 @@ class PidActor(ReluActor):
             weight[weight.abs() < self.method.zero_below] = 0.0  # type: ignore[operator]
 
     def exported(self, model: BaseAlgorithm) -> otr.ReluNetwork:
-        """Return the network of [s, P, I, D]."""
         box = model.action_space
         assert isinstance(box, gym.spaces.Box)
         gains = otr.from_torch(_controller(model).gains)
@@ -108,7 +105,6 @@ class PidPolicy(TD3Policy):
         super().__init__(*args, **kwargs)
 
     def make_actor(self, features_extractor: Any = None) -> PidControllerActor:
-        """Return a new actor."""
         kwargs = self._update_features_extractor(self.actor_kwargs, features_extractor)
         return PidControllerActor(**kwargs, **self.own).to(self.device)
 

@@ -32,19 +32,15 @@ class SoftActor(ReluActor):
     """A soft tree as the actor; its files are the module's, and the hard tree plays the selection episodes."""
 
     def policy_class(self) -> type[ActorCriticPolicy]:
-        """Return the policy with a soft tree as its actor."""
         return SoftActorCriticPolicy
 
     def net_arch(self) -> list[int]:
-        """Return no hidden layers: the states go into the tree as they are."""
-        return []
+        return []  # the states go into the tree as they are
 
     def policy_kwargs(self) -> dict[str, Any]:
-        """Return the tree's shape."""
         return {"actor": shape_of(self.config)}
 
     def callbacks(self) -> list[BaseCallback]:
-        """Return what changes in the course of training."""
         assert isinstance(self.config.method, SoftConfig)
         return [SoftSchedule(self.config.method, self.config.train.steps)]
 

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import numpy as np
+
 from pipelines.config.run import RunConfig
 from pipelines.engine.store import read_csv
 from pipelines.stages.derived import opened_run
@@ -20,13 +22,9 @@ def replay(config: RunConfig, run_dir: Path) -> int:
     played = play(policies, config)
     n_different = 0
     for name in played:
-        recorded = [float(row["return"]) for row in read_csv(run_dir / "evaluate" / episodes_file(name))]
-        again = played[name].returns.tolist()
-        different = [
-            i
-            for i, (old, new) in enumerate(zip(recorded, again, strict=True))
-            if abs(old - new) > TOLERANCE * max(1.0, abs(old))
-        ]
+        recorded = np.array([float(row["return"]) for row in read_csv(run_dir / "evaluate" / episodes_file(name))])
+        again = played[name].returns
+        different = np.flatnonzero(np.abs(again - recorded) > TOLERANCE * np.maximum(1.0, np.abs(recorded)))
         n_different += len(different)
         verdict = f"{len(different)} differ, the first is episode {different[0]}" if different else "as recorded"
         print(f"{run_dir}: {name.replace('_', ' ')}: {len(again)} episodes played again, {verdict}", flush=True)

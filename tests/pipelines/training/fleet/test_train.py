@@ -307,8 +307,10 @@ def test_rescaled_states_are_folded_into_the_actor(fleet_run, tmp_path):
 
 def test_denormals_are_zero_in_segments_alone(fleet_run, tmp_path, monkeypatch):
     tiniest, seen = torch.tensor([1e-40]), []
-    step = trainer_module._Episodes.add
-    monkeypatch.setattr(trainer_module._Episodes, "add", lambda *own: (seen.append((tiniest * 0.5).item()), step(*own)))
+    step = trainer_module._EpisodeSums.add
+    monkeypatch.setattr(
+        trainer_module._EpisodeSums, "add", lambda *own: (seen.append((tiniest * 0.5).item()), step(*own))
+    )
     trained([fleet_run()], tmp_path)
     assert set(seen) == {0.0}
     assert (tiniest * 0.5).item() > 0

@@ -1,4 +1,4 @@
-"""Array aliases and the checks at the door that every part of the library shares."""
+"""Types of arrays, and the checks of states that every part of the library shares."""
 
 from __future__ import annotations
 

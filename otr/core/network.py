@@ -136,7 +136,7 @@ class ReluNetwork:
         return patterns, self._run(states, patterns)
 
     def _run(self, X: FloatArray, patterns: BoolArray | None) -> FloatArray:
-        """Return the outputs; if `patterns` is given, fill it on the way."""
+        """Return the outputs, and write the activation patterns to `patterns` if it is given."""
         activations: FloatArray | None = None
         start = 0
         for layer in range(len(self.weights) - 1):

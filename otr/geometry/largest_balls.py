@@ -13,7 +13,7 @@ The simplex method is run on the dual, in d + 1 rows, for all problems side by s
 on from its parent's basis. It stops as soon as the answer is known. What it answers is then checked from the rows
 themselves, their rounding reckoned with: a point must be inside by more than that, and multipliers, a Farkas
 certificate, must leave no state that matters. What cannot be told in floating point is answered as undecided; no answer
-hangs on how well the pivots went.
+depends on the rounding of the pivots.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def _pivot_until_decided(
         pivot(bases, column, margin - bases.solution[:, d], tightest, bases.multipliers)
     radii[_within_rounding(rows, group, signs, centres, radii)] = 0.0
     is_empty = is_empty & _leaves_nothing(rows, group, signs, done, asked)
-    # At a largest ball of next to no radius nobody can tell; elsewhere the pivots went wrong.
+    # A largest ball of almost no radius stays undecided; elsewhere rounding has spoilt the pivots.
     gone_wrong = np.abs(done.solution[:, d]) > _TOUCHING
     gone_wrong[problems] = True
     alone = np.flatnonzero(~is_empty & (radii == 0.0) & gone_wrong)

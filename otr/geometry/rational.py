@@ -94,7 +94,7 @@ class ExactUnits:
     """A network's units as exact affine forms of its inputs, integers over 2**power, given the activation pattern."""
 
     def __init__(self, network: ReluNetwork) -> None:
-        """Take a network apart."""
+        """Hold the numbers of a network as integers."""
         self.network = network
         units = network.unit_form()
         self._links, of_links = integers(units.links)
@@ -144,7 +144,7 @@ class ExactTree:
     """
 
     def __init__(self, tree: ObliqueTree) -> None:
-        """Take a tree apart."""
+        """Hold the numbers of a tree as integers."""
         self.tree = tree
         (P, of_P), (M, of_M) = integers(tree.P_of_basis), integers(tree.M_of_basis)
         if tree.basis is not None:

@@ -1,4 +1,4 @@
-"""The tree of depth 0: linear models by scikit-learn, the row that every tree has to beat."""
+"""The tree of depth 0: linear models by scikit-learn, the baseline of every tree."""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ def identifiers(
 ) -> list[str]:
     """Return an identifier for each name: ASCII letters, digits and single underscores, a letter first, all distinct.
 
-    A name that already is one, and taken by nobody, stays as it is. Accents are dropped, what is neither letter nor
+    A name that already is one, and is not taken, stays as it is. Accents are dropped, what is neither letter nor
     digit becomes an underscore, a number is appended to what is taken or one of the `reserved` words, and a name of
     which nothing is left becomes its fallback. With `ignore_case`, names that differ in case alone are the same.
     """

@@ -11,7 +11,7 @@ import numpy as np
 from otr.core.arrays import FloatArray, IntArray
 from otr.core.tree import ObliqueTree
 
-# Nested ifs up to this depth; Python's parser bears 100 indentations, and nobody reads as many.
+# Ifs are nested up to this depth; Python's parser allows 100 indentations.
 MAX_NESTED_DEPTH = 64
 WIDTH = 110  # of a line of code
 TIE = "\u00a0"  # a space at which `wrapped` breaks no line

@@ -41,7 +41,7 @@ class Search:
     """The search for the answer to a question."""
 
     def __init__(self, question: Question, tolerance: float) -> None:
-        """Take a question, and what a condition may fail by under tanh."""
+        """Keep a question, and by how much a condition may fail under tanh."""
         self.question, self.tolerance = question, tolerance
         self.tree, self.domain, self.weighed = question.tree, question.domain, question.weighed
         self.rows, self.signs = leaf_rows(self.tree, self.domain, np.arange(self.tree.n_leaves))

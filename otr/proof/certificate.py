@@ -56,7 +56,7 @@ class Certificate:
     """The proof that a tree and a network compute the same function on a domain: at every real point of it.
 
     The numbers of both are taken as they are stored, and nothing in the proof is rounded. A state is in a leaf where
-    all tests on its path say so, at most 0 on the left and above 0 on the right.
+    all tests on its path hold, at most 0 on the left and above 0 on the right.
 
     Attributes:
         domain: where.

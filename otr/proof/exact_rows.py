@@ -32,7 +32,7 @@ class TreeOnDomain(ExactTree):
     """A tree on a domain in exact arithmetic; rows and forms, and the domain's `sides`, are integers over 2**power."""
 
     def __init__(self, tree: ObliqueTree, domain: Domain, power: int = 0) -> None:
-        """Take tree and domain apart; `power` is the least that is wanted."""
+        """Hold all numbers as integers over 2**power, which is at least the given one."""
         super().__init__(tree)
         self.domain = domain
         forms, names = domain.sides()
@@ -67,7 +67,7 @@ class TreeAndNetwork(TreeOnDomain):
     """A tree and a network that are said to be the same function on a domain; `n_tests` counts the network's tests."""
 
     def __init__(self, tree: ObliqueTree, network: ReluNetwork, domain: Domain) -> None:
-        """Take tree, network and domain apart."""
+        """Hold the numbers of all three as integers over one power of two."""
         self.network, self.units = network, ExactUnits(network)
         super().__init__(tree, domain, self.units.power)
         self.n_tests = network.n_hidden + network.head.n_tests(network.n_outputs)

@@ -29,7 +29,7 @@ _MAX_PIECES = 2**17
 
 @dataclass(frozen=True)
 class OutputRange:
-    """The smallest and the largest value of every action on a box, and a state where it is taken, or on whose brink.
+    """The smallest and the largest value of every action on a box, and a state where it is taken, or near to which.
 
     Attributes:
         low, high: (o,) actions.

@@ -3,7 +3,7 @@
 The proof cuts every leaf's region into pieces by the outputs that the condition weighs. On a piece, lines above the
 head's answers make the condition's left side an affine function of the state at most, and a sum of the piece's rows
 bounds that function over the box. All but tanh is exact: the numbers are taken as they are stored, and a state is in a
-leaf where all tests on its path say so, at most 0 on the left and above 0 on the right.
+leaf where all tests on its path hold, at most 0 on the left and above 0 on the right.
 """
 
 from __future__ import annotations

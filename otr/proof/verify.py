@@ -255,7 +255,7 @@ class Bounds:
 
 
 def _few_digits(value: Fraction) -> Fraction:
-    """Return a number that is not below another and quick to reckon with, or 0 where that is below it."""
+    """Return a number that is not below another and quick to compute with, or 0 where that is below it."""
     if value <= 0:
         return Fraction(0)
     above = rounded_up(value)

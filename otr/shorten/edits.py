@@ -24,7 +24,7 @@ def n_numbers(tree: ObliqueTree) -> int:
 
 
 def without_a_test(tree: ObliqueTree) -> Iterator[ObliqueTree]:
-    """Yield trees without one of the tests and what hangs on one of its sides, those that save most first."""
+    """Yield trees without one of the tests and the subtree on one of its sides, those that save most first."""
     nodes, signs = leaf_paths(tree)
     cuts = []
     for node in range(tree.n_nodes):

@@ -10,7 +10,7 @@ from otr.core.arrays import FloatArray
 
 
 class Problem:
-    """A learning problem after the checks at the door."""
+    """A learning problem whose data has been checked."""
 
     def __init__(self, X: FloatArray, Y: FloatArray, loss: Literal["logistic", "softmax", "squared"]) -> None:
         self.X, self.loss = X, loss  # (n, d), shifted and scaled by `mean` and `scale`

@@ -1,4 +1,4 @@
-"""Base of the learners that grow one tree: checks at the door, predictions through `tree_`, class shares in leaves.
+"""Base of the learners that grow one tree: checks of the data, predictions through `tree_`, class shares in leaves.
 
 The learners of several labels at once, networks and linear models, are built on `otr.learners.base.tree_per_label`.
 """

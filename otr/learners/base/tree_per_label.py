@@ -62,7 +62,7 @@ class TreeLearner(BaseEstimator, ABC):  # type: ignore[misc]
 
     @abstractmethod
     def _problem(self, X: ArrayLike, y: ArrayLike, validation: Validation) -> Problem:
-        """Return the problem after the checks at the door, and set what they find, such as `classes_`."""
+        """Check the data, set what follows from it, such as `classes_`, and return the problem."""
 
     @abstractmethod
     def _fit_problem(self, problem: Problem) -> None:

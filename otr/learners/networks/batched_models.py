@@ -98,7 +98,7 @@ class BatchedModels(ABC, Generic[Network]):
     Attributes:
         loss: of all models.
         parameters: all there are; their label axis has one entry if labels share their parameters.
-        shares_labels: whether they do; then one epoch is kept for all labels of a seed.
+        shares_labels: whether labels share their parameters; then one epoch is kept for all labels of a seed.
     """
 
     loss: Loss

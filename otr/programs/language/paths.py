@@ -103,7 +103,7 @@ class GrowingTree:
         return next((side == 0 for side in sides if side is not None), None)
 
     def _side(self, node: int, slot: Slot) -> int | None:
-        """Return the side of `node` that a slot hangs on, or None if it is not below that node."""
+        """Return the side of `node` that a slot is below, or None if it is not below that node."""
         depth = self._depth[node]
         while slot[0] >= 0 and self._depth[slot[0]] > depth:
             jump = self._jump[slot[0]]

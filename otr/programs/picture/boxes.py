@@ -38,7 +38,7 @@ class NodeBox:
     kind: Literal["test", "leaf", "subtree"]
     title: str  # a line above the rows, such as a label; may be empty
     rows: tuple[FormulaRow, ...]  # lines of a formula
-    n_rows: int | None  # rows of data that reach the box; None where nobody counted
+    n_rows: int | None  # rows of data that reach the box; None without counts
     children: tuple[int, ...] = ()  # indices of the boxes on the left and the right, or none
     label: int | None = None
 

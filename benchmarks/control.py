@@ -23,7 +23,7 @@ from torch import nn
 
 from benchmarks.measure import Entry, alternate, repeats_for
 from otr.control import AugTreeFit, CartFit, DaggerSettings, RelaxedProgram, SoftTree, run_dagger
-from otr.control.dagger.loop import Fit
+from otr.control.dagger.loop import TreeFit
 from pipelines.config.env import EnvConfig
 from pipelines.engine.seeding import episode_seeds
 from pipelines.play.actor_files import load_actor
@@ -78,7 +78,7 @@ def _dagger_runs(quick: bool) -> list[Entry]:
     settings = DaggerSettings(2, 3, 3, 6) if quick else DaggerSettings()
     oracle = load_actor(ORACLE)
     entries = []
-    fits: dict[str, Fit] = {"AugTree": AugTreeFit(oracle, 3), "VIPER": CartFit(3)}
+    fits: dict[str, TreeFit] = {"AugTree": AugTreeFit(oracle, 3), "VIPER": CartFit(3)}
     for name, fit in fits.items():
         played_s = 0.0
 

@@ -31,17 +31,10 @@ for job in RUN.jobs(RUN.expand(sys.argv[1:], multirun=True)):
 def measure(quick: bool) -> list[Entry]:
     """Return the entries; quick does three jobs once instead of ten three times over."""
     n_jobs, rounds = (3, 1) if quick else (10, 3)
-<<<<<<< HEAD
-    (plan_s,) = alternate(command("otr-plan", "+experiment=table_4_1"), rounds=rounds, clock=time.perf_counter)
-    entries = [Entry("otr-plan of 160 jobs", plan_s, "s", target="value <= 20", clock="wall")]
-    overrides = (*JOB, f"seed=range(0,{n_jobs})")
-    alone = python(JOBS_ALONE, *overrides)
-=======
     (plan_s,) = alternate(command("otr-plan", "+experiment=table_4_1"), rounds=rounds, clock=children_s)
     entries = [Entry("otr-plan of 560 jobs", plan_s, "s", target="value <= 10")]
     words = (*JOB, f"seed=range(0,{n_jobs})")
     alone = python(JOBS_ALONE, *words)
->>>>>>> fa74868 (benchmarks sweeps: the table has 560 jobs, and their plan is measured in CPU seconds)
     for launcher in ("basic", "joblib"):
         one_at_a_time = ["hydra.launcher.n_jobs=1"] * (launcher == "joblib")
         sweep = command("otr-run", "-m", *overrides, f"launcher={launcher}", *one_at_a_time)

@@ -1,9 +1,9 @@
 """Sweeps: the time to compose a table's 560 jobs, and what a launcher adds to each job.
 
-The plan is `otr-plan +experiment=table_4_1` with no run done, in CPU seconds, start of the process included. A launcher's overhead is
-the time of a sweep of smoke jobs beyond the same jobs done by `run_job` one after the other in one process, divided by
-their number; one job at a time in both, start of the processes included. Slurm's launcher starts a process for every
-job, without Slurm here: a sweep of one job is compared with the plain `otr-run` of that job.
+The plan is `otr-plan +experiment=table_4_1` with no run done, in CPU seconds, start of the process included. A
+launcher's overhead is the time of a sweep of smoke jobs beyond the same jobs done by `run_job` one after the other in
+one process, divided by their number; one job at a time in both, start of the processes included. Slurm's launcher
+starts a process for every job, without Slurm here: a sweep of one job is compared with the plain `otr-run` of that job.
 
 Target: 560 jobs in at most 10 CPU seconds; at most 2 s a job.
 """

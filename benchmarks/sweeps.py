@@ -33,8 +33,8 @@ def measure(quick: bool) -> list[Entry]:
     n_jobs, rounds = (3, 1) if quick else (10, 3)
     (plan_s,) = alternate(command("otr-plan", "+experiment=table_4_1"), rounds=rounds, clock=children_s)
     entries = [Entry("otr-plan of 560 jobs", plan_s, "s", target="value <= 10")]
-    words = (*JOB, f"seed=range(0,{n_jobs})")
-    alone = python(JOBS_ALONE, *words)
+    overrides = (*JOB, f"seed=range(0,{n_jobs})")
+    alone = python(JOBS_ALONE, *overrides)
     for launcher in ("basic", "joblib"):
         one_at_a_time = ["hydra.launcher.n_jobs=1"] * (launcher == "joblib")
         sweep = command("otr-run", "-m", *overrides, f"launcher={launcher}", *one_at_a_time)

@@ -17,8 +17,8 @@ from pipelines.config.setting import (
     FreeText,
     OneOf,
     OnlyWhere,
+    Range,
     Seed,
-    Width,
     check_settings,
     keyed_settings,
 )
@@ -35,6 +35,8 @@ from pipelines.config.stages import (
 from pipelines.config.trainer import FleetConfig, TrainerConfig
 from pipelines.engine.digests import differences_suffix
 from pipelines.errors import ConfigError
+
+OracleWidth = Annotated[int, Range(1, remedy="give the hidden layers of the network to imitate, as oracle=[256,256]")]
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,9 @@ class RunConfig:
     simplify: Annotated[bool, EXECUTION] = False  # whether to do a further stage, a shorter program
     tracking: Annotated[str, OneOf("none", "tensorboard", "mlflow"), EXECUTION] = "none"  # where the run is logged, too
     # Hidden widths of the network that is imitated
-    oracle: Annotated[list[Width], OnlyWhere("imitates")] = field(default_factory=lambda: [256, 256])
+    oracle: Annotated[list[Annotated[int, Range(1, remedy=ORACLE)]], OnlyWhere("imitates")] = field(
+        default_factory=lambda: [256, 256]
+    )
     imitate: Annotated[ImitateConfig, OnlyWhere("imitates")] = field(default_factory=ImitateConfig)
     certification: CertificationConfig = field(default_factory=CertificationConfig)
     simplification: SimplificationConfig = field(default_factory=SimplificationConfig)

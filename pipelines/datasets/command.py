@@ -4,6 +4,7 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,7 @@ def main(given: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(
         "otr-data", description=HELP, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
     )
+    parser.add_argument("--version", action="version", version=f"otr-data {version('otr')}")
     parser.add_argument("names", nargs="*", metavar="NAME", help="data sets, as above")
     parser.add_argument("--list", action="store_true", help="say which data sets are there; fetch nothing")
     parser.add_argument(

@@ -235,7 +235,8 @@ def fit_settings(config: FitConfig) -> dict[str, Any]:
     method = {
         key: value for key, value in keyed_settings(config.method).items() if key == "learner" or key not in TUNING
     }
-    return config.settings() | {"method": method}
+    settings = config.settings()
+    return {"data": settings["data"], "seed": settings["seed"], "method": method}
 
 
 def fit_folder(config: FitConfig, baseline: FitConfig) -> str:

@@ -22,7 +22,7 @@ JOB = ("env=pendulum", "depth=1", "budget=smoke", "n_workers=1")
 JOBS_ALONE = """
 import sys
 from pipelines.cli.runs import RUN
-from pipelines.stages.run_job import run_job
+from pipelines.runs.run_job import run_job
 for job in RUN.jobs(RUN.expand(sys.argv[1:], multirun=True)):
     run_job(job)
 """

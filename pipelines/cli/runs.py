@@ -20,8 +20,8 @@ from pipelines.config.setting import not_keyed
 from pipelines.config.trainer import TRAINERS, FleetConfig, TrainerConfig
 from pipelines.engine.store import corrupt
 from pipelines.errors import ConfigError
+from pipelines.runs.run_job import RunJob, run_job, run_jobs
 from pipelines.stages.parse import policy_tree, read_program
-from pipelines.stages.run_job import RunJob, run_job, run_jobs
 from pipelines.stages.train import fleets
 from pipelines.tracking.tracker import check_tracking
 

@@ -65,9 +65,7 @@ class RunConfig:
     simplify: Annotated[bool, EXECUTION] = False  # whether to do a further stage, a shorter program
     tracking: Annotated[str, OneOf("none", "tensorboard", "mlflow"), EXECUTION] = "none"  # where the run is logged, too
     # Hidden widths of the network that is imitated
-    oracle: Annotated[list[Annotated[int, Range(1, remedy=ORACLE)]], OnlyWhere("imitates")] = field(
-        default_factory=lambda: [256, 256]
-    )
+    oracle: Annotated[list[OracleWidth], OnlyWhere("imitates")] = field(default_factory=lambda: [256, 256])
     imitate: Annotated[ImitateConfig, OnlyWhere("imitates")] = field(default_factory=ImitateConfig)
     certification: CertificationConfig = field(default_factory=CertificationConfig)
     simplification: SimplificationConfig = field(default_factory=SimplificationConfig)

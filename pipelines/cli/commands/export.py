@@ -6,7 +6,7 @@ import sys
 from pipelines.cli.compose import Composer, to_object
 from pipelines.cli.overrides import path_quoted
 from pipelines.cli.runs import load_config
-from pipelines.report.export import ExportConfig, check_export, find_run, program_of, write_program
+from pipelines.runs.export import ExportConfig, check_export, find_run, program_of, write_program
 
 EXPORT = Composer("export", {(None, "export_schema"): ExportConfig})
 

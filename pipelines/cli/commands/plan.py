@@ -5,8 +5,8 @@ import argparse
 from pipelines.cli.jobs_file import how_to_use, write_jobs
 from pipelines.cli.overrides import with_path_quoted
 from pipelines.cli.runs import RUN
-from pipelines.report.plan import print_plan
-from pipelines.stages.run_job import RunJob
+from pipelines.runs.plan import print_plan
+from pipelines.runs.run_job import RunJob
 
 
 def do(arguments: argparse.Namespace) -> int:

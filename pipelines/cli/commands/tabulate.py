@@ -15,7 +15,7 @@ from pipelines.config.budget import BudgetConfig
 from pipelines.config.setting import Count, Folder, FreeText, check_settings
 from pipelines.engine.digests import differences_suffix
 from pipelines.errors import ConfigError, MissingInputError
-from pipelines.report.replay import replay
+from pipelines.runs.replay import replay
 
 if TYPE_CHECKING:
     from pipelines.report.figure_4_6 import Planned

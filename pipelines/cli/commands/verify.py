@@ -5,8 +5,8 @@ import argparse
 from pipelines.cli.compose import Composer, to_object
 from pipelines.cli.overrides import path_quoted
 from pipelines.cli.runs import load_config
-from pipelines.report.export import find_run
-from pipelines.report.verify import VerifyConfig, verify_run
+from pipelines.runs.export import find_run
+from pipelines.runs.verify import VerifyConfig, verify_run
 
 VERIFY = Composer("verify", {(None, "verify_schema"): VerifyConfig})
 

@@ -16,7 +16,7 @@ from hydra.core.global_hydra import GlobalHydra
 from pipelines.cli.jobs_file import job_command
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.engine.store import read_json
-from pipelines.stages.run_job import RunJob
+from pipelines.runs.run_job import RunJob
 from tests.pipelines.conftest import otr_command, otr_program
 from tests.pipelines.sweeps import PROGRAMS, STAGES, THREE, children, digests, start, times_made, wait_for
 

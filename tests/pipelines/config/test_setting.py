@@ -32,8 +32,8 @@ from pipelines.config.setting import (
 )
 from pipelines.config.trainer import TRAINERS
 from pipelines.errors import ConfigError
-from pipelines.report.export import ExportConfig
-from pipelines.report.verify import VerifyConfig
+from pipelines.runs.export import ExportConfig
+from pipelines.runs.verify import VerifyConfig
 from pipelines.supervised.config import LEARNERS, DataConfig, FitConfig
 
 RUN_PARTS = {"algo": ALGORITHMS, "method": METHODS, "trainer": TRAINERS}

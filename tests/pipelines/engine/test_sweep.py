@@ -11,7 +11,7 @@ import pytest
 from pipelines.engine.job import is_done
 from pipelines.engine.sweep import GroupTask, Outcome, check_launcher, run_sweep
 from pipelines.errors import ConfigError
-from pipelines.stages.run_job import RunJob, run_job, run_jobs
+from pipelines.runs.run_job import RunJob, run_job, run_jobs
 
 
 @pytest.fixture
@@ -25,7 +25,7 @@ def done(monkeypatch):
     """The folders of jobs that count as done, to be added to."""
     folders = set()
     monkeypatch.setattr("pipelines.engine.sweep.is_done", lambda job: job.folder in folders)
-    monkeypatch.setattr("pipelines.stages.run_job.read_json", lambda path: {})
+    monkeypatch.setattr("pipelines.runs.run_job.read_json", lambda path: {})
     return folders
 
 

@@ -16,7 +16,7 @@ import pytest
 from pipelines.config.run import run_folder
 from pipelines.engine.store import read_csv
 from pipelines.errors import ConfigError
-from pipelines.stages.run_job import RunJob, run_job
+from pipelines.runs.run_job import RunJob, run_job
 from pipelines.tracking import tracker as tracking
 from pipelines.tracking.tracker import Tracker, check_tracking
 from tests.pipelines.sweeps import start, wait_for

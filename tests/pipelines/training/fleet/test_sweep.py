@@ -10,7 +10,7 @@ import pytest
 
 from pipelines.engine.stage import run_stage_together
 from pipelines.engine.store import read_json
-from pipelines.stages.run_job import RunJob, run_jobs
+from pipelines.runs.run_job import RunJob, run_jobs
 from pipelines.stages.table import STAGES
 from tests.pipelines.conftest import otr_command
 from tests.pipelines.sweeps import children, digests, start, wait_for

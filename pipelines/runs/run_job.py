@@ -10,9 +10,9 @@ from pipelines.config.methods import EXTRA_STAGES
 from pipelines.engine.job import Job, disk_errors_explained, do_stage, failure, write_summary
 from pipelines.engine.stage import Stage, run_stage_together, stage_status
 from pipelines.engine.store import read_json
+from pipelines.runs.result import show_result
+from pipelines.runs.summary import summarise
 from pipelines.stages.derived import derive, opened_run
-from pipelines.stages.result import show_result
-from pipelines.stages.summary import summarise
 from pipelines.stages.table import stages_of
 from pipelines.stages.train import TRAIN, announce_training, train_together
 from pipelines.tracking.tracker import Tracker

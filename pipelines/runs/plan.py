@@ -7,8 +7,8 @@ from rich.table import Table
 
 from pipelines.engine.console import counted, duration
 from pipelines.engine.stage import stage_status
+from pipelines.runs.run_job import RunJob
 from pipelines.stages import imitate
-from pipelines.stages.run_job import RunJob
 from pipelines.stages.train import seconds_left, trained_steps
 
 

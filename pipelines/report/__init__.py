@@ -1,4 +1,4 @@
-"""Tables, figures, programs and checks from finished runs and fits.
+"""Tables, figures and data frames from finished runs and fits.
 
 `load_runs` and `load_fits` return all of them as data frames; pandas is imported when one of the two is asked for.
 """

@@ -16,7 +16,6 @@ import io
 import time
 from math import comb
 
-import affinitree
 import numpy as np
 import torch
 from torch import nn
@@ -58,6 +57,8 @@ def network_of(*widths: int) -> otr.ReluNetwork:
 
 def affinitree_seconds(network: otr.ReluNetwork) -> tuple[float, int]:
     """Return the CPU seconds that affinitree takes for a network's tree, and the number of its leaves."""
+    import affinitree  # has no wheel for Python 3.13
+
     modules: list[nn.Module] = []
     for W, b in zip(network.weights, network.biases, strict=True):
         linear = nn.Linear(*W.T.shape).double()

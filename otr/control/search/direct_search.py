@@ -1,0 +1,119 @@
+"""Augmented random search (Mania, Guy & Recht 2018): a vector is improved by trying its neighbours, in pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from otr.core.arrays import FloatArray
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """How a vector is searched; step and noise are in the units of its numbers.
+
+    Attributes:
+        n_directions: directions tried an iteration, each forth and back (N).
+        n_top: the best of them, which make the step (b); fewer than all of them is the variant "-t" of the paper.
+        step_size: length of a step along the estimated gradient, whose size is measured in standard deviations of the
+            returns (alpha).
+        noise: length of the directions, a standard deviation a number (nu).
+        step_size_end, noise_end: what is left of the two at the end, as shares; they fall linearly.
+        momentum: weight of the former steps in a step; 0 is the paper's search.
+    """
+
+    n_directions: int = 8
+    n_top: int = 4
+    step_size: float = 0.02
+    noise: float = 0.025
+    step_size_end: float = 1.0
+    noise_end: float = 1.0
+    momentum: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for a number that makes no search."""
+        if not 1 <= self.n_top <= self.n_directions:
+            raise ValueError(f"n_top={self.n_top} of n_directions={self.n_directions}: give 1 <= n_top <= n_directions")
+        for name in ("step_size", "noise"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name}={getattr(self, name)}: give a number above 0")
+        for name in ("step_size_end", "noise_end"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name}={getattr(self, name)}: give a share from 0 to 1")
+        if not 0 <= self.momentum < 1:
+            raise ValueError(f"momentum={self.momentum}: give a number from 0 to below 1")
+
+
+class DirectSearch:
+    """A search for the vector of the greatest return, an iteration at a time: `ask`, play what it gives, `tell`.
+
+    With r_i+ and r_i- the returns of theta + nu delta_i and theta - nu delta_i, for normal directions delta_i:
+
+        theta += alpha / (b sigma) * sum over i of (r_i+ - r_i-) delta_i
+
+    over the b directions with the greatest max(r_i+, r_i-); sigma is the standard deviation of their 2b returns. With
+    momentum mu the step is the weighted mean ``velocity = mu * velocity + (1 - mu) * step`` of the steps so far.
+
+    The directions of an iteration depend on the seed and its number alone, so `centre`, `velocity` and `n_iterations`
+    are all there is to keep.
+
+    Attributes:
+        settings: as given.
+        centre: (D,) float64, where the search is.
+        velocity: (D,), the weighted mean of the steps.
+        n_iterations: how many were told.
+    """
+
+    def __init__(self, centre: ArrayLike, settings: SearchSettings, seed: int) -> None:
+        """Begin at `centre` (D,)."""
+        self.settings = settings
+        self.centre: FloatArray = np.array(centre, dtype=np.float64)
+        self.velocity: FloatArray = np.zeros_like(self.centre)
+        self.n_iterations = 0
+        self._seed = seed
+        self._step_size = settings.step_size
+
+    def ask(self, done: float = 0.0) -> FloatArray:
+        """Return the vectors to try (2 n_directions, D): rows 2i and 2i + 1 are direction i, forth and back.
+
+        Args:
+            done: share of the search that is done, from 0 to 1, by which step and noise fall.
+        """
+        settings = self.settings
+        self._step_size = settings.step_size * _fallen(settings.step_size_end, done)
+        away = settings.noise * _fallen(settings.noise_end, done) * self._directions()
+        return np.stack((self.centre + away, self.centre - away), axis=1).reshape(-1, len(self.centre))
+
+    def tell(self, returns: ArrayLike) -> None:
+        """Make the step that the returns (2 n_directions,) of the vectors asked for suggest; none if all are equal."""
+        pairs = np.asarray(returns, dtype=np.float64).reshape(self.settings.n_directions, 2)
+        top = np.argsort(-pairs.max(axis=1), kind="stable")[: self.settings.n_top]
+        spread = pairs[top].std()
+        step = np.zeros_like(self.centre)
+        if spread > 0:
+            slopes = (pairs[top, 0] - pairs[top, 1]) / (self.settings.n_top * spread)
+            step = self._step_size * (slopes @ self._directions()[top])
+        self.velocity = self.settings.momentum * self.velocity + (1 - self.settings.momentum) * step
+        self.centre = self.centre + self.velocity
+        self.n_iterations += 1
+
+    def state(self) -> dict[str, FloatArray]:
+        """Return what a search that goes on from here needs, as arrays by name."""
+        return {"centre": self.centre, "velocity": self.velocity, "n_iterations": np.array(float(self.n_iterations))}
+
+    def restore(self, state: Mapping[str, FloatArray]) -> None:
+        """Go on from what `state` returned, in a search with the same settings and seed."""
+        self.centre, self.velocity = np.array(state["centre"]), np.array(state["velocity"])
+        self.n_iterations = int(state["n_iterations"])
+
+    def _directions(self) -> FloatArray:
+        """Return the iteration's directions (n_directions, D), the same whenever they are asked for."""
+        generator = np.random.default_rng([self._seed, self.n_iterations])
+        return generator.standard_normal((self.settings.n_directions, len(self.centre)))
+
+
+def _fallen(end: float, done: float) -> float:
+    return 1.0 + (end - 1.0) * min(max(done, 0.0), 1.0)

@@ -15,14 +15,14 @@ from pipelines.config.run import RunConfig
 from pipelines.config.trainer import FleetConfig
 from pipelines.errors import ConfigError
 from pipelines.play.environments import flat_state_size, is_discrete, make_env
+from pipelines.training.environments.backends import EQUAL_IDS, make_vector_env
+from pipelines.training.environments.vector_envs import Autoreset, Step
 from pipelines.training.estimates import learning_starts, segment_steps
-from pipelines.training.fleet.envpool_environments import EQUAL_IDS, EnvPoolVectorEnv
 from pipelines.training.fleet.fleet_run import FleetRun
 from pipelines.training.fleet.progress import FleetProgress
 from pipelines.training.fleet.random_streams import Draws, Streams
 from pipelines.training.fleet.replay_buffer import FleetReplay, RowLayout
 from pipelines.training.fleet.sac import FleetSac, Shapes
-from pipelines.training.fleet.vector_environments import GymnasiumVectorEnv, Step
 
 torch.set_num_threads(1)  # two threads make these small networks a hundred times slower
 
@@ -191,14 +191,11 @@ class _EpisodeSums:
 
 def uses_envpool(env: EnvConfig, fleet: FleetConfig) -> bool:
     """Return whether EnvPool steps an environment: where it is asked for and computes what gymnasium does."""
-    return fleet.environments == "envpool" and env.id in EQUAL_IDS
+    return fleet.environments == "envpool" and env.id in EQUAL_IDS["envpool"]
 
 
-def _vector_env(config: RunConfig, n_envs: int) -> GymnasiumVectorEnv | EnvPoolVectorEnv:
+def _vector_env(config: RunConfig, n_envs: int) -> Autoreset:
     """Return the environments of a run's fleet, side by side."""
     assert config.fleet is not None
-    if not uses_envpool(config.env, config.fleet):
-        return GymnasiumVectorEnv(config.env, n_envs, rescale_inputs=config.actor.rescale_inputs)
-    if config.actor.rescale_inputs:
-        raise ConfigError("actor.rescale_inputs=true: the states of EnvPool's environments have no bounds")
-    return EnvPoolVectorEnv(config.env, n_envs)
+    environments = "envpool" if uses_envpool(config.env, config.fleet) else "gymnasium"
+    return Autoreset(make_vector_env(config.env, n_envs, environments, rescale_inputs=config.actor.rescale_inputs))

@@ -12,8 +12,9 @@ from scipy.stats import ks_2samp
 from pipelines.config.env import EnvConfig
 from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import make_env
-from pipelines.training.fleet.envpool_environments import EQUAL_IDS, EnvPoolVectorEnv, make_pool
-from pipelines.training.fleet.vector_environments import GymnasiumVectorEnv, Step
+from pipelines.training.environments.envpool_envs import EQUAL_IDS, EnvPoolVectorEnv, make_pool
+from pipelines.training.environments.gymnasium_envs import GymnasiumVectorEnv
+from pipelines.training.environments.vector_envs import Autoreset, Step
 
 pytest.importorskip("envpool", reason="the extra fleet is not installed; make test-all installs it")
 
@@ -139,7 +140,11 @@ def actions_of(n_envs: int, n_components: int, n_steps: int, first: int = 0) -> 
     return np.stack([g.uniform(-1, 1, (n_steps, n_components)) for g in generators], axis=1).astype(np.float32)
 
 
-def play(envs: EnvPoolVectorEnv | GymnasiumVectorEnv, seeds: list[int], actions: np.ndarray) -> tuple[np.ndarray, Step]:
+def autoreset(env: EnvConfig, n_envs: int) -> Autoreset:
+    return Autoreset(EnvPoolVectorEnv(env, n_envs))
+
+
+def play(envs: Autoreset, seeds: list[int], actions: np.ndarray) -> tuple[np.ndarray, Step]:
     first = envs.reset(seeds)
     steps = [envs.step(row) for row in actions]
     return first, Step(*(np.stack(parts) for parts in zip(*steps, strict=True)))
@@ -148,7 +153,7 @@ def play(envs: EnvPoolVectorEnv | GymnasiumVectorEnv, seeds: list[int], actions:
 def test_no_step_is_lost_to_a_reset():
     """Every environment plays what one alone plays that is reset by hand where it fell."""
     seeds, actions = [7, 3, 2**32 - 1, 8], actions_of(4, 3, 90)
-    first, steps = play(EnvPoolVectorEnv(config("Hopper-v4"), 4), seeds, actions)
+    first, steps = play(autoreset(config("Hopper-v4"), 4), seeds, actions)
     assert [part.dtype for part in (first, *steps)] == [np.float32, np.float32, np.float32, bool, bool, np.float32]
     for i, seed in enumerate(seeds):
         pool = make_pool("Hopper-v4", [seed])
@@ -168,7 +173,7 @@ def test_no_step_is_lost_to_a_reset():
 def test_an_environment_alone_is_the_same_among_others():
     seeds = [5, 6, 2**31 + 1]
     actions = actions_of(3, 6, 60)
-    together = EnvPoolVectorEnv(config("Walker2d-v5"), 3)
+    together = autoreset(config("Walker2d-v5"), 3)
     first, steps = play(together, seeds, actions)
     play(together, [1, 1, 1], actions[:9])
     again, repeated = play(together, seeds, actions)
@@ -176,7 +181,7 @@ def test_an_environment_alone_is_the_same_among_others():
     np.testing.assert_array_equal(first, again)
     assert steps.terminated.sum() >= 3
     for i, seed in enumerate(seeds):
-        alone = EnvPoolVectorEnv(config("Walker2d-v5"), 1)
+        alone = autoreset(config("Walker2d-v5"), 1)
         start, single = play(alone, [seed], actions[:, i : i + 1])
         np.testing.assert_array_equal(start[0], first[i])
         for name in Step._fields:
@@ -196,7 +201,7 @@ def test_time_limit_is_gymnasiums(env_id):
     actions = actions_of(2, n_components, 15 if falls else limit + 1)
     flags = []
     for backend in (GymnasiumVectorEnv, EnvPoolVectorEnv):
-        envs = backend(one, 2)
+        envs = Autoreset(backend(one, 2))
         play(envs, [5, 6], actions[:3])  # a new start counts from 0 again
         _, steps = play(envs, [1, 2], actions)
         flags.append(np.flatnonzero(steps.truncated.all(axis=1)).tolist())
@@ -209,16 +214,16 @@ def test_time_limit_is_gymnasiums(env_id):
 def test_terminal_state_at_the_time_limit_is_both():
     """EnvPool's own time limit would say truncated alone, and a value would be taken where there is none."""
     actions = actions_of(1, 3, 90)
-    _, steps = play(EnvPoolVectorEnv(config("Hopper-v4"), 1), [1], actions)
+    _, steps = play(autoreset(config("Hopper-v4"), 1), [1], actions)
     last = int(np.argmax(steps.terminated[:, 0]))
-    limited = EnvPoolVectorEnv(config("Hopper-v4", max_episode_steps=last + 1), 1)
+    limited = autoreset(config("Hopper-v4", max_episode_steps=last + 1), 1)
     _, steps = play(limited, [1], actions[: last + 1])
     assert steps.terminated[last, 0] and steps.truncated[last, 0]
     assert steps.terminated.sum() == steps.truncated.sum() == 1
 
 
 def test_steps_are_the_callers_to_keep():
-    envs = EnvPoolVectorEnv(config("Hopper-v4"), 2)
+    envs = autoreset(config("Hopper-v4"), 2)
     envs.reset([1, 2])
     step = envs.step(np.zeros((2, 3), np.float32))
     kept = [part.copy() for part in step]

@@ -10,8 +10,9 @@ from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.play.environments import make_env
-from pipelines.training.fleet.envpool_environments import EQUAL_IDS, EnvPoolVectorEnv
-from pipelines.training.fleet.vector_environments import GymnasiumVectorEnv, Step
+from pipelines.training.environments.envpool_envs import EQUAL_IDS, EnvPoolVectorEnv
+from pipelines.training.environments.gymnasium_envs import GymnasiumVectorEnv
+from pipelines.training.environments.vector_envs import Autoreset, Step
 
 HOPPER = EnvConfig("hopper", "hopper", "Hopper-v4")
 PENDULUM = EnvConfig("pendulum", "pendulum", "Pendulum-v1", {"max_episode_steps": 5})
@@ -25,7 +26,11 @@ def actions_of(n_envs: int, n_components: int, first: int = 0) -> np.ndarray:
     return np.stack([g.uniform(-1, 1, (N_STEPS, n_components)) for g in generators], axis=1).astype(np.float32)
 
 
-def play(envs: GymnasiumVectorEnv, seeds: list[int], actions: np.ndarray) -> tuple[np.ndarray, Step]:
+def autoreset(config: EnvConfig, n_envs: int, *, rescale_inputs: bool = False) -> Autoreset:
+    return Autoreset(GymnasiumVectorEnv(config, n_envs, rescale_inputs=rescale_inputs))
+
+
+def play(envs: Autoreset, seeds: list[int], actions: np.ndarray) -> tuple[np.ndarray, Step]:
     """Return the first states, and the steps stacked along a new first axis."""
     first = envs.reset(seeds)
     steps = [envs.step(row) for row in actions]
@@ -52,7 +57,7 @@ def loop(config: EnvConfig, seed: int, actions: np.ndarray) -> tuple[np.ndarray,
 
 def test_every_environment_is_gymnasiums_own():
     seeds, actions = [7, 3, 3, 2**32 - 1, 8], actions_of(5, 3)
-    envs = GymnasiumVectorEnv(HOPPER, 5)
+    envs = autoreset(HOPPER, 5)
     first, steps = play(envs, seeds, actions)
     envs.close()
     assert [part.dtype for part in steps] == [np.float32, np.float32, bool, bool, np.float32]
@@ -63,7 +68,7 @@ def test_every_environment_is_gymnasiums_own():
 
 
 def test_terminal_state_and_first_state_of_the_next_episode():
-    envs = GymnasiumVectorEnv(HOPPER, 3)
+    envs = autoreset(HOPPER, 3)
     _, steps = play(envs, [1, 2, 3], actions_of(3, 3))
     ended = steps.terminated
     # A hopper has fallen below 0.7 or tilted by more than 0.2; it starts within 0.005 of 1.25 and 0.
@@ -78,7 +83,7 @@ def test_terminal_state_and_first_state_of_the_next_episode():
 
 
 def test_time_limit_truncates_and_does_not_terminate():
-    envs = GymnasiumVectorEnv(PENDULUM, 3)
+    envs = autoreset(PENDULUM, 3)
     _, steps = play(envs, [1, 2, 3], actions_of(3, 1)[:12])
     envs.close()
     assert np.flatnonzero(steps.truncated.all(axis=1)).tolist() == [4, 9]
@@ -88,17 +93,17 @@ def test_time_limit_truncates_and_does_not_terminate():
 
 def test_terminal_state_at_the_time_limit_is_both():
     actions = actions_of(1, 3)
-    _, steps = play(GymnasiumVectorEnv(HOPPER, 1), [1], actions)
+    _, steps = play(autoreset(HOPPER, 1), [1], actions)
     last = int(np.argmax(steps.terminated[:, 0]))
     limited = EnvConfig("hopper", "hopper", "Hopper-v4", {"max_episode_steps": last + 1})
-    _, steps = play(GymnasiumVectorEnv(limited, 1), [1], actions[: last + 1])
+    _, steps = play(autoreset(limited, 1), [1], actions[: last + 1])
     assert steps.terminated[last, 0] and steps.truncated[last, 0]
     assert steps.terminated.sum() == steps.truncated.sum() == 1
 
 
 def test_same_seeds_same_trajectory_whatever_was_played_before():
     actions = actions_of(3, 3)
-    envs = GymnasiumVectorEnv(HOPPER, 3)
+    envs = autoreset(HOPPER, 3)
     first = play(envs, [4, 5, 6], actions)
     play(envs, [9, 9, 9], actions[:7])
     assert_same(play(envs, [4, 5, 6], actions), first)
@@ -108,7 +113,7 @@ def test_same_seeds_same_trajectory_whatever_was_played_before():
 
 @pytest.mark.parametrize(("config", "n_components"), [(HOPPER, 3), (PENDULUM, 1)], ids=["float64", "float32"])
 def test_steps_are_the_callers_to_keep(config, n_components):
-    envs = GymnasiumVectorEnv(config, 2)
+    envs = autoreset(config, 2)
     first = envs.reset([1, 2])
     step = envs.step(np.zeros((2, n_components), np.float32))
     kept = [part.copy() for part in (first, *step)]
@@ -120,8 +125,8 @@ def test_steps_are_the_callers_to_keep(config, n_components):
 
 def test_rescaled_states():
     actions = actions_of(2, 1)
-    plain, steps = play(GymnasiumVectorEnv(CAR, 2), [1, 2], actions)
-    _, scaled = play(GymnasiumVectorEnv(CAR, 2, rescale_inputs=True), [1, 2], actions)
+    plain, steps = play(autoreset(CAR, 2), [1, 2], actions)
+    _, scaled = play(autoreset(CAR, 2, rescale_inputs=True), [1, 2], actions)
     low, high = np.array([-1.2, -0.07]), np.array([0.6, 0.07])
     for name in ("next_states", "states"):
         expected = 2 * (getattr(steps, name) - low) / (high - low) - 1
@@ -130,8 +135,6 @@ def test_rescaled_states():
 
 
 def test_refusals_name_what_is_wrong():
-    with pytest.raises(ConfigError, match=r"LunarLander-v3: actions are labels"):
-        GymnasiumVectorEnv(EnvConfig("lunarlander", "lunarlander", "LunarLander-v3"), 2)
     with pytest.raises(ConfigError, match="Nothing-v0"):
         GymnasiumVectorEnv(EnvConfig("nothing", "nothing", "Nothing-v0"), 2)
     with pytest.raises(ConfigError, match="Hopper-v4 have no bounds"):

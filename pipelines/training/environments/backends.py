@@ -1,0 +1,39 @@
+"""The implementations of environments by name, and what each was compared for."""
+
+from pipelines.config.env import EnvConfig
+from pipelines.errors import ConfigError
+from pipelines.training.environments import classic_control, envpool_envs
+from pipelines.training.environments.classic_control import ClassicControlVectorEnv
+from pipelines.training.environments.envpool_envs import EnvPoolVectorEnv
+from pipelines.training.environments.gymnasium_envs import GymnasiumVectorEnv
+from pipelines.training.environments.vector_envs import VectorEnv
+
+# The ids that each implementation beside gymnasium's own computes as gymnasium does
+EQUAL_IDS = {"envpool": envpool_envs.EQUAL_IDS, "numpy": classic_control.EQUAL_IDS}
+ENVIRONMENTS = ("gymnasium", *EQUAL_IDS)
+
+
+def make_vector_env(env: EnvConfig, n_envs: int, environments: str, *, rescale_inputs: bool = False) -> VectorEnv:
+    """Return environments side by side.
+
+    Args:
+        env: which one.
+        n_envs: how many, 1 or more.
+        environments: who computes them, of ENVIRONMENTS.
+        rescale_inputs: whether states are rescaled from their box to [-1, 1].
+
+    Raises:
+        ConfigError: `environments` was not compared with gymnasium for this one; the message names those it was.
+        PipelineError: a package is missing.
+    """
+    if environments not in ENVIRONMENTS:
+        raise ConfigError(f"environments={environments}: use one of {', '.join(ENVIRONMENTS)}")
+    if environments == "gymnasium":
+        return GymnasiumVectorEnv(env, n_envs, rescale_inputs=rescale_inputs)
+    if env.id not in EQUAL_IDS[environments]:
+        raise ConfigError(
+            f"environments={environments}: {env.id} is not among those that were compared with gymnasium's "
+            f"({', '.join(EQUAL_IDS[environments])}); use environments=gymnasium"
+        )
+    kind = EnvPoolVectorEnv if environments == "envpool" else ClassicControlVectorEnv
+    return kind(env, n_envs, rescale_inputs=rescale_inputs)

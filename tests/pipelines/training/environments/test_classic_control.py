@@ -1,0 +1,103 @@
+"""The plants in numpy against gymnasium's environments: the same seeds and actions give the same episodes."""
+
+import numpy as np
+import pytest
+
+from pipelines.config.env import EnvConfig
+from pipelines.training.environments.classic_control import EQUAL_IDS, ClassicControlVectorEnv
+from pipelines.training.environments.gymnasium_envs import GymnasiumVectorEnv
+from pipelines.training.environments.vector_envs import Outcome
+
+N_ENVS = 20
+SEEDS = [2**32 - 1, *range(N_ENVS - 1)]
+# gymnasium squares the torque by powf, which rounds one of a thousand squares to the neighbouring float32.
+REWARD_DIFFERENCE = {"Pendulum-v1": 5e-10, "MountainCarContinuous-v0": 0.0}
+LIMIT = {"Pendulum-v1": 2.0, "MountainCarContinuous-v0": 1.0}
+
+
+def config(env_id: str, **kwargs: object) -> EnvConfig:
+    return EnvConfig(env_id, env_id, env_id, kwargs)
+
+
+def assert_same(ours: Outcome, theirs: Outcome, reward_difference: float) -> None:
+    for part, expected in zip(ours, theirs, strict=True):
+        assert part.dtype == expected.dtype and part.shape == expected.shape
+    np.testing.assert_array_equal(ours.states, theirs.states)
+    np.testing.assert_array_equal(ours.terminated, theirs.terminated)
+    np.testing.assert_array_equal(ours.truncated, theirs.truncated)
+    assert np.abs(ours.rewards - theirs.rewards).max() <= reward_difference
+
+
+@pytest.mark.parametrize("env_id", EQUAL_IDS)
+@pytest.mark.parametrize("rescale_inputs", [False, True], ids=["plain", "rescaled"])
+def test_episodes_are_gymnasiums(env_id, rescale_inputs):
+    """Actions are random, beyond their limits and at them; half of the cars push along to reach the goal."""
+    theirs = GymnasiumVectorEnv(config(env_id), N_ENVS, rescale_inputs=rescale_inputs)
+    ours = ClassicControlVectorEnv(config(env_id), N_ENVS, rescale_inputs=rescale_inputs)
+    states = theirs.reset(SEEDS)
+    first = ours.reset(SEEDS)
+    assert first.dtype == np.float32
+    np.testing.assert_array_equal(first, states)
+    generator, limit = np.random.default_rng(0), LIMIT[env_id]
+    n_terminated = n_truncated = 0
+    for t in range(1500):
+        actions = generator.uniform(-1.5 * limit, 1.5 * limit, (N_ENVS, 1)).astype(np.float32)
+        actions[::2] = np.sign(states[::2, -1:]) * np.abs(actions[::2])
+        actions[t % N_ENVS] = limit
+        expected = theirs.step(actions)
+        assert_same(ours.step(actions), expected, REWARD_DIFFERENCE[env_id])
+        states = expected.states
+        ended = np.flatnonzero(expected.terminated | expected.truncated)
+        n_terminated += expected.terminated.sum()
+        n_truncated += expected.truncated.sum()
+        if len(ended):
+            np.testing.assert_array_equal(ours.restart(ended), theirs.restart(ended))
+    if env_id == "Pendulum-v1":
+        assert (n_terminated, n_truncated) == (0, 7 * N_ENVS)
+    else:
+        assert n_terminated >= 50 and n_truncated >= 5
+
+
+def test_the_cars_wall_and_its_first_step():
+    """At the wall the velocity is zero; a first step is computed in float64, with a force at its limit or within."""
+    theirs, ours = (kind(config(EQUAL_IDS[0]), 400) for kind in (GymnasiumVectorEnv, ClassicControlVectorEnv))
+    assert EQUAL_IDS[0].startswith("MountainCar")
+    np.testing.assert_array_equal(ours.reset(range(400)), theirs.reset(range(400)))
+    generator, at_wall = np.random.default_rng(1), 0
+    for _ in range(3):
+        actions = generator.uniform(-2, 2, (400, 1)).astype(np.float32)
+        assert_same(ours.step(actions), theirs.step(actions), 0.0)
+    ours, theirs = (kind(config(EQUAL_IDS[0]), 4) for kind in (ClassicControlVectorEnv, GymnasiumVectorEnv))
+    states = theirs.reset([1, 2, 3, 4])
+    ours.reset([1, 2, 3, 4])
+    for _ in range(600):
+        push = np.where(states[:, 0] > -0.3, -1, np.sign(states[:, 1]))  # swings, but never up the hill of the goal
+        expected = theirs.step(push[:, None].astype(np.float32))
+        assert_same(ours.step(push[:, None].astype(np.float32)), expected, 0.0)
+        states = expected.states
+        at_wall += (states == np.float32([-1.2, 0])).all(axis=1).sum()
+    assert at_wall >= 4
+
+
+def test_ten_thousand_pendulums_of_few_seeds():
+    envs = ClassicControlVectorEnv(config("Pendulum-v1", max_episode_steps=2), 10_000)
+    seeds = np.arange(10_000) % 16
+    states = envs.reset(seeds)
+    np.testing.assert_array_equal(states, states[:16][seeds])
+    alone = ClassicControlVectorEnv(config("Pendulum-v1", max_episode_steps=2), 1)
+    alone.reset([3])
+    for _ in range(20):
+        states, expected = envs.next_episodes(), alone.next_episodes()
+        np.testing.assert_array_equal(states[3::16], np.repeat(expected, 625, axis=0))
+    assert not envs.step(np.zeros((10_000, 1), np.float32)).truncated.any()
+    assert envs.step(np.zeros((10_000, 1), np.float32)).truncated.all()
+
+
+def test_environments_far_apart_in_episodes():
+    """One that has had many more episodes than the others draws ahead, and the others still have theirs."""
+    ours, theirs = (kind(config("Pendulum-v1"), 3) for kind in (ClassicControlVectorEnv, GymnasiumVectorEnv))
+    ours.reset([1, 1, 2])
+    theirs.reset([1, 1, 2])
+    for k in range(60):
+        envs = np.array([[0], [0, 2], [1]][k % 3 if k < 30 else k % 2])
+        np.testing.assert_array_equal(ours.restart(envs), theirs.restart(envs), err_msg=str(k))

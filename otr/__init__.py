@@ -18,6 +18,8 @@ from otr.extras import lazy_exports
 # The alias says to type checkers that the name is public.
 # isort: off
 if TYPE_CHECKING:
+    from otr.control.search.direct_search import SearchSettings as SearchSettings
+    from otr.control.search.polish import polish as polish
     from otr.core.domain import Domain as Domain
     from otr.core.head import Head as Head
     from otr.core.heads import (
@@ -75,6 +77,8 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _NAMES_OF_MODULES = {
+    "control.search.direct_search": "SearchSettings",
+    "control.search.polish": "polish",
     "core.domain": "Domain",
     "core.head": "Head",
     "core.heads": "Argmax ClipBox Identity PidBox Sign TanhBox head_from_dict",

@@ -54,6 +54,10 @@ class Head(ABC):
         """Return how many numbers, or labels, are named in a printed answer."""
         return n_outputs
 
+    def n_terms(self, n_outputs: int) -> int:
+        """Return how many of the first outputs are terms that the others weigh (`PidBox`); 0 for all other heads."""
+        return 0
+
     def n_labels(self, n_outputs: int) -> int:
         """Return how many labels there are, where the answers are labels."""
         return self.n_answers(n_outputs)

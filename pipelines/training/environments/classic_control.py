@@ -1,9 +1,10 @@
 """Pendulum-v1 and MountainCarContinuous-v0 in numpy: thousands of environments in one array operation.
 
 The equations are gymnasium's (1.4.0, `gymnasium/envs/classic_control`), operation by operation and type by type, with
-float32 actions: states, rewards and ends are the same to the last bit where numpy's sine of an array is its sine of a
-number, as it is on the processors that were tried. `tests/pipelines/training/environments/test_classic_control.py`
-plays both.
+float32 actions. States and ends are the same to the last bit, and so are the car's rewards, where numpy's sine of an
+array is its sine of a number, as on the processors that were tried. The pendulum's rewards are equal to 5e-10:
+gymnasium squares the torque by powf, which rounds one of a thousand squares to the neighbouring float32.
+`tests/pipelines/training/environments/test_classic_control.py` plays both.
 """
 
 from collections.abc import Callable, Sequence

@@ -10,7 +10,6 @@ from pipelines.training.environments.vector_envs import Outcome
 
 N_ENVS = 20
 SEEDS = [2**32 - 1, *range(N_ENVS - 1)]
-# gymnasium squares the torque by powf, which rounds one of a thousand squares to the neighbouring float32.
 REWARD_DIFFERENCE = {"Pendulum-v1": 5e-10, "MountainCarContinuous-v0": 0.0}
 LIMIT = {"Pendulum-v1": 2.0, "MountainCarContinuous-v0": 1.0}
 

@@ -13,6 +13,7 @@ from pipelines.cli.overrides import key_of
 from pipelines.cli.workflow import Workflow, columns_spelt_out
 from pipelines.config.algo import ALGORITHMS, ArsConfig
 from pipelines.config.budget import BudgetConfig
+from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import EnvConfig
 from pipelines.config.methods import METHODS, MethodConfig, ProgramConfig
 from pipelines.config.run import RunConfig, run_folder
@@ -71,6 +72,14 @@ class RunWorkflow(Workflow):
         """Return the overrides that the choice of the method and the algorithm implies."""
         given = dict(override.split("=", 1) for override in overrides if "=" in override)
         return METHODS.get(given.get("method", "otr"), MethodConfig).implied(given)
+
+    def compose(self, overrides: Sequence[str]) -> DictConfig:
+        """Compose, with an environment's own settings of direct search in place of the general ones."""
+        env = next((override for override in reversed(overrides) if override.startswith("env=")), "").partition("=")[2]
+        own = f"ars_{env}"
+        if (CONF_DIR / "algo" / f"{own}.yaml").is_file():
+            overrides = [f"algo={own}" if override == "algo=ars" else override for override in overrides]
+        return super().compose(overrides)
 
     def _compose(self, overrides: Sequence[str]) -> DictConfig:
         """Compose what differs in the method alone once, and put the method in: its file fills `method` and no more."""

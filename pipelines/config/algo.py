@@ -3,8 +3,23 @@
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-from pipelines.config.setting import AsBefore, Count, FreeText, NotNegative, OneOf, Positive, Range, Share, Text, Width
+from pipelines.config.setting import (
+    EXECUTION,
+    AsBefore,
+    Count,
+    FreeText,
+    NotNegative,
+    OneOf,
+    Positive,
+    Range,
+    Share,
+    Text,
+    Width,
+)
+from pipelines.config.stages import ActorConfig
 from pipelines.errors import ConfigError
+
+MOST_LAYERS, WIDEST_LAYER = 2, 32  # of an actor that is searched
 
 
 @dataclass(frozen=True)
@@ -12,41 +27,75 @@ class AlgoConfig:
     """What every algorithm has."""
 
     name: FreeText
-    learning_rate: Annotated[float, Range(1e-12, 10)]
 
     # Environment steps per second on one core of a 2020s server, evaluations included, measured
     steps_per_s: ClassVar[float]
+
+    @property
+    def training_rate(self) -> float:
+        """The likely environment steps per second on one core."""
+        return self.steps_per_s
 
     @property
     def rollout_steps(self) -> int:
         """The environment steps that training does at least, and in whole multiples."""
         return 1
 
-    def check(self, depth: int | list[int]) -> None:
-        """Raise ConfigError if the algorithm trains no actor of this depth."""
+    def check(self, depth: int | list[int], actor: ActorConfig) -> None:
+        """Raise ConfigError if the algorithm does not train this actor."""
+        if actor.dense != "none":
+            raise ConfigError(f"actor.dense={actor.dense}: algo={self.name} trains layered actors; use algo=ars")
 
 
 @dataclass(frozen=True)
 class ArsConfig(AlgoConfig):
-    """Augmented random search of a linear policy (Mania et al. 2018), under sb3-contrib's names."""
+    """Augmented random search (Mania et al. 2018); see `otr.control.search.direct_search.SearchSettings`.
 
-    n_delta: Count  # directions tried an update, each forth and back: 2 n_delta episodes
-    n_top: Count  # the best of them, which make the step
-    delta_std: Positive  # length of the directions
-    with_bias: bool  # whether the policy has offsets; the original has none and normalises states instead
+    Step and noise are in units of a network that reads normalised states and acts in half widths of the action box.
+    """
 
-    steps_per_s = 10_000.0
+    n_directions: Count
+    n_top: Count
+    step_size: Positive
+    noise: Positive
+    step_size_end: Share
+    noise_end: Share
+    momentum: Annotated[float, Range(0, 1, open=True)]
+    n_episodes: Count  # of each policy that is tried in an iteration
+    # Whether the two policies of a direction, or all of an iteration, start from the same states
+    common_starts: Annotated[str, OneOf("pair", "all")]
+    normalise: bool  # whether states are normalised by what was visited so far, the paper's V2; V1 is without
+    alive_bonus: Annotated[float, Range()]  # taken off every step's reward while searching
+    # Searches of `start_steps` from different networks, of which the best one goes on; 1 for none to choose from
+    n_starts: Count
+    start_steps: Count
+    # Who computes the environments: gymnasium, envpool (an extra) or numpy, for those that were compared with gymnasium
+    environments: Annotated[str, OneOf("gymnasium", "envpool", "numpy")]
+    expected_steps_per_s: Annotated[float, Range(1), EXECUTION]
 
-    def check(self, depth: int | list[int]) -> None:
-        """Refuse hidden neurons."""
-        if depth not in (0, [0]):
-            raise ConfigError(f"algo=ars searches linear policies; depth={depth} has hidden neurons, add depth=0")
+    @property
+    def training_rate(self) -> float:
+        """The likely environment steps per second on one core."""
+        return self.expected_steps_per_s
+
+    def check(self, depth: int | list[int], actor: ActorConfig) -> None:
+        """Refuse networks too large to be searched, and settings that make no search."""
+        widths = [depth] if isinstance(depth, int) else depth
+        if len(widths) > MOST_LAYERS or max(widths) > WIDEST_LAYER:
+            raise ConfigError(
+                f"depth={depth}: algo=ars searches small networks, up to {MOST_LAYERS} layers of {WIDEST_LAYER} neurons"
+            )
+        if self.n_top > self.n_directions:
+            raise ConfigError(f"algo.n_top={self.n_top} is more than algo.n_directions={self.n_directions}")
+        if actor.rescale_inputs:
+            raise ConfigError("actor.rescale_inputs=true: algo=ars normalises states itself; leave it out")
 
 
 @dataclass(frozen=True)
 class GradientConfig(AlgoConfig):
     """What algorithms with critics have: the widths of their hidden layers in `critic`; `weight_decay` is Adam's."""
 
+    learning_rate: Annotated[float, Range(1e-12, 10)]
     batch_size: Count
     gamma: Share
     critic: list[Width]

@@ -20,7 +20,7 @@ class BudgetConfig:
     n_rounds: Annotated[int, Range(0)] = 50
     n_round_episodes: Count = 25
     n_choice_episodes: Annotated[int, Range(0)] = 100
-    # The same for soft trees and augmented random search, whose steps are cheaper and teach less
+    # The same for soft trees, whose steps are cheaper and teach less
     on_policy_steps: dict[str, Count] = field(default_factory=dict)
     # Steps between their evaluations. Training goes on with new episodes after each, in several environments at
     # once, so there have to be enough steps for whole episodes.
@@ -28,3 +28,5 @@ class BudgetConfig:
     # What is spent on PID policies in place of the above: steps, eval_interval_steps, n_selection_episodes and
     # n_evaluation_episodes
     pid: dict[str, Count] = field(default_factory=dict)
+    # What is spent on direct search in place of the above, per task: steps, eval_interval_steps, n_selection_episodes
+    search: dict[str, dict[str, Count]] = field(default_factory=dict)

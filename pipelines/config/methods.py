@@ -16,11 +16,17 @@ from pipelines.config.stages import ActorConfig
 from pipelines.errors import ConfigError
 
 EXTRA_STAGES = ("certify", "simplify")  # after all others, where certify=true or simplify=true asks for them
-# Soft trees and augmented random search learn with other numbers of steps (conf/budget).
+# Soft trees learn with other numbers of steps (conf/budget).
 ON_POLICY_STEPS = [
     'train.steps="${budget.on_policy_steps.${env.task}}"',
     'train.eval_interval_steps="${budget.on_policy_interval_steps}"',
 ]
+# So does direct search, whose actors have a linear map beside their neurons.
+SEARCH_STEPS = [
+    *(f'train.{name}="${{budget.search.${{env.task}}.{name}}}"'
+      for name in ("steps", "eval_interval_steps", "n_selection_episodes")),
+    "actor.dense=input",
+]  # fmt: skip
 Leaves = Annotated[str, OneOf("constant", "linear")]
 Hardness = Annotated[float, Range(1e-6, 1e6)]
 
@@ -45,7 +51,7 @@ class MethodConfig:
     @classmethod
     def implied(cls, given: Mapping[str, str]) -> list[str]:
         """Return the overrides that the choice of this method implies; they stand before those that are given."""
-        return list(ON_POLICY_STEPS) if given.get("algo") == "ars" else []
+        return list(SEARCH_STEPS) if given.get("algo", "").startswith("ars") else []
 
     @property
     def pid_terms(self) -> PidTerms | None:

@@ -86,7 +86,7 @@ class RunConfig:
         self._check_stages()
         self.method.check_depth(self.depth)
         self.method.check(self.algo, self.actor, self.oracle)
-        self.algo.check(self.depth)
+        self.algo.check(self.depth, self.actor)
         if self.fleet:
             self.fleet.check(self.algo)
 
@@ -117,9 +117,11 @@ class RunConfig:
 
     @property
     def trainer_name(self) -> str:
-        """Who trains this run: `sb3`, the fleet's name, or `none` for a program."""
+        """Who trains this run: `sb3`, the fleet's name, `search`, or `none` for a program."""
         if not self.method.is_trained:
             return "none"
+        if isinstance(self.algo, ArsConfig):
+            return "search"
         return self.fleet.name if self.fleet else "sb3"
 
     @property

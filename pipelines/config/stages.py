@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Annotated
 
-from pipelines.config.setting import AsBefore, Count, NotNegative, Range, Seed
+from pipelines.config.setting import AsBefore, Count, NotNegative, OneOf, Range, Seed
 
 
 @dataclass(frozen=True)
@@ -14,6 +14,8 @@ class ActorConfig:
     # Train on states rescaled from the environment's box to [-1, 1]; the rescaling is affine and is folded into the
     # first layer afterwards, so the program reads the environment's own states
     rescale_inputs: Annotated[bool, AsBefore(False)] = False
+    # "input": a linear map of the state beside the neurons (dense links, Orfanos 2023, Corollary 1); "none" is without
+    dense: Annotated[str, OneOf("none", "input"), AsBefore("none")] = "none"
 
 
 @dataclass(frozen=True)

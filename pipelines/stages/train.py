@@ -1,4 +1,4 @@
-"""Stage train: the actor, the best of its evaluations, by Stable-Baselines3 or together with others in a fleet."""
+"""Stage train: the actor, the best of its evaluations, by Stable-Baselines3, in a fleet, or by direct search."""
 
 import itertools
 import shutil
@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from pipelines.config.algo import ArsConfig
 from pipelines.config.run import RunConfig
 from pipelines.engine.console import duration
 from pipelines.engine.digests import digest
@@ -42,6 +43,10 @@ def train(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
         (error,) = train_together([inputs], [config], [out])
         if error is not None:
             raise error
+    elif isinstance(config.algo, ArsConfig):
+        from pipelines.training.search.train import train_by_search  # imports gymnasium
+
+        train_by_search(config, checkpoint_folder(config), out)
     else:
         from pipelines.training.sb3_training import train_by_sb3  # imports torch
 

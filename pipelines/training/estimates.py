@@ -27,7 +27,7 @@ def estimated_seconds(config: RunConfig, done: int) -> float:
 
 def training_rate(config: RunConfig) -> float:
     """Return the likely environment steps per second on one core, of a run or of all runs of a fleet together."""
-    return FLEET_STEPS_PER_S if config.fleet else config.algo.steps_per_s
+    return FLEET_STEPS_PER_S if config.fleet else config.algo.training_rate
 
 
 def estimated_bytes(config: RunConfig) -> int:

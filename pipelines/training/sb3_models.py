@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import torch
-from sb3_contrib import ARS, TRPO
+from sb3_contrib import TRPO
 from stable_baselines3 import DDPG, DQN, PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.monitor import Monitor
@@ -16,7 +16,6 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from pipelines.config.algo import (
     AlgoConfig,
-    ArsConfig,
     ContinuousConfig,
     DdpgConfig,
     DqnConfig,
@@ -57,8 +56,6 @@ def build_model(config: RunConfig, seed: int) -> BaseAlgorithm:
     env = build_env(config)
     single = env.envs[0]
     flat_state_size(single)
-    if isinstance(algo, ArsConfig):
-        return build_ars(env, algo, seed)
     assert isinstance(algo, GradientConfig)
     _check_actions(config, is_discrete(single))
     options: dict[str, Any] = {field.name: getattr(algo, field.name) for field in fields(algo)}
@@ -76,29 +73,6 @@ def build_model(config: RunConfig, seed: int) -> BaseAlgorithm:
     if isinstance(algo, DqnConfig):
         _explore_by_steps(model, algo, config.train.steps)
     return model
-
-
-def build_ars(env: DummyVecEnv, config: ArsConfig, seed: int) -> ARS:
-    """Return an untrained linear policy of zeros, searched at random (Mania et al. 2018).
-
-    The weights that it searches around share the memory of its policy's parameters, so that a checkpoint of those
-    resumes it. `learn` ends after the update under way: an update is 2 n_delta whole episodes, however long they are.
-    """
-    if env.num_envs != 1:
-        raise ConfigError(f"algo=ars plays one episode at a time, but there are {env.num_envs} environments; use one")
-    if config.n_top > config.n_delta:
-        raise ConfigError(f"algo.n_top={config.n_top} is more than algo.n_delta={config.n_delta}")
-    return ARS(
-        "LinearPolicy",
-        env,
-        n_delta=config.n_delta,
-        n_top=config.n_top,
-        learning_rate=config.learning_rate,
-        delta_std=config.delta_std,
-        policy_kwargs={"with_bias": config.with_bias},
-        seed=seed,
-        device="cpu",
-    )
 
 
 def _check_actions(config: RunConfig, discrete: bool) -> None:

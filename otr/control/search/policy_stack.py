@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from otr.core.arrays import FloatArray
+from otr.core.arrays import BoolArray, FloatArray
 from otr.core.head import Head
 from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
@@ -63,6 +64,13 @@ class NetworkStack:
         """Return the answers (k, m, o), or labels (k, m), for m states of each network, X (k, m, d)."""
         return _answers(self._head, self.forward(X))
 
+    def take(self, rows: BoolArray) -> NetworkStack:
+        """Return the stack of some of the networks, rows (k,)."""
+        taken = copy.copy(self)
+        taken._weights = [W[rows] for W in self._weights]
+        taken._biases = [b[rows] for b in self._biases]
+        return taken
+
 
 class TreeStack:
     """k trees of the same structure, labels and head."""
@@ -104,6 +112,13 @@ class TreeStack:
             return np.asarray(self._labels[leaves])
         maps = self._M[self._rows, leaves]  # (k, m, o, d)
         return _answers(self._head, np.matmul(maps, X[..., None])[..., 0] + self._c[self._rows, leaves])
+
+    def take(self, rows: BoolArray) -> TreeStack:
+        """Return the stack of some of the trees, rows (k,)."""
+        taken = copy.copy(self)
+        taken._P, taken._v, taken._M, taken._c = self._P[rows], self._v[rows], self._M[rows], self._c[rows]
+        taken._rows = self._rows[: len(taken._P)]
+        return taken
 
 
 def _answers(head: Head, outputs: FloatArray) -> NDArray[Any]:

@@ -1,0 +1,1 @@
+"""Direct search on the return: training and polishing without gradients."""

@@ -1,0 +1,99 @@
+"""Episodes of many policies at a time: one batch of arrays, on environments side by side in this process."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+import otr
+from otr.control.search.policy_stack import stack_policies
+from pipelines.config.env import EnvConfig
+from pipelines.training.environments.backends import make_vector_env
+from pipelines.training.environments.vector_envs import VectorEnv
+
+# Episodes under way at a time; a step of the numpy plants costs the same for hundreds of them.
+MOST_AT_ONCE = {"gymnasium": 256, "envpool": 256, "numpy": 8192}
+
+
+@dataclass(frozen=True)
+class Played:
+    """What m episodes of each of k policies came to."""
+
+    returns: np.ndarray  # (k, m), without the alive bonus where that is taken off
+    lengths: np.ndarray  # (k, m)
+    states: np.ndarray  # (n, d), the states acted on, in no order that means anything; empty unless asked for
+
+
+class SearchEpisodes:
+    """Plays policies of one shape in an environment; an episode depends on its policy and its seed alone."""
+
+    def __init__(self, env: EnvConfig, environments: str, alive_bonus: float = 0.0) -> None:
+        """Keep what is played.
+
+        Args:
+            env: the environment.
+            environments: who computes it, "gymnasium", "envpool" or "numpy".
+            alive_bonus: taken off every step's reward, so that standing still is not what is found first.
+        """
+        self._env, self._environments, self._alive_bonus = env, environments, alive_bonus
+        self._made: dict[int, VectorEnv] = {}  # environments side by side, by their number
+
+    def play(
+        self,
+        policies: Sequence[otr.ObliqueTree] | Sequence[otr.ReluNetwork],
+        seeds: np.ndarray,
+        *,
+        keep_states: bool = False,
+    ) -> Played:
+        """Play episode j of policy i from `reset(seed=seeds[i, j])`.
+
+        Args:
+            policies: k policies that differ in their numbers alone.
+            seeds: (k, m).
+            keep_states: whether the states are wanted.
+        """
+        k, m = seeds.shape
+        width = max(1, MOST_AT_ONCE[self._environments] // k)
+        parts = [self._play(policies, seeds[:, start : start + width], keep_states) for start in range(0, m, width)]
+        return Played(
+            np.concatenate([part.returns for part in parts], axis=1),
+            np.concatenate([part.lengths for part in parts], axis=1),
+            np.concatenate([part.states for part in parts]),
+        )
+
+    def _play(self, policies: Sequence[Any], seeds: np.ndarray, keep_states: bool) -> Played:
+        k, m = seeds.shape
+        if k * m not in self._made:
+            self._made[k * m] = make_vector_env(self._env, k * m, self._environments)
+        envs = self._made[k * m]
+        stack = stack_policies(policies)
+        states = np.asarray(envs.reset(seeds.ravel()), dtype=np.float64).reshape(k, m, -1)
+        rows = np.arange(k)  # the policies in the stack
+        live = np.ones((k, m), dtype=bool)  # of those, the episodes that go on
+        returns, lengths = np.zeros((k, m)), np.zeros((k, m), dtype=np.int64)
+        visited = []
+        while len(rows):
+            actions = stack.predict(states)
+            if keep_states:
+                visited.append(states[live])
+            every = live.all() and len(rows) == k
+            playing = (rows[:, None] * m + np.arange(m))[live]
+            outcome = envs.step(actions[live], None if every else playing)
+            returns.reshape(-1)[playing] += outcome.rewards - self._alive_bonus
+            lengths.reshape(-1)[playing] += 1
+            states[live] = outcome.states
+            ended = outcome.terminated | outcome.truncated
+            if ended.any():
+                live[live] = ~ended
+                going = np.asarray(live.any(axis=1))
+                if going.sum() <= len(rows) // 2:  # the others' answers are no longer worked out
+                    rows, live, states = rows[going], live[going], states[going]
+                    stack = stack.take(going)
+        return Played(returns, lengths, np.concatenate(visited) if visited else np.zeros((0, states.shape[2])))
+
+    def close(self) -> None:
+        """End the environments."""
+        for envs in self._made.values():
+            envs.close()
+        self._made.clear()

@@ -1,0 +1,98 @@
+"""One search for a small actor: candidates, their episodes, the step; what it holds makes it go on bit for bit."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+import otr
+from otr.control.search.direct_search import DirectSearch, SearchSettings
+from otr.control.search.small_networks import NetworkShape
+from otr.control.search.state_moments import StateMoments
+from pipelines.config.algo import ArsConfig
+from pipelines.config.run import RunConfig
+from pipelines.engine.seeding import FIRST_STREAM_SEED, LAST_STREAM_SEED, stream, stream_seed
+from pipelines.play.environments import spaces
+from pipelines.training.search.episodes import Played, SearchEpisodes
+
+
+def network_shape(config: RunConfig) -> NetworkShape:
+    """Return the shape of a run's actor."""
+    space = spaces(config.env)
+    return NetworkShape(
+        space.n_inputs,
+        config.hidden_widths,
+        space.n_actions,
+        space.box,
+        "input" if config.actor.dense == "input" else False,
+        config.actor.negative_slope,
+    )
+
+
+class PolicySearch:
+    """A search from a network of its own.
+
+    Attributes:
+        n_steps: environment steps that it played.
+    """
+
+    def __init__(self, config: RunConfig, start: int) -> None:
+        """Begin the run's search number `start`, at a network whose outputs are zero."""
+        assert isinstance(config.algo, ArsConfig)
+        algo = config.algo
+        self._seed, self._start, self._algo = config.seed, start, algo
+        self._shape = network_shape(config)
+        settings = SearchSettings(
+            algo.n_directions,
+            algo.n_top,
+            algo.step_size,
+            algo.noise,
+            algo.step_size_end,
+            algo.noise_end,
+            algo.momentum,
+        )
+        first = self._shape.initial(np.random.default_rng(stream(config.seed, "train", start)))
+        self._search = DirectSearch(first, settings, stream_seed(config.seed, "train", start, 0))
+        self._moments = StateMoments(self._shape.n_inputs)
+        self.n_steps = 0
+
+    @property
+    def network(self) -> otr.ReluNetwork:
+        """The actor as it stands, of the environment's own states."""
+        return self._network(self._search.centre)
+
+    def iterate(self, episodes: SearchEpisodes, done: float) -> Played:
+        """Try the neighbours of the actor and make a step; return what their episodes came to.
+
+        Args:
+            episodes: plays them.
+            done: share of the search that is done, by which step and noise fall.
+        """
+        networks = [self._network(vector) for vector in self._search.ask(done)]
+        played = episodes.play(networks, self._episode_seeds(), keep_states=self._algo.normalise)
+        self._search.tell(played.returns.mean(axis=1))
+        if self._algo.normalise:
+            self._moments.add(played.states)
+        self.n_steps += int(played.lengths.sum())
+        return played
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return all that the search needs to go on, as arrays by name."""
+        moments = {f"moments_{name}": array for name, array in self._moments.state().items()}
+        return {**self._search.state(), **moments, "n_steps": np.array(float(self.n_steps))}
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        """Go on from what `state` returned."""
+        self._search.restore(state)
+        self._moments.restore({name: state[f"moments_{name}"] for name in self._moments.state()})
+        self.n_steps = int(state["n_steps"])
+
+    def _network(self, vector: np.ndarray) -> otr.ReluNetwork:
+        return self._shape.network(vector, self._moments.mean, self._moments.scale)
+
+    def _episode_seeds(self) -> np.ndarray:
+        """Return the seeds (2N, n_episodes) of an iteration; the two of a direction, or all, have the same."""
+        algo = self._algo
+        rows = algo.n_directions if algo.common_starts == "pair" else 1
+        generator = np.random.default_rng(stream(self._seed, "train", self._start, 1, self._search.n_iterations))
+        seeds = generator.integers(FIRST_STREAM_SEED, LAST_STREAM_SEED, size=(rows, algo.n_episodes))
+        return np.repeat(seeds, 2 * algo.n_directions // rows, axis=0)

@@ -66,6 +66,9 @@ class ArsConfig(AlgoConfig):
     common_starts: Annotated[str, OneOf("pair", "all")]
     normalise: bool  # whether states are normalised by what was visited so far, the paper's V2; V1 is without
     alive_bonus: Annotated[float, Range()]  # taken off every step's reward while searching
+    # Steps of an episode at first, 0 for whole ones; they grow linearly to whole ones over this share of the search
+    first_horizon: Annotated[int, Range(0)]
+    horizon_until: Annotated[float, Range(1e-6, 1)]
     # Searches of `start_steps` from different networks, of which the best one goes on; 1 for none to choose from
     n_starts: Count
     start_steps: Count

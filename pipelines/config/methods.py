@@ -26,6 +26,7 @@ SEARCH_STEPS = [
     *(f'train.{name}="${{budget.search.${{env.task}}.{name}}}"'
       for name in ("steps", "eval_interval_steps", "n_selection_episodes")),
     "actor.dense=input",
+    "actor.rescale_inputs=false",  # states are normalised by what is visited
 ]  # fmt: skip
 Leaves = Annotated[str, OneOf("constant", "linear")]
 Hardness = Annotated[float, Range(1e-6, 1e6)]

@@ -150,6 +150,16 @@ def _bounds(space: gym.spaces.Box) -> tuple[np.ndarray, np.ndarray]:
     return space.low.ravel().astype(np.float64), space.high.ravel().astype(np.float64)
 
 
+def episode_limit(env: EnvConfig) -> int:
+    """Return the most steps of an episode; refuse an environment that has no limit."""
+    made = make_env(env)
+    made.close()
+    limit = made.spec.max_episode_steps if made.spec else None
+    if limit is None:
+        raise ConfigError(f"{env.id}: episodes have no limit; give one as +env.kwargs.max_episode_steps=1000")
+    return int(limit)
+
+
 def flat_state_size(env: gym.Env) -> int:
     """Return the length of the state vector; refuse observations that are not a flat box."""
     space = env.observation_space

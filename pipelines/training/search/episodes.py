@@ -1,5 +1,6 @@
 """Episodes of many policies at a time: one batch of arrays, on environments side by side in this process."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -37,13 +38,14 @@ class SearchEpisodes:
             alive_bonus: taken off every step's reward, so that standing still is not what is found first.
         """
         self._env, self._environments, self._alive_bonus = env, environments, alive_bonus
-        self._made: dict[int, VectorEnv] = {}  # environments side by side, by their number
+        self._made: dict[int, VectorEnv] = {}  # by the number of environments
 
     def play(
         self,
         policies: Sequence[otr.ObliqueTree] | Sequence[otr.ReluNetwork],
         seeds: np.ndarray,
         *,
+        horizon: int | None = None,
         keep_states: bool = False,
     ) -> Played:
         """Play episode j of policy i from `reset(seed=seeds[i, j])`.
@@ -51,29 +53,32 @@ class SearchEpisodes:
         Args:
             policies: k policies that differ in their numbers alone.
             seeds: (k, m).
+            horizon: most steps of an episode; None for the environment's own limit alone.
             keep_states: whether the states are wanted.
         """
         k, m = seeds.shape
         width = max(1, MOST_AT_ONCE[self._environments] // k)
-        parts = [self._play(policies, seeds[:, start : start + width], keep_states) for start in range(0, m, width)]
+        parts = [
+            self._play(policies, seeds[:, start : start + width], horizon, keep_states) for start in range(0, m, width)
+        ]
         return Played(
             np.concatenate([part.returns for part in parts], axis=1),
             np.concatenate([part.lengths for part in parts], axis=1),
             np.concatenate([part.states for part in parts]),
         )
 
-    def _play(self, policies: Sequence[Any], seeds: np.ndarray, keep_states: bool) -> Played:
+    def _play(self, policies: Sequence[Any], seeds: np.ndarray, horizon: int | None, keep_states: bool) -> Played:
         k, m = seeds.shape
         if k * m not in self._made:
             self._made[k * m] = make_vector_env(self._env, k * m, self._environments)
         envs = self._made[k * m]
         stack = stack_policies(policies)
-        states = np.asarray(envs.reset(seeds.ravel()), dtype=np.float64).reshape(k, m, -1)
+        states = np.asarray(envs.reset(seeds.ravel().tolist()), dtype=np.float64).reshape(k, m, -1)
         rows = np.arange(k)  # the policies in the stack
         live = np.ones((k, m), dtype=bool)  # of those, the episodes that go on
         returns, lengths = np.zeros((k, m)), np.zeros((k, m), dtype=np.int64)
         visited = []
-        while len(rows):
+        for _ in itertools.count() if horizon is None else range(horizon):
             actions = stack.predict(states)
             if keep_states:
                 visited.append(states[live])
@@ -90,6 +95,8 @@ class SearchEpisodes:
                 if going.sum() <= len(rows) // 2:  # the others' answers are no longer worked out
                     rows, live, states = rows[going], live[going], states[going]
                     stack = stack.take(going)
+                    if not len(rows):
+                        break
         return Played(returns, lengths, np.concatenate(visited) if visited else np.zeros((0, states.shape[2])))
 
     def close(self) -> None:

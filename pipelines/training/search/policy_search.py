@@ -11,7 +11,7 @@ from otr.control.search.state_moments import StateMoments
 from pipelines.config.algo import ArsConfig
 from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import FIRST_STREAM_SEED, LAST_STREAM_SEED, stream, stream_seed
-from pipelines.play.environments import spaces
+from pipelines.play.environments import episode_limit, spaces
 from pipelines.training.search.episodes import Played, SearchEpisodes
 
 
@@ -52,6 +52,7 @@ class PolicySearch:
         )
         first = self._shape.initial(np.random.default_rng(stream(config.seed, "train", start)))
         self._search = DirectSearch(first, settings, stream_seed(config.seed, "train", start, 0))
+        self._longest = episode_limit(config.env)
         self._moments = StateMoments(self._shape.n_inputs)
         self.n_steps = 0
 
@@ -68,7 +69,9 @@ class PolicySearch:
             done: share of the search that is done, by which step and noise fall.
         """
         networks = [self._network(vector) for vector in self._search.ask(done)]
-        played = episodes.play(networks, self._episode_seeds(), keep_states=self._algo.normalise)
+        played = episodes.play(
+            networks, self._episode_seeds(), horizon=self._horizon(done), keep_states=self._algo.normalise
+        )
         self._search.tell(played.returns.mean(axis=1))
         if self._algo.normalise:
             self._moments.add(played.states)
@@ -88,6 +91,13 @@ class PolicySearch:
 
     def _network(self, vector: np.ndarray) -> otr.ReluNetwork:
         return self._shape.network(vector, self._moments.mean, self._moments.scale)
+
+    def _horizon(self, done: float) -> int | None:
+        """Return the most steps of an episode, which grow linearly from the first ones to the whole episode."""
+        first, until = self._algo.first_horizon, self._algo.horizon_until
+        if not first or done >= until:
+            return None
+        return round(first + (self._longest - first) * done / until)
 
     def _episode_seeds(self) -> np.ndarray:
         """Return the seeds (2N, n_episodes) of an iteration; the two of a direction, or all, have the same."""

@@ -90,6 +90,8 @@ def test_an_algorithm_may_be_one_methods_and_one_environments():
 
 def test_random_search_lies_beside_the_gradient(tiny):
     config = run_config(["env=pendulum", "method=linear", "depth=0", "algo=ars", "budget=quick"])
-    assert config.budget_level == "quick-ars" and config.train.steps == 300_000
-    with pytest.raises(ConfigError, match="algo=ars searches linear policies"):
-        run_config(["env=pendulum", "depth=3", "algo=ars", "budget=quick"])
+    assert (config.budget_level, config.trainer_name) == ("quick-ars", "search")
+    assert config.train.steps == config.budget.search["pendulum"]["steps"]
+    assert config.algo.environments == "numpy"  # the pendulum's own settings of the search
+    with pytest.raises(ConfigError, match="algo=ars searches small networks"):
+        run_config(["env=pendulum", "depth=[64]", "algo=ars", "budget=quick"])

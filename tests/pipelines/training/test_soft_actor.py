@@ -6,22 +6,19 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
-from sb3_contrib import ARS, TRPO
+from sb3_contrib import TRPO
 from stable_baselines3 import PPO
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-import otr
 from pipelines.cli.runs import run_config
-from pipelines.config.algo import ArsConfig
 from pipelines.config.methods import PiPrlConfig
 from pipelines.engine.store import write_files
 from pipelines.errors import ConfigError, PipelineError
-from pipelines.training.checkpoints import History
 from pipelines.training.sb3_checkpoints import load_checkpoint, save_checkpoint
-from pipelines.training.sb3_models import build_ars, build_model
+from pipelines.training.sb3_models import build_model
 from pipelines.training.soft_actor import (
     SoftActorCriticPolicy,
     SoftSchedule,
@@ -211,45 +208,3 @@ def test_modules_survive_a_round_trip(tmp_path: Path, actor: Shape) -> None:
     (tmp_path / "soft.safetensors").write_bytes(whole[:-5])
     with pytest.raises(PipelineError, match=r"soft\.safetensors"):
         load_soft(tmp_path)
-
-
-SEARCH = ArsConfig("ars", 0.05, n_delta=4, n_top=2, delta_std=0.1, with_bias=True)
-
-
-def search(model: ARS, seed: int, n_steps: int = 400) -> None:
-    model.set_logger(Logger(folder=None, output_formats=[]))
-    model.set_env(make_env("CartPole-v1", 1), force_reset=True)
-    model.set_random_seed(seed)
-    model.learn(n_steps, log_interval=None, reset_num_timesteps=False)
-
-
-def test_random_search_learns_in_segments_and_resumes(tmp_path: Path) -> None:
-    whole = build_ars(make_env("CartPole-v1", 1), SEARCH, seed=0)
-    for segment in range(4):
-        search(whole, segment)
-        model = build_ars(make_env("CartPole-v1", 1), SEARCH, seed=0)
-        load_checkpoint(tmp_path, model)
-        search(model, segment)
-        save_checkpoint(tmp_path, model, History(segment + 1), 0)
-        torch.testing.assert_close(model.weights, whole.weights, rtol=0, atol=0)
-        assert model.num_timesteps == whole.num_timesteps > 400 * segment
-    network = otr.from_sb3(model)
-    assert (network.n_hidden, network.n_inputs, network.head) == (0, 4, otr.Argmax())
-    states = np.random.default_rng(0).normal(size=(200, 4)).astype(np.float32)
-    np.testing.assert_array_equal(network.predict(states), model.predict(states)[0])
-    lengths = []
-    for seed in range(5):
-        env, done, n_steps = gym.make("CartPole-v1"), False, 0
-        state, _ = env.reset(seed=seed)
-        while not done:
-            state, _, terminated, truncated, _ = env.step(int(network.predict(state)))
-            done, n_steps = terminated or truncated, n_steps + 1
-        lengths.append(n_steps)
-    assert np.mean(lengths) > 100  # a policy of zeros stands for about 10 steps
-
-
-def test_what_random_search_refuses() -> None:
-    with pytest.raises(ConfigError, match="2 environments"):
-        build_ars(make_env("CartPole-v1", 2), SEARCH, seed=0)
-    with pytest.raises(ConfigError, match="n_top=5"):
-        build_ars(make_env("CartPole-v1", 1), dataclasses.replace(SEARCH, n_top=5), seed=0)

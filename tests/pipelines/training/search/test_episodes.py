@@ -1,0 +1,72 @@
+"""Episodes of many policies at a time are the episodes that each plays alone."""
+
+import numpy as np
+import pytest
+
+import otr
+from pipelines.config.env import EnvConfig
+from pipelines.play.rollout import rollout
+from pipelines.training.search import episodes as episodes_module
+from pipelines.training.search.episodes import SearchEpisodes
+from tests.pipelines.conftest import HOPPER, PENDULUM
+
+CARTPOLE = EnvConfig("cartpole", "cartpole", "CartPole-v1")
+
+
+def networks(d: int, o: int, head: otr.Head, k: int = 3) -> list[otr.ReluNetwork]:
+    generator = np.random.default_rng(0)
+    shapes = [((2, d), (2,)), ((o, 2 + d), (o,))]
+    return [
+        otr.ReluNetwork(
+            [generator.normal(size=W) for W, _ in shapes],
+            [generator.normal(size=b) for _, b in shapes],
+            dense="input",
+            head=head,
+        )
+        for _ in range(k)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("env", "environments", "policies"),
+    [
+        (CARTPOLE, "gymnasium", networks(4, 2, otr.Argmax())),
+        (PENDULUM, "numpy", networks(3, 1, otr.ClipBox(-2.0, 2.0))),
+        (HOPPER, "gymnasium", networks(11, 3, otr.ClipBox(-1.0, 1.0), 2)),
+    ],
+)
+@pytest.mark.parametrize("at_once", [4, 256])
+def test_as_each_alone(monkeypatch, env, environments, policies, at_once):
+    monkeypatch.setitem(episodes_module.MOST_AT_ONCE, environments, at_once)
+    k = len(policies)
+    seeds = np.arange(5 * k).reshape(k, 5)
+    alone = [
+        rollout(policy.predict, env, row.tolist(), keep_states=True)
+        for policy, row in zip(policies, seeds, strict=True)
+    ]
+    for kind in (policies, [otr.map_network(policy) for policy in policies]):
+        played = SearchEpisodes(env, environments).play(kind, seeds, keep_states=True)
+        np.testing.assert_allclose(
+            played.returns, [each.returns for each in alone], rtol=1e-4
+        )  # contacts multiply rounding
+        np.testing.assert_array_equal(played.lengths, [each.lengths for each in alone])
+        assert len(np.unique(played.lengths)) > 1 or env is PENDULUM
+        states = np.concatenate([each.states for each in alone])
+        np.testing.assert_allclose(played.states.mean(axis=0), states.mean(axis=0), atol=1e-3)
+        assert played.states.shape == states.shape
+
+
+def test_without_the_alive_bonus():
+    policies = networks(4, 2, otr.Argmax())
+    seeds = np.arange(6).reshape(3, 2)
+    played = SearchEpisodes(CARTPOLE, "gymnasium", alive_bonus=1.0).play(policies, seeds)
+    assert np.array_equal(played.returns, np.zeros((3, 2))) and played.lengths.min() > 1
+
+
+def test_no_longer_than_the_horizon():
+    policies = networks(3, 1, otr.ClipBox(-2.0, 2.0))
+    seeds = np.arange(6).reshape(3, 2)
+    episodes = SearchEpisodes(PENDULUM, "numpy")
+    short, long = episodes.play(policies, seeds, horizon=50), episodes.play(policies, seeds)
+    assert np.array_equal(short.lengths, np.full((3, 2), 50)) and np.array_equal(long.lengths, np.full((3, 2), 200))
+    assert (short.returns > long.returns).all()  # every step costs

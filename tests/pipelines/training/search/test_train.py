@@ -1,0 +1,124 @@
+"""Training by direct search: it learns, keeps the best, chooses among its first searches, and survives a kill."""
+
+import dataclasses
+import os
+import signal
+
+import numpy as np
+import pytest
+
+from pipelines.config.algo import ArsConfig
+from pipelines.config.env import EnvConfig
+from pipelines.config.stages import ActorConfig, TrainConfig
+from pipelines.engine.store import read_csv
+from pipelines.errors import ConfigError
+from pipelines.play.actor_files import load_actor
+from pipelines.play.rollout import rollout
+from pipelines.stages.train import checkpoint_folder, trained_steps
+from pipelines.training.search import train as train_module
+from pipelines.training.search.train import SearchRun, train_by_search
+from tests.pipelines.sweeps import run_until_killed
+
+CARTPOLE = EnvConfig("cartpole", "cartpole", "CartPole-v1")
+ARS = ArsConfig("ars", 4, 2, 0.1, 0.1, 0.5, 0.5, 0.0, 1, "pair", True, 0.0, 0, 1.0, 1, 1, "gymnasium", 8_000.0)
+RESULTS = ("actor.safetensors", "actor.json", "evaluations.csv")
+
+
+@pytest.fixture
+def search_run(tiny):
+    """Return a function that makes a run that is searched in seconds."""
+
+    def make(**changes):
+        actor = ActorConfig(0.0, dense="input")
+        return tiny(**{"env": CARTPOLE, "algo": ARS, "actor": actor, "train": TrainConfig(3_000, 700, 3, 0), **changes})
+
+    return make
+
+
+def train(config, out):
+    out.mkdir(parents=True)
+    train_by_search(config, checkpoint_folder(config), out)
+    return out
+
+
+def train_until_killed(config, out):
+    """Train, and end this process by SIGKILL with the second checkpoint."""
+    save, n_saved = SearchRun.save, [0]
+
+    def save_and_die(run):
+        save(run)
+        n_saved[0] += 1
+        if n_saved[0] == 2:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    SearchRun.save = save_and_die
+    train_by_search(config, checkpoint_folder(config), out)
+
+
+def test_learns_and_keeps_the_best_evaluation(search_run, tmp_path):
+    out = train(search_run(train=TrainConfig(20_000, 2_000, 5, 0)), tmp_path / "out")
+    evaluations = read_csv(out / "evaluations.csv")
+    assert (
+        max(float(row["return_mean"]) for row in evaluations) > 300
+    )  # a policy that does nothing stands for ten steps
+    network = load_actor(out)
+    assert rollout(network.predict, CARTPOLE, range(20)).returns.mean() > 250
+    assert network.dense == "input" and network.n_hidden == 4
+
+
+def test_goes_on_bit_for_bit_after_a_kill(search_run, tmp_path):
+    config = search_run(algo=dataclasses.replace(ARS, n_starts=2, start_steps=800))
+    whole = train(config, tmp_path / "whole")
+    for segment in checkpoint_folder(config).glob("segment-*"):
+        for file in segment.iterdir():
+            file.unlink()
+        segment.rmdir()
+
+    run_until_killed(train_until_killed, config, tmp_path / "killed")
+    assert 0 < trained_steps(config) < 3_000
+    again = train(config, tmp_path / "again")
+    for name in RESULTS:
+        assert (again / name).read_bytes() == (whole / name).read_bytes(), name
+
+
+def test_the_best_of_the_first_searches_goes_on(search_run, tmp_path):
+    config = search_run(algo=dataclasses.replace(ARS, n_starts=3, start_steps=600))
+    checkpoints = checkpoint_folder(config)
+    checkpoints.mkdir(parents=True)
+    run, scores, first_networks = SearchRun(config, checkpoints), [], []
+
+    class Silent:
+        def at_step(self, step):
+            pass
+
+    with_episodes = train_module.SearchEpisodes(CARTPOLE, "gymnasium")
+    while run._start < 3:
+        if run._search.n_steps == 0:
+            first_networks.append(run._search.network.weights[0])
+        before = run._start, run._search
+        run.evaluate(with_episodes, run.segment(with_episodes, Silent()))
+        if run._start != before[0]:
+            scores.append((run.history.evaluations[-1]["return_mean"], before[1].state()))
+    assert len(scores) == 3
+    best = max(scores, key=lambda each: each[0])[1]
+    assert np.array_equal(run._search.state()["centre"], best["centre"])
+    assert not np.array_equal(first_networks[0], first_networks[1])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"depth": 33}, "depth=33: algo=ars searches small networks"),
+        ({"depth": [4, 4, 4]}, "up to 2 layers"),
+        ({"algo": dataclasses.replace(ARS, n_top=5)}, r"algo\.n_top=5 is more than algo.n_directions=4"),
+        ({"actor": ActorConfig(0.0, rescale_inputs=True)}, "normalises states itself"),
+    ],
+)
+def test_what_is_refused(search_run, changes, message):
+    with pytest.raises(ConfigError, match=message):
+        search_run(**changes)
+
+
+def test_gradients_train_no_dense_actor(tiny):
+    with pytest.raises(ConfigError, match=r"actor\.dense=input: algo=sac trains layered actors"):
+        tiny(actor=ActorConfig(0.0, dense="input"))

@@ -11,6 +11,7 @@ from pipelines.engine.archive import MANIFEST, opened, verified_manifest
 from pipelines.engine.store import exists, read_csv
 from pipelines.play.actor_files import load_actor
 from pipelines.report.tabulate import TABLES
+from pipelines.runs.verify import certified_stage
 from pipelines.stages.derived import opened_run
 from pipelines.stages.oracle import load_oracle
 from tests.committed import RESULTS
@@ -103,5 +104,7 @@ def certified():
 def test_committed_certificates_prove_what_they_claim(run_dir):
     with opened(run_dir, ["certify"]) as whole:
         certificate = otr.load_certificate(whole / "certify/certificate.json")
-        bound = otr.verify(certificate, otr.load(whole / "certify/tree"), load_actor(run_dir / "train"))
+        bound = otr.verify(
+            certificate, otr.load(whole / "certify/tree"), load_actor(run_dir / certified_stage(run_dir))
+        )
     assert bound <= certificate.max_error < 1e-10

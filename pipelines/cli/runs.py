@@ -99,6 +99,7 @@ class RunWorkflow(Workflow):
     def spelt_out(self, overrides: Sequence[str]) -> list[str]:
         """Return overrides with `program=FILE` and `column=NAME` replaced by those that they are short for.
 
+        So is `polish.free=true` by `polishing.free=true`: `polish` itself is the switch.
         Hydra would take the first for a choice of the group conf/program, where the shipped programs lie.
         """
         methods = [
@@ -109,7 +110,9 @@ class RunWorkflow(Workflow):
             raise ConfigError(f"{named[0]} is evaluated by method=program, not by {methods[0]}; leave one of them out")
         spelt_out = []
         for override in overrides:
-            if override in named:
+            if override.startswith("polish."):
+                spelt_out.append(f"polishing.{override.removeprefix('polish.')}")
+            elif override in named:
                 spelt_out += ["method=program", f"method.{override}"]
             elif not (named and override == "method=program"):
                 spelt_out.append(override)

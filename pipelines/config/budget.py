@@ -25,8 +25,10 @@ class BudgetConfig:
     # Steps between their evaluations. Training goes on with new episodes after each, in several environments at
     # once, so there have to be enough steps for whole episodes.
     on_policy_interval_steps: Count = 25_000
-    # What is spent on PID policies in place of the above: steps, eval_interval_steps, n_selection_episodes and
-    # n_evaluation_episodes
+    # Environment steps of polishing per task, about
+    polish_steps: dict[str, Count] = field(default_factory=dict)
+    # What is spent on PID policies in place of the above: steps, eval_interval_steps, n_selection_episodes,
+    # n_evaluation_episodes and polish_steps
     pid: dict[str, Count] = field(default_factory=dict)
     # What is spent on direct search in place of the above, per task: steps, eval_interval_steps, n_selection_episodes
     search: dict[str, dict[str, Count]] = field(default_factory=dict)

@@ -15,7 +15,8 @@ from pipelines.config.setting import DERIVED, Count, FreeText, NotNegative, OneO
 from pipelines.config.stages import ActorConfig
 from pipelines.errors import ConfigError
 
-EXTRA_STAGES = ("certify", "simplify")  # after all others, where certify=true or simplify=true asks for them
+# After all others, where polish=true, certify=true or simplify=true asks for them
+EXTRA_STAGES = ("polish", "certify", "simplify")
 # Soft trees learn with other numbers of steps (conf/budget).
 ON_POLICY_STEPS = [
     'train.steps="${budget.on_policy_steps.${env.task}}"',
@@ -115,7 +116,13 @@ class PidConfig(MappedConfig):
         ]
         algo = [] if "algo" in given else ["algo=ddpg_pid"]
         evaluation = 'evaluate.n_episodes="${budget.pid.n_evaluation_episodes}"'
-        return [*super().implied(given), "depth=1", evaluation, *budget, *algo]
+        # Their environment is gymnasium's, which is slower than the pendulum's own in numpy.
+        polishing = [
+            'polishing.steps="${budget.pid.polish_steps}"',
+            "polishing.n_episodes=4",
+            "polishing.n_selection_episodes=100",
+        ]
+        return [*super().implied(given), "depth=1", evaluation, *budget, *polishing, *algo]
 
     @property
     def pid_terms(self) -> PidTerms:

@@ -28,6 +28,7 @@ from pipelines.config.stages import (
     EvaluateConfig,
     ImitateConfig,
     MapConfig,
+    PolishingConfig,
     PruneConfig,
     SimplificationConfig,
     TrainConfig,
@@ -61,12 +62,14 @@ class RunConfig:
     n_workers: Annotated[Count | None, EXECUTION] = None
     side_by_side: Annotated[bool, EXECUTION] = False  # whether other jobs share the terminal
     debug: Annotated[bool, EXECUTION] = False
+    polish: Annotated[bool, EXECUTION] = False  # whether to do a further stage, direct search on the return
     certify: Annotated[bool, EXECUTION] = False  # whether to do a further stage, the minimal tree and its certificate
     simplify: Annotated[bool, EXECUTION] = False  # whether to do a further stage, a shorter program
     tracking: Annotated[str, OneOf("none", "tensorboard", "mlflow"), EXECUTION] = "none"  # where the run is logged, too
     # Hidden widths of the network that is imitated
     oracle: Annotated[list[OracleWidth], OnlyWhere("imitates")] = field(default_factory=lambda: [256, 256])
     imitate: Annotated[ImitateConfig, OnlyWhere("imitates")] = field(default_factory=ImitateConfig)
+    polishing: PolishingConfig = field(default_factory=PolishingConfig)
     certification: CertificationConfig = field(default_factory=CertificationConfig)
     simplification: SimplificationConfig = field(default_factory=SimplificationConfig)
     # The text of method=program, which the command line reads: the run is keyed by it, whatever file it came from
@@ -97,11 +100,34 @@ class RunConfig:
         for stage in self.stages or ():
             if stage not in known:
                 raise ConfigError(f"stages: method={name} has no stage {stage!r}; it has {', '.join(known)}")
+        self._check_polishing()
         if self.certify and not is_mapped:
             raise ConfigError(
                 f"certify=true: a tree of method={name} stands for no network that it could be proved equal to; these "
                 f"do: {', '.join(name for name, method in METHODS.items() if method.is_mapped)}"
             )
+
+    def _check_polishing(self) -> None:
+        """Refuse settings of polishing that do not go together, or not with the method."""
+        polishing = self.polishing
+        if polishing.n_top > polishing.n_directions:
+            raise ConfigError(
+                f"polishing.n_top={polishing.n_top} is more than polishing.n_directions={polishing.n_directions}"
+            )
+        if polishing.numbers == "network" and not self.method.is_mapped:
+            raise ConfigError(
+                f"polishing.numbers=network: a tree of method={self.method.name} stands for no network; leave it out"
+            )
+        if self.polish and self.certify and not self.polishes_network:
+            raise ConfigError(
+                "polishing.numbers=tree with certify=true: a tree with other numbers stands for no network that it "
+                "could be proved equal to; leave one of them out"
+            )
+
+    @property
+    def polishes_network(self) -> bool:
+        """Whether a polish searches the numbers of the network that the tree is mapped from, not the tree's."""
+        return self.method.is_mapped and self.polishing.numbers != "tree"
 
     @property
     def hidden_widths(self) -> tuple[int, ...]:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Annotated
 
-from pipelines.config.setting import AsBefore, Count, NotNegative, OneOf, Range, Seed
+from pipelines.config.setting import AsBefore, Count, NotNegative, OneOf, Positive, Range, Seed, Share
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,32 @@ class PruneConfig:
 
     n_episodes: Count
     k: Count | None
+
+
+@dataclass(frozen=True)
+class PolishingConfig:
+    """Polishing: direct search on the return over the numbers of the finished policy (`otr.polish`)."""
+
+    # Environment steps of the search, about: as many iterations as they pay for at the length that episodes have before
+    steps: Count = 1_000_000
+    # Whose numbers: the network's, where a tree is mapped from one, which is then mapped and pruned anew, or the pruned
+    # tree's. None is the network's where there is one
+    numbers: Annotated[str | None, OneOf("network", "tree")] = None
+    free: bool = False  # whether coefficients that are zero move, too
+    n_directions: Count = 24  # this and what follows: see `otr.SearchSettings`
+    n_top: Count = 12
+    step_size: Positive = 0.03
+    noise: Positive = 0.03
+    step_size_end: Share = 0.05
+    noise_end: Share = 0.2
+    momentum: Annotated[float, Range(0, 1, open=True)] = 0.0
+    n_episodes: Count = 1  # of every vector tried
+    # Who shares the starts of an iteration: the two policies of a direction, or all
+    common_starts: Annotated[str, OneOf("pair", "all")] = "pair"
+    n_selection_episodes: Count = 100  # of each candidate; as many more confirm the best
+    n_candidates: Count = 20
+    # Who computes the environments; None is numpy where that was compared with gymnasium, else gymnasium
+    environments: Annotated[str | None, OneOf("gymnasium", "envpool", "numpy")] = None
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ draw from 2**20 upwards, so that nothing is chosen on the episodes that are repo
 
 import numpy as np
 
-STREAMS = {"train": 0, "selection": 1, "prune": 2, "imitate": 3, "simplify": 4}
+STREAMS = {"train": 0, "selection": 1, "prune": 2, "imitate": 3, "simplify": 4, "polish": 5}
 FIRST_STREAM_SEED = 2**20
 LAST_STREAM_SEED = 2**31 - 1
 

@@ -15,12 +15,15 @@ TASK_NAMES = {"reacher": "Reacher", "walker2d": "Walker2d", "hopper": "Hopper", 
               "ant": "Ant", "swimmer": "Swimmer", "bipedalwalker": "BipedalWalker", "pendulum": "Pendulum",
               "mountaincar": "MountainCar", "lunarlander": "LunarLander"}  # fmt: skip
 # The forms of a policy that have rows of their own, and what these append to the method's name: the tree, the soft tree
-# before it was hardened, what its authors' own discretisation makes of it, a PID policy with its gains averaged.
-FORMS = {"tree": "", "soft": "-soft", "discretised": "-discrete", "constant_gains": "-constant"}
+# before it was hardened, what its authors' own discretisation makes of it, a PID policy with its gains averaged, and
+# the polished policy.
+FORMS = {
+    "tree": "", "soft": "-soft", "discretised": "-discrete", "constant_gains": "-constant", "polished": "-polished",
+}  # fmt: skip
 METHOD_NAMES = {
     f"{name.replace('_', '-')}{FORMS[form]}": f"{config.label}, {text}" if text else config.label
     for name, config in METHODS.items()
-    for form, text in {"tree": "", **config.forms}.items()
+    for form, text in {"tree": "", **config.forms, "polished": "polished"}.items()
 }
 KEY, SOURCE = ["task", "method", "depth"], ["budget", "trainer"]
 ORDER = (*TASK_NAMES, "thesis", "thesis-fleet", "quick", "quick-fleet", "sb3")  # of tasks, budgets and trainers

@@ -30,7 +30,12 @@ def write_certificates(results_dir: Path) -> list[Path]:
     runs = reported(load_runs(results_dir))
     own = runs[(runs["form"] == "tree") & runs["certify.certified"].notna()]
     rows = pd.DataFrame({name: own.get(source) for name, source in COLUMNS.items()}, own.index)
-    rows = rows.assign(method=method_name(rows["method"]), reason=rows["reason"].fillna(""))
+    # A certificate after polish=true is of the polished network.
+    of_polished = own["certify.policy"] == "polished" if "certify.policy" in own else pd.Series(False, own.index)
+    rows = rows.assign(
+        method=method_name(rows["method"]) + of_polished.map({True: "-polished"}).fillna(""),
+        reason=rows["reason"].fillna(""),
+    )
     rows = in_order(rows.sort_values([*LINE[3:], "seed"]), LINE[:3])
     return write_tables(results_dir, "certificates", rows, page("certificates.md", table=_table(rows)))
 

@@ -84,6 +84,8 @@ def _run_rows(summary: dict[str, Any], run_dir: Path) -> list[dict[str, Any]]:
     forms = own.pop("policies", {}) | {"tree": summary}
     if "oracle" in own and "oracle" not in forms:
         raise KeyError("policies.oracle")
+    if "polish" in own:
+        forms["polished"] = own["polish"]
     if "simplify" in own:
         forms["simplified"] = own["simplify"]
     return [

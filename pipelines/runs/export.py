@@ -18,7 +18,7 @@ from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import action_names, feature_names
 from pipelines.stages.derived import opened_run
 
-TREES = ("pruned", "full", "minimal", "simplified", "constant_gains", "compact")
+TREES = ("pruned", "full", "minimal", "polished", "simplified", "constant_gains", "compact")
 
 
 @dataclass(frozen=True)
@@ -168,6 +168,7 @@ def _policy(config: ExportConfig, run: RunConfig, folder: Path) -> Any:
         "constant_gains": "prune",
         "full": run.method.tree_stage,
         "minimal": "certify",
+        "polished": "polish",
         "simplified": "simplify",
     }
     stage = stages.get(config.tree, "train")

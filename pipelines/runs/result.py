@@ -28,6 +28,8 @@ def show_result(summary: dict[str, Any], run_dir: Path, whole: Path) -> None:
         )
     if "oracle" in summary:
         lines.append(_likeness(summary["oracle"]))
+    if "polish" in summary:
+        lines += _polished(summary["polish"], whole)
     if "certify" in summary:
         lines.append(_proof(summary["certify"]))
     if "simplify" in summary:
@@ -56,29 +58,59 @@ def _proof(report: dict[str, Any]) -> str:
         return f"no certificate on {report['domain']}: {report['reason']}"
     spent = sum(report["seconds"].values())
     leaves, error = _count(report["n_leaves"], "leaf"), report["max_error"]
-    like = f"the network to {error:.1g}" if error else "exactly the network"
+    network = "the polished network" if report.get("policy") == "polished" else "the network"
+    like = f"{network} to {error:.1g}" if error else f"exactly {network}"
     return (
         f"certificate: the minimal tree, of {leaves}, is {like} on {report['domain']}, by rational arithmetic "
         f"({duration(spent)}); otr-verify checks it again"
     )
 
 
+def _polished(report: dict[str, Any], whole: Path) -> list[str]:
+    """Return the polished program, where it is short, and what it gained."""
+    if report["kept"]:
+        outcome = (
+            f"return {_before_and_after(report)} over {report['n_episodes']} other episodes"
+            f" ({report['confirmation_return_before']:.1f} to {report['confirmation_return']:.1f} on the "
+            f"{report['n_selection_episodes']} that confirmed it)"
+        )
+    else:
+        outcome = f"nothing better was confirmed on {report['n_selection_episodes']} other episodes; it stays as it was"
+    return [
+        *(_short_program("polished", whole / "polish" / "program.txt") if report["kept"] else []),
+        f"polished: {report['n_numbers']} numbers of the {report['numbers']} searched in {report['n_iterations']} "
+        f"iterations, {report['n_steps']:,} steps ({duration(report['cpu_seconds'])}); {outcome}",
+    ]
+
+
+def _short_program(title: str, path: Path) -> list[str]:
+    """Return a program under a title, where there is one and it is short."""
+    text = path.read_text(encoding="utf-8") if path.exists() else ""
+    return [f"\n{title}:\n\n{text}"] if 0 < text.count("\n") <= SHORT_PROGRAM else []
+
+
+def _before_and_after(report: dict[str, Any]) -> str:
+    """Return the returns on the evaluation episodes, in words."""
+    before, after = (
+        f"{report[f'return_mean{when}']:z.1f} ± {report[f'return_std{when}']:.1f}" for when in ("_before", "")
+    )
+    return f"{before} before and {after} after"
+
+
 def _simplified(report: dict[str, Any], whole: Path) -> list[str]:
     """Return the shorter program, where it is short, and what it costs."""
-    path = whole / "simplify" / "program.txt"
-    text = path.read_text(encoding="utf-8") if path.exists() else ""
-    before, after = (
-        f"{report[f'return_mean{when}']:.1f} ± {report[f'return_std{when}']:.1f}" for when in ("_before", "")
-    )
     same, apart = 100 * report["fidelity"], report["mean_difference"]
     within = f", to {100 * report['fidelity_tolerance']:.0f} % of its range," if report["fidelity_tolerance"] else ""
     leaves = f"{_count(report['n_leaves_before'], 'leaf')} to {report['n_leaves']}"
+    again = report.get("polished_again")
     return [
-        *([f"\nsimplified:\n\n{text}"] if 0 < text.count("\n") <= SHORT_PROGRAM else []),
+        *_short_program("simplified", whole / "simplify" / "program.txt"),
         f"simplified: {report['n_numbers_before']} numbers to {report['n_numbers']}, {leaves}; over "
-        f"{report['n_episodes']} other episodes {before} before and {after} after; the same action{within} in "
+        f"{report['n_episodes']} other episodes {_before_and_after(report)}; the same action{within} in "
         f"{same:.1f} % of the states, {apart:.2g} apart on average",
-    ]
+        *([f"polished again: {again['return_mean_before']:z.1f} before and {report['return_mean']:z.1f} after"
+           if again["kept"] else "polished again: nothing better was confirmed"] if again else []),
+    ]  # fmt: skip
 
 
 def _leaves(n_leaves: int) -> str:
@@ -109,4 +141,8 @@ def _table(summary: dict[str, Any]) -> Table:
         table.add_row(
             name.replace("_", " "), f"{moments['return_mean']:z.1f} ± {moments['return_std']:.1f}", leaves.get(name, "")
         )
+    if "polish" in summary:
+        polished = summary["polish"]
+        returns = f"{polished['return_mean']:z.1f} ± {polished['return_std']:.1f}"
+        table.add_row("polished", returns, f"{polished['n_leaves']:,}")
     return table

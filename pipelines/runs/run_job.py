@@ -29,7 +29,7 @@ class RunJob(Job):
 
     @property
     def stages(self) -> tuple[Stage, ...]:
-        stages = stages_of(self.config.method.name)
+        stages = stages_of(self.config.method.name, polished=self.config.polish)
         return tuple(stages[name] for name in self.config.selected_stages)
 
     @property

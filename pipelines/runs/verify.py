@@ -7,7 +7,7 @@ import otr
 from pipelines.config.run import RunConfig
 from pipelines.config.setting import Folder, FreeText, check_settings
 from pipelines.engine.archive import opened
-from pipelines.engine.store import exists
+from pipelines.engine.store import exists, read_json
 from pipelines.errors import MissingInputError, PipelineError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import state_limits
@@ -53,7 +53,7 @@ def verify_run(config: VerifyConfig, run: RunConfig, folder: Path) -> str:
         )
     if not isinstance(tree, otr.ObliqueTree):
         raise otr.CertificateError(f"{config.tree} holds a {type(tree).__name__}, certificates are of an ObliqueTree")
-    network = load_actor(Path(config.actor or folder / "train"))
+    network = load_actor(Path(config.actor or folder / certified_stage(folder)))
     bound = otr.verify(certificate, tree, network)
     whose = "the environment's box of states" if limits else "the box of the certificate"
     return (
@@ -61,6 +61,12 @@ def verify_run(config: VerifyConfig, run: RunConfig, folder: Path) -> str:
         f"{_box(domain)}, tree and network differ by at most {bound:.3g} at every real "
         "point (in rational arithmetic)"
     )
+
+
+def certified_stage(folder: Path) -> str:
+    """Return the stage of a run whose actor its certificate is of: polish after polish=true, else train."""
+    report = read_json(folder / "certify" / "report.json")
+    return "polish" if report.get("policy") == "polished" else "train"
 
 
 def _box(domain: otr.Domain) -> str:

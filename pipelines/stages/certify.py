@@ -25,11 +25,14 @@ def certify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
 
     The domain is the box of states that the environment declares (gymnasium's observation space, which not every
     environment keeps to) where that is bounded, else the box around the states of the pruning episodes and 5 % more on
-    either side. A tree that would be too large, or take too long, is told in the report.
+    either side. A tree that would be too large, or take too long, is told in the report. After polish=true the actor is
+    the polished one.
     """
-    network = load_actor(inputs["train"])
+    network = load_actor(inputs.get("polish") or inputs["train"])
     domain, whence = _domain(inputs, config)
-    report: dict[str, Any] = {"domain": whence} | domain.to_dict()
+    report: dict[str, Any] = (
+        {"domain": whence} | domain.to_dict() | ({"policy": "polished"} if "polish" in inputs else {})
+    )
     limits = config.certification
     began = time.monotonic()
     try:
@@ -71,9 +74,9 @@ def _domain(inputs: Mapping[str, Path], config: RunConfig) -> tuple[otr.Domain, 
     limits = state_limits(config.env)
     if limits is not None:
         return otr.Domain(*limits), "the environment's box of states"
-    tree: Any = otr.load(inputs["map"] / "tree")
+    policy: Any = load_actor(inputs["polish"]) if "polish" in inputs else otr.load(inputs["map"] / "tree")
     seeds = episode_seeds(config.seed, "prune", config.prune.n_episodes)
-    states = rollout(tree.predict, config.env, seeds, keep_states=True, n_workers=config.n_workers).states
+    states = rollout(policy.predict, config.env, seeds, keep_states=True, n_workers=config.n_workers).states
     low, high = states.min(axis=0), states.max(axis=0)
     margin = MARGIN * (high - low) + np.finfo(np.float32).eps * np.maximum(1.0, np.abs(high))
     return otr.Domain(low - margin, high + margin), f"the box around the states of {config.prune.n_episodes} episodes"
@@ -86,4 +89,5 @@ CERTIFY_SETTINGS = picked(
     max_leaves="certification.max_leaves",
     max_seconds="certification.max_seconds",
 )
+# After polish=true it reads that alone (`pipelines.stages.table.stages_of`).
 CERTIFY = Stage("certify", version=2, inputs=("train", "map"), settings=CERTIFY_SETTINGS, run=certify)

@@ -1,13 +1,16 @@
 """Stage simplify: a shorter program of the pruned tree, as far as the return in the environment allows."""
 
+import dataclasses
 import math
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 import otr
+from otr.shorten.edits import n_numbers, without_idle_head
 from otr.shorten.simplify import Judge, Simplification
 from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import episode_seeds, evaluation_seeds
@@ -15,6 +18,7 @@ from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import write_csv, write_json
 from pipelines.play.environments import spaces, state_limits
 from pipelines.play.rollout import rollout
+from pipelines.stages.polish import load_tree, moments, search
 from pipelines.stages.printed_programs import write_program
 
 MAX_ATTEMPTS = 4
@@ -30,12 +34,11 @@ def simplify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     standard error of the paired differences included, and the outcome is checked on as many others. With `action_bound`
     it is allowed if no action changes by more than that on the environment's box of states or, where that is open, on
     the box around those visited. The reported returns use a third set of episodes, the evaluation's.
+
+    After polish=true the polished tree is made shorter, and the shorter one is polished again, unless a bound on
+    actions decides: only what is not zero moves, so it stays as short.
     """
-    # Of a PID policy the form with constant gains, the affine one.
-    name = "constant_gains" if (inputs["prune"] / "constant_gains.json").is_file() else "tree"
-    tree = otr.load(inputs["prune"] / name)
-    if not isinstance(tree, otr.ObliqueTree):  # pruned trees are explicit
-        raise TypeError(f"{inputs['prune']} holds a {type(tree).__name__}, expected an ObliqueTree")
+    tree = load_tree(inputs.get("polish") or inputs["prune"])
     seeds = episode_seeds(config.seed, "simplify", config.simplification.n_episodes, 0)
     before = rollout(tree.predict, config.env, seeds, keep_states=True, n_workers=config.n_workers)
     judge = _Judge(config, seeds, before.returns)
@@ -45,9 +48,27 @@ def simplify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
         simpler, n_attempts = otr.simplify(tree, allows, before.states, refit=config.simplification.refit), 1
     else:
         simpler, n_attempts = _simplest(tree, judge, before.states, config)
+    again: dict[str, Any] = {}
+    if "polish" in inputs and config.simplification.action_bound is None:
+        simpler, again = _polished_again(simpler, config)
     otr.save(simpler.tree, out / "tree")
     write_program(simpler.tree, config.env, out)
-    _report(tree, simpler, judge, n_attempts, config, out)
+    _report(tree, simpler, judge, n_attempts, again, config, out)
+
+
+def _polished_again(simpler: Simplification, config: RunConfig) -> tuple[Simplification, dict[str, Any]]:
+    """Return the simpler tree polished on the return, and what the report says of that."""
+    box = spaces(config.env).box
+    # The constants of a tree without a clip lie within the actions, and are to stay there.
+    clipped = simpler.tree if box is None else simpler.tree.replace(head=simpler.tree.head.clipped_to(*box))
+    polished = search(clipped, config, "simplify")
+    seeds = evaluation_seeds(config.evaluate.first_seed, config.evaluate.n_episodes)
+    played = rollout(simpler.tree.predict, config.env, seeds, n_workers=config.n_workers)
+    report = {"polished_again": polished.report | moments("_before", played)}
+    if not polished.report["kept"]:
+        return simpler, report
+    tree = without_idle_head(polished.policy)
+    return dataclasses.replace(simpler, tree=tree, n_numbers=n_numbers(tree)), report
 
 
 def _simplest(
@@ -114,7 +135,13 @@ def _box_around(states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _report(
-    tree: otr.ObliqueTree, simpler: Simplification, judge: _Judge, n_attempts: int, config: RunConfig, out: Path
+    tree: otr.ObliqueTree,
+    simpler: Simplification,
+    judge: _Judge,
+    n_attempts: int,
+    again: dict[str, Any],
+    config: RunConfig,
+    out: Path,
 ) -> None:
     """Play the evaluation episodes with both trees and write what came out."""
     seeds = evaluation_seeds(config.evaluate.first_seed, config.evaluate.n_episodes)
@@ -154,6 +181,7 @@ def _report(
             "fidelity": float(same.mean()),
             "fidelity_tolerance": 0.0 if box is None else CLOSE,
             "mean_difference": float(np.abs(ours - theirs).mean()),
+            **again,
         },
     )
 
@@ -167,4 +195,6 @@ SIMPLIFY_SETTINGS = picked(
     refit="simplification.refit",
     evaluate="evaluate",
 )
+# After polish=true it reads the stage polish alone (`pipelines.stages.table.stages_of`), whose result is keyed by the
+# settings of polishing.
 SIMPLIFY = Stage("simplify", version=1, inputs=("prune",), settings=SIMPLIFY_SETTINGS, run=simplify)

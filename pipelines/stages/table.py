@@ -11,21 +11,29 @@ from pipelines.stages.imitate import IMITATE
 from pipelines.stages.map import MAP
 from pipelines.stages.oracle import ORACLE
 from pipelines.stages.parse import PARSE
+from pipelines.stages.polish import POLISH
 from pipelines.stages.prune import PRUNE
 from pipelines.stages.simplify import SIMPLIFY
 from pipelines.stages.train import TRAIN
 
 STAGES: dict[str, Stage] = {
-    stage.name: stage for stage in (TRAIN, ORACLE, MAP, HARDEN, IMITATE, PARSE, PRUNE, EVALUATE, CERTIFY, SIMPLIFY)
+    stage.name: stage
+    for stage in (TRAIN, ORACLE, MAP, HARDEN, IMITATE, PARSE, PRUNE, EVALUATE, POLISH, CERTIFY, SIMPLIFY)
 }
 
 
-def stages_of(method: str) -> dict[str, Stage]:
-    """Return a method's stages and the extra ones by name, in order; prune and evaluate read what was made before."""
+def stages_of(method: str, *, polished: bool = False) -> dict[str, Stage]:
+    """Return a method's stages and the extra ones by name, in order.
+
+    Prune and evaluate read what was made before. With `polished`, certify and simplify are of the polished policy.
+    """
     names = METHODS[method].stages
     before = names[: names.index("prune")]
     rows = STAGES | {
         "prune": dataclasses.replace(PRUNE, inputs=before),
         "evaluate": dataclasses.replace(EVALUATE, inputs=(*before, "prune")),
+        "polish": dataclasses.replace(POLISH, inputs=("train", "prune") if METHODS[method].is_mapped else ("prune",)),
     }
+    if polished:
+        rows |= {stage.name: dataclasses.replace(stage, inputs=("polish",)) for stage in (CERTIFY, SIMPLIFY)}
     return {name: rows[name] for name in (*names, *EXTRA_STAGES)}

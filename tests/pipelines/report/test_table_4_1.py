@@ -101,6 +101,20 @@ def test_pruned_depth_is_averaged_over_runs_and_set_beside_the_published(tmp_pat
     assert markdown_lines(tmp_path, "Hopper")[0][-1] == "102.0 ± 2.0 (3 runs, quick)"
 
 
+# --- forms --------------------------------------------------------------------------------------------------------
+
+
+def test_a_polished_policy_has_a_row_beyond_the_table_and_the_tree_keeps_its_cell(tmp_path: Path) -> None:
+    for seed, mean in QUICK.items():
+        polish = {"return_mean": mean + 60.0, "return_std": 1.0, "n_episodes": 100, "kept": True}
+        write_run(tmp_path, f"hopper/otr/depth-6/quick/seed-{seed}", mean, polish=polish)
+    assert hopper(tmp_path)["mean"] == "130.0"
+    row = csv_cells(tmp_path)["text", "hopper", "otr-polished", "6"]
+    assert (row["mean"], row["std"], row["n_runs"], row["budget"]) == ("190.0", "30.0", "3", "quick")
+    lines = [line for line in markdown_lines(tmp_path, "Hopper") if line[1] == "OTR, polished"]
+    assert [line[2:4] for line in lines] == [["6", "190.0 ± 30.0 (3 runs, quick)"]]
+
+
 # --- which runs count ---------------------------------------------------------------------------------------------
 
 

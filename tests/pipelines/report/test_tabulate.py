@@ -60,12 +60,14 @@ def test_all_runs_are_written_and_what_has_no_row_is_named(tmp_path: Path) -> No
 def test_a_run_has_a_row_for_each_form_of_its_policy(tmp_path: Path) -> None:
     policies = {"network": {"return_mean": 9.5, "return_std": 1.0, "n_episodes": 50}}
     simplify = {"return_mean": 7.5, "return_std": 2.0, "n_episodes": 40, "n_leaves": 5}
-    run = "hopper/otr/depth-8-8/quick-fleet/seed-3"
-    write_run(tmp_path, run, 8.5, policies=policies, simplify=simplify, pruned_depth=None, return_std=0.5)
+    polish = {"return_mean": 8.75, "return_std": 1.5, "n_episodes": 100, "kept": True}
+    run, more = "hopper/otr/depth-8-8/quick-fleet/seed-3", {"pruned_depth": None, "return_std": 0.5}
+    write_run(tmp_path, run, 8.5, policies=policies, simplify=simplify, polish=polish, **more)
     runs = load_runs(str(tmp_path)).set_index("form")
     columns = ["return_mean", "return_std", "n_episodes"]
     assert {form: tuple(row) for form, row in runs[columns].iterrows()} == {
         "network": (9.5, 1.0, 50), "tree": (8.5, 0.5, 100), "simplified": (7.5, 2.0, 40),
+        "polished": (8.75, 1.5, 100),
     }  # fmt: skip
     assert set(runs["run"]) == {run} and set(runs["depth"]) == {"8-8"} and set(runs["budget"]) == {"quick-fleet"}
     assert (runs["seed"] == 3).all() and runs["pruned_depth"].isna().all() and (runs["simplify.n_leaves"] == 5).all()

@@ -1,0 +1,206 @@
+"""Stage polish: the numbers of a finished policy improved on its return by direct search."""
+
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, TypeVar
+
+import numpy as np
+
+import otr
+from otr.control.search.polish import PolishReport
+from pipelines.config.run import RunConfig
+from pipelines.engine.seeding import episode_seeds, evaluation_seeds, stream_seed
+from pipelines.engine.stage import Stage, picked
+from pipelines.engine.store import write_csv, write_files, write_json
+from pipelines.play.actor_files import actor_files, load_actor
+from pipelines.play.rollout import Rollout, rollout
+from pipelines.stages.evaluate import EPISODE_COLUMNS, episode_rows
+from pipelines.stages.map import map_actor
+from pipelines.stages.printed_programs import write_program
+from pipelines.stages.prune import prune
+from pipelines.training.environments.classic_control import EQUAL_IDS
+from pipelines.training.search.episodes import SearchEpisodes
+
+Policy = TypeVar("Policy", otr.ObliqueTree, otr.ReluNetwork)
+
+ANNOUNCE_S = 10.0
+CANDIDATE_COLUMNS = ("iteration", "selection_mean", "n_selection_episodes")
+
+
+def polish(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
+    """Search, and write the polished tree, `program.txt`, `candidates.csv`, `episodes.csv` and `report.json`.
+
+    Of a mapped tree the network's numbers are searched, unless `polishing.numbers=tree`: then `out` has the actor's
+    files too, and the tree is the new network's, pruned as the stage prune does. Of any other the pruned tree's are; a
+    PID policy's tree is the one with constant gains, whose leaves are affine. `episodes.csv` has the evaluation
+    episodes of the network or tree that was searched.
+    """
+    if config.polishes_network:
+        network = load_actor(inputs["train"])
+        polished: Any = search(network, config, "polish")
+        write_files(actor_files(polished.policy), out)
+        with TemporaryDirectory(prefix="otr-") as full:
+            map_actor({"train": out}, config, Path(full))
+            prune({"train": out, "map": Path(full)}, config, out)
+        before: Any = network
+    else:
+        before = load_tree(inputs["prune"])
+        polished = search(before, config, "polish")
+        otr.save(polished.policy, out / "tree")
+        write_program(polished.policy, config.env, out)
+    write_csv(out / "candidates.csv", polished.candidates, CANDIDATE_COLUMNS)
+    tree: Any = otr.load(out / "tree")
+    policies = {"before": before, "after": polished.policy, "pruned": tree}
+    played = {name: _evaluation(policy, config) for name, policy in policies.items()}
+    write_csv(out / "episodes.csv", episode_rows(played["after"]), EPISODE_COLUMNS)
+    write_json(
+        out / "report.json",
+        {
+            "numbers": "network" if config.polishes_network else "tree",
+            "free": config.polishing.free,
+            **polished.report,
+            "n_leaves": tree.n_leaves,
+            "depth": tree.depth,
+            "n_episodes": config.evaluate.n_episodes,
+            **moments("_before", played["before"]),
+            **moments("", played["after"]),
+            **moments("_pruned", played["pruned"]),
+        },
+    )
+
+
+@dataclass(frozen=True)
+class Polished:
+    """A policy after `search`, what the report says of it, and the rows of its candidates."""
+
+    policy: Any
+    report: dict[str, Any]
+    candidates: list[dict[str, Any]]
+
+
+def search(policy: Policy, config: RunConfig, purpose: str) -> Polished:
+    """Polish a policy on its return in the run's environment; each purpose has directions and episodes of its own."""
+    polishing, began = config.polishing, time.process_time()
+    index = ("polish", "simplify").index(purpose)
+    reports: list[PolishReport] = []
+    announced = time.monotonic()
+
+    def announce(report: PolishReport) -> None:
+        nonlocal announced
+        reports.append(report)
+        if time.monotonic() - announced >= ANNOUNCE_S:
+            announced = time.monotonic()
+            (_, before), (iteration, now) = report.candidates[0], report.candidates[-1]
+            print(
+                f"{purpose}: iteration {iteration} of {report.n_iterations}, return {now:.1f} on the selection "
+                f"episodes, {before:.1f} before",
+                flush=True,
+            )
+
+    with closing(SearchEpisodes(config.env, environments(config))) as episodes:
+        seeds = np.array([episode_seeds(config.seed, "prune", config.prune.n_episodes)])
+        visited = episodes.play([policy], seeds, keep_states=True)
+        vectors_steps = 2 * polishing.n_directions * polishing.n_episodes * visited.lengths.mean()
+        n_steps = 0
+
+        def evaluate(policies: Sequence[Any], seeds: np.ndarray) -> np.ndarray:
+            nonlocal n_steps
+            played = episodes.play(policies, seeds)
+            n_steps += int(played.lengths.sum())
+            return played.returns
+
+        polished = otr.polish(
+            policy,
+            evaluate,
+            states=visited.states,
+            n_iterations=max(1, round(polishing.steps / vectors_steps)),
+            settings=search_settings(config),
+            n_episodes=polishing.n_episodes,
+            common_starts="all" if polishing.common_starts == "all" else "pair",
+            n_selection_episodes=polishing.n_selection_episodes,
+            n_candidates=polishing.n_candidates,
+            free=polishing.free and purpose == "polish",  # a shorter program stays as short
+            seed=stream_seed(config.seed, "polish", index),
+            report=announce,
+        )
+    cpu_seconds = round(time.process_time() - began, 3)
+    return Polished(polished, _told(reports[-1], config) | {"n_steps": n_steps, "cpu_seconds": cpu_seconds},
+                    [{"iteration": iteration, "selection_mean": mean,
+                      "n_selection_episodes": polishing.n_selection_episodes}
+                     for iteration, mean in reports[-1].candidates])  # fmt: skip
+
+
+def environments(config: RunConfig) -> str:
+    """Return who computes the environments of a polish."""
+    in_numpy = config.env.id in EQUAL_IDS and not config.env.kwargs and config.env.pid is None
+    return config.polishing.environments or ("numpy" if in_numpy else "gymnasium")
+
+
+def search_settings(config: RunConfig) -> otr.SearchSettings:
+    """Return the settings of the search."""
+    polishing = config.polishing
+    return otr.SearchSettings(
+        n_directions=polishing.n_directions,
+        n_top=polishing.n_top,
+        step_size=polishing.step_size,
+        noise=polishing.noise,
+        step_size_end=polishing.step_size_end,
+        noise_end=polishing.noise_end,
+        momentum=polishing.momentum,
+    )
+
+
+def load_tree(folder: Path) -> otr.ObliqueTree:
+    """Return a stage's pruned tree; of a PID policy the one with constant gains, whose leaves are affine."""
+    name = "constant_gains" if (folder / "constant_gains.json").is_file() else "tree"
+    tree = otr.load(folder / name)
+    if not isinstance(tree, otr.ObliqueTree):  # pruned trees are explicit
+        raise TypeError(f"{folder} holds a {type(tree).__name__}, expected an ObliqueTree")
+    return tree
+
+
+def moments(suffix: str, played: Rollout) -> dict[str, float]:
+    """Return mean and standard deviation of the return over episodes, under names with a suffix."""
+    return {
+        f"return_mean{suffix}": float(played.returns.mean()),
+        f"return_std{suffix}": float(played.returns.std()),
+    }
+
+
+def _told(report: PolishReport, config: RunConfig) -> dict[str, Any]:
+    """Return what the report of the search says, for people."""
+    iteration, best = max(report.candidates, key=lambda candidate: (candidate[1], -candidate[0]))
+    before, after = report.confirmation or (None, None)
+    return {
+        "kept": report.kept,
+        "n_numbers": report.n_numbers,
+        "n_iterations": report.n_iterations,
+        "best_iteration": iteration,
+        "n_selection_episodes": config.polishing.n_selection_episodes,
+        "selection_return_before": report.candidates[0][1],
+        "selection_return": best,
+        "confirmation_return_before": before,
+        "confirmation_return": after,
+        "n_episodes_played": report.n_played,
+    }
+
+
+def _evaluation(policy: Any, config: RunConfig) -> Rollout:
+    seeds = evaluation_seeds(config.evaluate.first_seed, config.evaluate.n_episodes)
+    return rollout(policy.predict, config.env, seeds, n_workers=config.n_workers)
+
+
+# Its inputs depend on the method: `pipelines.stages.table.stages_of` sets them.
+POLISH_SETTINGS = picked(
+    env="env",
+    seed="seed",
+    polishing="polishing",
+    max_leaves="map.max_leaves",
+    prune="prune",
+    evaluate="evaluate",
+)
+POLISH = Stage("polish", version=1, inputs=(), settings=POLISH_SETTINGS, run=polish)

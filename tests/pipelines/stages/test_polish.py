@@ -1,0 +1,221 @@
+"""polish=true: what it leaves, what certify and simplify make of it, and who shows it."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+import otr
+from pipelines.cli.runs import RUN, load_config
+from pipelines.config.env import EnvConfig
+from pipelines.config.methods import METHODS, ProgramConfig, ViperConfig
+from pipelines.config.stages import EvaluateConfig, PolishingConfig, PruneConfig
+from pipelines.engine.store import read_csv, read_json
+from pipelines.errors import ConfigError
+from pipelines.play.actor_files import load_actor
+from pipelines.play.environments import spaces
+from pipelines.stages.polish import environments, polish
+from pipelines.stages.table import stages_of
+from tests.committed import copy_run
+from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM
+
+PENDULUM_RUN = "pendulum/otr/depth-6/quick/seed-0"
+MOUNTAIN_CAR = EnvConfig("mountaincar", "mountaincar", "MountainCarContinuous-v0")
+# 4 iterations of 16 policies on 32 starts: 0.4 million steps of the pendulum in numpy
+SHORT = PolishingConfig(
+    steps=400_000, n_directions=8, n_top=8, step_size=0.3, noise=0.1, n_episodes=32, common_starts="all",
+    n_selection_episodes=200, n_candidates=2,
+)  # fmt: skip
+SHORT_WORDS = [
+    *(f"polishing.{name}={getattr(SHORT, name)}" for name in ("steps", "n_directions", "n_top", "n_episodes")),
+    "polishing.n_selection_episodes=200", "polishing.n_candidates=2",
+]  # fmt: skip
+
+
+@pytest.fixture
+def results(tmp_path):
+    """Return a results folder with the committed run of the pendulum, without its extra stages."""
+    copy_run(PENDULUM_RUN, tmp_path / "results/runs" / PENDULUM_RUN, "polish", "certify", "simplify")
+    return tmp_path / "results"
+
+
+def pendulum(command, results, *words):
+    done = command("run", "env=pendulum", "depth=6", "budget=quick", "n_workers=1", f"results_dir={results}", *words)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def linear(tmp_path, gain: float):
+    """Write the pruned tree of the policy `torque = gain * angle_rate`."""
+    M = np.array([[[0.0, 0.0, gain]]])
+    otr.save(
+        otr.ObliqueTree([], [], np.zeros((0, 3)), [], M, [[0.0]], head=otr.ClipBox([-2.0], [2.0])), tmp_path / "tree"
+    )
+
+
+def test_a_tree_of_any_method_is_polished_and_what_is_zero_stays(tiny, tmp_path):
+    folder, out = tmp_path / "prune", tmp_path / "out"
+    for each in (folder, out):
+        each.mkdir()
+    linear(folder, 0.1)
+    config = tiny(
+        method=ViperConfig("viper", 100, 1),
+        prune=PruneConfig(5, None),
+        evaluate=EvaluateConfig(20, 1000),
+        polishing=SHORT,
+    )
+    polish({"prune": folder}, config, out)
+    assert sorted(path.name for path in out.iterdir()) == [
+        "candidates.csv", "episodes.csv", "program.txt", "report.json", "tree.json", "tree.npz",
+    ]  # fmt: skip
+    report = read_json(out / "report.json")
+    tree = otr.load(out / "tree")
+    assert report["kept"] and report["numbers"] == "tree" and report["n_numbers"] == 1 == np.count_nonzero(tree.M)
+    assert tree.M[0, 0, 2] != 0.1 and tree.c[0, 0] == 0.0
+    assert report["n_iterations"] == 4 and report["n_steps"] == 200 * report["n_episodes_played"]
+    assert report["n_episodes_played"] == 4 * 16 * 32 + 3 * 200 + 2 * 200
+    assert report["selection_return"] > report["selection_return_before"] + 10
+    assert report["confirmation_return"] > report["confirmation_return_before"] + 10
+    assert report["best_iteration"] in (2, 4)
+    candidates = [(int(row["iteration"]), float(row["selection_mean"])) for row in read_csv(out / "candidates.csv")]
+    assert [iteration for iteration, _ in candidates] == [0, 2, 4]
+    assert max(mean for _, mean in candidates) == report["selection_return"]
+    returns = [float(row["return"]) for row in read_csv(out / "episodes.csv")]
+    assert np.mean(returns) == pytest.approx(report["return_mean"]) and len(returns) == 20 == report["n_episodes"]
+    assert report["return_mean"] == report["return_mean_pruned"] > report["return_mean_before"]
+    again = tmp_path / "again"
+    again.mkdir()
+    polish({"prune": folder}, config, again)
+    assert (again / "tree.npz").read_bytes() == (out / "tree.npz").read_bytes()
+    assert (again / "candidates.csv").read_bytes() == (out / "candidates.csv").read_bytes()
+
+
+def test_a_mapped_tree_is_polished_as_its_network_proved_and_exported(command, results):
+    run = results / "runs" / PENDULUM_RUN
+    printed = pendulum(command, results, "polish=true", "certify=true", *SHORT_WORDS)
+    (run,) = run.parent.glob("seed-0~*")
+    report, network = read_json(run / "polish/report.json"), load_actor(run / "polish")
+    assert report["numbers"] == "network" and report["n_numbers"] == 31
+    assert "polished: 31 numbers of the network searched in" in printed and "│ polished " in printed
+    trained = load_actor(run / "train")
+    assert network.head == trained.head and network.hidden_widths == (6,)
+    assert report["kept"] == (not np.array_equal(network.weights[0], trained.weights[0]))
+    tree = otr.load(run / "polish/tree")
+    X = np.random.default_rng(0).uniform(*spaces(PENDULUM).states, (2000, 3))
+    same = np.isclose(otr.map_network(network).predict(X), network.predict(X), atol=1e-9).all()
+    assert same and tree.n_leaves == report["n_leaves"] <= 64
+    # The certificate is of the polished network, and is refused with the trained one.
+    about = read_json(run / "certify/report.json")
+    assert about["policy"] == "polished" and about["certified"]
+    assert "is the polished network" in printed or "is exactly the polished network" in printed
+    assert command("verify", f"run={run}").stdout.startswith("verified")
+    refused = command("verify", f"run={run}", f"actor={run / 'train'}")
+    assert refused.returncode == (1 if report["kept"] else 0)
+    exported = command("export", f"run={run}", "format=text", "tree=polished")
+    assert exported.stdout == (run / "polish/program.txt").read_text()
+    assert "polish: done before" in pendulum(command, results, "polish=true", "certify=true", *SHORT_WORDS)
+    # Without polish=true the certificate is of the trained network again.
+    pendulum(command, results, "certify=true", *SHORT_WORDS)
+    assert "policy" not in read_json(run / "certify/report.json")
+    assert read_json(run / "summary.json")["polish"] == report
+
+
+def test_keys_of_certify_and_simplify_without_polish_are_as_they_were():
+    for method, config in METHODS.items():
+        plain, polished = stages_of(method), stages_of(method, polished=True)
+        assert plain["certify"].inputs == ("train", "map") and plain["simplify"].inputs == ("prune",)
+        assert polished["certify"].inputs == polished["simplify"].inputs == ("polish",)
+        assert plain["polish"].inputs == (("train", "prune") if config.is_mapped else ("prune",))
+        assert list(plain)[-3:] == ["polish", "certify", "simplify"]
+        for name in ("certify", "simplify"):
+            assert (plain[name].settings, plain[name].version) == (polished[name].settings, polished[name].version)
+
+
+def test_a_program_is_polished_shortened_and_polished_again(command, tmp_path):
+    (tmp_path / "car.txt").write_text("if velocity <= 0.001 position: -0.9 else: 0.8 + 0.0001 position\n")
+    words = (
+        "env=mountaincar", f"program={tmp_path / 'car.txt'}", "budget=quick", "n_workers=1", "polish=true",
+        "simplify=true", f"results_dir={tmp_path / 'results'}", "polishing.steps=20_000",
+        "polishing.n_directions=8", "polishing.n_top=4", "polishing.n_selection_episodes=20",
+        "polishing.n_candidates=4", "simplification.n_episodes=20", "evaluate.n_episodes=20",
+    )  # fmt: skip
+    done = command("run", *words)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (run,) = (tmp_path / "results").glob("runs/mountaincar/program/depth-1/quick/seed-0~*")
+    polished, simplified = (read_json(run / stage / "report.json") for stage in ("polish", "simplify"))
+    assert polished["kept"] and polished["return_mean"] > polished["return_mean_before"]
+    assert simplified["return_mean_before"] == polished["return_mean"]
+    again = simplified["polished_again"]
+    assert simplified["n_numbers"] < simplified["n_numbers_before"]
+    assert again["n_numbers"] <= simplified["n_numbers"]
+    if not again["kept"]:
+        assert again["return_mean_before"] == simplified["return_mean"]
+    tree = otr.load(run / "simplify/tree")
+    actions = tree.predict(np.random.default_rng(0).uniform(*spaces(MOUNTAIN_CAR).states, (500, 2)))
+    assert np.abs(actions).max() <= 1.0
+    assert "polished again: " in done.stdout
+    assert command("export", f"run={run}", "format=text", "tree=polished").returncode == 0
+
+
+def test_labels_are_polished(command, tmp_path):
+    (tmp_path / "fall.txt").write_text("if y_velocity < -0.2 then main_engine else none\n")
+    words = ("env=lunarlander", f"program={tmp_path / 'fall.txt'}", "budget=smoke", "n_workers=1", "polish=true",
+             "polishing.n_directions=2", "polishing.n_top=2", f"results_dir={tmp_path}")  # fmt: skip
+    assert command("run", *words).returncode == 0
+    (report,) = tmp_path.glob("runs/lunarlander/program/depth-1/smoke/seed-0~*/polish/report.json")
+    assert json.loads(report.read_text())["n_numbers"] == 2
+
+
+def test_a_pid_policy_is_polished_as_its_network_or_as_its_tree_with_constant_gains(tmp_path):
+    run = tmp_path / "run"
+    copy_run("pendulum/pid/depth-1/quick/seed-0", run, "polish", "certify", "simplify")
+    config = dataclasses.replace(
+        load_config(run, 1), prune=PruneConfig(2, None), evaluate=EvaluateConfig(2, 1000),
+        polishing=PolishingConfig(steps=1, n_directions=2, n_top=2, n_selection_episodes=2, step_size=0.01, noise=0.01),
+    )  # fmt: skip
+    for numbers in ("network", "tree"):
+        out = tmp_path / numbers
+        out.mkdir()
+        polishing = dataclasses.replace(config.polishing, numbers=numbers)
+        inputs = {"train": run / "train", "prune": run / "prune"}
+        polish(inputs, dataclasses.replace(config, polishing=polishing), out)
+        assert read_json(out / "report.json")["numbers"] == numbers
+    network, trained = load_actor(tmp_path / "network"), load_actor(run / "train")
+    np.testing.assert_array_equal(network.weights[-1][:9], trained.weights[-1][:9])  # the terms P, I, D
+    assert (tmp_path / "network/constant_gains.txt").is_file()
+    assert (
+        otr.load(tmp_path / "tree/tree").head == otr.load(run / "prune/constant_gains").head == otr.TanhBox([-2], [2])
+    )
+
+
+def test_settings_that_do_not_go_together_are_refused(tiny):
+    viper = ViperConfig("viper", 100, 1)
+    for changes, told in (
+        ({"method": viper, "polishing": PolishingConfig(numbers="network")}, "method=viper stands for no network"),
+        (
+            {"polish": True, "certify": True, "polishing": PolishingConfig(numbers="tree")},
+            "stands for no network that it",
+        ),
+        ({"polishing": PolishingConfig(n_top=30)}, "polishing.n_top=30 is more than polishing.n_directions=24"),
+        ({"polishing": PolishingConfig(numbers="both")}, "polishing.numbers=both: use one of network, tree"),
+        ({"polishing": PolishingConfig(momentum=1.0)}, "polishing.momentum=1.0: give a number from 0 to below 1"),
+    ):
+        with pytest.raises(ConfigError, match=told):
+            tiny(**changes)
+    assert tiny().polishes_network and not tiny(method=viper).polishes_network
+    assert tiny(polish=True, certify=True).selected_stages[-2:] == ("polish", "certify")
+
+
+def test_polish_free_is_short_for_polishing_free():
+    (job,) = RUN.jobs(RUN.expand(["env=mountaincar", "polish=true", "polish.free=true"], False))
+    assert job.config.polish and job.config.polishing.free and "~" in job.folder
+    (plain,) = RUN.jobs(RUN.expand(["env=mountaincar", "polish=true"], False))
+    assert "~" not in plain.folder
+
+
+def test_environments_are_numpy_s_where_these_are_gymnasium_s(tiny):
+    program = ProgramConfig("program", "x")
+    assert environments(tiny(env=PENDULUM, method=program)) == environments(tiny(env=MOUNTAIN_CAR)) == "numpy"
+    assert environments(tiny(env=LANDER)) == environments(tiny(env=HOPPER)) == "gymnasium"
+    assert environments(tiny(polishing=PolishingConfig(environments="gymnasium"))) == "gymnasium"

@@ -111,7 +111,7 @@ def _provenance(cells: pd.DataFrame, runs: pd.DataFrame) -> list[list[str]]:
             ", ".join(sorted(set(group[name]))) for name in ("algorithm", "env_id", "versions.gymnasium")
         )
         lines.append([TASK_NAMES.get(task, task), budget, trainer, steps, algorithms.upper(), episodes, env_ids,
-                      versions, str(len(group))])  # fmt: skip
+                      versions, str(group["run"].nunique())])  # fmt: skip
     return lines
 
 

@@ -60,6 +60,10 @@ class Composer:
         return cfg
 
     def _compose(self, overrides: Sequence[str]) -> DictConfig:
+        return self._compose_exactly([*self.implied(overrides), *overrides])
+
+    def _compose_exactly(self, overrides: Sequence[str]) -> DictConfig:
+        """Compose these overrides without what they imply."""
         for override in overrides:
             parse(override)
             key, _, value = override.lstrip("+").partition("=")
@@ -74,7 +78,7 @@ class Composer:
             raise ConfigError(f"which {what}? Add {group}=NAME with one of: {', '.join(self.options(group))}")
         with self.hydra():
             try:
-                return compose(self.name, [*self._search_path(), *self.implied(overrides), *overrides])
+                return compose(self.name, [*self._search_path(), *overrides])
             except HydraException as error:
                 raise ConfigError(self._explain(error, overrides)) from error
 

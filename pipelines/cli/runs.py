@@ -1,9 +1,11 @@
 """The overrides of `otr-run`, `otr-plan` and the figures: from them to jobs."""
 
+import copy
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -68,18 +70,16 @@ class RunWorkflow(Workflow):
     groups = staticmethod(fleets)
     check = staticmethod(check_tracking)
 
-    def implied(self, overrides: Sequence[str]) -> list[str]:
-        """Return the overrides that the choice of the method and the algorithm implies."""
-        given = dict(override.split("=", 1) for override in overrides if "=" in override)
-        return METHODS.get(given.get("method", "otr"), MethodConfig).implied(given)
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._without_method: dict[tuple[str, ...], DictConfig] = {}
 
-    def compose(self, overrides: Sequence[str]) -> DictConfig:
-        """Compose, with an environment's own settings of direct search in place of the general ones."""
-        env = next((override for override in reversed(overrides) if override.startswith("env=")), "").partition("=")[2]
-        own = f"ars_{env}"
-        if (CONF_DIR / "algo" / f"{own}.yaml").is_file():
-            overrides = [f"algo={own}" if override == "algo=ars" else override for override in overrides]
-        return super().compose(overrides)
+    def implied(self, overrides: Sequence[str]) -> list[str]:
+        """Return the overrides that the choice of budget, method, environment and algorithm implies."""
+        given = dict(override.split("=", 1) for override in overrides if "=" in override)
+        road = [override for override in _road(given) if key_of(override) not in given]
+        given |= dict(override.split("=", 1) for override in road)
+        return [*road, *METHODS.get(given.get("method", "otr"), MethodConfig).implied(given)]
 
     def _compose(self, overrides: Sequence[str]) -> DictConfig:
         """Compose what differs in the method alone once, and put the method in: its file fills `method` and no more."""
@@ -87,9 +87,20 @@ class RunWorkflow(Workflow):
         if not chosen or not all(map(self.is_plain, overrides)):
             return super()._compose(overrides)
         others = [override for override in overrides if override not in chosen]
-        cfg = self.compose([*self.implied(overrides), *others])
+        whole = (*self.implied(overrides), *others)
+        if whole not in self._without_method:
+            self._without_method[whole] = self._compose_exactly(whole)
+        cfg = copy.deepcopy(self._without_method[whole])
         cfg.method = self._method(chosen[-1])
         return cfg
+
+    def _compose_exactly(self, overrides: Sequence[str]) -> DictConfig:
+        """Compose, with an environment's own settings of direct search in place of the general ones."""
+        env = next((override for override in reversed(overrides) if override.startswith("env=")), "").partition("=")[2]
+        own = f"ars_{env}"
+        if (CONF_DIR / "algo" / f"{own}.yaml").is_file():
+            overrides = [f"algo={own}" if override == "algo=ars" else override for override in overrides]
+        return super()._compose_exactly(overrides)
 
     @functools.cache  # noqa: B019 - there is one workflow of runs, which lives as long as the process
     def _method(self, override: str) -> DictConfig:
@@ -140,6 +151,27 @@ class RunWorkflow(Workflow):
             f"trainer={config.trainer.name}", *algorithm, f"depth={config.depth}", f"seed={config.seed}",
         ]).config  # fmt: skip
         return baseline
+
+
+def _road(given: Mapping[str, str]) -> Sequence[str]:
+    """Return the overrides with which a budget does a method in an environment (conf/budget: roads)."""
+    budget, method, env = given.get("budget", _default_budget()), given.get("method", "otr"), given.get("env", "")
+    roads = _roads(budget).get(method, {})
+    return roads.get(env) or roads.get(env.rsplit("_v", 1)[0], [])
+
+
+@functools.cache
+def _roads(budget: str) -> dict[str, dict[str, list[str]]]:
+    path = CONF_DIR / "budget" / f"{budget}.yaml"
+    roads = OmegaConf.select(OmegaConf.load(path), "roads") if path.is_file() else None
+    found: Any = OmegaConf.to_container(roads) if roads else {}
+    return dict(found)
+
+
+@functools.cache
+def _default_budget() -> str:
+    """Return the budget that conf/run.yaml names."""
+    return next(str(entry.budget) for entry in OmegaConf.load(CONF_DIR / "run.yaml").defaults if "budget" in entry)
 
 
 def _program(config: RunConfig, program: str, overrides: Sequence[str]) -> tuple[str, int]:

@@ -107,7 +107,9 @@ class Workflow(Composer, ABC):
         assert self.needs is not None
         own = [f"{self.needs[0]}={self.anything}", *budgets, *experiments]
         settings = self.settings_of_hydra(own)
-        name, budget = experiments[-1].split("=", 1)[1], settings.runtime.choices.get("budget")
+        name = experiments[-1].split("=", 1)[1]
+        own_budget = (settings.sweeper.params or {}).get("budget")
+        budget = settings.runtime.choices.get("budget") if budgets or own_budget is None else own_budget
         if (CONF_DIR / self.folder / "experiment" / name / f"{budget}.yaml").is_file():
             settings = self.settings_of_hydra([*own, f"+experiment/{name}={budget}"])
         parameters = [f"{key}={value}" for key, value in (settings.sweeper.params or {}).items()]

@@ -14,19 +14,19 @@ import os
 import sys
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.measure import Entry
+from benchmarks.measure import Entry, output_dir
 from pipelines.engine.console import duration
 from pipelines.engine.provenance import git_revision, versions
 from pipelines.engine.store import write_json
 
 NAMES = (
-    "mapping", "prediction", "evaluation", "training", "fleet", "sweeps", "supervised", "control", "exact", "latency",
+    "mapping", "prediction", "evaluation", "training", "fleet", "search", "sweeps", "supervised", "control", "exact",
+    "latency",
 )  # fmt: skip
 
 
@@ -42,8 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in asked.names:
         if name not in NAMES:
             parser.error(_unknown(name))
-    results = Path(os.environ.get("OTR_RESULTS_DIR", "results"))
-    folder = results / "benchmarks" / "quick" if asked.quick else results / "benchmarks"
+    folder = output_dir(asked.quick)
     folder.mkdir(parents=True, exist_ok=True)
     entries: list[Entry] = []
     for name in asked.names or NAMES:

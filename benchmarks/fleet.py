@@ -82,8 +82,9 @@ def measure(quick: bool) -> list[Entry]:
 
 
 def run_config(precision: str, seed: int, n_steps: int) -> RunConfig:
-    """Return the configuration of `otr-run env=hopper depth=6 trainer=fleet` with these steps a segment."""
-    overrides = ["env=hopper", "depth=6", "trainer=fleet", f"trainer.precision={precision}", f"seed={seed}"]
+    """Return the configuration of `otr-run env=hopper depth=6 budget=thesis trainer=fleet` and segments so long."""
+    overrides = ["env=hopper", "depth=6", "budget=thesis", "trainer=fleet", f"seed={seed}"]
+    overrides += [f"trainer.precision={precision}"]
     overrides += [f"train.max_learning_starts={N_RANDOM}", f"train.eval_interval_steps={n_steps}"]
     return runs.run_config(overrides)
 

@@ -1,13 +1,25 @@
 """How things are measured: alternately with their peer, by the least of several rounds, against a target."""
 
 import operator
+import os
 import time
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 _COMPARE = {"<=": operator.le, ">=": operator.ge}
+
+
+def results_dir() -> Path:
+    """Return the folder with the committed runs, under which benchmarks write, too."""
+    return Path(os.environ.get("OTR_RESULTS_DIR", "results"))
+
+
+def output_dir(quick: bool) -> Path:
+    """Return the folder that benchmarks write to; quick ones do not overwrite whole ones."""
+    return results_dir() / "benchmarks" / "quick" if quick else results_dir() / "benchmarks"
 
 
 @dataclass(frozen=True)

@@ -52,10 +52,11 @@ def measure(quick: bool) -> list[Entry]:
 
 
 def run_config(env: str, steps: int, segment_steps: int, n_random: int) -> RunConfig:
-    """Return the configuration of `otr-run env=... depth=6` with these steps."""
+    """Return the configuration of `otr-run env=... depth=6 budget=thesis` with these steps."""
     overrides = [
         f"env={env}",
         "depth=6",
+        "budget=thesis",
         f"train.steps={steps}",
         f"train.eval_interval_steps={segment_steps}",
         f"train.max_learning_starts={n_random}",

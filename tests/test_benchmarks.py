@@ -3,16 +3,19 @@
 import json
 import shutil
 from itertools import count
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import otr
-from benchmarks import control, latency, mapping, supervised, training
+from benchmarks import control, latency, mapping, search, search_curves, supervised, training
 from benchmarks.__main__ import NAMES, document, main
 from benchmarks.evaluation import STANDING_GAINS, STANDING_OFFSETS, standing_policy
 from benchmarks.mapping import copying_tree, random_network
 from benchmarks.measure import Entry, alternate, peak_bytes
+from pipelines.training.search.policy_search import PolicySearch
 
 ENTRY_KEYS = {"name", "value", "unit", "peer", "peer_value", "ratio", "target", "met", "clock"} | {
     "command", "git_revision", "versions", "machine"}  # fmt: skip
@@ -123,6 +126,68 @@ def test_both_trainers_train_the_same_number_of_steps(tmp_path):
         train_segment()
         train_segment()
         assert model.num_timesteps == 60
+
+
+def test_the_search_s_share_is_of_the_steps_that_the_twin_did():
+    """The twin costs nothing but its time: the search finds what it finds without it."""
+    config = search.search_config("hopper")
+    state = PolicySearch(config, 0).state()
+    entry = search.share_of_environments(config, state, "gymnasium", n_rounds=1)
+    assert 0.3 < entry.ratio < 1.1 and entry.target == "ratio >= 0.85"
+    twins = search.TwinEnv(config.env, 2, "gymnasium")
+    plain = search.make_vector_env(config.env, 2, "gymnasium")
+    np.testing.assert_array_equal(twins.reset([1, 2]), plain.reset([1, 2]))
+    before = twins.twin_seconds
+    for actions in np.random.default_rng(0).uniform(-1, 1, (6, 2, 3)):
+        for part, expected in zip(twins.step(actions), plain.step(actions), strict=True):
+            np.testing.assert_array_equal(part, expected)
+    assert twins.twin_seconds > before > 0.0
+
+
+def test_searches_take_turns_with_their_peer():
+    entries = search.against_peer(300, n_turns=1)
+    assert entries[0].value > 0 and {entry.peer for entry in entries} == {"sb3-contrib's ARS"}
+    assert [entry.target for entry in entries] == [None] * (len(entries) - 1) + ["ratio >= 3"]
+    config = search.search_config("hopper", "depth=0", "method=linear")
+    for turn in (search.search_turn(config, "gymnasium", 300), search.peer_turn(config, 300)):
+        assert 300 <= turn() < 2_000
+
+
+COMMITTED = Path(__file__).parents[1] / "results"
+
+
+@pytest.mark.skipif(
+    not (COMMITTED / "runs/hopper/otr/depth-6/quick").is_dir(), reason="the runs of Hopper are not there"
+)
+def test_the_picture_has_the_curves_of_the_committed_runs(tmp_path):
+    curve = search_curves.curve(COMMITTED / "runs/hopper/otr/depth-6/quick/seed-0", rate=100.0)
+    assert curve["steps"].tolist() == list(range(5_000, 100_001, 5_000))
+    assert curve["seconds"].tolist() == [0.0, *range(0, 901, 50)]  # the first 10,000 steps are random ones
+    assert curve["best"].is_monotonic_increasing and curve["best"].iloc[-1] == pytest.approx(1_061, abs=1)
+    rates = {"search": 5_000.0, "sb3": 100.0, "fleet": 200.0}
+    paths = search_curves.write_picture(COMMITTED, rates, tmp_path / "benchmarks")
+    assert [path.name for path in paths] == ["search.png", "search.svg"]
+    assert all(path.stat().st_size > 10_000 for path in paths)
+
+
+def test_of_each_trainer_the_longest_runs_are_shown():
+    columns = ["env", "method", "depth", "form", "algorithm", "trainer", "budget", "settings", "steps"]
+    hopper = ("hopper", "otr", "6", "tree")
+    rows = [
+        (*hopper, "sac", "fleet", "quick-fleet", "", 100),
+        (*hopper, "ars", "search", "quick-ars", "", 300),
+        (*hopper, "ars", "search", "standard-ars", "", 4_000),
+        (*hopper, "ars", "search", "standard-ars", "", 4_000),
+        (*hopper, "ars", "search", "standard-ars", "a1b2", 4_000),
+        ("hopper", "otr", "6", "polished", "ars", "search", "standard-ars", "", 4_000),
+        ("hopper", "linear", "0", "tree", "ars", "search", "standard-ars", "", 9_000),
+    ]
+    assert search_curves.shown_runs(pd.DataFrame(rows, columns=columns)).index.tolist() == [2, 3, 0]
+
+
+def test_without_runs_there_is_no_picture(tmp_path, capsys):
+    assert search_curves.write_picture(tmp_path, {}, tmp_path) == []
+    assert "no picture" in capsys.readouterr().out
 
 
 def test_without_molecules_the_examples_train_and_it_is_told(tmp_path, monkeypatch, capsys):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -45,7 +46,9 @@ def return_against_depth(points: pd.DataFrame, solved: float, title: str | None 
         handles.append(_legend_line("oracle", color=INK, linestyle=DASHES, linewidth=1))
     handles.append(_legend_line(f"solved ({solved:g})", color=GREY, linestyle=DOTS, linewidth=1))
     n_columns = min(points["panel"].nunique(), 2)
-    figure, panels = _figure(points, n_columns, max(n_columns, 1.5), ("depth of the tree", "return"), sharey=True)
+    figure, panels = _figure(
+        points, n_columns, max(n_columns, 1.5), ("depth of the tree", "return"), share=(True, True)
+    )
     for panel, (_, own) in zip(panels, points.groupby("panel", sort=False), strict=True):
         _draw_depths(panel, own, styles, solved)
     panels[0].set_xticks(sorted(set(points["depth"])))
@@ -89,13 +92,48 @@ def auc_against_leaves(points: pd.DataFrame) -> Figure:
     return figure
 
 
+def return_against_cost(curves: pd.DataFrame, title: str) -> Figure:
+    """Return a figure of the return that training reaches against its environment steps and its CPU-seconds.
+
+    Thin lines are single runs, a thick one is the mean of a label's runs, from where each has a value to where the
+    first ends. Labels come in the order of the curves.
+
+    Args:
+        curves: at least one row for each time that a run was judged: `label` (who trains, in words), `seed` (which run
+            of these), `steps`, `seconds` (rows of 0 have no place there) and `best` (the best return so far, which
+            stays until the next row).
+        title: of the figure.
+    """
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    if curves.empty:
+        raise ValueError("no curves were given")
+    colours = dict(zip(dict.fromkeys(curves["label"]), itertools.cycle(COLOURS), strict=False))
+    costs = {"steps": "environment steps", "seconds": "CPU-seconds of one core"}
+    ticks = {"steps": [1.0], "seconds": [1.0, 3.0]}  # within a decade
+    names = pd.DataFrame({"panel": costs.values()})
+    figure, panels = _figure(names, 2, 2, ("log scale", "return"), len(colours), share=(False, True))
+    for panel, cost in zip(panels, costs, strict=True):
+        for label, colour in colours.items():
+            _draw_curves(panel, curves[(curves["label"] == label) & (curves[cost] > 0)], cost, colour)
+        panel.set_xscale("log")
+        panel.xaxis.set_major_locator(LogLocator(subs=ticks[cost]))
+        panel.xaxis.set_minor_formatter(NullFormatter())
+        for axis in (panel.xaxis, panel.yaxis):
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+        panel.set_ylim(bottom=0)
+    figure.suptitle(title, fontsize=NORMAL)
+    _set_legend(figure, [_legend_line(label, color=colour, linewidth=1.8) for label, colour in colours.items()], 1)
+    return figure
+
+
 def _figure(
     points: pd.DataFrame,
     n_columns: int,
     width: float,
     labels: tuple[str, str],
     n_legend_rows: int = 1,
-    sharey: bool = False,
+    share: tuple[bool, bool] = (True, False),
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure and its panels, `width` panels wide, with titles and with labels below and to the left."""
     from matplotlib.figure import Figure
@@ -104,7 +142,7 @@ def _figure(
     n_rows = math.ceil(len(names) / n_columns)
     height = PANEL_HEIGHT * n_rows + LEGEND_ROW * (n_legend_rows + 1)
     figure = Figure(figsize=(PANEL_WIDTH * width, height), layout="constrained", facecolor="white")
-    panels = list(figure.subplots(n_rows, n_columns, squeeze=False, sharex=True, sharey=sharey).flat)
+    panels = list(figure.subplots(n_rows, n_columns, squeeze=False, sharex=share[0], sharey=share[1]).flat)
     for panel, name in zip(panels, names, strict=False):
         panel.set_title(name, fontsize=NORMAL, fontweight="bold", loc="left")
         panel.grid(True, color="#e6e6e6", linewidth=0.6)
@@ -163,6 +201,18 @@ def _draw_depths(panel: Axes, points: pd.DataFrame, styles: Styles, solved: floa
             line = {"linewidth": 1.2, "markeredgecolor": "white", "markeredgewidth": 0.5, **style}
             panel.plot(own["depth"], own["mean"], zorder=3, **line)
     panel.locator_params(axis="y", nbins=6)
+
+
+def _draw_curves(panel: Axes, curves: pd.DataFrame, cost: str, colour: str) -> None:
+    runs = [run.set_index(cost)["best"] for _, run in curves.groupby("seed")]
+    style: dict[str, Any] = {"color": colour, "drawstyle": "steps-post"}
+    if len(runs) == 1:
+        panel.plot(runs[0].index, runs[0], linewidth=1.8, **style)
+        return
+    for run in runs:
+        panel.plot(run.index, run, linewidth=0.7, alpha=0.45, **style)
+    mean = pd.concat(runs, axis=1).sort_index().ffill().loc[: min(run.index[-1] for run in runs)].dropna().mean(axis=1)
+    panel.plot(mean.index, mean, linewidth=1.8, **style)
 
 
 def _set_ticks(panel: Axes, most_leaves: float) -> None:

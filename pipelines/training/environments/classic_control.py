@@ -126,9 +126,6 @@ class ClassicControlVectorEnv:
     def reset(self, seeds: Sequence[int]) -> np.ndarray:
         assert len(seeds) == self.n_envs, (len(seeds), self.n_envs)
         self._starts = _Starts(seeds, np.array(self._plant.low), np.array(self._plant.high))
-        return self.next_episodes()
-
-    def next_episodes(self) -> np.ndarray:
         return self.restart(np.arange(self.n_envs))
 
     def restart(self, envs: np.ndarray) -> np.ndarray:

@@ -45,9 +45,6 @@ class EnvPoolVectorEnv:
     def reset(self, seeds: Sequence[int]) -> np.ndarray:
         """Start anew in a new pool: EnvPool takes seeds only when one is made (about 20 ms for ten hoppers)."""
         self._pool = make_pool(self._id, seeds)
-        return self.next_episodes()
-
-    def next_episodes(self) -> np.ndarray:
         self._n_steps[:] = 0
         states, _ = self._pool.reset()
         return np.array(states)

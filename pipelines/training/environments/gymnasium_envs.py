@@ -26,33 +26,17 @@ class GymnasiumVectorEnv:
         self._envs = [make_training_env(env, rescale_inputs=rescale_inputs) for _ in range(n_envs)]
         self._n_inputs, self._dtype = flat_state_size(self._envs[0]), self._envs[0].observation_space.dtype
         self._discrete = is_discrete(self._envs[0])
-        self._seeds: list[int] = []
-        self._n_episodes = np.zeros(n_envs, dtype=np.int64)  # begun since `reset`
 
     def reset(self, seeds: Sequence[int]) -> np.ndarray:
-        self._seeds = [int(seed) for seed in seeds]
-        self._n_episodes[:] = 1
         states = self._empty_states(self.n_envs)
-        for i, (env, seed) in enumerate(zip(self._envs, self._seeds, strict=True)):
-            states[i], _ = env.reset(seed=seed)
-        return states
-
-    def next_episodes(self) -> np.ndarray:
-        """Seed the k-th episode by (the environment's seed, k).
-
-        An environment's own stream would not do: the lunar lander's, for one, is drawn from at every step.
-        """
-        states = self._empty_states(self.n_envs)
-        for i, (env, seed, k) in enumerate(zip(self._envs, self._seeds, self._n_episodes, strict=True)):
-            states[i], _ = env.reset(seed=int(np.random.SeedSequence((seed, int(k))).generate_state(1)[0]))
-        self._n_episodes += 1
+        for i, (env, seed) in enumerate(zip(self._envs, seeds, strict=True)):
+            states[i], _ = env.reset(seed=int(seed))
         return states
 
     def restart(self, envs: np.ndarray) -> np.ndarray:
         states = self._empty_states(len(envs))
         for j, i in enumerate(envs):
             states[j], _ = self._envs[i].reset()
-        self._n_episodes[envs] += 1
         return states
 
     def step(self, actions: np.ndarray, envs: np.ndarray | None = None) -> Outcome:

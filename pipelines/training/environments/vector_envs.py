@@ -39,14 +39,6 @@ class VectorEnv(Protocol):
         """
         ...
 
-    def next_episodes(self) -> np.ndarray:
-        """Start the next episode of every environment; return the first states, (n, d).
-
-        Environments that were reset with equal seeds, and have had as many episodes since, start from equal states,
-        whatever was done in the episodes before: common random numbers for the policies that play in them.
-        """
-        ...
-
     def restart(self, envs: np.ndarray) -> np.ndarray:
         """Start the next episode of some environments, each in its own random stream, as gymnasium's reset() does.
 

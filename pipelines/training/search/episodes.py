@@ -74,29 +74,27 @@ class SearchEpisodes:
         envs = self._made[k * m]
         stack = stack_policies(policies)
         states = np.asarray(envs.reset(seeds.ravel().tolist()), dtype=np.float64).reshape(k, m, -1)
-        rows = np.arange(k)  # the policies in the stack
-        live = np.ones((k, m), dtype=bool)  # of those, the episodes that go on
+        live = np.ones((k, m), dtype=bool)  # the episodes that go on, of the policies in the stack
+        playing = np.arange(k * m)  # their environments
         returns, lengths = np.zeros((k, m)), np.zeros((k, m), dtype=np.int64)
         visited = []
         for _ in itertools.count() if horizon is None else range(horizon):
             actions = stack.predict(states)
             if keep_states:
                 visited.append(states[live])
-            every = live.all() and len(rows) == k
-            playing = (rows[:, None] * m + np.arange(m))[live]
-            outcome = envs.step(actions[live], None if every else playing)
+            outcome = envs.step(actions[live], None if len(playing) == k * m else playing)
             returns.reshape(-1)[playing] += outcome.rewards - self._alive_bonus
             lengths.reshape(-1)[playing] += 1
             states[live] = outcome.states
             ended = outcome.terminated | outcome.truncated
             if ended.any():
                 live[live] = ~ended
+                playing = playing[~ended]
+                if not len(playing):
+                    break
                 going = np.asarray(live.any(axis=1))
-                if going.sum() <= len(rows) // 2:  # the others' answers are no longer worked out
-                    rows, live, states = rows[going], live[going], states[going]
-                    stack = stack.take(going)
-                    if not len(rows):
-                        break
+                if going.sum() <= len(live) // 2:  # the others' answers are no longer worked out
+                    live, states, stack = live[going], states[going], stack.take(going)
         return Played(returns, lengths, np.concatenate(visited) if visited else np.zeros((0, states.shape[2])))
 
     def close(self) -> None:

@@ -86,7 +86,7 @@ def test_ten_thousand_pendulums_of_few_seeds():
     alone = ClassicControlVectorEnv(config("Pendulum-v1", max_episode_steps=2), 1)
     alone.reset([3])
     for _ in range(20):
-        states, expected = envs.next_episodes(), alone.next_episodes()
+        states, expected = envs.restart(np.arange(10_000)), alone.restart(np.arange(1))
         np.testing.assert_array_equal(states[3::16], np.repeat(expected, 625, axis=0))
     assert not envs.step(np.zeros((10_000, 1), np.float32)).truncated.any()
     assert envs.step(np.zeros((10_000, 1), np.float32)).truncated.all()

@@ -1,0 +1,78 @@
+"""Return against steps and CPU-seconds: the curves of the committed runs of Hopper at depth 6, as one picture.
+
+A curve is the return of the actor that a run would hand out if it ended there: the best so far of its evaluations on
+selection episodes. Of each trainer the runs with the most steps are shown.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+import otr
+from pipelines.cli.runs import load_config
+from pipelines.config.algo import SacConfig
+from pipelines.engine.store import read_csv
+from pipelines.report import load_runs
+from pipelines.report.figures import return_against_cost
+from pipelines.training.estimates import learning_starts
+
+TRAINERS = {"search": "direct search", "sb3": "SAC, Stable-Baselines3", "fleet": "SAC, fleet"}
+ALGORITHMS = ("ars", "sac")
+
+
+def write_picture(results_dir: Path, rates: Mapping[str, float], folder: Path) -> list[Path]:
+    """Write search.png and search.svg into `folder`; nothing where there is no run.
+
+    Args:
+        results_dir: where the runs lie.
+        rates: environment steps a CPU-second by trainer.
+        folder: made where it is not there.
+    """
+    runs = shown_runs(load_runs(results_dir))
+    if runs.empty:
+        print(f"search: no picture, because {results_dir}/runs/hopper/otr has no finished runs of depth 6", flush=True)
+        return []
+    labelled = []
+    for trainer, own in runs.groupby("trainer", sort=False):
+        for _, run in own.iterrows():
+            made = curve(results_dir / "runs" / run["run"], rates[str(trainer)])
+            labelled.append(made.assign(label=label(own, rates[str(trainer)]), seed=run["seed"]))
+    curves = pd.concat(labelled, ignore_index=True)
+    figure = return_against_cost(curves, "Hopper-v4, depth 6: the best actor so far (thick: the mean of the runs)")
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / "search.png", folder / "search.svg"]
+    for path in paths:
+        otr.save_picture(figure, path)
+    return paths
+
+
+def shown_runs(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of `load_runs` that have a curve, in the order of TRAINERS."""
+    hopper = runs[(runs["env"] == "hopper") & (runs["method"] == "otr") & (runs["depth"] == "6")]
+    trained = hopper[(hopper["form"] == "tree") & hopper["algorithm"].isin(ALGORITHMS)]
+    groups = []
+    for trainer in TRAINERS:
+        own = trained[trained["trainer"] == trainer]
+        kinds = [kind for _, kind in own.groupby(["budget", "settings"])]
+        groups += [max(kinds, key=lambda kind: kind["steps"].max())] if kinds else []
+    return pd.concat(groups) if groups else trained
+
+
+def curve(run_dir: Path, rate: float) -> pd.DataFrame:
+    """Return a run's curve: steps, CPU-seconds at `rate` without SAC's random first steps, best return so far."""
+    rows = read_csv(run_dir / "train" / "evaluations.csv")
+    steps, returns = (np.array([float(row[name]) for row in rows]) for name in ("steps", "return_mean"))
+    config = load_config(run_dir, None)
+    n_random = learning_starts(config) if isinstance(config.algo, SacConfig) else 0
+    seconds = np.maximum(steps - n_random, 0) / rate
+    return pd.DataFrame({"steps": steps, "seconds": seconds, "best": np.maximum.accumulate(returns)})
+
+
+def label(runs: pd.DataFrame, rate: float) -> str:
+    """Return what the legend says of a trainer's runs."""
+    n, steps = len(runs), int(runs["steps"].iloc[0])
+    amount = f"{n} run{'s' if n > 1 else ''} of {steps:,} steps at {rate:,.0f} steps/s"
+    reported = f"return {runs['return_mean'].mean():,.0f} on 100 other episodes"
+    return f"{TRAINERS[runs['trainer'].iloc[0]]}: {amount}; {reported}"

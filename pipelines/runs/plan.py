@@ -8,12 +8,12 @@ from rich.table import Table
 from pipelines.engine.console import counted, duration
 from pipelines.engine.stage import stage_status
 from pipelines.runs.run_job import RunJob
-from pipelines.stages import imitate
+from pipelines.stages import imitate, polish
 from pipelines.stages.train import seconds_left, trained_steps
 
 
 def job_plan(job: RunJob, planned: set[str]) -> tuple[str, float]:
-    """Return what is to be done for a job, in words, and the seconds of training and imitating it leaves.
+    """Return what is to be done for a job, in words, and the seconds of training, imitating and polishing it leaves.
 
     `planned` has the folders of the oracles that jobs before it train; its own is added.
     """
@@ -25,13 +25,15 @@ def job_plan(job: RunJob, planned: set[str]) -> tuple[str, float]:
     left = [name for name, status in statuses.items() if status != "done"]
     if not left:
         return "skip", 0.0
+    polish_s = polish.estimated_seconds(config) if "polish" in left else 0.0
+    polished = f", polish for about {duration(polish_s)}" if "polish" in left else ""
     if "train" in left:
         done = trained_steps(config)
-        return (f"resume at step {done:,}" if done else "run"), seconds_left(config)
-    seconds = imitate.estimated_seconds(config) if "imitate" in left else 0.0
+        return (f"resume at step {done:,}" if done else "run") + polished, seconds_left(config) + polish_s
+    seconds = polish_s + (imitate.estimated_seconds(config) if "imitate" in left else 0.0)
     if job.oracle and "oracle" in left:
         what, oracle_seconds = _oracle_plan(job.oracle, planned)
-        return f"run, {what}", seconds + oracle_seconds
+        return f"run, {what}{polished}", seconds + oracle_seconds
     return f"run {', '.join(left)}", seconds
 
 

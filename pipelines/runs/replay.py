@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 
 from pipelines.config.run import RunConfig
-from pipelines.engine.store import read_csv
+from pipelines.engine.store import exists, read_csv
 from pipelines.stages.derived import opened_run
 from pipelines.stages.evaluate import episodes_file, load_policies, play
+from pipelines.stages.polish import load_searched
 
 TOLERANCE = 1e-6  # of the return, relative
 
@@ -15,14 +16,19 @@ TOLERANCE = 1e-6  # of the return, relative
 def replay(config: RunConfig, run_dir: Path) -> int:
     """Print one line a policy form and return how many of a run's episodes came out differently.
 
-    Other versions of the simulators give other episodes; on the recorded versions all of them come back.
+    The polished form, where there is one, is the last. Other versions of the simulators give other episodes; on the
+    recorded versions all of them come back.
     """
     with opened_run(config, run_dir) as whole:
         policies = load_policies({name: whole / name for name in config.method.stages}, config)
+        recorded_in = {name: run_dir / "evaluate" / episodes_file(name) for name in policies}
+        if exists(run_dir / "polish" / "episodes.csv"):
+            policies["polished"] = load_searched(whole / "polish")
+            recorded_in["polished"] = run_dir / "polish" / "episodes.csv"
     played = play(policies, config)
     n_different = 0
     for name in played:
-        recorded = np.array([float(row["return"]) for row in read_csv(run_dir / "evaluate" / episodes_file(name))])
+        recorded = np.array([float(row["return"]) for row in read_csv(recorded_in[name])])
         again = played[name].returns
         different = np.flatnonzero(np.abs(again - recorded) > TOLERANCE * np.maximum(1.0, np.abs(recorded)))
         n_different += len(different)

@@ -110,7 +110,17 @@ def _simplified(report: dict[str, Any], whole: Path) -> list[str]:
         f"{same:.1f} % of the states, {apart:.2g} apart on average",
         *([f"polished again: {again['return_mean_before']:z.1f} before and {report['return_mean']:z.1f} after"
            if again["kept"] else "polished again: nothing better was confirmed"] if again else []),
+        *([_loss(report["loss"])] if "loss" in report else []),
     ]  # fmt: skip
+
+
+def _loss(loss: dict[str, Any]) -> str:
+    """Return what a shorter program loses against the one that it came from, in words."""
+    mean, error = loss["mean"], loss["standard_error"]
+    where = f"on {loss['n_episodes']} episodes that decided nothing"
+    if mean > error:
+        return f"the shorter program loses {mean:.2f} ± {error:.2f} {where}"
+    return f"the shorter program loses nothing {where}: {-mean:+z.2f} ± {error:.2f}"
 
 
 def _leaves(n_leaves: int) -> str:

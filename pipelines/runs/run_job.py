@@ -13,6 +13,7 @@ from pipelines.engine.store import read_json
 from pipelines.runs.result import show_result
 from pipelines.runs.summary import summarise
 from pipelines.stages.derived import derive, opened_run
+from pipelines.stages.polish import announce_polish
 from pipelines.stages.table import stages_of
 from pipelines.stages.train import TRAIN, announce_training, train_together
 from pipelines.tracking.tracker import Tracker
@@ -93,6 +94,8 @@ def _run_stages(job: RunJob) -> dict[str, Any] | None:
             print(f"{run_dir}", flush=True)
         if stage.name == "train" and stage_status(stage, run_dir / "train", config) == "missing":
             announce_training([config])
+        if stage.name == "polish" and stage_status(stage, run_dir / "polish", config) == "missing":
+            announce_polish(config)
         do_stage(job, stage, partial(derive, config))
     if job.ends_with not in config.selected_stages:
         return None

@@ -8,14 +8,16 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
+import gymnasium as gym
 import numpy as np
 
 import otr
 from otr.control.search.polish import PolishReport
 from pipelines.config.run import RunConfig
+from pipelines.engine.console import duration
 from pipelines.engine.seeding import episode_seeds, evaluation_seeds, stream_seed
 from pipelines.engine.stage import Stage, picked
-from pipelines.engine.store import write_csv, write_files, write_json
+from pipelines.engine.store import exists, write_csv, write_files, write_json
 from pipelines.play.actor_files import actor_files, load_actor
 from pipelines.play.rollout import Rollout, rollout
 from pipelines.stages.evaluate import EPISODE_COLUMNS, episode_rows
@@ -28,6 +30,12 @@ from pipelines.training.search.episodes import SearchEpisodes
 Policy = TypeVar("Policy", otr.ObliqueTree, otr.ReluNetwork)
 
 ANNOUNCE_S = 10.0
+LONG_POLISH_S = 60.0
+# Environment steps of the search per second on one core, measured; in numpy with the batches of conf/env
+NUMPY_STEPS_PER_S = {"pendulum": 4_000_000.0, "mountaincar": 300_000.0}
+STEPS_PER_S = {"lunarlander": 18_000.0, "halfcheetah": 18_000.0, "swimmer": 14_000.0, "ant": 3_500.0}
+OTHER_STEPS_PER_S = 8_000.0
+SHARE_PLAYED = 0.5  # of an episode's longest length
 CANDIDATE_COLUMNS = ("iteration", "selection_mean", "n_selection_episodes")
 
 
@@ -140,6 +148,27 @@ def environments(config: RunConfig) -> str:
     return config.polishing.environments or ("numpy" if in_numpy else "gymnasium")
 
 
+def estimated_seconds(config: RunConfig) -> float:
+    """Return the likely time of the search on one core, its selection and confirmation episodes included."""
+    polishing = config.polishing
+    n_chosen = (polishing.n_candidates + 3) * polishing.n_selection_episodes
+    longest = gym.spec(config.env.id).max_episode_steps or 1000
+    table = NUMPY_STEPS_PER_S if environments(config) == "numpy" else STEPS_PER_S
+    rate = table.get(config.env.task, OTHER_STEPS_PER_S)
+    return (polishing.steps + n_chosen * longest * SHARE_PLAYED) / rate
+
+
+def announce_polish(config: RunConfig) -> None:
+    """Print the likely time of a long polish."""
+    seconds = estimated_seconds(config)
+    if seconds >= LONG_POLISH_S:
+        print(
+            f"polish: a search of {config.polishing.steps:,} steps, about {duration(seconds)} on one core; one that is "
+            "stopped begins anew",
+            flush=True,
+        )
+
+
 def search_settings(config: RunConfig) -> otr.SearchSettings:
     """Return the settings of the search."""
     polishing = config.polishing
@@ -161,6 +190,11 @@ def load_tree(folder: Path) -> otr.ObliqueTree:
     if not isinstance(tree, otr.ObliqueTree):  # pruned trees are explicit
         raise TypeError(f"{folder} holds a {type(tree).__name__}, expected an ObliqueTree")
     return tree
+
+
+def load_searched(folder: Path) -> otr.ObliqueTree | otr.ReluNetwork:
+    """Return what a stage polish has searched, the network or the tree, as it came out."""
+    return load_actor(folder) if exists(folder / "actor.json") else load_tree(folder)
 
 
 def moments(suffix: str, played: Rollout) -> dict[str, float]:

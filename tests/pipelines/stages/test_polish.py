@@ -7,15 +7,20 @@ import numpy as np
 import pytest
 
 import otr
+from otr.shorten.simplify import Simplification
 from pipelines.cli.runs import RUN, load_config
 from pipelines.config.env import EnvConfig
 from pipelines.config.methods import METHODS, ProgramConfig, ViperConfig
-from pipelines.config.stages import EvaluateConfig, PolishingConfig, PruneConfig
+from pipelines.config.stages import EvaluateConfig, PolishingConfig, PruneConfig, SimplificationConfig
+from pipelines.engine.seeding import episode_seeds
 from pipelines.engine.store import read_csv, read_json
 from pipelines.errors import ConfigError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import spaces
-from pipelines.stages.polish import environments, polish
+from pipelines.runs.replay import replay
+from pipelines.runs.result import _loss
+from pipelines.stages import simplify as simplify_module
+from pipelines.stages.polish import announce_polish, environments, estimated_seconds, polish
 from pipelines.stages.table import stages_of
 from tests.committed import copy_run
 from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM
@@ -91,7 +96,7 @@ def test_a_tree_of_any_method_is_polished_and_what_is_zero_stays(tiny, tmp_path)
     assert (again / "candidates.csv").read_bytes() == (out / "candidates.csv").read_bytes()
 
 
-def test_a_mapped_tree_is_polished_as_its_network_proved_and_exported(command, results):
+def test_a_mapped_tree_is_polished_as_its_network_proved_and_exported(command, results, capsys):
     run = results / "runs" / PENDULUM_RUN
     printed = pendulum(command, results, "polish=true", "certify=true", *SHORT_WORDS)
     (run,) = run.parent.glob("seed-0~*")
@@ -101,6 +106,8 @@ def test_a_mapped_tree_is_polished_as_its_network_proved_and_exported(command, r
     trained = load_actor(run / "train")
     assert network.head == trained.head and network.hidden_widths == (6,)
     assert report["kept"] == (not np.array_equal(network.weights[0], trained.weights[0]))
+    assert replay(load_config(run, 1), run) == 0
+    assert f"{run}: polished: 100 episodes played again, as recorded" in capsys.readouterr().out
     tree = otr.load(run / "polish/tree")
     X = np.random.default_rng(0).uniform(*spaces(PENDULUM).states, (2000, 3))
     same = np.isclose(otr.map_network(network).predict(X), network.predict(X), atol=1e-9).all()
@@ -155,7 +162,78 @@ def test_a_program_is_polished_shortened_and_polished_again(command, tmp_path):
     actions = tree.predict(np.random.default_rng(0).uniform(*spaces(MOUNTAIN_CAR).states, (500, 2)))
     assert np.abs(actions).max() <= 1.0
     assert "polished again: " in done.stdout
+    loss = simplified["loss"]
+    assert loss["n_episodes"] == 20 and loss["mean"] <= loss["standard_error"] > 0
+    assert "the shorter program loses nothing on 20 episodes that decided nothing: " in done.stdout
+    # The recorded episodes of the polished policy come back.
+    words = ("tabulate", "runs", "evaluate=true", f"results_dir={tmp_path / 'results'}", "n_workers=1")
+    replayed = command(*words)
+    assert replayed.returncode == 0, replayed.stdout + replayed.stderr
+    assert f"{run}: polished: 20 episodes played again, as recorded" in replayed.stdout
     assert command("export", f"run={run}", "format=text", "tree=polished").returncode == 0
+    recorded = (run / "polish/episodes.csv").read_text()
+    (run / "polish/episodes.csv").write_text(recorded.replace("\n3,1003,", "\n3,1003,1"))
+    replayed = command(*words)
+    assert replayed.returncode == 1 and "polished: 20 episodes played again, 1 differ, the first is episode 3" in (
+        replayed.stdout
+    )
+
+
+def test_a_shorter_tree_that_loses_after_its_second_polish_is_searched_for_again(tiny, tmp_path, monkeypatch):
+    folder, out, spins = tmp_path / "polish", tmp_path / "out", tmp_path / "spins"
+    for each in (folder, out, spins):
+        each.mkdir()
+    linear(folder, 0.0)
+    linear(spins, -1.0)
+    worse = otr.load(spins / "tree")
+    allowed, n_worse = [], [2]
+
+    def attempt(tree, judge, states, refit):
+        allowed.append(judge.allowed)
+        return Simplification(worse if len(allowed) <= n_worse[0] else tree, 4, 3, 2, 1)
+
+    monkeypatch.setattr(simplify_module.otr, "simplify", attempt)
+    monkeypatch.setattr(simplify_module, "_polished_again", lambda simpler, config: (simpler, {"polished_again": {}}))
+    config = tiny(method=ViperConfig("viper", 100, 1), simplification=SimplificationConfig(n_episodes=10))
+    for n_worse[0], n_attempts in ((2, 3), (9, 4)):
+        allowed.clear()
+        simplify_module.simplify({"polish": folder}, config, out)
+        report = read_json(out / "report.json")
+        assert report["n_attempts"] == n_attempts == len(allowed)
+        assert allowed == [allowed[0] / 2**i for i in range(n_attempts)]
+        loss, kept = report["loss"], otr.load(out / "tree")
+        if n_attempts == 3:
+            assert loss == {"mean": 0.0, "standard_error": 0.0, "n_episodes": 10} and kept.M[0, 0, 2] == 0.0
+            assert _loss(loss) == "the shorter program loses nothing on 10 episodes that decided nothing: +0.00 ± 0.00"
+        else:
+            assert loss["mean"] > loss["standard_error"] > 0 and kept.M[0, 0, 2] == -1.0
+            assert _loss(loss).endswith(" on 10 episodes that decided nothing") and "loses nothing" not in _loss(loss)
+    # Four sets of episodes, of which no two share a seed, decide, check, measure the loss and are reported.
+    sets = [episode_seeds(0, "simplify", 10, index) for index in range(3)]
+    assert len({seed for seeds in sets for seed in seeds}) == 30
+
+
+def test_a_long_polish_is_announced_and_planned(command, tiny, tmp_path, capsys):
+    # 1,000,000 steps of the search, 23 times 100 episodes of half the longest length, at 18,000 steps/s
+    lander = tiny(env=LANDER)
+    assert estimated_seconds(lander) == pytest.approx((1_000_000 + 2_300 * 500) / 18_000)
+    # In numpy the mountain car is fast, in gymnasium it is not.
+    assert estimated_seconds(tiny(env=MOUNTAIN_CAR)) == pytest.approx((1_000_000 + 2_300 * 999 / 2) / 300_000)
+    slow = PolishingConfig(environments="gymnasium")
+    assert estimated_seconds(tiny(env=MOUNTAIN_CAR, polishing=slow)) == pytest.approx((1_000_000 + 1_148_850) / 8_000)
+    announce_polish(lander)
+    announce_polish(tiny(env=MOUNTAIN_CAR))
+    assert capsys.readouterr().out == (
+        "polish: a search of 1,000,000 steps, about 2 min on one core; one that is stopped begins anew\n"
+    )
+    run = "lunarlander/augtree/depth-2/quick/seed-0"
+    copy_run(run, tmp_path / "runs" / run, "polish", "certify", "simplify")
+    oracle = "lunarlander/otr/depth-256/quick/seed-0"
+    copy_run(oracle, tmp_path / "runs" / oracle)
+    words = ("env=lunarlander", "method=augtree", "depth=2", "polish=true", f"results_dir={tmp_path}")
+    assert "run polish  2 min" in command("plan", *words, "budget=quick").stdout
+    planned = " ".join(command("plan", *words).stdout.split())
+    assert "polish for about 2 min" in planned and "15 min" in planned
 
 
 def test_labels_are_polished(command, tmp_path):

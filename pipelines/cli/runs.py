@@ -32,6 +32,9 @@ from pipelines.tracking.tracker import check_tracking
 OF_TRAINING = ("env", "algo", "actor", "trainer", "budget", "train", "experiment", "results_dir", "n_workers",
                "side_by_side", "debug", "tracking")  # fmt: skip
 
+# Who trains, and how: whoever names one of them goes a way of their own, not a budget's.
+TRAINED_BY = {"algo", "trainer"}
+
 
 def run_config(overrides: Sequence[str]) -> RunConfig:
     """Return the configuration of `otr-run` with these overrides."""
@@ -77,7 +80,8 @@ class RunWorkflow(Workflow):
     def implied(self, overrides: Sequence[str]) -> list[str]:
         """Return the overrides that the choice of budget, method, environment and algorithm implies."""
         given = dict(override.split("=", 1) for override in overrides if "=" in override)
-        road = [override for override in _road(given) if key_of(override) not in given]
+        taken = {*given, *TRAINED_BY} if TRAINED_BY & given.keys() else given.keys()
+        road = [override for override in _road(given) if key_of(override) not in taken]
         given |= dict(override.split("=", 1) for override in road)
         return [*road, *METHODS.get(given.get("method", "otr"), MethodConfig).implied(given)]
 
@@ -184,8 +188,13 @@ def _program(config: RunConfig, program: str, overrides: Sequence[str]) -> tuple
 
 
 def _of_oracle(config: RunConfig, overrides: Sequence[str]) -> list[str]:
-    """Return the overrides of the run that trains an oracle: the oracle's layers are the depth of method=otr."""
+    """Return the overrides of the run that trains an oracle: the oracle's layers are the depth of method=otr.
+
+    Its trainer is the imitating run's, which may be on a budget's road.
+    """
     own = [override for override in overrides if key_of(override).split(".")[0] in OF_TRAINING]
+    if not any(key_of(override) == "trainer" for override in own):
+        own.append(f"trainer={config.trainer.name}")
     depth = f"depth={config.oracle}".replace(" ", "")
     return [*own, depth, "method=otr", "stages=[train]", f"seed={config.seed}"]
 

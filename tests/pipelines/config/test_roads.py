@@ -1,0 +1,53 @@
+"""The roads of a budget: overrides that stand before those given, as long as nobody goes a way of their own."""
+
+import pytest
+from omegaconf import OmegaConf
+
+from pipelines.cli.runs import RUN
+from pipelines.config.conf_dir import CONF_DIR
+from pipelines.config.methods import METHODS
+
+
+def made(*overrides):
+    (job,) = RUN.jobs([list(overrides)])
+    return job.config
+
+
+@pytest.mark.parametrize(
+    ("overrides", "algo", "trainer", "folder"),
+    [
+        (["env=hopper"], "ars", "search", "runs/hopper/otr/depth-6/standard-ars/seed-0"),
+        (["env=hopper_v5"], "ars", "search", "runs/hopper_v5/otr/depth-6/standard-ars/seed-0"),
+        (["env=hopper", "method=linear", "depth=0"], "ars", "search", "runs/hopper/linear/depth-0/standard-ars/seed-0"),
+        (["env=reacher"], "sac", "fleet", "runs/reacher/otr/depth-6/standard-fleet/seed-0"),
+        (["env=bipedalwalker"], "ppo", "sb3", "runs/bipedalwalker/otr/depth-6/standard/seed-0"),
+        (["env=hopper", "budget=thesis"], "sac", "sb3", "runs/hopper/otr/depth-6/thesis/seed-0"),
+        (["env=hopper", "trainer=fleet"], "sac", "fleet", None),
+        (["env=hopper", "algo=sac"], "sac", "sb3", None),
+        (["env=hopper", "method=viper"], "sac", "fleet", None),
+    ],
+)
+def test_the_cheapest_road_is_the_default(overrides, algo, trainer, folder):
+    config = made(*overrides)
+    assert (config.algo.name, config.trainer_name) == (algo, trainer)
+    if folder:
+        assert config.folder == folder
+
+
+def test_what_is_given_stands():
+    assert made("env=pendulum").polish and not made("env=pendulum", "polish=false").polish
+
+
+def test_roads_lead_somewhere():
+    """Every road of every budget is of a method and a task that there is, and composes."""
+    tasks = {path.stem for path in (CONF_DIR / "env").glob("*.yaml")}
+    for path in (CONF_DIR / "budget").glob("*.yaml"):
+        budget = OmegaConf.to_container(OmegaConf.load(path))
+        for part in ("roads", "expected"):
+            for method, roads in budget.get(part, {}).items():
+                assert method in METHODS and roads.keys() <= tasks, path
+
+
+def test_the_search_has_an_environments_own_settings():
+    hopper, ant = made("env=hopper", "algo=ars").algo, made("env=ant", "algo=ars").algo
+    assert hopper.alive_bonus == ant.alive_bonus == 1.0 and hopper.n_directions != ant.n_directions

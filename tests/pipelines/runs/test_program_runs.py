@@ -44,14 +44,14 @@ def test_the_programs_of_figure_4_2_return_what_the_thesis_says(tmp_path, name, 
     words = ("env=mountaincar", f"program={name}", "prune.n_episodes=1", "n_workers=1")
     done = otr_command("otr-run", *words, cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
-    (run_dir,) = tmp_path.glob("results/runs/mountaincar/program/depth-1/thesis/seed-0~*")
+    (run_dir,) = tmp_path.glob("results/runs/mountaincar/program/depth-1/standard/seed-0~*")
     summary = json.loads((run_dir / "summary.json").read_text())
     assert abs(summary["return_mean"] - published) < 1
     assert (summary["n_episodes"], summary["n_leaves"], summary["depth"]) == (100, 2, 1)
     assert list(summary["policies"]) == ["tree", "pruned_tree"]
     assert (summary["program"], summary["algorithm"], summary["trainer"]) == (name, "none", "none")
     assert (run_dir / "parse/source.txt").read_text() == read_program(name)
-    for told in (f"depth 1, program {name} (thesis), seed 0", "return clip(", "2 leaves reached"):
+    for told in (f"depth 1, program {name} (standard), seed 0", "return clip(", "2 leaves reached"):
         assert told in done.stdout
 
 
@@ -130,12 +130,12 @@ def test_a_run_is_named_by_what_its_program_says(tmp_path):
         jobs("env=mountaincar", f"program={tmp_path / name}")[0] for name in ("one.txt", "same~1 .txt", "other.txt")
     )
     assert one.folder == same.folder
-    assert one.folder.startswith("runs/mountaincar/program/depth-0/thesis/seed-0~")
-    assert other.folder.startswith("runs/mountaincar/program/depth-1/thesis/seed-0~")
+    assert one.folder.startswith("runs/mountaincar/program/depth-0/standard/seed-0~")
+    assert other.folder.startswith("runs/mountaincar/program/depth-1/standard/seed-0~")
     assert other.config_yaml.count("depth: 1") == 1
     # How others are trained is of no concern to a program.
     assert jobs("env=mountaincar", f"program={tmp_path / 'one.txt'}", "algo.gamma=0.9")[0].folder == one.folder
-    assert jobs("env=pendulum", "seed=1", "depth=3")[0].folder == "runs/pendulum/otr/depth-3/thesis/seed-1"
+    assert jobs("env=pendulum", "budget=quick", "seed=1", "depth=3")[0].folder == "runs/pendulum/otr/depth-3/quick/seed-1"
 
 
 def test_figure_4_2_is_an_experiment():
@@ -154,7 +154,7 @@ def test_nothing_is_trained_in_a_fleet(tmp_path):
     (tmp_path / "still.txt").write_text("return 0")
     (job,) = jobs("env=pendulum", f"program={tmp_path / 'still.txt'}", "trainer=fleet")
     assert job.config.fleet is None
-    assert "/thesis/" in job.folder
+    assert "/standard/" in job.folder
 
 
 def test_answers_are_clipped_to_the_actions():

@@ -1,6 +1,7 @@
 """Benchmarks: the form of what they write, and the helpers that measure; how fast anything is stays untested here."""
 
 import json
+import math
 import shutil
 from itertools import count
 from pathlib import Path
@@ -10,12 +11,15 @@ import pandas as pd
 import pytest
 
 import otr
-from benchmarks import control, latency, mapping, search, search_curves, supervised, training
+from benchmarks import control, latency, mapping, polish, search, search_curves, supervised, training
 from benchmarks.__main__ import NAMES, document, main
 from benchmarks.evaluation import STANDING_GAINS, STANDING_OFFSETS, standing_policy
 from benchmarks.mapping import copying_tree, random_network
 from benchmarks.measure import Entry, alternate, peak_bytes
+from pipelines.config.env import EnvConfig
+from pipelines.play.rollout import rollout
 from pipelines.training.search.policy_search import PolicySearch
+from tests.pipelines.conftest import otr_command
 
 ENTRY_KEYS = {"name", "value", "unit", "peer", "peer_value", "ratio", "target", "met", "clock"} | {
     "command", "git_revision", "versions", "machine"}  # fmt: skip
@@ -221,6 +225,52 @@ def test_runs_of_dagger_are_timed():
     entries = {entry.name.split(":")[0]: entry for entry in control._dagger_runs(quick=True) if entry.target}
     assert list(entries) == ["AugTree, lander, depth 3", "VIPER, lander, depth 3"]
     assert all(0.0 < entry.value < 180.0 for entry in entries.values())
+
+
+def test_a_polish_is_worth_its_paired_differences():
+    before = np.array([1.0, 3.0, 5.0, 7.0])
+    runs = [
+        polish.PolishedRun(f"pendulum/otr/depth-6/quick/seed-{seed}", before, before + gains)
+        for seed, gains in enumerate(([3.0, 5.0, 3.0, 5.0], [0.0, 0.0, 0.0, 0.0]))
+    ]
+    error = math.sqrt(1 / 3)  # of 3, 5, 3, 5: the deviation is sqrt(4 / 3), over sqrt(4)
+    assert (runs[0].gain, runs[1].gain, runs[1].gain_error) == (4.0, 0.0, 0.0)
+    assert runs[0].gain_error == pytest.approx(error)
+    mean, gain = polish.group_entries(runs[0].group, runs)
+    assert mean.name == "pendulum/otr/depth-6/quick, mean of 2 seeds"
+    assert (mean.value, mean.peer_value, mean.target, mean.met) == (6.0, 4.0, "value >= -148", True)
+    assert gain.value == 2.0 and gain.peer_value == pytest.approx(error / 2)
+    other = polish.PolishedRun("pendulum/otr/depth-6/quick/seed-1~0123abcd", before, before)
+    assert other.group == "pendulum/otr/depth-6/quick~0123abcd"
+    mean, gain = polish.group_entries(other.group, [other])
+    assert mean.target is None and (gain.value, gain.peer_value) == (0.0, None)
+
+
+def test_polished_runs_are_found_and_played_on_other_episodes(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("OTR_RESULTS_DIR", str(tmp_path))
+    assert polish.measure(quick=True) == []
+    assert f"no run under {tmp_path / 'runs'} has the stage polish" in capsys.readouterr().out
+    words = ("env=mountaincar", "program=mountaincar", "budget=smoke", "n_workers=1", "polish=true")
+    assert otr_command("otr-run", *words, cwd=tmp_path).returncode == 0
+    (run_dir,) = tmp_path.glob("runs/mountaincar/program/depth-1/smoke/seed-0~*")
+    tree = otr.load(run_dir / "polish/tree")
+    otr.save(tree.replace(c=0.9 * tree.c), run_dir / "polish/tree")  # an iteration changes nothing
+    after, gain, mean, _ = polish.measure(quick=True)
+    env = EnvConfig("mountaincar", "mountaincar", "MountainCarContinuous-v0")
+    seeds = range(polish.FIRST_SEED, polish.FIRST_SEED + 20)
+    returns = [
+        rollout(otr.load(run_dir / stage / "tree").predict, env, seeds, n_workers=1).returns
+        for stage in ("prune", "polish")
+    ]
+    assert after.name == f"mountaincar/program/depth-1/smoke/{run_dir.name}"
+    assert after.peer_value == pytest.approx(returns[0].mean()) and after.value == pytest.approx(returns[1].mean())
+    assert after.value != after.peer_value
+    assert gain.value == pytest.approx((returns[1] - returns[0]).mean()) and mean.value == after.value
+    # The reported episodes are no others than those that are played here: refused.
+    text = (run_dir / "config.yaml").read_text()
+    (run_dir / "config.yaml").write_text(text.replace("first_seed: 1000", f"first_seed: {polish.FIRST_SEED + 19}"))
+    with pytest.raises(ValueError, match="reports the seeds 524307 to 524308"):
+        polish.measure(quick=True)
 
 
 @pytest.fixture

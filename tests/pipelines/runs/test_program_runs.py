@@ -135,7 +135,8 @@ def test_a_run_is_named_by_what_its_program_says(tmp_path):
     assert other.config_yaml.count("depth: 1") == 1
     # How others are trained is of no concern to a program.
     assert jobs("env=mountaincar", f"program={tmp_path / 'one.txt'}", "algo.gamma=0.9")[0].folder == one.folder
-    assert jobs("env=pendulum", "budget=quick", "seed=1", "depth=3")[0].folder == "runs/pendulum/otr/depth-3/quick/seed-1"
+    (trained,) = jobs("env=pendulum", "budget=quick", "seed=1", "depth=3")
+    assert trained.folder == "runs/pendulum/otr/depth-3/quick/seed-1"
 
 
 def test_figure_4_2_is_an_experiment():

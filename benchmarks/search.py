@@ -62,7 +62,7 @@ def measure(quick: bool) -> list[Entry]:
     entries += against_peer(1_000 if quick else 5_000, n_turns=2 if quick else 60)
     rates = rates_in_turns(2_000 if quick else WARM_UP_STEPS["hopper"], n_turns=1 if quick else 5)
     entries += [
-        Entry("Hopper, depth 6: direct search", rates["search"], "steps/s", peer, rates[trainer])
+        Entry("Hopper, depth 6: direct search", rates["ars"], "steps/s", peer, rates[trainer])
         for trainer, peer in (("sb3", "Stable-Baselines3 SAC, one run"), ("fleet", "fleet's SAC, ten runs"))
     ]
     write_picture(results_dir(), rates, output_dir(quick))
@@ -210,7 +210,7 @@ def rates_in_turns(warm_up_steps: int, n_turns: int) -> dict[str, float]:
     config = search_config("hopper")
     turn = search_turn(config, "gymnasium", 1_000, warmed_up(config, warm_up_steps))
     sides: dict[str, Rate] = {
-        "search": lambda: _rate(turn),
+        "ars": lambda: _rate(turn),
         "sb3": peer_rate("sb3", 150),
         "fleet": fleet_rate("fp32", 150),
     }

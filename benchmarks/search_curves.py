@@ -18,7 +18,7 @@ from pipelines.report import load_runs
 from pipelines.report.figures import return_against_cost
 from pipelines.training.estimates import learning_starts
 
-TRAINERS = {"search": "direct search", "sb3": "SAC, Stable-Baselines3", "fleet": "SAC, fleet"}
+TRAINERS = {"ars": "direct search", "sb3": "SAC, Stable-Baselines3", "fleet": "SAC, fleet"}
 ALGORITHMS = ("ars", "sac")
 
 

@@ -168,7 +168,7 @@ def test_the_picture_has_the_curves_of_the_committed_runs(tmp_path):
     assert curve["steps"].tolist() == list(range(5_000, 100_001, 5_000))
     assert curve["seconds"].tolist() == [0.0, *range(0, 901, 50)]  # the first 10,000 steps are random ones
     assert curve["best"].is_monotonic_increasing and curve["best"].iloc[-1] == pytest.approx(1_061, abs=1)
-    rates = {"search": 5_000.0, "sb3": 100.0, "fleet": 200.0}
+    rates = {"ars": 5_000.0, "sb3": 100.0, "fleet": 200.0}
     paths = search_curves.write_picture(COMMITTED, rates, tmp_path / "benchmarks")
     assert [path.name for path in paths] == ["search.png", "search.svg"]
     assert all(path.stat().st_size > 10_000 for path in paths)
@@ -179,12 +179,12 @@ def test_of_each_trainer_the_longest_runs_are_shown():
     hopper = ("hopper", "otr", "6", "tree")
     rows = [
         (*hopper, "sac", "fleet", "quick-fleet", "", 100),
-        (*hopper, "ars", "search", "quick-ars", "", 300),
-        (*hopper, "ars", "search", "standard-ars", "", 4_000),
-        (*hopper, "ars", "search", "standard-ars", "", 4_000),
-        (*hopper, "ars", "search", "standard-ars", "a1b2", 4_000),
-        ("hopper", "otr", "6", "polished", "ars", "search", "standard-ars", "", 4_000),
-        ("hopper", "linear", "0", "tree", "ars", "search", "standard-ars", "", 9_000),
+        (*hopper, "ars", "ars", "quick-ars", "", 300),
+        (*hopper, "ars", "ars", "standard-ars", "", 4_000),
+        (*hopper, "ars", "ars", "standard-ars", "", 4_000),
+        (*hopper, "ars", "ars", "standard-ars", "a1b2", 4_000),
+        ("hopper", "otr", "6", "polished", "ars", "ars", "standard-ars", "", 4_000),
+        ("hopper", "linear", "0", "tree", "ars", "ars", "standard-ars", "", 9_000),
     ]
     assert search_curves.shown_runs(pd.DataFrame(rows, columns=columns)).index.tolist() == [2, 3, 0]
 

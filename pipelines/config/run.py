@@ -143,11 +143,11 @@ class RunConfig:
 
     @property
     def trainer_name(self) -> str:
-        """Who trains this run: `sb3`, the fleet's name, `search`, or `none` for a program."""
+        """Who trains this run: `sb3`, the fleet's name, `ars`, or `none` for a program."""
         if not self.method.is_trained:
             return "none"
         if isinstance(self.algo, ArsConfig):
-            return "search"
+            return self.algo.name
         return self.fleet.name if self.fleet else "sb3"
 
     @property

@@ -26,7 +26,10 @@ METHOD_NAMES = {
     for form, text in {"tree": "", **config.forms, "polished": "polished"}.items()
 }
 KEY, SOURCE = ["task", "method", "depth"], ["budget", "trainer"]
-ORDER = (*TASK_NAMES, "thesis", "thesis-fleet", "quick", "quick-fleet", "sb3")  # of tasks, budgets and trainers
+# fmt: off
+ORDER = (*TASK_NAMES, "thesis", "thesis-fleet", "standard", "standard-ars", "standard-fleet", "quick",
+         "quick-ars", "quick-fleet", "sb3")  # of tasks, budgets and trainers
+# fmt: on
 N_RESAMPLES = 2000
 MIN_RUNS_FOR_CI = 3
 BOOTSTRAP_SEED = 0

@@ -16,9 +16,9 @@ def made(*overrides):
 @pytest.mark.parametrize(
     ("overrides", "algo", "trainer", "folder"),
     [
-        (["env=hopper"], "ars", "search", "runs/hopper/otr/depth-6/standard-ars/seed-0"),
-        (["env=hopper_v5"], "ars", "search", "runs/hopper_v5/otr/depth-6/standard-ars/seed-0"),
-        (["env=hopper", "method=linear", "depth=0"], "ars", "search", "runs/hopper/linear/depth-0/standard-ars/seed-0"),
+        (["env=hopper"], "ars", "ars", "runs/hopper/otr/depth-6/standard-ars/seed-0"),
+        (["env=hopper_v5"], "ars", "ars", "runs/hopper_v5/otr/depth-6/standard-ars/seed-0"),
+        (["env=hopper", "method=linear", "depth=0"], "ars", "ars", "runs/hopper/linear/depth-0/standard-ars/seed-0"),
         (["env=reacher"], "sac", "fleet", "runs/reacher/otr/depth-6/standard-fleet/seed-0"),
         (["env=bipedalwalker"], "ppo", "sb3", "runs/bipedalwalker/otr/depth-6/standard/seed-0"),
         (["env=hopper", "budget=thesis"], "sac", "sb3", "runs/hopper/otr/depth-6/thesis/seed-0"),

@@ -90,7 +90,7 @@ def test_an_algorithm_may_be_one_methods_and_one_environments():
 
 def test_random_search_lies_beside_the_gradient(tiny):
     config = run_config(["env=pendulum", "method=linear", "depth=0", "algo=ars", "budget=quick"])
-    assert (config.budget_level, config.trainer_name) == ("quick-ars", "search")
+    assert (config.budget_level, config.trainer_name) == ("quick-ars", "ars")
     assert config.train.steps == config.budget.search["pendulum"]["steps"]
     assert config.algo.environments == "numpy"  # the pendulum's own settings of the search
     with pytest.raises(ConfigError, match="algo=ars searches small networks"):

@@ -30,7 +30,7 @@ from sb3_contrib import ARS
 from benchmarks.fleet import fleet_rate, peer_rate
 from benchmarks.measure import Entry, output_dir, results_dir
 from benchmarks.peers import HOPPER
-from benchmarks.search_curves import write_picture
+from benchmarks.search_curves import PEERS, RATES, write_picture
 from pipelines.cli import runs
 from pipelines.config.algo import ArsConfig
 from pipelines.config.env import EnvConfig
@@ -61,10 +61,7 @@ def measure(quick: bool) -> list[Entry]:
         print(f"search: {name} done", flush=True)
     entries += against_peer(1_000 if quick else 5_000, n_turns=2 if quick else 60)
     rates = rates_in_turns(2_000 if quick else WARM_UP_STEPS["hopper"], n_turns=1 if quick else 5)
-    entries += [
-        Entry("Hopper, depth 6: direct search", rates["ars"], "steps/s", peer, rates[trainer])
-        for trainer, peer in (("sb3", "Stable-Baselines3 SAC, one run"), ("fleet", "fleet's SAC, ten runs"))
-    ]
+    entries += [Entry(RATES, rates["ars"], "steps/s", peer, rates[trainer]) for trainer, peer in PEERS.items()]
     write_picture(results_dir(), rates, output_dir(quick))
     return entries
 

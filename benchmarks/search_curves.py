@@ -2,6 +2,8 @@
 
 A curve is the return of the actor that a run would hand out if it ended there: the best so far of its evaluations on
 selection episodes. Of each trainer the runs with the most steps are shown.
+
+    python -m benchmarks.search_curves     draws the picture anew with the rates in results/benchmarks/search.json
 """
 
 from collections.abc import Mapping
@@ -11,15 +13,28 @@ import numpy as np
 import pandas as pd
 
 import otr
+from benchmarks.measure import output_dir, results_dir
 from pipelines.cli.runs import load_config
 from pipelines.config.algo import SacConfig
-from pipelines.engine.store import read_csv
+from pipelines.engine.store import read_csv, read_json
 from pipelines.report import load_runs
 from pipelines.report.figures import return_against_cost
 from pipelines.training.estimates import learning_starts
 
 TRAINERS = {"ars": "direct search", "sb3": "SAC, Stable-Baselines3", "fleet": "SAC, fleet"}
 ALGORITHMS = ("ars", "sac")
+RATES = "Hopper, depth 6: direct search"  # the entries of search.json with the rates, and whom they compare with
+PEERS = {"sb3": "Stable-Baselines3 SAC, one run", "fleet": "fleet's SAC, ten runs"}
+
+
+def main() -> None:
+    """Draw the picture anew."""
+    entries = [entry for entry in read_json(output_dir(quick=False) / "search.json") if entry["name"] == RATES]
+    rates = {"ars": entries[0]["value"]}
+    by_peer = {entry["peer"]: entry["peer_value"] for entry in entries}
+    rates |= {trainer: by_peer[peer] for trainer, peer in PEERS.items()}
+    for path in write_picture(results_dir(), rates, output_dir(quick=False)):
+        print(path)
 
 
 def write_picture(results_dir: Path, rates: Mapping[str, float], folder: Path) -> list[Path]:
@@ -76,3 +91,7 @@ def label(runs: pd.DataFrame, rate: float) -> str:
     amount = f"{n} run{'s' if n > 1 else ''} of {steps:,} steps at {rate:,.0f} steps/s"
     reported = f"return {runs['return_mean'].mean():,.0f} on 100 other episodes"
     return f"{TRAINERS[runs['trainer'].iloc[0]]}: {amount}; {reported}"
+
+
+if __name__ == "__main__":
+    main()

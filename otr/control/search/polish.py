@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -66,8 +67,8 @@ def polish(
 
     Augmented random search (Mania, Guy & Recht 2018) over the numbers of tests and leaves, or of a network's layers, in
     the units of `otr.control.search.policy_numbers`. Candidates along the way play the selection episodes; the best of
-    them is kept if it earns more than the original on as many confirmation episodes, on average. No episode serves two
-    purposes.
+    them is kept if it earns more than the original on as many confirmation episodes, on average and by more than one
+    standard error of the paired differences. No episode serves two purposes.
 
     Args:
         policy: an ObliqueTree or a ReluNetwork.
@@ -110,7 +111,9 @@ def polish(
         account.finish(None, kept=False)
         return policy
     before, after = play([policy, best], play.fixed(CONFIRMATION_SEEDS, n_selection_episodes))
-    kept = bool((after - before).mean() > 0)
+    gains = after - before
+    error = gains.std(ddof=1) / math.sqrt(len(gains)) if len(gains) > 1 else 0.0
+    kept = bool(gains.mean() > error)
     account.finish((float(before.mean()), float(after.mean())), kept=kept)
     return best if kept else policy
 

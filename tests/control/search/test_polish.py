@@ -105,6 +105,22 @@ def test_a_candidate_that_is_better_on_the_selection_episodes_alone_is_not_kept(
     assert gain > 0 and last.confirmation == pytest.approx((0.0, -gain)) and not last.kept
 
 
+@pytest.mark.parametrize(("noise", "kept"), [(0.5, True), (20.0, False)])
+def test_a_gain_within_the_error_of_the_confirmation_is_not_kept(noise: float, kept: bool) -> None:
+    policy, reports = linear_policy(), []
+
+    def evaluate(policies, seeds):
+        """Return 1 more for every change, beside noise of its own that adds up to nothing."""
+        changed = np.array([[float(each is not policy)] for each in policies])
+        return changed * (1.0 + noise * np.where(np.arange(seeds.shape[1]) % 2, 1.0, -1.0))
+
+    polished = otr.polish(
+        policy, evaluate, states=STATES, n_iterations=2, settings=QUICK, n_selection_episodes=100, report=reports.append
+    )
+    assert reports[-1].confirmation == pytest.approx((0.0, 1.0))
+    assert reports[-1].kept == kept and (polished is not policy) == kept
+
+
 def test_a_tree_keeps_its_structure_labels_and_zeros() -> None:
     """The label is right where x_0 > 0.5; the tree's test is at -0.3 and asks for nothing else."""
     tree = otr.ObliqueTree(

@@ -37,7 +37,7 @@ from pipelines.config.env import EnvConfig
 from pipelines.config.run import RunConfig
 from pipelines.play.environments import make_env
 from pipelines.training.environments.backends import make_vector_env
-from pipelines.training.environments.vector_envs import Outcome
+from pipelines.training.environments.vector_envs import Stepped
 from pipelines.training.search.episodes import SearchEpisodes
 from pipelines.training.search.policy_search import PolicySearch
 
@@ -102,7 +102,7 @@ class TwinEnv:
     def restart(self, envs: np.ndarray) -> np.ndarray:
         raise NotImplementedError("the search starts all episodes of an iteration at once")
 
-    def step(self, actions: np.ndarray, envs: np.ndarray | None = None) -> Outcome:
+    def step(self, actions: np.ndarray, envs: np.ndarray | None = None) -> Stepped:
         self._twin_first = not self._twin_first  # the second of the two finds warmer caches
         if self._twin_first:
             self._step_twin(actions, envs)

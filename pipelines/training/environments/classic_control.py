@@ -17,7 +17,7 @@ from gymnasium.wrappers.utils import rescale_box
 
 from pipelines.config.env import EnvConfig
 from pipelines.play.environments import make_env
-from pipelines.training.environments.vector_envs import Outcome, time_limit
+from pipelines.training.environments.vector_envs import Stepped, time_limit
 
 N_STARTS_AHEAD = 8  # first states drawn at a time from a random stream
 
@@ -136,13 +136,13 @@ class ClassicControlVectorEnv:
         self._state[: len(starts), envs] = starts
         return self._observe(self._state[:, envs])
 
-    def step(self, actions: np.ndarray, envs: np.ndarray | None = None) -> Outcome:
+    def step(self, actions: np.ndarray, envs: np.ndarray | None = None) -> Stepped:
         index = slice(None) if envs is None else envs
         action = actions[:, 0].astype(np.float32)
         state, rewards, terminated = self._plant.step(self._state[:, index], action, self._n_steps[index] == 0)
         self._state[:, index] = state
         self._n_steps[index] += 1
-        return Outcome(self._observe(state), rewards, terminated, self._n_steps[index] >= self._max_episode_steps)
+        return Stepped(self._observe(state), rewards, terminated, self._n_steps[index] >= self._max_episode_steps)
 
     def close(self) -> None:
         pass

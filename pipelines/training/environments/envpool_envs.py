@@ -12,7 +12,7 @@ import numpy as np
 
 from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError, PipelineError
-from pipelines.training.environments.vector_envs import Outcome, time_limit
+from pipelines.training.environments.vector_envs import Stepped, time_limit
 
 # The same ids in both. One step's states and rewards were equal to 4e-7, the ends of episodes exactly. Ant is another
 # one: MuJoCo 4 integrates its free body's rotation by another Runge-Kutta step than EnvPool's MuJoCo 3.6.
@@ -54,12 +54,12 @@ class EnvPoolVectorEnv:
         states, _ = self._pool.reset(envs.astype(np.int32))
         return np.array(states)
 
-    def step(self, actions: np.ndarray, envs: np.ndarray | None = None) -> Outcome:
+    def step(self, actions: np.ndarray, envs: np.ndarray | None = None) -> Stepped:
         states, rewards, terminated, _, _ = self._pool.step(actions, envs)
         index = slice(None) if envs is None else envs
         self._n_steps[index] += 1
         truncated = self._n_steps[index] >= self._max_episode_steps
-        return Outcome(states.copy(), rewards.copy(), terminated.copy(), truncated)
+        return Stepped(states.copy(), rewards.copy(), terminated.copy(), truncated)
 
     def close(self) -> None:
         self._pool = None  # its thread ends with it

@@ -6,7 +6,7 @@ import numpy as np
 
 from pipelines.config.env import EnvConfig
 from pipelines.play.environments import flat_state_size, is_discrete, make_training_env
-from pipelines.training.environments.vector_envs import Outcome
+from pipelines.training.environments.vector_envs import Stepped
 
 
 class GymnasiumVectorEnv:
@@ -39,7 +39,7 @@ class GymnasiumVectorEnv:
             states[j], _ = self._envs[i].reset()
         return states
 
-    def step(self, actions: np.ndarray, envs: np.ndarray | None = None) -> Outcome:
+    def step(self, actions: np.ndarray, envs: np.ndarray | None = None) -> Stepped:
         stepped = self._envs if envs is None else [self._envs[i] for i in envs]
         n = len(stepped)
         states, rewards = self._empty_states(n), np.empty(n)
@@ -47,7 +47,7 @@ class GymnasiumVectorEnv:
         each = actions.tolist() if self._discrete else actions
         for j, (env, action) in enumerate(zip(stepped, each, strict=True)):
             states[j], rewards[j], terminated[j], truncated[j], _ = env.step(action)
-        return Outcome(states, rewards, terminated, truncated)
+        return Stepped(states, rewards, terminated, truncated)
 
     def close(self) -> None:
         while self._envs:

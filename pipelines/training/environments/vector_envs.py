@@ -14,7 +14,7 @@ from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError
 
 
-class Outcome(NamedTuple):
+class Stepped(NamedTuple):
     """What one step of k environments gave; the arrays belong to the caller."""
 
     states: np.ndarray  # (k, d), of the environment's own type; where an episode ended, its last state
@@ -50,7 +50,7 @@ class VectorEnv(Protocol):
         """
         ...
 
-    def step(self, actions: np.ndarray, envs: np.ndarray | None = None) -> Outcome:
+    def step(self, actions: np.ndarray, envs: np.ndarray | None = None) -> Stepped:
         """Do a step of some environments, or of all; the others stay as they are.
 
         Args:

@@ -6,7 +6,7 @@ import pytest
 from pipelines.config.env import EnvConfig
 from pipelines.training.environments.classic_control import EQUAL_IDS, ClassicControlVectorEnv
 from pipelines.training.environments.gymnasium_envs import GymnasiumVectorEnv
-from pipelines.training.environments.vector_envs import Outcome
+from pipelines.training.environments.vector_envs import Stepped
 
 N_ENVS = 20
 SEEDS = [2**32 - 1, *range(N_ENVS - 1)]
@@ -18,7 +18,7 @@ def config(env_id: str, **kwargs: object) -> EnvConfig:
     return EnvConfig(env_id, env_id, env_id, kwargs)
 
 
-def assert_same(ours: Outcome, theirs: Outcome, reward_difference: float) -> None:
+def assert_same(ours: Stepped, theirs: Stepped, reward_difference: float) -> None:
     for part, expected in zip(ours, theirs, strict=True):
         assert part.dtype == expected.dtype and part.shape == expected.shape
     np.testing.assert_array_equal(ours.states, theirs.states)

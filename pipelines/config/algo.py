@@ -69,7 +69,8 @@ class ArsConfig(AlgoConfig):
     # Steps of an episode at first, 0 for whole ones; they grow linearly to whole ones over this share of the search
     first_horizon: Annotated[int, Range(0)]
     horizon_until: Annotated[float, Range(1e-6, 1)]
-    # Searches of `start_steps` from different networks, of which the best one goes on; 1 for none to choose from
+    # Searches of `start_steps` from different networks, of which the best one goes on, for as many steps at
+    # least; 1 for none to choose from
     n_starts: Count
     start_steps: Count
     # Who computes the environments: gymnasium, envpool (an extra) or numpy, for those that were compared with gymnasium

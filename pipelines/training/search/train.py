@@ -56,7 +56,7 @@ def train_by_search(config: RunConfig, checkpoints: Path, out: Path) -> None:
 
 @dataclass
 class _Finished:
-    """The best search so far of those that have done `start_steps`."""
+    """The best search so far of those that had their start."""
 
     state: dict[str, np.ndarray]
     score: float  # its best evaluation
@@ -66,7 +66,7 @@ class SearchRun:
     """A run's searches as they stand at the last whole segment.
 
     The first `n_starts` searches begin from networks of their own and do `start_steps` each; the one with the best
-    evaluation then goes on.
+    evaluation then goes on, for as many steps as a start had at least: a short run has shorter starts.
 
     Attributes:
         history: segments, evaluations, the best actor.
@@ -76,6 +76,7 @@ class SearchRun:
     def __init__(self, config: RunConfig, checkpoints: Path) -> None:
         assert isinstance(config.algo, ArsConfig)
         self._config, self._algo, self._checkpoints = config, config.algo, checkpoints
+        self._start_steps = min(self._algo.start_steps, config.train.steps // (self._algo.n_starts + 1))
         self.history, self.n_steps, self._start = History(), 0, 0
         self._score = -np.inf  # the best evaluation of the search under way
         self._leader: _Finished | None = None
@@ -100,11 +101,11 @@ class SearchRun:
 
     def segment(self, episodes: SearchEpisodes, progress: TrainingProgress) -> dict[str, Any]:
         """Search up to the next evaluation; return the row of `progress.csv`."""
-        config, algo, search = self._config, self._algo, self._search
+        config, search = self._config, self._search
         start, began = self.n_steps, time.monotonic()
         most = start + segment_steps(config)
         if self._is_choosing:
-            most = min(most, start + max(1, algo.start_steps - search.n_steps))
+            most = min(most, start + max(1, self._start_steps - search.n_steps))
         # A search that goes on has its own steps behind it, and all that are left before it.
         whole = config.train.steps - self.n_steps + search.n_steps
         returns, lengths = [], []
@@ -124,7 +125,7 @@ class SearchRun:
         played = selection.play([network], np.array([seeds]))
         self.history.segment_done(row, actor_files(network), _rollout(seeds, played.returns[0], played.lengths[0]))
         self._score = max(self._score, float(played.returns.mean()))
-        if self._is_choosing and self._search.n_steps >= self._algo.start_steps:
+        if self._is_choosing and self._search.n_steps >= self._start_steps:
             self._next_search()
 
     def _next_search(self) -> None:

@@ -81,8 +81,11 @@ def test_goes_on_bit_for_bit_after_a_kill(search_run, tmp_path):
         assert (again / name).read_bytes() == (whole / name).read_bytes(), name
 
 
-def test_the_best_of_the_first_searches_goes_on(search_run, tmp_path):
-    config = search_run(algo=dataclasses.replace(ARS, n_starts=3, start_steps=600))
+@pytest.mark.parametrize("start_steps", [600, 50_000])  # the second: more than the run's 20,000 have room for
+def test_the_best_of_the_first_searches_goes_on(search_run, tmp_path, start_steps):
+    config = search_run(
+        algo=dataclasses.replace(ARS, n_starts=3, start_steps=start_steps), train=TrainConfig(20_000, 2_000, 5, 0)
+    )
     checkpoints = checkpoint_folder(config)
     checkpoints.mkdir(parents=True)
     run, scores, first_networks = SearchRun(config, checkpoints), [], []
@@ -100,6 +103,7 @@ def test_the_best_of_the_first_searches_goes_on(search_run, tmp_path):
         if run._start != before[0]:
             scores.append((run.history.evaluations[-1]["return_mean"], before[1].state()))
     assert len(scores) == 3
+    assert run.n_steps < config.train.steps
     best = max(scores, key=lambda each: each[0])[1]
     assert np.array_equal(run._search.state()["centre"], best["centre"])
     assert not np.array_equal(first_networks[0], first_networks[1])

@@ -48,7 +48,12 @@ if TYPE_CHECKING:
         TreeTooLargeError as TreeTooLargeError,
     )
     from otr.geometry.minimal_tree import minimal_tree as minimal_tree
-    from otr.importers import from_sb3 as from_sb3, from_sklearn as from_sklearn, from_torch as from_torch
+    from otr.importers import (
+        from_onnx as from_onnx,
+        from_sb3 as from_sb3,
+        from_sklearn as from_sklearn,
+        from_torch as from_torch,
+    )
     from otr.importers.vec_normalize import ObservationStatistics as ObservationStatistics
     from otr.programs.c.source import to_c as to_c
     from otr.programs.dot import to_dot as to_dot
@@ -91,7 +96,7 @@ _NAMES_OF_MODULES = {
     "errors": "ArtefactError CertificateError InvalidNetworkError InvalidTreeError MissingExtraError OtrError "
     "ProgramError TreeTooLargeError",
     "geometry.minimal_tree": "minimal_tree",
-    "importers": "from_sb3 from_sklearn from_torch",
+    "importers": "from_onnx from_sb3 from_sklearn from_torch",
     "importers.vec_normalize": "ObservationStatistics",
     "programs.c.source": "to_c",
     "programs.dot": "to_dot",

@@ -1,4 +1,4 @@
-"""Networks from torch, Stable-Baselines3 and scikit-learn, which are imported only when they are asked for."""
+"""Networks from torch, Stable-Baselines3, ONNX and scikit-learn, which are imported only when they are asked for."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from otr.core.heads import Argmax, Identity, Sign
 from otr.core.network import ReluNetwork
 from otr.errors import InvalidNetworkError
 from otr.extras import naming_the_extra
+from otr.importers.onnx_graph import network_of_onnx
 from otr.importers.sb3_archive import network_of_file
 from otr.importers.sb3_model import network_of_model
 from otr.importers.torch_modules import network_of_module
@@ -20,6 +21,7 @@ from otr.importers.vec_normalize import fold_observation_statistics
 
 if TYPE_CHECKING:
     import torch
+    from onnx import ModelProto
 
 
 @naming_the_extra("otr.from_torch")
@@ -93,6 +95,36 @@ def from_sb3(
         if negative_slope is not None and network.n_hidden and network.negative_slope != negative_slope:
             raise InvalidNetworkError(f"negative_slope is {negative_slope}, the model's is {network.negative_slope}")
     return network if vec_normalize is None else fold_observation_statistics(network, vec_normalize)
+
+
+@naming_the_extra("otr.from_onnx")
+def from_onnx(
+    model: str | os.PathLike[str] | bytes | ModelProto, *, head: Head | None = None, output: str | None = None
+) -> ReluNetwork:
+    """Return the network of an ONNX model whose graph is a chain of layers.
+
+    Read are Gemm and MatMul, Add, Sub, Mul and Div with constants (so input normalisation, too), Relu, and LeakyRelu of
+    one slope. A last Tanh becomes the head `TanhBox`, with the scale and shift that follow it; a last Clip, or Max and
+    Min, the head `ClipBox`; a last ArgMax the head `Argmax`. A last Sigmoid needs ``head=otr.Sign()`` and a last
+    Softmax ``head=otr.Argmax()``. Flatten, Reshape, Identity, Cast and Dropout are skipped where they leave each
+    state's numbers as they are. A model computes in its own type, mostly float32, so its answers differ from the
+    network's by about 1e-7 of the size of the terms that are summed.
+
+    The file is data alone: at most 16 MiB are read, and of no other file.
+
+    Args:
+        model: the path of a file, its bytes, or an `onnx.ModelProto`. Its input is (n, number of inputs), or more axes
+            before a Flatten.
+        head: from the outputs to the answer; None for the model's own.
+        output: name of the output that is the policy's, where the model has several.
+
+    Raises:
+        InvalidNetworkError: a node of another kind, named, with what is accepted; values that branch and join;
+            activations of several slopes; numbers kept outside the file; opset 6 or older.
+        ArtefactError: the file is missing, too large, cut off or not valid.
+        MissingExtraError: onnx is not installed.
+    """
+    return network_of_onnx(model, head, output)
 
 
 @naming_the_extra("otr.from_sklearn")

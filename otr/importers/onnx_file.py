@@ -1,0 +1,189 @@
+"""The nodes and constants of an ONNX file, read with bounds on its size and nothing outside it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otr.core.arrays import FloatArray
+from otr.errors import ArtefactError, InvalidNetworkError
+
+if TYPE_CHECKING:
+    from onnx import GraphProto, ModelProto, NodeProto, TensorProto
+
+_LIMIT_BYTES = 2**24  # four million numbers; what a file holds can take eighty times its size in memory
+_LEAST_OPSET = 7  # before, operators broadcast by rules of their own
+_REMEDY = "export the policy again"
+
+
+@dataclass(frozen=True)
+class Graph:
+    """What is needed of a graph for one of its outputs.
+
+    Attributes:
+        input_name, input_shape: of the states; a size that is not fixed is 0.
+        output_name: of the answers.
+        nodes: those that the output is computed from, each one after those it reads.
+        tensors: the constants by name, not yet unpacked.
+        opset: version of the standard operators.
+    """
+
+    input_name: str
+    input_shape: tuple[int, ...]
+    output_name: str
+    nodes: list[NodeProto]
+    tensors: dict[str, TensorProto]
+    opset: int
+
+
+def read_graph(given: Any, output: str | None) -> Graph:
+    """Return what is needed of the model in a file, its bytes or a ModelProto; `otr.from_onnx` documents errors."""
+    model = _checked_model(_content(given))
+    opset = next((entry.version for entry in model.opset_import if entry.domain in ("", "ai.onnx")), 0)
+    if opset < _LEAST_OPSET:
+        raise InvalidNetworkError(f"the model uses opset {opset}, expected {_LEAST_OPSET} or newer; {_REMEDY} with one")
+    graph = model.graph
+    tensors = {tensor.name: tensor for tensor in graph.initializer}
+    output = _one_of([value.name for value in graph.output], output)
+    nodes = _ancestors(graph.node, output)
+    if nodes and (foreign := [node for node in nodes if node.domain not in ("", "ai.onnx")]):
+        raise InvalidNetworkError(
+            f"{describe(foreign[0])} is of the domain {foreign[0].domain!r}, expected ONNX's own operators; {_REMEDY} "
+            "without optimisation for one runtime"
+        )
+    read = {name for node in nodes for name in node.input} | {output}
+    inputs = [value for value in graph.input if value.name in read and value.name not in tensors]
+    if len(inputs) != 1:
+        raise InvalidNetworkError(
+            f"{output!r} is computed from {len(inputs)} inputs ({', '.join(v.name for v in inputs[:5]) or 'none'}), "
+            "expected one: the states"
+        )
+    return Graph(inputs[0].name, _shape(inputs[0]), output, nodes, tensors, opset)
+
+
+def describe(node: NodeProto) -> str:
+    """Return how messages name a node."""
+    return f"node {node.name or node.output[0]!r} ({node.op_type})"
+
+
+def attributes(node: NodeProto) -> dict[str, Any]:
+    """Return a node's attributes by name."""
+    from onnx import helper
+
+    return {attribute.name: helper.get_attribute_value(attribute) for attribute in node.attribute}
+
+
+def array_of(tensor: TensorProto) -> NDArray[Any]:
+    """Return a constant: real numbers as float64, integers as int64."""
+    from onnx import TensorProto, numpy_helper
+
+    reals = (TensorProto.FLOAT, TensorProto.DOUBLE, TensorProto.FLOAT16, TensorProto.BFLOAT16)
+    if tensor.data_type not in (*reals, TensorProto.INT32, TensorProto.INT64):
+        kind = TensorProto.DataType.Name(tensor.data_type)
+        raise InvalidNetworkError(f"the constant {tensor.name!r} is of type {kind}, expected real numbers")
+    try:
+        values = numpy_helper.to_array(tensor)
+    except Exception as error:  # a foreign tensor's shape need not fit its numbers
+        raise ArtefactError(f"the constant {tensor.name!r} cannot be read ({error}); {_REMEDY}") from error
+    return values.astype(np.float64 if tensor.data_type in reals else np.int64)
+
+
+def numbers(value: Any, node: NodeProto) -> FloatArray:
+    """Return real constants that a node reads, or raise InvalidNetworkError."""
+    if not isinstance(value, np.ndarray) or value.dtype != np.float64:
+        raise InvalidNetworkError(f"{describe(node)} reads something else than constant real numbers beside the states")
+    return value
+
+
+def _content(given: Any) -> bytes:
+    """Return the bytes of a model, of no more than `_LIMIT_BYTES`."""
+    if isinstance(given, str | os.PathLike):
+        path = Path(given)
+        try:
+            n_bytes = path.stat().st_size
+            content = path.read_bytes() if n_bytes <= _LIMIT_BYTES else b""
+        except OSError as error:
+            raise ArtefactError(f"{path} cannot be read ({error}); give the path of an ONNX file") from error
+    else:
+        content = given.SerializeToString() if hasattr(given, "SerializeToString") else given
+        if not isinstance(content, bytes | bytearray | memoryview):
+            raise InvalidNetworkError(f"expected the path of an ONNX file, its bytes or a ModelProto, got {given!r}")
+        content = bytes(content)
+        n_bytes = len(content)
+    if n_bytes > _LIMIT_BYTES:
+        raise ArtefactError(f"the model has {n_bytes:,} bytes, the limit is {_LIMIT_BYTES:,}; is it the right file?")
+    return content
+
+
+def _checked_model(content: bytes) -> ModelProto:
+    """Return the model, whose graph is in order and keeps all its numbers in the file."""
+    import onnx
+
+    try:
+        model = onnx.load_model_from_string(content)
+    except Exception as error:  # protobuf's own errors
+        raise ArtefactError(f"the model is no ONNX file ({error}); {_REMEDY}") from error
+    _refuse_external_data(model.graph.node, model.graph)
+    for function in model.functions:
+        _refuse_external_data(function.node)
+    if any(function.domain in ("", "ai.onnx") for function in model.functions):
+        raise InvalidNetworkError(f"the model defines standard operators anew, as {model.functions[0].name!r}")
+    try:
+        onnx.checker.check_model(model)
+    except Exception as error:  # the checker's own errors
+        raise ArtefactError(f"the model is no valid ONNX model ({str(error).strip()}); {_REMEDY}") from error
+    return model
+
+
+def _refuse_external_data(nodes: Iterable[NodeProto], graph: GraphProto | None = None) -> None:
+    """Raise InvalidNetworkError where a tensor's numbers lie in another file, which is never opened."""
+    from onnx import TensorProto
+
+    tensors, sparse = ([], []) if graph is None else (list(graph.initializer), list(graph.sparse_initializer))
+    for node in nodes:
+        for attribute in node.attribute:
+            tensors += [attribute.t, *attribute.tensors]
+            sparse += [attribute.sparse_tensor, *attribute.sparse_tensors]
+            for inner in (attribute.g, *attribute.graphs):
+                if inner.node or inner.initializer or inner.sparse_initializer:
+                    _refuse_external_data(inner.node, inner)
+    for tensor in chain(tensors, *((one.values, one.indices) for one in sparse)):
+        if tensor.data_location == TensorProto.EXTERNAL or tensor.external_data:
+            raise InvalidNetworkError(
+                f"the constant {tensor.name!r} lies in another file, which is not opened; save the model as one file: "
+                "onnx.save(onnx.load(path), path, save_as_external_data=False)"
+            )
+
+
+def _one_of(names: list[str], wanted: str | None) -> str:
+    """Return the output that is wanted, or the only one."""
+    if wanted is None and len(names) == 1:
+        return names[0]
+    if wanted not in names:
+        problem = "several outputs" if wanted is None else f"no output {wanted!r}"
+        raise InvalidNetworkError(f"the model has {problem}; give output= one of {', '.join(map(repr, names[:10]))}")
+    return wanted
+
+
+def _ancestors(nodes: Iterable[NodeProto], output: str) -> list[NodeProto]:
+    """Return the nodes that an output is computed from, in the graph's order, which the checker knows to be right."""
+    wanted, found = {output}, []
+    for node in reversed(list(nodes)):
+        if wanted.intersection(node.output):
+            found.append(node)
+            wanted.update(node.input)
+    return found[::-1]
+
+
+def _shape(value: Any) -> tuple[int, ...]:
+    """Return the declared shape of an input; 0 for a size that is not fixed."""
+    if not value.type.HasField("tensor_type") or not value.type.tensor_type.HasField("shape"):
+        raise InvalidNetworkError(f"the input {value.name!r} has no shape; {_REMEDY} with one, (n, number of inputs)")
+    return tuple(int(size.dim_value) for size in value.type.tensor_type.shape.dim)

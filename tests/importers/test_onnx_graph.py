@@ -1,0 +1,291 @@
+"""Networks read from ONNX models: against what a runtime answers, and what is refused."""
+
+import io
+import warnings
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+import torch
+from onnx import TensorProto, helper, numpy_helper
+from torch import nn
+
+import otr
+
+torch.set_num_threads(1)
+RNG = np.random.default_rng(0)
+W1, B1 = RNG.normal(size=(4, 3)), RNG.normal(size=4)
+W2, B2 = RNG.normal(size=(2, 4)), RNG.normal(size=2)
+CONSTANTS = {
+    "W1": W1, "W1t": W1.T, "b1": B1, "W2": W2, "W2t": W2.T, "b2": B2[None], "mean": RNG.normal(size=3),
+    "scale": RNG.uniform(0.5, 2, size=3), "half": np.array([2.0, 0.5]), "middle": np.array([1.0, -3.0]),
+    "low": np.array(-0.5), "high": np.array(0.75), "lows": np.array([-0.5, -1.0]), "highs": np.array([0.75, 0.25]),
+    "two": np.array([2.0]), "axes": np.array([1]), "vector": np.array([-1, 3]), "minus": np.array(-1.0),
+    "all": np.array([0, -1]),
+}  # fmt: skip
+HIDDEN = [("Gemm", ["x", "W1", "b1"], "z", {"transB": 1}), ("Relu", ["z"], "a")]
+LAST = ("Gemm", ["a", "W2", "b2"], "y", {"transB": 1})
+
+
+def model(
+    *nodes: tuple, shape: tuple = ("n", 3), outputs: tuple = ("y",), opset: int = 17, kind: int = TensorProto.DOUBLE
+) -> onnx.ModelProto:
+    """Return the model of nodes (operator, inputs, output, attributes), named by their outputs."""
+    made = [
+        helper.make_node(op, ins, [out], name=f"{out}!", **(rest[0] if rest else {})) for op, ins, out, *rest in nodes
+    ]
+    used = {name for _, ins, *_ in nodes for name in ins}
+    constants = [numpy_helper.from_array(value, name) for name, value in CONSTANTS.items() if name in used]
+    is_label = nodes[-1][0] == "ArgMax"
+    answer = ["n"] if is_label else ["n", None]
+    graph = helper.make_graph(
+        made,
+        "policy",
+        [helper.make_tensor_value_info("x", kind, shape)],
+        [helper.make_tensor_value_info(name, TensorProto.INT64 if is_label else kind, answer) for name in outputs],
+        constants,
+    )
+    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=8)
+
+
+def answers(made: onnx.ModelProto, X: np.ndarray) -> np.ndarray:
+    session = onnxruntime.InferenceSession(made.SerializeToString())
+    given = session.get_inputs()[0]
+    X = X.astype(np.float64 if "double" in given.type else np.float32)
+    return session.run(None, {given.name: X})[0]
+
+
+READ = {
+    "gemm": [*HIDDEN, LAST],
+    "gemm of another size": [("Gemm", ["x", "W1t", "b1"], "z", {"alpha": 0.5, "beta": 2.0}), HIDDEN[1], LAST],
+    "matmul and add": [
+        ("MatMul", ["x", "W1t"], "u"), ("Add", ["b1", "u"], "z"), HIDDEN[1], ("MatMul", ["a", "W2t"], "v"),
+        ("Add", ["v", "b2"], "y"),
+    ],
+    "normalised states": [("Sub", ["x", "mean"], "u"), ("Div", ["u", "scale"], "v"), ("Gemm", ["v", "W1", "b1"], "z",
+                          {"transB": 1}), HIDDEN[1], LAST],
+    "shifted and scaled": [("Mul", ["scale", "x"], "u"), ("Sub", ["mean", "u"], "v"), ("Gemm", ["v", "W1", "b1"], "z",
+                           {"transB": 1}), HIDDEN[1], LAST],
+    "scaled activations": [HIDDEN[0], ("Relu", ["z"], "r"), ("Mul", ["r", "two"], "s"), ("Add", ["s", "b1"], "a"),
+                           LAST],
+    "leaky": [HIDDEN[0], ("LeakyRelu", ["z"], "a", {"alpha": 0.25}), LAST],
+    "two layers without activation": [HIDDEN[0], ("Gemm", ["z", "W2", "b2"], "y", {"transB": 1})],
+    "ends in relu": [HIDDEN[0], ("Relu", ["z"], "r"), ("Sub", ["r", "two"], "y")],
+    "tanh": [*HIDDEN, (*LAST[:2], "u", LAST[3]), ("Tanh", ["u"], "y")],
+    "tanh of a box": [*HIDDEN, (*LAST[:2], "u", LAST[3]), ("Tanh", ["u"], "t"), ("Mul", ["t", "half"], "s"),
+                      ("Add", ["s", "middle"], "y")],
+    "tanh within a clip": [*HIDDEN, (*LAST[:2], "u", LAST[3]), ("Tanh", ["u"], "t"), ("Div", ["t", "two"], "s"),
+                           ("Clip", ["s", "low", "high"], "y")],
+    "clip": [*HIDDEN, (*LAST[:2], "u", LAST[3]), ("Clip", ["u", "low", "high"], "y")],
+    "clip of each action": [*HIDDEN, (*LAST[:2], "u", LAST[3]), ("Max", ["u", "lows"], "v"),
+                            ("Min", ["highs", "v"], "y")],
+    "clip, scaled": [*HIDDEN, (*LAST[:2], "u", LAST[3]), ("Clip", ["u", "low", "high"], "v"),
+                     ("Mul", ["v", "half"], "w"), ("Sub", ["w", "two"], "y")],
+    "argmax": [*HIDDEN, (*LAST[:2], "u", LAST[3]), ("ArgMax", ["u"], "y", {"axis": 1, "keepdims": 0})],
+    "nothing done": [("Flatten", ["x"], "f"), ("Reshape", ["f", "vector"], "g"), ("Identity", ["g"], "h"),
+                     ("Reshape", ["h", "all"], "i"), ("Cast", ["i"], "j", {"to": TensorProto.DOUBLE}),
+                     ("Dropout", ["j"], "k"), ("Gemm", ["k", "W1", "b1"], "z", {"transB": 1}), HIDDEN[1], LAST],
+    "constants as nodes": [("Transpose", ["W1"], "t"), ("Constant", [], "b", {"value": numpy_helper.from_array(B1)}),
+                           ("MatMul", ["x", "t"], "u"), ("Add", ["u", "b"], "z"), HIDDEN[1], LAST],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", READ)
+def test_answers_are_the_runtimes(name):
+    made = model(*READ[name])
+    X = RNG.normal(size=(500, 3)) * 2
+    network = otr.from_onnx(made)
+    np.testing.assert_allclose(network.predict(X), answers(made, X), rtol=0, atol=1e-12)
+    if network.n_hidden:  # the graph is not a constant, and its tree is the same function
+        np.testing.assert_allclose(otr.map_network(network).predict(X), network.predict(X), rtol=0, atol=1e-12)
+        assert len(np.unique(network.predict(X), axis=0)) > 1
+
+
+@pytest.mark.parametrize(
+    ("name", "head"),
+    [
+        ("gemm", otr.Identity()),
+        ("tanh", otr.TanhBox(-1, 1)),
+        ("tanh of a box", otr.TanhBox([-1, -3.5], [3, -2.5])),
+        ("tanh within a clip", otr.TanhBox([-0.5, -0.5], [0.5, 0.5])),
+        ("clip", otr.ClipBox([-0.5, -0.5], [0.75, 0.75])),
+        ("clip of each action", otr.ClipBox([-0.5, -1.0], [0.75, 0.25])),
+        ("clip, scaled", otr.ClipBox([-3, -2.25], [-0.5, -1.625])),
+        ("argmax", otr.Argmax()),
+    ],
+)
+def test_heads(name, head):
+    assert otr.from_onnx(model(*READ[name])).head == head
+
+
+MODULES = {
+    "tanh": lambda: nn.Sequential(nn.Linear(6, 5), nn.ReLU(), nn.Linear(5, 3), nn.ReLU(), nn.Linear(3, 2), nn.Tanh()),
+    "leaky": lambda: nn.Sequential(nn.Linear(6, 5, bias=False), nn.LeakyReLU(0.1), nn.Linear(5, 1)),
+    "flat": lambda: nn.Sequential(nn.Flatten(), nn.Linear(6, 5), nn.ReLU(), nn.Linear(5, 3), nn.Hardtanh(-1.5, 0.5)),
+}
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_what_torch_exports(tmp_path: Path, name: str) -> None:
+    torch.manual_seed(0)
+    module, file = MODULES[name](), io.BytesIO()
+    shape = (1, 2, 3) if name == "flat" else (1, 6)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        torch.onnx.export(module, (torch.zeros(shape),), file, dynamo=False, dynamic_axes={"x": [0]}, input_names=["x"])
+    (tmp_path / "policy.onnx").write_bytes(file.getvalue())
+    X = RNG.normal(size=(200, 6)).astype(np.float32)
+    expected = answers(onnx.load_model_from_string(file.getvalue()), X.reshape(-1, *shape[1:]))
+    for given in (tmp_path / "policy.onnx", str(tmp_path / "policy.onnx"), file.getvalue()):
+        np.testing.assert_allclose(otr.from_onnx(given).predict(X), expected, atol=2e-6)
+    if name != "flat":
+        X = X.astype(np.float64)
+        np.testing.assert_allclose(
+            otr.from_onnx(file.getvalue()).predict(X), otr.from_torch(module).predict(X), atol=1e-8
+        )
+
+
+def test_probabilities_need_their_head():
+    nodes = [*HIDDEN, (*LAST[:2], "u", LAST[3]), ("Softmax", ["u"], "y")]
+    with pytest.raises(otr.InvalidNetworkError, match=r"ends in Softmax; it needs head=otr.Argmax\(\)"):
+        otr.from_onnx(model(*nodes))
+    X = RNG.normal(size=(100, 3))
+    labels = otr.from_onnx(model(*nodes), head=otr.Argmax()).predict(X)
+    np.testing.assert_array_equal(labels, answers(model(*nodes), X).argmax(axis=1))
+
+
+def test_a_head_that_is_given_must_be_the_models():
+    made = model(*READ["tanh"])
+    with pytest.raises(otr.InvalidNetworkError, match="the model ends in Tanh"):
+        otr.from_onnx(made, head=otr.ClipBox(-1, 1))
+    assert otr.from_onnx(model(*READ["gemm"]), head=otr.Argmax()).head == otr.Argmax()
+
+
+def test_one_of_several_outputs():
+    nodes = [*HIDDEN, LAST, ("Gemm", ["x", "W1", "b1"], "value", {"transB": 1}), ("Exp", ["value"], "exp")]
+    made = model(*nodes, outputs=("y", "value", "exp"))
+    with pytest.raises(otr.InvalidNetworkError, match="several outputs; give output= one of 'y', 'value', 'exp'"):
+        otr.from_onnx(made)
+    with pytest.raises(otr.InvalidNetworkError, match="no output 'actions'"):
+        otr.from_onnx(made, output="actions")
+    assert otr.from_onnx(made, output="y").n_outputs == 2
+    assert otr.from_onnx(made, output="value").n_outputs == 4
+
+
+def one_more(*nodes: tuple) -> list[tuple]:
+    return [*HIDDEN, (*LAST[:2], "u", LAST[3]), *nodes]
+
+
+@pytest.mark.parametrize(
+    ("nodes", "options", "message"),
+    [
+        ([HIDDEN[0], ("Sigmoid", ["z"], "a"), LAST], {}, r"node 'y!' \(Gemm\) comes after Sigmoid"),
+        ([HIDDEN[0], ("Tanh", ["z"], "a"), LAST], {}, "comes after Tanh; a tree needs ReLU or LeakyReLU"),
+        ([HIDDEN[0], ("Elu", ["z"], "a"), LAST], {}, r"node 'a!' \(Elu\) cannot be read; accepted are Gemm, MatMul"),
+        ([HIDDEN[0], ("Clip", ["z", "low"], "a"), LAST], {}, "comes after Clip"),
+        (one_more(("Clip", ["u", "low"], "y")), {}, r"-0.5\] .. \[inf, inf\]; expected finite limits on both sides"),
+        (one_more(("Clip", ["u", "high", "low"], "y")), {}, "leaves one answer only"),
+        (one_more(("Tanh", ["u"], "t"), ("Mul", ["t", "minus"], "y")), {}, "only shifts and positive scales"),
+        (one_more(("Tanh", ["u"], "t"), ("Clip", ["t", "low", "high"], "y")), {}, "the answers go through tanh to"),
+        (one_more(("Div", ["two", "u"], "y")), {}, "divides by the states"),
+        (one_more(("Mul", ["u", "u"], "y")), {}, "joins two values that depend on the states"),
+        (one_more(("Add", ["u", "b1"], "y")), {}, r"has a constant of shape \(4,\), expected \(2,\)"),
+        (one_more(("ArgMax", ["u"], "y", {"axis": 0})), {}, "goes over axis 0"),
+        (one_more(("ArgMax", ["u"], "y", {"axis": 1, "select_last_index": 1})), {}, "first largest"),
+        ([("Relu", ["x"], "a"), ("MatMul", ["a", "W1t"], "y")], {}, "follows no Gemm or MatMul"),
+        ([("Add", ["x", "mean"], "y")], {}, "no Gemm or MatMul lies between 'x' and 'y'"),
+        ([("MatMul", ["W1", "x"], "y")], {}, "multiplies from the left"),
+        ([("MatMul", ["x", "W2t"], "y")], {}, r"weights of shape \(4, 2\), expected \(3, n_out\)"),
+        ([("Flatten", ["x"], "f", {"axis": 0}), ("MatMul", ["f", "W1t"], "y")], {}, "changes more than the shape"),
+        ([("Cast", ["x"], "f", {"to": TensorProto.INT64}), ("MatMul", ["f", "W1t"], "y")], {}, "changes more than"),
+        ([("MatMul", ["x", "W1t"], "y")], {"shape": ("n", 2, 3)}, "put a Flatten before it"),
+        ([("MatMul", ["x", "W1t"], "y")], {"shape": ("n", "d")}, r"has the shape \(\?, \?\)"),
+        ([("MatMul", ["x", "W1t"], "y")], {"opset": 6}, "opset 6, expected 7 or newer"),
+        (
+            [HIDDEN[0], ("Relu", ["z"], "a"), ("MatMul", ["a", "W2t"], "u"), ("LeakyRelu", ["u"], "y")],
+            {},
+            r"slopes \[0.0, 0.0099",
+        ),
+    ],
+)
+def test_what_is_refused(nodes, options, message):
+    with pytest.raises(otr.InvalidNetworkError, match=message):
+        otr.from_onnx(model(*nodes, **options))
+
+
+def test_a_tree_is_no_network():
+    tree = otr.map_network(otr.ReluNetwork([W1, W2], [B1, B2]))
+    with pytest.raises(otr.InvalidNetworkError, match=r"node .* cannot be read; accepted are Gemm"):
+        otr.from_onnx(otr.to_onnx(tree))
+
+
+def test_foreign_operators_and_functions_are_refused():
+    made = model(*READ["gemm"])
+    made.graph.node[1].domain = "com.example"
+    made.opset_import.append(helper.make_opsetid("com.example", 1))
+    with pytest.raises(otr.InvalidNetworkError, match=r"'a!' \(Relu\) is of the domain 'com.example'"):
+        otr.from_onnx(made)
+    made = model(*READ["gemm"])
+    body = [helper.make_node("Neg", ["X"], ["Y"])]
+    made.functions.append(helper.make_function("", "Relu", ["X"], ["Y"], body, [helper.make_opsetid("", 17)]))
+    with pytest.raises(otr.InvalidNetworkError, match="defines standard operators anew"):
+        otr.from_onnx(made)
+
+
+def test_no_other_file_is_opened(tmp_path: Path) -> None:
+    path = tmp_path / "policy.onnx"
+    onnx.save(model(*READ["gemm"]), path, save_as_external_data=True, location="numbers", size_threshold=0)
+    with pytest.raises(otr.InvalidNetworkError, match="'W1' lies in another file, which is not opened"):
+        otr.from_onnx(path)
+    (tmp_path / "numbers").unlink()
+    with pytest.raises(otr.InvalidNetworkError, match="lies in another file"):
+        otr.from_onnx(path)
+
+
+def test_small_files_of_large_matrices_are_refused():
+    """Two thin matrices, the product of which is far larger than the file."""
+    n = 2**18
+    weights = {"wide": np.zeros((1, n), np.float16), "tall": np.zeros((n, 1), np.float16)}
+    graph = helper.make_graph(
+        [helper.make_node("MatMul", ["x", "tall"], ["u"]), helper.make_node("MatMul", ["u", "wide"], ["y"])],
+        "policy",
+        [helper.make_tensor_value_info("x", TensorProto.FLOAT16, ["n", n])],
+        [helper.make_tensor_value_info("y", TensorProto.FLOAT16, ["n", n])],
+        [numpy_helper.from_array(array, name) for name, array in weights.items()],
+    )
+    made = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)])
+    with pytest.raises(otr.InvalidNetworkError, match="makes a matrix of 262144 x 262144 numbers"):
+        otr.from_onnx(made)
+
+
+@pytest.mark.parametrize("given", [b"", b"PK\x03\x04 no model", bytes(2**24 + 1)], ids=["empty", "other", "large"])
+def test_what_is_no_model(tmp_path: Path, given: bytes) -> None:
+    (tmp_path / "policy.onnx").write_bytes(given)
+    for source in (given, tmp_path / "policy.onnx"):
+        with pytest.raises(otr.ArtefactError, match=r"is no (valid )?ONNX|limit is 16,777,216"):
+            otr.from_onnx(source)
+
+
+def test_every_cut_off_file_is_an_error_of_ours():
+    content = model(*READ["tanh"]).SerializeToString()
+    for length in range(0, len(content), 7):
+        with pytest.raises(otr.OtrError):
+            otr.from_onnx(content[:length])
+
+
+def test_shapes_that_do_not_fit_their_numbers():
+    made = model(*READ["gemm"])
+    made.graph.initializer[0].dims[:] = [2**31, 2**31]
+    with pytest.raises(otr.OtrError, match="W1"):
+        otr.from_onnx(made)
+
+
+def test_other_things_are_named():
+    with pytest.raises(
+        otr.InvalidNetworkError, match="expected the path of an ONNX file, its bytes or a ModelProto, got 3"
+    ):
+        otr.from_onnx(3)
+    with pytest.raises(otr.ArtefactError, match=r"nowhere.onnx cannot be read"):
+        otr.from_onnx("nowhere.onnx")

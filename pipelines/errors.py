@@ -24,8 +24,10 @@ class PolicyMismatchError(PipelineError):
     """Two forms of one policy chose different actions on a state; the message shows the state."""
 
 
-def did_you_mean(name: str, known: Sequence[str]) -> str:
-    """Return a question with the nearest of the known names, or all of them."""
-    near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+def did_you_mean(name: str, known: Sequence[str], unlisted: Sequence[str] = ()) -> str:
+    """Return a question with the nearest of the known names, or all of them but the `unlisted`, which are too many."""
+    near = difflib.get_close_matches(name, [*known, *unlisted], n=3, cutoff=0.5)
     near += [key for key in known if key.split(".")[-1] == name and key not in near]
-    return f" Did you mean {' or '.join(near)}?" if near else f" There are: {', '.join(known)}"
+    if near:
+        return f" Did you mean {' or '.join(near)}?"
+    return f" There are: {', '.join(known)}" if known else ""

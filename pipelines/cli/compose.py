@@ -12,7 +12,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from pipelines.cli.overrides import key_of, parse, quoted
+from pipelines.cli.overrides import is_search, key_of, parse, quoted, searched_folders
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.engine.job import message_of as message_of_job
 from pipelines.engine.sweep import check_launcher
@@ -70,7 +70,7 @@ class Composer:
             if override.startswith("+") and not key.startswith(NEW_KEYS):
                 raise ConfigError(f"{override}: new keys cannot be added; leave out the +")
             if key in self.checked:
-                self.check_option(key, value)
+                self.check_option(key, value, overrides)
             if key == "launcher":
                 check_launcher(value)
         if self.needs and self.needs[0] not in map(key_of, overrides):
@@ -97,16 +97,18 @@ class Composer:
             returned: list[Any] = hydra.multirun(self.name, tasks, asked, with_log_configuration=False)
         return returned
 
-    def check_option(self, group: str, value: str) -> None:
-        """Raise ConfigError, with the nearest known names, if a group has no such option."""
-        options = self.options(group)
+    def check_option(self, group: str, value: str, overrides: Sequence[str] = ()) -> None:
+        """Raise ConfigError, with the nearest known names, if a group has no such option under these overrides."""
+        options = self.options(group, overrides)
         if value not in (*options, "null"):
             raise ConfigError(f"{group}={value}: there is no such {group}.{did_you_mean(value, options)}")
 
-    def options(self, group: str) -> list[str]:
-        """Return the names of a group's options."""
+    def options(self, group: str, overrides: Sequence[str] = ()) -> list[str]:
+        """Return the names of a group's options: its files in conf/, and in the folders that the overrides search."""
         own = sorted(path.stem for path in (CONF_DIR / self.folder / group).glob("*.yaml"))
-        return own or sorted(path.stem for path in (CONF_DIR / group).glob("*.yaml"))
+        shipped = own or sorted(path.stem for path in (CONF_DIR / group).glob("*.yaml"))
+        searched = (path.stem for folder in searched_folders(overrides) for path in (folder / group).glob("*.yaml"))
+        return [*shipped, *sorted(set(searched) - set(shipped))]
 
     @contextmanager
     def hydra(self) -> Iterator[None]:
@@ -130,7 +132,7 @@ class Composer:
             base = [
                 override
                 for override in overrides
-                if override.split("=")[0] in self.checked and "experiment=" not in override
+                if (override.split("=")[0] in self.checked and "experiment=" not in override) or is_search(override)
             ]
             keys = _leaves(OmegaConf.to_container(compose(self.name, [*self._search_path(), *base])))
             known = [*keys, *self.short]

@@ -1,8 +1,11 @@
 """Hydra's overrides as text: how they are read and quoted, and which jobs a sweep over them has."""
 
+import argparse
 import itertools
 import re
 from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
@@ -10,6 +13,7 @@ from hydra.errors import HydraException
 
 from pipelines.errors import ConfigError
 
+SEARCH = "hydra.searchpath="
 PATHS = ("run", "out", "results_dir", "certificate", "tree", "actor")  # keys of otr-export and otr-verify
 
 
@@ -28,7 +32,33 @@ def key_of(override: str) -> str:
 
 def is_of_launching(override: str) -> bool:
     """Return whether an override concerns how a sweep is launched, and no job."""
-    return override.lstrip("+").startswith(("launcher=", "hydra.", "hydra/"))
+    return override.lstrip("+").startswith(("launcher=", "hydra.", "hydra/")) and not is_search(override)
+
+
+def asked(arguments: argparse.Namespace) -> list[str]:
+    """Return the overrides of a command; ``--config-dir DIR`` is one too, which adds a folder to Hydra's search path.
+
+    Raises:
+        ConfigError: there is no such folder.
+    """
+    overrides = [with_path_quoted(override) for override in arguments.overrides]
+    folder = getattr(arguments, "config_dir", None)
+    if folder is None:
+        return overrides
+    if not folder.is_dir():
+        raise ConfigError(f"--config-dir {folder}: there is no such folder")
+    return [*overrides, f"{SEARCH}[{quoted(f'file://{folder.resolve()}')}]"]
+
+
+def is_search(override: str) -> bool:
+    """Return whether an override adds folders to Hydra's search path."""
+    return override.startswith(SEARCH)
+
+
+def searched_folders(overrides: Iterable[str]) -> list[Path]:
+    """Return the folders of configuration files that overrides add to conf/."""
+    given: list[Any] = [parse(override).value() for override in overrides if is_search(override)]
+    return [Path(str(place).removeprefix("file://")) for places in given for place in places]
 
 
 def combinations(overrides: Iterable[str]) -> list[list[str]]:

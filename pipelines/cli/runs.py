@@ -7,11 +7,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from pipelines.cli.compose import schema_of, to_object
-from pipelines.cli.overrides import key_of
+from pipelines.cli.overrides import is_search, key_of, parse
 from pipelines.cli.workflow import Workflow, columns_spelt_out
 from pipelines.config.algo import ALGORITHMS, ArsConfig
 from pipelines.config.budget import BudgetConfig
@@ -22,7 +23,8 @@ from pipelines.config.run import RunConfig, run_folder
 from pipelines.config.setting import not_keyed
 from pipelines.config.trainer import TRAINERS, FleetConfig, TrainerConfig
 from pipelines.engine.store import corrupt
-from pipelines.errors import ConfigError
+from pipelines.errors import ConfigError, did_you_mean
+from pipelines.play.environments import check_names, own_environment, registered_ids
 from pipelines.runs.run_job import RunJob, run_job, run_jobs
 from pipelines.stages.parse import policy_tree, read_program
 from pipelines.stages.train import fleets
@@ -98,9 +100,22 @@ class RunWorkflow(Workflow):
         cfg.method = self._method(chosen[-1])
         return cfg
 
+    def check_option(self, group: str, value: str, overrides: Sequence[str] = ()) -> None:
+        """Take any environment that is registered with gymnasium beside those that have a file."""
+        known = self.options(group, overrides)
+        if group != "env" or value in known:
+            super().check_option(group, value, overrides)
+        elif ":" not in value and value not in registered_ids():
+            hint = did_you_mean(value, known, unlisted=registered_ids())
+            more = "" if "?" in hint else "; besides, any registered id, as CartPole-v1 or module:Id"
+            raise ConfigError(f"env={value}: there is no such environment.{hint}{more}")
+
     def _compose_exactly(self, overrides: Sequence[str]) -> DictConfig:
         """Compose, with an environment's own settings of direct search in place of the general ones."""
         env = next((override for override in reversed(overrides) if override.startswith("env=")), "").partition("=")[2]
+        if env and env not in self.options("env", overrides):
+            self.check_option("env", env, overrides)
+            _offer(own_environment(env, _env_kwargs(overrides)))
         own = f"ars_{env}"
         if (CONF_DIR / "algo" / f"{own}.yaml").is_file():
             overrides = [f"algo={own}" if override == "algo=ars" else override for override in overrides]
@@ -114,8 +129,9 @@ class RunWorkflow(Workflow):
     def spelt_out(self, overrides: Sequence[str]) -> list[str]:
         """Return overrides with `program=FILE` and `column=NAME` replaced by those that they are short for.
 
-        So is `polish.free=true` by `polishing.free=true`: `polish` itself is the switch.
-        Hydra would take the first for a choice of the group conf/program, where the shipped programs lie.
+        So is `polish.free=true` by `polishing.free=true`: `polish` itself is the switch. Hydra would take the first for
+        a choice of the group conf/program, where the shipped programs lie. An id for which conf/env has a file stands
+        for that file's name.
         """
         methods = [
             override for override in overrides if override.startswith("method=") and override != "method=program"
@@ -125,7 +141,10 @@ class RunWorkflow(Workflow):
             raise ConfigError(f"{named[0]} is evaluated by method=program, not by {methods[0]}; leave one of them out")
         spelt_out = []
         for override in overrides:
-            if override.startswith("polish."):
+            if override.startswith("env="):
+                env = str(parse(override).value())  # a sweep escapes the colon of module:Id
+                spelt_out.append(f"env={_named_ids().get(env, env)}")
+            elif override.startswith("polish."):
                 spelt_out.append(f"polishing.{override.removeprefix('polish.')}")
             elif override in named:
                 spelt_out += ["method=program", f"method.{override}"]
@@ -137,24 +156,50 @@ class RunWorkflow(Workflow):
         """Return the run with these overrides, and the run that trains its oracle."""
         made = self.composed(overrides)
         config: RunConfig = made.config
+        if config.env.name not in self.options("env") or any(key_of(each)[:4] == "env." for each in overrides):
+            check_names(config.env)
         if isinstance(config.method, ProgramConfig):
             text, depth = _program(config, config.method.program, overrides)
             made = self.composed([*overrides, f"depth={depth}"])
             config = dataclasses.replace(made.config, program_text=text)
         oracle = self.job(_of_oracle(config, overrides)) if config.method.imitates else None
-        baseline = config if all(map(self.is_plain, overrides)) else self._baseline(config)
+        baseline = config if all(map(self.is_plain, overrides)) else self._baseline(config, overrides)
         folder = run_folder(config, baseline)
         config = dataclasses.replace(config, folder=folder, oracle_run=oracle.config if oracle else None)
         return RunJob(config, folder, made.yaml, tuple(overrides), oracle)
 
-    def _baseline(self, config: RunConfig) -> RunConfig:
+    def _baseline(self, config: RunConfig, overrides: Sequence[str]) -> RunConfig:
         """Return what the same env, method, depth, budget, trainer and seed give without any other override."""
+        env = [override for override in overrides if override.startswith("env=") or is_search(override)]
         algorithm = ["algo=ars"] if isinstance(config.algo, ArsConfig) else []
         baseline: RunConfig = self.composed([
-            f"env={config.env.name}", f"method={config.method.name}", f"budget={config.budget.name}",
+            *env, f"method={config.method.name}", f"budget={config.budget.name}",
             f"trainer={config.trainer.name}", *algorithm, f"depth={config.depth}", f"seed={config.seed}",
         ]).config  # fmt: skip
         return baseline
+
+
+def _offer(env: EnvConfig) -> None:
+    """Make an environment that has no file an option of Hydra's group env: PPO for labels, SAC for other actions."""
+    *folders, option = f"env/{env.id}".split("/")
+    algorithm = {"discrete": "ppo", "continuous": "sac"}[env.task]
+    node = {
+        "defaults": ["/env_schema@env", {"override /algo": algorithm}, "_self_"],
+        "env": {name: value for name, value in dataclasses.asdict(env).items() if name not in ("kwargs", "pid")},
+    }
+    ConfigStore.instance().store(option, node, group="/".join(folders), package="_global_")
+
+
+def _env_kwargs(overrides: Sequence[str]) -> dict[str, Any]:
+    """Return the arguments of the environment among overrides."""
+    given = (override for override in overrides if key_of(override).startswith("env.kwargs."))
+    return {key_of(override).removeprefix("env.kwargs."): parse(override).value() for override in given}
+
+
+@functools.cache
+def _named_ids() -> dict[str, str]:
+    """Return the names of the environments that have a file in conf/env, by id."""
+    return {str(OmegaConf.load(path).env.id): path.stem for path in (CONF_DIR / "env").glob("*.yaml")}
 
 
 def _road(given: Mapping[str, str]) -> Sequence[str]:

@@ -11,7 +11,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from pipelines.cli.compose import Composer, to_object
-from pipelines.cli.overrides import combinations, is_of_launching, key_of, parse
+from pipelines.cli.overrides import combinations, is_of_launching, is_search, key_of, parse
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.engine.console import counted
 from pipelines.engine.job import Job
@@ -103,7 +103,8 @@ class Workflow(Composer, ABC):
             return False, []
         budgets = [override for override in single if override.startswith("budget=") and "budget" in self.checked]
         for override in (*experiments, *budgets):
-            self.check_option(*override.lstrip("+").split("=", 1))
+            group, _, option = override.lstrip("+").partition("=")
+            self.check_option(group, option, overrides)
         assert self.needs is not None
         own = [f"{self.needs[0]}={self.anything}", *budgets, *experiments]
         settings = self.settings_of_hydra(own)
@@ -122,7 +123,7 @@ class Workflow(Composer, ABC):
         if key == "experiment":  # one that brings values to sweep over, and no settings that decide what comes out
             path = CONF_DIR / self.folder / "experiment" / f"{value}.yaml"
             return path.is_file() and OmegaConf.load(path).keys() <= {"hydra", *self.harmless}
-        return key in (*self.naming, *self.harmless) or is_of_launching(override)
+        return key in (*self.naming, *self.harmless) or is_of_launching(override) or is_search(override)
 
 
 def _composed(cfg: DictConfig) -> Composed:

@@ -1,4 +1,4 @@
-"""The environment of a run: a file of conf/env."""
+"""The environment of a run: a file of conf/env, or one that is registered with gymnasium."""
 
 from dataclasses import dataclass, field
 from typing import Annotated, Any
@@ -22,7 +22,8 @@ class EnvConfig:
     """
 
     name: FreeText
-    task: FreeText  # the row of the tables and of conf/budget; hopper_v5 has task hopper
+    # The row of the tables and of conf/budget; hopper_v5 has task hopper, one's own has task discrete or continuous
+    task: FreeText
     id: FreeText
     kwargs: dict[str, Any] = field(default_factory=dict)
     feature_names: list[FreeText] = field(default_factory=list)

@@ -2,17 +2,25 @@
 
 import dataclasses
 import functools
+import importlib
 import json
+import re
+import sys
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
 from otr.control import pid_observation_names
 from pipelines.config.env import EnvConfig, PidTerms
-from pipelines.errors import ConfigError
+from pipelines.errors import ConfigError, did_you_mean
 from pipelines.play.pid_environment import PidObservation
+
+LONGEST_EPISODE = 1000  # steps, where an environment tells no limit
 
 
 def make_env(env: EnvConfig) -> gym.Env:
@@ -27,14 +35,93 @@ def make_env(env: EnvConfig) -> gym.Env:
 
 
 def _make(env: EnvConfig) -> gym.Env:
+    spec = spec_of(env.id)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*is out of date.*")
         try:
-            if "mujoco" in str(gym.spec(env.id).entry_point):
+            if "mujoco" in str(spec.entry_point):
                 _hear_mujoco_warnings()
-            return gym.make(env.id, disable_env_checker=True, **env.kwargs)
+            return gym.make(spec, disable_env_checker=True, **env.kwargs)
         except (gym.error.Error, ImportError, TypeError) as error:
             raise ConfigError(f"env.id={env.id} with {env.kwargs or 'no arguments'} cannot be made: {error}") from error
+
+
+def spec_of(env_id: str) -> Any:
+    """Return what gymnasium has registered under an id (an `EnvSpec`).
+
+    `module:Id` imports the module first, an installed one or one of the folder in which the command was started.
+
+    Raises:
+        ConfigError: there is no such module, or no such id; names the nearest ones.
+    """
+    module, _, name = env_id.rpartition(":")
+    if module:
+        _import(module, env_id)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*is out of date.*")
+        try:
+            return gym.spec(name)
+        except gym.error.Error as error:
+            raise ConfigError(f"environment {env_id}: {_first_sentence(error)}.{_near(name, module)}") from error
+
+
+def registered_ids() -> list[str]:
+    """Return the ids that gymnasium has registered."""
+    return sorted(gym.registry)
+
+
+def _import(module: str, env_id: str) -> None:
+    here = str(Path.cwd())
+    if here not in sys.path:  # a command's own path begins with the folder of the command
+        sys.path.append(here)
+    try:
+        importlib.import_module(module)
+    except Exception as error:  # foreign code can fail in any way
+        missing = isinstance(error, ModuleNotFoundError) and error.name == module.split(".")[0]
+        what = f"there is no such module, installed or in {here}" if missing else f"{type(error).__name__}: {error}"
+        raise ConfigError(f"environment {env_id}: module {module} cannot be imported: {what}") from error
+
+
+def _first_sentence(error: Exception) -> str:
+    return re.split(r"\. |\.$", str(error), maxsplit=1)[0]
+
+
+def _near(name: str, module: str) -> str:
+    """Return a question with the ids nearest to one that is not registered; of a module, its own."""
+    if not module:
+        return did_you_mean(name, [], unlisted=registered_ids())
+    own = [env_id for env_id, spec in gym.registry.items() if str(spec.entry_point).startswith(module)]
+    return did_you_mean(name, own) if own else f" Module {module} registers none"
+
+
+def longest_episode(env: EnvConfig) -> int:
+    """Return the most steps of an episode, for estimates of time; LONGEST_EPISODE where there is no limit."""
+    limit: int = env.kwargs.get("max_episode_steps") or spec_of(env.id).max_episode_steps or LONGEST_EPISODE
+    return limit
+
+
+def own_environment(env_id: str, kwargs: Mapping[str, Any]) -> EnvConfig:
+    """Return the settings of an environment that conf/env has no file for.
+
+    Its name is the id as a folder can have it. Names of the observation's and the action's components are those that
+    the environment's class gives as ``metadata["feature_names"]`` and ``metadata["action_names"]``, if any.
+
+    Raises:
+        ConfigError: there is no such environment, or its observations or actions are of a kind that no policy here has.
+    """
+    env = EnvConfig(re.sub(r"[^\w.-]+", "_", env_id), "", env_id, dict(kwargs))
+    task = "discrete" if spaces(env).box is None else "continuous"
+    made = make_env(env)
+    features, actions = (list(made.metadata.get(key, [])) for key in ("feature_names", "action_names"))
+    made.close()
+    return dataclasses.replace(env, task=task, kwargs={}, feature_names=features, action_names=actions)
+
+
+def check_names(env: EnvConfig) -> None:
+    """Raise ConfigError unless the environment's names are as many as its inputs and actions, and no two the same."""
+    space, plain = spaces(env), dataclasses.replace(env, pid=None)
+    feature_names(plain, space.n_inputs)
+    action_names(plain, space.n_actions)
 
 
 def _with_pid_terms(env: gym.Env, env_id: str, terms: PidTerms) -> gym.Env:
@@ -73,12 +160,22 @@ def _hear_mujoco_warnings() -> None:
 
 
 def is_discrete(env: gym.Env) -> bool:
-    """Return whether actions are labels; refuse action spaces that are neither labels nor a box."""
-    if isinstance(env.action_space, gym.spaces.Discrete):
+    """Return whether actions are labels 0, 1, ...; refuse actions that are neither these nor a vector in a box."""
+    actions = env.action_space
+    if isinstance(actions, gym.spaces.Discrete) and int(actions.start) == 0:
         return True
-    if isinstance(env.action_space, gym.spaces.Box):
+    is_vector = isinstance(actions, gym.spaces.Box) and len(actions.shape) == 1 and actions.is_bounded()
+    if is_vector and np.issubdtype(actions.dtype, np.floating):
         return False
-    raise ConfigError(f"{env.spec.id if env.spec else env}: actions {env.action_space} are neither Box nor Discrete")
+    raise ConfigError(
+        f"{_id(env)}: the actions are {actions}; policies here choose one of n labels, Discrete(n) from 0 on, or give "
+        "a vector of real numbers, a Box of one dimension with limits. Wrap the environment, as "
+        "gymnasium.wrappers.TransformAction and RescaleAction do, and register it so"
+    )
+
+
+def _id(env: gym.Env) -> str:
+    return env.spec.id if env.spec else str(env)
 
 
 def feature_names(env: EnvConfig, n_inputs: int) -> list[str]:
@@ -86,17 +183,20 @@ def feature_names(env: EnvConfig, n_inputs: int) -> list[str]:
     if env.pid is not None:
         names: list[str] = pid_observation_names(feature_names(dataclasses.replace(env, pid=None), n_inputs // 4))
         return names
-    return _names(env.feature_names, n_inputs, "x", f"conf/env/{env.name}.yaml: feature_names")
+    return _names(env.feature_names, n_inputs, "x", "env.feature_names")
 
 
 def action_names(env: EnvConfig, n_outputs: int) -> list[str]:
     """Return the names of the action's components or labels, a0, a1, ... where the environment's file gives none."""
-    return _names(env.action_names, n_outputs, "a", f"conf/env/{env.name}.yaml: action_names")
+    return _names(env.action_names, n_outputs, "a", "env.action_names")
 
 
 def _names(given: list[str], n: int, prefix: str, where: str) -> list[str]:
     if given and len(given) != n:
         raise ConfigError(f"{where} has {len(given)} names, the policy has {n}")
+    twice = sorted({name for name in given if given.count(name) > 1})
+    if twice:
+        raise ConfigError(f"{where} has {twice[0]!r} twice: give every one a name of its own")
     return list(given) or [f"{prefix}{i}" for i in range(n)]
 
 
@@ -152,9 +252,7 @@ def _bounds(space: gym.spaces.Box) -> tuple[np.ndarray, np.ndarray]:
 
 def episode_limit(env: EnvConfig) -> int:
     """Return the most steps of an episode; refuse an environment that has no limit."""
-    made = make_env(env)
-    made.close()
-    limit = made.spec.max_episode_steps if made.spec else None
+    limit = env.kwargs.get("max_episode_steps") or spec_of(env.id).max_episode_steps
     if limit is None:
         raise ConfigError(f"{env.id}: episodes have no limit; give one as +env.kwargs.max_episode_steps=1000")
     return int(limit)
@@ -163,6 +261,9 @@ def episode_limit(env: EnvConfig) -> int:
 def flat_state_size(env: gym.Env) -> int:
     """Return the length of the state vector; refuse observations that are not a flat box."""
     space = env.observation_space
-    if not isinstance(space, gym.spaces.Box) or len(space.shape) != 1:
-        raise ConfigError(f"{env.spec.id if env.spec else env}: observations {space} are not a vector")
-    return int(np.prod(space.shape))
+    if not isinstance(space, gym.spaces.Box) or len(space.shape) != 1 or space.shape[0] == 0:
+        raise ConfigError(
+            f"{_id(env)}: observations {space} are not a vector of numbers, a Box of one dimension, which programs "
+            "read. Wrap the environment, as gymnasium.wrappers.FlattenObservation does, and register it so"
+        )
+    return int(space.shape[0])

@@ -130,7 +130,8 @@ def _leaves(n_leaves: int) -> str:
 
 def _title(summary: dict[str, Any]) -> str:
     """Return which run this is: its environment and depth, and how it was trained, or which program it is."""
-    start = f"{summary['env']} ({summary['env_id']}), depth {summary['depth']}"
+    env_id = "" if summary["env_id"] == summary["env"] else f" ({summary['env_id']})"
+    start = f"{summary['env']}{env_id}, depth {summary['depth']}"
     if "program" in summary:
         return f"{start}, program {summary['program']} ({summary['budget']}), seed {summary['seed']}"
     trainer = "" if summary["trainer"] == "sb3" else f", {summary['trainer']}"

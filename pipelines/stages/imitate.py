@@ -8,8 +8,6 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
-
 import otr
 from otr.control.dagger.loop import DaggerProgress, DaggerSettings, Play, TreeFit, run_dagger
 from pipelines.config.methods import AugTreeConfig, ImitatingConfig, LmViperConfig, NdpsConfig, ViperConfig
@@ -20,6 +18,7 @@ from pipelines.engine.digests import digest
 from pipelines.engine.seeding import episode_seeds, stream
 from pipelines.engine.stage import Stage
 from pipelines.engine.store import write_csv, write_json
+from pipelines.play.environments import longest_episode
 from pipelines.play.rollout import Policy, Rollout, rollout
 from pipelines.stages.oracle import load_oracle
 from pipelines.stages.printed_programs import write_program
@@ -144,7 +143,7 @@ def estimated_seconds(config: RunConfig) -> float:
     # Successive halving plays about as much again as its last two candidates do, six times over.
     n_chosen = 6 * imitation.n_choice_episodes
     n_episodes = imitation.n_initial_episodes + (imitation.n_rounds + 1) * imitation.n_episodes + n_chosen
-    longest = gym.spec(config.env.id).max_episode_steps or 1000
+    longest = longest_episode(config.env)
     return n_episodes * longest * SHARE_PLAYED / STEPS_PER_S + (imitation.n_rounds + 1) * method.fit_s
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
-import gymnasium as gym
 import numpy as np
 
 import otr
@@ -19,6 +18,7 @@ from pipelines.engine.seeding import episode_seeds, evaluation_seeds, stream_see
 from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import exists, write_csv, write_files, write_json
 from pipelines.play.actor_files import actor_files, load_actor
+from pipelines.play.environments import longest_episode
 from pipelines.play.rollout import Rollout, rollout
 from pipelines.stages.evaluate import EPISODE_COLUMNS, episode_rows
 from pipelines.stages.map import map_actor
@@ -152,7 +152,7 @@ def estimated_seconds(config: RunConfig) -> float:
     """Return the likely time of the search on one core, its selection and confirmation episodes included."""
     polishing = config.polishing
     n_chosen = (polishing.n_candidates + 3) * polishing.n_selection_episodes
-    longest = gym.spec(config.env.id).max_episode_steps or 1000
+    longest = longest_episode(config.env)
     table = NUMPY_STEPS_PER_S if environments(config) == "numpy" else STEPS_PER_S
     rate = table.get(config.env.task, OTHER_STEPS_PER_S)
     return (polishing.steps + n_chosen * longest * SHARE_PLAYED) / rate

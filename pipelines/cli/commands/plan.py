@@ -3,7 +3,7 @@
 import argparse
 
 from pipelines.cli.jobs_file import how_to_use, write_jobs
-from pipelines.cli.overrides import with_path_quoted
+from pipelines.cli.overrides import asked
 from pipelines.cli.runs import RUN
 from pipelines.runs.plan import print_plan
 from pipelines.runs.run_job import RunJob
@@ -11,7 +11,7 @@ from pipelines.runs.run_job import RunJob
 
 def do(arguments: argparse.Namespace) -> int:
     """Print the plan and write the file of jobs that --jobs names."""
-    overrides = [with_path_quoted(override) for override in arguments.overrides]
+    overrides = asked(arguments)
     jobs = [job for job in RUN.jobs(RUN.expand(overrides, arguments.multirun)) if isinstance(job, RunJob)]
     print_plan(jobs)
     if arguments.jobs:

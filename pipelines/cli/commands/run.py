@@ -5,7 +5,7 @@ import sys
 
 from omegaconf import OmegaConf
 
-from pipelines.cli.overrides import with_path_quoted
+from pipelines.cli.overrides import asked
 from pipelines.cli.runs import RUN
 from pipelines.cli.sweeps import do_sweep, sweep_name
 from pipelines.cli.workflow import Workflow
@@ -20,7 +20,7 @@ def do(arguments: argparse.Namespace) -> int:
 
 def do_jobs(workflow: Workflow, arguments: argparse.Namespace) -> int:
     """Do the jobs that the overrides ask for, one or a sweep, or print the configuration of the first of them."""
-    overrides = [with_path_quoted(override) for override in arguments.overrides]
+    overrides = asked(arguments)
     is_sweep = workflow.is_sweep(overrides, arguments.multirun)
     if arguments.cfg:
         first = workflow.expand(overrides, arguments.multirun)[0]

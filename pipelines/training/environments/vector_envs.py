@@ -7,11 +7,11 @@ therefore sees what it would see alone.
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
-import gymnasium as gym
 import numpy as np
 
 from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError
+from pipelines.play.environments import spec_of
 
 
 class Stepped(NamedTuple):
@@ -116,6 +116,6 @@ def time_limit(env: EnvConfig, environments: str) -> int:
         )
     if env.pid is not None:
         raise ConfigError(f"environments={environments} has no states of PID policies; use environments=gymnasium")
-    limit = env.kwargs.get("max_episode_steps") or gym.spec(env.id).max_episode_steps
+    limit: int | None = env.kwargs.get("max_episode_steps") or spec_of(env.id).max_episode_steps
     assert limit is not None  # every environment that was compared has one
     return limit

@@ -309,7 +309,7 @@ def test_every_environment_and_budget_composes(tmp_path, budget):
 
 def test_every_budget_has_every_environment_s_steps():
     steps = [set(run_config(["env=pendulum", f"budget={name}"]).budget.steps) for name in ("thesis", "quick", "smoke")]
-    assert steps[0] == steps[1] == steps[2] and len(steps[0]) == 10
+    assert steps[0] == steps[1] == steps[2] and len(steps[0]) == 12
 
 
 def test_help_names_the_overrides():

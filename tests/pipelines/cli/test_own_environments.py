@@ -1,0 +1,110 @@
+"""Environments that conf/env has no file for: any registered id, `module:Id`, and a file of one's own."""
+
+import json
+
+import pytest
+
+from pipelines.cli.runs import RUN
+from pipelines.errors import ConfigError
+from tests.pipelines.conftest import otr_command
+
+MODULE = "tests.pipelines.own_envs"
+CART = f"env={MODULE}:Cart-v0"
+HEAVY = """\
+# @package _global_
+defaults:
+  - /env_schema@env
+  - override /algo: ars
+  - _self_
+env:
+  name: heavy
+  task: continuous
+  id: tests.pipelines.own_envs:Cart-v0
+  kwargs: {mass: 3.0}
+  feature_names: [x, v]
+  action_names: [push]
+"""
+
+
+def job(*words):
+    """Return the job of words, as otr-run makes it."""
+    (made,) = RUN.jobs(RUN.expand(list(words), multirun=False))
+    return made
+
+
+@pytest.mark.parametrize(
+    ("word", "name", "algorithm", "features"),
+    [
+        ("env=CartPole-v1", "CartPole-v1", "ppo", []),
+        ("env=MountainCarContinuous-v0", "mountaincar", "ddpg", ["position", "velocity"]),  # has a file
+        (CART, "tests.pipelines.own_envs_Cart-v0", "sac", ["position", "velocity"]),
+        (f"env={MODULE}:PushOrPull-v0", "tests.pipelines.own_envs_PushOrPull-v0", "ppo", []),
+    ],
+)
+def test_an_id_is_an_environment(word, name, algorithm, features):
+    made = job(word, "budget=quick", "depth=2")
+    assert made.folder == f"runs/{name}/otr/depth-2/quick/seed-0"
+    assert made.config.algo.name == algorithm
+    assert made.config.env.feature_names == features
+    assert made.command == f"otr-run {'env=mountaincar' if name == 'mountaincar' else word} budget=quick depth=2"
+
+
+@pytest.mark.parametrize("method", ["linear", "viper", "sdt", "pid"])
+def test_methods_and_budgets_know_own_environments(method):
+    depth = {"linear": ["depth=0"]}.get(method, [])
+    for budget in ("smoke", "quick", "standard", "thesis"):
+        assert job("env=Acrobot-v1", f"method={method}", f"budget={budget}", *depth).config.train.steps > 0
+
+
+def test_arguments_decide_the_kind_of_actions():
+    words = ("env=phys2d/CartPole-v1",)
+    with pytest.raises(ConfigError, match="cannot be made"):
+        job(*words, "+env.kwargs.wheels=3")
+    heavy = job(CART, "+env.kwargs.mass=2.0")
+    assert heavy.config.env.kwargs == {"mass": 2.0} and "~" in heavy.folder
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("env=cartpole",), "there is no such environment. Did you mean CartPole-v1"),
+        (("env=xyzzy",), "besides, any registered id"),
+        (("env=CartPole-v7",), "Did you mean CartPole-v1"),
+        (("env=no_such_module:Cart-v0",), "module no_such_module cannot be imported: there is no such module"),
+        ((f"env={MODULE}:Card-v0",), "Environment `Card` doesn't exist"),
+        ((f"env={MODULE}:Images-v0",), "observations .* are not a vector of numbers"),
+        ((f"env={MODULE}:Parts-v0",), "observations .* are not a vector of numbers"),
+        ((f"env={MODULE}:Cells-v0",), "observations .* are not a vector of numbers"),
+        ((f"env={MODULE}:Keys-v0",), "the actions are MultiDiscrete"),
+        ((f"env={MODULE}:FromOne-v0",), r"Discrete\(n\) from 0 on"),
+        ((f"env={MODULE}:Boundless-v0",), "with limits"),
+        (("env=CartPole-v1", "env.feature_names=[a,b]"), "env.feature_names has 2 names, the policy has 4"),
+        (("env=CartPole-v1", "env.feature_names=[a,b,c,a]"), "env.feature_names has 'a' twice"),
+        (("env=pendulum", "env.action_names=[a,b]"), "env.action_names has 2 names, the policy has 1"),
+    ],
+)
+def test_what_is_refused_before_anything_runs(words, told):
+    with pytest.raises(ConfigError, match=told):
+        job(*words)
+
+
+def test_a_file_of_ones_own_and_a_sweep(tmp_path):
+    (tmp_path / "settings/env").mkdir(parents=True)
+    (tmp_path / "settings/env/heavy.yaml").write_text(HEAVY)
+    words = ("--config-dir", "settings", "depth=2", "budget=smoke", "n_workers=1", "evaluate.n_episodes=3")
+    done = otr_command("otr-run", "-m", f"env=heavy,{MODULE}:Cart-v0", "algo=ars", *words, cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (heavy,) = tmp_path.glob("results/runs/heavy/otr/depth-2/smoke-ars/seed-0~*/summary.json")
+    summary = json.loads(heavy.read_text())
+    assert (summary["env"], summary["env_id"]) == ("heavy", f"{MODULE}:Cart-v0")
+    assert " x" in (heavy.parent / "prune/program.txt").read_text()
+    (light,) = tmp_path.glob("results/runs/*Cart-v0/otr/depth-2/smoke-ars/seed-0~*")
+    assert " position" in (light / "prune/program.txt").read_text()
+    again = otr_command("otr-run", "env=heavy", *words, "algo=ars", cwd=tmp_path)
+    assert again.stdout.count("done before") == 4
+    export = otr_command("otr-export", f"run={heavy.parent}", "format=structured_text", cwd=tmp_path)
+    assert export.returncode == 0 and "v : LREAL" in export.stdout, export.stderr
+    refused = otr_command("otr-run", "env=heavi", "--config-dir", "settings", cwd=tmp_path)
+    assert refused.stderr == "otr-run: env=heavi: there is no such environment. Did you mean heavy?\n"
+    nowhere = otr_command("otr-run", "env=heavy", "--config-dir", "nowhere", cwd=tmp_path)
+    assert "nowhere: there is no such folder" in nowhere.stderr

@@ -1,0 +1,72 @@
+"""Environments of a user's own, which `module:Id` imports: a cart on a line, and some that no policy here can play."""
+
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+
+
+class Cart(gym.Env):
+    """A mass is pushed to the origin; it is there at rest for a reward of 0, elsewhere it is less."""
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "render_modes": [],
+        "feature_names": ["position", "velocity"],
+        "action_names": ["force"],
+    }
+
+    def __init__(self, mass: float = 1.0) -> None:
+        self.mass = mass
+        self.observation_space = gym.spaces.Box(-10, 10, (2,), np.float64)
+        self.action_space: gym.Space = gym.spaces.Box(-1, 1, (1,), np.float32)
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
+        super().reset(seed=seed)
+        self.state = self.np_random.uniform(-1, 1, 2)
+        return self.state.copy(), {}
+
+    def step(self, action: Any) -> Any:
+        x, v = self.state
+        v += 0.1 * self.force(action) / self.mass
+        self.state = np.clip([x + 0.1 * v, v], -10, 10)
+        return self.state.copy(), -float(x * x), False, False, {}
+
+    def force(self, action: Any) -> float:
+        return float(action[0])
+
+
+class PushOrPull(Cart):
+    """The same with two labels for actions."""
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.action_space = gym.spaces.Discrete(2)
+
+    def force(self, action: Any) -> float:
+        return 2.0 * int(action) - 1.0
+
+
+class Unsuitable(Cart):
+    """The cart with another space."""
+
+    def __init__(self, observations: gym.Space | None = None, actions: gym.Space | None = None) -> None:
+        super().__init__()
+        self.observation_space = observations or self.observation_space
+        self.action_space = actions or self.action_space
+
+
+SPACES: dict[str, dict[str, gym.Space]] = {
+    "Images": {"observations": gym.spaces.Box(0, 255, (8, 8, 3), np.uint8)},
+    "Parts": {"observations": gym.spaces.Dict(x=gym.spaces.Box(-1, 1, (2,)))},
+    "Cells": {"observations": gym.spaces.Discrete(4)},
+    "Keys": {"actions": gym.spaces.MultiDiscrete([2, 2])},
+    "FromOne": {"actions": gym.spaces.Discrete(2, start=1)},
+    "Boundless": {"actions": gym.spaces.Box(-np.inf, np.inf, (1,))},
+}
+
+gym.register("Cart-v0", entry_point=Cart, max_episode_steps=50)
+gym.register("PushOrPull-v0", entry_point=PushOrPull, max_episode_steps=50)
+for name, spaces in SPACES.items():
+    gym.register(f"{name}-v0", entry_point=Unsuitable, kwargs=spaces, max_episode_steps=50)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import html
 from collections.abc import Sequence
 
+from otr.core.merging import merge_equal_leaves
 from otr.core.tree import ObliqueTree
-from otr.programs.names import names_for
+from otr.programs.names import names_for, require_tree
 from otr.programs.picture.boxes import NodeBox, Style, head_note, tree_boxes
 from otr.programs.picture.drawing import colours
 
@@ -36,6 +37,8 @@ def to_dot(
         TypeError: `tree` is no ObliqueTree.
         ValueError: the wrong number of names, or a number out of its range.
     """
+    require_tree(tree)
+    tree = merge_equal_leaves(tree)
     names = names_for(tree, feature_names, output_names)
     for argument, value in (("precision", precision), ("max_terms", max_terms)):
         if value < 1:

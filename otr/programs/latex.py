@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+from otr.core.merging import merge_equal_leaves
 from otr.core.tree import ObliqueTree
-from otr.programs.names import names_for
+from otr.programs.names import names_for, require_tree
 from otr.programs.notation import Notation, Program
 from otr.programs.walk import summary_of
 
@@ -45,6 +46,8 @@ def to_latex(
         TypeError: `tree` is no ObliqueTree.
         ValueError: the wrong number of names, precision < 1, or a PID policy whose terms differ between leaves.
     """
+    require_tree(tree)
+    tree = merge_equal_leaves(tree)
     names = names_for(tree, feature_names, output_names)
     features, answers = ([math_name(name) for name in given] for given in (names.features, names.answers))
     program = Program(tree, _LATEX, features, answers, list(map(escaped, names.answers)), precision)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from otr.core.merging import merge_equal_leaves
 from otr.core.tree import ObliqueTree
 from otr.programs.language.tokens import written
 from otr.programs.names import names_of
@@ -19,7 +20,7 @@ def to_text(
     output_names: Sequence[str] | None = None,
     precision: int = 4,
 ) -> str:
-    """Return the program of `tree`, as in Orfanos 2023, Fig. 4.2.
+    """Return the program of `tree`, as in Orfanos 2023, Fig. 4.2, without tests whose two sides answer the same.
 
         if -2.2 - 3.8 x + 114.3 v <= 0 then
             return -6.1
@@ -42,6 +43,19 @@ def to_text(
     """
     if not isinstance(tree, ObliqueTree):
         raise TypeError(f"tree is a {type(tree).__name__}, expected an ObliqueTree; a PatternTree has to_tree()")
+    return text_of_every_leaf(
+        merge_equal_leaves(tree), feature_names=feature_names, output_names=output_names, precision=precision
+    )
+
+
+def text_of_every_leaf(
+    tree: ObliqueTree,
+    *,
+    feature_names: Sequence[str] | None = None,
+    output_names: Sequence[str] | None = None,
+    precision: int = 4,
+) -> str:
+    """Return the program of `to_text` with every test of the tree, as `to_text` wrote it before it merged leaves."""
     features, answers = names_of(tree, feature_names, output_names)
     is_number = [tree.labels is not None and name == str(label) for label, name in enumerate(answers)]
     answers = [name if own else written(name) for name, own in zip(answers, is_number, strict=True)]

@@ -39,7 +39,8 @@ def verified_manifest(folder: Path) -> dict[str, Any]:
     manifest, packed = read_manifest(folder), packed_files(folder)
     for name, recorded in manifest["outputs"].items():
         if packed:
-            found = _digest(packed[name]) if name in packed else recorded  # left out: compared when it is made again
+            # What is left out is compared when it is made again.
+            found = bytes_digest(packed[name]) if name in packed else recorded
         else:
             found = file_digest(folder / name) if (folder / name).is_file() else "no file"
         if found != recorded:
@@ -92,7 +93,7 @@ def _complete(run_dir: Path, folder: Path, derive: Derive) -> None:
     left_out = [name for name in manifest["outputs"] if not (folder / name).is_file()]
     made = derive(run_dir, folder) if left_out else {}
     for name in left_out:
-        if _digest(made.get(name, b"")) != manifest["outputs"][name]:
+        if bytes_digest(made.get(name, b"")) != manifest["outputs"][name]:
             raise PipelineError(
                 f"{run_dir / folder.name / name} is left out of {ARCHIVE}, and "
                 f"{'comes out with another sha256 than was recorded' if name in made else 'cannot be made again'}\n"
@@ -137,7 +138,7 @@ def _kept(run_dir: Path, folder: Path, derive: Derive | None) -> dict[str, bytes
     """Return the files of a stage that its run's archive has to hold."""
     outputs = verified_manifest(folder)["outputs"]
     made = derive(run_dir, folder) if derive else {}
-    left_out = {name for name, content in made.items() if _digest(content) == outputs.get(name)}
+    left_out = {name for name, content in made.items() if bytes_digest(content) == outputs.get(name)}
     return {name: (folder / name).read_bytes() for name in (MANIFEST, *outputs) if name not in left_out}
 
 
@@ -155,5 +156,6 @@ def file_digest(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _digest(content: bytes) -> str:
+def bytes_digest(content: bytes) -> str:
+    """Return the sha256 of bytes, in hex."""
     return hashlib.sha256(content).hexdigest()

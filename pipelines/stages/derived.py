@@ -8,11 +8,10 @@ from tempfile import TemporaryDirectory
 import otr
 from pipelines.config.methods import EXTRA_STAGES
 from pipelines.config.run import RunConfig
-from pipelines.engine.archive import opened
-from pipelines.engine.store import write_text
+from pipelines.engine.archive import bytes_digest, opened, read_manifest
 from pipelines.play.actor_files import load_actor
 from pipelines.stages.map import full_tree
-from pipelines.stages.printed_programs import LARGEST_PROGRAM, program_text
+from pipelines.stages.printed_programs import LARGEST_PROGRAM, program_text, program_text_of_every_leaf
 
 PROGRAMS = {"tree": "program.txt", "constant_gains": "constant_gains.txt"}
 
@@ -25,8 +24,10 @@ def opened_run(config: RunConfig, run_dir: Path, *stages: str) -> AbstractContex
 def derive(config: RunConfig, run_dir: Path, folder: Path) -> dict[str, bytes]:
     """Return the files of a stage that are made again from its others, or from the actor, by name.
 
-    `folder` is the stage's own, unpacked, which may lack what is made.
+    `folder` is the stage's own, unpacked, which may lack what is made. A program comes in the wording of which the
+    manifest has the digest: in that of before equal leaves were merged, where it is older.
     """
+    recorded = read_manifest(folder)["outputs"]
     with TemporaryDirectory(prefix="otr-") as place:
         out = Path(place)
         if folder.name == "map":
@@ -35,5 +36,7 @@ def derive(config: RunConfig, run_dir: Path, folder: Path) -> dict[str, bytes]:
             where = next((each for each in (out, folder) if (each / f"{name}.json").is_file()), None)
             tree = otr.load(where / name) if where else None
             if isinstance(tree, otr.ObliqueTree) and tree.n_leaves <= LARGEST_PROGRAM:
-                write_text(out / program, program_text(tree, config.env))
+                texts = [write(tree, config.env).encode() for write in (program_text, program_text_of_every_leaf)]
+                known = [text for text in texts if bytes_digest(text) == recorded.get(program)]
+                (out / program).write_bytes((known or texts)[0])
         return {path.name: path.read_bytes() for path in out.iterdir()}

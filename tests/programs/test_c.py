@@ -165,7 +165,8 @@ def test_rows_are_stored_in_the_least_bytes() -> None:
     def tests_of(P: NDArray) -> str:
         n = len(P)
         children = [*range(1, n), ~0], [~i for i in range(n, 0, -1)]
-        tree = otr.ObliqueTree(*children, P, rng.normal(size=n), np.zeros((n + 1, 1, P.shape[1])), np.ones((n + 1, 1)))
+        answers = np.arange(n + 1.0)[:, None] % 2  # no two leaves side by side answer the same, which would merge them
+        tree = otr.ObliqueTree(*children, P, rng.normal(size=n), np.zeros((n + 1, 1, P.shape[1])), answers)
         return otr.to_c(tree)
 
     dense = rng.normal(size=(20, 30))
@@ -177,7 +178,7 @@ def test_rows_are_stored_in_the_least_bytes() -> None:
     assert "double policy_tests[20]" in tests_of(np.zeros((20, 30)))
     for P in (dense, sparse, single, np.zeros((20, 30))):
         assert table_bytes(tests_of(P)) <= table_bytes(tests_of(dense))
-        assert "policy_rows[1]" in tests_of(P), "one constant for all leaves"
+        assert "policy_rows[2]" in tests_of(P), "two constants for all leaves"
 
 
 @pytest.mark.parametrize(("n_nodes", "kind"), [(127, "int8_t"), (128, "int16_t")])

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 import otr
+from otr.programs.text import text_of_every_leaf
 from otr.programs.walk import affine_expression
 from tests.core.strategies import make_network
 from tests.core.test_tree import small_tree
@@ -93,3 +94,12 @@ def test_a_pattern_tree_is_refused_with_the_way_out() -> None:
     network = otr.ReluNetwork([[[1.0]], [[1.0]]], [[0.0], [0.0]])
     with pytest.raises(TypeError, match=r"PatternTree has to_tree\(\)"):
         otr.to_text(otr.PatternTree(network))  # type: ignore[arg-type]
+
+
+def test_tests_that_decide_nothing_are_not_printed() -> None:
+    tree = small_tree(labels=[1, 0, 0])
+    assert otr.to_text(tree) == "if x0 <= 0 then\n    return 1\nelse\n    return 0\n"
+    assert text_of_every_leaf(tree).count("if ") == 2
+    for write in (otr.to_python, otr.to_c, otr.to_structured_text, otr.to_latex, otr.to_dot):
+        assert write(tree) == write(otr.ObliqueTree([~0], [~1], [[1.0, 0.0]], [0.0], np.zeros((2, 1, 2)),
+                                                    [[10.0], [20.0]], labels=[1, 0]))  # fmt: skip

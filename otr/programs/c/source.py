@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from otr.core.mapping import map_network
+from otr.core.merging import merge_equal_leaves
 from otr.core.network import ReluNetwork
 from otr.core.pattern_tree import PatternTree
 from otr.core.tree import ObliqueTree
@@ -61,6 +62,8 @@ def to_c(
         policy = policy.to_tree() if policy.is_restricted else policy.network
     if isinstance(policy, ReluNetwork) and policy.n_hidden == 0:
         policy = map_network(policy)
+    if isinstance(policy, ObliqueTree):
+        policy = merge_equal_leaves(policy)
     check_policy(policy)
     features, answers = shown_names(policy, feature_names, output_names)
     if isinstance(policy, ObliqueTree) and policy.labels is not None:

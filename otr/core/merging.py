@@ -1,0 +1,41 @@
+"""Trees without tests that decide nothing: whose two sides answer the same."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from otr.core.arrays import IntArray
+from otr.core.pruning import keep_leaves
+from otr.core.tree import ObliqueTree
+
+
+def merge_equal_leaves(tree: ObliqueTree) -> ObliqueTree:
+    """Return the tree that answers the same in every state, without the tests below which all leaves are equal.
+
+    Leaves are equal where they have the same label or, in a tree without labels, exactly the same M and c. From the
+    bottom up, a test over two equal leaves is replaced by one of them, until there is none. Programs are printed and
+    drawn so. With labels, the outputs (logits) of the leaf that stays stand for those of all that it replaces.
+
+    Args:
+        tree: any tree; one without such tests is returned itself.
+    """
+    answers = _numbered_answers(tree)
+    mixed = -1
+    first = {~leaf: leaf for leaf in range(tree.n_leaves)}  # from a reference to the first leaf below it
+    answer = {~leaf: int(number) for leaf, number in enumerate(answers)}  # what all leaves below it answer, or mixed
+    keep = np.ones(tree.n_leaves, dtype=np.bool_)
+    for node in reversed(range(tree.n_nodes)):
+        left, right = int(tree.children_left[node]), int(tree.children_right[node])
+        first[node] = first[left]
+        is_one = answer[left] != mixed and answer[left] == answer[right]
+        answer[node] = answer[left] if is_one else mixed
+        if is_one:
+            keep[first[right]] = False
+    return tree if keep.all() else keep_leaves(tree, keep)
+
+
+def _numbered_answers(tree: ObliqueTree) -> IntArray:
+    """Return a number a leaf (n_leaves,), from 0 on, which equal leaves share."""
+    maps = np.column_stack((tree.M_of_basis.reshape(tree.n_leaves, -1), tree.c))
+    _, numbers = np.unique(maps if tree.labels is None else tree.labels[:, None], axis=0, return_inverse=True)
+    return np.asarray(numbers, dtype=np.int64).reshape(-1)

@@ -1,19 +1,23 @@
 """Configurations from overrides: Hydra's composition, with messages for people."""
 
 import copy
+import dataclasses
+import functools
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, get_type_hints
 
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf.errors import OmegaConfBaseException, ValidationError
 
 from pipelines.cli.overrides import is_search, key_of, parse, quoted, searched_folders
 from pipelines.config.conf_dir import CONF_DIR
+from pipelines.config.setting import declared, expected, is_list
 from pipelines.engine.job import message_of as message_of_job
 from pipelines.engine.sweep import check_launcher
 from pipelines.errors import ConfigError, did_you_mean
@@ -43,12 +47,47 @@ class Composer:
         self._composed: dict[tuple[str, ...], DictConfig] = {}
         self._is_registered = False
 
+    @functools.cached_property
+    def _lists(self) -> frozenset[str]:
+        """Keys of settings that are lists, in whatever option of a group."""
+        return frozenset(
+            f"{prefix}{key}"
+            for (group, _), kind in self.schemas.items()
+            for prefix in ([f"{group}."] if group else [""])
+            for key in _lists_of(kind)
+        )
+
+    def takes_list(self, override: str) -> bool:
+        """Return whether the value of an override is to be a list."""
+        return key_of(override) in self._lists
+
+    def with_list(self, override: str) -> str:
+        """Return an override with brackets around a single value where a list is to be: oracle=256 is oracle=[256]."""
+        if not self.takes_list(override):
+            return override
+        parsed = parse(override)
+        if parsed.is_sweep_override() or parsed.value() is None or isinstance(parsed.value(), list):
+            return override
+        key, _, value = override.partition("=")
+        return f"{key}=[{value}]"
+
+    def parsed(self, override: str) -> Override:
+        """Return an override as Hydra reads it; ConfigError, with the key that is likely meant, where it is none."""
+        if "=" in override:
+            return parse(override)
+        of_name = [f"{group}={override}" for group in self.checked if override in self.options(group)]
+        if of_name:
+            raise ConfigError(f"{override} is no key=value. Did you mean {' or '.join(of_name)}?")
+        example = f"{self.needs[0]}={self.options(self.needs[0])[0]}" if self.needs else "key=value"
+        raise ConfigError(f"{override} is no key=value; settings are given as {example}, and --help lists them")
+
     def implied(self, overrides: Sequence[str]) -> list[str]:
         """Return the overrides that these imply, which stand before them."""
         return []
 
     def compose(self, overrides: Sequence[str]) -> DictConfig:
         """Return the composed configuration; ConfigError names the override that is wrong or missing."""
+        overrides = [self.with_list(override) for override in overrides]
         values = [override for override in overrides if override.partition("=")[0] in self.varied]
         others = [override for override in overrides if override not in values]
         found = tuple(sorted(others))
@@ -65,7 +104,7 @@ class Composer:
     def _compose_exactly(self, overrides: Sequence[str]) -> DictConfig:
         """Compose these overrides without what they imply."""
         for override in overrides:
-            parse(override)
+            self.parsed(override)
             key, _, value = override.lstrip("+").partition("=")
             if override.startswith("+") and not key.startswith(NEW_KEYS):
                 raise ConfigError(f"{override}: new keys cannot be added; leave out the +")
@@ -126,6 +165,8 @@ class Composer:
     def _explain(self, error: HydraException, overrides: Sequence[str]) -> str:
         """Return Hydra's message without its advice on `+`, with the nearest known key."""
         cause = error.__cause__
+        if isinstance(cause, ValidationError):
+            return readable(cause)
         lines = str(cause or error).splitlines()
         if "Could not override" in str(error):
             key = str(error).split("'")[1]
@@ -136,22 +177,42 @@ class Composer:
             ]
             keys = _leaves(OmegaConf.to_container(compose(self.name, [*self._search_path(), *base])))
             known = [*keys, *self.short]
-            lines = [f"there is no key {key!r}.{did_you_mean(key, known)}"]
-        return readable("\n".join(lines))
+            return f"there is no key {key!r}.{did_you_mean(key, known)}"
+        return _one_line(lines)
 
 
 def message_of(error: Exception) -> str:
     """Return the message alone where it was written for people, with the error's kind where it was not."""
     if isinstance(error, OmegaConfBaseException):
-        return readable(str(error))
+        return readable(error)
     return str(error) if isinstance(error, HydraException) else message_of_job(error)
 
 
-def readable(message: str) -> str:
-    """Return OmegaConf's message in one line that begins with the key."""
-    lines = [line.strip() for line in message.splitlines() if line.strip() and "_type=" not in line]
+def readable(error: OmegaConfBaseException) -> str:
+    """Return OmegaConf's refusal of a value as what the setting's declaration expects, other messages in one line."""
+    node, key, full_key = error.parent_node, error.key, error.full_key
+    if isinstance(error, ValidationError) and full_key:
+        while node is not None and not _declares(node, key):  # a value within a list, or a dict
+            node, key = node._get_parent(), node._key()
+        kind = OmegaConf.get_type(node) if node is not None else None
+        if kind is not None:
+            value, wanted = "null" if error.value is None else error.value, expected(kind, str(key))
+            whole = full_key.partition("[")[0]
+            return f"{full_key}={value}: " + (f"give {wanted}" if whole == full_key else f"{whole} is {wanted}")
+    return _one_line(str(error).splitlines())
+
+
+def _declares(node: Any, key: Any) -> bool:
+    """Return whether a node is a dataclass of settings with this key."""
+    kind = OmegaConf.get_type(node)
+    return dataclasses.is_dataclass(kind) and isinstance(kind, type) and key in declared(kind)
+
+
+def _one_line(message: Sequence[str]) -> str:
+    """Return the lines of a message in one that begins with the key."""
+    lines = [line.strip() for line in message if line.strip() and "_type=" not in line]
     keys = [line.removeprefix("full_key: ") for line in lines if line.startswith("full_key: ")]
-    rest = "\n".join(line for line in lines if not line.startswith("full_key: "))
+    rest = "\n".join(line for line in lines if not line.startswith("full_key:"))
     return f"{keys[0]}: {rest}" if keys else rest
 
 
@@ -170,6 +231,16 @@ def schema_of(kind: type) -> DictConfig:
         if isinstance(node, DictConfig):
             OmegaConf.set_readonly(node, None)
     return schema
+
+
+def _lists_of(kind: type, prefix: str = "") -> Iterator[str]:
+    """Yield the keys of a dataclass's settings that are lists, and of those inside it."""
+    hints = get_type_hints(kind)
+    for name in declared(kind):
+        if is_list(kind, name):
+            yield f"{prefix}{name}"
+        elif dataclasses.is_dataclass(hints[name]):
+            yield from _lists_of(hints[name], f"{prefix}{name}.")
 
 
 def _leaves(value: Any, prefix: str = "") -> list[str]:

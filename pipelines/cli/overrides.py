@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
+from hydra.core.override_parser.types import Glob, Override
 from hydra.errors import HydraException
 
 from pipelines.errors import ConfigError
@@ -18,11 +18,20 @@ PATHS = ("run", "out", "results_dir", "certificate", "tree", "actor")  # keys of
 
 
 def parse(override: str) -> Override:
-    """Return an override as Hydra reads it; ConfigError where it is no key=value."""
+    """Return an override as Hydra reads it; ConfigError where it is no key=value, or has no end of values."""
+    key, equals, _ = override.partition("=")
+    if not equals or not key or key.startswith("~"):
+        raise ConfigError(f"{override} is no key=value")
     try:
-        return OverridesParser.create().parse_override(override)
+        parsed = OverridesParser.create().parse_override(override)
     except HydraException as error:
-        raise ConfigError(f"{override} is no key=value: {str(error).splitlines()[0]}") from error
+        raise ConfigError(
+            f"{override}: the value cannot be read; is a bracket or a quote open? Other signs stand between quotes, "
+            f"as \"{key}='...'\""
+        ) from error
+    if parsed.is_sweep_override() and (isinstance(parsed.value(), Glob) or not parsed.is_discrete_sweep()):
+        raise ConfigError(f"{override}: give values, range() or choice(); glob() and interval() are not known here")
+    return parsed
 
 
 def key_of(override: str) -> str:
@@ -71,10 +80,8 @@ def combinations(overrides: Iterable[str]) -> list[list[str]]:
         key = override.get_key_element()
         if not override.is_sweep_override():
             values[key] = [f"{key}={override.get_value_element_as_str()}"]
-        elif override.is_discrete_sweep():
-            values[key] = [f"{key}={value}" for value in override.sweep_string_iterator()]
         else:
-            raise ConfigError(f"{override.input_line}: give values, range() or choice(); interval() has no end of jobs")
+            values[key] = [f"{key}={value}" for value in override.sweep_string_iterator()]
     return [list(job) for job in itertools.product(*values.values())]
 
 

@@ -83,9 +83,11 @@ class Workflow(Composer, ABC):
 
     def is_sweep(self, overrides: Sequence[str], multirun: bool) -> bool:
         """Return whether a command's overrides ask for a sweep: by -m, or by an experiment that says so."""
-        swept = [parsed.get_key_element() for parsed in map(parse, overrides) if parsed.is_sweep_override()]
+        swept = [parsed.get_key_element() for parsed in map(self.parsed, overrides) if parsed.is_sweep_override()]
         if swept and not multirun and not any(override.startswith("+experiment=") for override in overrides):
-            raise ConfigError(f"{', '.join(swept)}: several values make a sweep; add -m")
+            lists = [f"{key}=[...]" for key in swept if self.takes_list(key)]
+            one = f", or write one list as {', '.join(lists)}" if lists else ""
+            raise ConfigError(f"{', '.join(swept)}: several values make a sweep; add -m{one}")
         if any(key.lstrip("+") == "experiment" for key in swept):
             raise ConfigError("experiment: one at a time; start a command for each")
         return multirun or self._experiment(tuple(overrides))[0]

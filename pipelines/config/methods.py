@@ -83,10 +83,15 @@ class LinearPolicyConfig(MappedConfig):
 
     label = "Linear"
 
+    @classmethod
+    def implied(cls, given: Mapping[str, str]) -> list[str]:
+        """Return the depth of 0."""
+        return [*super().implied(given), "depth=0"]
+
     def check_depth(self, depth: Any) -> None:
         """Refuse hidden neurons."""
         if depth != 0:
-            raise ConfigError(f"method=linear is the policy of depth 0, but depth={depth!r}; add depth=0")
+            raise ConfigError(f"method=linear is the policy of depth 0, but depth={depth!r}; leave depth out")
 
 
 @dataclass(frozen=True)

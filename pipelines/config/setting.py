@@ -13,7 +13,8 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Annotated, Any, get_args, get_type_hints
+from types import NoneType, UnionType
+from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 from pipelines.errors import ConfigError
 
@@ -38,10 +39,17 @@ class Range:
             return " is not a number"
         if self.low <= value < self.high or (value == self.high and not self.open):
             return None
-        low, high = _number(self.low), _number(self.high)
         if self.open or self.remedy:
-            return f": {self.remedy or f'give a number from {low} to below {high}'}"
+            return f": {self.remedy or f'give a number{self.limits}'}"
+        low, high = _number(self.low), _number(self.high)
         return f" is not at least {low}" if self.high == math.inf else f" is not between {low} and {high}"
+
+    @property
+    def limits(self) -> str:
+        """The bounds in words, to stand after what has them."""
+        if self.high == math.inf:
+            return "" if self.low == -math.inf else f" of at least {_number(self.low)}"
+        return f" from {_number(self.low)} to {'below ' * self.open}{_number(self.high)}"
 
 
 class OneOf:
@@ -113,6 +121,17 @@ def not_keyed(kind: type) -> tuple[str, ...]:
     return tuple(name for name, markers in declared(kind).items() if any(isinstance(m, NotKeyed) for m in markers))
 
 
+def is_list(kind: type, name: str) -> bool:
+    """Return whether the field `name` of a configuration's class is a list."""
+    return any(get_origin(hint) is list for hint in _alternatives(get_type_hints(kind)[name]))
+
+
+def expected(kind: type, name: str) -> str:
+    """Return in words what the field `name` of a configuration's class may be: "a whole number of at least 1"."""
+    hint = get_type_hints(kind, include_extras=True)[name]
+    return " or ".join(_in_words(each, declared(kind)[name]) for each in _alternatives(hint))
+
+
 def check_settings(config: Any, prefix: str = "") -> None:
     """Raise ConfigError if a setting of a dataclass, or of one inside it, is not in its field's range."""
     for name in declared(config.__class__):
@@ -160,6 +179,39 @@ def _markers(hint: Any) -> Iterator[Any]:
     yield from getattr(hint, "__metadata__", ())
     for part in (hint.__origin__,) if hasattr(hint, "__metadata__") else get_args(hint):
         yield from _markers(part)
+
+
+def _alternatives(hint: Any) -> list[Any]:
+    """Return the types of which a value may have any, without their markers and None at the end."""
+    if get_origin(hint) is Annotated:
+        return _alternatives(get_args(hint)[0])
+    parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+    flat = [each for part in parts for each in (_alternatives(part) if part is not hint else [part])]
+    return sorted(flat, key=lambda each: each is NoneType)
+
+
+def _in_words(hint: Any, markers: tuple[Any, ...], *, plural: bool = False) -> str:
+    """Return a type with what its markers allow in words."""
+    options = next((marker.options for marker in markers if isinstance(marker, OneOf)), None)
+    limits = next((marker.limits for marker in markers if isinstance(marker, Range)), "")
+    if get_origin(hint) is list:
+        (inner,) = _alternatives(get_args(hint)[0])
+        return f"a list of {_in_words(inner, markers, plural=True)}, as [{_EXAMPLES.get(inner, 'a,b')}]"
+    if get_origin(hint) is dict:
+        return "values by name, as {a: 1}"
+    if isinstance(hint, type) and dataclasses.is_dataclass(hint):
+        return f"its settings one by one ({', '.join(f'.{name}=' for name in declared(hint))})"
+    if hint is str and options:
+        return f"{'values' if plural else 'one'} of {', '.join(options)}"
+    words = {NoneType: "null", bool: "true or false", str: "text", int: "whole number", float: "number"}.get(
+        hint, "value"
+    )
+    if hint in (int, float):
+        return f"{words}s{limits}" if plural else f"a {words}{limits}"
+    return f"{words}s" if plural else words
+
+
+_EXAMPLES = {int: "8,8", float: "0.5,1"}
 
 
 def _leaves(value: Any) -> Iterator[Any]:

@@ -43,6 +43,25 @@ def test_every_environment_takes_a_method_in():
         assert job.config_yaml == alone(RUN, overrides)[1]
 
 
+def test_a_single_value_is_a_list_of_one_where_a_list_is_to_be():
+    own = ["env=lunarlander", "method=augtree", "depth=3", "budget=quick"]
+    one, listed = RUN.jobs([[*own, "oracle=64", "algo.critic=32", "stages=oracle"],
+                            [*own, "oracle=[64]", "algo.critic=[32]", "stages=[oracle]"]])  # fmt: skip
+    assert one.config == listed.config and one.folder == listed.folder
+    assert (one.config.oracle, one.config.algo.critic, one.config.stages) == ([64], [32], ["oracle"])
+    assert [job.config.oracle for job in RUN.jobs(RUN.expand([*own, "oracle=64,[8,8]"], multirun=True))] == [
+        [64],
+        [8, 8],
+    ]
+    assert FIT.jobs([["data=breast_cancer", "method=otr", "method.hidden=2"]])[0].config.method.hidden == [2]
+
+
+def test_the_linear_policy_has_depth_0():
+    linear, given = RUN.jobs([["env=hopper", "method=linear"], ["env=hopper", "method=linear", "depth=0"]])
+    assert linear.config == given.config and linear.folder == given.folder
+    assert linear.folder.startswith("runs/hopper/linear/depth-0/")
+
+
 def test_a_setting_that_depends_on_the_seed_is_composed_with_it():
     overrides = ["env=pendulum", "budget=smoke", "evaluate.first_seed='${seed}'"]
     jobs = RUN.jobs([[*overrides, f"seed={seed}"] for seed in (4, 5)])

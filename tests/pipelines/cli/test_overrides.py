@@ -20,13 +20,16 @@ def test_a_key_that_is_given_again_keeps_its_place():
 
 
 def test_a_sweep_without_an_end_is_refused():
-    with pytest.raises(ConfigError, match="give values, range"):
-        combinations(["a=interval(0,1)"])
+    for value in ("interval(0,1)", "glob(*)"):
+        with pytest.raises(ConfigError, match="give values, range"):
+            combinations([f"a={value}"])
 
 
 def test_what_is_no_override_is_refused():
     with pytest.raises(ConfigError, match="depth is no key=value"):
         parse("depth")
+    with pytest.raises(ConfigError, match=r"^depth=\[8,8: the value cannot be read; is a bracket or a quote open"):
+        parse("depth=[8,8")
 
 
 def test_overrides_of_one_sweep_make_just_its_jobs():

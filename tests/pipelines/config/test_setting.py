@@ -27,6 +27,8 @@ from pipelines.config.setting import (
     check_setting,
     check_settings,
     declared,
+    expected,
+    is_list,
     keyed_settings,
     not_keyed,
 )
@@ -182,6 +184,24 @@ def test_messages_name_key_value_and_what_it_may_be(changes, message):
         check_settings(Outer(**changes))
     assert str(raised.value) == message
     check_settings(Outer(widths=[1], inner=Inner(0.0), limited=1e6))
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("widths", "a list of whole numbers of at least 1, as [8,8] or null"),
+        ("table", "values by name, as {a: 1}"),
+        ("kind", "one of a, b"),
+        ("n_workers", "a whole number of at least 1 or null"),
+        ("inner", "its settings one by one (.share=, .young=)"),
+        ("limited", "a number from -1 to 1000000"),
+        ("name", "text"),
+    ],
+)
+def test_what_a_setting_may_be_in_words(name, words):
+    assert expected(Outer, name) == words
+    assert (expected(Inner, "share"), expected(Inner, "young")) == ("a number from 0 to below 1", "true or false")
+    assert is_list(Outer, name) == (name == "widths")
 
 
 def test_a_value_from_elsewhere_is_checked_under_the_name_given():

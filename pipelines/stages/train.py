@@ -97,8 +97,9 @@ def announce_training(configs: Sequence[RunConfig]) -> None:
     if seconds >= LONG_RUN_S:
         runs = f"{len(configs)} runs as one, " if len(configs) > 1 else ""
         print(
-            f"train: {runs}{sum(left):,} steps of {config.algo.name.upper()}, about {duration(seconds)} on one core, "
-            f"up to {max(1, round(n_bytes / 1e6))} MB of checkpoints; Ctrl-C stops, the same command goes on",
+            f"train: {runs}{sum(left):,} steps of {config.algo.name.upper()}, some {duration(seconds)} on one core "
+            f"(measured as it goes), up to {max(1, round(n_bytes / 1e6))} MB of checkpoints; Ctrl-C stops, the same "
+            "command goes on",
             flush=True,
         )
 

@@ -6,27 +6,64 @@ from types import TracebackType
 from typing import Any, Self
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn
 
 from pipelines.config.run import RunConfig
 from pipelines.engine.console import duration
-from pipelines.training.estimates import learning_starts, training_rate
+from pipelines.training.estimates import learning_starts
 
 REFRESH_S = 0.25
+MEASURED_S = 3.0  # of learning, before the time left is told
+
+
+class Pace:
+    """How long a step takes, measured from the first that learns: the random ones before it are ten times as fast.
+
+    Whole rollouts count, with their updates, and the evaluations between them.
+    """
+
+    def __init__(self, first_step: int, rollout_steps: int) -> None:
+        self._first_step, self._rollout_steps = first_step, rollout_steps
+        self._start: tuple[int, float] | None = None
+        self._last = -1
+        self._n_steps, self._seconds = 0, 0.0
+
+    def at_step(self, step: int, now: float) -> None:
+        """Take in that a step was made at a time, in seconds; its update follows, and is done where it comes again."""
+        is_over, self._last = step == self._last, step
+        if self._start is None:
+            self._start = (step, now) if step >= self._first_step else None
+            return
+        n_learnt = step - self._start[0] - (not is_over)
+        n_steps = n_learnt // self._rollout_steps * self._rollout_steps
+        if n_steps > self._n_steps or is_over:
+            self._n_steps, self._seconds = n_steps, now - self._start[1]
+
+    def seconds(self, n_steps: int) -> float | None:
+        """Return how long so many steps take; None while that is being measured."""
+        if not self._n_steps or self._seconds < MEASURED_S:
+            return None
+        return n_steps * self._seconds / self._n_steps
 
 
 class TrainingDisplay:
     """Shows the training of one run or of several, of which `config` is the first's; a context manager.
 
-    `prefix` begins each line, `shown` stands beside the bar, `done_steps` of the `n_steps` were done before.
+    `prefix` begins each line, `shown` stands beside the bar, `done_steps` of the `n_steps` were done before, and those
+    from `first_learning_step` on learn.
     """
 
     def __init__(
-        self, config: RunConfig, prefix: str, n_steps: int, done_steps: int, shown: ProgressColumn | None = None
+        self,
+        config: RunConfig,
+        prefix: str,
+        n_steps: int,
+        done_steps: int,
+        first_learning_step: int,
+        shown: ProgressColumn | None = None,
     ) -> None:
-        self.n_steps, self._prefix = n_steps, prefix
-        self._steps, self._seconds = 0, 0.0  # of segments that learn all the way
-        self._expected_rate = training_rate(config)
+        self.n_steps, self._prefix, self._done_steps = n_steps, prefix, done_steps
+        self._pace = Pace(first_learning_step, 1 if config.fleet else config.algo.rollout_steps)
         self._last = 0.0
         self.bar: Progress | None = None
         if sys.stdout.isatty() and not config.side_by_side:
@@ -34,14 +71,15 @@ class TrainingDisplay:
                 TextColumn("{task.description}"),
                 BarColumn(),
                 shown or MofNCompleteColumn(),
-                TimeRemainingColumn(),
+                TextColumn("{task.fields[left]}"),
             )
             self.bar = Progress(*columns, console=Console(highlight=False), transient=True)
-            self._task = self.bar.add_task("train", total=n_steps, completed=done_steps)
+            self._task = self.bar.add_task("train", total=n_steps, completed=done_steps, left="")
 
     def __enter__(self) -> Self:
         if self.bar:
             self.bar.start()
+        self.at_step(self._done_steps)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
@@ -49,21 +87,17 @@ class TrainingDisplay:
             self.bar.stop()
 
     def at_step(self, step: int) -> None:
-        """Move the bar to an environment step; cheap when the last time was a moment ago."""
+        """Take in that an environment step was reached and move the bar; cheap when the last time was a moment ago."""
         now = time.monotonic()
+        self._pace.at_step(step, now)
         if self.bar and now - self._last > REFRESH_S:
             self._last = now
-            self.bar.update(self._task, completed=min(step, self.n_steps))
-
-    def learnt(self, n_steps: int, seconds: float) -> None:
-        """Take in the speed of a segment that learnt all the way."""
-        self._steps += n_steps
-        self._seconds += seconds
+            self.bar.update(self._task, completed=min(step, self.n_steps), left=self.time_left(self.n_steps - step))
 
     def time_left(self, n_steps: int) -> str:
         """Return the likely time of so many steps, as people read it."""
-        rate = self._steps / self._seconds if self._steps else self._expected_rate
-        return duration(max(0, n_steps) / rate)
+        seconds = self._pace.seconds(n_steps) if n_steps > 0 else 0.0
+        return "measuring" if seconds is None else f"{duration(seconds)} left"
 
     def say(self, line: str) -> None:
         """Print a line, above the bar where there is one."""
@@ -78,19 +112,16 @@ class TrainingProgress(TrainingDisplay):
 
     def __init__(self, config: RunConfig, done_steps: int) -> None:
         job = f"{config.env.name} depth {config.depth} seed {config.seed}: " if config.side_by_side else ""
-        super().__init__(config, f"{job}train: ", config.train.steps, done_steps)
-        self._first_learning_step = max(done_steps, learning_starts(config))
+        super().__init__(config, f"{job}train: ", config.train.steps, done_steps, learning_starts(config))
         if done_steps:
             self.say(f"going on from step {done_steps:,} of {self.n_steps:,}")
 
-    def segment_done(self, start: int, progress: dict[str, Any], evaluation: dict[str, Any]) -> None:
-        """Show the speed and the evaluation of the segment that began at step `start`, and the time left."""
+    def segment_done(self, progress: dict[str, Any], evaluation: dict[str, Any]) -> None:
+        """Show the speed and the evaluation of a segment, and the time left."""
         steps = progress["steps"]
-        if start >= self._first_learning_step:
-            self.learnt(steps - start, progress["seconds"])
         mark = " (best so far)" if evaluation["best"] else ""
         self.at_step(steps)
         self.say(
             f"step {steps:,}/{self.n_steps:,}  {progress['steps_per_s']:,.0f} steps/s  "
-            f"{self.time_left(self.n_steps - steps)} left  return {evaluation['return_mean']:.1f}{mark}"
+            f"{self.time_left(self.n_steps - steps)}  return {evaluation['return_mean']:.1f}{mark}"
         )

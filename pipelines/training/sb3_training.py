@@ -47,7 +47,7 @@ def train_by_sb3(config: RunConfig, checkpoints: Path, out: Path) -> None:
             row = train_segment(model, actor, history.n_segments, progress)
             history.segment_done(row, *actor.evaluate(model))
             save_checkpoint(checkpoints, model, history, start)
-            progress.segment_done(start, row, history.evaluations[-1])
+            progress.segment_done(row, history.evaluations[-1])
             tracker.segment_done(row, history.evaluations[-1])
     history.write(out)
 
@@ -62,7 +62,7 @@ def train_segment(model: BaseAlgorithm, actor: ReluActor, segment: int, progress
     if isinstance(model, DQN):  # its first action comes before its schedule is asked
         model.exploration_rate = model.exploration_schedule(1.0)
     began = time.monotonic()
-    callbacks = CallbackList([_MovesTheBar(progress), *actor.callbacks()] if progress.bar else actor.callbacks())
+    callbacks = CallbackList([_TellsTheStep(progress), *actor.callbacks()])
     with denormals_as_zero():
         model.learn(n_steps, callback=callbacks, log_interval=None, reset_num_timesteps=False)  # type: ignore[arg-type]
     actor.segment_learnt(model)
@@ -74,7 +74,7 @@ def train_segment(model: BaseAlgorithm, actor: ReluActor, segment: int, progress
     return progress_row(model.num_timesteps, start, seconds, returns, lengths)
 
 
-class _MovesTheBar(BaseCallback):
+class _TellsTheStep(BaseCallback):
     def __init__(self, progress: TrainingProgress) -> None:
         super().__init__()
         self._progress = progress

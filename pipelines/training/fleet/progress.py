@@ -17,7 +17,8 @@ class FleetProgress(TrainingDisplay):
         prefix = f"train: {config.env.name}, {len(runs)} run{'s' if len(runs) > 1 else ''}: "
         n_steps = sum(run.config.train.steps for run in runs)
         done = [run.n_steps for run in runs]
-        super().__init__(config, prefix, n_steps, sum(done), TextColumn("{task.percentage:.0f} %"))
+        first = sum(max(n, learning_starts(run.config)) for n, run in zip(done, runs, strict=True))
+        super().__init__(config, prefix, n_steps, sum(done), first, TextColumn("{task.percentage:.0f} %"))
         if any(done):
             self.say(f"going on from step {min(done):,}" + (f" to {max(done):,}" if max(done) > min(done) else ""))
 
@@ -29,8 +30,7 @@ class FleetProgress(TrainingDisplay):
         """Show what a segment of some runs, which began at step `start`, came to."""
         config = cohort[0].config
         n_steps = sum(run.n_steps - start for run in cohort)
-        if start >= learning_starts(config):
-            self.learnt(n_steps, seconds)
+        self.at_more_steps(0)
         left = sum(max(0, run.config.train.steps - run.n_steps) for run in self._runs if run.error is None)
         going = [run for run in cohort if run.error is None]
         returns = [run.history.evaluations[-1]["return_mean"] for run in going]
@@ -38,7 +38,7 @@ class FleetProgress(TrainingDisplay):
         shown = f"  returns {_range(returns)}, best {_range(best)}" if going else ""
         self.say(
             f"step {cohort[0].n_steps:,}/{config.train.steps:,}  {n_steps / seconds:,.0f} steps/s in all  "
-            f"{self.time_left(left)} left{shown}"
+            f"{self.time_left(left)}{shown}"
         )
 
     def given_up(self, run: FleetRun) -> None:

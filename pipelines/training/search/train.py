@@ -45,11 +45,10 @@ def train_by_search(config: RunConfig, checkpoints: Path, out: Path) -> None:
         TrainingProgress(config, run.n_steps) as progress,
     ):
         while run.n_steps < config.train.steps:
-            start = run.n_steps
             row = run.segment(episodes, progress)
             run.evaluate(selection, row)
             run.save()
-            progress.segment_done(start, row, run.history.evaluations[-1])
+            progress.segment_done(row, run.history.evaluations[-1])
             tracker.segment_done(row, run.history.evaluations[-1])
     run.history.write(out)
 

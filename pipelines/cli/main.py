@@ -15,6 +15,7 @@ from pathlib import Path
 
 from otr import MissingExtraError
 from otr.extras import naming_the_extra
+from pipelines.engine.wrapping import columns, fitted, fitted_help
 
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE, EXIT_TERMINATED = 1, 2, 130, 141, 143
 HELP = Path(__file__).parent / "help"
@@ -57,7 +58,7 @@ def stopping_without_extra(program: str) -> Iterator[None]:
 
 
 def _arguments(program: str) -> argparse.Namespace:
-    text = (HELP / f"{program}.txt").read_text(encoding="utf-8")
+    text = fitted_help((HELP / f"{program}.txt").read_text(encoding="utf-8"), columns())
     parser = argparse.ArgumentParser(program, description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("overrides", nargs="*", metavar="key=value")
     parser.add_argument("--version", action="version", version=f"{program} {version('otr')}")
@@ -82,5 +83,5 @@ def _complain(program: str, error: Exception, debug: bool) -> int:
 
     if debug:
         traceback.print_exception(error)
-    print(f"{program}: {message_of(error)}", file=sys.stderr)
+    print(fitted(f"{program}: {message_of(error)}", columns(sys.stderr)), file=sys.stderr)
     return EXIT_USAGE if isinstance(error, USAGE_ERRORS) else EXIT_FAILED

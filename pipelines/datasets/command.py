@@ -16,6 +16,7 @@ from pipelines.datasets.dataset import PARTS, Dataset
 from pipelines.datasets.download import given_folder, locate, own_folder
 from pipelines.datasets.fragments import find_fragments, write_fragments
 from pipelines.datasets.load import check_name, load_dataset, rebuild_and_keep
+from pipelines.engine.wrapping import columns, fitted
 from pipelines.errors import ConfigError, PipelineError
 
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE = 1, 2, 130, 141
@@ -103,10 +104,9 @@ def _fetch(names: Sequence[str], anew: bool) -> int:
         rows = "/".join(f"{len(dataset.part(part).X):,}" for part in PARTS)
         table.add_row(name, rows, str(len(dataset.label_names)), _shares(dataset), "" if name in EXAMPLES else "ok")
         places.append(f"{name}: {_place(name)}")
-    console = Console(highlight=False, soft_wrap=True)
     if places:
-        console.print(table)
-        console.print("\n".join(places), markup=False)
+        Console(highlight=False, width=columns()).print(table)
+        print(fitted("\n".join(places), columns()))
     for failure in failures:
         print(f"otr-data: {failure}", file=sys.stderr)
     return EXIT_FAILED if failures else 0

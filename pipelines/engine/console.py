@@ -9,6 +9,8 @@ from typing import Any, TypeVar
 from rich.console import Console
 from rich.table import Table
 
+from pipelines.engine.wrapping import columns, fitted
+
 PATIENCE_S, EVERY_S = 1.5, 10.0
 SHORT_PROGRAM = 40  # lines; a longer one is named, not shown
 T = TypeVar("T")
@@ -71,12 +73,11 @@ def show_finished(
         run_dir: the job's folder.
         picture: a file, named where it is there.
     """
-    console = Console(highlight=False, soft_wrap=True)
-    n_lines = program.count("\n")
+    width, n_lines = columns(), program.count("\n")
     if 0 < n_lines <= SHORT_PROGRAM:
-        console.print(f"\n{program}", markup=False)
-    console.print(table)
+        print(f"\n{fitted(program, width)}")
+    Console(highlight=False, width=width).print(table)
     shown = [*lines, f"time: {', '.join(f'{stage} {duration(spent)}' for stage, spent in seconds.items())}"]
     shown += [f"program: {n_lines} lines, {where}"] if n_lines > SHORT_PROGRAM else []
     shown += [f"picture: {picture}"] if picture and picture.exists() else []
-    console.print("\n".join([*shown, f"artefacts: {run_dir}"]), markup=False)
+    print(fitted("\n".join([*shown, f"artefacts: {run_dir}"]), width))

@@ -2,11 +2,9 @@
 
 from collections.abc import Sequence
 
-from rich.console import Console
-from rich.table import Table
-
 from pipelines.engine.console import counted, duration
 from pipelines.engine.stage import stage_status
+from pipelines.engine.wrapping import columns, fitted
 from pipelines.runs.run_job import RunJob
 from pipelines.stages import imitate, polish
 from pipelines.stages.train import seconds_left, trained_steps
@@ -52,16 +50,23 @@ def _oracle_plan(oracle: RunJob, planned: set[str]) -> tuple[str, float]:
 
 def print_plan(jobs: Sequence[RunJob]) -> None:
     """Print one line a job and the sum."""
-    table = Table("job", "plan", "time", box=None)
+    rows = [("job", "plan", "time")]
     total, n_skipped = 0.0, 0
     planned: set[str] = set()
     for job in counted(jobs, "jobs planned"):
         what, seconds = job_plan(job, planned)
         total += seconds
         n_skipped += what == "skip"
-        table.add_row(job.folder, what, duration(seconds) if seconds else "")
-    console = Console(highlight=False, soft_wrap=True)
-    console.print(table)
-    console.print(
-        f"{len(jobs)} jobs: {n_skipped} to skip, {len(jobs) - n_skipped} left, about {duration(total)} of one core"
-    )
+        rows.append((job.folder, what, duration(seconds) if seconds else ""))
+    print(plan_lines(rows, columns()))
+    jobs_in_all = f"{len(jobs)} job{'s' * (len(jobs) != 1)}"
+    print(f"{jobs_in_all}: {n_skipped} to skip, {len(jobs) - n_skipped} left, about {duration(total)} of one core")
+
+
+def plan_lines(rows: Sequence[tuple[str, str, str]], width: int) -> str:
+    """Return rows as lines: three columns where they fit into the width, else what is planned below each job."""
+    folders, plans = (max(len(row[i]) for row in rows) for i in (0, 1))
+    lines = [f"{folder:<{folders}}  {plan:<{plans}}  {time}".rstrip() for folder, plan, time in rows]
+    if max(map(len, lines)) > width:
+        lines = [f"{folder}\n    {', '.join(filter(None, (plan, time)))}" for folder, plan, time in rows[1:]]
+    return fitted("\n".join(lines), width)

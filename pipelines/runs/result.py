@@ -133,7 +133,7 @@ def _title(summary: dict[str, Any]) -> str:
     env_id = "" if summary["env_id"] == summary["env"] else f" ({summary['env_id']})"
     start = f"{summary['env']}{env_id}, depth {summary['depth']}"
     if "program" in summary:
-        return f"{start}, program {summary['program']} ({summary['budget']}), seed {summary['seed']}"
+        return f"{start}, program {summary['program']}, seed {summary['seed']}"
     trainer = "" if summary["trainer"] == "sb3" else f", {summary['trainer']}"
     return (
         f"{start}, {summary['algorithm'].upper()}, {summary['steps']:,} steps ({summary['budget']}{trainer}), "

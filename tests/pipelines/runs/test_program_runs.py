@@ -51,7 +51,7 @@ def test_the_programs_of_figure_4_2_return_what_the_thesis_says(tmp_path, name, 
     assert list(summary["policies"]) == ["tree", "pruned_tree"]
     assert (summary["program"], summary["algorithm"], summary["trainer"]) == (name, "none", "none")
     assert (run_dir / "parse/source.txt").read_text() == read_program(name)
-    for told in (f"depth 1, program {name} (standard), seed 0", "return clip(", "2 leaves reached"):
+    for told in (f"depth 1, program {name}, seed 0", "return clip(", "2 leaves reached"):
         assert told in done.stdout
 
 

@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     from otr.programs.onnx import to_onnx as to_onnx
     from otr.programs.parser import parse_program as parse_program
     from otr.programs.picture.drawing import draw_tree as draw_tree, save_picture as save_picture
+    from otr.programs.picture.svg import to_svg as to_svg
     from otr.programs.python import to_python as to_python
     from otr.programs.structured_text import to_structured_text as to_structured_text
     from otr.programs.text import to_text as to_text
@@ -105,6 +106,7 @@ _NAMES_OF_MODULES = {
     "programs.onnx": "to_onnx",
     "programs.parser": "parse_program",
     "programs.picture.drawing": "draw_tree save_picture",
+    "programs.picture.svg": "to_svg",
     "programs.python": "to_python",
     "programs.structured_text": "to_structured_text",
     "programs.text": "to_text",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -177,6 +178,11 @@ class ObliqueTree:
     @cached_property
     def _leaf_maps(self) -> LeafMaps:
         return LeafMaps(self.M_of_basis, self.c)
+
+    def _repr_svg_(self) -> str:
+        """Return the picture that a notebook shows: `otr.to_svg` of the tree."""
+        svg: str = importlib.import_module("otr").to_svg(self)  # drawn on a floor above this one
+        return svg
 
     def replace(self, **changes: Any) -> ObliqueTree:
         """Return the tree with other arrays or another head, checked like any tree, and all else as it is.

@@ -8,8 +8,10 @@ from collections.abc import Sequence
 from otr.core.merging import merge_equal_leaves
 from otr.core.tree import ObliqueTree
 from otr.programs.names import names_for, require_tree
-from otr.programs.picture.boxes import NodeBox, Style, head_note, tree_boxes
-from otr.programs.picture.drawing import colours
+from otr.programs.picture.boxes import NodeBox, tree_boxes
+from otr.programs.picture.branches import look
+from otr.programs.picture.formulas import Style
+from otr.programs.picture.head_notes import head_note
 
 
 def to_dot(
@@ -18,7 +20,7 @@ def to_dot(
     feature_names: Sequence[str] | None = None,
     output_names: Sequence[str] | None = None,
     precision: int = 2,
-    max_terms: int = 4,
+    max_terms: int = 3,
     max_depth: int | None = None,
 ) -> str:
     """Return a digraph for Graphviz: tests in round boxes, left where they hold (yes), leaves in colour.
@@ -62,7 +64,7 @@ def to_dot(
 
 
 def _attributes(box: NodeBox) -> str:
-    line, fill = colours(box)
+    line, fill, _ = look(box)
     style = "rounded,filled" if box.kind == "test" else "filled"
     shape = ", shape=folder" if box.kind == "subtree" else ""
     return f'label=<{_table(box)}>, style="{style}"{shape}, color="{line}", fillcolor="{fill}"'

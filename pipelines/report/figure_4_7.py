@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 import otr
@@ -74,7 +73,7 @@ def write_figure_4_7(
         simplified.tree,
         **names,
         max_terms=tree.n_inputs,
-        counts=np.bincount(simplified.tree.apply(played.states), minlength=tree.n_leaves),
+        states=played.states,
         title=f"AugTree on the lander, simplified: return {returns.mean():.1f}",
     )
     path = write_file(results_dir / "figures" / "figure_4_7.txt", text)

@@ -4,19 +4,25 @@ import difflib
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Any
+
+import numpy as np
 
 import otr
 from pipelines.config.methods import EXTRA_STAGES
 from pipelines.config.run import RunConfig
 from pipelines.config.setting import Folder, FreeText, OneOf, Range, check_settings
 from pipelines.engine.archive import MANIFEST, verified_manifest
+from pipelines.engine.seeding import episode_seeds
 from pipelines.engine.store import exists
 from pipelines.errors import ConfigError, MissingInputError, PipelineError, did_you_mean
 from pipelines.play.actor_files import load_actor
-from pipelines.play.environments import action_names, feature_names
+from pipelines.play.rollout import rollout
 from pipelines.stages.derived import opened_run
+from pipelines.stages.printed_programs import names_of_env
 
 TREES = ("pruned", "full", "minimal", "polished", "simplified", "constant_gains", "compact")
 
@@ -46,6 +52,19 @@ class Format:
     suffix: str
     write: Callable[..., Any]
     options: tuple[str, ...] = ()
+    is_picture: bool = False  # of the tree, with the states that it visits
+    is_text: bool = True
+
+
+def _onnx(*arguments: Any, **options: Any) -> bytes:
+    return bytes(otr.to_onnx(*arguments, **options).SerializeToString())
+
+
+def _drawn(suffix: str, tree: otr.ObliqueTree, **options: Any) -> bytes:
+    with TemporaryDirectory(prefix="otr-") as place:
+        path = Path(place) / f"tree{suffix}"
+        otr.save_picture(otr.draw_tree(tree, **options), path)
+        return path.read_bytes()
 
 
 FORMATS = {
@@ -55,8 +74,11 @@ FORMATS = {
     "structured_text": Format(".st", otr.to_structured_text, ("name",)),
     "latex": Format(".tex", otr.to_latex, ("precision",)),
     "dot": Format(".dot", otr.to_dot, ("precision",)),
-    "onnx": Format(".onnx", otr.to_onnx, ("name", "dtype")),
+    "onnx": Format(".onnx", _onnx, ("name", "dtype"), is_text=False),
     "json": Format(".json", otr.to_json),
+    "svg": Format(".svg", otr.to_svg, ("precision",), is_picture=True),
+    "png": Format(".png", partial(_drawn, ".png"), ("precision",), is_picture=True, is_text=False),
+    "pdf": Format(".pdf", partial(_drawn, ".pdf"), ("precision",), is_picture=True, is_text=False),
 }
 
 
@@ -69,8 +91,10 @@ def check_export(config: ExportConfig) -> None:
     _check_name("tree", config.tree, TREES)
     if config.tree == "compact" and config.format != "c":
         raise ConfigError(f"tree=compact: only format=c writes the network itself, not format={config.format}")
-    if config.format == "onnx" and config.out is None:
-        raise ConfigError("format=onnx is no text for a terminal; add out=policy.onnx")
+    if not FORMATS[config.format].is_text and config.out is None:
+        raise ConfigError(
+            f"format={config.format} is no text for a terminal; add out=policy{FORMATS[config.format].suffix}"
+        )
     for option in ("name", "dtype", "precision"):
         if getattr(config, option) is not None and option not in FORMATS[config.format].options:
             takes = [name for name, known in FORMATS.items() if option in known.options]
@@ -130,19 +154,29 @@ def program_of(config: ExportConfig, run: RunConfig, folder: Path) -> str | byte
         PipelineError: a file was changed.
     """
     policy = _policy(config, run, folder)
-    options = {name: getattr(config, name) for name in FORMATS[config.format].options}
+    chosen = FORMATS[config.format]
+    options = {name: getattr(config, name) for name in chosen.options if getattr(config, name) is not None}
+    if chosen.is_picture:
+        options |= {"states": visited_states(run, policy), "title": title_of(run, config.tree)}
     try:
-        written = FORMATS[config.format].write(
-            policy,
-            feature_names=feature_names(run.env, policy.n_inputs),
-            output_names=action_names(run.env, policy.head.n_answers(policy.n_outputs)),
-            **{name: value for name, value in options.items() if value is not None},
-        )
+        written: str | bytes = chosen.write(policy, **names_of_env(policy, run.env), **options)
     except ImportError as error:
         raise PipelineError(str(error)) from error
     except ValueError as error:
         raise ConfigError(f"format={config.format}: {error}") from error
-    return written if isinstance(written, str) else bytes(written.SerializeToString())
+    return written
+
+
+def visited_states(run: RunConfig, policy: otr.ObliqueTree, n_episodes: int = 5) -> np.ndarray:
+    """Return the states (n, d) that a policy visits in the first of the episodes that the run was pruned with."""
+    seeds = episode_seeds(run.seed, "prune", min(n_episodes, run.prune.n_episodes))
+    return rollout(policy.predict, run.env, seeds, keep_states=True, n_workers=1).states
+
+
+def title_of(run: RunConfig, tree: str) -> str:
+    """Return a title for a picture of one of a run's trees."""
+    depth = ", ".join(map(str, run.hidden_widths)) or "0"
+    return f"{run.env.name}, {run.method.name}, depth {depth}: {tree.replace('_', ' ')} tree"
 
 
 def write_program(config: ExportConfig, program: str | bytes) -> Path:

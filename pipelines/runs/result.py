@@ -35,7 +35,8 @@ def show_result(summary: dict[str, Any], run_dir: Path, whole: Path) -> None:
     if "simplify" in summary:
         lines += _simplified(summary["simplify"], whole)
     where = program if whole == run_dir else f"otr-export run={run_dir} format=text"
-    show_finished(text, where, _table(summary), lines, summary["seconds"], run_dir)
+    picture = run_dir / "prune" / "tree.svg"
+    show_finished(text, where, _table(summary), lines, summary["seconds"], run_dir, picture)
 
 
 def _count(n: int, what: str) -> str:

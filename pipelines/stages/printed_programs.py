@@ -1,7 +1,10 @@
-"""The printed program beside a tree, with the environment's own names."""
+"""The printed program and the picture beside a tree, with the environment's own names."""
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 import otr
 from otr.programs.text import text_of_every_leaf
@@ -18,6 +21,19 @@ def write_program(tree: otr.ObliqueTree, env: EnvConfig, out: Path) -> None:
         write_text(out / "program.txt", program_text(tree, env))
 
 
+def write_picture(tree: otr.ObliqueTree, env: EnvConfig, states: np.ndarray, out: Path) -> None:
+    """Write `tree.svg`, with the shares of the states (n, d) that end in each leaf."""
+    write_text(out / "tree.svg", otr.to_svg(tree, **names_of_env(tree, env), states=states))
+
+
+def names_of_env(policy: Any, env: EnvConfig) -> dict[str, Any]:
+    """Return the environment's names of a policy's inputs and answers, as programs and pictures take them."""
+    return {
+        "feature_names": feature_names(env, policy.n_inputs),
+        "output_names": action_names(env, policy.head.n_answers(policy.n_outputs)),
+    }
+
+
 def program_text(tree: otr.ObliqueTree, env: EnvConfig) -> str:
     """Return the tree as nested if-then-else over the environment's feature names."""
     return _text(otr.to_text, tree, env)
@@ -29,8 +45,4 @@ def program_text_of_every_leaf(tree: otr.ObliqueTree, env: EnvConfig) -> str:
 
 
 def _text(write: Callable[..., str], tree: otr.ObliqueTree, env: EnvConfig) -> str:
-    return write(
-        tree,
-        feature_names=feature_names(env, tree.n_inputs),
-        output_names=action_names(env, tree.head.n_answers(tree.n_outputs)),
-    )
+    return write(tree, **names_of_env(tree, env))

@@ -17,7 +17,7 @@ from pipelines.errors import PolicyMismatchError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.agreement import answers_agree
 from pipelines.play.rollout import rollout
-from pipelines.stages.printed_programs import program_text, write_program
+from pipelines.stages.printed_programs import program_text, write_picture, write_program
 
 TOLERANCE = 1e-6
 
@@ -53,6 +53,7 @@ def prune(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
         pruned = otr.prune_to_k(tree, states, config.prune.k)
     otr.save(pruned, out / "tree")
     write_program(pruned, config.env, out)
+    write_picture(pruned, config.env, states, out)
     if not pruned.head.acts_by_output:  # gains in the leaves
         constant = constant_gains(pruned, states)
         otr.save(constant, out / "constant_gains")

@@ -19,7 +19,7 @@ from pipelines.engine.store import write_csv, write_json
 from pipelines.play.environments import spaces, state_limits
 from pipelines.play.rollout import rollout
 from pipelines.stages.polish import load_tree, moments, search
-from pipelines.stages.printed_programs import write_program
+from pipelines.stages.printed_programs import write_picture, write_program
 
 MAX_ATTEMPTS = 4
 FIRST_LOOK = 0.2  # of the deciding episodes: a tree that loses clearly on these is not played on
@@ -52,6 +52,7 @@ def simplify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
         simpler, n_attempts, again = _simplest(tree, judge, before.states, config, polishes="polish" in inputs)
     otr.save(simpler.tree, out / "tree")
     write_program(simpler.tree, config.env, out)
+    write_picture(simpler.tree, config.env, before.states, out)
     _report(tree, simpler, judge, n_attempts, again, config, out)
 
 

@@ -32,7 +32,7 @@ def draw(tree: otr.ObliqueTree | otr.PatternTree, dataset: Dataset, path: Path) 
         pruned,
         feature_names=fragment_names(dataset.name),
         output_names=_answers(pruned, dataset),
-        counts=np.bincount(pruned.apply(X), minlength=pruned.n_leaves),
+        states=X,
         max_terms=8,
     )
     save_picture(figure, path)

@@ -347,6 +347,9 @@ def test_pictures(case: Named, title: str) -> None:
     shown = [text.get_text() for text in figure.axes[0].texts]
     assert all("\n" not in text and prints(text) for text in shown)
     assert one_line(title) in shown or not one_line(title)
+    drawn = ET.fromstring(otr.to_svg(tree, feature_names=features, output_names=outputs, title=title))
+    assert {part.tag.rpartition("}")[2] for part in drawn.iter()} <= {"svg", "title", "rect", "path", "text"}
+    assert [part.text for part in drawn.iter("{http://www.w3.org/2000/svg}text")] == shown
     file = io.BytesIO()
     figure.savefig(file, format="svg")
     assert {part.tag.rpartition("}")[2] for part in ET.fromstring(file.getvalue()).iter()} <= {

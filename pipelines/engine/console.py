@@ -57,6 +57,7 @@ def progress_lines(what: str, unit: str) -> Callable[[int, int], None]:
 def show_finished(
     program: str,
     where: Any,
+    title: str,
     table: Table,
     lines: Sequence[str],
     seconds: Mapping[str, float],
@@ -68,14 +69,15 @@ def show_finished(
     Args:
         program: its text; empty where there is none.
         where: the file or the command that shows a long program.
-        table, lines: the results, and what is to be said below them.
+        title, table, lines: what the results are of, the results, and what is to be said below them.
         seconds: of each stage.
         run_dir: the job's folder.
         picture: a file, named where it is there.
     """
     width, n_lines = columns(), program.count("\n")
     if 0 < n_lines <= SHORT_PROGRAM:
-        print(f"\n{fitted(program, width)}")
+        print(f"\n{fitted(program.rstrip(), width)}")
+    print(fitted(f"\n{title}", width))
     Console(highlight=False, width=width).print(table)
     shown = [*lines, f"time: {', '.join(f'{stage} {duration(spent)}' for stage, spent in seconds.items())}"]
     shown += [f"program: {n_lines} lines, {where}"] if n_lines > SHORT_PROGRAM else []

@@ -36,7 +36,7 @@ def show_result(summary: dict[str, Any], run_dir: Path, whole: Path) -> None:
         lines += _simplified(summary["simplify"], whole)
     where = program if whole == run_dir else f"otr-export run={run_dir} format=text"
     picture = run_dir / "prune" / "tree.svg"
-    show_finished(text, where, _table(summary), lines, summary["seconds"], run_dir, picture)
+    show_finished(text, where, _title(summary), _table(summary), lines, summary["seconds"], run_dir, picture)
 
 
 def _count(n: int, what: str) -> str:
@@ -144,7 +144,7 @@ def _title(summary: dict[str, Any]) -> str:
 
 def _table(summary: dict[str, Any]) -> Table:
     episodes = summary["n_episodes"]
-    table = Table(title=_title(summary), title_justify="left")
+    table = Table()
     table.add_column("policy")
     table.add_column(f"return over {episodes} episodes", justify="right")
     table.add_column("leaves", justify="right")

@@ -17,7 +17,7 @@ def show_fit(summary: dict[str, Any], run_dir: Path) -> None:
     n_labels = summary["n_labels"]
     over = f", mean over {n_labels} labels" if n_labels > 1 else ""
     title = f"{summary['data']}, {summary['method']}, seed {summary['seed']}: {METRICS[summary['metric']]}{over}"
-    table = Table(title=title, title_justify="left")
+    table = Table()
     for name in (*PARTS, "leaves reached", "depth"):
         table.add_column(name, justify="right")
     scores = ["-" if summary[part] is None else f"{summary[part]:.4f}" for part in PARTS]
@@ -25,4 +25,4 @@ def show_fit(summary: dict[str, Any], run_dir: Path) -> None:
     left_out = ", ".join(f"{n} in {part}" for part, n in summary["labels_left_out"].items() if n)
     lines = [f"labels left out, for they have one class: {left_out}"] if left_out else []
     text = read_bytes(program).decode() if exists(program) else ""
-    show_finished(text, program, table, lines, summary["seconds"], run_dir, picture=run_dir / "fit" / "tree.png")
+    show_finished(text, program, title, table, lines, summary["seconds"], run_dir, picture=run_dir / "fit" / "tree.png")

@@ -181,6 +181,12 @@ class Composer:
         return _one_line(lines)
 
 
+class PolicyComposer(Composer):
+    """A command about one policy, for which `env` and `program` are single values and no groups of conf/."""
+
+    varied = ("env", "program")
+
+
 def message_of(error: Exception) -> str:
     """Return the message alone where it was written for people, with the error's kind where it was not."""
     if isinstance(error, OmegaConfBaseException):

@@ -14,7 +14,7 @@ from hydra.errors import HydraException
 from pipelines.errors import ConfigError
 
 SEARCH = "hydra.searchpath="
-PATHS = ("run", "out", "results_dir", "certificate", "tree", "actor")  # keys of otr-export and otr-verify
+PATHS = ("run", "out", "program", "results_dir", "certificate", "tree", "actor")  # keys of otr-export and otr-verify
 
 
 def parse(override: str) -> Override:

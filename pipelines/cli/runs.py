@@ -11,8 +11,9 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+import otr
 from pipelines.cli.compose import schema_of, to_object
-from pipelines.cli.overrides import is_search, key_of, parse
+from pipelines.cli.overrides import is_search, key_of, parse, quoted
 from pipelines.cli.workflow import Workflow, columns_spelt_out
 from pipelines.config.algo import ALGORITHMS, ArsConfig
 from pipelines.config.budget import BudgetConfig
@@ -59,6 +60,13 @@ def load_config(run_dir: Path, n_workers: int | None) -> RunConfig:
         raise corrupt(run_dir / "config.yaml", error) from error
     assert isinstance(loaded, RunConfig)
     return loaded
+
+
+def written_policy(env: str, program: str) -> tuple[RunConfig, otr.ObliqueTree]:
+    """Return the run that would play a program file, or a shipped program, and the policy that it says."""
+    (job,) = RUN.jobs([RUN.spelt_out([f"env={env}", f"program={quoted(program)}"])])
+    config = job.config
+    return config, policy_tree(config.program_text, config.env, program)
 
 
 class RunWorkflow(Workflow):

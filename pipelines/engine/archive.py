@@ -47,7 +47,7 @@ def verified_manifest(folder: Path) -> dict[str, Any]:
             place = folder.parent / ARCHIVE if packed else folder
             raise PipelineError(
                 f"{folder / name} is not what was written: its sha256 is {found[:12]}, the manifest has "
-                f"{recorded[:12]}\nRestore it, or delete {place} and run the same command again to make it."
+                f"{recorded[:12]}\nRestore it, or delete {place} and do the run again, which makes it."
             )
     return manifest
 
@@ -98,7 +98,7 @@ def _complete(run_dir: Path, folder: Path, derive: Derive) -> None:
                 f"{run_dir / folder.name / name} is left out of {ARCHIVE}, and "
                 f"{'comes out with another sha256 than was recorded' if name in made else 'cannot be made again'}\n"
                 f"It was made at revision {manifest.get('git_revision')} with {manifest.get('versions')}: use these, "
-                f"or delete {run_dir} and run the same command again to make it."
+                f"or delete {run_dir} and do the run again, which makes it."
             )
         (folder / name).write_bytes(made[name])
 

@@ -134,6 +134,6 @@ def corrupt(path: Path, error: Exception) -> PipelineError:
     if path.name in REWRITTEN:
         remedy = f"Delete {path} and run the run's command again to make it; nothing is trained anew."
     else:
-        remedy = f"Restore it, or delete the folder {path.parent} and run the same command again to make it."
+        remedy = f"Restore it, or delete the folder {path.parent} and do the run again, which makes it."
     what = "is not there" if isinstance(error, FileNotFoundError) else f"cannot be read: {error}"
     return PipelineError(f"{path} {what}\n{remedy}")

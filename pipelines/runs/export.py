@@ -32,6 +32,8 @@ class ExportConfig:
     """What `otr-export` takes; None is the format's own default."""
 
     run: FreeText
+    program: FreeText | None
+    env: FreeText | None
     format: FreeText
     tree: FreeText
     out: FreeText | None
@@ -84,7 +86,9 @@ FORMATS = {
 
 def check_export(config: ExportConfig) -> None:
     """Raise ConfigError where the request cannot be met, whatever the run."""
-    check_run(config.run)
+    check_policy(config.run, config.program, config.env)
+    if config.program and config.tree != "pruned":
+        raise ConfigError(f"tree={config.tree}: program={config.program} is one tree; leave tree={config.tree} out")
     if not config.format:
         raise ConfigError(f"which format? Add format=NAME with one of: {', '.join(FORMATS)}")
     _check_name("format", config.format, list(FORMATS))
@@ -106,6 +110,18 @@ def check_run(run: str) -> None:
     """Raise ConfigError where no run is named."""
     if not run:
         raise ConfigError("which run? Add run=FOLDER, such as run=hopper/otr/depth-6/quick/seed-0")
+
+
+def check_policy(run: str, program: str | None, env: str | None) -> None:
+    """Raise ConfigError unless one policy is named: a run's, or a program with the environment that has its names."""
+    if not program:
+        check_run(run)
+        if env:
+            raise ConfigError(f"env={env}: a run has its own environment; leave env={env} out")
+    elif run:
+        raise ConfigError(f"run={run} and program={program} are two policies; leave one of them out")
+    elif not env:
+        raise ConfigError(f"program={program}: over which environment's names? Add env=NAME")
 
 
 def find_run(run: str, results_dir: str) -> Path:
@@ -145,15 +161,13 @@ def run_command(folder: Path) -> str | None:
     return f"otr-run {' '.join(overrides)}{' and the settings that made the digest ~' + digest if digest else ''}"
 
 
-def program_of(config: ExportConfig, run: RunConfig, folder: Path) -> str | bytes:
-    """Return the program that was asked for, as text, or as bytes where the format is not text.
+def program_of(config: ExportConfig, run: RunConfig, policy: Any) -> str | bytes:
+    """Return a policy as the program that was asked for, as text, or as bytes where the format is not text.
 
     Raises:
         ConfigError: an option that the format refuses, or a tree that it cannot hold.
-        MissingInputError: the stage that makes the tree is not finished; names the command.
-        PipelineError: a file was changed.
+        PipelineError: a package is missing.
     """
-    policy = _policy(config, run, folder)
     chosen = FORMATS[config.format]
     options = {name: getattr(config, name) for name in chosen.options if getattr(config, name) is not None}
     if chosen.is_picture:
@@ -190,8 +204,14 @@ def write_program(config: ExportConfig, program: str | bytes) -> Path:
     return path
 
 
-def _policy(config: ExportConfig, run: RunConfig, folder: Path) -> Any:
-    """Return the tree that was asked for, or the network behind it."""
+def policy_of(config: ExportConfig, run: RunConfig, folder: Path) -> Any:
+    """Return the tree of a run that was asked for, or the network behind it.
+
+    Raises:
+        ConfigError: the run's method has no such tree.
+        MissingInputError: the stage that makes the tree is not finished; names the command.
+        PipelineError: a file was changed.
+    """
     method = run.method.name
     if config.tree == "compact" and not run.method.is_mapped:
         raise ConfigError(f"tree=compact: a tree of method={method} stands for no network; use tree=full")

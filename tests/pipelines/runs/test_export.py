@@ -78,10 +78,28 @@ def test_full_and_compact(export, tmp_path):
     assert "A network of 32 hidden neurons" in export(f"run={deep}", "format=c", "tree=full").stdout
 
 
+def test_a_program_without_a_run(export, tmp_path):
+    path = tmp_path / "by hand~1.txt"
+    path.write_text("if velocity <= 0: -3 else: 2 position\n")
+    done = export("env=mountaincar", f"program={path}", "format=python")
+    assert done.returncode == 0, done.stderr
+    scope = {}
+    exec(done.stdout, scope)
+    assert [scope["policy"](state) for state in ([0.25, 0.1], [0.25, -0.1], [9.0, 0.1])] == [[0.5], [-1.0], [1.0]]
+    lander = export("env=LunarLander-v3", "program=mountaincar", "format=c")
+    assert lander.returncode == 2 and "unknown name 'position'" in lander.stderr
+    own = export("env=CartPole-v1", f"program={path}", "format=c")
+    assert own.returncode == 2 and f"{path}:1:4: unknown name 'velocity'" in own.stderr
+
+
 @pytest.mark.parametrize(
     ("words", "code", "told"),
     [
         ((), 2, "which run? Add run=FOLDER"),
+        (("program=mountaincar", "format=c"), 2, "over which environment's names? Add env=NAME"),
+        (("program=mountaincar", f"run={HOPPER}", "format=c"), 2, "are two policies; leave one of them out"),
+        (("env=hopper", f"run={HOPPER}", "format=c"), 2, "a run has its own environment; leave env=hopper out"),
+        (("env=mountaincar", "program=mountaincar", "tree=full", "format=c"), 2, "leave tree=full out"),
         ((f"run={HOPPER}",), 2, "which format? Add format=NAME with one of: text, python, c"),
         ((f"run={HOPPER}", "format=structuredtext"), 2, "no such format. Did you mean structured_text?"),
         ((f"run={HOPPER}", "format=c", "tree=prunde"), 2, "no such tree. Did you mean pruned?"),

@@ -147,7 +147,7 @@ def test_a_run_that_imitates_finds_its_packed_oracle(tmp_path):
 def test_commands_find_a_packed_run_as_it_was(packed, tmp_path, command):
     before = (packed / "summary.json").read_bytes()
     words = ("env=pendulum", "depth=6", "budget=quick", f"results_dir={tmp_path}")
-    assert "1 jobs: 1 to skip" in command("plan", *words).stdout
+    assert "1 job: 1 to skip" in command("plan", *words).stdout
     done = command("run", *words)
     assert done.returncode == 0 and "train: done before" in done.stdout and "format=text\n" in done.stdout
     assert (packed / "summary.json").read_bytes() == before

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 
 import otr
-from pipelines.config.methods import EXTRA_STAGES
+from pipelines.config.methods import EXTRA_STAGES, ProgramConfig
 from pipelines.config.run import RunConfig
 from pipelines.config.setting import Folder, FreeText, OneOf, Range, check_settings
 from pipelines.engine.archive import MANIFEST, verified_manifest
@@ -188,7 +188,9 @@ def visited_states(run: RunConfig, policy: otr.ObliqueTree, n_episodes: int = 5)
 
 
 def title_of(run: RunConfig, tree: str) -> str:
-    """Return a title for a picture of one of a run's trees."""
+    """Return a title for a picture of one of a run's trees, or of a program."""
+    if isinstance(run.method, ProgramConfig):
+        return f"{run.env.name}, program {Path(run.method.program).name}"
     depth = ", ".join(map(str, run.hidden_widths)) or "0"
     return f"{run.env.name}, {run.method.name}, depth {depth}: {tree.replace('_', ' ')} tree"
 

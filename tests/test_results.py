@@ -104,7 +104,6 @@ def certified():
 def test_committed_certificates_prove_what_they_claim(run_dir):
     with opened(run_dir, ["certify"]) as whole:
         certificate = otr.load_certificate(whole / "certify/certificate.json")
-        bound = otr.verify(
-            certificate, otr.load(whole / "certify/tree"), load_actor(run_dir / certified_stage(run_dir))
-        )
+        network = load_actor(run_dir / certified_stage(load_config(run_dir, None), run_dir))
+        bound = otr.verify(certificate, otr.load(whole / "certify/tree"), network)
     assert bound <= certificate.max_error < 1e-10

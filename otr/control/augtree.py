@@ -16,6 +16,7 @@ from otr.control.features.screening import best_columns
 from otr.control.viper import Criterion, centred, fit_cart, with_head
 from otr.core.arrays import FloatArray, IntArray
 from otr.core.network import ReluNetwork
+from otr.core.smooth_network import Oracle
 from otr.core.tree import ObliqueTree
 from otr.learners.model_tree import LinearModelTreeRegressor, grow_models
 
@@ -50,7 +51,7 @@ class AugTreeFit:
         min_samples_leaf: drawn rows in a leaf at least.
     """
 
-    oracle: ReluNetwork
+    oracle: Oracle
     max_depth: int
     features: Literal["all", "z", "deep"] = "all"
     leaves: Literal["constant", "linear"] = "constant"
@@ -70,6 +71,8 @@ class AugTreeFit:
         if self.criterion not in ("gini", "entropy"):
             raise ValueError(f"criterion={self.criterion!r}; expected 'gini' or 'entropy'")
         n_needed = 2 if self.features == "deep" else 1
+        if self.features == "deep" and not isinstance(self.oracle, ReluNetwork):
+            raise ValueError("features='deep' reads activation patterns, which an oracle of smooth units has none of")
         if len(self.oracle.hidden_widths) < n_needed:
             raise ValueError(
                 f"features={self.features!r} needs an oracle of at least {n_needed} hidden layers, "
@@ -101,7 +104,7 @@ class AugTreeFit:
         return with_thresholds_between(tree, bins, values).compose(features.A, features.a)
 
     def _features(self, states: FloatArray) -> AffineFeatures:
-        if self.features != "deep":
+        if self.features != "deep" or not isinstance(self.oracle, ReluNetwork):
             return self._first_layer
         deep = deep_features(self.oracle, states, self.max_patterns)
         return self._first_layer.joined(deep).distinct()

@@ -29,7 +29,6 @@ SCHEMA = "otr/tree/1"
 
 Arrays = dict[str, NDArray[Any]]
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-_TREE_NAMES = ("feature_names", "output_names")
 _TREE_ARRAYS = ("children_left", "children_right", "P", "v", "M", "c")
 
 
@@ -100,15 +99,12 @@ def _describe_tree(tree: ObliqueTree) -> tuple[dict[str, Any], Arrays]:
     arrays: Arrays = {name: getattr(tree, name) for name in _TREE_ARRAYS}
     if tree.labels is not None:
         arrays["labels"] = tree.labels
-    names = {name: list(getattr(tree, name)) for name in _TREE_NAMES if getattr(tree, name) is not None}
-    return {"kind": "oblique_tree", "head": tree.head.to_dict(), **names}, arrays
+    return {"kind": "oblique_tree", "head": tree.head.to_dict()}, arrays
 
 
 def _restore_tree(description: dict[str, Any], arrays: Arrays) -> ObliqueTree:
     core = (arrays[name] for name in _TREE_ARRAYS)
-    names = {name: _field(description, name, list) for name in _TREE_NAMES if name in description}
-    head = head_from_dict(_field(description, "head", dict))
-    return ObliqueTree(*core, labels=arrays.get("labels"), head=head, **names)
+    return ObliqueTree(*core, labels=arrays.get("labels"), head=head_from_dict(_field(description, "head", dict)))
 
 
 def _describe_pattern_tree(tree: PatternTree) -> tuple[dict[str, Any], Arrays]:

@@ -11,10 +11,11 @@ from numpy.typing import ArrayLike
 from otr.core.head import Head
 from otr.core.heads import Argmax, Identity, Sign
 from otr.core.network import ReluNetwork
+from otr.core.smooth_network import SmoothNetwork
 from otr.errors import InvalidNetworkError
 from otr.extras import naming_the_extra
 from otr.importers.onnx_graph import network_of_onnx
-from otr.importers.sb3_archive import network_of_file
+from otr.importers.sb3_archive import network_of_file, oracle_of_file
 from otr.importers.sb3_model import network_of_model
 from otr.importers.torch_modules import network_of_module
 from otr.importers.vec_normalize import fold_observation_statistics
@@ -95,6 +96,23 @@ def from_sb3(
         if negative_slope is not None and network.n_hidden and network.negative_slope != negative_slope:
             raise InvalidNetworkError(f"negative_slope is {negative_slope}, the model's is {network.negative_slope}")
     return network if vec_normalize is None else fold_observation_statistics(network, vec_normalize)
+
+
+@naming_the_extra("otr.importers.oracle_from_sb3")
+def oracle_from_sb3(
+    path: str | os.PathLike[str], *, vec_normalize: str | os.PathLike[str] | None = None
+) -> ReluNetwork | SmoothNetwork:
+    """Return the deterministic actor of a saved Stable-Baselines3 model, to be imitated by a tree.
+
+    As `from_sb3` reads a file, and with the same errors, but units may be smooth, too: Tanh (the default of PPO and
+    A2C), Sigmoid, SiLU, ELU and GELU. No tree is equal to such a network.
+    """
+    network = oracle_of_file(Path(path))
+    if vec_normalize is None:
+        return network
+    if isinstance(network, ReluNetwork):
+        return fold_observation_statistics(network, vec_normalize)
+    return fold_observation_statistics(network, vec_normalize)
 
 
 @naming_the_extra("otr.from_onnx")

@@ -13,7 +13,7 @@ import pickle
 import re
 import zipfile
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +22,7 @@ from otr.core.arrays import FloatArray
 from otr.core.head import Head
 from otr.core.heads import Argmax, ClipBox, TanhBox
 from otr.core.network import ReluNetwork
+from otr.core.smooth_network import SmoothNetwork
 from otr.core.zip_members import read_members
 from otr.errors import ArtefactError, InvalidNetworkError
 from otr.importers.sb3_model import require_widths
@@ -29,6 +30,8 @@ from otr.importers.torch_modules import RELU_REMEDY, real_values
 
 _RELU = "<class 'torch.nn.modules.activation.ReLU'>"
 _LEAKY_RELU = "<class 'torch.nn.modules.activation.LeakyReLU'>"
+_SMOOTH = {f"<class 'torch.nn.modules.activation.{name}'>": name.lower() for name in ("Tanh", "Sigmoid", "SiLU", "ELU",
+                                                                                       "GELU")}  # fmt: skip
 _LEAKY_RELU_SLOPE = 0.01  # torch's default
 
 # Before version 1.8, Stable-Baselines3 let actor and critic share their first layers.
@@ -41,20 +44,44 @@ _DATA_BYTES = 2**24  # of text; its lists and dictionaries take twenty times as 
 Tensors = dict[str, Any]
 
 
+class _Actor(NamedTuple):
+    """What the file tells of the actor, but for its activation."""
+
+    weights: list[FloatArray]
+    biases: list[FloatArray]
+    head: Head
+    data: dict[str, Any]
+    on_policy: bool
+
+
 def network_of_file(
     path: Path, action_low: ArrayLike | None, action_high: ArrayLike | None, negative_slope: float | None
 ) -> ReluNetwork:
     """Return the actor in the zip file at `path`; `otr.from_sb3` documents arguments and errors."""
+    actor = _actor(path, action_low, action_high)
+    slope = _slope(actor, negative_slope) if len(actor.weights) > 1 else 0.0
+    return ReluNetwork(actor.weights, actor.biases, negative_slope=slope, head=actor.head)
+
+
+def oracle_of_file(path: Path) -> ReluNetwork | SmoothNetwork:
+    """Return the actor in the zip file at `path`; `otr.importers.oracle_from_sb3` documents it."""
+    actor = _actor(path, None, None)
+    smooth = _SMOOTH.get(_activation(actor))
+    if len(actor.weights) == 1 or smooth is None:
+        slope = _slope(actor, None) if len(actor.weights) > 1 else 0.0
+        return ReluNetwork(actor.weights, actor.biases, negative_slope=slope, head=actor.head)
+    return SmoothNetwork(actor.weights, actor.biases, activation=smooth, head=actor.head)
+
+
+def _actor(path: Path, action_low: ArrayLike | None, action_high: ArrayLike | None) -> _Actor:
     tensors, data = _read(path)
     on_policy = any(name.startswith("action_net.") for name in tensors)
     _refuse_other_policies(tensors, data, _ON_POLICY_PARTS if on_policy else _OFF_POLICY_PARTS)
     weights, biases = _actor_layers(tensors, on_policy)
-    slope = _slope(data, on_policy, negative_slope) if len(weights) > 1 else 0.0
     head = _head(data, on_policy, len(biases[-1]), action_low, action_high)
-    network = ReluNetwork(weights, biases, negative_slope=slope, head=head)
     n_observed, n_actions = _count(data, "observation_space"), _count(data, "action_space")
-    require_widths(network.n_inputs, network.n_outputs, n_observed, n_actions)
-    return network
+    require_widths(weights[0].shape[1], len(biases[-1]), n_observed, n_actions)
+    return _Actor(weights, biases, head, data, on_policy)
 
 
 def _read(path: Path) -> tuple[Tensors, dict[str, Any]]:
@@ -162,12 +189,17 @@ def _linear_layers(tensors: Tensors, part: str) -> list[str]:
     return [f"{part}{position}" for position in positions]
 
 
-def _slope(data: dict[str, Any], on_policy: bool, given: float | None) -> float:
-    """Return the activation's negative slope, from the readable account of `policy_kwargs`."""
-    if not isinstance(data.get("policy_kwargs"), dict):
+def _activation(actor: _Actor) -> str:
+    """Return the name of the activation's class, from the readable account of `policy_kwargs`."""
+    if not isinstance(actor.data.get("policy_kwargs"), dict):
         raise InvalidNetworkError("the file does not tell the policy's arguments, nor so the activation; save it again")
-    default = "<class 'torch.nn.modules.activation.Tanh'>" if on_policy else _RELU
-    activation = str(_readable(data, "policy_kwargs").get("activation_fn", default))
+    default = "<class 'torch.nn.modules.activation.Tanh'>" if actor.on_policy else _RELU
+    return str(_readable(actor.data, "policy_kwargs").get("activation_fn", default))
+
+
+def _slope(actor: _Actor, given: float | None) -> float:
+    """Return the activation's negative slope."""
+    activation = _activation(actor)
     known = {_RELU: 0.0, _LEAKY_RELU: _LEAKY_RELU_SLOPE}.get(activation)
     if known is None and not (given is not None and "LeakyReLU" in activation):
         raise InvalidNetworkError(

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 RELU_REMEDY = (
     "a tree needs ReLU or LeakyReLU: train with torch.nn.ReLU (in Stable-Baselines3, "
-    "policy_kwargs=dict(activation_fn=torch.nn.ReLU)), or imitate the policy with such a network"
+    "policy_kwargs=dict(activation_fn=torch.nn.ReLU)), or imitate the policy, as otr-run method=augtree does"
 )
 _NOTHING = ("Flatten", "Identity", "Dropout")  # is what these do to a vector at inference
 _LAYERS = ("Linear", "ReLU", "LeakyReLU", "Tanh", "Sigmoid", "Softmax", "LogSoftmax")

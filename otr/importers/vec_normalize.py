@@ -9,14 +9,17 @@ import pickletools
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from otr.core.arrays import FloatArray
 from otr.core.domain import Domain
 from otr.core.network import ReluNetwork
+from otr.core.smooth_network import SmoothNetwork
 from otr.errors import ArtefactError, InvalidNetworkError
+
+Network = TypeVar("Network", ReluNetwork, SmoothNetwork)
 
 _VEC_NORMALIZE = "stable_baselines3.common.vec_env.vec_normalize.VecNormalize"
 _LIMIT_BYTES = (
@@ -40,7 +43,7 @@ class ObservationStatistics:
     clip: float = 10.0
 
 
-def fold_observation_statistics(network: ReluNetwork, given: Any) -> ReluNetwork:
+def fold_observation_statistics(network: Network, given: Any) -> Network:
     """Return the network on raw states; its domain is the box inside which nothing is clipped.
 
     `given` is the path of the file that `VecNormalize.save` wrote, a live VecNormalize, or `ObservationStatistics`.

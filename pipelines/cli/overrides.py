@@ -13,6 +13,7 @@ from hydra.errors import HydraException
 
 from pipelines.errors import ConfigError
 
+FILES = ("program", "model", "oracle", "vec_normalize")  # keys of otr-run
 SEARCH = "hydra.searchpath="
 PATHS = ("run", "out", "program", "results_dir", "certificate", "tree", "actor")  # keys of otr-export and otr-verify
 
@@ -104,9 +105,12 @@ def quoted(value: str) -> str:
 
 
 def with_path_quoted(override: str) -> str:
-    """Return `program=PATH`, or several, quoted where Hydra would stumble over the ~ of a run's folder or a space."""
+    """Return `program=PATH`, or several, quoted where Hydra would stumble over the ~ of a run's folder or a space.
+
+    So are `model=PATH`, `oracle=PATH` and `vec_normalize=PATH`.
+    """
     key, _, value = override.partition("=")
-    if key != "program" or re.fullmatch(r"[\w./,-]*", value) or value[:1] in ("'", '"', "[") or "(" in value:
+    if key not in FILES or re.fullmatch(r"[\w./,-]*", value) or value[:1] in ("'", '"', "[") or "(" in value:
         return override
     return f"{key}={','.join(quoted(path) for path in value.split(','))}"
 

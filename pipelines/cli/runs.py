@@ -3,6 +3,7 @@
 import copy
 import dataclasses
 import functools
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,8 @@ from pipelines.config.algo import ALGORITHMS, ArsConfig
 from pipelines.config.budget import BudgetConfig
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import EnvConfig
-from pipelines.config.methods import METHODS, MethodConfig, ProgramConfig
+from pipelines.config.methods import METHODS, AugTreeConfig, MethodConfig, ProgramConfig, TakesModel
+from pipelines.config.model import ImportedModel
 from pipelines.config.run import RunConfig, run_folder
 from pipelines.config.setting import not_keyed
 from pipelines.config.trainer import TRAINERS, FleetConfig, TrainerConfig
@@ -27,13 +29,17 @@ from pipelines.engine.store import corrupt
 from pipelines.errors import ConfigError, did_you_mean
 from pipelines.play.environments import check_names, own_environment, registered_ids
 from pipelines.runs.run_job import RunJob, run_job, run_jobs
-from pipelines.stages.parse import policy_tree, read_program
+from pipelines.stages.import_model import read_model
+from pipelines.stages.parse import holds_tree, policy_tree, read_program
 from pipelines.stages.train import fleets
 from pipelines.tracking.tracker import check_tracking
 
 # The groups and keys that decide how an oracle is trained, and where and how that is done.
 OF_TRAINING = ("env", "algo", "actor", "trainer", "budget", "train", "experiment", "results_dir", "n_workers",
                "side_by_side", "debug", "tracking")  # fmt: skip
+
+# What stands for a method and its policy, and what is done with that.
+GIVEN_POLICIES = {"program": "evaluated", "model": "imported"}
 
 # Who trains, and how: whoever names one of them goes a way of their own, not a budget's.
 TRAINED_BY = {"algo", "trainer"}
@@ -74,7 +80,7 @@ class RunWorkflow(Workflow):
 
     needs = ("env", "environment")
     anything = "pendulum"
-    short = ("program", "column")
+    short = (*GIVEN_POLICIES, "vec_normalize", "column")
     varied = ("seed", "depth", "oracle", "stages")
     naming = ("env", "method", "budget", "trainer", "depth", "seed")
     harmless = not_keyed(RunConfig)
@@ -135,18 +141,22 @@ class RunWorkflow(Workflow):
         return method
 
     def spelt_out(self, overrides: Sequence[str]) -> list[str]:
-        """Return overrides with `program=FILE` and `column=NAME` replaced by those that they are short for.
+        """Return overrides with those replaced that are short for others.
 
-        So is `polish.free=true` by `polishing.free=true`: `polish` itself is the switch. Hydra would take the first for
-        a choice of the group conf/program, where the shipped programs lie. An id for which conf/env has a file stands
-        for that file's name.
+        `program=FILE` and `model=FILE` are a method and its policy; under a method that imitates, the model is the
+        oracle, as is `oracle=FILE`. Hydra would take a program for a choice of the group conf/program, where the
+        shipped ones lie. `column=NAME` is a method and its depth, and `polish.free=true` is `polishing.free=true`,
+        because `polish` itself is the switch. An id for which conf/env has a file stands for that file's name.
         """
-        methods = [
-            override for override in overrides if override.startswith("method=") and override != "method=program"
-        ]
-        named = [override for override in overrides if override.startswith("program=")]
-        if methods and named:
-            raise ConfigError(f"{named[0]} is evaluated by method=program, not by {methods[0]}; leave one of them out")
+        overrides = [_of_its_kind(override) for override in columns_spelt_out(overrides)]
+        named = [override for override in overrides if key_of(override) in GIVEN_POLICIES]
+        methods = [override for override in overrides if override.startswith("method=")]
+        for override in named:
+            key = key_of(override)
+            others = [each for each in methods if each != f"method={key}" and not (key == "model" and _imitates(each))]
+            if others:
+                does = GIVEN_POLICIES[key]
+                raise ConfigError(f"{override} is {does} by method={key}, not by {others[0]}; leave one of them out")
         spelt_out = []
         for override in overrides:
             if override.startswith("env="):
@@ -155,10 +165,17 @@ class RunWorkflow(Workflow):
             elif override.startswith("polish."):
                 spelt_out.append(f"polishing.{override.removeprefix('polish.')}")
             elif override in named:
-                spelt_out += ["method=program", f"method.{override}"]
-            elif not (named and override == "method=program"):
+                spelt_out += [*([] if methods else [f"method={key_of(override)}"]), f"method.{override}"]
+            elif override.startswith("vec_normalize="):
+                spelt_out.append(f"method.{override}")
+            elif override.startswith("oracle=") and isinstance(parse(override).value(), str):
+                if not any(map(_imitates, methods)):
+                    imitating = [f"method={name}" for name, method in METHODS.items() if method.imitates]
+                    raise ConfigError(f"{override}: who is to imitate it? Add {' or '.join(imitating)}")
+                spelt_out.append(f"method.model={override.removeprefix('oracle=')}")
+            else:
                 spelt_out.append(override)
-        return columns_spelt_out(spelt_out)
+        return spelt_out
 
     def job(self, overrides: Sequence[str]) -> RunJob:
         """Return the run with these overrides, and the run that trains its oracle."""
@@ -170,6 +187,12 @@ class RunWorkflow(Workflow):
             text, depth = _program(config, config.method.program, overrides)
             made = self.composed([*overrides, f"depth={depth}"])
             config = dataclasses.replace(made.config, program_text=text)
+        elif isinstance(config.method, TakesModel) and (
+            config.method.model or config.method.vec_normalize or config.method.name == "model"
+        ):
+            imported, widths = _model(config, overrides)
+            made = self.composed([*overrides, f"{'oracle' if config.method.imitates else 'depth'}={widths}"])
+            config = dataclasses.replace(made.config, imported=imported)
         oracle = self.job(_of_oracle(config, overrides)) if config.method.imitates else None
         baseline = config if all(map(self.is_plain, overrides)) else self._baseline(config, overrides)
         folder = run_folder(config, baseline)
@@ -233,19 +256,66 @@ def _default_budget() -> str:
 
 def _program(config: RunConfig, program: str, overrides: Sequence[str]) -> tuple[str, int]:
     """Return a program's text and the depth of its tree."""
-    text = read_program(program)
+    text = read_program(program, config.env)
     given = [override for override in overrides if override.startswith("depth=")]
     if given:
         raise ConfigError(f"{given[0]}: the depth of a program's tree is its own; leave {given[0]} out")
     return text, policy_tree(text, config.env, program).depth
 
 
+def _of_its_kind(override: str) -> str:
+    """Return an override with `model=FILE` as `program=FILE` where the file holds a tree, which is a program."""
+    is_model = key_of(override) == "model" and not parse(override).is_sweep_override()
+    return f"program={override[6:]}" if is_model and holds_tree(Path(str(parse(override).value()))) else override
+
+
+def _imitates(override: str) -> bool:
+    """Return whether an override chooses a method that imitates."""
+    return METHODS.get(override.removeprefix("method="), MethodConfig).imitates
+
+
+def _model(config: RunConfig, overrides: Sequence[str]) -> tuple[ImportedModel, str]:
+    """Return the policy that a run takes from a file, and its hidden widths as the value of an override.
+
+    Raises:
+        ConfigError: no policy can be read from it, or the run asks for its tree and it has none; tells how to make one.
+    """
+    method, env = config.method, config.env
+    assert isinstance(method, TakesModel)
+    if not method.model:
+        raise ConfigError(f"method={method.name}: which model? Add model=FILE")
+    imported = read_model(method.model, method.vec_normalize, env)
+    key, given = ("oracle", "oracle=[") if method.imitates else ("depth", "depth=")
+    for override in overrides:
+        if override.startswith(given):
+            raise ConfigError(f"{override}: {key} is the model's own; leave {override} out")
+    if isinstance(imported.policy, otr.ReluNetwork):
+        pass
+    elif isinstance(method, AugTreeConfig) and method.features == "deep":
+        raise ConfigError(
+            f"method.features=deep reads activation patterns, and the units of {method.model} are "
+            f"{imported.policy.activation}, which has none; leave it out"
+        )
+    elif "map" in config.selected_stages:
+        words = [f"env={env.id}", "method=augtree", f"oracle={method.model}", "depth=4"]
+        words += [f"vec_normalize={method.vec_normalize}"] if method.vec_normalize else []
+        raise ConfigError(
+            f"model={method.model}: its units are {imported.policy.activation}, which no tree is equal to. A tree can "
+            f"imitate it:\n  otr-run {shlex.join(words)}"
+        )
+    return imported, f"[{','.join(map(str, imported.policy.hidden_widths))}]".replace("[]", "0")
+
+
 def _of_oracle(config: RunConfig, overrides: Sequence[str]) -> list[str]:
     """Return the overrides of the run that trains an oracle: the oracle's layers are the depth of method=otr.
 
-    Its trainer is the imitating run's, which may be on a budget's road.
+    Its trainer is the imitating run's, which may be on a budget's road. An oracle from a file is imported by
+    method=model.
     """
-    own = [override for override in overrides if key_of(override).split(".")[0] in OF_TRAINING]
+    own = [override for override in overrides if key_of(override).split(".")[0] in OF_TRAINING or is_search(override)]
+    if config.imported is not None:
+        files = [override for override in overrides if key_of(override) in ("method.model", "method.vec_normalize")]
+        return [*own, "method=model", *files, "stages=[import]", f"seed={config.seed}"]
     if not any(key_of(override) == "trainer" for override in own):
         own.append(f"trainer={config.trainer.name}")
     depth = f"depth={config.oracle}".replace(" ", "")

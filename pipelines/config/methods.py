@@ -1,11 +1,11 @@
 """The methods, a class each: its settings (a file of conf/method) and everything else that follows from the choice.
 
-The tree of a run is made by one stage: `map` from the trained actor, `imitate` from an oracle, `harden` from a soft
-tree, `parse` from a program. What comes after that stage is the same for all methods.
+The tree of a run is made by one stage: `map` from the actor, trained or imported, `imitate` from an oracle, `harden`
+from a soft tree, `parse` from a program. What comes after that stage is the same for all methods.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
 
 from pipelines.config.algo import AlgoConfig, DdpgConfig, OnPolicyConfig
@@ -44,9 +44,10 @@ class MethodConfig:
     forms: ClassVar[Mapping[str, str]] = {}
     stages: ClassVar[tuple[str, ...]]  # its stages in order, without the extra ones
     tree_stage: ClassVar[str]  # the stage that makes its tree
+    actor_stage: ClassVar[str] = "train"  # the stage that makes its actor, where there is one
     is_mapped: ClassVar[bool] = False  # whether the tree is a trained network's, which it can be proved equal to
     imitates: ClassVar[bool] = False  # whether the tree imitates an oracle, which is trained first
-    # Whether something is trained; not where the policy is a program that somebody wrote
+    # Whether something is trained; not where the policy is a program that somebody wrote, or a model from elsewhere
     is_trained: ClassVar[bool] = True
     decides_training: ClassVar[bool] = False  # whether the settings of the method decide what is trained
 
@@ -75,6 +76,24 @@ class MappedConfig(MethodConfig):
     stages = ("train", "map", "prune", "evaluate")
     tree_stage = "map"
     is_mapped = True
+
+
+@dataclass(frozen=True)
+class TakesModel:
+    """What a method has that takes a policy from a file, and with it the VecNormalize that it was trained under."""
+
+    model: Annotated[FreeText, DERIVED] = field(default="", kw_only=True)
+    vec_normalize: Annotated[FreeText | None, DERIVED] = field(default=None, kw_only=True)
+
+
+@dataclass(frozen=True)
+class ModelConfig(TakesModel, MappedConfig):
+    """A policy that was trained elsewhere, mapped as a trained actor is."""
+
+    label = "model"
+    stages = ("import", "map", "prune", "evaluate")
+    actor_stage = "import"
+    is_trained = False
 
 
 @dataclass(frozen=True)
@@ -155,8 +174,8 @@ class GrownConfig(MethodConfig):
 
 
 @dataclass(frozen=True)
-class ImitatingConfig(GrownConfig):
-    """A method that imitates an oracle under DAgger."""
+class ImitatingConfig(TakesModel, GrownConfig):
+    """A method that imitates an oracle under DAgger: a network that is trained first, or a model from a file."""
 
     stages = ("oracle", "imitate", "prune", "evaluate")
     tree_stage = "imitate"
@@ -335,4 +354,5 @@ METHODS: dict[str, type[MethodConfig]] = {
     "cdt": CdtConfig,
     "pi_prl": PiPrlConfig,
     "program": ProgramConfig,
+    "model": ModelConfig,
 }

@@ -9,6 +9,7 @@ from pipelines.config.algo import AlgoConfig, ArsConfig, SacConfig
 from pipelines.config.budget import BudgetConfig
 from pipelines.config.env import EnvConfig
 from pipelines.config.methods import EXTRA_STAGES, METHODS, MethodConfig
+from pipelines.config.model import ImportedModel
 from pipelines.config.setting import (
     DERIVED,
     EXECUTION,
@@ -53,7 +54,7 @@ class RunConfig:
     seed: Seed
     actor: Annotated[ActorConfig, OnlyWhere("is_trained")]
     train: Annotated[TrainConfig, OnlyWhere("is_trained")]
-    map: Annotated[MapConfig, OnlyWhere("is_trained")]
+    map: Annotated[MapConfig, OnlyWhere("is_mapped")]
     prune: PruneConfig
     evaluate: EvaluateConfig
     results_dir: Folder
@@ -66,7 +67,7 @@ class RunConfig:
     certify: Annotated[bool, EXECUTION] = False  # whether to do a further stage, the minimal tree and its certificate
     simplify: Annotated[bool, EXECUTION] = False  # whether to do a further stage, a shorter program
     tracking: Annotated[str, OneOf("none", "tensorboard", "mlflow"), EXECUTION] = "none"  # where the run is logged, too
-    # Hidden widths of the network that is imitated
+    # Hidden widths of the network that is imitated, trained or imported
     oracle: Annotated[list[OracleWidth], OnlyWhere("imitates")] = field(default_factory=lambda: [256, 256])
     imitate: Annotated[ImitateConfig, OnlyWhere("imitates")] = field(default_factory=ImitateConfig)
     polishing: PolishingConfig = field(default_factory=PolishingConfig)
@@ -74,6 +75,8 @@ class RunConfig:
     simplification: SimplificationConfig = field(default_factory=SimplificationConfig)
     # The text of method=program, which the command line reads: the run is keyed by it, whatever file it came from
     program_text: Annotated[FreeText | None, DERIVED] = field(default=None, metadata={"omegaconf_ignore": True})
+    # The policy of `method.model`, which the command line reads: the run is keyed by its file's digest
+    imported: Annotated[ImportedModel | None, DERIVED] = field(default=None, metadata={"omegaconf_ignore": True})
     # The run's folder below `results_dir`, which the command line works out from all other settings
     folder: Annotated[FreeText, DERIVED] = field(default="", metadata={"omegaconf_ignore": True})
     # The run that trains the oracle, for a method that imitates one; worked out there, too
@@ -136,15 +139,20 @@ class RunConfig:
         return tuple(width for width in widths if width > 0)
 
     @property
+    def is_trained(self) -> bool:
+        """Whether something is trained for this run, its own actor or the oracle."""
+        return self.method.is_trained and self.imported is None
+
+    @property
     def fleet(self) -> FleetConfig | None:
         """The fleet's settings where a fleet trains this run; None where Stable-Baselines3 does."""
-        trains_sac = isinstance(self.algo, SacConfig) and self.method.is_trained
+        trains_sac = isinstance(self.algo, SacConfig) and self.is_trained
         return self.trainer if isinstance(self.trainer, FleetConfig) and trains_sac else None
 
     @property
     def trainer_name(self) -> str:
-        """Who trains this run: `sb3`, the fleet's name, `ars`, or `none` for a program."""
-        if not self.method.is_trained:
+        """Who trains this run: `sb3`, the fleet's name, `ars`, or `none` for a program and an imported model."""
+        if not self.is_trained:
             return "none"
         if isinstance(self.algo, ArsConfig):
             return self.algo.name
@@ -174,6 +182,8 @@ class RunConfig:
         plain |= {"budget": self.budget.name, "depth": list(self.hidden_widths)}
         if self.program_text is not None:
             plain["program_sha256"] = hashlib.sha256(self.program_text.encode()).hexdigest()
+        if self.imported is not None:
+            plain["model_sha256"] = self.imported.sha256
         if not self.fleet:
             del plain["trainer"]
         return plain

@@ -37,9 +37,11 @@ def job_plan(job: RunJob, planned: set[str]) -> tuple[str, float]:
 
 def _oracle_plan(oracle: RunJob, planned: set[str]) -> tuple[str, float]:
     """Return what becomes of a job's oracle and the seconds that it takes; jobs that share one train it once."""
-    name = oracle.folder.removeprefix("runs/")
-    if stage_status(oracle.stages[0], oracle.run_dir / "train", oracle.config) == "done":
+    name, stage = oracle.folder.removeprefix("runs/"), oracle.stages[0]
+    if stage_status(stage, oracle.run_dir / stage.name, oracle.config) == "done":
         return f"oracle {name} is there", 0.0
+    if not oracle.config.is_trained:
+        return f"import oracle {name}", 0.0
     if oracle.folder in planned:
         return f"oracle {name} as above", 0.0
     planned.add(oracle.folder)

@@ -133,8 +133,10 @@ def _title(summary: dict[str, Any]) -> str:
     """Return which run this is: its environment and depth, and how it was trained, or which program it is."""
     env_id = "" if summary["env_id"] == summary["env"] else f" ({summary['env_id']})"
     start = f"{summary['env']}{env_id}, depth {summary['depth']}"
-    if "program" in summary:
-        return f"{start}, program {summary['program']}, seed {summary['seed']}"
+    for given in ("program", "model"):
+        if given in summary:
+            method = "" if summary["method"] == given else f", {summary['method']} ({summary['budget']})"
+            return f"{start}{method}, {given} {summary[given]}, seed {summary['seed']}"
     trainer = "" if summary["trainer"] == "sb3" else f", {summary['trainer']}"
     return (
         f"{start}, {summary['algorithm'].upper()}, {summary['steps']:,} steps ({summary['budget']}{trainer}), "

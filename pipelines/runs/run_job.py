@@ -70,7 +70,7 @@ def run_jobs(jobs: Sequence[RunJob]) -> list[Exception | None]:
 
 def _trains(job: RunJob) -> bool:
     """Return whether a job asks for training, its own or its oracle's."""
-    return not {"train", "oracle"}.isdisjoint(job.config.selected_stages)
+    return job.config.is_trained and not {"train", "oracle"}.isdisjoint(job.config.selected_stages)
 
 
 def _train_together(jobs: Sequence[RunJob]) -> list[Exception | None]:

@@ -50,5 +50,9 @@ def summarise(config: RunConfig, run_dir: Path) -> dict[str, Any]:
     if "n_outside_domain" in evaluated:
         summary |= {name: evaluated[name] for name in ("n_outside_domain", "n_states")}
     if "parse" in names:
-        summary |= {"program": made["program"], "algorithm": "none", "steps": 0}
+        summary["program"] = made["program"]
+    if config.imported is not None:
+        summary["model"] = config.imported.name
+    if not config.is_trained:
+        summary |= {"algorithm": "none", "steps": 0}
     return summary | {extra: read_json(run_dir / extra / "report.json") for extra in extras}

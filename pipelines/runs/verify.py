@@ -53,7 +53,7 @@ def verify_run(config: VerifyConfig, run: RunConfig, folder: Path) -> str:
         )
     if not isinstance(tree, otr.ObliqueTree):
         raise otr.CertificateError(f"{config.tree} holds a {type(tree).__name__}, certificates are of an ObliqueTree")
-    network = load_actor(Path(config.actor or folder / certified_stage(folder)))
+    network = load_actor(Path(config.actor or folder / certified_stage(run, folder)))
     bound = otr.verify(certificate, tree, network)
     whose = "the environment's box of states" if limits else "the box of the certificate"
     return (
@@ -63,10 +63,10 @@ def verify_run(config: VerifyConfig, run: RunConfig, folder: Path) -> str:
     )
 
 
-def certified_stage(folder: Path) -> str:
-    """Return the stage of a run whose actor its certificate is of: polish after polish=true, else train."""
+def certified_stage(run: RunConfig, folder: Path) -> str:
+    """Return the stage of a run whose actor its certificate is of: polish after polish=true, else train or import."""
     report = read_json(folder / "certify" / "report.json")
-    return "polish" if report.get("policy") == "polished" else "train"
+    return "polish" if report.get("policy") == "polished" else run.method.actor_stage
 
 
 def _box(domain: otr.Domain) -> str:

@@ -28,7 +28,7 @@ def certify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     either side. A tree that would be too large, or take too long, is told in the report. After polish=true the actor is
     the polished one.
     """
-    network = load_actor(inputs.get("polish") or inputs["train"])
+    network = load_actor(inputs.get("polish") or inputs[config.method.actor_stage])
     domain, whence = _domain(inputs, config)
     report: dict[str, Any] = (
         {"domain": whence} | domain.to_dict() | ({"policy": "polished"} if "polish" in inputs else {})
@@ -89,5 +89,5 @@ CERTIFY_SETTINGS = picked(
     max_leaves="certification.max_leaves",
     max_seconds="certification.max_seconds",
 )
-# After polish=true it reads that alone (`pipelines.stages.table.stages_of`).
-CERTIFY = Stage("certify", version=2, inputs=("train", "map"), settings=CERTIFY_SETTINGS, run=certify)
+# Its inputs depend on the method and on polish=true: `pipelines.stages.table.stages_of` sets them.
+CERTIFY = Stage("certify", version=2, inputs=(), settings=CERTIFY_SETTINGS, run=certify)

@@ -31,7 +31,7 @@ def derive(config: RunConfig, run_dir: Path, folder: Path) -> dict[str, bytes]:
     with TemporaryDirectory(prefix="otr-") as place:
         out = Path(place)
         if folder.name == "map":
-            otr.save(full_tree(load_actor(run_dir / "train"), config), out / "tree")
+            otr.save(full_tree(load_actor(run_dir / config.method.actor_stage), config), out / "tree")
         for name, program in PROGRAMS.items():
             where = next((each for each in (out, folder) if (each / f"{name}.json").is_file()), None)
             tree = otr.load(where / name) if where else None

@@ -42,7 +42,7 @@ def load_policies(inputs: Mapping[str, Path], config: RunConfig) -> dict[str, An
     elif "imitate" in inputs:
         policies["oracle"] = load_oracle(inputs["oracle"], Path(config.results_dir))
     elif "map" in inputs:
-        policies["network"] = load_actor(inputs["train"])
+        policies["network"] = load_actor(inputs[config.method.actor_stage])
     policies["tree"] = otr.load(inputs[config.method.tree_stage] / "tree")
     policies["pruned_tree"] = otr.load(inputs["prune"] / "tree")
     if (inputs["prune"] / "constant_gains.json").is_file():

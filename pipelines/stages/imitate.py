@@ -10,8 +10,10 @@ from typing import Any
 
 import otr
 from otr.control.dagger.loop import DaggerProgress, DaggerSettings, Play, TreeFit, run_dagger
+from otr.core.smooth_network import Oracle
 from pipelines.config.methods import AugTreeConfig, ImitatingConfig, LmViperConfig, NdpsConfig, ViperConfig
 from pipelines.config.run import RunConfig
+from pipelines.config.setting import keyed_settings
 from pipelines.engine.archive import verified_manifest
 from pipelines.engine.console import duration
 from pipelines.engine.digests import digest
@@ -85,13 +87,13 @@ def imitate(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     )
 
 
-def _fit(config: RunConfig, oracle: otr.ReluNetwork, folder: Path) -> TreeFit:
+def _fit(config: RunConfig, oracle: Oracle, folder: Path) -> TreeFit:
     """Return the learner of a method's trees."""
     from otr.control.augtree import AugTreeFit  # imports scikit-learn, as the next line does
     from otr.control.viper import CartFit, LinearModelTreeFit
 
     method = config.method
-    options: dict[str, Any] = {name: value for name, value in asdict(method).items() if name != "name"}
+    options = {name: value for name, value in keyed_settings(method).items() if name != "name"}
     if isinstance(method, ViperConfig):
         return CartFit(config.depth, **options)
     if isinstance(method, LmViperConfig):
@@ -102,7 +104,7 @@ def _fit(config: RunConfig, oracle: otr.ReluNetwork, folder: Path) -> TreeFit:
     return AugTreeFit(oracle, config.depth, **options)
 
 
-def _ndps(method: NdpsConfig, depth: int, oracle: otr.ReluNetwork, folder: Path) -> TreeFit:
+def _ndps(method: NdpsConfig, depth: int, oracle: Oracle, folder: Path) -> TreeFit:
     import torch
 
     from otr.control.ndps import NdpsImitator, NdpsSettings

@@ -1,4 +1,4 @@
-"""Stage map: the trained actor as an oblique tree, exactly."""
+"""Stage map: the actor, trained or imported, as an oblique tree, exactly."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,7 +16,7 @@ def map_actor(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
 
     A tree of more than `map.max_leaves` leaves is held as activation patterns and never written out.
     """
-    network = load_actor(inputs["train"])
+    network = load_actor(inputs[config.method.actor_stage])
     tree, n_tests = full_tree(network, config), _n_tests(network)
     otr.save(tree, out / "tree")
     kind = "pattern_tree"
@@ -37,4 +37,5 @@ def _n_tests(network: otr.ReluNetwork) -> int:
 
 
 MAP_SETTINGS = picked(max_leaves="map.max_leaves", feature_names="env.feature_names", action_names="env.action_names")
-MAP = Stage("map", version=1, inputs=("train",), settings=MAP_SETTINGS, run=map_actor)
+# Its input depends on the method: `pipelines.stages.table.stages_of` sets it.
+MAP = Stage("map", version=1, inputs=(), settings=MAP_SETTINGS, run=map_actor)

@@ -1,7 +1,8 @@
-"""Stage oracle: which trained network a run imitates.
+"""Stage oracle: which network a run imitates.
 
 The oracle of a run is the actor of another run: method=otr with depth=<the oracle's layers>, of the same environment,
-budget, seed and settings of training. Whichever run needs it first trains it; the others find it there. This stage
+budget, seed and settings of training; or that of a run with method=model, which imports it. Whichever run needs it
+first trains or imports it; the others find it there. This stage
 keeps where it lies and what it was, so that what is made from it is keyed by its content.
 """
 
@@ -9,42 +10,44 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import otr
+from otr.core.smooth_network import Oracle
 from pipelines.config.run import RunConfig
 from pipelines.engine.archive import MANIFEST, verified_manifest
 from pipelines.engine.stage import Stage
 from pipelines.engine.store import exists, read_csv, read_json, write_json
 from pipelines.errors import PipelineError
-from pipelines.play.actor_files import load_actor
+from pipelines.play.actor_files import load_oracle_network
+from pipelines.stages.import_model import import_settings
 from pipelines.stages.train import train_settings
 
 REFERENCE = "oracle.json"
 
 
 def oracle_settings(config: RunConfig) -> dict[str, Any]:
-    """Return what decides the oracle: the settings of its training."""
+    """Return what decides the oracle: the settings of its training, or the file that it is imported from."""
     assert config.oracle_run is not None
-    return train_settings(config.oracle_run)
+    return (train_settings if config.oracle_run.is_trained else import_settings)(config.oracle_run)
 
 
 def refer(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     """Write `oracle.json`: the trained oracle's folder below the results, its digest and its selection return."""
     assert config.oracle_run is not None
-    folder = Path(config.oracle_run.folder) / "train"
-    trained = Path(config.results_dir) / folder
-    evaluations = read_csv(trained / "evaluations.csv")
-    write_json(
-        out / REFERENCE,
-        {
-            "folder": folder.as_posix(),
-            "output_digest": verified_manifest(trained)["output_digest"],
-            "hidden_widths": list(config.oracle),
-            "selection_return": max(float(row["return_mean"]) for row in evaluations),
-        },
-    )
+    folder = Path(config.oracle_run.folder) / config.oracle_run.method.actor_stage
+    made = Path(config.results_dir) / folder
+    about: dict[str, Any] = {
+        "folder": folder.as_posix(),
+        "output_digest": verified_manifest(made)["output_digest"],
+        "hidden_widths": list(config.oracle),
+    }
+    if config.imported is not None:
+        about["model"] = config.imported.name
+    else:
+        evaluations = read_csv(made / "evaluations.csv")
+        about["selection_return"] = max(float(row["return_mean"]) for row in evaluations)
+    write_json(out / REFERENCE, about)
 
 
-def load_oracle(reference: Path, results_dir: Path) -> otr.ReluNetwork:
+def load_oracle(reference: Path, results_dir: Path) -> Oracle:
     """Return the network that the stage's folder names; PipelineError where it is gone or another one lies there."""
     about = read_json(reference / REFERENCE)
     folder = results_dir / about["folder"]
@@ -52,7 +55,7 @@ def load_oracle(reference: Path, results_dir: Path) -> otr.ReluNetwork:
         raise PipelineError(f"the oracle {folder} is gone; delete {reference} and run the same command to train it")
     if verified_manifest(folder)["output_digest"] != about["output_digest"]:
         raise PipelineError(f"{folder} holds another oracle than the run's; delete {reference} to imitate that one")
-    return load_actor(folder)
+    return load_oracle_network(folder)
 
 
 ORACLE = Stage("oracle", version=1, inputs=(), settings=oracle_settings, run=refer)

@@ -15,6 +15,9 @@ from pipelines.errors import ConfigError, did_you_mean
 from pipelines.play.environments import action_names, feature_names, spaces
 from pipelines.stages.printed_programs import write_program
 
+TREE_FILES = (".json", ".npz")
+DIGITS = 17  # that tell one float64 from another
+
 
 def parse_settings(config: RunConfig) -> dict[str, Any]:
     """Return what decides the tree: the program's text, and what the environment makes of its answers."""
@@ -74,8 +77,39 @@ def shipped_programs() -> list[str]:
     return sorted(path.stem for path in (CONF_DIR / "program").glob("*.txt"))
 
 
-def read_program(name: str) -> str:
-    """Return the text of a shipped program, or of a file; ConfigError where there is none or it is no text."""
+def holds_tree(path: Path) -> bool:
+    """Return whether a file is one of the two in which `otr.save` keeps an oblique tree."""
+    if path.suffix not in TREE_FILES or not path.is_file():
+        return False
+    try:
+        return isinstance(otr.load(path), otr.ObliqueTree)
+    except otr.OtrError as error:
+        raise ConfigError(str(error)) from error
+
+
+def _tree_text(path: Path, env: EnvConfig) -> str:
+    """Return a saved tree as a program, all digits of its numbers kept."""
+    tree, space = otr.load(path), spaces(env)
+    if not isinstance(tree, otr.ObliqueTree):
+        raise ConfigError(f"program={path} holds a network; give it as model={path}")
+    n_answers = tree.head.n_answers(tree.n_outputs)
+    if (tree.n_inputs, n_answers) != (space.n_inputs, space.n_actions):
+        raise ConfigError(
+            f"{path}: the tree reads {tree.n_inputs} numbers and has {n_answers} actions, {env.id} has "
+            f"{space.n_inputs} and {space.n_actions}"
+        )
+    names = feature_names(env, space.n_inputs), action_names(env, space.n_actions)
+    return otr.to_text(tree, feature_names=names[0], output_names=names[1], precision=DIGITS)
+
+
+def read_program(name: str, env: EnvConfig) -> str:
+    """Return the text of a shipped program, of a file, or of a saved tree with the environment's names.
+
+    Raises:
+        ConfigError: there is none, it is no text, or the tree is not for this environment.
+    """
+    if holds_tree(Path(name).expanduser()):
+        return _tree_text(Path(name).expanduser(), env)
     shipped = shipped_programs()
     if not name:
         raise ConfigError(f"method=program: which program? Add program=FILE, or one of: {', '.join(shipped)}")

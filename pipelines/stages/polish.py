@@ -47,13 +47,14 @@ def polish(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     PID policy's tree is the one with constant gains, whose leaves are affine. `episodes.csv` has the evaluation
     episodes of the network or tree that was searched.
     """
+    actor = config.method.actor_stage
     if config.polishes_network:
-        network = load_actor(inputs["train"])
+        network = load_actor(inputs[actor])
         polished: Any = search(network, config, "polish")
         write_files(actor_files(polished.policy), out)
         with TemporaryDirectory(prefix="otr-") as full:
-            map_actor({"train": out}, config, Path(full))
-            prune({"train": out, "map": Path(full)}, config, out)
+            map_actor({actor: out}, config, Path(full))
+            prune({actor: out, "map": Path(full)}, config, out)
         before: Any = network
     else:
         before = load_tree(inputs["prune"])

@@ -37,7 +37,7 @@ def prune(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     seeds = episode_seeds(config.seed, "prune", config.prune.n_episodes)
     states = rollout(tree.predict, config.env, seeds, keep_states=True, n_workers=config.n_workers).states
     if "map" in inputs:
-        network = load_actor(inputs["train"])
+        network = load_actor(inputs[config.method.actor_stage])
         policy, patterns = network, otr.PatternTree(network).observe(states).n_patterns
     else:
         policy, patterns = tree, len(np.unique(tree.apply(states)))

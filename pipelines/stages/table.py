@@ -8,6 +8,7 @@ from pipelines.stages.certify import CERTIFY
 from pipelines.stages.evaluate import EVALUATE
 from pipelines.stages.harden import HARDEN
 from pipelines.stages.imitate import IMITATE
+from pipelines.stages.import_model import IMPORT
 from pipelines.stages.map import MAP
 from pipelines.stages.oracle import ORACLE
 from pipelines.stages.parse import PARSE
@@ -18,21 +19,25 @@ from pipelines.stages.train import TRAIN
 
 STAGES: dict[str, Stage] = {
     stage.name: stage
-    for stage in (TRAIN, ORACLE, MAP, HARDEN, IMITATE, PARSE, PRUNE, EVALUATE, POLISH, CERTIFY, SIMPLIFY)
+    for stage in (TRAIN, IMPORT, ORACLE, MAP, HARDEN, IMITATE, PARSE, PRUNE, EVALUATE, POLISH, CERTIFY, SIMPLIFY)
 }
 
 
 def stages_of(method: str, *, polished: bool = False) -> dict[str, Stage]:
     """Return a method's stages and the extra ones by name, in order.
 
-    Prune and evaluate read what was made before. With `polished`, certify and simplify are of the polished policy.
+    Map reads the actor, trained or imported; prune and evaluate read what was made before. With `polished`, certify and
+    simplify are of the polished policy.
     """
     names = METHODS[method].stages
     before = names[: names.index("prune")]
+    actor = METHODS[method].actor_stage
     rows = STAGES | {
+        "map": dataclasses.replace(MAP, inputs=(actor,)),
         "prune": dataclasses.replace(PRUNE, inputs=before),
         "evaluate": dataclasses.replace(EVALUATE, inputs=(*before, "prune")),
-        "polish": dataclasses.replace(POLISH, inputs=("train", "prune") if METHODS[method].is_mapped else ("prune",)),
+        "polish": dataclasses.replace(POLISH, inputs=(actor, "prune") if METHODS[method].is_mapped else ("prune",)),
+        "certify": dataclasses.replace(CERTIFY, inputs=(actor, "map")),
     }
     if polished:
         rows |= {stage.name: dataclasses.replace(stage, inputs=("polish",)) for stage in (CERTIFY, SIMPLIFY)}

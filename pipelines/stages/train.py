@@ -92,7 +92,7 @@ def announce_training(configs: Sequence[RunConfig]) -> None:
             "Choose another place with results_dir=PATH, or a smaller algo.buffer_size."
         )
     expected = config.budget.expected.get(config.method.name, {}).get(config.env.task)
-    if expected and config.method.is_trained:
+    if expected and config.is_trained:
         print(f"expect {expected} (budget={config.budget.name}, as measured)", flush=True)
     if seconds >= LONG_RUN_S:
         runs = f"{len(configs)} runs as one, " if len(configs) > 1 else ""

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from otr.control.dagger.iterate_selection import successive_halving
 from otr.control.dagger.run_folder import RunFolder
 from otr.core.arrays import FloatArray
-from otr.core.network import ReluNetwork
+from otr.core.smooth_network import Oracle
 from otr.core.tree import ObliqueTree
 from otr.errors import InvalidNetworkError
 
@@ -153,7 +153,7 @@ class DaggerResult:
 
 
 def run_dagger(
-    oracle: ReluNetwork,
+    oracle: Oracle,
     fit: TreeFit,
     play: Play,
     episode_seeds: EpisodeSeeds,
@@ -202,7 +202,7 @@ def run_dagger(
 class _Run:
     """A run, as far as its folder says that it has come."""
 
-    _oracle: ReluNetwork
+    _oracle: Oracle
     _fit: TreeFit
     _play: Play
     _episode_seeds: EpisodeSeeds
@@ -288,7 +288,7 @@ class _Run:
         return n_steps + int(np.sum(episodes.lengths))
 
 
-def _label(oracle: ReluNetwork, X: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+def _label(oracle: Oracle, X: FloatArray) -> tuple[FloatArray, FloatArray | None]:
     """Return answers (n, o) and, for labels, weights (n,): the largest output less the smallest."""
     parts = [oracle.forward(X[start : start + _LABELLING_ROWS]) for start in range(0, len(X), _LABELLING_ROWS)]
     outputs = np.concatenate(parts)

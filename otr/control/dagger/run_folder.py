@@ -13,6 +13,7 @@ import numpy as np
 from otr.core.arrays import FloatArray
 from otr.core.io import load, save
 from otr.core.network import ReluNetwork
+from otr.core.smooth_network import Oracle
 from otr.core.tree import ObliqueTree
 from otr.errors import ArtefactError
 
@@ -22,9 +23,7 @@ SCHEMA = "otr/dagger/1"
 class RunFolder:
     """A run's folder: its `state` is dagger.json, which is replaced as a whole after the other files are written."""
 
-    def __init__(
-        self, folder: Path, oracle: ReluNetwork, seed: np.random.SeedSequence, settings: dict[str, Any]
-    ) -> None:
+    def __init__(self, folder: Path, oracle: Oracle, seed: np.random.SeedSequence, settings: dict[str, Any]) -> None:
         """Make the folder, or go on with its run; raise ArtefactError if that is another run or cannot be read."""
         folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder
@@ -133,8 +132,9 @@ class GrowingArray:
             )
 
 
-def _digest(oracle: ReluNetwork) -> str:
-    digest = hashlib.sha256(f"{oracle.negative_slope} {oracle.dense} {oracle.head!r}".encode())
+def _digest(oracle: Oracle) -> str:
+    units = f"{oracle.negative_slope} {oracle.dense}" if isinstance(oracle, ReluNetwork) else oracle.activation
+    digest = hashlib.sha256(f"{units} {oracle.head!r}".encode())
     for array in (*oracle.weights, *oracle.biases):
         digest.update(f"{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()

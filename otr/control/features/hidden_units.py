@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from otr.core.arrays import BoolArray, FloatArray
 from otr.core.network import ReluNetwork
+from otr.core.smooth_network import Oracle
 
 # Unit normals count as the same where they agree to this many decimals.
 _DECIMALS = 10
@@ -47,7 +48,7 @@ class AffineFeatures:
         return AffineFeatures(self.A[kept], self.a[kept])
 
 
-def first_layer_features(network: ReluNetwork, *, include_inputs: bool) -> AffineFeatures:
+def first_layer_features(network: Oracle, *, include_inputs: bool) -> AffineFeatures:
     """Return x (d), where included, and z_1 = W_1 x + b_1 (n_1)."""
     first = AffineFeatures(network.weights[0], network.biases[0])
     d = network.n_inputs

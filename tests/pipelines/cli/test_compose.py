@@ -12,7 +12,7 @@ from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.methods import METHODS
 
 METHOD_DEPTHS = {name: "depth=[3,3]" if name == "cdt" else "depth=0" if name == "linear" else "depth=4"
-                 for name in METHODS if name != "program"}  # fmt: skip
+                 for name in METHODS if name not in ("program", "model")}  # fmt: skip
 
 
 def alone(workflow, overrides):

@@ -50,7 +50,7 @@ def test_the_programs_of_figure_4_2_return_what_the_thesis_says(tmp_path, name, 
     assert (summary["n_episodes"], summary["n_leaves"], summary["depth"]) == (100, 2, 1)
     assert list(summary["policies"]) == ["tree", "pruned_tree"]
     assert (summary["program"], summary["algorithm"], summary["trainer"]) == (name, "none", "none")
-    assert (run_dir / "parse/source.txt").read_text() == read_program(name)
+    assert (run_dir / "parse/source.txt").read_text() == read_program(name, MOUNTAIN_CAR)
     for told in (f"depth 1, program {name}, seed 0", "return clip(", "2 leaves reached"):
         assert told in done.stdout
 
@@ -195,13 +195,13 @@ def test_labels_are_the_actions_names():
 def test_shipped_programs_are_listed_and_fit_their_environments():
     assert shipped_programs() == ["mountaincar", "mountaincar_simplified"]
     for name in shipped_programs():
-        text = read_program(name)
+        text = read_program(name, MOUNTAIN_CAR)
         assert text.startswith("# env=mountaincar")
         assert policy_tree(text, MOUNTAIN_CAR, name).n_leaves == 2
 
 
 def test_what_a_run_prints_is_read_again():
-    tree = policy_tree(read_program("mountaincar"), MOUNTAIN_CAR, "p")
+    tree = policy_tree(read_program("mountaincar", MOUNTAIN_CAR), MOUNTAIN_CAR, "p")
     again = policy_tree(program_text(tree, MOUNTAIN_CAR), MOUNTAIN_CAR, "p")
     assert again.head == tree.head
     np.testing.assert_allclose(again.c, tree.c, rtol=1e-3)

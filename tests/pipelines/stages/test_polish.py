@@ -131,9 +131,9 @@ def test_a_mapped_tree_is_polished_as_its_network_proved_and_exported(command, r
 def test_keys_of_certify_and_simplify_without_polish_are_as_they_were():
     for method, config in METHODS.items():
         plain, polished = stages_of(method), stages_of(method, polished=True)
-        assert plain["certify"].inputs == ("train", "map") and plain["simplify"].inputs == ("prune",)
+        assert plain["certify"].inputs == (config.actor_stage, "map") and plain["simplify"].inputs == ("prune",)
         assert polished["certify"].inputs == polished["simplify"].inputs == ("polish",)
-        assert plain["polish"].inputs == (("train", "prune") if config.is_mapped else ("prune",))
+        assert plain["polish"].inputs == ((config.actor_stage, "prune") if config.is_mapped else ("prune",))
         assert list(plain)[-3:] == ["polish", "certify", "simplify"]
         for name in ("certify", "simplify"):
             assert (plain[name].settings, plain[name].version) == (polished[name].settings, polished[name].version)

@@ -1,0 +1,83 @@
+"""Networks with smooth units, such as tanh: no tree is equal to one, but a tree can imitate it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import erf, expit
+
+from otr.core.arrays import FloatArray, as_states
+from otr.core.domain import Domain
+from otr.core.head import Head
+from otr.core.network import ReluNetwork
+from otr.errors import InvalidNetworkError
+
+ACTIVATIONS: dict[str, Callable[[FloatArray], FloatArray]] = {
+    "tanh": np.tanh,
+    "sigmoid": expit,
+    "silu": lambda z: z * expit(z),
+    "elu": lambda z: np.where(z > 0, z, np.expm1(np.minimum(z, 0))),
+    "gelu": lambda z: 0.5 * z * (1 + erf(z / np.sqrt(2))),
+}
+
+
+class SmoothNetwork:
+    """A network of affine layers with a smooth activation between them, as an oracle: y(x), and the head's answer.
+
+    Attributes:
+        weights, biases: of the layers, (n_out, n_in) and (n_out,).
+        activation: one of ACTIVATIONS.
+        head: from the outputs to the answer.
+        domain: the box of states on which the network is the policy that it was read from; None for all.
+    """
+
+    def __init__(
+        self,
+        weights: Sequence[ArrayLike],
+        biases: Sequence[ArrayLike],
+        *,
+        activation: str,
+        head: Head | None = None,
+        domain: Domain | None = None,
+    ) -> None:
+        """Copy and check the arrays.
+
+        Raises:
+            InvalidNetworkError: as `ReluNetwork` does, or the activation is none of ACTIVATIONS.
+        """
+        if activation not in ACTIVATIONS:
+            raise InvalidNetworkError(f"the activation is {activation!r}, expected one of {', '.join(ACTIVATIONS)}")
+        layers = ReluNetwork(weights, biases, head=head, domain=domain)
+        self._layers = layers
+        self.weights, self.biases, self.head, self.domain = layers.weights, layers.biases, layers.head, layers.domain
+        self.n_inputs, self.n_outputs, self.hidden_widths = layers.n_inputs, layers.n_outputs, layers.hidden_widths
+        self.activation = activation
+
+    def forward(self, X: ArrayLike) -> FloatArray:
+        """Return the affine outputs y: (n, o) for states (n, d), (o,) for one state (d,)."""
+        a = as_states(X, self.n_inputs)
+        for W, b in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            a = ACTIVATIONS[self.activation](a @ W.T + b)
+        return np.asarray(a @ self.weights[-1].T + self.biases[-1])
+
+    def predict(self, X: ArrayLike) -> NDArray[Any]:
+        """Return the head's answers: (n, o) values or (n,) labels; without the first axis for one state."""
+        return self.head(self.forward(X))
+
+    def fold_input_normalisation(self, mean: ArrayLike, scale: ArrayLike) -> SmoothNetwork:
+        """Return the network that answers on raw x as this one does on (x - mean) / scale; see `ReluNetwork`."""
+        folded = self._layers.fold_input_normalisation(mean, scale)
+        return SmoothNetwork(
+            folded.weights, folded.biases, activation=self.activation, head=self.head, domain=folded.domain
+        )
+
+    def replace(self, **changes: Any) -> SmoothNetwork:
+        """Return the same network with another head or domain."""
+        arguments = {"activation": self.activation, "head": self.head, "domain": self.domain, **changes}
+        return SmoothNetwork(self.weights, self.biases, **arguments)
+
+
+Oracle = ReluNetwork | SmoothNetwork  # what a tree can imitate

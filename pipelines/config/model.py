@@ -1,0 +1,13 @@
+"""A policy that was trained elsewhere, as the command line has read it."""
+
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class ImportedModel:
+    """A policy, the name of the file that it came from, and the sha256 of what was read."""
+
+    policy: Any  # otr.ReluNetwork, or an oracle that is none (otr.importers.SmoothNetwork)
+    name: str
+    sha256: str

@@ -1,0 +1,110 @@
+"""Stage import: a policy that was trained elsewhere, as a network that acts in the run's environment."""
+
+import hashlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import otr
+from otr.core.smooth_network import Oracle
+from otr.importers import oracle_from_sb3
+from pipelines.config.env import EnvConfig
+from pipelines.config.model import ImportedModel
+from pipelines.config.run import RunConfig
+from pipelines.engine.stage import Stage
+from pipelines.engine.store import write_files, write_json
+from pipelines.errors import ConfigError
+from pipelines.play.actor_files import actor_files
+from pipelines.play.environments import Spaces, spaces
+
+IN_PYTHON = (
+    "read it in Python, which gives a file that does: otr.save(otr.PatternTree(otr.from_torch(module)), "
+    '"policy.json"), or otr.from_sklearn, or an ONNX file'
+)
+
+
+def import_settings(config: RunConfig) -> dict[str, Any]:
+    """Return what decides the network: the files, and the environment, whose actions its answers are clipped to."""
+    assert config.imported is not None
+    return {"env": config.env.settings(), "model_sha256": config.imported.sha256}
+
+
+def import_policy(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
+    """Write the network as a trained actor is, and `report.json`, which names the file that it came from."""
+    assert config.imported is not None
+    network = config.imported.policy
+    write_files(actor_files(network), out)
+    widths = [int(width) for width in network.hidden_widths]
+    write_json(out / "report.json", {"model": config.imported.name, "hidden_widths": widths})
+
+
+def read_model(model: str, vec_normalize: str | None, env: EnvConfig) -> ImportedModel:
+    """Return the policy in a file: a Stable-Baselines3 zip, an ONNX model, or a pattern tree saved by `otr.save`.
+
+    Args:
+        model: path of the file; a zip's suffix may be left out.
+        vec_normalize: path of the file that VecNormalize.save wrote, for a zip whose policy was trained under one.
+        env: its observations and actions are compared with the policy's.
+
+    Raises:
+        ConfigError: there is no such file, it is of another kind, no policy can be read from it, or not for this
+            environment.
+    """
+    path = Path(model).expanduser()
+    if path.suffix == "" and not path.exists():  # Stable-Baselines3 adds the suffix where it is left out
+        path = path.with_name(f"{path.name}.zip")
+    files = [path, *([Path(vec_normalize).expanduser()] if vec_normalize else [])]
+    for file in files:
+        if not file.is_file():
+            raise ConfigError(f"{'model' if file is path else 'vec_normalize'}={file}: there is no such file")
+    reader = READERS.get(path.suffix)
+    if reader is None:
+        raise ConfigError(f"model={model}: read are {', '.join(READERS)}, not {path.suffix or 'others'}; {IN_PYTHON}")
+    if vec_normalize and path.suffix != ".zip":
+        raise ConfigError(f"vec_normalize={vec_normalize} belongs to a Stable-Baselines3 zip, not to model={model}")
+    try:
+        network = reader(path, files[1] if vec_normalize else None)
+        policy = _fitted(network, spaces(env), env)
+    except (otr.OtrError, ValueError) as error:
+        raise ConfigError(f"model={model}: {error}") from error
+    sha256 = hashlib.sha256(b"".join(hashlib.sha256(file.read_bytes()).digest() for file in files)).hexdigest()
+    return ImportedModel(policy, path.name, sha256)
+
+
+def _of_tree(path: Path, _: Path | None) -> Oracle:
+    tree = otr.load(path)
+    if isinstance(tree, otr.PatternTree):
+        return tree.network
+    raise ValueError(f"it holds a tree of {tree.n_leaves} leaves, which stands for no network")
+
+
+READERS: dict[str, Callable[[Path, Path | None], Oracle]] = {
+    ".zip": lambda path, statistics: oracle_from_sb3(path, vec_normalize=statistics),
+    ".onnx": lambda path, _: otr.from_onnx(path),
+    ".json": _of_tree,
+    ".npz": _of_tree,
+}
+
+
+def _fitted(network: Oracle, space: Spaces, env: EnvConfig) -> Oracle:
+    """Return the network with a head that answers with the environment's actions; ConfigError where it cannot."""
+    if network.n_inputs != space.n_inputs:
+        raise ValueError(
+            f"the policy reads {network.n_inputs} numbers, the observations of {env.id} have {space.n_inputs}"
+        )
+    head = network.head
+    if space.box is not None:
+        head = head if head.gives_labels else head.clipped_to(*space.box)
+    elif isinstance(head, otr.Identity):  # real numbers, of which the largest one's label is the action
+        head = otr.Argmax()
+    if head.gives_labels is not (space.box is None):
+        kinds = ("real numbers", "labels")
+        ours, theirs = kinds[head.gives_labels], kinds[space.box is None]
+        raise ValueError(f"the policy answers with {ours}, the actions of {env.id} are {theirs}")
+    n_answers = (head.n_labels if head.gives_labels else head.n_answers)(network.n_outputs)
+    if n_answers != space.n_actions:
+        raise ValueError(f"the policy has {n_answers} actions, {env.id} has {space.n_actions}")
+    return network.replace(head=head)
+
+
+IMPORT = Stage("import", version=1, inputs=(), settings=import_settings, run=import_policy)

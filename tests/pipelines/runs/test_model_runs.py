@@ -1,0 +1,175 @@
+"""Policies from elsewhere, from a Stable-Baselines3 zip, an ONNX file or a saved network or tree to a run's summary."""
+
+import json
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from onnx import TensorProto, helper, numpy_helper
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+import otr
+from pipelines.cli.overrides import with_path_quoted
+from pipelines.cli.runs import RUN
+from pipelines.config.env import EnvConfig
+from pipelines.errors import ConfigError
+from pipelines.play.actor_files import load_actor, load_oracle_network
+from pipelines.stages.import_model import read_model
+from tests.pipelines.conftest import PENDULUM, otr_command
+
+CART_POLE = EnvConfig("CartPole-v1", "discrete", "CartPole-v1")
+SMOKE = ("env=CartPole-v1", "budget=smoke", "n_workers=1")
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory):
+    """A folder with a ReLU policy and a tanh one for the cart pole, and one for the pendulum under VecNormalize."""
+    folder = tmp_path_factory.mktemp("models")
+    torch.set_num_threads(1)
+    relu = {"net_arch": [3], "activation_fn": torch.nn.ReLU}
+    PPO("MlpPolicy", "CartPole-v1", policy_kwargs=relu, n_steps=64, seed=0).learn(64).save(folder / "relu.zip")
+    tanh = PPO("MlpPolicy", "CartPole-v1", policy_kwargs={"net_arch": [5, 5]}, n_steps=256, seed=0).learn(512)
+    tanh.save(folder / "tanh.zip")
+    envs = VecNormalize(DummyVecEnv([lambda: gym.make("Pendulum-v1")]))
+    PPO("MlpPolicy", envs, policy_kwargs=relu, n_steps=64, seed=0).learn(64).save(folder / "pendulum.zip")
+    envs.save(folder / "statistics.pkl")
+    return folder
+
+
+def jobs(*words):
+    multirun = "-m" in words
+    return RUN.jobs(RUN.expand([with_path_quoted(word) for word in words if word != "-m"], multirun))
+
+
+def test_a_zip_is_a_run_like_others(models):
+    names = ("env.feature_names=[x,v,angle,rate]", "env.action_names=[left,right]")
+    words = (*SMOKE, "model=relu.zip", "certify=true", "polish=true", *names)
+    done = otr_command("otr-run", *words, cwd=models)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (run,) = models.glob("results/runs/CartPole-v1/model/depth-3/smoke/seed-0~*")
+    summary = json.loads((run / "summary.json").read_text())
+    told = [summary[name] for name in ("model", "algorithm", "trainer", "steps")]
+    assert told == ["relu.zip", "none", "none", 0]
+    assert summary["certify"]["certified"] and list(summary["seconds"])[:2] == ["import", "map"]
+    assert "model relu.zip, seed 0" in done.stdout
+    assert " rate" in (run / "prune/program.txt").read_text()
+    states = np.random.default_rng(0).normal(size=(500, 4))
+    theirs = PPO.load(models / "relu.zip").predict(states, deterministic=True)[0]
+    np.testing.assert_array_equal(load_actor(run / "import").predict(states), theirs)
+    np.testing.assert_array_equal(otr.load(run / "map/tree").predict(states), theirs)
+    assert otr_command("otr-run", *words, cwd=models).stdout.count("done before") == 6
+    verified = otr_command("otr-verify", f"run={run}", cwd=models)
+    assert verified.returncode == 0 and verified.stdout.startswith("verified:"), verified.stderr
+    exported = otr_command("otr-export", f"run={run}", "format=c", "tree=compact", cwd=models)
+    assert "A network of 3 hidden neurons" in exported.stdout, exported.stderr
+
+
+def test_the_file_decides_the_run(models, tmp_path):
+    (tmp_path / "same one.zip").write_bytes((models / "relu.zip").read_bytes())
+    network = otr.from_sb3(models / "relu.zip")
+    otr.save(otr.PatternTree(network.replace(biases=[2 * bias for bias in network.biases])), tmp_path / "other")
+    paths = (models / "relu.zip", models / "relu", tmp_path / "same one.zip", tmp_path / "other.json")
+    one, without_suffix, same, other = (jobs(*SMOKE, f"model={path}")[0].folder for path in paths)
+    assert one == same == without_suffix != other
+    assert one.startswith("runs/CartPole-v1/model/depth-3/smoke/seed-0~")
+
+
+def test_statistics_are_folded_in(models):
+    read = read_model(str(models / "pendulum.zip"), str(models / "statistics.pkl"), PENDULUM)
+    raw = read_model(str(models / "pendulum.zip"), None, PENDULUM)
+    assert read.sha256 != raw.sha256
+    envs = VecNormalize.load(str(models / "statistics.pkl"), DummyVecEnv([lambda: gym.make("Pendulum-v1")]))
+    states = np.random.default_rng(0).normal(scale=0.5, size=(100, 3)).astype(np.float32)
+    theirs = PPO.load(models / "pendulum.zip").predict(envs.normalize_obs(states), deterministic=True)[0]
+    np.testing.assert_allclose(read.policy.predict(states), theirs, atol=1e-5)
+    assert np.abs(raw.policy.predict(states) - theirs).max() > 1e-3
+
+
+def test_saved_networks_and_onnx_files(models):
+    network = otr.from_sb3(models / "relu.zip").replace(head=otr.Identity())
+    otr.save(otr.PatternTree(network), models / "network.json")
+    states = np.random.default_rng(1).normal(size=(200, 4))
+    expected = network.forward(states).argmax(axis=1)
+    arrays = {name: numpy_helper.from_array(array, name) for name, array in zip(
+        "WbVc", (network.weights[0], network.biases[0], network.weights[1], network.biases[1]), strict=True
+    )}  # fmt: skip
+    nodes = [
+        helper.make_node("Gemm", ["x", "W", "b"], ["z"], transB=1),
+        helper.make_node("Relu", ["z"], ["h"]),
+        helper.make_node("Gemm", ["h", "V", "c"], ["y"], transB=1),
+    ]
+    x, y = (helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["n", d]) for name, d in (("x", 4), ("y", 2)))
+    graph = helper.make_graph(nodes, "policy", [x], [y], list(arrays.values()))
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    (models / "network.onnx").write_bytes(model.SerializeToString())
+    for name in ("network.json", "network.npz", "network.onnx"):
+        np.testing.assert_array_equal(read_model(str(models / name), None, CART_POLE).policy.predict(states), expected)
+
+
+def test_a_saved_tree_is_a_program(models):
+    tree = otr.map_network(otr.from_sb3(models / "relu.zip"))
+    otr.save(tree, models / "tree.json")
+    done = otr_command("otr-run", *SMOKE, "model=tree.json", cwd=models)
+    assert done.returncode == 0, done.stderr
+    (run,) = models.glob("results/runs/CartPole-v1/program/*/smoke/seed-0~*")
+    states = np.random.default_rng(2).normal(size=(500, 4))
+    np.testing.assert_array_equal(otr.load(run / "parse/tree").predict(states), tree.predict(states))
+    with pytest.raises(ConfigError, match=r"the tree reads 4 numbers and has 2 actions, Acrobot-v1 has 6 and 3"):
+        jobs("env=Acrobot-v1", f"model={models / 'tree.json'}")
+
+
+def test_a_tanh_policy_is_an_oracle(models):
+    words = ("method=augtree", "oracle=tanh.zip", "depth=3")
+    refused = otr_command("otr-run", *SMOKE, "model=tanh.zip", cwd=models)
+    assert refused.returncode == 2 and refused.stdout == ""
+    assert refused.stderr.endswith("  otr-run env=CartPole-v1 method=augtree oracle=tanh.zip depth=4\n")
+    done = otr_command("otr-run", *SMOKE, *words, cwd=models)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (run,) = models.glob("results/runs/CartPole-v1/augtree/depth-3/smoke/seed-0~*")
+    (imported,) = models.glob("results/runs/CartPole-v1/model/depth-5-5/smoke/seed-0~*")
+    states = np.random.default_rng(3).normal(size=(500, 4))
+    theirs = PPO.load(models / "tanh.zip").predict(states, deterministic=True)[0]
+    np.testing.assert_array_equal(load_oracle_network(imported / "import").predict(states), theirs)
+    summary = json.loads((run / "summary.json").read_text())
+    assert (summary["model"], summary["trainer"]) == ("tanh.zip", "none")
+    assert summary["oracle"]["hidden_widths"] == [5, 5] and "oracle" in summary["policies"]
+    plan = otr_command("otr-plan", "-m", *SMOKE, "method=viper,ndps", *words[1:], cwd=models, COLUMNS="200")
+    assert plan.stdout.count("is there") == 2, plan.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("model=nosuch.zip",), "model=nosuch.zip: there is no such file"),
+        (("method=model",), "method=model: which model"),
+        (("model={}/statistics.pkl",), "read are .zip, .onnx, .json, .npz, not .pkl; read it in Python"),
+        (("model={}/pendulum.zip",), "the policy reads 3 numbers, the observations of CartPole-v1 have 4"),
+        (("model={}/relu.zip", "vec_normalize={}/gone.pkl"), "vec_normalize=.*gone.pkl: there is no such file"),
+        (("model={}/relu.zip", "vec_normalize={}/statistics.pkl"), "3 means and 3 variances, the network has 4"),
+        (("model={}/relu.zip", "method=otr"), "is imported by method=model, not by method=otr"),
+        (("model={}/relu.zip", "depth=3"), "depth is the model's own; leave depth=3 out"),
+        (("model={}/relu.zip", "stages=[train]"), "no stage 'train'; it has import, map"),
+        (("oracle={}/tanh.zip",), "who is to imitate it. Add method=viper or"),
+        (("oracle={}/tanh.zip", "method=sdt"), "who is to imitate it"),
+        (("model={}/tanh.zip", "method=viper", "oracle=[8]"), "leave oracle=.8. out"),
+        (("oracle={}/tanh.zip", "method=augtree", "method.features=deep"), "units of .* are tanh, which has none"),
+        (("method=viper", "vec_normalize={}/statistics.pkl"), "method=viper: which model"),
+    ],
+)
+def test_words_that_are_refused(models, words, told):
+    with pytest.raises(ConfigError, match=told):
+        jobs("env=CartPole-v1", *(word.format(models) for word in words))
+
+
+def test_a_model_of_other_actions(models):
+    network = otr.ReluNetwork([np.ones((1, 2))], [np.zeros(1)], head=otr.ClipBox(-1, 1))
+    otr.save(otr.PatternTree(network), models / "force.json")
+    labels = EnvConfig("p", "discrete", "tests.pipelines.own_envs:PushOrPull-v0")
+    with pytest.raises(ConfigError, match=r"the policy answers with real numbers, the actions of .* are labels"):
+        read_model(str(models / "force.json"), None, labels)
+    otr.save(otr.PatternTree(network.replace(head=otr.Sign())), models / "sign.json")
+    assert read_model(str(models / "sign.json"), None, labels).policy.predict([[1.0, 0.0]]).tolist() == [1]
+    with pytest.raises(ConfigError, match=r"the policy answers with labels, the actions of .* are real numbers"):
+        read_model(str(models / "sign.json"), None, EnvConfig("c", "continuous", "tests.pipelines.own_envs:Cart-v0"))

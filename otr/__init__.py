@@ -18,6 +18,7 @@ from otr.extras import lazy_exports
 # The alias says to type checkers that the name is public.
 # isort: off
 if TYPE_CHECKING:
+    from otr.control.rollout import Rollout as Rollout, evaluate as evaluate, rollout as rollout
     from otr.control.search.direct_search import SearchSettings as SearchSettings
     from otr.control.search.polish import polish as polish
     from otr.core.domain import Domain as Domain
@@ -83,6 +84,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _NAMES_OF_MODULES = {
+    "control.rollout": "Rollout evaluate rollout",
     "control.search.direct_search": "SearchSettings",
     "control.search.polish": "polish",
     "core.domain": "Domain",

@@ -14,7 +14,7 @@ from otr.extras import naming_the_extra
 
 ASKED = """
 import sys
-sys.modules.update(dict.fromkeys(["joblib", "matplotlib", "onnx", "sklearn", "torch"]))
+sys.modules.update(dict.fromkeys(["gymnasium", "joblib", "matplotlib", "onnx", "sklearn", "torch"]))
 import json
 import numpy as np
 import otr
@@ -27,6 +27,8 @@ calls = {
     "otr.from_sb3": lambda: otr.from_sb3(sys.argv[1]),
     "otr.from_sklearn": lambda: otr.from_sklearn(None),
     "otr.from_onnx": lambda: otr.from_onnx(b""),
+    "otr.rollout": lambda: otr.rollout("CartPole-v1", tree),
+    "otr.evaluate": lambda: otr.evaluate("CartPole-v1", tree),
     "otr.to_onnx": lambda: otr.to_onnx(tree),
     "otr.draw_tree": lambda: otr.draw_tree(tree),
     "otr.save_picture": lambda: otr.save_picture(None, "tree.svg"),
@@ -67,6 +69,8 @@ def errors(tmp_path_factory):
         ("otr.from_sklearn", "scikit-learn", "learn"),
         ("otr.from_onnx", "onnx", "onnx"),
         ("otr.to_onnx", "onnx", "onnx"),
+        ("otr.rollout", "gymnasium", "run"),
+        ("otr.evaluate", "gymnasium", "run"),
         ("otr.draw_tree", "matplotlib", "plots"),
         ("otr.save_picture", "matplotlib", "plots"),
         ("otr.learners.CARTClassifier", "scikit-learn", "learn"),

@@ -29,6 +29,7 @@ SCHEMA = "otr/tree/1"
 
 Arrays = dict[str, NDArray[Any]]
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+_TREE_NAMES = ("feature_names", "output_names")
 _TREE_ARRAYS = ("children_left", "children_right", "P", "v", "M", "c")
 
 
@@ -99,12 +100,15 @@ def _describe_tree(tree: ObliqueTree) -> tuple[dict[str, Any], Arrays]:
     arrays: Arrays = {name: getattr(tree, name) for name in _TREE_ARRAYS}
     if tree.labels is not None:
         arrays["labels"] = tree.labels
-    return {"kind": "oblique_tree", "head": tree.head.to_dict()}, arrays
+    names = {name: list(getattr(tree, name)) for name in _TREE_NAMES if getattr(tree, name) is not None}
+    return {"kind": "oblique_tree", "head": tree.head.to_dict(), **names}, arrays
 
 
 def _restore_tree(description: dict[str, Any], arrays: Arrays) -> ObliqueTree:
     core = (arrays[name] for name in _TREE_ARRAYS)
-    return ObliqueTree(*core, labels=arrays.get("labels"), head=head_from_dict(_field(description, "head", dict)))
+    names = {name: _field(description, name, list) for name in _TREE_NAMES if name in description}
+    head = head_from_dict(_field(description, "head", dict))
+    return ObliqueTree(*core, labels=arrays.get("labels"), head=head, **names)
 
 
 def _describe_pattern_tree(tree: PatternTree) -> tuple[dict[str, Any], Arrays]:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Sequence
 from functools import cached_property
+from reprlib import repr as shortened
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -45,6 +47,8 @@ class ObliqueTree:
             None. `P` and `M` are worked out when they are asked for.
         P_of_basis, M_of_basis: (n_nodes, r) and (n_leaves, o, r), tests and maps of ``basis @ x``; P and M without one.
         head: from a leaf's value to the answer.
+        feature_names, output_names: of the inputs, and of the outputs or labels, which programs and pictures show where
+            they are given no others; None for none.
     """
 
     def __init__(
@@ -59,6 +63,8 @@ class ObliqueTree:
         labels: ArrayLike | None = None,
         head: Head | None = None,
         basis: ArrayLike | None = None,
+        feature_names: Sequence[str] | None = None,
+        output_names: Sequence[str] | None = None,
     ) -> None:
         """Keep the arrays, uncopied where they already are float64 or int64 and contiguous, and check them.
 
@@ -76,6 +82,8 @@ class ObliqueTree:
         self.c: FloatArray = _array(c, np.float64)
         self.labels: IntArray | None = None if labels is None else _array(labels, np.int64)
         self.head: Head = Identity() if head is None else head
+        self.feature_names = None if feature_names is None else tuple(feature_names)
+        self.output_names = None if output_names is None else tuple(output_names)
         self.check()
 
     @cached_property
@@ -118,10 +126,24 @@ class ObliqueTree:
         """Number of affine outputs o."""
         return int(self.M_of_basis.shape[1])
 
+    @property
+    def n_answers(self) -> int:
+        """Number of labels, or of values in an answer."""
+        count = self.head.n_answers if self.labels is None else self.head.n_labels
+        return count(self.n_outputs)
+
     @cached_property
     def depth(self) -> int:
         """Number of tests on the longest path."""
         return len(self.levels)
+
+    def get_depth(self) -> int:
+        """Return `depth`, under scikit-learn's name."""
+        return self.depth
+
+    def get_n_leaves(self) -> int:
+        """Return `n_leaves`, under scikit-learn's name."""
+        return self.n_leaves
 
     @cached_property
     def levels(self) -> tuple[IntArray, ...]:
@@ -187,7 +209,8 @@ class ObliqueTree:
     def replace(self, **changes: Any) -> ObliqueTree:
         """Return the tree with other arrays or another head, checked like any tree, and all else as it is.
 
-        ``tree.replace(c=2 * tree.c)`` doubles the leaves' offsets.
+        ``tree.replace(c=2 * tree.c)`` doubles the leaves' offsets. Names stay while there are as many as inputs, or
+        answers.
 
         Args:
             changes: the constructor's arguments by name. `P` and `M` are given in the inputs, as the attributes of
@@ -209,7 +232,12 @@ class ObliqueTree:
             "head": self.head,
             "basis": self.basis if keeps_basis else None,
         }
-        return ObliqueTree(**fields | changes)
+        changed = ObliqueTree(**fields | changes)
+        for name, n in (("feature_names", changed.n_inputs), ("output_names", changed.n_answers)):
+            own = getattr(self, name)
+            if name not in changes and own is not None and len(own) == n:
+                setattr(changed, name, own)
+        return changed
 
     def compose(self, A: FloatArray, a: FloatArray) -> ObliqueTree:
         """Return the tree that answers on x as this one does on the features A x + a.
@@ -222,7 +250,8 @@ class ObliqueTree:
         Raises:
             ValueError: A or a is of another shape.
         """
-        return self.replace(P=self.P @ A, v=self.v + self.P @ a, M=self.M @ A, c=self.c + self.M @ a)
+        P, M = self.P @ A, self.M @ A
+        return self.replace(P=P, v=self.v + self.P @ a, M=M, c=self.c + self.M @ a, feature_names=None)
 
     def check(self) -> None:
         """Verify the invariants in the class's docstring.
@@ -285,6 +314,10 @@ class ObliqueTree:
         if n_leaves == 0 or o == 0:
             raise InvalidTreeError(f"a tree needs at least one leaf and one output, got {n_leaves} and {o}")
         self.head.check(o)
+        for name, n in (("feature_names", self.n_inputs), ("output_names", self.n_answers)):
+            given = getattr(self, name)
+            if given is not None and (len(given) != n or not all(isinstance(one, str) for one in given)):
+                raise InvalidTreeError(f"{name} is {shortened(given)}, expected {n} texts")
 
     def __repr__(self) -> str:
         return (

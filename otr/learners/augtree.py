@@ -129,7 +129,7 @@ class AugTreeClassifier(_AugTree, GrownClassifier):
             max_leaf_nodes=self.max_leaf_nodes,
             random_state=random_state,
         )
-        self.tree_ = from_sklearn_tree(cart.fit(X @ A.T + a, labels)).compose(A, a)
+        self.tree_ = self._named(from_sklearn_tree(cart.fit(X @ A.T + a, labels)).compose(A, a))
         return self
 
 
@@ -197,5 +197,5 @@ class AugTreeRegressor(_AugTree, GrownRegressor):
             tree = LinearModelTreeRegressor(**options).fit(features, targets).tree_
         else:
             tree = from_sklearn_tree(DecisionTreeRegressor(**options).fit(features, targets))
-        self.tree_ = tree.compose(A, a)
+        self.tree_ = self._named(tree.compose(A, a))
         return self

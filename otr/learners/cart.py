@@ -12,6 +12,7 @@ from sklearn.utils.validation import check_is_fitted
 from otr.core.tree import ObliqueTree
 from otr.learners.base.parameters import Constraints, some_of
 from otr.learners.base.single_tree import GrownClassifier, GrownRegressor, class_tree
+from otr.learners.base.tree_answers import with_names_of
 
 
 def from_sklearn_tree(model: BaseDecisionTree) -> ObliqueTree:
@@ -21,7 +22,7 @@ def from_sklearn_tree(model: BaseDecisionTree) -> ObliqueTree:
     `predict_proba`), and its label is a position in ``model.classes_``; a regressor's holds the values of its outputs.
     scikit-learn rounds inputs to float32 before it tests them and the tree does not: the two answer alike wherever
     that rounding crosses no threshold, so on everything that float32 can hold. Rules for missing values (NaN), which
-    no `ObliqueTree` takes, are left out.
+    no `ObliqueTree` takes, are left out. The names of columns and classes go with the tree.
 
     Args:
         model: the fitted tree; an `ExtraTree` is one, too.
@@ -49,7 +50,7 @@ def from_sklearn_tree(model: BaseDecisionTree) -> ObliqueTree:
     values = values[:, 0, :] if is_classifier else values[:, :, 0]
     left, right = reference[source.children_left[nodes]], reference[source.children_right[nodes]]
     tree = ObliqueTree(left, right, P, -source.threshold[nodes], np.zeros((*values.shape, n_inputs)), values)
-    return class_tree(tree, values) if is_classifier else tree
+    return with_names_of(model, class_tree(tree, values) if is_classifier else tree)
 
 
 class _Cart:
@@ -92,7 +93,8 @@ class CARTClassifier(_Cart, GrownClassifier):
     def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> CARTClassifier:
         """Fit on X (n, d) and classes y (n,); `sample_weight` (n,) counts a row as that many."""
         X, labels = self._checked_fit(X, y)
-        self.tree_ = from_sklearn_tree(DecisionTreeClassifier(**self.get_params()).fit(X, labels, sample_weight))
+        cart = DecisionTreeClassifier(**self.get_params()).fit(X, labels, sample_weight)
+        self.tree_ = self._named(from_sklearn_tree(cart))
         return self
 
 
@@ -112,5 +114,6 @@ class CARTRegressor(_Cart, GrownRegressor):
     def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> CARTRegressor:
         """Fit on X (n, d) and targets y, (n,) or (n, o); `sample_weight` (n,) counts a row as that many."""
         X, targets = self._checked_fit(X, y)
-        self.tree_ = from_sklearn_tree(DecisionTreeRegressor(**self.get_params()).fit(X, targets, sample_weight))
+        cart = DecisionTreeRegressor(**self.get_params()).fit(X, targets, sample_weight)
+        self.tree_ = self._named(from_sklearn_tree(cart))
         return self

@@ -152,7 +152,7 @@ class HHCARTClassifier(_Hhcart, GrownClassifier):
         groups = [labels == k for k in range(len(self.classes_))]
         Y = one_hot[:, :1] if len(self.classes_) == 2 else one_hot  # for two classes, half of it says it all
         tree = _Grower(X, Y, groups, self).tree(one_hot)
-        self.tree_ = class_tree(tree, tree.c)
+        self.tree_ = self._named(class_tree(tree, tree.c))
         return self
 
 
@@ -178,5 +178,5 @@ class HHCARTRegressor(_Hhcart, GrownRegressor):
         scale = targets.std(axis=0)
         Y = (targets - targets.mean(axis=0)) / np.where(scale > 0, scale, 1.0)
         everyone = [np.ones(len(X), dtype=np.bool_)]
-        self.tree_ = _Grower(X, Y, everyone, self).tree(targets)
+        self.tree_ = self._named(_Grower(X, Y, everyone, self).tree(targets))
         return self

@@ -26,7 +26,7 @@ class _LinearLearner(TreeLearner):
             # Back to inputs and targets as they were before standardising.
             W = W * y_scale / problem.scale
             trees.append(_one_leaf(W, b * y_scale + y_mean - W @ problem.mean, head))
-        self.trees_ = list(trees)
+        self.trees_ = [self._named(tree) for tree in trees]
 
     @abstractmethod
     def _fit_linear(self, X: FloatArray, y: FloatArray, loss: str) -> tuple[FloatArray, FloatArray, Head]:

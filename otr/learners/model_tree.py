@@ -90,7 +90,7 @@ class LinearModelTreeRegressor(GrownRegressor):
             return np.sort(random_state.choice(features, self.max_features, replace=False))
 
         tests, M, c = grow_models(X, X, targets, self, drawn)
-        self.tree_ = tests.with_leaves(c, M)
+        self.tree_ = self._named(tests.with_leaves(c, M))
         return self
 
 

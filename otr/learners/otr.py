@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import ClassVar, Literal
 
 import numpy as np
 
+from otr.core.arrays import FloatArray
 from otr.core.mapping import map_network
 from otr.core.network import ReluNetwork
 from otr.core.pattern_tree import PatternTree
@@ -27,14 +29,19 @@ from otr.learners.networks.batched_mlp import MlpSettings
 from otr.learners.networks.batched_training import Schedule
 from otr.learners.networks.labels_and_seeds import TrainedNetworks, train_many
 
+# Without `epochs`: fewer steps leave small data sets far from fitted (docs/decisions/supervised.md).
+_LEAST_STEPS, _LEAST_EPOCHS = 1000, 30
+
 
 class _OTRLearner(NetworkLearner):
     networks_: list[ReluNetwork]
 
     _parameter_constraints: ClassVar[Constraints] = {
         **some_of(MlpSettings, "hidden", "dense", "negative_slope", "shared", "input_dropout", "hidden_dropout"),
-        **some_of(Schedule, "epochs", "batch_size", "learning_rate", "momentum", "decay_every"),
+        **some_of(Schedule, "batch_size", "learning_rate", "momentum"),
         **some_of(Schedule, "l1", "l2", "averaging", "common_epoch"),
+        "epochs": [AT_LEAST_1, None],
+        "decay_every": [AT_LEAST_1, None],
         "drop_below": [NOT_NEGATIVE],
         "teacher": [Teacher, None],
         "standardize": STANDARDIZE,
@@ -44,7 +51,7 @@ class _OTRLearner(NetworkLearner):
 
     def __init__(
         self,
-        hidden: Sequence[int] = (8, 8),
+        hidden: Sequence[int] = (8,),
         *,
         dense: bool | Literal["input", "all"] = False,
         negative_slope: float = 0.0,
@@ -57,11 +64,11 @@ class _OTRLearner(NetworkLearner):
         averaging: float = 0.0,
         common_epoch: bool = False,
         teacher: Teacher | None = None,
-        epochs: int = 30,
+        epochs: int | None = None,
         batch_size: int = 64,
         learning_rate: float = 0.1,
         momentum: float = 0.9,
-        decay_every: int = 10,
+        decay_every: int | None = None,
         standardize: bool | Literal["auto"] = "auto",
         max_leaves: int = 1024,
         random_state: int | np.random.RandomState | None = None,
@@ -88,22 +95,33 @@ class _OTRLearner(NetworkLearner):
         self.random_state = random_state
 
     def _train(self, problem: Problem, seeds: Sequence[int]) -> TrainedNetworks[ReluNetwork]:
+        if self.teacher is None:
+            return self._train_on(problem.X, problem.Y, seeds, problem)
+        if problem.loss != "logistic":
+            raise ValueError(f"a teacher is for binary labels, and the loss here is {problem.loss!r}")
+        taught = (distillation_set(problem.X, problem.Y, self.teacher, seed=seed) for seed in seeds)
+        return _joined([self._train_on(*rows, [seed], problem) for seed, rows in zip(seeds, taught, strict=True)])
+
+    def _train_on(
+        self, X: FloatArray, Y: FloatArray, seeds: Sequence[int], problem: Problem
+    ) -> TrainedNetworks[ReluNetwork]:
+        """Return the networks of these rows, the problem's own or a teacher's."""
         settings = MlpSettings(
             **parameters_of(self, MlpSettings),
             loss=problem.loss,
             n_classes=problem.n_classes,
-            schedule=Schedule(**parameters_of(self, Schedule)),
+            schedule=self._schedule(len(X)),
         )
-        if self.teacher is None:
-            return train_many(problem.X, problem.Y, seeds, settings, X_valid=problem.X_valid, Y_valid=problem.Y_valid)
-        if problem.loss != "logistic":
-            raise ValueError(f"a teacher is for binary labels, and the loss here is {problem.loss!r}")
-        return _joined([self._train_student(problem, seed, settings) for seed in seeds])
+        return train_many(X, Y, seeds, settings, X_valid=problem.X_valid, Y_valid=problem.Y_valid)
 
-    def _train_student(self, problem: Problem, seed: int, settings: MlpSettings) -> TrainedNetworks[ReluNetwork]:
-        """Return the networks that learn from the seed's own teacher."""
-        rows, targets = distillation_set(problem.X, problem.Y, self.teacher, seed=seed)
-        return train_many(rows, targets, [seed], settings, X_valid=problem.X_valid, Y_valid=problem.Y_valid)
+    def _schedule(self, n_rows: int) -> Schedule:
+        epochs, decay_every = self.epochs, self.decay_every
+        if epochs is None:
+            steps_of_an_epoch = math.ceil(n_rows / self.batch_size)
+            epochs = max(_LEAST_EPOCHS, math.ceil(_LEAST_STEPS / steps_of_an_epoch))
+        if decay_every is None:
+            decay_every = math.ceil(epochs / 3)
+        return Schedule(**parameters_of(self, Schedule) | {"epochs": epochs, "decay_every": decay_every})
 
     def _unscaled(self, network: ReluNetwork, problem: Problem, y_mean: float, y_scale: float) -> ReluNetwork:
         sparse = _without_small_weights(network, self.drop_below)
@@ -149,7 +167,9 @@ _PARAMETERS = """
         dense, negative_slope: as in `ReluNetwork`.
         shared: labels or targets share their hidden layers in training, see `MlpSettings`.
         input_dropout, hidden_dropout: share of the inputs, and of the hidden neurons, dropped in training.
-        l1, l2, averaging, common_epoch, epochs, batch_size, learning_rate, momentum, decay_every: see `Schedule`.
+        epochs: passes over the rows; None for as many as make 1,000 steps, and 30 at least.
+        decay_every: see `Schedule`; None for a third of the epochs.
+        l1, l2, averaging, common_epoch, batch_size, learning_rate, momentum: see `Schedule`.
         drop_below: weights smaller than this are set to zero after training; L1 leaves many of 1e-6 and so on.
         teacher: settings of a forest whose probabilities are trained on instead of the labels, see `Teacher` in
             `otr.learners.distillation`; for binary labels. None for the labels themselves.

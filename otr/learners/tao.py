@@ -127,7 +127,7 @@ class TAOClassifier(GrownClassifier):
         np.add.at(counts, (tree.apply(X), labels), 1.0)
         if self.leaf_values == "labels":
             counts = np.eye(len(self.classes_))[counts.argmax(axis=1)]
-        self.tree_ = class_tree(tree, counts / counts.sum(axis=1, keepdims=True))
+        self.tree_ = self._named(class_tree(tree, counts / counts.sum(axis=1, keepdims=True)))
         return self
 
     def _initial_tree(self, X: NDArray[Any], labels: IntArray, random_state: np.random.RandomState) -> ObliqueTree:

@@ -52,33 +52,44 @@ def names_for(
 def names_of(
     policy: ObliqueTree | ReluNetwork, feature_names: Sequence[str] | None, output_names: Sequence[str] | None
 ) -> tuple[list[str], list[str]]:
-    """Return the names, as given, of a policy's inputs and of its outputs or, where it decides labels, of these.
+    """Return the names of a policy's inputs and of its outputs or, where it decides labels, of these.
 
+    These are the names given, else the tree's own, else the usual ones, each of them as it stands.
     Raise TypeError for a name that is no text, ValueError for a wrong number of names.
     """
-    # The tree that a network is decides its labels by tests.
-    labelled = policy.labels is not None if isinstance(policy, ObliqueTree) else policy.head.gives_labels
-    n_answers = (policy.head.n_labels if labelled else policy.head.n_answers)(policy.n_outputs)
-    features = _names(feature_names, policy.n_inputs, "x", "feature_names")
-    return features, _names(output_names, n_answers, "" if labelled else "y", "output_names")
+    features, answers = _usual_names(policy)
+    if isinstance(policy, ObliqueTree):
+        features, answers = list(policy.feature_names or features), list(policy.output_names or answers)
+    return _names(feature_names, features, "feature_names"), _names(output_names, answers, "output_names")
+
+
+def _usual_names(policy: ObliqueTree | ReluNetwork) -> tuple[list[str], list[str]]:
+    """Return the names of inputs and answers that have none: x0, x1, ..., and y0, y1, ... or the labels' numbers."""
+    if isinstance(policy, ObliqueTree):
+        n_answers, prefix = policy.n_answers, "y" if policy.labels is None else ""
+    else:  # the tree that a network is decides its labels by tests
+        labelled = policy.head.gives_labels
+        n_answers = (policy.head.n_labels if labelled else policy.head.n_answers)(policy.n_outputs)
+        prefix = "" if labelled else "y"
+    return [f"x{i}" for i in range(policy.n_inputs)], [f"{prefix}{i}" for i in range(n_answers)]
 
 
 def shown_names(
     policy: ObliqueTree | ReluNetwork, feature_names: Sequence[str] | None, output_names: Sequence[str] | None
 ) -> tuple[list[str], list[str]]:
     """Return the names of `names_of` in one line each; where nothing of a name prints, the one it has without names."""
-    given, usual = names_of(policy, feature_names, output_names), names_of(policy, None, None)
+    given, usual = names_of(policy, feature_names, output_names), _usual_names(policy)
     features, answers = (
         [one_line(name) or plain for name, plain in zip(*both, strict=True)] for both in zip(given, usual, strict=True)
     )
     return features, answers
 
 
-def _names(given: Sequence[str] | None, n: int, prefix: str, argument: str) -> list[str]:
+def _names(given: Sequence[str] | None, without: list[str], argument: str) -> list[str]:
     if given is None:
-        return [f"{prefix}{i}" for i in range(n)]
-    if len(given) != n:
-        raise ValueError(f"{argument} has {len(given)} names, expected {n}")
+        return without
+    if len(given) != len(without):
+        raise ValueError(f"{argument} has {len(given)} names, expected {len(without)}")
     for i, name in enumerate(given):
         if not isinstance(name, str):
             raise TypeError(f"{argument}[{i}] is {name!r} of type {type(name).__name__}, expected a str")

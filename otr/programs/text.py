@@ -33,8 +33,8 @@ def to_text(
 
     Args:
         tree: any tree.
-        feature_names: d names; x0, x1, ... if None.
-        output_names: names of the outputs, y0, y1, ... if None; in a tree with labels, names of the labels.
+        feature_names: d names; the tree's own if None, or x0, x1, ... where it has none.
+        output_names: names of the outputs, likewise, or y0, y1, ...; in a tree with labels, names of the labels.
         precision: significant digits, at least 1; 17 loses nothing.
 
     Raises:

@@ -41,12 +41,12 @@ def return_against_depth(points: pd.DataFrame, solved: float, title: str | None 
     if points.empty:
         raise ValueError("no points were given")
     styles = _styles(points["label"])
-    handles = [_legend_line(label, linewidth=1.2, **style) for label, style in styles.items()]
+    handles = [legend_line(label, linewidth=1.2, **style) for label, style in styles.items()]
     if points["oracle_mean"].notna().any():
-        handles.append(_legend_line("oracle", color=INK, linestyle=DASHES, linewidth=1))
-    handles.append(_legend_line(f"solved ({solved:g})", color=GREY, linestyle=DOTS, linewidth=1))
+        handles.append(legend_line("oracle", color=INK, linestyle=DASHES, linewidth=1))
+    handles.append(legend_line(f"solved ({solved:g})", color=GREY, linestyle=DOTS, linewidth=1))
     n_columns = min(points["panel"].nunique(), 2)
-    figure, panels = _figure(
+    figure, panels = figure_of_panels(
         points, n_columns, max(n_columns, 1.5), ("depth of the tree", "return"), share=(True, True)
     )
     for panel, (_, own) in zip(panels, points.groupby("panel", sort=False), strict=True):
@@ -54,7 +54,7 @@ def return_against_depth(points: pd.DataFrame, solved: float, title: str | None 
     panels[0].set_xticks(sorted(set(points["depth"])))
     if title:
         figure.suptitle(title, fontsize=NORMAL)
-    _set_legend(figure, handles, len(handles))
+    set_legend(figure, handles, len(handles))
     return figure
 
 
@@ -75,20 +75,22 @@ def auc_against_leaves(points: pd.DataFrame) -> Figure:
         what = f"{wrong.iloc[0].to_dict()}" if len(wrong) else "no points were given"
         raise ValueError(f"{what}; expected points with at least 1 leaf")
     styles = _styles(points["label"])
-    handles = [_legend_line(label, linestyle="none", **style) for label, style in styles.items()]
+    handles = [legend_line(label, linestyle="none", **style) for label, style in styles.items()]
     if points["published"].notna().any():
         hollow: dict[str, Any] = {"marker": "o", "markersize": 5.5 + HOLLOW_LARGER, "markerfacecolor": "none"}
-        handles.append(_legend_line("hollow: thesis", linestyle="none", markeredgecolor=GREY, **hollow))
+        handles.append(legend_line("hollow: thesis", linestyle="none", markeredgecolor=GREY, **hollow))
     if (points["leaves"] == 1).any():
-        handles.append(_legend_line("score of one leaf", color=GREY, linestyle=DASHES, linewidth=1))
+        handles.append(legend_line("score of one leaf", color=GREY, linestyle=DASHES, linewidth=1))
     n_panels = points["panel"].nunique()
     n_columns = n_panels if n_panels < 3 else 2 if n_panels == 4 else 3
     n_legend_rows = math.ceil(len(handles) / min(len(handles), 2 * n_columns))
-    figure, panels = _figure(points, n_columns, n_columns, ("leaves reached (log scale)", "test AUC"), n_legend_rows)
+    figure, panels = figure_of_panels(
+        points, n_columns, n_columns, ("leaves reached (log scale)", "test AUC"), n_legend_rows
+    )
     for panel, (_, own) in zip(panels, points.groupby("panel", sort=False), strict=True):
         _draw_scores(panel, own, styles)
     _set_ticks(panels[0], points["leaves"].max())
-    _set_legend(figure, handles, 2 * n_columns)
+    set_legend(figure, handles, 2 * n_columns)
     return figure
 
 
@@ -112,7 +114,7 @@ def return_against_cost(curves: pd.DataFrame, title: str) -> Figure:
     costs = {"steps": "environment steps", "seconds": "CPU-seconds of one core"}
     ticks = {"steps": [1.0], "seconds": [1.0, 3.0]}  # within a decade
     names = pd.DataFrame({"panel": costs.values()})
-    figure, panels = _figure(names, 2, 2, ("log scale", "return"), len(colours), share=(False, True))
+    figure, panels = figure_of_panels(names, 2, 2, ("log scale", "return"), len(colours), share=(False, True))
     for panel, cost in zip(panels, costs, strict=True):
         for label, colour in colours.items():
             _draw_curves(panel, curves[(curves["label"] == label) & (curves[cost] > 0)], cost, colour)
@@ -123,11 +125,11 @@ def return_against_cost(curves: pd.DataFrame, title: str) -> Figure:
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
         panel.set_ylim(bottom=0)
     figure.suptitle(title, fontsize=NORMAL)
-    _set_legend(figure, [_legend_line(label, color=colour, linewidth=1.8) for label, colour in colours.items()], 1)
+    set_legend(figure, [legend_line(label, color=colour, linewidth=1.8) for label, colour in colours.items()], 1)
     return figure
 
 
-def _figure(
+def figure_of_panels(
     points: pd.DataFrame,
     n_columns: int,
     width: float,
@@ -226,13 +228,15 @@ def _set_ticks(panel: Axes, most_leaves: float) -> None:
     panel.xaxis.set_minor_locator(NullLocator())
 
 
-def _legend_line(label: str, **style: Any) -> Line2D:
+def legend_line(label: str, **style: Any) -> Line2D:
+    """Return a line for a legend."""
     from matplotlib.lines import Line2D
 
     return Line2D([], [], label=label, **style)
 
 
-def _set_legend(figure: Figure, handles: list[Line2D], n_columns: int) -> None:
+def set_legend(figure: Figure, handles: list[Line2D], n_columns: int) -> None:
+    """Put a legend below the panels."""
     figure.legend(
         handles=handles, loc="outside lower center", ncols=min(n_columns, len(handles)),
         frameon=False, fontsize=SMALL, handletextpad=0.4, columnspacing=1.4,

@@ -17,13 +17,18 @@ from pipelines.report.table_4_2 import write_table_4_2
 from pipelines.report.text import page, write_tables
 
 FIGURES = ("4.6", "4.7")
+FIGURES_OF_RUNS = ("curves", "regions")  # `pipelines.report.run_figures` writes them
 ALL = ("4.2", "4.6", "4.7", "certificates", "4.1")
 
 
 def reports_of(asked: str) -> tuple[str, ...]:
     """Return the reports that `all`, a report's name, `table=NAME` or `figure=NAME` stands for."""
     kind, equals, name = asked.rpartition("=")
-    known = {"table": (*TABLES,), "figure": FIGURES, "": ("all", *TABLES, *FIGURES)}[kind]
+    known = {
+        "table": (*TABLES,),
+        "figure": (*FIGURES, *FIGURES_OF_RUNS),
+        "": ("all", *TABLES, *FIGURES, *FIGURES_OF_RUNS),
+    }[kind]
     if name not in known:
         close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
         hint = f" Did you mean {kind}{equals}{close[0]}?" if close else ""

@@ -206,18 +206,19 @@ def write_program(config: ExportConfig, program: str | bytes) -> Path:
     return path
 
 
-def policy_of(config: ExportConfig, run: RunConfig, folder: Path) -> Any:
-    """Return the tree of a run that was asked for, or the network behind it.
+def tree_of(form: str, run: RunConfig, folder: Path) -> Any:
+    """Return one of a run's trees by its name in TREES; one that is held as patterns so, and `compact` as the network.
 
     Raises:
         ConfigError: the run's method has no such tree.
-        MissingInputError: the stage that makes the tree is not finished; names the command.
+        MissingInputError: the stage that makes it is not finished; names the command.
         PipelineError: a file was changed.
     """
+    _check_name("tree", form, TREES)
     method = run.method.name
-    if config.tree == "compact" and not run.method.is_mapped:
+    if form == "compact" and not run.method.is_mapped:
         raise ConfigError(f"tree=compact: a tree of method={method} stands for no network; use tree=full")
-    if config.tree == "constant_gains" and config.tree not in run.method.forms:
+    if form == "constant_gains" and form not in run.method.forms:
         raise ConfigError(f"tree=constant_gains: gains are of method=pid, not of method={method}; use tree=pruned")
     stages = {
         "pruned": "prune",
@@ -227,19 +228,24 @@ def policy_of(config: ExportConfig, run: RunConfig, folder: Path) -> Any:
         "polished": "polish",
         "simplified": "simplify",
     }
-    stage = stages.get(config.tree, run.method.actor_stage)
+    stage = stages.get(form, run.method.actor_stage)
     if not exists(folder / stage / MANIFEST):
         extra = f" {stage}=true" if stage in EXTRA_STAGES else ""
         raise MissingInputError(
-            f"{folder}: stage {stage}, which makes tree={config.tree}, is not finished there\nRun: "
+            f"{folder}: stage {stage}, which makes tree={form}, is not finished there\nRun: "
             f"{run_command(folder.absolute()) or 'the command that made the run'}{extra}"
         )
     verified_manifest(folder / stage)
-    if config.tree == "compact":
+    if form == "compact":
         return load_actor(folder / stage)
     with opened_run(run, folder, stage) as whole:
-        tree = otr.load(whole / stage / ("constant_gains" if config.tree == "constant_gains" else "tree"))
-    if isinstance(tree, otr.ObliqueTree):
+        return otr.load(whole / stage / ("constant_gains" if form == "constant_gains" else "tree"))
+
+
+def policy_of(config: ExportConfig, run: RunConfig, folder: Path) -> Any:
+    """Return the tree of a run that was asked for, or the network behind it; raises as `tree_of` does."""
+    tree = tree_of(config.tree, run, folder)
+    if not isinstance(tree, otr.PatternTree):
         return tree
     if config.format != "c":
         raise ConfigError(

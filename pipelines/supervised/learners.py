@@ -10,7 +10,7 @@ import numpy as np
 from pipelines.datasets.dataset import Dataset
 from pipelines.datasets.load import load_dataset
 from pipelines.errors import ConfigError
-from pipelines.supervised.config import FitConfig, LearnerConfig, learner_settings
+from pipelines.supervised.config import FitConfig, LearnerConfig, OtrConfig, learner_settings
 
 if TYPE_CHECKING:
     from otr import ObliqueTree, PatternTree
@@ -87,8 +87,8 @@ def fit_trees(
     oracles: list[list[Any]] = [[None] * len(seeds) for _ in labels]
     if method.learner == "augtree":
         otr_name = _estimator_name("otr", dataset)
-        hidden = {"hidden": learner_settings(method)["hidden"]}
-        networks = [est.networks_ for est in _estimators(otr_name, hidden, dataset, labels, seeds)]
+        otr = learner_settings(OtrConfig("otr", "otr", hidden=learner_settings(method)["hidden"]))
+        networks = [est.networks_ for est in _estimators(otr_name, otr, dataset, labels, seeds)]
         oracles = [[of_seed[i] for of_seed in networks] for i in range(len(labels))]
     parameters = _parameters(name, {**learner_settings(method), "n_jobs": n_workers})
     trees = []

@@ -166,3 +166,28 @@ def test_broken_trees_are_refused(changes: dict, message: str) -> None:
 def test_the_arrays_are_read_only() -> None:
     with pytest.raises(ValueError, match="read-only"):
         small_tree().P[0, 0] = 2.0
+
+
+def test_scikit_learns_names_for_depth_and_leaves() -> None:
+    tree = otr.map_network(otr.ReluNetwork([np.ones((3, 2)), np.ones((1, 3))], [np.arange(3), [0]]))
+    assert (tree.get_depth(), tree.get_n_leaves()) == (3, 8) == (tree.depth, tree.n_leaves)
+
+
+def test_names_stay_with_a_tree_while_they_fit(tmp_path) -> None:
+    plain = otr.map_network(otr.ReluNetwork([np.ones((2, 2)), np.ones((3, 2))], [[0, 1], [0, 1, 2]]))
+    tree = plain.replace(feature_names=["position", "speed"], output_names=["left", "up", "right"])
+    pruned = otr.prune_unreached(tree, np.random.default_rng(0).normal(size=(9, 2)))
+    otr.save(pruned, tmp_path / "tree")
+    for kept in (pruned, otr.load(tmp_path / "tree"), tree.replace(c=2 * tree.c)):
+        assert (kept.feature_names, kept.output_names) == (("position", "speed"), ("left", "up", "right"))
+        assert "speed" in otr.to_text(kept) and "up = " in otr.to_text(kept)
+    assert "velocity" in otr.to_text(tree, feature_names=["x", "velocity"])
+    assert tree.compose(np.ones((2, 2)), np.zeros(2)).feature_names is None
+    one_output = tree.replace(M=tree.M[:, :1], c=tree.c[:, :1])
+    assert (one_output.feature_names, one_output.output_names) == (("position", "speed"), None)
+    assert tree.replace(feature_names=None).feature_names is None
+    otr.save(plain, tmp_path / "plain")
+    assert "names" not in (tmp_path / "plain.json").read_text()
+    for wrong in (["one"], ["one", 2]):
+        with pytest.raises(otr.InvalidTreeError, match=r"feature_names is .*, expected 2 texts"):
+            plain.replace(feature_names=wrong)

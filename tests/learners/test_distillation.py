@@ -131,7 +131,7 @@ def test_training_takes_probabilities_for_targets():
 
 def test_classifiers_learn_from_a_teacher(fingerprints):
     X, Y = fingerprints
-    model = OTRClassifier((4,), teacher=QUICK, epochs=3, random_state=5).fit(X, Y)
+    model = OTRClassifier((4,), teacher=QUICK, epochs=3, decay_every=10, random_state=5).fit(X, Y)
     settings = MlpSettings(hidden=(4,), schedule=Schedule(epochs=3))
     expected = train_many(*distillation_set(X, Y, QUICK, seed=5), [5], settings)
     for network, of_label in zip(model.networks_, expected.networks, strict=True):

@@ -26,8 +26,8 @@ from otr.learners.networks.batched_mlp import MlpSettings
 from otr.learners.networks.batched_training import Schedule
 from otr.learners.networks.labels_and_seeds import train_many
 
-CLASSIFIERS = [OTRClassifier(), LCNClassifier(), LinearTreeClassifier()]
-REGRESSORS = [OTRRegressor(), LCNRegressor(), LinearTreeRegressor()]
+CLASSIFIERS = [OTRClassifier(epochs=30), LCNClassifier(), LinearTreeClassifier()]
+REGRESSORS = [OTRRegressor(epochs=30), LCNRegressor(), LinearTreeRegressor()]
 
 
 @parametrize_with_checks([*CLASSIFIERS, *REGRESSORS])
@@ -105,7 +105,7 @@ def test_several_labels_with_missing_ones(model, fingerprints):
 
 def test_estimator_is_the_batched_trainer(fingerprints):
     X, Y = fingerprints
-    model = OTRClassifier((6,), epochs=5, input_dropout=0.3, random_state=4)
+    model = OTRClassifier((6,), epochs=5, decay_every=10, input_dropout=0.3, random_state=4)
     model.fit(X, Y, validation=(X[:80], Y[:80]))
     settings = MlpSettings(hidden=(6,), input_dropout=0.3, schedule=Schedule(epochs=5))
     result = train_many(X, Y, [4], settings, X_valid=X[:80], Y_valid=Y[:80])

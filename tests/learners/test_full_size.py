@@ -30,7 +30,8 @@ def test_lcn_of_depth_12_equals_its_tree(molecules):
 @pytest.mark.parametrize("dense", [False, "all"])
 def test_otr_equals_its_tree_and_its_pruned_tree(molecules, dense):
     X, y = molecules
-    model = OTRClassifier(dense=dense, random_state=1).fit(X[:1210], y[:1210], validation=(X[1210:], y[1210:]))
+    model = OTRClassifier((8, 8), dense=dense, random_state=1)
+    model.fit(X[:1210], y[:1210], validation=(X[1210:], y[1210:]))
     assert isinstance(model.tree_, otr.PatternTree)
     [pruned] = model.prune(X)
     np.testing.assert_allclose(pruned.forward(X), model.network_.forward(X), rtol=0, atol=1e-9)

@@ -9,31 +9,20 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from sklearn.base import BaseEstimator, ClassifierMixin, MultiOutputMixin, RegressorMixin
+from sklearn.base import ClassifierMixin, MultiOutputMixin, RegressorMixin
 from sklearn.utils.multiclass import check_classification_targets
-from sklearn.utils.validation import check_is_fitted, validate_data
+from sklearn.utils.validation import validate_data
 
 from otr.core.arrays import FloatArray, IntArray
 from otr.core.heads import Argmax
 from otr.core.tree import ObliqueTree
-
-# Bits are kept in float32 where the caller gives them so: half the memory, and no bit is lost.
-_FLOATS = [np.float64, np.float32]
+from otr.learners.base.tree_answers import FLOATS, TreeAnswers
 
 
-class _GrownEstimator(BaseEstimator):  # type: ignore[misc]
+class _GrownEstimator(TreeAnswers):
     """An estimator that answers through `tree_`."""
 
     tree_: ObliqueTree
-    n_features_in_: int
-
-    def apply(self, X: ArrayLike) -> IntArray:
-        """Return the leaf of `tree_` that each row of X (n, d) ends in: (n,) int64."""
-        return self.tree_.apply(self._checked(X))
-
-    def _checked(self, X: ArrayLike) -> NDArray[Any]:
-        check_is_fitted(self, "tree_")
-        return np.asarray(validate_data(self, X, reset=False, dtype=_FLOATS))
 
 
 class GrownClassifier(ClassifierMixin, _GrownEstimator):  # type: ignore[misc]
@@ -54,7 +43,7 @@ class GrownClassifier(ClassifierMixin, _GrownEstimator):  # type: ignore[misc]
     def _checked_fit(self, X: ArrayLike, y: ArrayLike) -> tuple[NDArray[Any], IntArray]:
         """Return X and, for each row, the position of its class in `classes_`, which is set here."""
         self._validate_params()
-        checked, classes = validate_data(self, X, y, dtype=_FLOATS)
+        checked, classes = validate_data(self, X, y, dtype=FLOATS)
         check_classification_targets(classes)
         self.classes_, labels = np.unique(classes, return_inverse=True)
         return checked, labels
@@ -74,7 +63,7 @@ class GrownRegressor(MultiOutputMixin, RegressorMixin, _GrownEstimator):  # type
     def _checked_fit(self, X: ArrayLike, y: ArrayLike) -> tuple[NDArray[Any], FloatArray]:
         """Return X and the targets (n, o) as float64."""
         self._validate_params()
-        checked, values = validate_data(self, X, y, dtype=_FLOATS, multi_output=True, y_numeric=True)
+        checked, values = validate_data(self, X, y, dtype=FLOATS, multi_output=True, y_numeric=True)
         targets: FloatArray = np.asarray(values, dtype=np.float64)
         self._is_flat = targets.ndim == 1
         return checked, targets.reshape(len(targets), -1)

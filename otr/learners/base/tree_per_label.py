@@ -13,7 +13,7 @@ from typing import Any, Literal, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from sklearn.base import BaseEstimator, ClassifierMixin, RegressorMixin
+from sklearn.base import ClassifierMixin, RegressorMixin
 from sklearn.utils import check_array, check_random_state
 from sklearn.utils.multiclass import check_classification_targets, type_of_target
 from sklearn.utils.validation import check_is_fitted, column_or_1d, validate_data
@@ -23,12 +23,13 @@ from otr.core.pattern_tree import PatternTree
 from otr.core.pruning import prune_unreached
 from otr.core.tree import ObliqueTree
 from otr.learners.base.problem import Problem
+from otr.learners.base.tree_answers import TreeAnswers
 
 Validation = tuple[ArrayLike, ArrayLike] | None
 Thing = TypeVar("Thing")
 
 
-class TreeLearner(BaseEstimator, ABC):  # type: ignore[misc]
+class TreeLearner(TreeAnswers, ABC):
     """Base of the estimators that hold one tree for every label.
 
     Attributes:
@@ -76,7 +77,11 @@ class TreeLearner(BaseEstimator, ABC):  # type: ignore[misc]
         """
         check_is_fitted(self)
         rows = validate_data(self, X, dtype=np.float64, reset=False)
-        return [prune_unreached(tree, rows) for tree in self.trees_]
+        return [self._with_names(prune_unreached(tree, rows)) for tree in self.trees_]
+
+    def _with_names(self, tree: ObliqueTree | PatternTree) -> Any:
+        """Return a tree with the columns' and classes' names; activation patterns have none."""
+        return tree if isinstance(tree, PatternTree) else self._named(tree)
 
     def _outputs(self, X: ArrayLike) -> FloatArray:
         """Return the leaves' outputs: (n, L, o)."""
@@ -135,7 +140,7 @@ class NetworkLearner(TreeLearner):
         scales = zip(trained.networks, problem.y_mean, problem.y_scale, strict=True)
         self.networks_ = [self._unscaled(of_label[position], problem, *scale) for of_label, *scale in scales]
         self.best_epochs_, self.validation_scores_ = trained.epochs[:, position], trained.scores[:, position]
-        self.trees_ = [self._tree_of(network) for network in self.networks_]
+        self.trees_ = [self._with_names(self._tree_of(network)) for network in self.networks_]
 
     @abstractmethod
     def _train(self, problem: Problem, seeds: Sequence[int]) -> Any:

@@ -5,11 +5,12 @@ import dataclasses
 import functools
 import json
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pipelines.cli.compose import Composer, to_object
+from pipelines.cli.overrides import path_quoted
 from pipelines.cli.runs import RUN, load_config, run_config
 from pipelines.config.budget import BudgetConfig
 from pipelines.config.setting import Count, Folder, FreeText, check_settings
@@ -31,6 +32,10 @@ class TabulateConfig:
     evaluate: bool
     n_workers: Count | None
     debug: bool
+    run: FreeText = ""  # this and the next three: of the figures that show the runs that one names
+    tree: FreeText = "pruned"
+    inputs: list[FreeText] = field(default_factory=list)
+    out: FreeText | None = None
     budget: BudgetConfig | None = None
 
     def __post_init__(self) -> None:
@@ -44,14 +49,21 @@ TABULATE = Composer(
 
 def do(arguments: argparse.Namespace) -> int:
     """Write the reports that are named, print them, and return whether runs that were played again differed."""
-    from pipelines.report.tabulate import reports_of, write_report  # imports pandas
+    from pipelines.report.run_figures import RUN_FIGURES, RunFigure  # imports pandas, as the next
+    from pipelines.report.tabulate import reports_of, write_report
 
     names = [argument for argument in arguments.overrides if "=" not in argument]
-    cfg: TabulateConfig = to_object(TABULATE.compose([given for given in arguments.overrides if given not in names]))
+    cfg: TabulateConfig = to_object(
+        TABULATE.compose([path_quoted(given) for given in arguments.overrides if given not in names])
+    )
     asked = names or [f"figure={cfg.figure}" if cfg.figure else f"table={cfg.table}"]
     reports = [report for name in asked for report in reports_of(name)]
     results_dir = Path(cfg.results_dir)
-    if not (results_dir / "runs").is_dir():
+    of_runs = RunFigure(cfg.run, cfg.tree, cfg.inputs, cfg.out)
+    for setting, value in dataclasses.asdict(of_runs).items():
+        if value != getattr(RunFigure(""), setting) and not RUN_FIGURES.keys() & set(reports):
+            raise ConfigError(f"{setting}={value}: only figure={' and figure='.join(RUN_FIGURES)} take it")
+    if not (results_dir / "runs").is_dir() and not RUN_FIGURES.keys() >= set(reports):
         raise ConfigError(f"results_dir={cfg.results_dir}: there is no folder {results_dir / 'runs'} with runs")
     different = 0
     if cfg.evaluate:
@@ -61,7 +73,10 @@ def do(arguments: argparse.Namespace) -> int:
     budget = cfg.budget.name if cfg.budget else None
     for report in reports:
         try:
-            written = write_report(report, results_dir, budget, _planned, lambda run_dir: load_config(run_dir, 1))
+            if report in RUN_FIGURES:
+                written = RUN_FIGURES[report](of_runs, results_dir, lambda run_dir: load_config(run_dir, 1))
+            else:
+                written = write_report(report, results_dir, budget, _planned, lambda run_dir: load_config(run_dir, 1))
         except MissingInputError as error:
             if "all" not in names:
                 raise

@@ -149,4 +149,4 @@ class SearchRun:
 
 def _rollout(seeds: list[int], returns: np.ndarray, lengths: np.ndarray) -> Rollout:
     nothing = np.zeros(len(seeds), dtype=bool)
-    return Rollout(np.array(seeds), returns, lengths, nothing, nothing, np.zeros((0, 0)))
+    return Rollout(np.array(seeds), returns, lengths, nothing, nothing, np.zeros((0, 0)), np.zeros((0, 0)))

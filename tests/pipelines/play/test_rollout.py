@@ -9,7 +9,7 @@ from pipelines.play.environments import make_env
 from pipelines.play.rollout import rollout
 from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM
 
-FIELDS = ("seeds", "returns", "lengths", "terminated", "truncated", "states")
+FIELDS = ("seeds", "returns", "lengths", "terminated", "truncated", "states", "actions")
 
 
 def random_network(env, seed=0, width=5, head=None):

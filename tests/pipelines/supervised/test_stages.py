@@ -48,7 +48,9 @@ def test_seeds_together_are_the_seeds_alone(fit_of):
     dataset = load_dataset("breast_cancer")
     X, y = dataset.labelled("train")
     for seed, job in enumerate(jobs):
-        alone = OTRClassifier((3,), epochs=3, random_state=seed).fit(X, y, validation=dataset.labelled("valid"))
+        alone = OTRClassifier((3,), epochs=3, decay_every=10, random_state=seed).fit(
+            X, y, validation=dataset.labelled("valid")
+        )
         tree = otr.load(job.run_dir / "fit" / "label-00")
         assert np.allclose(tree.forward(X)[:, 0], alone.decision_function(X), rtol=1e-3, atol=1e-3)
     assert len({read_json(job.run_dir / "summary.json")["train"] for job in jobs}) == 3

@@ -1,0 +1,173 @@
+"""Episodes that the library plays: against one environment stepped by hand, and what is no policy or environment."""
+
+import functools
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from sklearn.tree import DecisionTreeClassifier
+
+import otr
+
+
+class Walk(gym.Env):
+    """A walk on the line from a seeded start: each step adds the action; the return is the sum of the places.
+
+    Ends where |x| > 4, and has no limit of its own.
+    """
+
+    observation_space = gym.spaces.Box(-9, 9, (2, 1), np.float64)
+    action_space = gym.spaces.Box(-1, 1, (1,), np.float32)
+    n_made = 0
+
+    def __init__(self) -> None:
+        type(self).n_made += 1
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple:
+        super().reset(seed=seed)
+        self.x = self.np_random.uniform(-1, 1)
+        return np.array([[self.x], [1.0]]), {}
+
+    def step(self, action: np.ndarray) -> tuple:
+        assert action.dtype == np.float32 and action.shape == (1,)
+        self.x += float(action[0])
+        return np.array([[self.x], [1.0]]), self.x, abs(self.x) > 4, False, {}
+
+
+class Labels(Walk):
+    action_space = gym.spaces.Discrete(3)
+
+    def step(self, action: int) -> tuple:
+        return super().step(np.array([action / 4], np.float32))
+
+
+class LabelsFromOne(Walk):
+    action_space = gym.spaces.Discrete(3, start=1)
+
+
+class Words(Walk):
+    observation_space = gym.spaces.Text(5)
+
+
+def right(X: np.ndarray) -> np.ndarray:
+    """Return steps of a third to the right."""
+    return np.full((len(X), 1), 1 / 3)
+
+
+def by_hand(env: gym.Env, act, seed: int) -> tuple[float, list, list]:
+    observation, _ = env.reset(seed=seed)
+    total, states, actions, ended = 0.0, [], [], False
+    while not ended:
+        states.append(np.asarray(observation, dtype=np.float64).ravel())
+        actions.append(act(states[-1]))
+        observation, reward, terminated, truncated, _ = env.step(actions[-1])
+        total, ended = total + float(reward), terminated or truncated
+    return total, states, actions
+
+
+def test_episodes_are_those_of_one_environment_stepped_by_hand():
+    """More episodes than environments side by side, so that some are played one after another."""
+    played = otr.evaluate(Walk, right, range(100))
+    rows = [by_hand(Walk(), lambda _: np.array([1 / 3], np.float32), seed) for seed in range(100)]
+    assert played.returns.tolist() == [total for total, *_ in rows]
+    assert played.lengths.tolist() == [len(states) for _, states, _ in rows]
+    assert played.terminated.all() and not played.truncated.any()
+    assert (played.states.shape, played.actions.shape) == ((0, 2), (0, 1))
+    assert played.mean_return == pytest.approx(np.mean(played.returns))
+    assert played.std_return == pytest.approx(np.std(played.returns))
+
+
+def test_a_tree_in_a_registered_environment():
+    network = otr.ReluNetwork([np.ones((2, 4)), [[-1, 0.5], [1, 0.2]]], [[0.01, -0.02], [0, 0]], head=otr.Argmax())
+    tree = otr.map_network(network)
+    played = otr.rollout("CartPole-v1", tree, 40, seed=1)
+    rows = [by_hand(gym.make("CartPole-v1"), lambda x: int(tree.predict(x)), int(seed)) for seed in played.seeds]
+    assert played.returns.tolist() == [total for total, *_ in rows]
+    np.testing.assert_array_equal(played.states, np.concatenate([states for _, states, _ in rows]))
+    np.testing.assert_array_equal(played.actions, np.concatenate([actions for *_, actions in rows]))
+    assert len(set(played.actions.tolist())) == 2
+    again = otr.evaluate("CartPole-v1", network, played.seeds)
+    np.testing.assert_array_equal(again.returns, played.returns)
+
+
+def test_the_seed_decides_and_never_meets_the_reported_episodes():
+    one, two, other = (otr.rollout(Walk, right, 5, seed=seed) for seed in (3, 3, 4))
+    np.testing.assert_array_equal(one.states, two.states)
+    assert not set(one.seeds.tolist()) & set(other.seeds.tolist())
+    assert min(one.seeds.min(), other.seeds.min()) >= 2**20 > len(otr.evaluate(Walk, right).seeds) == 100
+
+
+def test_a_limit_truncates():
+    played = otr.rollout(Walk, lambda X: np.zeros((len(X), 1)), 3, max_steps=7)
+    assert played.lengths.tolist() == [7, 7, 7]
+    assert played.truncated.all() and not played.terminated.any()
+    assert len(played.states) == len(played.actions) == 21
+
+
+def test_anything_that_predicts_on_a_batch_is_a_policy():
+    learned = DecisionTreeClassifier().fit([[0.0, 1.0], [1.0, 1.0]], [1, 2])
+    played = otr.rollout(Labels, learned, 4)
+    np.testing.assert_array_equal(played.actions, learned.predict(played.states))
+    functions = otr.rollout(functools.partial(Labels), learned.predict, 4)
+    np.testing.assert_array_equal(functions.returns, played.returns)
+
+
+def test_it_is_shown_in_one_line():
+    played = otr.evaluate(Walk, lambda X: np.ones((len(X), 1)), [0, 1])
+    total = [by_hand(Walk(), lambda _: np.array([1.0], np.float32), seed)[0] for seed in (0, 1)]
+    expected = (
+        f"Rollout(return {np.mean(total):.4g} ± {np.std(total):.4g} over 2 episodes, {played.lengths.sum()} steps)"
+    )
+    assert repr(played) == expected
+
+
+@pytest.mark.parametrize(
+    ("env", "policy", "message"),
+    [
+        (Walk, lambda X: np.zeros((len(X), 2)), r"an array of shape \(5, 2\).*expected actions \(n, 1\)"),
+        (Walk, lambda X: (np.zeros((len(X), 1)), None), r"a tuple of 2.*deterministic=True\)\[0\]"),
+        (Labels, lambda X: np.zeros(len(X)), r"type float64.*expected labels \(n,\) from 0 to 2"),
+        (Labels, lambda X: np.full(len(X), 3), r"first \[3\], expected labels \(n,\) from 0 to 2"),
+        (LabelsFromOne, right, r"the actions are Discrete\(3, start=1\), expected a Box, or Discrete from 0 on"),
+        (Words, right, r"the observations are Text\(.*FlattenObservation"),
+    ],
+)
+def test_what_is_no_action_or_no_space(env, policy, message):
+    with pytest.raises(ValueError, match=message):
+        otr.rollout(env, policy, 5)
+
+
+def test_what_is_no_environment_or_policy():
+    with pytest.raises(
+        TypeError, match="env is a Walk, expected the id of an environment or a function that makes one"
+    ):
+        otr.evaluate(Walk(), right)
+    one = Walk()
+    with pytest.raises(ValueError, match="made the same environment twice"):
+        otr.evaluate(lambda: one, right)
+    with pytest.raises(TypeError, match="policy is a int, expected a tree"):
+        otr.evaluate(Walk, 3)
+    with pytest.raises(ValueError, match="n_episodes is 0"):
+        otr.rollout(Walk, right, 0)
+    with pytest.raises(ValueError, match="there are no seeds"):
+        otr.evaluate(Walk, right, [])
+
+
+def test_environments_are_side_by_side_and_closed_at_the_end():
+    closed = []
+
+    class Closing(Walk):
+        n_made = 0
+
+        def close(self) -> None:
+            closed.append(self)
+
+    otr.evaluate(Closing, right, range(50))
+    assert (Closing.n_made, len(closed)) == (32, 32)
+
+    def fails(X: np.ndarray) -> np.ndarray:
+        raise RuntimeError("no answer")
+
+    with pytest.raises(RuntimeError, match="no answer"):
+        otr.evaluate(Closing, fails, range(3))
+    assert len(closed) == 35

@@ -34,6 +34,8 @@ def show_result(summary: dict[str, Any], run_dir: Path, whole: Path) -> None:
         lines.append(_proof(summary["certify"]))
     if "simplify" in summary:
         lines += _simplified(summary["simplify"], whole)
+    if "video" in summary:
+        lines.append(_shown(summary["video"], run_dir, whole))
     where = program if whole == run_dir else f"otr-export run={run_dir} format=text"
     picture = run_dir / "prune" / "tree.svg"
     show_finished(text, where, _title(summary), _table(summary), lines, summary["seconds"], run_dir, picture)
@@ -122,6 +124,12 @@ def _loss(loss: dict[str, Any]) -> str:
     if mean > error:
         return f"the shorter program loses {mean:.2f} ± {error:.2f} {where}"
     return f"the shorter program loses nothing {where}: {-mean:+z.2f} ± {error:.2f}"
+
+
+def _shown(report: dict[str, Any], run_dir: Path, whole: Path) -> str:
+    """Return which episode a video shows, and where it lies."""
+    where = f"{run_dir}/video/episode.gif" if whole == run_dir else f"in {run_dir}/stages.tar.xz: video/episode.gif"
+    return f"video: the episode of seed {report['seed']}, return {report['return']:.1f}: {where}"
 
 
 def _leaves(n_leaves: int) -> str:

@@ -16,18 +16,22 @@ from pipelines.stages.polish import POLISH
 from pipelines.stages.prune import PRUNE
 from pipelines.stages.simplify import SIMPLIFY
 from pipelines.stages.train import TRAIN
+from pipelines.stages.video import VIDEO
 
 STAGES: dict[str, Stage] = {
     stage.name: stage
-    for stage in (TRAIN, IMPORT, ORACLE, MAP, HARDEN, IMITATE, PARSE, PRUNE, EVALUATE, POLISH, CERTIFY, SIMPLIFY)
+    for stage in (
+        *(TRAIN, IMPORT, ORACLE, MAP, HARDEN, IMITATE, PARSE, PRUNE, EVALUATE),
+        *(POLISH, CERTIFY, SIMPLIFY, VIDEO),
+    )
 }
 
 
 def stages_of(method: str, *, polished: bool = False) -> dict[str, Stage]:
     """Return a method's stages and the extra ones by name, in order.
 
-    Map reads the actor, trained or imported; prune and evaluate read what was made before. With `polished`, certify and
-    simplify are of the polished policy.
+    Map reads the actor, trained or imported; prune and evaluate read what was made before. With `polished`, what comes
+    after a polish is of the polished policy.
     """
     names = METHODS[method].stages
     before = names[: names.index("prune")]
@@ -40,5 +44,5 @@ def stages_of(method: str, *, polished: bool = False) -> dict[str, Stage]:
         "certify": dataclasses.replace(CERTIFY, inputs=(actor, "map")),
     }
     if polished:
-        rows |= {stage.name: dataclasses.replace(stage, inputs=("polish",)) for stage in (CERTIFY, SIMPLIFY)}
+        rows |= {stage.name: dataclasses.replace(stage, inputs=("polish",)) for stage in (CERTIFY, SIMPLIFY, VIDEO)}
     return {name: rows[name] for name in (*names, *EXTRA_STAGES)}

@@ -1,0 +1,171 @@
+"""An episode of a tree as a GIF: what gymnasium renders, and below it the leaf that acts and what it does."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import gymnasium as gym
+import numpy as np
+
+import otr
+from otr.control.rollout import play_episodes
+from otr.core.merging import merge_equal_leaves
+from otr.programs.names import label_name
+from otr.programs.picture.colours import label_colours, level_colour
+from otr.programs.walk import walk
+from pipelines.config.env import EnvConfig
+from pipelines.errors import PipelineError
+from pipelines.play.environments import action_names, make_env
+from pipelines.play.rollout import rollout
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+MOST_FRAMES, FRAMES_A_SECOND = 250, 25
+WIDTH, TEXT, BAND, STRIP = 480, 13, 42, 12  # pixels: of a picture, of letters, below it, and right of it
+COLOURS = 96
+MUJOCO_SIZE = {"width": 480, "height": 360}
+
+
+@dataclass(frozen=True)
+class Episode:
+    """What was shown: the return and the steps of the episode, and the frames that show every `stride`-th step."""
+
+    episode_return: float
+    n_steps: int
+    n_frames: int
+    stride: int
+
+
+def write_video(tree: otr.ObliqueTree, env_config: EnvConfig, seed: int, path: Path) -> Episode:
+    """Play the episode that starts from `reset(seed)` and write it as a GIF, at most MOST_FRAMES frames, in real time.
+
+    The strip on the right has the leaves' colours, from the first leaf at the top to the last, and a mark at the one
+    that acts: those of `otr.to_svg`, but that of several actions the first colours it.
+
+    Raises:
+        PipelineError: the environment cannot be rendered here; says what to do.
+    """
+    tree = _in_order(merge_equal_leaves(tree))
+    env = gym.wrappers.RecordEpisodeStatistics(_renderable(env_config))
+    names = action_names(env_config, tree.head.n_answers(tree.n_outputs))
+    frames_a_second = float(env.metadata.get("render_fps") or 30)
+    (length,) = rollout(tree.predict, env_config, [seed], n_workers=1).lengths.tolist()
+    stride = max(1, round(frames_a_second / FRAMES_A_SECOND), -(-length // MOST_FRAMES))
+    frames: list[Image] = []
+
+    def acting(states: np.ndarray) -> np.ndarray:
+        answers, step = np.asarray(tree.predict(states)), env.episode_lengths
+        if step % stride == 0:
+            shown, leaf = _rendered(env, env_config), int(tree.apply(states)[0])
+            frames.append(_frame(shown, tree, leaf, answers[0], names, step, env.episode_returns))
+            if len(frames) % 50 == 0:
+                print(f"video: step {step:,} of {length:,}", flush=True)
+        return answers
+
+    played = play_episodes(lambda: env, acting, [seed])
+    shown_s = stride / frames_a_second
+    frames[0].save(path, format="GIF", save_all=True, append_images=frames[1:], duration=round(1000 * shown_s), loop=0)
+    return Episode(float(played.returns[0]), int(played.lengths[0]), len(frames), stride)
+
+
+def _in_order(tree: otr.ObliqueTree) -> otr.ObliqueTree:
+    """Return the tree with its leaves numbered as programs print and pictures draw them, from the top."""
+    order = np.array([leaf for what, leaf, _ in walk(tree) if what == "leaf"])
+    number = np.empty_like(order)
+    number[order] = np.arange(len(order))
+    sides = {
+        name: np.where(side >= 0, side, ~number[np.where(side < 0, ~side, 0)])
+        for name, side in (("children_left", tree.children_left), ("children_right", tree.children_right))
+    }
+    labels = None if tree.labels is None else tree.labels[order]
+    return tree.replace(**sides, M=tree.M[order], P=tree.P, c=tree.c[order], labels=labels)
+
+
+def _renderable(env_config: EnvConfig) -> Any:
+    """Return the environment with pictures; one of MuJoCo without a screen renders by EGL, unless MUJOCO_GL is set."""
+    is_mujoco = "mujoco" in str(gym.spec(env_config.id).entry_point)
+    if is_mujoco and sys.platform == "linux" and not os.environ.get("DISPLAY"):
+        os.environ.setdefault("MUJOCO_GL", "egl")
+    kwargs = {**env_config.kwargs, "render_mode": "rgb_array"} | (MUJOCO_SIZE if is_mujoco else {})
+    env: Any = make_env(dataclasses.replace(env_config, kwargs=kwargs))
+    if is_mujoco:
+        import mujoco
+
+        # -1, where the model has no camera that goes along, is the one that stands still.
+        camera = mujoco.mj_name2id(env.unwrapped.model, mujoco.mjtObj.mjOBJ_CAMERA, "track")
+        env.unwrapped.mujoco_renderer.camera_id = camera
+    return env
+
+
+def _rendered(env: Any, env_config: EnvConfig) -> np.ndarray:
+    """Return what the environment shows (height, width, 3)."""
+    try:
+        shown = env.render()
+        if shown is None:
+            raise ValueError("render() gave no picture")
+    except Exception as error:  # whatever a renderer or a driver fails with
+        raise PipelineError(
+            f"video=true: {env_config.id} cannot be rendered here ({type(error).__name__}: {error}). MuJoCo needs "
+            "OpenGL: MUJOCO_GL=egl with a GPU's driver or Mesa, MUJOCO_GL=osmesa with libosmesa, or a screen. All "
+            "other stages are done and kept"
+        ) from error
+    return np.asarray(shown)
+
+
+def _frame(
+    shown: np.ndarray, tree: otr.ObliqueTree, leaf: int, answer: np.ndarray, names: list[str], step: int, total: float
+) -> Image:
+    from PIL import Image, ImageDraw, ImageFont
+
+    picture = Image.fromarray(shown.astype(np.uint8))
+    height = round(picture.height * WIDTH / picture.width)
+    frame = Image.new("RGB", (WIDTH + STRIP + 16, height + BAND), "#ffffff")
+    frame.paste(picture.resize((WIDTH, height)), (0, 0))
+    draw, font = ImageDraw.Draw(frame), ImageFont.load_default(TEXT)
+    colour = _colour(tree, answer)
+    draw.rectangle((0, height, WIDTH, height + BAND), fill="#ffffff")
+    draw.rectangle((6, height + 6, 18, height + BAND - 6), fill=colour, outline="#7b8794")
+    does = f"leaf {leaf + 1} of {tree.n_leaves:,}: {_in_words(answer, names)}"
+    draw.text((26, height + 4), _fitting(does, font), fill="#1a1a1a", font=font)
+    draw.text((26, height + 21), f"step {step:,}, return {total:.1f}", fill="#5b6570", font=font)
+    _draw_strip(draw, tree, leaf, colour, height + BAND)
+    return frame.quantize(COLOURS, dither=Image.Dither.NONE)
+
+
+def _in_words(answer: np.ndarray, names: list[str]) -> str:
+    if answer.ndim == 0:
+        return label_name(int(answer), names)
+    return ", ".join(f"{name} {value:+.2f}" for name, value in zip(names, answer.tolist(), strict=True))
+
+
+def _fitting(text: str, font: Any) -> str:
+    """Return a text that is no wider than the picture, its end left out where it is."""
+    shown = text
+    while font.getlength(shown) > WIDTH - 32:
+        text = text[:-1]
+        shown = f"{text.rstrip(', ')} ..."
+    return shown
+
+
+def _colour(tree: otr.ObliqueTree, answer: np.ndarray) -> str:
+    if answer.ndim == 0:
+        return label_colours(int(answer))[1]
+    limits = tree.head.limits(tree.n_outputs)
+    low, high = (-1.0, 1.0) if limits is None else (float(limits[0][0]), float(limits[1][0]))
+    return level_colour((float(answer[0]) - (low + high) / 2) / ((high - low) / 2))
+
+
+def _draw_strip(draw: Any, tree: otr.ObliqueTree, leaf: int, colour: str, height: int) -> None:
+    """Draw the leaves from top to bottom: those with labels in their colours, the one that acts in its own."""
+    edges = np.linspace(4, height - 4, tree.n_leaves + 1)
+    for i in range(tree.n_leaves):
+        fill = "#e9ecef" if tree.labels is None else label_colours(int(tree.labels[i]))[1]
+        draw.rectangle((WIDTH + 11, edges[i], WIDTH + 11 + STRIP, edges[i + 1]), fill=colour if i == leaf else fill)
+    middle = (edges[leaf] + edges[leaf + 1]) / 2
+    draw.polygon([(WIDTH + 10, middle), (WIDTH + 3, middle - 5), (WIDTH + 3, middle + 5)], fill="#1a1a1a")

@@ -1,0 +1,32 @@
+"""Stage video: one evaluated episode as a GIF, with the leaf that acts."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from pipelines.config.run import RunConfig
+from pipelines.engine.seeding import evaluation_seeds
+from pipelines.engine.stage import Stage, picked
+from pipelines.engine.store import write_json
+from pipelines.play.video import write_video
+from pipelines.stages.polish import load_tree
+
+
+def video(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
+    """Write the first evaluation episode of the pruned tree, or of the polished one, as `episode.gif`."""
+    tree = load_tree(inputs.get("polish") or inputs["prune"])
+    (seed,) = evaluation_seeds(config.evaluate.first_seed, 1)
+    shown = write_video(tree, config.env, seed, out / "episode.gif")
+    write_json(
+        out / "report.json",
+        {
+            "seed": seed,
+            "return": shown.episode_return,
+            "n_steps": shown.n_steps,
+            "n_frames": shown.n_frames,
+            "steps_a_frame": shown.stride,
+        },
+    )
+
+
+VIDEO_SETTINGS = picked(env="env", first_seed="evaluate.first_seed")
+VIDEO = Stage("video", version=1, inputs=("prune",), settings=VIDEO_SETTINGS, run=video)

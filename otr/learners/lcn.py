@@ -66,7 +66,15 @@ class _LCNLearner(NetworkLearner):
             n_classes=problem.n_classes,
             schedule=Schedule(**parameters_of(self, Schedule)),
         )
-        return train_many(problem.X, problem.Y, seeds, settings, X_valid=problem.X_valid, Y_valid=problem.Y_valid)
+        return train_many(
+            problem.X,
+            problem.Y,
+            seeds,
+            settings,
+            sample_weight=problem.weights,
+            X_valid=problem.X_valid,
+            Y_valid=problem.Y_valid,
+        )
 
     def _unscaled(self, network: LcnNetwork, problem: Problem, y_mean: float, y_scale: float) -> LcnNetwork:
         return network.with_input_scaling(problem.mean, problem.scale).with_output_scaling(y_mean, y_scale)

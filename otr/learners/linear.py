@@ -22,14 +22,17 @@ class _LinearLearner(TreeLearner):
         trees = []
         for label, (y_mean, y_scale) in enumerate(zip(problem.y_mean, problem.y_scale, strict=True)):
             present = ~np.isnan(problem.Y[:, label])
-            W, b, head = self._fit_linear(problem.X[present], problem.Y[present, label], problem.loss)
+            weights = None if problem.weights is None else problem.weights[present]
+            W, b, head = self._fit_linear(problem.X[present], problem.Y[present, label], weights, problem.loss)
             # Back to inputs and targets as they were before standardising.
             W = W * y_scale / problem.scale
             trees.append(_one_leaf(W, b * y_scale + y_mean - W @ problem.mean, head))
         self.trees_ = [self._named(tree) for tree in trees]
 
     @abstractmethod
-    def _fit_linear(self, X: FloatArray, y: FloatArray, loss: str) -> tuple[FloatArray, FloatArray, Head]:
+    def _fit_linear(
+        self, X: FloatArray, y: FloatArray, weights: FloatArray | None, loss: str
+    ) -> tuple[FloatArray, FloatArray, Head]:
         """Return coefficients, intercepts and head of one label's linear model."""
 
 
@@ -63,10 +66,12 @@ class LinearTreeClassifier(TreeClassifier, _LinearLearner):
         self.n_iter_ = 0
         super()._fit_problem(problem)
 
-    def _fit_linear(self, X: FloatArray, y: FloatArray, loss: str) -> tuple[FloatArray, FloatArray, Head]:
+    def _fit_linear(
+        self, X: FloatArray, y: FloatArray, weights: FloatArray | None, loss: str
+    ) -> tuple[FloatArray, FloatArray, Head]:
         if len(np.unique(y)) < 2:
             raise ValueError("a label has one class only among its training rows; leave the label out")
-        model = LogisticRegression(C=self.C, max_iter=self.max_iter).fit(X, y)
+        model = LogisticRegression(C=self.C, max_iter=self.max_iter).fit(X, y, weights)
         self.n_iter_ = max(self.n_iter_, int(model.n_iter_.max()))
         return model.coef_, model.intercept_, Sign() if loss == "logistic" else Argmax()
 
@@ -90,8 +95,10 @@ class LinearTreeRegressor(TreeRegressor, _LinearLearner):
         self.alpha = alpha
         self.standardize = standardize
 
-    def _fit_linear(self, X: FloatArray, y: FloatArray, loss: str) -> tuple[FloatArray, FloatArray, Head]:
-        model = Ridge(alpha=self.alpha).fit(X, y)
+    def _fit_linear(
+        self, X: FloatArray, y: FloatArray, weights: FloatArray | None, loss: str
+    ) -> tuple[FloatArray, FloatArray, Head]:
+        model = Ridge(alpha=self.alpha).fit(X, y, weights)
         return model.coef_[None], np.atleast_1d(model.intercept_), Identity()
 
 

@@ -99,6 +99,8 @@ class _OTRLearner(NetworkLearner):
             return self._train_on(problem.X, problem.Y, seeds, problem)
         if problem.loss != "logistic":
             raise ValueError(f"a teacher is for binary labels, and the loss here is {problem.loss!r}")
+        if problem.weights is not None:
+            raise ValueError("a teacher's rows have no sample_weight; leave out teacher or sample_weight")
         taught = (distillation_set(problem.X, problem.Y, self.teacher, seed=seed) for seed in seeds)
         return _joined([self._train_on(*rows, [seed], problem) for seed, rows in zip(seeds, taught, strict=True)])
 
@@ -112,7 +114,15 @@ class _OTRLearner(NetworkLearner):
             n_classes=problem.n_classes,
             schedule=self._schedule(len(X)),
         )
-        return train_many(X, Y, seeds, settings, X_valid=problem.X_valid, Y_valid=problem.Y_valid)
+        return train_many(
+            X,
+            Y,
+            seeds,
+            settings,
+            sample_weight=problem.weights,
+            X_valid=problem.X_valid,
+            Y_valid=problem.Y_valid,
+        )
 
     def _schedule(self, n_rows: int) -> Schedule:
         epochs, decay_every = self.epochs, self.decay_every

@@ -30,7 +30,13 @@ CLASSIFIERS = [OTRClassifier(epochs=30), LCNClassifier(), LinearTreeClassifier()
 REGRESSORS = [OTRRegressor(epochs=30), LCNRegressor(), LinearTreeRegressor()]
 
 
-@parametrize_with_checks([*CLASSIFIERS, *REGRESSORS])
+def not_to_the_last_digit(estimator):
+    """Networks train in float32; their weights are compared in tests/learners/test_sample_weight.py."""
+    of_network = hasattr(estimator, "epochs")
+    return {"check_sample_weight_equivalence_on_dense_data": "equal to 1e-6, not 1e-7"} if of_network else {}
+
+
+@parametrize_with_checks([*CLASSIFIERS, *REGRESSORS], expected_failed_checks=not_to_the_last_digit)
 def test_scikit_learns_contract(estimator, check):
     check(estimator)
 

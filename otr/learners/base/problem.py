@@ -12,9 +12,16 @@ from otr.core.arrays import FloatArray
 class Problem:
     """A learning problem whose data has been checked."""
 
-    def __init__(self, X: FloatArray, Y: FloatArray, loss: Literal["logistic", "softmax", "squared"]) -> None:
+    def __init__(
+        self,
+        X: FloatArray,
+        Y: FloatArray,
+        loss: Literal["logistic", "softmax", "squared"],
+        weights: FloatArray | None = None,
+    ) -> None:
         self.X, self.loss = X, loss  # (n, d), shifted and scaled by `mean` and `scale`
         self.Y = Y  # (n, L), NaN where missing: 0 and 1 (logistic), class numbers (softmax), standardised (squared)
+        self.weights = weights  # (n,), as how many rows each one counts; None for one each
         self.n_classes = 2  # of the softmax loss
         self.X_valid: FloatArray | None = None  # the same for the rows that choose the epoch
         self.Y_valid: FloatArray | None = None
@@ -22,24 +29,25 @@ class Problem:
         self.y_mean, self.y_scale = np.zeros(Y.shape[1]), np.ones(Y.shape[1])  # (L,), of the targets
 
     def standardise_inputs(self) -> None:
-        """Shift and scale X to mean 0 and standard deviation 1 on the training rows."""
-        self.mean = self.X.mean(axis=0)
-        self.scale = _scale_of(self.X)
+        """Shift and scale X to mean 0 and standard deviation 1 on the training rows, as they are weighted."""
+        self.mean, self.scale = self._moments(self.X)
         self.X = (self.X - self.mean) / self.scale
         if self.X_valid is not None:
             self.X_valid = (self.X_valid - self.mean) / self.scale
 
     def standardise_targets(self) -> None:
         """Do the same to Y."""
-        self.y_mean = np.nanmean(self.Y, axis=0)
-        self.y_scale = _scale_of(self.Y)
+        self.y_mean, self.y_scale = self._moments(self.Y)
         self.Y = (self.Y - self.y_mean) / self.y_scale
         if self.Y_valid is not None:
             self.Y_valid = (self.Y_valid - self.y_mean) / self.y_scale
 
-
-def _scale_of(values: FloatArray) -> FloatArray:
-    deviation: FloatArray = np.nanstd(values, axis=0)
-    # What is constant up to rounding stays as it is.
-    deviation[deviation <= 1e-12 * np.maximum(1.0, np.abs(np.nanmean(values, axis=0)))] = 1.0
-    return deviation
+    def _moments(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return mean and standard deviation of each column; 1 for the deviation of what is constant up to rounding."""
+        if self.weights is None:
+            mean, deviation = values.mean(axis=0), np.nanstd(values, axis=0)
+        else:
+            mean = np.average(values, axis=0, weights=self.weights)
+            deviation = np.sqrt(np.average((values - mean) ** 2, axis=0, weights=self.weights))
+        deviation[deviation <= 1e-12 * np.maximum(1.0, np.abs(mean))] = 1.0
+        return mean, deviation

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.base import ClassifierMixin, RegressorMixin
 from sklearn.utils import check_array, check_random_state
 from sklearn.utils.multiclass import check_classification_targets, type_of_target
-from sklearn.utils.validation import check_is_fitted, column_or_1d, validate_data
+from sklearn.utils.validation import _check_sample_weight, check_is_fitted, column_or_1d, validate_data
 
 from otr.core.arrays import FloatArray
 from otr.core.pattern_tree import PatternTree
@@ -41,19 +41,24 @@ class TreeLearner(TreeAnswers, ABC):
     standardize: bool | Literal["auto"]
     trees_: list[ObliqueTree | PatternTree]
 
-    def fit(self, X: ArrayLike, y: ArrayLike, *, validation: Validation = None) -> Self:
+    def fit(
+        self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None, *, validation: Validation = None
+    ) -> Self:
         """Fit the trees.
 
         Args:
             X: (n, d).
             y: (n,) labels of two or more classes or targets; or (n, L) of several labels, 0, 1 and NaN where one is
                 missing, or of several targets.
+            sample_weight: (n,), 0 or more: as how many rows each one counts in the loss and in standardising; None for
+                one each. Networks take them in the mean over mini-batches, and exactly where all rows are one batch.
             validation: (X, y) of rows on which the best epoch is chosen; without, the last is kept.
 
         Raises:
-            ValueError: a parameter that is not what it may be, y of one class only, or shapes that do not agree.
+            ValueError: a parameter that is not what it may be, y of one class only, shapes that do not agree, or
+                weights that are negative or all 0.
         """
-        self._fit_problem(self._problem(X, y, validation))
+        self._fit_problem(self._problem(X, y, sample_weight, validation))
         return self
 
     @property
@@ -62,7 +67,7 @@ class TreeLearner(TreeAnswers, ABC):
         return _only(self.trees_, "tree")
 
     @abstractmethod
-    def _problem(self, X: ArrayLike, y: ArrayLike, validation: Validation) -> Problem:
+    def _problem(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None, validation: Validation) -> Problem:
         """Check the data, set what follows from it, such as `classes_`, and return the problem."""
 
     @abstractmethod
@@ -88,6 +93,12 @@ class TreeLearner(TreeAnswers, ABC):
         check_is_fitted(self)
         rows = validate_data(self, X, dtype=np.float64, reset=False)
         return np.stack([tree.forward(rows) for tree in self.trees_], axis=1)
+
+    def _weights(self, sample_weight: ArrayLike | None, X: FloatArray) -> FloatArray | None:
+        """Return the rows' weights (n,), or None for one each."""
+        if sample_weight is None:
+            return None
+        return np.asarray(_check_sample_weight(sample_weight, X, dtype=np.float64, ensure_non_negative=True))
 
     def _standardised(self, problem: Problem, validation: Validation, encoded_valid: FloatArray | None) -> Problem:
         """Return the problem with its validation rows, inputs and targets shifted and scaled as is asked."""
@@ -116,13 +127,19 @@ class NetworkLearner(TreeLearner):
         return _only(self.networks_, "network")
 
     def fit_seeds(
-        self, X: ArrayLike, y: ArrayLike, seeds: Sequence[int], *, validation: Validation = None
+        self,
+        X: ArrayLike,
+        y: ArrayLike,
+        seeds: Sequence[int],
+        *,
+        sample_weight: ArrayLike | None = None,
+        validation: Validation = None,
     ) -> list[Self]:
         """Return an estimator fitted with each seed as its `random_state`, all of them trained as one batched model.
 
         Each comes out as `fit` alone would make it, up to rounding. Arguments and errors are those of `fit`.
         """
-        problem = self._problem(X, y, validation)
+        problem = self._problem(X, y, sample_weight, validation)
         trained = self._train(problem, seeds)
         fitted = []
         for position, seed in enumerate(seeds):
@@ -163,7 +180,7 @@ class TreeClassifier(ClassifierMixin, TreeLearner):  # type: ignore[misc]
 
     classes_: NDArray[Any]
 
-    def _problem(self, X: ArrayLike, y: ArrayLike, validation: Validation) -> Problem:
+    def _problem(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None, validation: Validation) -> Problem:
         self._validate_params()
         shape = np.asarray(y).shape
         multilabel = len(shape) == 2 and shape[1] > 1
@@ -186,7 +203,8 @@ class TreeClassifier(ClassifierMixin, TreeLearner):  # type: ignore[misc]
         if len(Y) != len(rows):
             raise ValueError(f"X has {len(rows)} rows and y {len(Y)}")
         self.multilabel_ = multilabel
-        problem = Problem(rows, Y, "softmax" if not multilabel and len(self.classes_) > 2 else "logistic")
+        loss: Any = "softmax" if not multilabel and len(self.classes_) > 2 else "logistic"
+        problem = Problem(rows, Y, loss, self._weights(sample_weight, rows))
         problem.n_classes = len(self.classes_)
         return self._standardised(problem, validation, None if validation is None else encode(validation[1]))
 
@@ -239,7 +257,7 @@ class TreeClassifier(ClassifierMixin, TreeLearner):  # type: ignore[misc]
 class TreeRegressor(RegressorMixin, TreeLearner):  # type: ignore[misc]
     """Base of the regressors, with one tree a target."""
 
-    def _problem(self, X: ArrayLike, y: ArrayLike, validation: Validation) -> Problem:
+    def _problem(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None, validation: Validation) -> Problem:
         self._validate_params()
         rows, targets = validate_data(self, X, y, dtype=np.float64, multi_output=True, y_numeric=True)
         if targets.ndim == 2 and targets.shape[1] == 1:
@@ -248,7 +266,7 @@ class TreeRegressor(RegressorMixin, TreeLearner):  # type: ignore[misc]
         encoded = None
         if validation is not None:
             encoded = check_array(validation[1], ensure_2d=False, dtype=np.float64, input_name="y of validation")
-        problem = Problem(rows, _columns(targets), "squared")
+        problem = Problem(rows, _columns(targets), "squared", self._weights(sample_weight, rows))
         return self._standardised(problem, validation, None if encoded is None else _columns(encoded))
 
     def predict(self, X: ArrayLike) -> FloatArray:

@@ -96,16 +96,23 @@ def train_models(
     streams: Sequence[SeedStreams],
     schedule: Schedule,
     validation: tuple[InputRows, FloatArray] | None,
+    sample_weight: FloatArray | None = None,
 ) -> Fitted:
     """Train all S x L models on n rows and keep each at its best epoch by validation score, the first of equals.
 
-    Labels Y (n, L) are NaN where missing. Labels whose validation rows are of one class do not take part in choosing a
-    common epoch, where others do. The score is the area under the ROC curve for the logistic loss, or minus the loss
-    where the validation rows of a label are of one class and for the other losses. Without validation rows the last
-    epoch is kept. Raise DivergedError if a model's parameters are not finite at its best epoch.
+    Labels Y (n, L) are NaN where missing. A step's loss is the mean over its rows with a label, each weighted by its
+    `sample_weight` (n,), divided by the mean weight of all rows with that label. Labels whose validation rows are of
+    one class do not take part in choosing a common epoch, where others do. The score is the area under the ROC curve
+    for the logistic loss, or minus the loss where the validation rows of a label are of one class and for the other
+    losses. Without validation rows the last epoch is kept. Raise DivergedError if a model's parameters are not finite
+    at its best epoch.
     """
     targets = torch.from_numpy(np.nan_to_num(Y.T).astype(np.float32))
     present = torch.from_numpy((~np.isnan(Y.T)).astype(np.float32))
+    counts = present
+    if sample_weight is not None:
+        counts = present * torch.from_numpy(sample_weight)
+        counts = (counts * (present.sum(1) / counts.sum(1).clamp_(min=1e-300))[:, None]).float()
     optimiser = _NesterovSgd(models, schedule)
     flats = [parameter.flat for parameter in models.parameters]
     averages = [flat.clone() for flat in flats] if schedule.averaging else flats
@@ -117,7 +124,7 @@ def train_models(
     for epoch in range(1, schedule.epochs + 1):
         models.start_epoch(epoch, schedule.epochs)
         order = np.stack([stream.order.permutation(rows.n_rows) for stream in streams])
-        for chosen, *labels in _mini_batches(order, targets, present, schedule.batch_size):
+        for chosen, *labels in _mini_batches(order, targets, present, counts, schedule.batch_size):
             models.step_gradients(rows, chosen, *labels)
             if schedule.l1:
                 for parameter in models.parameters:
@@ -137,23 +144,25 @@ def train_models(
 
 
 def _mini_batches(
-    order: IntArray, targets: Tensor, present: Tensor, batch_size: int
+    order: IntArray, targets: Tensor, present: Tensor, counts: Tensor, batch_size: int
 ) -> Iterator[tuple[IntArray, Tensor, Tensor]]:
     """Yield an epoch's mini-batches: chosen rows (S, B), targets and weights (S, L, B); see `step_gradients`.
 
-    The rows come in `order` (S, n); of all rows, the targets are 0 where they are missing, and `present` (L, n) is 0
-    there, else 1. A mini-batch gets rows of weight zero up to a multiple of `PADDED_TO`.
+    The rows come in `order` (S, n); of all rows, the targets are 0 where they are missing, `present` (L, n) is 0 there,
+    else 1, and `counts` (L, n) are the weights, of mean 1 where the label is present. A mini-batch gets rows of weight
+    zero up to a multiple of `PADDED_TO`.
     """
     picked = torch.from_numpy(order)
-    targets, present = (labels[:, picked].transpose(0, 1).contiguous() for labels in (targets, present))
+    targets, present, counts = (labels[:, picked].transpose(0, 1).contiguous() for labels in (targets, present, counts))
     for start in range(0, order.shape[1], batch_size):
         mine = slice(start, start + batch_size)
-        chosen, of_batch, weights = order[:, mine], targets[..., mine], present[..., mine]
+        chosen, of_batch, weights = order[:, mine], targets[..., mine], counts[..., mine]
+        n_present = present[..., mine].sum(2, keepdim=True).clamp_(min=1.0)
         n_more = -chosen.shape[1] % PADDED_TO
         if n_more:
             chosen = np.concatenate((chosen, np.repeat(chosen[:, :1], n_more, axis=1)), axis=1)
             of_batch, weights = (torch.nn.functional.pad(labels, (0, n_more)) for labels in (of_batch, weights))
-        yield chosen, of_batch, weights / weights.sum(2, keepdim=True).clamp_(min=1.0)
+        yield chosen, of_batch, weights / n_present
 
 
 class _NesterovSgd:

@@ -77,6 +77,7 @@ def train_many(
     seeds: Sequence[int],
     settings: NetworkSettings[Network],
     *,
+    sample_weight: FloatArray | None = None,
     X_valid: ArrayLike | None = None,
     Y_valid: ArrayLike | None = None,
 ) -> TrainedNetworks[Network]:
@@ -93,6 +94,7 @@ def train_many(
             `otr.learners.distillation.distillation_set` makes them.
         seeds: S integers >= 0.
         settings: `MlpSettings` or `LcnSettings`: kind, shape and training.
+        sample_weight: (n,) >= 0, as how many rows each one counts; None for one each.
         X_valid, Y_valid: rows that choose each network's best epoch, with labels and no probabilities; without
             them the last is kept.
 
@@ -109,7 +111,7 @@ def train_many(
         chunk = seeds[start : start + n_together]
         streams = streams_of(chunk, settings.n_models(n_labels))
         models = settings.new_models(rows.n_inputs, n_labels, streams)
-        fitted = train_models(models, rows, labels, streams, settings.schedule, validation)
+        fitted = train_models(models, rows, labels, streams, settings.schedule, validation, sample_weight)
         for label, of_label in enumerate(networks):
             of_label += [models.network(fitted.values, seed, label) for seed in range(len(chunk))]
         scores.append(fitted.scores[: len(chunk)])

@@ -69,13 +69,14 @@ if TYPE_CHECKING:
     from otr.programs.text import to_text as to_text
     from otr.proof.certificate import Certificate as Certificate, load_certificate as load_certificate
     from otr.proof.certify import certify as certify
+    from otr.proof.difference import find_difference as find_difference
     from otr.proof.properties import (
         check_verdict as check_verdict,
         find_violation as find_violation,
         output_range as output_range,
         reachable_labels as reachable_labels,
     )
-    from otr.proof.verdict import Condition as Condition
+    from otr.proof.verdict import Condition as Condition, HalfSpace as HalfSpace
     from otr.proof.verify import verify as verify
     from otr.shorten.refit_tests import refit_tests as refit_tests
     from otr.shorten.simplify import simplify as simplify, within as within
@@ -114,8 +115,9 @@ _NAMES_OF_MODULES = {
     "programs.text": "to_text",
     "proof.certificate": "Certificate load_certificate",
     "proof.certify": "certify",
+    "proof.difference": "find_difference",
     "proof.properties": "check_verdict find_violation output_range reachable_labels",
-    "proof.verdict": "Condition",
+    "proof.verdict": "Condition HalfSpace",
     "proof.verify": "verify",
     "shorten.refit_tests": "refit_tests",
     "shorten.simplify": "simplify within",

@@ -7,6 +7,7 @@ tanh's lines are too loose the piece is cut in two. What floating point finds co
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import product
@@ -50,7 +51,8 @@ class Search:
     def run(self, max_pieces: int) -> Verdict:
         """Return the answer; raise OtrError if more than `max_pieces` pieces would have to be looked at."""
         waiting, pieces = self._first_pieces(max_pieces), list[Piece]()
-        largest, where = Fraction(-(10**400)), 0
+        largest: Fraction | None = None
+        where = 0
         while len(waiting.leaves):
             if len(pieces) + len(waiting.leaves) > max_pieces:
                 raise OtrError(f"the question needs more than {max_pieces:,} pieces; ask about a smaller box")
@@ -79,11 +81,12 @@ class Search:
                     continue
                 pieces.append(proved)
                 highest = self.question.highest(proved)
-                if highest is not None and highest > largest:
+                if highest is not None and (largest is None or highest > largest):
                     largest, where = highest, leaf
             at = np.array(to_cut, dtype=np.int64)
             waiting = self._cut(_Open(waiting.leaves[at], waiting.low[at], waiting.high[at]), states[at])
-        return Verdict(True, float(largest), where, None, None, None, tuple(pieces), self.tolerance)
+        value = -math.inf if largest is None else float(largest)  # of no state where nothing is given
+        return Verdict(True, value, where, None, None, None, tuple(pieces), self.tolerance)
 
     def _settled(self, piece: Piece) -> Piece | Point:
         """Return the piece with a proof that holds, or a point of it where its lines allow more than they may."""
@@ -167,7 +170,7 @@ class Search:
 
     def _first_pieces(self, max_pieces: int) -> _Open:
         """Return a piece for every leaf and, of actions that are affine in pieces, every combination of these."""
-        n, m = self.tree.n_leaves, len(self.weighed)
+        n, m = self.question.n_leaves, len(self.weighed)
         leaves = np.arange(n)
         if self.question.is_exact:
             parts = [self.question.actions[k].pieces() for k in self.weighed]

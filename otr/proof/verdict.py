@@ -27,8 +27,17 @@ from otr.proof.head_bounds import action_of
 
 
 @dataclass(frozen=True)
+class HalfSpace:
+    """The states with ``P @ x + v`` at most 0, or above 0."""
+
+    P: ArrayLike
+    v: float
+    is_above: bool
+
+
+@dataclass(frozen=True)
 class Condition:
-    """A linear condition on state and action: ``state @ x + action @ u <= bound``.
+    """A linear condition on state and action: ``state @ x + action @ u <= bound``, in all half spaces of `given`.
 
     In a tree with labels, u is 1 at the label and 0 elsewhere; of a sign head it is the label, 0 or 1.
     """
@@ -36,6 +45,7 @@ class Condition:
     state: ArrayLike
     action: ArrayLike
     bound: float
+    given: tuple[HalfSpace, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -87,7 +97,8 @@ class Question(TreeOnDomain):
 
     def __init__(self, tree: ObliqueTree, condition: Condition, domain: Domain) -> None:
         """Take the parts; raise ValueError if the condition does not fit the tree or is not finite."""
-        super().__init__(tree, domain)
+        super().__init__(_behind(condition.given, tree), domain)
+        self.n_leaves = tree.n_leaves  # that are asked about: those after them are outside of what is given
         self.state, self.action = (np.asarray(part, dtype=np.float64) for part in (condition.state, condition.action))
         if self.state.shape != (tree.n_inputs,) or self.action.shape != (tree.n_outputs,):
             raise ValueError(
@@ -154,7 +165,7 @@ class Question(TreeOnDomain):
         by_leaf: dict[int, list[Piece]] = {}
         for piece in verdict.pieces:
             by_leaf.setdefault(piece.leaf, []).append(piece)
-        for leaf in range(self.tree.n_leaves):
+        for leaf in range(self.n_leaves):
             pieces = by_leaf.get(leaf, [])
             if not covers(pieces, *self.limits(leaf)):
                 raise CertificateError(f"leaf {leaf}: the pieces of the proof do not cover it", leaf)
@@ -242,8 +253,8 @@ class Question(TreeOnDomain):
 
     def fails(self, point: Point) -> bool:
         """Return whether the condition fails at a point of the box, beyond what a tanh may be off."""
-        _, value, off = self.value(point)
-        return self.is_inside(point) and value - off > Fraction(self.bound)
+        leaf, value, off = self.value(point)
+        return leaf < self.n_leaves and self.is_inside(point) and value - off > Fraction(self.bound)
 
     def fails_in_float64(self, state: FloatArray) -> bool:
         """Return whether the condition fails at a state (d,) under the tree's own `predict` as in exact arithmetic."""
@@ -257,6 +268,32 @@ class Question(TreeOnDomain):
         if self.tree.labels is None:
             return np.asarray(answer, dtype=np.float64)
         return self.tree.head.weights_of_label(int(answer), self.tree.n_outputs)
+
+
+def _behind(given: Sequence[HalfSpace], tree: ObliqueTree) -> ObliqueTree:
+    """Return a tree that first asks for half spaces; states outside of them reach leaves that come after its own."""
+    if not given:
+        return tree
+    k, n = len(given), tree.n_leaves
+    P = np.array([half_space.P for half_space in given], dtype=np.float64).reshape(k, tree.n_inputs)
+    inside = np.append(np.arange(1, k), k if tree.n_nodes else ~0)
+    outside = ~(n + np.arange(k))
+    is_above = np.array([half_space.is_above for half_space in given])
+    left, right = (
+        np.concatenate((np.where(is_above == is_right, inside, outside), np.where(side >= 0, side + k, side)))
+        for is_right, side in ((False, tree.children_left), (True, tree.children_right))
+    )
+    first = np.zeros(k, dtype=np.int64)
+    return ObliqueTree(
+        left,
+        right,
+        np.concatenate((P, tree.P)),
+        np.concatenate(([half_space.v for half_space in given], tree.v)),
+        np.concatenate((tree.M, tree.M[first])),
+        np.concatenate((tree.c, tree.c[first])),
+        labels=None if tree.labels is None else np.concatenate((tree.labels, tree.labels[first])),
+        head=tree.head,
+    )
 
 
 def covers(pieces: Sequence[Piece], low: Sequence[float], high: Sequence[float]) -> bool:

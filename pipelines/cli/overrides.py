@@ -15,7 +15,16 @@ from pipelines.errors import ConfigError
 
 FILES = ("program", "model", "oracle", "vec_normalize")  # keys of otr-run
 SEARCH = "hydra.searchpath="
-PATHS = ("run", "out", "program", "results_dir", "certificate", "tree", "actor")  # keys of otr-export and otr-verify
+PATHS = (
+    "run",
+    "out",
+    "program",
+    "always",
+    "results_dir",
+    "certificate",
+    "tree",
+    "actor",
+)  # keys of otr-export and otr-verify
 
 
 def parse(override: str) -> Override:

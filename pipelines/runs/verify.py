@@ -1,16 +1,20 @@
-"""Certificates of finished runs, checked again without a solver."""
+"""What is proved of a policy: a run's certificate, checked again without a solver, and a program compared."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 import otr
+from pipelines.config.env import EnvConfig
 from pipelines.config.run import RunConfig
-from pipelines.config.setting import Folder, FreeText, check_settings
+from pipelines.config.setting import Folder, FreeText, NotNegative, check_settings
 from pipelines.engine.archive import opened
 from pipelines.engine.store import exists, read_json
-from pipelines.errors import MissingInputError, PipelineError
+from pipelines.errors import ConfigError, MissingInputError, PipelineError
 from pipelines.play.actor_files import load_actor
-from pipelines.play.environments import state_limits
+from pipelines.play.environments import action_names, feature_names, state_limits
+from pipelines.runs.questions import Answer, answer_in_words, in_words
 
 
 @dataclass(frozen=True)
@@ -18,6 +22,11 @@ class VerifyConfig:
     """What `otr-verify` takes; None is the run's own."""
 
     run: FreeText
+    program: FreeText | None
+    env: FreeText | None
+    always: FreeText | None
+    range: bool
+    max_difference: NotNegative
     certificate: FreeText | None
     tree: FreeText | None
     actor: FreeText | None
@@ -73,3 +82,55 @@ def _box(domain: otr.Domain) -> str:
     """Return a box as people read it."""
     sides = zip(domain.low.tolist(), domain.high.tolist(), strict=True)
     return " x ".join(f"[{low:.4g}, {high:.4g}]" for low, high in sides)
+
+
+def question_domain(env: EnvConfig, folder: Path | None) -> tuple[otr.Domain, str]:
+    """Return the box of states that is asked about, and what it is; that of a run's certificate is the second choice.
+
+    Raises:
+        ConfigError: the environment declares no box, and no certificate has one.
+    """
+    limits = state_limits(env)
+    if limits is not None:
+        domain, what = otr.Domain(*limits), "the environment's box of states"
+    elif folder is not None and exists(folder / "certify" / "report.json"):
+        domain, what = otr.Domain.from_dict(read_json(folder / "certify" / "report.json")), "the box of the certificate"
+    else:
+        raise ConfigError(
+            f"the states of {env.id} have no bounds, and no run with certify=true names a box of them; add "
+            "certify=true to the command that made the run"
+        )
+    return domain, f"{what}, {_box(domain)}"
+
+
+def compared(
+    tree: otr.ObliqueTree, other: otr.ObliqueTree | otr.ReluNetwork, env: EnvConfig, domain: otr.Domain, bound: float
+) -> Answer:
+    """Return whether a program's tree differs from a tree, or from a network, by no more than a bound on a box.
+
+    Raises:
+        ConfigError: they cannot be compared.
+    """
+    what = "the network" if isinstance(other, otr.ReluNetwork) else "the tree"
+    before = " before the tanh" if isinstance(tree.head, otr.TanhBox) else ""
+    try:
+        if isinstance(other, otr.ReluNetwork):
+            certificate = otr.certify(tree, other, domain, max_error=bound)
+            otr.verify(certificate, tree, other)
+            return Answer(True, f"proved: the program and {what} differ by at most {certificate.max_error:.3g}{before}")
+        verdict = otr.find_difference(tree, other, domain, max_difference=bound)
+    except otr.CertificateError as error:
+        if error.state is None:
+            return Answer(None, f"undecided: {error}")
+        state = np.array([float(value) for value in error.state])
+    except ValueError as error:
+        raise ConfigError(f"the program and {what} cannot be compared: {error}") from error
+    else:
+        if verdict.state is None:
+            size = f"differ by at most {verdict.value:.3g}{before}"
+            return Answer(True, f"proved: the program and {what} {size if tree.labels is None else 'answer alike'}")
+        state = verdict.state
+    place = in_words(feature_names(env, len(state)), state)
+    names = action_names(env, tree.head.n_answers(tree.n_outputs))
+    ours, theirs = (answer_in_words(each, state, names) for each in (tree, other))
+    return Answer(False, f"differ: at {place}, the program answers {ours}, {what} {theirs}")

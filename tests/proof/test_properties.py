@@ -217,3 +217,41 @@ def test_conditions_that_are_no_numbers_are_refused(changes: dict) -> None:
         otr.find_violation(tree, replace(Condition([0.0], [1.0], 2.0), **changes), BOX)
     with pytest.raises(TypeError, match="expected an ObliqueTree"):
         otr.output_range(make_network(np.random.default_rng(0), (2,)), BOX)
+
+
+@settings(max_examples=60)
+@given(cases(heads=("identity", "clip_box"), max_layers=2), st.data())
+def test_a_condition_is_asked_of_what_is_given_alone(case, data) -> None:
+    tree, d = otr.map_network(case.network), case.network.n_inputs
+    numbers = st.integers(-2, 2).map(float)
+    half_spaces = [
+        otr.HalfSpace(
+            data.draw(st.lists(numbers, min_size=d, max_size=d)), data.draw(numbers), data.draw(st.booleans())
+        )
+        for _ in range(data.draw(st.integers(1, 3)))
+    ]
+    action = np.eye(tree.n_outputs)[0]
+    condition = Condition(np.zeros(d), action, data.draw(numbers), tuple(half_spaces))
+    verdict = otr.find_violation(tree, condition, BOX)
+    check_verdict(verdict, tree, condition, BOX)
+    X = grid(d)
+    inside = np.all([(X @ np.array(each.P) + each.v > 0) == each.is_above for each in half_spaces], axis=0)
+    if verdict.holds:
+        assert tree.predict(X)[inside, 0].max(initial=-np.inf) <= verdict.value + 1e-9 <= condition.bound + 1e-9
+    else:
+        values = [sum(Fraction(a) * x for a, x in zip(each.P, verdict.point, strict=True)) + Fraction(each.v)
+                  for each in half_spaces]  # fmt: skip
+        assert [value > 0 for value in values] == [each.is_above for each in half_spaces]
+        assert verdict.action[0] > condition.bound - 1e-9 and verdict.leaf < tree.n_leaves
+
+
+def test_the_side_of_what_is_given_is_exact() -> None:
+    tree = otr.parse_program("if a > 1: b else: 5", ["a", "b"])
+    above, closed = (otr.HalfSpace([sign, 0.0], -sign, sign > 0) for sign in (1.0, -1.0))  # a > 1, and a >= 1
+    condition = Condition([0.0, 0.0], [1.0], 2.0)
+    assert otr.find_violation(tree, replace(condition, given=(above,)), BOX).holds
+    verdict = otr.find_violation(tree, replace(condition, given=(closed,)), BOX)
+    assert not verdict.holds and verdict.point[0] == 1
+    nowhere = replace(condition, given=(above, otr.HalfSpace([1.0, 0.0], -1.0, False)))
+    outside = replace(condition, given=(otr.HalfSpace([1.0, 0.0], -5.0, True),))
+    assert otr.find_violation(tree, nowhere, BOX).holds and otr.find_violation(tree, outside, BOX).holds

@@ -1,19 +1,71 @@
-"""`otr-verify`: a run's certificate, checked again."""
+"""`otr-verify`: what is proved of a policy."""
 
 import argparse
+from pathlib import Path
 
-from pipelines.cli.compose import Composer, to_object
+import otr
+from pipelines.cli.compose import PolicyComposer, to_object
 from pipelines.cli.overrides import path_quoted
-from pipelines.cli.runs import load_config
-from pipelines.runs.export import find_run
-from pipelines.runs.verify import VerifyConfig, verify_run
+from pipelines.cli.runs import load_config, written_policy
+from pipelines.errors import ConfigError
+from pipelines.runs.export import TREES, check_policy, find_run, tree_of
+from pipelines.runs.questions import Answer, always, ranges
+from pipelines.runs.verify import VerifyConfig, compared, question_domain, verify_run
+from pipelines.stages.parse import policy_tree, read_program
 
-VERIFY = Composer("verify", {(None, "verify_schema"): VerifyConfig})
+VERIFY = PolicyComposer("verify", {(None, "verify_schema"): VerifyConfig})
 
 
 def do(arguments: argparse.Namespace) -> int:
-    """Check a run's certificate and print what it says."""
+    """Check a run's certificate, or answer a question about a policy, and print what is proved."""
     cfg: VerifyConfig = to_object(VERIFY.compose([path_quoted(override) for override in arguments.overrides]))
-    folder = find_run(cfg.run, cfg.results_dir)
-    print(verify_run(cfg, load_config(folder, None), folder))
-    return 0
+    if cfg.program is None and cfg.always is None and not cfg.range:
+        folder = find_run(cfg.run, cfg.results_dir)
+        print(verify_run(cfg, load_config(folder, None), folder))
+        return 0
+    try:
+        answers = _answers(cfg)
+    except (ValueError, otr.TreeTooLargeError) as error:  # the box is open, or the head or the size refused
+        raise ConfigError(str(error)) from error
+    return 0 if all(answer.holds for answer in answers) else 1
+
+
+def _answers(cfg: VerifyConfig) -> list[Answer]:
+    """Print the answers to what is asked of a run's policy, or of a program, and return them."""
+    folder = find_run(cfg.run, cfg.results_dir) if cfg.run else None
+    if folder is None:
+        check_policy("", cfg.program, cfg.env)
+        assert cfg.program is not None
+        run, written = written_policy(str(cfg.env), cfg.program)
+        program: otr.ObliqueTree | None = written
+    else:
+        run = load_config(folder, None)
+        program = policy_tree(read_program(cfg.program), run.env, cfg.program) if cfg.program else None
+    domain, where = question_domain(run.env, folder)
+    answers, whose = list[Answer](), ""
+    if cfg.always is None and not cfg.range:
+        if folder is not None and (cfg.tree is None or cfg.tree in TREES):
+            own = "compact" if run.method.is_mapped else "pruned"
+            other = tree_of(cfg.tree or own, run, folder)
+        elif cfg.tree is not None:
+            other = otr.load(Path(cfg.tree))
+        else:
+            raise ConfigError(
+                f"program={cfg.program}: what is asked? Add run=FOLDER or tree=FILE to compare it, always=CONDITION or "
+                "range=true"
+            )
+        assert program is not None
+        answers.append(compared(program, other, run.env, domain, cfg.max_difference))
+    elif program is None:
+        assert folder is not None
+        program = tree_of(cfg.tree or "pruned", run, folder)
+        whose = f"of the {(cfg.tree or 'pruned').replace('_', ' ')} tree, "
+    if cfg.range:
+        print("\n".join(ranges(program, run.env, domain)))
+    if cfg.always is not None:
+        answers.append(always(program, cfg.always, run.env, domain))
+    for answer in answers:
+        print(answer.text)
+    tolerance = ", to 1e-6 under tanh" if cfg.always is not None and isinstance(program.head, otr.TanhBox) else ""
+    print(f"asked {whose}at every real point of {where}{tolerance}")
+    return answers

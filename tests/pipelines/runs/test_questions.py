@@ -1,0 +1,119 @@
+"""otr-verify answers questions: proved, with a state where it is otherwise, or undecided."""
+
+import functools
+import re
+
+import numpy as np
+import pytest
+
+import otr
+from pipelines.runs.questions import always
+from tests.committed import RESULTS
+from tests.pipelines.conftest import PENDULUM
+
+PENDULUM_RUN, CAR = "run=pendulum/otr/depth-6/quick/seed-0", "env=mountaincar"
+BOX = otr.Domain(np.array([-1.0, -1.0, -8.0]), np.array([1.0, 1.0, 8.0]))
+NAMES = [*PENDULUM.feature_names, "torque"]
+PROGRAM = """if angle_rate > 2 and cos_angle > 0.5 then
+    return clip(-sin_angle - 0.125 angle_rate, -2, 2)
+else
+    return clip(1.5 sin_angle, -2, 2)
+"""
+
+
+@pytest.fixture
+def verify(command, monkeypatch):
+    """Return what asks about a committed run."""
+    monkeypatch.setenv("OTR_RESULTS_DIR", str(RESULTS))
+    return functools.partial(command, "verify")
+
+
+@pytest.mark.parametrize(
+    ("condition", "holds"),
+    [
+        ("torque <= 1.5", True),
+        ("torque < 1.5", False),  # it is 1.5 where sin_angle is 1
+        ("abs(torque) <= 2", True),
+        ("-2 < torque < 2", False),
+        ("torque < 0 or angle_rate <= 2 or cos_angle <= 0.5 or sin_angle < 0", True),
+        ("torque < 0 or angle_rate <= 2 or cos_angle <= 0.5 or sin_angle < -0.5", False),
+        ("angle_rate <= 8", True),
+        ("cos_angle + sin_angle <= 2", True),
+        ("cos_angle + sin_angle < 2", False),
+        ("not (torque > 1 and angle_rate > 2 and cos_angle > 0.75)", True),
+    ],
+)
+def test_conditions_on_actions(condition, holds):
+    tree = otr.parse_program(PROGRAM, PENDULUM.feature_names)
+    answer = always(tree, condition, PENDULUM, BOX)
+    assert answer.holds is holds, answer.text
+    if not holds:
+        state = [float(re.search(rf"{name} = (\S+?),? ", answer.text + " ")[1]) for name in PENDULUM.feature_names]
+        holds_there = otr.parse_program(f"if {condition} then 1 else 0", NAMES, labels=True)
+        assert holds_there.predict([*state, tree.predict(state)[0]]) == 0
+        assert f"torque = {tree.predict(state)[0]}" in answer.text
+
+
+def test_what_two_comparisons_exclude_only_together_is_undecided():
+    tree = otr.parse_program("if cos_angle + sin_angle > 0 then 2 else -1", PENDULUM.feature_names)
+    assert always(tree, "torque < 0 or cos_angle + sin_angle > 0", PENDULUM, BOX).holds
+    answer = always(tree, "torque < 0 or torque > 1", PENDULUM, BOX)
+    assert answer.holds is None
+    assert answer.text.endswith("was found where -1 torque +0 <= 0 and -1 torque +1 > 0") or answer.text.endswith(
+        "was found where -1 torque +0 <= 0 and +1 torque -1 <= 0"
+    )
+
+
+def test_labels_by_name(verify):
+    run = "run=lunarlander/otr/depth-2/thesis/seed-0"
+    assert "reached: none, left_engine, main_engine, right_engine" in verify(run, "range=true").stdout
+    done = verify(run, "always=action != main_engine or y < 100")
+    assert done.returncode == 0 and done.stdout.startswith("proved: action != main_engine or y < 100"), done.stderr
+    done = verify(run, "always=action != main_engine")
+    assert done.returncode == 1 and "with action = main_engine" in done.stdout
+
+
+def test_a_run_and_a_program_are_asked(verify, tmp_path):
+    done = verify(PENDULUM_RUN, "range=true", "always=torque <= 2")
+    assert done.returncode == 0 and done.stdout.startswith("torque: -2 to 1.99997\nproved: torque <= 2\n"), done.stderr
+    assert "asked of the pruned tree, at every real point of the environment's box of states" in done.stdout
+    done = verify(PENDULUM_RUN, "tree=minimal", "always=torque <= 1.5")
+    assert done.returncode == 1 and "fails: torque <= 1.5, at cos_angle = " in done.stdout
+    assert verify(CAR, "program=mountaincar", "range=true").stdout.startswith("force: -1 to 1\n")
+
+
+def test_a_program_is_compared_with_network_and_tree(verify, command, tmp_path):
+    exact, short = tmp_path / "exact.txt", tmp_path / "short.txt"
+    for path, precision in ((exact, 17), (short, 4)):
+        done = command("export", PENDULUM_RUN, "format=text", "tree=minimal", f"precision={precision}", f"out={path}")
+        assert done.returncode == 0, done.stderr
+    assert verify(PENDULUM_RUN, f"program={exact}").stdout.startswith("proved: the program and the network differ by")
+    assert "and the tree differ by at most" in verify(PENDULUM_RUN, f"program={exact}", "tree=minimal").stdout
+    done = verify(PENDULUM_RUN, f"program={short}")
+    assert done.returncode == 1 and done.stdout.startswith("differ: at cos_angle = "), done.stderr
+    done = verify(PENDULUM_RUN, f"program={short}", "max_difference=0.5")
+    assert done.returncode == 0 and "differ by at most 0.00" in done.stdout, done.stdout + done.stderr
+    otr.save(otr.parse_program(PROGRAM, PENDULUM.feature_names), tmp_path / "tree")
+    own = tmp_path / "own.txt"
+    own.write_text(PROGRAM)
+    assert verify("env=pendulum", f"program={own}", f"tree={tmp_path}/tree").returncode == 0
+    done = verify(PENDULUM_RUN, f"program={own}")
+    assert done.returncode == 2 and "cannot be compared: the tree has (inputs, outputs, head)" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (
+            (PENDULUM_RUN, "always=torqu <= 1"),
+            "always: unknown name 'torqu'. Did you mean torque?\n    torqu <= 1\n    ^",
+        ),
+        ((PENDULUM_RUN, "always=torque"), "this is a number where a condition was expected"),
+        ((PENDULUM_RUN, "range=perhaps"), "range=perhaps: give true or false"),
+        (("env=mountaincar", "program=mountaincar"), "what is asked? Add run=FOLDER or tree=FILE"),
+        (("always=x > 0",), "which run? Add run=FOLDER"),
+    ],
+)
+def test_what_cannot_be_answered_is_told(verify, words, told):
+    done = verify(*words)
+    assert done.returncode == 2 and told in done.stderr and "Traceback" not in done.stderr, done.stderr

@@ -40,7 +40,7 @@ def _answers(cfg: VerifyConfig) -> list[Answer]:
         program: otr.ObliqueTree | None = written
     else:
         run = load_config(folder, None)
-        program = policy_tree(read_program(cfg.program), run.env, cfg.program) if cfg.program else None
+        program = policy_tree(read_program(cfg.program, run.env), run.env, cfg.program) if cfg.program else None
     domain, where = question_domain(run.env, folder)
     answers, whose = list[Answer](), ""
     if cfg.always is None and not cfg.range:
@@ -55,10 +55,13 @@ def _answers(cfg: VerifyConfig) -> list[Answer]:
                 "range=true"
             )
         assert program is not None
+        other = other.network if isinstance(other, otr.PatternTree) else other
         answers.append(compared(program, other, run.env, domain, cfg.max_difference))
     elif program is None:
         assert folder is not None
         program = tree_of(cfg.tree or "pruned", run, folder)
+        if not isinstance(program, otr.ObliqueTree):
+            raise ConfigError(f"tree={cfg.tree}: it is not held as leaves, each of which is asked; use tree=pruned")
         whose = f"of the {(cfg.tree or 'pruned').replace('_', ' ')} tree, "
     if cfg.range:
         print("\n".join(ranges(program, run.env, domain)))

@@ -111,6 +111,8 @@ def test_a_program_is_compared_with_network_and_tree(verify, command, tmp_path):
         ((PENDULUM_RUN, "always=torque"), "this is a number where a condition was expected"),
         ((PENDULUM_RUN, "range=perhaps"), "range=perhaps: give true or false"),
         (("env=mountaincar", "program=mountaincar"), "what is asked? Add run=FOLDER or tree=FILE"),
+        ((PENDULUM_RUN, "tree=compact", "range=true"), "tree=compact: it is not held as leaves"),
+        ((PENDULUM_RUN, "tree=prunde", "range=true"), "Did you mean pruned?"),
         (("always=x > 0",), "which run? Add run=FOLDER"),
     ],
 )

@@ -7,6 +7,7 @@ import otr
 from pipelines.cli.compose import PolicyComposer, to_object
 from pipelines.cli.overrides import path_quoted
 from pipelines.cli.runs import load_config, written_policy
+from pipelines.engine.wrapping import columns, fitted
 from pipelines.errors import ConfigError
 from pipelines.runs.export import TREES, check_policy, find_run, tree_of
 from pipelines.runs.questions import Answer, always, ranges
@@ -21,7 +22,7 @@ def do(arguments: argparse.Namespace) -> int:
     cfg: VerifyConfig = to_object(VERIFY.compose([path_quoted(override) for override in arguments.overrides]))
     if cfg.program is None and cfg.always is None and not cfg.range:
         folder = find_run(cfg.run, cfg.results_dir)
-        print(verify_run(cfg, load_config(folder, None), folder))
+        print(fitted(verify_run(cfg, load_config(folder, None), folder), columns()))
         return 0
     try:
         answers = _answers(cfg)
@@ -68,7 +69,7 @@ def _answers(cfg: VerifyConfig) -> list[Answer]:
     if cfg.always is not None:
         answers.append(always(program, cfg.always, run.env, domain))
     for answer in answers:
-        print(answer.text)
+        print(fitted(answer.text, columns()))
     tolerance = ", to 1e-6 under tanh" if cfg.always is not None and isinstance(program.head, otr.TanhBox) else ""
-    print(f"asked {whose}at every real point of {where}{tolerance}")
+    print(fitted(f"asked {whose}at every real point of {where}{tolerance}", columns()))
     return answers

@@ -182,5 +182,5 @@ def test_slurm_is_handed_one_array(tmp_path):
     assert text == SBATCH
     assert otr_command("otr-run", *PROGRAMS, cwd=tmp_path).returncode == 0
     expected = digests(tmp_path / "results")
-    assert len(expected) == 18 and digests(tmp_path / "elsewhere") == expected
+    assert len(expected) == 20 and digests(tmp_path / "elsewhere") == expected
     assert [path.name for path in (tmp_path / "elsewhere/sweeps").iterdir()] == [".submitit"]

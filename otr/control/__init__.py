@@ -20,6 +20,7 @@ _MODULES = {
     "NdpsSettings": "ndps",
     "RelaxedProgram": "pi_prl",
     "SoftTree": "soft_tree",
+    "StudentFit": "distilled_otr",
     "argmax_leaves": "label_leaves",
     "constant_gains": "pid",
     "draw_rows": "dagger.row_sampling",

@@ -296,7 +296,7 @@ def _model(config: RunConfig, overrides: Sequence[str]) -> tuple[ImportedModel, 
             f"method.features=deep reads activation patterns, and the units of {method.model} are "
             f"{imported.policy.activation}, which has none; leave it out"
         )
-    elif "map" in config.selected_stages:
+    elif "map" in config.selected_stages and not method.imitates:
         words = [f"env={env.id}", "method=augtree", f"oracle={method.model}", "depth=4"]
         words += [f"vec_normalize={method.vec_normalize}"] if method.vec_normalize else []
         raise ConfigError(

@@ -73,7 +73,7 @@ class MappedConfig(MethodConfig):
     """OTR, and every method whose tree is mapped from the trained actor."""
 
     label = "OTR"
-    stages = ("train", "map", "prune", "evaluate")
+    stages: ClassVar[tuple[str, ...]] = ("train", "map", "prune", "evaluate")
     tree_stage = "map"
     is_mapped = True
 
@@ -174,11 +174,9 @@ class GrownConfig(MethodConfig):
 
 
 @dataclass(frozen=True)
-class ImitatingConfig(TakesModel, GrownConfig):
+class ImitatingConfig(TakesModel, MethodConfig):
     """A method that imitates an oracle under DAgger: a network that is trained first, or a model from a file."""
 
-    stages = ("oracle", "imitate", "prune", "evaluate")
-    tree_stage = "imitate"
     imitates = True
     fit_s: ClassVar[float]  # seconds of one fit at depth 6, measured on the lander
 
@@ -189,7 +187,32 @@ class ImitatingConfig(TakesModel, GrownConfig):
 
 
 @dataclass(frozen=True)
-class ViperConfig(ImitatingConfig):
+class DistilledConfig(ImitatingConfig, MappedConfig):
+    """OTR whose network is fitted to an oracle; the names are those of `otr.control.StudentFit`."""
+
+    dense: Annotated[str, OneOf("none", "input")]
+    negative_slope: Annotated[float, Range(0, 1, open=True)]
+    max_samples: Count
+    n_starts: Count
+    n_updates: Count
+    ridge: NotNegative
+
+    label = "OTR, distilled"
+    stages = ("oracle", "imitate", "map", "prune", "evaluate")
+    actor_stage = "imitate"
+    fit_s = 3.0
+
+
+@dataclass(frozen=True)
+class ImitatingTreeConfig(ImitatingConfig, GrownConfig):
+    """A method whose imitator is a tree from the start."""
+
+    stages = ("oracle", "imitate", "prune", "evaluate")
+    tree_stage = "imitate"
+
+
+@dataclass(frozen=True)
+class ViperConfig(ImitatingTreeConfig):
     """VIPER: CART on rows drawn by the oracle's weights; the names are those of `otr.control.CartFit`."""
 
     max_samples: Count
@@ -200,7 +223,7 @@ class ViperConfig(ImitatingConfig):
 
 
 @dataclass(frozen=True)
-class LmViperConfig(ImitatingConfig):
+class LmViperConfig(ImitatingTreeConfig):
     """LM-VIPER: a linear model in every leaf; the names are those of `otr.control.LinearModelTreeFit`."""
 
     max_samples: Count
@@ -212,7 +235,7 @@ class LmViperConfig(ImitatingConfig):
 
 
 @dataclass(frozen=True)
-class AugTreeConfig(ImitatingConfig):
+class AugTreeConfig(ImitatingTreeConfig):
     """AugTree: tests on the oracle's hidden units; the names are those of `otr.control.AugTreeFit`."""
 
     features: Annotated[str, OneOf("all", "z", "deep")]
@@ -234,7 +257,7 @@ class AugTreeConfig(ImitatingConfig):
 
 
 @dataclass(frozen=True)
-class NdpsConfig(ImitatingConfig):
+class NdpsConfig(ImitatingTreeConfig):
     """NDPS: a soft tree fitted to the oracle, hardened and refitted; names as in `otr.control.NdpsImitator`."""
 
     max_samples: Count  # rows drawn for a fit
@@ -350,6 +373,7 @@ METHODS: dict[str, type[MethodConfig]] = {
     "lm_viper": LmViperConfig,
     "augtree": AugTreeConfig,
     "ndps": NdpsConfig,
+    "distilled_otr": DistilledConfig,
     "sdt": SdtConfig,
     "cdt": CdtConfig,
     "pi_prl": PiPrlConfig,

@@ -5,6 +5,7 @@ from typing import Any
 
 from rich.table import Table
 
+from pipelines.config.methods import METHODS
 from pipelines.engine.console import SHORT_PROGRAM, duration, show_finished
 
 
@@ -138,13 +139,14 @@ def _leaves(n_leaves: int) -> str:
 
 
 def _title(summary: dict[str, Any]) -> str:
-    """Return which run this is: its environment and depth, and how it was trained, or which program it is."""
+    """Return which run this is: its environment, method and depth, and how it was trained, or which program it is."""
     env_id = "" if summary["env_id"] == summary["env"] else f" ({summary['env_id']})"
-    start = f"{summary['env']}{env_id}, depth {summary['depth']}"
-    for given in ("program", "model"):
-        if given in summary:
-            method = "" if summary["method"] == given else f", {summary['method']} ({summary['budget']})"
-            return f"{start}{method}, {given} {summary[given]}, seed {summary['seed']}"
+    given = next((name for name in ("program", "model") if name in summary), "")
+    method = "" if summary["method"] in ("otr", given) else f", {METHODS[summary['method']].label}"
+    start = f"{summary['env']}{env_id}{method}, depth {summary['depth']}"
+    if given:
+        budget = f" ({summary['budget']})" if method else ""
+        return f"{start}{budget}, {given} {summary[given]}, seed {summary['seed']}"
     trainer = "" if summary["trainer"] == "sb3" else f", {summary['trainer']}"
     return (
         f"{start}, {summary['algorithm'].upper()}, {summary['steps']:,} steps ({summary['budget']}{trainer}), "

@@ -46,7 +46,8 @@ def summarise(config: RunConfig, run_dir: Path) -> dict[str, Any]:
     }
     if "imitate" in names:
         summary["oracle"] = {"hidden_widths": list(config.oracle), **evaluated["oracle"]}
-        summary["imitate"] = {name: made[name] for name in ("round", "n_rows", "n_steps")}
+        imitated = read_json(run_dir / "imitate" / "report.json")
+        summary["imitate"] = {name: imitated[name] for name in ("round", "n_rows", "n_steps")}
     if "n_outside_domain" in evaluated:
         summary |= {name: evaluated[name] for name in ("n_outside_domain", "n_states")}
     if "parse" in names:

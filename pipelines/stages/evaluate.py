@@ -29,7 +29,7 @@ def episodes_file(form: str) -> str:
 def load_policies(inputs: Mapping[str, Path], config: RunConfig) -> dict[str, Any]:
     """Return the forms of the policy that a run left: what the tree stands for, the tree and the pruned tree.
 
-    The first is the actor's network where it was mapped, the oracle where one was imitated, and the soft tree where
+    The first is the oracle where one was imitated, the actor's network where it was mapped, and the soft tree where
     that was hardened; the latter's authors' own discretisation comes last, as does a PID policy's tree with its leaves'
     gains averaged. A program's tree stands for nothing else.
     """
@@ -39,9 +39,9 @@ def load_policies(inputs: Mapping[str, Path], config: RunConfig) -> dict[str, An
 
         hard: Any = otr.load(inputs["harden"] / "tree")
         policies["soft"] = SoftPolicy(load_soft(inputs["train"]), hard.head)
-    elif "imitate" in inputs:
+    if "oracle" in inputs:
         policies["oracle"] = load_oracle(inputs["oracle"], Path(config.results_dir))
-    elif "map" in inputs:
+    if "map" in inputs:
         policies["network"] = load_actor(inputs[config.method.actor_stage])
     policies["tree"] = otr.load(inputs[config.method.tree_stage] / "tree")
     policies["pruned_tree"] = otr.load(inputs["prune"] / "tree")

@@ -1,4 +1,4 @@
-"""Stage imitate: a tree that imitates the oracle, under DAgger, and the choice of one of its iterates.
+"""Stage imitate: a tree or a small network that imitates the oracle, under DAgger: the best of its iterates.
 
 A killed run goes on from its last whole round; its working files lie with the checkpoints until the stage is done.
 """
@@ -11,7 +11,14 @@ from typing import Any
 import otr
 from otr.control.dagger.loop import DaggerProgress, DaggerSettings, Play, TreeFit, run_dagger
 from otr.core.smooth_network import Oracle
-from pipelines.config.methods import AugTreeConfig, ImitatingConfig, LmViperConfig, NdpsConfig, ViperConfig
+from pipelines.config.methods import (
+    AugTreeConfig,
+    DistilledConfig,
+    ImitatingConfig,
+    LmViperConfig,
+    NdpsConfig,
+    ViperConfig,
+)
 from pipelines.config.run import RunConfig
 from pipelines.config.setting import keyed_settings
 from pipelines.engine.archive import verified_manifest
@@ -19,7 +26,8 @@ from pipelines.engine.console import duration
 from pipelines.engine.digests import digest
 from pipelines.engine.seeding import episode_seeds, stream
 from pipelines.engine.stage import Stage
-from pipelines.engine.store import write_csv, write_json
+from pipelines.engine.store import write_csv, write_files, write_json
+from pipelines.play.actor_files import actor_files
 from pipelines.play.environments import longest_episode
 from pipelines.play.rollout import Policy, Rollout, rollout
 from pipelines.stages.oracle import load_oracle
@@ -55,7 +63,10 @@ def working_folder(config: RunConfig, inputs: Mapping[str, Path]) -> Path:
 
 
 def imitate(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
-    """Imitate the oracle; write the chosen tree, its program, `iterates.csv` and `report.json`."""
+    """Imitate the oracle; write the chosen tree and its program, `iterates.csv` and `report.json`.
+
+    Of a network the actor's files are written in place of the tree, which the stage map makes.
+    """
     oracle = load_oracle(inputs["oracle"], Path(config.results_dir))
     imitation, folder = config.imitate, working_folder(config, inputs)
     result = run_dagger(
@@ -70,27 +81,32 @@ def imitate(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
         folder,
         on_round=lambda progress: _show(progress, config),
     )
-    otr.save(result.tree, out / "tree")
-    write_program(result.tree, config.env, out)
-    rows = [{**asdict(iterate), "chosen": iterate.round == result.round} for iterate in result.iterates]
+    if isinstance(result.tree, otr.PatternTree):
+        write_files(actor_files(result.tree.network), out)
+    else:
+        otr.save(result.tree, out / "tree")
+        write_program(result.tree, config.env, out)
+    chosen = result.iterates[result.round]
+    rows = [{**asdict(iterate), "chosen": iterate == chosen} for iterate in result.iterates]
     write_csv(out / "iterates.csv", [{**row, "seconds": round(row["seconds"], 3)} for row in rows], ITERATE_COLUMNS)
     write_json(
         out / "report.json",
         {
-            "n_leaves": result.tree.n_leaves,
-            "depth": result.tree.depth,
+            "n_leaves": chosen.n_leaves,
+            "depth": chosen.depth,
             "round": result.round,
             "oracle_return": result.oracle_mean,
-            "n_rows": result.iterates[result.round].n_rows,
+            "n_rows": chosen.n_rows,
             "n_steps": result.n_steps,
         },
     )
 
 
 def _fit(config: RunConfig, oracle: Oracle, folder: Path) -> TreeFit:
-    """Return the learner of a method's trees."""
+    """Return the learner of a method's trees or networks."""
     from otr.control.augtree import AugTreeFit  # imports scikit-learn, as the next line does
-    from otr.control.viper import CartFit, LinearModelTreeFit
+    from otr.control.distilled_otr import StudentFit
+    from otr.control.viper import CartFit, LinearModelTreeFit, box_of
 
     method = config.method
     options = {name: value for name, value in keyed_settings(method).items() if name != "name"}
@@ -98,6 +114,10 @@ def _fit(config: RunConfig, oracle: Oracle, folder: Path) -> TreeFit:
         return CartFit(config.depth, **options)
     if isinstance(method, LmViperConfig):
         return LinearModelTreeFit(oracle.head, config.depth, **options)
+    if isinstance(method, DistilledConfig):
+        head = oracle.head if oracle.head.gives_labels else box_of(oracle.head)
+        options["dense"] = "input" if method.dense == "input" else False
+        return StudentFit(head, config.hidden_widths, **options)
     if isinstance(method, NdpsConfig):
         return _ndps(method, config.depth, oracle, folder)
     assert isinstance(method, AugTreeConfig)
@@ -133,7 +153,7 @@ def _show(progress: DaggerProgress, config: RunConfig) -> None:
     left = duration((n_rounds - r) * progress.seconds)
     print(
         f"{prefix}imitate: round {r}/{n_rounds}  {progress.n_rows:,} states  return {progress.return_mean:.1f}  "
-        f"{progress.n_leaves} leaves  about {left} left",
+        f"{progress.n_leaves:,} leaves  about {left} left",
         flush=True,
     )
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from otr.control.dagger.iterate_selection import successive_halving
 from otr.control.dagger.run_folder import RunFolder
 from otr.core.arrays import FloatArray
+from otr.core.pattern_tree import PatternTree
 from otr.core.smooth_network import Oracle
 from otr.core.tree import ObliqueTree
 from otr.errors import InvalidNetworkError
@@ -52,13 +53,14 @@ class Play(Protocol):
 class TreeFit(Protocol):
     """Fits a tree to states X (n, d), memory-mapped, and the oracle's answers on them.
 
-    For an oracle of labels, answers (n, o) are its affine outputs, whose argmax is the label, and weights (n,) say how
-    much a row matters; else answers (n, o) are its actions and weights are None. All randomness is the generator's.
+    A network stands for its tree of activation patterns. For an oracle of labels, answers (n, o) are its affine
+    outputs, whose argmax is the label, and weights (n,) say how much a row matters; else answers (n, o) are its actions
+    and weights are None. All randomness is the generator's.
     """
 
     def __call__(
         self, X: FloatArray, answers: FloatArray, weights: FloatArray | None, generator: np.random.Generator, /
-    ) -> ObliqueTree: ...
+    ) -> ObliqueTree | PatternTree: ...
 
 
 @dataclass(frozen=True)
@@ -145,7 +147,7 @@ class DaggerResult:
         n_steps: environment steps, those of the selection included.
     """
 
-    tree: ObliqueTree
+    tree: ObliqueTree | PatternTree
     round: int
     oracle_mean: float
     iterates: tuple[Iterate, ...]
@@ -224,14 +226,15 @@ class _Run:
         data = self._folder.data(n_rows, has_weights=self._oracle.head.gives_labels)
         tree = self._fit(*data, np.random.default_rng(child))
         self._folder.save_tree(r, tree)
+        n_leaves, depth = _size(tree)
         progress = DaggerProgress(
             round=r,
             n_rounds=self._settings.n_rounds,
             n_rows=n_rows,
             n_steps=self._n_steps_after(episodes),
             return_mean=float(np.mean(episodes.returns)),
-            n_leaves=tree.n_leaves,
-            depth=tree.depth,
+            n_leaves=n_leaves,
+            depth=depth,
             seconds=time.perf_counter() - start,
         )
         row = {name: getattr(progress, name) for name in ("n_rows", "n_leaves", "depth", "seconds")}
@@ -295,6 +298,11 @@ def _label(oracle: Oracle, X: FloatArray) -> tuple[FloatArray, FloatArray | None
     if oracle.head.gives_labels:
         return outputs, outputs.max(axis=1) - outputs.min(axis=1)
     return oracle.head(outputs), None
+
+
+def _size(tree: ObliqueTree | PatternTree) -> tuple[int, int]:
+    """Return the number of leaves and the depth."""
+    return (tree.n_paths, tree.n_bits) if isinstance(tree, PatternTree) else (tree.n_leaves, tree.depth)
 
 
 def _floats(returns: FloatArray) -> list[float]:

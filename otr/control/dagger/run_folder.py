@@ -13,6 +13,7 @@ import numpy as np
 from otr.core.arrays import FloatArray
 from otr.core.io import load, save
 from otr.core.network import ReluNetwork
+from otr.core.pattern_tree import PatternTree
 from otr.core.smooth_network import Oracle
 from otr.core.tree import ObliqueTree
 from otr.errors import ArtefactError
@@ -64,16 +65,13 @@ class RunFolder:
         weights = self._weights.view(n_rows)[:, 0] if has_weights else None
         return self._states.view(n_rows), self._answers.view(n_rows), weights
 
-    def save_tree(self, r: int, tree: ObliqueTree) -> None:
+    def save_tree(self, r: int, tree: ObliqueTree | PatternTree) -> None:
         """Keep round r's tree."""
         save(tree, self._tree_path(r))
 
-    def tree(self, r: int) -> ObliqueTree:
+    def tree(self, r: int) -> ObliqueTree | PatternTree:
         """Return round r's tree."""
-        tree = load(self._tree_path(r))
-        if not isinstance(tree, ObliqueTree):
-            raise ArtefactError(f"{self._tree_path(r)} holds a {type(tree).__name__}, expected an ObliqueTree")
-        return tree
+        return load(self._tree_path(r))
 
     def _tree_path(self, r: int) -> Path:
         return self._folder / f"iterate-{r:03d}.json"

@@ -59,6 +59,11 @@ class NetworkShape:
             parts.append(form.ravel())
         return np.concatenate(parts)
 
+    def forms(self, vector: FloatArray) -> list[FloatArray]:
+        """Return the layers' rows [W | b], views of the vector (n_numbers,)."""
+        ends = np.cumsum([rows * columns for rows, columns in self.shapes])
+        return [part.reshape(shape) for part, shape in zip(np.split(vector, ends[:-1]), self.shapes, strict=True)]
+
     def network(self, vector: FloatArray, mean: ArrayLike, scale: ArrayLike) -> ReluNetwork:
         """Return the network of the environment's own states and actions.
 
@@ -66,10 +71,7 @@ class NetworkShape:
             vector: (n_numbers,).
             mean, scale: (d,) each, what states are normalised by.
         """
-        forms, start = [], 0
-        for rows, columns in self.shapes:
-            forms.append(vector[start : start + rows * columns].reshape(rows, columns))
-            start += rows * columns
+        forms = self.forms(vector)
         head: Head = Argmax()
         if self.box is not None:
             low, high = self.box

@@ -139,6 +139,22 @@ def test_a_tanh_policy_is_an_oracle(models):
     assert plan.stdout.count("is there") == 2, plan.stderr
 
 
+def test_a_network_distilled_from_an_oracle_is_mapped_proved_and_polished(models):
+    words = ("method=distilled_otr", "oracle=tanh.zip", "depth=2", "method.n_updates=20", "certify=true", "polish=true")
+    done = otr_command("otr-run", *SMOKE, *words, cwd=models)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (run,) = models.glob("results/runs/CartPole-v1/distilled_otr/depth-2/smoke/seed-0~*")
+    network = load_actor(run / "imitate")
+    assert network.hidden_widths == (2,) and network.dense == "input" and isinstance(network.head, otr.Argmax)
+    states = np.random.default_rng(3).normal(size=(500, 4))
+    np.testing.assert_array_equal(otr.load(run / "map/tree").predict(states), network.predict(states))
+    summary = json.loads((run / "summary.json").read_text())
+    assert list(summary["policies"]) == ["oracle", "network", "tree", "pruned_tree"]
+    assert 0.0 <= summary["oracle"]["equal_labels"] <= 1.0 and summary["imitate"]["n_rows"] > 0
+    assert summary["certify"]["certified"] and summary["polish"]["numbers"] == "network"
+    assert "distilled" in done.stdout and "chooses as the oracle does in" in done.stdout
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [

@@ -139,7 +139,7 @@ class Composer:
     def check_option(self, group: str, value: str, overrides: Sequence[str] = ()) -> None:
         """Raise ConfigError, with the nearest known names, if a group has no such option under these overrides."""
         options = self.options(group, overrides)
-        if value not in (*options, "null"):
+        if value not in options:
             raise ConfigError(f"{group}={value}: there is no such {group}.{did_you_mean(value, options)}")
 
     def options(self, group: str, overrides: Sequence[str] = ()) -> list[str]:

@@ -27,7 +27,7 @@ from pipelines.config.setting import not_keyed
 from pipelines.config.trainer import TRAINERS, FleetConfig, TrainerConfig
 from pipelines.engine.store import corrupt
 from pipelines.errors import ConfigError, did_you_mean
-from pipelines.play.environments import check_names, own_environment, registered_ids
+from pipelines.play.environments import check_names, episode_limit, own_environment, registered_ids
 from pipelines.runs.run_job import RunJob, run_job, run_jobs
 from pipelines.stages.import_model import read_model
 from pipelines.stages.parse import holds_tree, policy_tree, read_program
@@ -183,6 +183,7 @@ class RunWorkflow(Workflow):
         config: RunConfig = made.config
         if config.env.name not in self.options("env") or any(key_of(each)[:4] == "env." for each in overrides):
             check_names(config.env)
+            episode_limit(config.env)  # refuses an environment without one, before anything runs
         if isinstance(config.method, ProgramConfig):
             text, depth = _program(config, config.method.program, overrides)
             made = self.composed([*overrides, f"depth={depth}"])

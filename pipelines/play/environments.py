@@ -20,8 +20,6 @@ from pipelines.config.env import EnvConfig, PidTerms
 from pipelines.errors import ConfigError, did_you_mean
 from pipelines.play.pid_environment import PidObservation
 
-LONGEST_EPISODE = 1000  # steps, where an environment tells no limit
-
 
 def make_env(env: EnvConfig) -> gym.Env:
     """Return a new environment with its time limit.
@@ -92,12 +90,6 @@ def _near(name: str, module: str) -> str:
         return did_you_mean(name, [], unlisted=registered_ids())
     own = [env_id for env_id, spec in gym.registry.items() if str(spec.entry_point).startswith(module)]
     return did_you_mean(name, own) if own else f" Module {module} registers none"
-
-
-def longest_episode(env: EnvConfig) -> int:
-    """Return the most steps of an episode, for estimates of time; LONGEST_EPISODE where there is no limit."""
-    limit: int = env.kwargs.get("max_episode_steps") or spec_of(env.id).max_episode_steps or LONGEST_EPISODE
-    return limit
 
 
 def own_environment(env_id: str, kwargs: Mapping[str, Any]) -> EnvConfig:
@@ -254,7 +246,10 @@ def episode_limit(env: EnvConfig) -> int:
     """Return the most steps of an episode; refuse an environment that has no limit."""
     limit = env.kwargs.get("max_episode_steps") or spec_of(env.id).max_episode_steps
     if limit is None:
-        raise ConfigError(f"{env.id}: episodes have no limit; give one as +env.kwargs.max_episode_steps=1000")
+        raise ConfigError(
+            f"{env.id}: episodes have no limit, so one may never end; give one as "
+            "+env.kwargs.max_episode_steps=1000, or where the environment is registered"
+        )
     return int(limit)
 
 

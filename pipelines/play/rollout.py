@@ -17,7 +17,7 @@ from otr.control.rollout import Policy as Policy
 from otr.control.rollout import Rollout as Rollout
 from otr.control.rollout import play_episodes
 from pipelines.config.env import EnvConfig
-from pipelines.play.environments import longest_episode, make_env
+from pipelines.play.environments import episode_limit, make_env
 
 STEPS_WORTH_A_PROCESS = 20_000  # below this a second process costs more time to start than it saves
 
@@ -56,7 +56,7 @@ def available_cores() -> int:
 
 
 def _n_workers(env: EnvConfig, n_episodes: int) -> int:
-    n_steps = n_episodes * longest_episode(env)
+    n_steps = n_episodes * episode_limit(env)
     return max(1, min(available_cores(), n_episodes, n_steps // STEPS_WORTH_A_PROCESS))
 
 

@@ -28,7 +28,7 @@ from pipelines.engine.seeding import episode_seeds, stream
 from pipelines.engine.stage import Stage
 from pipelines.engine.store import write_csv, write_files, write_json
 from pipelines.play.actor_files import actor_files
-from pipelines.play.environments import longest_episode
+from pipelines.play.environments import episode_limit
 from pipelines.play.rollout import Policy, Rollout, rollout
 from pipelines.stages.oracle import load_oracle
 from pipelines.stages.printed_programs import write_program
@@ -165,7 +165,7 @@ def estimated_seconds(config: RunConfig) -> float:
     # Successive halving plays about as much again as its last two candidates do, six times over.
     n_chosen = 6 * imitation.n_choice_episodes
     n_episodes = imitation.n_initial_episodes + (imitation.n_rounds + 1) * imitation.n_episodes + n_chosen
-    longest = longest_episode(config.env)
+    longest = episode_limit(config.env)
     return n_episodes * longest * SHARE_PLAYED / STEPS_PER_S + (imitation.n_rounds + 1) * method.fit_s
 
 

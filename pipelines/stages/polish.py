@@ -18,7 +18,7 @@ from pipelines.engine.seeding import episode_seeds, evaluation_seeds, stream_see
 from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import exists, write_csv, write_files, write_json
 from pipelines.play.actor_files import actor_files, load_actor
-from pipelines.play.environments import longest_episode
+from pipelines.play.environments import episode_limit
 from pipelines.play.rollout import Rollout, rollout
 from pipelines.stages.evaluate import EPISODE_COLUMNS, episode_rows
 from pipelines.stages.map import map_actor
@@ -153,7 +153,7 @@ def estimated_seconds(config: RunConfig) -> float:
     """Return the likely time of the search on one core, its selection and confirmation episodes included."""
     polishing = config.polishing
     n_chosen = (polishing.n_candidates + 3) * polishing.n_selection_episodes
-    longest = longest_episode(config.env)
+    longest = episode_limit(config.env)
     table = NUMPY_STEPS_PER_S if environments(config) == "numpy" else STEPS_PER_S
     rate = table.get(config.env.task, OTHER_STEPS_PER_S)
     return (polishing.steps + n_chosen * longest * SHARE_PLAYED) / rate

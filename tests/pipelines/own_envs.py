@@ -68,5 +68,6 @@ SPACES: dict[str, dict[str, gym.Space]] = {
 
 gym.register("Cart-v0", entry_point=Cart, max_episode_steps=50)
 gym.register("PushOrPull-v0", entry_point=PushOrPull, max_episode_steps=50)
+gym.register("Endless-v0", entry_point=Cart)
 for name, spaces in SPACES.items():
     gym.register(f"{name}-v0", entry_point=Unsuitable, kwargs=spaces, max_episode_steps=50)

@@ -70,6 +70,8 @@ def _answers(cfg: VerifyConfig) -> list[Answer]:
         answers.append(always(program, cfg.always, run.env, domain))
     for answer in answers:
         print(fitted(answer.text, columns()))
-    tolerance = ", to 1e-6 under tanh" if cfg.always is not None and isinstance(program.head, otr.TanhBox) else ""
-    print(fitted(f"asked {whose}at every real point of {where}{tolerance}", columns()))
+    how = ["; ranges to the rounding of a linear program"] if cfg.range and program.labels is None else []
+    if cfg.always is not None and isinstance(program.head, otr.TanhBox):
+        how.append("; conditions to 1e-6 under tanh")
+    print(fitted(f"asked {whose}at every real point of {where}{''.join(how)}", columns()))
     return answers

@@ -124,6 +124,7 @@ def test_replay_finds_an_episode_that_was_changed(finished, tmp_path):
     [
         (("env=hoper",), 2, "Did you mean hopper"),
         (("depth=6",), 2, "which environment?"),
+        (("env=pendulum", "trainer=null"), 2, "trainer=null: there is no such trainer. There are: fleet, sb3"),
         (("env=pendulum", "budget=fast"), 2, "There are: quick, smoke, standard, thesis"),
         (("env=pendulum", "algo.gama=0.9"), 2, "Did you mean algo.gamma"),
         (("env=pendulum", "gamma=0.9"), 2, "algo.gamma"),

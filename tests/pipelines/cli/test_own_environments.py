@@ -78,6 +78,7 @@ def test_arguments_decide_the_kind_of_actions():
         ((f"env={MODULE}:Keys-v0",), "the actions are MultiDiscrete"),
         ((f"env={MODULE}:FromOne-v0",), r"Discrete\(n\) from 0 on"),
         ((f"env={MODULE}:Boundless-v0",), "with limits"),
+        ((f"env={MODULE}:Endless-v0",), "episodes have no limit, so one may never end; give one as"),
         (("env=CartPole-v1", "env.feature_names=[a,b]"), "env.feature_names has 2 names, the policy has 4"),
         (("env=CartPole-v1", "env.feature_names=[a,b,c,a]"), "env.feature_names has 'a' twice"),
         (("env=pendulum", "env.action_names=[a,b]"), "env.action_names has 2 names, the policy has 1"),

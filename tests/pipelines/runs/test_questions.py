@@ -77,7 +77,9 @@ def test_a_run_and_a_program_are_asked(verify, tmp_path):
     done = verify(PENDULUM_RUN, "range=true", "always=torque <= 2")
     assert done.returncode == 0 and done.stdout.startswith("torque: -2 to 1.99997\nproved: torque <= 2\n"), done.stderr
     assert "asked of the pruned tree, at every real point of the environment's box of states" in done.stdout
-    assert " ".join(done.stdout.split()).endswith("; ranges to the rounding of a linear program")
+    assert " ".join(done.stdout.split()).endswith(
+        "; ranges to the rounding of a linear program; conditions to 1e-6 under tanh"
+    )
     done = verify(PENDULUM_RUN, "tree=minimal", "always=torque <= 1.5")
     assert done.returncode == 1 and "fails: torque <= 1.5, at cos_angle = " in done.stdout
     assert verify(CAR, "program=mountaincar", "range=true").stdout.startswith("force: -1 to 1\n")

@@ -66,6 +66,7 @@ class RunConfig:
     polish: Annotated[bool, EXECUTION] = False  # whether to do a further stage, direct search on the return
     certify: Annotated[bool, EXECUTION] = False  # whether to do a further stage, the minimal tree and its certificate
     simplify: Annotated[bool, EXECUTION] = False  # whether to do a further stage, a shorter program
+    leaves: Annotated[bool, EXECUTION] = False  # whether to do a further stage, the return against the leaves kept
     video: Annotated[bool, EXECUTION] = False  # whether to do a further stage, an episode as a GIF
     tracking: Annotated[str, OneOf("none", "tensorboard", "mlflow"), EXECUTION] = "none"  # where the run is logged, too
     # Hidden widths of the network that is imitated, trained or imported

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
@@ -40,7 +41,7 @@ def return_against_depth(points: pd.DataFrame, solved: float, title: str | None 
     """
     if points.empty:
         raise ValueError("no points were given")
-    styles = _styles(points["label"])
+    styles = styles_of(points["label"])
     handles = [legend_line(label, linewidth=1.2, **style) for label, style in styles.items()]
     if points["oracle_mean"].notna().any():
         handles.append(legend_line("oracle", color=INK, linestyle=DASHES, linewidth=1))
@@ -74,7 +75,7 @@ def auc_against_leaves(points: pd.DataFrame) -> Figure:
     if points.empty or len(wrong):
         what = f"{wrong.iloc[0].to_dict()}" if len(wrong) else "no points were given"
         raise ValueError(f"{what}; expected points with at least 1 leaf")
-    styles = _styles(points["label"])
+    styles = styles_of(points["label"])
     handles = [legend_line(label, linestyle="none", **style) for label, style in styles.items()]
     if points["published"].notna().any():
         hollow: dict[str, Any] = {"marker": "o", "markersize": 5.5 + HOLLOW_LARGER, "markerfacecolor": "none"}
@@ -89,7 +90,7 @@ def auc_against_leaves(points: pd.DataFrame) -> Figure:
     )
     for panel, (_, own) in zip(panels, points.groupby("panel", sort=False), strict=True):
         _draw_scores(panel, own, styles)
-    _set_ticks(panels[0], points["leaves"].max())
+    set_leaf_ticks(panels[0], points["leaves"].max())
     set_legend(figure, handles, 2 * n_columns)
     return figure
 
@@ -161,7 +162,7 @@ def figure_of_panels(
     return figure, panels[: len(names)]
 
 
-def _styles(labels: Sequence[str]) -> Styles:
+def styles_of(labels: Sequence[str]) -> Styles:
     """Return colour and marker of every method, in the order in which they first come."""
     styles = {}
     for i, label in enumerate(dict.fromkeys(labels)):
@@ -217,7 +218,7 @@ def _draw_curves(panel: Axes, curves: pd.DataFrame, cost: str, colour: str) -> N
     panel.plot(mean.index, mean, linewidth=1.8, **style)
 
 
-def _set_ticks(panel: Axes, most_leaves: float) -> None:
+def set_leaf_ticks(panel: Axes, most_leaves: float) -> None:
     """Put ticks at powers of two, few enough to be read; the panels share them."""
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
@@ -226,6 +227,12 @@ def _set_ticks(panel: Axes, most_leaves: float) -> None:
     panel.xaxis.set_major_locator(FixedLocator([float(2**power) for power in range(0, last + 1, step)]))
     panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
     panel.xaxis.set_minor_locator(NullLocator())
+
+
+def panel_and_label(run_dir: Path) -> dict[str, str]:
+    """Return where a run stands in a figure of runs: its environment, and its method, depth and budget in words."""
+    env, method, depth, budget, _ = run_dir.parts[-5:]
+    return {"panel": env, "label": f"{method}, {depth.replace('-', ' ', 1)}, {budget}"}
 
 
 def legend_line(label: str, **style: Any) -> Line2D:

@@ -10,7 +10,15 @@ import pandas as pd
 
 from pipelines.engine.store import exists, read_csv, read_json
 from pipelines.errors import MissingInputError
-from pipelines.report.figures import COLOURS, DASHES, NORMAL, figure_of_panels, legend_line, set_legend
+from pipelines.report.figures import (
+    COLOURS,
+    DASHES,
+    NORMAL,
+    figure_of_panels,
+    legend_line,
+    panel_and_label,
+    set_legend,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,8 +47,6 @@ def load_curves(run_dirs: Sequence[Path]) -> pd.DataFrame:
     """
     rows: list[dict[str, Any]] = []
     for run_dir in run_dirs:
-        env, method, depth, budget, _ = run_dir.parts[-5:]
-        label = f"{method}, {depth.replace('-', ' ', 1)}, {budget}"
         final = read_json(run_dir / "summary.json")["return_mean"] if (run_dir / "summary.json").is_file() else None
         for file, unit, spent, mean, std, chosen in SOURCES:
             if not exists(run_dir / file):
@@ -50,7 +56,7 @@ def load_curves(run_dirs: Sequence[Path]) -> pd.DataFrame:
             last_best = max((i for i, best in enumerate(is_chosen) if best), default=-1)
             for i, row in enumerate(judged):
                 rows.append({
-                    "panel": env, "label": label, "run": str(run_dir), "unit": unit, "spent": float(row[spent]),
+                    **panel_and_label(run_dir), "run": str(run_dir), "unit": unit, "spent": float(row[spent]),
                     "mean": float(row[mean]), "std": float(row[std]) if std else float("nan"), "chosen": i == last_best,
                     "final": float("nan") if final is None else float(final),
                 })  # fmt: skip

@@ -1,5 +1,6 @@
-"""The figures of `otr-tabulate` that show the runs that one names: learning curves, and maps of regions."""
+"""The figures of `otr-tabulate` that show the runs that one names: curves, leaves kept, and maps of regions."""
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,6 +10,7 @@ import otr
 from pipelines.config.run import RunConfig
 from pipelines.errors import ConfigError
 from pipelines.report.learning_curves import learning_curves, load_curves
+from pipelines.report.leaves_kept import load_leaves, return_against_leaves
 from pipelines.report.regions import chosen_inputs, draw_regions
 from pipelines.runs.export import check_run, find_run, title_of, tree_of, visited_states
 from pipelines.stages.printed_programs import names_of_env
@@ -19,23 +21,32 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RunFigure:
-    """What a figure shows: a run, or for curves any folder with runs below, and what is left open."""
+    """What a figure shows: runs, or for curves and leaves any folders with runs below, and what is left open."""
 
-    run: str
+    run: Sequence[str]
     tree: str = "pruned"
     inputs: Sequence[str] = field(default_factory=list)
     out: str | None = None
 
 
 def write_curves(asked: RunFigure, results_dir: Path, load_config: Callable[[Path], RunConfig]) -> list[Path]:
-    """Write the learning curves of a run, or of all runs below a folder, as PNG, or as what `out` ends in."""
-    runs = runs_below(asked.run, results_dir)
-    return _written(learning_curves(load_curves(runs)), "curves", asked, results_dir)
+    """Write the learning curves of runs, or of all runs below folders, as PNG, or as what `out` ends in."""
+    return _written(learning_curves(load_curves(runs_below(asked.run, results_dir))), "curves", asked, results_dir)
+
+
+def write_leaves(asked: RunFigure, results_dir: Path, load_config: Callable[[Path], RunConfig]) -> list[Path]:
+    """Write the return of runs, or of all runs below folders, against the leaves kept, and the numbers as CSV."""
+    points = load_leaves(runs_below(asked.run, results_dir))
+    (picture,) = _written(return_against_leaves(points), "leaves", asked, results_dir)
+    points.to_csv(picture.with_suffix(".csv"), index=False, lineterminator="\n")
+    return [picture, picture.with_suffix(".csv")]
 
 
 def write_regions(asked: RunFigure, results_dir: Path, load_config: Callable[[Path], RunConfig]) -> list[Path]:
     """Write the map of a run's tree over two inputs as PNG, or as what `out` ends in."""
-    folder = find_run(asked.run, str(results_dir))
+    if len(asked.run) > 1:
+        raise ConfigError(f"run={','.join(asked.run)}: figure=regions is of one run; name one")
+    folder = find_run("".join(asked.run), str(results_dir))
     config = load_config(folder)
     tree = tree_of(asked.tree, config, folder)
     if not isinstance(tree, otr.ObliqueTree):
@@ -46,11 +57,15 @@ def write_regions(asked: RunFigure, results_dir: Path, load_config: Callable[[Pa
     return _written(draw_regions(tree, states, inputs, **names, title=title), "regions", asked, results_dir)
 
 
-RUN_FIGURES = {"curves": write_curves, "regions": write_regions}
+RUN_FIGURES = {"curves": write_curves, "leaves": write_leaves, "regions": write_regions}
 
 
-def runs_below(run: str, results_dir: Path) -> list[Path]:
-    """Return the folder of a run, or those of all runs below a folder, as given or below `results_dir/runs`."""
+def runs_below(runs: Sequence[str], results_dir: Path) -> list[Path]:
+    """Return the folders of runs, or of all runs below folders, as given or below `results_dir/runs`, each once."""
+    return list(dict.fromkeys(folder for run in runs or [""] for folder in _below(run, results_dir)))
+
+
+def _below(run: str, results_dir: Path) -> list[Path]:
     check_run(run)
     tried = [Path(run), results_dir / run, results_dir / "runs" / run]
     folder = next((path for path in tried if path.is_dir()), None)
@@ -59,7 +74,8 @@ def runs_below(run: str, results_dir: Path) -> list[Path]:
 
 
 def _written(figure: "Figure", name: str, asked: RunFigure, results_dir: Path) -> list[Path]:
-    place = asked.run.rstrip("/").rpartition("runs/")[2].replace("/", "-")
+    places = [run.rstrip("/").rpartition("runs/")[2] for run in asked.run]
+    place = os.path.commonpath(places).replace("/", "-") or "several"
     path = Path(asked.out) if asked.out else results_dir / "figures" / f"{name}-{place}.png"
     path.parent.mkdir(parents=True, exist_ok=True)
     try:

@@ -17,7 +17,7 @@ from pipelines.report.table_4_2 import write_table_4_2
 from pipelines.report.text import page, write_tables
 
 FIGURES = ("4.6", "4.7")
-FIGURES_OF_RUNS = ("curves", "regions")  # `pipelines.report.run_figures` writes them
+FIGURES_OF_RUNS = ("curves", "leaves", "regions")  # `pipelines.report.run_figures` writes them
 ALL = ("4.2", "4.6", "4.7", "certificates", "4.1")
 
 

@@ -7,6 +7,7 @@ from rich.table import Table
 
 from pipelines.config.methods import METHODS
 from pipelines.engine.console import SHORT_PROGRAM, duration, show_finished
+from pipelines.engine.store import read_csv
 
 
 def show_result(summary: dict[str, Any], run_dir: Path, whole: Path) -> None:
@@ -35,6 +36,8 @@ def show_result(summary: dict[str, Any], run_dir: Path, whole: Path) -> None:
         lines.append(_proof(summary["certify"]))
     if "simplify" in summary:
         lines += _simplified(summary["simplify"], whole)
+    if "leaves" in summary:
+        lines.append(_returns_of_leaves(read_csv(whole / "leaves" / "returns.csv"), run_dir))
     if "video" in summary:
         lines.append(_shown(summary["video"], run_dir, whole))
     where = program if whole == run_dir else f"otr-export run={run_dir} format=text"
@@ -125,6 +128,12 @@ def _loss(loss: dict[str, Any]) -> str:
     if mean > error:
         return f"the shorter program loses {mean:.2f} ± {error:.2f} {where}"
     return f"the shorter program loses nothing {where}: {-mean:+z.2f} ± {error:.2f}"
+
+
+def _returns_of_leaves(rows: list[dict[str, str]], run_dir: Path) -> str:
+    """Return what the policy returns with fewer leaves, and what draws that."""
+    returns = ", ".join(f"{int(row['n_leaves']):,}: {float(row['return_mean']):z.1f}" for row in rows)
+    return f"return by leaves kept: {returns}; otr-tabulate leaves run={run_dir}"
 
 
 def _shown(report: dict[str, Any], run_dir: Path, whole: Path) -> str:

@@ -9,6 +9,7 @@ from pipelines.stages.evaluate import EVALUATE
 from pipelines.stages.harden import HARDEN
 from pipelines.stages.imitate import IMITATE
 from pipelines.stages.import_model import IMPORT
+from pipelines.stages.leaves import LEAVES
 from pipelines.stages.map import MAP
 from pipelines.stages.oracle import ORACLE
 from pipelines.stages.parse import PARSE
@@ -22,7 +23,7 @@ STAGES: dict[str, Stage] = {
     stage.name: stage
     for stage in (
         *(TRAIN, IMPORT, ORACLE, MAP, HARDEN, IMITATE, PARSE, PRUNE, EVALUATE),
-        *(POLISH, CERTIFY, SIMPLIFY, VIDEO),
+        *(POLISH, CERTIFY, SIMPLIFY, LEAVES, VIDEO),
     )
 }
 
@@ -44,5 +45,6 @@ def stages_of(method: str, *, polished: bool = False) -> dict[str, Stage]:
         "certify": dataclasses.replace(CERTIFY, inputs=(actor, "map")),
     }
     if polished:
-        rows |= {stage.name: dataclasses.replace(stage, inputs=("polish",)) for stage in (CERTIFY, SIMPLIFY, VIDEO)}
+        after = (CERTIFY, SIMPLIFY, LEAVES, VIDEO)
+        rows |= {stage.name: dataclasses.replace(stage, inputs=("polish",)) for stage in after}
     return {name: rows[name] for name in (*names, *EXTRA_STAGES)}

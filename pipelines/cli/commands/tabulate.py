@@ -5,12 +5,13 @@ import dataclasses
 import functools
 import json
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pipelines.cli.compose import Composer, to_object
-from pipelines.cli.overrides import path_quoted
+from pipelines.cli.overrides import path_quoted, quoted
 from pipelines.cli.runs import RUN, load_config, run_config
 from pipelines.config.budget import BudgetConfig
 from pipelines.config.setting import Count, Folder, FreeText, check_settings
@@ -32,7 +33,8 @@ class TabulateConfig:
     evaluate: bool
     n_workers: Count | None
     debug: bool
-    run: FreeText = ""  # this and the next three: of the figures that show the runs that one names
+    # This and the next three: of the figures that show the runs that one names
+    run: list[FreeText] = field(default_factory=list)
     tree: FreeText = "pruned"
     inputs: list[FreeText] = field(default_factory=list)
     out: FreeText | None = None
@@ -53,16 +55,15 @@ def do(arguments: argparse.Namespace) -> int:
     from pipelines.report.tabulate import reports_of, write_report
 
     names = [argument for argument in arguments.overrides if "=" not in argument]
-    cfg: TabulateConfig = to_object(
-        TABULATE.compose([path_quoted(given) for given in arguments.overrides if given not in names])
-    )
+    overrides = _paths_quoted([argument for argument in arguments.overrides if argument not in names])
+    cfg: TabulateConfig = to_object(TABULATE.compose(overrides))
     asked = names or [f"figure={cfg.figure}" if cfg.figure else f"table={cfg.table}"]
     reports = [report for name in asked for report in reports_of(name)]
     results_dir = Path(cfg.results_dir)
     of_runs = RunFigure(cfg.run, cfg.tree, cfg.inputs, cfg.out)
     for setting, value in dataclasses.asdict(of_runs).items():
-        if value != getattr(RunFigure(""), setting) and not RUN_FIGURES.keys() & set(reports):
-            raise ConfigError(f"{setting}={value}: only figure={' and figure='.join(RUN_FIGURES)} take it")
+        if value != getattr(RunFigure([]), setting) and not RUN_FIGURES.keys() & set(reports):
+            raise ConfigError(f"{setting}={value}: only figure={', figure='.join(RUN_FIGURES)} take it")
     if not (results_dir / "runs").is_dir() and not RUN_FIGURES.keys() >= set(reports):
         raise ConfigError(f"results_dir={cfg.results_dir}: there is no folder {results_dir / 'runs'} with runs")
     different = 0
@@ -87,6 +88,18 @@ def do(arguments: argparse.Namespace) -> int:
             if path.suffix in (".md", ".txt"):
                 print(f"\n{path.read_text(encoding='utf-8')}")
     return 1 if different else 0
+
+
+def _paths_quoted(overrides: Sequence[str]) -> list[str]:
+    """Return overrides with paths quoted, and run=A run=B, or run=[A,B], as one of them."""
+    values = [override.partition("=")[2] for override in overrides if override.startswith("run=")]
+    runs = [
+        run.strip().strip("'\"")
+        for value in values
+        for run in (value[1:-1].split(",") if value[:1] == "[" else [value])
+    ]
+    others = [path_quoted(override) for override in overrides if not override.startswith("run=")]
+    return [*others, f"run=[{','.join(quoted(run) for run in runs if run)}]"]
 
 
 @functools.cache

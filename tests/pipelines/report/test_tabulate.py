@@ -27,7 +27,9 @@ def test_unknown_report_lists_those_there_are() -> None:
         reports_of("table=4.11")
     with pytest.raises(ConfigError, match=rf"table=x is not known\. {tables}"):
         reports_of("table=x")
-    with pytest.raises(ConfigError, match=r"figure=4\.5 is not known.*Known figures: 4\.6, 4\.7, curves, regions$"):
+    with pytest.raises(
+        ConfigError, match=r"figure=4\.5 is not known.*Known figures: 4\.6, 4\.7, curves, leaves, regions$"
+    ):
         reports_of("figure=4.5")
     with pytest.raises(ConfigError, match=r"certificats is not known\. Did you mean certificates\? Known reports: all"):
         reports_of("certificats")

@@ -1,0 +1,59 @@
+"""Stage leaves: the return against the number of leaves kept, OTR-hat(k) for k = 1, 2, 4, ... and all reached."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import otr
+from pipelines.config.run import RunConfig
+from pipelines.engine.seeding import episode_seeds, evaluation_seeds
+from pipelines.engine.stage import Stage, picked
+from pipelines.engine.store import write_csv, write_json
+from pipelines.play.rollout import rollout
+from pipelines.stages.evaluate import moments
+from pipelines.stages.polish import load_tree
+
+COLUMNS = ("n_leaves", "share_of_states", "return_mean", "return_std", "n_episodes")
+
+
+def leaves(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
+    """Play the evaluation episodes with each OTR-hat(k) of the pruned tree, or the polished one; write `returns.csv`.
+
+    The k leaves are those that the tree visits most often in the episodes that it was pruned with, so that no episode
+    chooses on which it is judged. `share_of_states` is the share of their states that lies in these leaves.
+    """
+    tree = load_tree(inputs.get("polish") or inputs["prune"])
+    seeds = episode_seeds(config.seed, "prune", config.prune.n_episodes)
+    states = rollout(tree.predict, config.env, seeds, keep_states=True, n_workers=config.n_workers).states
+    visits = np.sort(np.bincount(tree.apply(states), minlength=tree.n_leaves))[::-1]
+    n_reached = int(np.count_nonzero(visits))
+    seeds = evaluation_seeds(config.evaluate.first_seed, config.evaluate.n_episodes)
+    rows: list[dict[str, Any]] = []
+    for k in numbers_of_leaves(n_reached):
+        kept = otr.prune_to_k(tree, states, k)
+        played = moments(rollout(kept.predict, config.env, seeds, n_workers=config.n_workers))
+        rows.append({"n_leaves": k, "share_of_states": float(visits[:k].sum() / len(states)), **played})
+        print(f"leaves: {k:,} of {n_reached:,} kept, return {played['return_mean']:.1f}", flush=True)
+    write_csv(out / "returns.csv", rows, COLUMNS)
+    write_json(out / "report.json", {"n_reached": n_reached, "n_states": len(states)})
+
+
+def numbers_of_leaves(n_reached: int) -> Iterator[int]:
+    """Yield 1, 2, 4, ... below the number of leaves that are reached, and that number."""
+    k = 1
+    while k < n_reached:
+        yield k
+        k *= 2
+    yield n_reached
+
+
+LEAVES_SETTINGS = picked(
+    env="env",
+    seed="seed",
+    n_prune_episodes="prune.n_episodes",
+    n_episodes="evaluate.n_episodes",
+    first_seed="evaluate.first_seed",
+)
+LEAVES = Stage("leaves", version=1, inputs=("prune",), settings=LEAVES_SETTINGS, run=leaves)

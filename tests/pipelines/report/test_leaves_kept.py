@@ -1,0 +1,64 @@
+"""The figure of the return against the leaves kept: which runs it shows, what their mean is, and what is missing."""
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from pipelines.engine.store import write_csv
+from pipelines.errors import MissingInputError
+from pipelines.report.leaves_kept import load_leaves, mean_return, return_against_leaves
+from pipelines.stages.leaves import COLUMNS
+
+SMALL, LARGE = "pendulum/otr/depth-6/quick/seed-0", "pendulum/otr/depth-32/quick/seed-0~0a1b2c3d"
+
+
+def leave(run_dir: Path, *returns: tuple[int, float]) -> None:
+    (run_dir / "leaves").mkdir(parents=True)
+    write_csv(run_dir / "leaves/returns.csv", [dict(zip(COLUMNS, (k, 1.0, mean, 0.5, 7), strict=True))
+                                               for k, mean in returns], COLUMNS)  # fmt: skip
+    (run_dir / "config.yaml").write_text("env: {}\n")
+
+
+def test_a_run_keeps_its_last_return_where_another_reaches_more_leaves() -> None:
+    few, many = pd.Series({1: 0.0, 2: 4.0, 3: 6.0}), pd.Series({1: 2.0, 2: 4.0, 4: 8.0, 5: 10.0})
+    assert mean_return([few, many]).to_dict() == {1: 1.0, 2: 4.0, 4: 7.0, 5: 8.0}
+
+
+def test_several_runs_have_a_mean_and_the_legend_has_the_whole_return(tmp_path: Path) -> None:
+    runs = [tmp_path / f"pendulum/otr/depth-6/quick/seed-{seed}" for seed in (0, 1)]
+    for run, returns in zip(runs, ([(1, -9.0), (2, -4.0), (3, -2.0)], [(1, -7.0), (2, -3.0)]), strict=True):
+        leave(run, *returns)
+    figure = return_against_leaves(load_leaves(runs))
+    (panel,) = figure.axes
+    assert panel.lines[-1].get_xdata().tolist() == [1, 2, 3] and panel.lines[-1].get_ydata().tolist() == [
+        -8,
+        -3.5,
+        -2.5,
+    ]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == [
+        "otr, depth 6, quick: -2.5 with all 2 to 3 leaves (marker)"
+    ]
+    assert figure.get_suptitle() == "mean over 7 episodes; 2 runs, thick: their mean"
+
+
+def test_a_run_that_was_not_measured_names_the_command(tmp_path: Path) -> None:
+    with pytest.raises(MissingInputError, match=r"Run: otr-run env=pendulum depth=6 budget=quick seed=0 leaves=true"):
+        load_leaves([tmp_path / SMALL])
+
+
+def test_the_command_takes_several_runs_and_writes_the_numbers(command, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    leave(tmp_path / "runs" / SMALL, (1, -9.0), (2, -4.0))
+    leave(tmp_path / "runs" / LARGE, (1, -9.0), (2, -8.0), (4, -1.0))
+    there = f"results_dir={tmp_path}"
+    for words in ([f"run={SMALL}", f"run={LARGE}"], [f"run=[{SMALL},{LARGE}]"], ["run=pendulum"]):
+        done = command("tabulate", "leaves", *words, there, f"out={tmp_path / 'a.svg'}")
+        assert (done.returncode, done.stdout) == (0, f"{tmp_path / 'a.svg'}\n{tmp_path / 'a.csv'}\n"), done.stderr
+        written = pd.read_csv(tmp_path / "a.csv")
+        assert written.groupby("label")["n_leaves"].max().to_dict() == {
+            "otr, depth 6, quick": 2, "otr, depth 32, quick": 4,
+        }  # fmt: skip
+    done = command("tabulate", "leaves", f"run={SMALL}", f"run={LARGE}", there)
+    assert done.stdout.split() == [f"{tmp_path}/figures/leaves-pendulum-otr.{kind}" for kind in ("png", "csv")]
+    refused = command("tabulate", "regions", f"run={SMALL}", f"run={LARGE}", there)
+    assert refused.returncode == 2 and "figure=regions is of one run" in refused.stderr

@@ -25,7 +25,7 @@ def id_of(run_dir):
     return run_dir.relative_to(RESULTS / "runs").as_posix()
 
 
-@pytest.mark.parametrize("table", ["4.1", "4.2", "certificates"])
+@pytest.mark.parametrize("table", ["4.1", "4.2", "certificates", "comparisons"])
 def test_committed_tables_are_those_of_the_committed_runs(table, tmp_path):
     (tmp_path / "runs").symlink_to(RESULTS / "runs")
     for path in TABLES[table](tmp_path)[:3]:  # figures differ with fonts

@@ -3,11 +3,11 @@
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from pipelines.config.methods import METHODS
 from pipelines.report.published import Published, published
+from pipelines.report.statistics import mean_interval
 
 CSV_COLUMNS = ("table", "task", "method", "depth", "mean", "std", "ci_low", "ci_high", "n_runs", "n_episodes", "budget",
                "trainer", "published_mean", "published_std", "note")  # fmt: skip
@@ -30,9 +30,6 @@ KEY, SOURCE = ["task", "method", "depth"], ["budget", "trainer"]
 ORDER = (*TASK_NAMES, "thesis", "thesis-fleet", "standard", "standard-ars", "standard-fleet", "quick",
          "quick-ars", "quick-fleet", "sb3")  # of tasks, budgets and trainers
 # fmt: on
-N_RESAMPLES = 2000
-MIN_RUNS_FOR_CI = 3
-BOOTSTRAP_SEED = 0
 DECIMALS = 6  # of a CSV file's means and deviations: more would show how a platform adds up
 
 
@@ -73,27 +70,13 @@ def summarise(frame: pd.DataFrame, by: Sequence[str], value: str, **further: tup
         .agg(
             mean=(value, "mean"),
             std=(value, "std"),
-            ci_low=(value, lambda values: bootstrap_interval(values)[0]),
-            ci_high=(value, lambda values: bootstrap_interval(values)[1]),
+            ci_low=(value, lambda values: mean_interval(values)[0]),
+            ci_high=(value, lambda values: mean_interval(values)[1]),
             n_runs=(value, "size"),
             **further,
         )
         .reset_index()
     )
-
-
-def bootstrap_interval(values: Sequence[float]) -> tuple[float, float]:
-    """Return the 95 % percentile bootstrap interval of the mean; NaN with fewer than three values.
-
-    The generator is made anew for each call, so that a cell's interval does not depend on the other cells.
-    """
-    known = pd.Series(values, dtype=float).dropna().to_numpy()
-    if len(known) < MIN_RUNS_FOR_CI:
-        return np.nan, np.nan
-    generator = np.random.default_rng(BOOTSTRAP_SEED)
-    resamples = generator.integers(len(known), size=(N_RESAMPLES, len(known)))
-    low, high = np.percentile(known[resamples].mean(axis=1), [2.5, 97.5])
-    return float(low), float(high)
 
 
 def in_order(frame: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:

@@ -12,8 +12,6 @@ from pipelines.report.cells import (
     DECIMALS,
     KEY,
     METHOD_NAMES,
-    MIN_RUNS_FOR_CI,
-    N_RESAMPLES,
     SOURCE,
     TASK_NAMES,
     beside_the_thesis,
@@ -24,6 +22,7 @@ from pipelines.report.cells import (
     table_runs,
 )
 from pipelines.report.frames import load_runs
+from pipelines.report.statistics import MIN_RUNS_FOR_INTERVAL
 from pipelines.report.text import latex_grid, markdown_cell, markdown_grid, markdown_table, page, write_tables
 
 COLUMNS = (("linear", "0"), ("viper", "6"), ("lm-viper", "6"), ("ndps", "6"), ("pi-prl", "6"), ("otr", "6"),
@@ -46,8 +45,7 @@ def write_table_4_1(results_dir: Path) -> list[Path]:
         table=markdown_grid(HEAD, rows),
         provenance=markdown_table(_provenance(cells, runs), empty="Nothing has been run yet."),
         beyond=markdown_table(_beyond(cells[~table])),
-        n_resamples=N_RESAMPLES,
-        min_runs=MIN_RUNS_FOR_CI,
+        min_runs=MIN_RUNS_FOR_INTERVAL,
     )
     advice = r"\usepackage{booktabs}; wide: use it within \resizebox or on a landscape page."
     frame = cells[list(CSV_COLUMNS)].round(DECIMALS)

@@ -16,14 +16,13 @@ from pipelines.engine.store import exists, read_bytes, read_json
 from pipelines.report.cells import (
     CSV_COLUMNS,
     DECIMALS,
-    MIN_RUNS_FOR_CI,
-    N_RESAMPLES,
     beside_the_thesis,
     best,
     summarise,
 )
 from pipelines.report.figures import auc_against_leaves
 from pipelines.report.frames import load_fits
+from pipelines.report.statistics import MIN_RUNS_FOR_INTERVAL
 from pipelines.report.text import latex_grid, markdown_grid, markdown_table, page, write_tables
 
 DATA = {"bace": "Bace", "hiv": "HIV", "sider": "SIDER", "tox21": "Tox21", "pdbbind": "PDBbind"}
@@ -60,8 +59,7 @@ def write_table_4_2(results_dir: Path) -> list[Path]:
         tuned=_tuned(ran, results_dir),
         sparse=markdown_table(_sparse(cells[cells["table"] == "sparse"])),
         program=_sparse_program(results_dir),
-        n_resamples=N_RESAMPLES,
-        min_runs=MIN_RUNS_FOR_CI,
+        min_runs=MIN_RUNS_FOR_INTERVAL,
     )
     latex = latex_grid(r"\usepackage{booktabs}", markdown, HEAD, rows)
     paths = write_tables(results_dir, "table_4_2", cells.reindex(columns=COLUMNS).round(DECIMALS), markdown, latex)

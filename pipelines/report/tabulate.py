@@ -9,6 +9,7 @@ import pandas as pd
 from pipelines.config.run import RunConfig
 from pipelines.errors import ConfigError
 from pipelines.report.certificates import write_certificates
+from pipelines.report.comparisons import write_comparisons
 from pipelines.report.figure_4_6 import Planned, budget_of_runs, write_figure_4_6
 from pipelines.report.figure_4_7 import write_figure_4_7
 from pipelines.report.frames import load_fits, load_runs
@@ -18,7 +19,7 @@ from pipelines.report.text import page, write_tables
 
 FIGURES = ("4.6", "4.7")
 FIGURES_OF_RUNS = ("curves", "leaves", "regions")  # `pipelines.report.run_figures` writes them
-ALL = ("4.2", "4.6", "4.7", "certificates", "4.1")
+ALL = ("4.2", "4.6", "4.7", "certificates", "comparisons", "4.1")
 
 
 def reports_of(asked: str) -> tuple[str, ...]:
@@ -82,6 +83,7 @@ TABLES: dict[str, Callable[[Path], list[Path]]] = {
     "4.1": write_table_4_1,
     "4.2": write_table_4_2,
     "certificates": write_certificates,
+    "comparisons": write_comparisons,
     "runs": write_runs,
     "fits": write_fits,
 }

@@ -51,7 +51,7 @@ def test_cells_stand_beside_the_thesis_and_say_how_many_seeds(results):
     assert (bace["published_mean"], bace["train_mean"], bace["leaves"], bace["tree_depth"]) == (
         "0.815", "0.95", "100.0", "17.0",
     )  # fmt: skip
-    assert float(bace["ci_low"]) < 0.82 < float(bace["ci_high"])
+    assert (bace["ci_low"], bace["ci_high"]) == ("", "")  # of three seeds there is none
     assert rows["hiv", "otr"]["note"] == "not run" and rows["hiv", "otr"]["mean"] == ""
     assert rows["sider", "otr"]["labels_left_out"] == "2" and rows["sider", "otr"]["std"] == ""
 

@@ -22,7 +22,7 @@ def test_words_stand_for_reports() -> None:
 
 
 def test_unknown_report_lists_those_there_are() -> None:
-    tables = r"Known tables: 4\.1, 4\.2, certificates, runs, fits$"
+    tables = r"Known tables: 4\.1, 4\.2, certificates, comparisons, runs, fits$"
     with pytest.raises(ConfigError, match=rf"table=4\.11 is not known\. Did you mean table=4\.1\? {tables}"):
         reports_of("table=4.11")
     with pytest.raises(ConfigError, match=rf"table=x is not known\. {tables}"):
@@ -80,7 +80,7 @@ def test_all_leaves_out_a_figure_without_runs_and_says_so(tmp_path: Path) -> Non
     done = otr_command("otr-tabulate", "all", "budget=smoke", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "4.7 is left out" in done.stderr and "otr-run +experiment=figure_4_6" in done.stderr
-    assert len(list((tmp_path / "results/tables").iterdir())) == 8
+    assert len(list((tmp_path / "results/tables").iterdir())) == 10
     done = otr_command("otr-tabulate", "4.7", cwd=tmp_path)
     assert done.returncode == 1 and "otr-run +experiment=figure_4_6" in done.stderr
     done = otr_command("otr-tabulate", "rusn", cwd=tmp_path)

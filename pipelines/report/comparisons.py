@@ -1,0 +1,111 @@
+"""Every control policy beside the linear row and beside OTR (6) of its task: paired on the starts that they share."""
+
+import functools
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from pipelines.engine.store import read_csv
+from pipelines.report.cells import DECIMALS, KEY, METHOD_NAMES, SOURCE, TASK_NAMES, in_order, runs_text, table_runs
+from pipelines.report.frames import load_runs
+from pipelines.report.statistics import (
+    difference_interval,
+    interquartile_mean,
+    paired_difference,
+    probability_of_improvement,
+)
+from pipelines.report.text import markdown_table, page, write_tables
+
+RIVALS = {"linear": ("linear", "0"), "otr-6": ("otr", "6")}
+EPISODES = {"polished": "polish/episodes.csv", "tree": "evaluate/episodes.csv"}
+COLUMNS = [*KEY, *SOURCE, "n_runs", "mean", "iqm", "rival", "rival_budget", "n_rival_runs", "n_starts", "difference",
+           "starts_low", "starts_high", "runs_low", "runs_high", "probability"]  # fmt: skip
+
+
+def write_comparisons(results_dir: Path) -> list[Path]:
+    """Write `comparisons.md` and `comparisons.csv` under `results_dir/tables`: a row for each policy and rival.
+
+    A policy of each budget and trainer has rows of its own.
+    """
+    rows = pd.DataFrame(_rows(results_dir), columns=COLUMNS)
+    rows = in_order(rows, [*KEY, *SOURCE]) if len(rows) else rows
+    markdown = page("comparisons.md", table=_table(rows))
+    return write_tables(results_dir, "comparisons", rows.round(DECIMALS), markdown)
+
+
+def _rows(results_dir: Path) -> Iterator[dict[str, Any]]:
+    runs = table_runs(load_runs(results_dir))
+    runs = runs[runs["form"].isin(EPISODES)]
+    for task, own in runs.groupby("task", sort=False):
+        cells: dict[Any, pd.DataFrame] = dict(list(in_order(own, SOURCE).groupby([*KEY[1:], *SOURCE], sort=False)))
+        starts = functools.cache(lambda key, cells=cells: _returns(results_dir, cells[key]))
+        for ours, group in cells.items():
+            for rival, policy in RIVALS.items():
+                if ours[:2] in (policy, RIVALS["linear"]):  # the linear row against OTR is OTR against it
+                    continue
+                theirs = _rival(cells, ours, policy)
+                if theirs is not None:
+                    row = {"task": task, **dict(zip([*KEY[1:], *SOURCE], ours, strict=True)), "rival": rival}
+                    yield row | _compared(group, starts(ours), cells[theirs], starts(theirs))
+
+
+def _rival(cells: dict[Any, pd.DataFrame], ours: Any, policy: tuple[str, str]) -> Any:
+    """Return which runs of a rival stand beside ours: those of the same budget and trainer, else the most there are."""
+    rivals = [key for key in cells if key[:2] == policy]
+    return max(rivals, key=lambda key: (key[2:] == ours[2:], len(cells[key])), default=None)
+
+
+def _compared(
+    ours: pd.DataFrame, our_starts: pd.DataFrame, theirs: pd.DataFrame, their_starts: pd.DataFrame
+) -> dict[str, Any]:
+    """Return what is said of two groups of runs, and of their returns (runs, starts) on the starts that both have."""
+    shared = our_starts.columns.intersection(their_starts.columns)
+    means, rivals = ours["return_mean"].astype(float), theirs["return_mean"].astype(float)
+    difference, over_starts = np.nan, (np.nan, np.nan)
+    if len(shared):
+        difference, over_starts = paired_difference(our_starts[shared], their_starts[shared])
+    over_runs = difference_interval(means, rivals)
+    return {
+        "n_runs": len(means), "mean": means.mean(), "iqm": interquartile_mean(means),
+        "rival_budget": theirs["budget"].iloc[0], "n_rival_runs": len(rivals), "n_starts": len(shared),
+        "difference": difference, "starts_low": over_starts[0], "starts_high": over_starts[1],
+        "runs_low": over_runs[0], "runs_high": over_runs[1],
+        "probability": probability_of_improvement(means, rivals),
+    }  # fmt: skip
+
+
+def _returns(results_dir: Path, group: pd.DataFrame) -> pd.DataFrame:
+    """Return the evaluated returns of runs, a row a run and a column a start's seed; starts that all of them have."""
+    played = {}
+    for run in group.itertuples():
+        form = "polished" if run.form == "polished" else "tree"
+        episodes = read_csv(results_dir / "runs" / run.run / EPISODES[form])
+        played[run.run] = pd.Series({int(row["seed"]): float(row["return"]) for row in episodes})
+    return pd.DataFrame(played).T.dropna(axis=1)
+
+
+def _table(rows: pd.DataFrame) -> str:
+    """Return a line for each policy and rival."""
+    lines = [["Task", "Method", "Depth", "Ours", "IQM", "Against", "Difference", "Over starts", "Over runs", "Better"]]
+    for row in rows.itertuples():
+        digits = 2 if row.task == "reacher" else 1
+        name = METHOD_NAMES.get(RIVALS[row.rival][0], row.rival)
+        rival = f"{name} ({RIVALS[row.rival][1]}), {row.n_rival_runs}, {row.rival_budget}"
+        lines.append([
+            TASK_NAMES.get(row.task, row.task), METHOD_NAMES.get(row.method, row.method), row.depth,
+            f"{row.mean:z.{digits}f} ({runs_text(row)})", f"{row.iqm:z.{digits}f}", rival,
+            _number(row.difference, digits), _range(row.starts_low, row.starts_high, digits),
+            _range(row.runs_low, row.runs_high, digits), f"{row.probability:.2f}",
+        ])  # fmt: skip
+    return markdown_table(lines, empty="Nothing has been run yet that could be compared.")
+
+
+def _number(value: float, digits: int) -> str:
+    return "" if np.isnan(value) else f"{value:+z.{digits}f}"
+
+
+def _range(low: float, high: float, digits: int) -> str:
+    return "" if np.isnan(low) else f"{low:+z.{digits}f} to {high:+z.{digits}f}"

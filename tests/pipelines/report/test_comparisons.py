@@ -1,0 +1,72 @@
+"""Policies beside their rivals, from made-up runs with known episodes."""
+
+import numpy as np
+import pytest
+
+from pipelines.engine.store import read_csv
+from pipelines.report.comparisons import write_comparisons
+from tests.pipelines.report.conftest import write_run
+
+STARTS = range(1000, 1040)
+
+
+def played(results_dir, run, shift, starts=STARTS, spread=0.0, form="evaluate"):
+    """A run whose return from start s is s, and that much more; every second start that much besides."""
+    returns = [s + shift + spread * (s % 2) for s in starts]
+    path = results_dir / "runs" / run / "summary.json"
+    if not path.exists():
+        write_run(results_dir, run, float(np.mean(returns)), n_episodes=len(returns))
+    folder = path.parent / form
+    folder.mkdir()
+    lines = ["episode,seed,return", *(f"{i},{s},{r}" for i, (s, r) in enumerate(zip(starts, returns, strict=True)))]
+    (folder / "episodes.csv").write_text("\n".join(lines) + "\n")
+
+
+def rows(results_dir):
+    markdown, table = write_comparisons(results_dir)
+    return markdown.read_text(), {(r["method"], r["budget"], r["rival"]): r for r in read_csv(table)}
+
+
+def test_a_policy_stands_beside_the_linear_row_and_otr(tmp_path):
+    for seed in range(5):
+        played(tmp_path, f"hopper/linear/depth-0/quick/seed-{seed}", 0.0 + seed)
+        played(tmp_path, f"hopper/otr/depth-6/quick/seed-{seed}", 10.0 + seed, spread=1.0)
+    played(tmp_path, "hopper/viper/depth-6/quick/seed-0", -5.0)
+    markdown, found = rows(tmp_path)
+    assert set(found) == {("otr", "quick", "linear"), ("viper", "quick", "linear"), ("viper", "quick", "otr-6")}
+    otr = found["otr", "quick", "linear"]
+    assert (otr["n_runs"], otr["n_rival_runs"], otr["n_starts"]) == ("5", "5", "40")
+    assert float(otr["difference"]) == pytest.approx(10.5) and float(otr["probability"]) == 1.0
+    half = 2.0226909 * np.std([0.0, 1.0] * 20, ddof=1) / np.sqrt(40)
+    assert (float(otr["starts_low"]), float(otr["starts_high"])) == pytest.approx((10.5 - half, 10.5 + half), abs=1e-5)
+    assert float(otr["runs_low"]) < 10.5 < float(otr["runs_high"])
+    viper = found["viper", "quick", "otr-6"]
+    assert viper["runs_low"] == "" and float(viper["difference"]) == pytest.approx(-17.5)
+    assert "| Hopper | VIPER  | 6     |" in markdown and "| -17.5" in markdown
+
+
+def test_a_rival_of_the_same_budget_is_taken_else_the_most_runs(tmp_path):
+    played(tmp_path, "hopper/linear/depth-0/thesis/seed-0", 0.0)
+    for seed in range(2):
+        played(tmp_path, f"hopper/linear/depth-0/quick/seed-{seed}", 1.0)
+    for budget in ("thesis", "standard-ars"):
+        played(tmp_path, f"hopper/otr/depth-6/{budget}/seed-0", 5.0, starts=range(1010, 1050))
+    _, found = rows(tmp_path)
+    assert found["otr", "thesis", "linear"]["rival_budget"] == "thesis"
+    other = found["otr", "standard-ars", "linear"]
+    assert (other["rival_budget"], other["n_starts"], float(other["difference"])) == ("quick", "30", 4.0)
+
+
+def test_a_polished_policy_has_its_own_episodes(tmp_path):
+    played(tmp_path, "hopper/linear/depth-0/quick/seed-0", 0.0)
+    moments = {"return_mean": 1026.5, "n_episodes": 40}
+    write_run(tmp_path, "hopper/otr/depth-6/quick/seed-0", 1022.5, n_episodes=40, polish=moments)
+    played(tmp_path, "hopper/otr/depth-6/quick/seed-0", 3.0)
+    played(tmp_path, "hopper/otr/depth-6/quick/seed-0", 7.0, form="polish")
+    _, found = rows(tmp_path)
+    assert float(found["otr-polished", "quick", "linear"]["difference"]) == 7.0
+    assert float(found["otr-polished", "quick", "otr-6"]["difference"]) == 4.0
+
+
+def test_nothing_to_compare_says_so(tmp_path):
+    assert "Nothing has been run yet that could be compared." in rows(tmp_path)[0]

@@ -28,6 +28,7 @@ from pipelines.config.trainer import TRAINERS, FleetConfig, TrainerConfig
 from pipelines.engine.store import corrupt
 from pipelines.errors import ConfigError, did_you_mean
 from pipelines.play.environments import check_names, episode_limit, own_environment, registered_ids
+from pipelines.play.video import check_video
 from pipelines.runs.run_job import RunJob, run_job, run_jobs
 from pipelines.stages.import_model import read_model
 from pipelines.stages.parse import holds_tree, policy_tree, read_program
@@ -75,6 +76,12 @@ def written_policy(env: str, program: str) -> tuple[RunConfig, otr.ObliqueTree]:
     return config, policy_tree(config.program_text, config.env, program)
 
 
+def _check_packages(config: RunConfig) -> None:
+    """Raise ConfigError where a package is missing that is needed after the training, or beside it."""
+    check_tracking(config)
+    check_video(config)
+
+
 class RunWorkflow(Workflow):
     """`otr-run`, whose jobs are runs."""
 
@@ -87,7 +94,7 @@ class RunWorkflow(Workflow):
     do = staticmethod(run_job)
     do_group = staticmethod(run_jobs)
     groups = staticmethod(fleets)
-    check = staticmethod(check_tracking)
+    check = staticmethod(_check_packages)
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)

@@ -15,8 +15,8 @@ from pipelines.config.setting import DERIVED, Count, FreeText, NotNegative, OneO
 from pipelines.config.stages import ActorConfig
 from pipelines.errors import ConfigError
 
-# After all others, where polish=true, certify=true, simplify=true, leaves=true or video=true asks for them
-EXTRA_STAGES = ("polish", "certify", "simplify", "leaves", "video")
+# After all others, where polish=true, certify=true and so on ask for them
+EXTRA_STAGES = ("polish", "certify", "simplify", "leaves", "video", "mp4")
 # Soft trees learn with other numbers of steps (conf/budget).
 ON_POLICY_STEPS = [
     'train.steps="${budget.on_policy_steps.${env.task}}"',

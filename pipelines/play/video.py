@@ -1,11 +1,14 @@
-"""An episode of a tree as a GIF: what gymnasium renders, and below it the leaf that acts and what it does."""
+"""An episode of a tree as a GIF or an MP4: what gymnasium renders, and below it the leaf that acts and what it does."""
 
 from __future__ import annotations
 
 import dataclasses
 import os
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,11 +18,13 @@ import numpy as np
 import otr
 from otr.control.rollout import play_episodes
 from otr.core.merging import merge_equal_leaves
+from otr.extras import naming_the_extra
 from otr.programs.names import label_name
 from otr.programs.picture.colours import label_colours, level_colour
 from otr.programs.walk import walk
 from pipelines.config.env import EnvConfig
-from pipelines.errors import PipelineError
+from pipelines.config.run import RunConfig
+from pipelines.errors import ConfigError, PipelineError
 from pipelines.play.environments import action_names, make_env
 from pipelines.play.rollout import rollout
 
@@ -28,7 +33,8 @@ if TYPE_CHECKING:
 
 MOST_FRAMES, FRAMES_A_SECOND = 250, 25
 WIDTH, TEXT, BAND, STRIP = 480, 13, 42, 12  # pixels: of a picture, of letters, below it, and right of it
-COLOURS = 96
+COLOURS = 96  # of a GIF
+QUALITY = 7  # of an MP4, of 10
 MUJOCO_SIZE = {"width": 480, "height": 360}
 
 
@@ -43,35 +49,78 @@ class Episode:
 
 
 def write_video(tree: otr.ObliqueTree, env_config: EnvConfig, seed: int, path: Path) -> Episode:
-    """Play the episode that starts from `reset(seed)` and write it as a GIF, at most MOST_FRAMES frames, in real time.
+    """Play the episode that starts from `reset(seed)` and write it in real time, as GIF or as MP4, as the path ends.
 
+    A GIF has at most MOST_FRAMES frames: those of a long episode stand for more steps each, and so for more time.
     The strip on the right has the leaves' colours, from the first leaf at the top to the last, and a mark at the one
     that acts: those of `otr.to_svg`, but that of several actions the first colours it.
 
     Raises:
         PipelineError: the environment cannot be rendered here; says what to do.
+        MissingExtraError: the path is an MP4's, and imageio-ffmpeg is not installed.
     """
     tree = _in_order(merge_equal_leaves(tree))
     env = gym.wrappers.RecordEpisodeStatistics(_renderable(env_config))
     names = action_names(env_config, tree.head.n_answers(tree.n_outputs))
     frames_a_second = float(env.metadata.get("render_fps") or 30)
     (length,) = rollout(tree.predict, env_config, [seed], n_workers=1).lengths.tolist()
-    stride = max(1, round(frames_a_second / FRAMES_A_SECOND), -(-length // MOST_FRAMES))
-    frames: list[Image] = []
+    is_gif, n_frames = path.suffix == ".gif", 0
+    stride = max(1, round(frames_a_second / FRAMES_A_SECOND), -(-length // MOST_FRAMES) if is_gif else 1)
 
     def acting(states: np.ndarray) -> np.ndarray:
+        nonlocal n_frames
         answers, step = np.asarray(tree.predict(states)), env.episode_lengths
         if step % stride == 0:
             shown, leaf = _rendered(env, env_config), int(tree.apply(states)[0])
-            frames.append(_frame(shown, tree, leaf, answers[0], names, step, env.episode_returns))
-            if len(frames) % 50 == 0:
+            add(_frame(shown, tree, leaf, answers[0], names, step, env.episode_returns))
+            n_frames += 1
+            if n_frames % 50 == 0:
                 print(f"video: step {step:,} of {length:,}", flush=True)
         return answers
 
-    played = play_episodes(lambda: env, acting, [seed])
-    shown_s = stride / frames_a_second
-    frames[0].save(path, format="GIF", save_all=True, append_images=frames[1:], duration=round(1000 * shown_s), loop=0)
-    return Episode(float(played.returns[0]), int(played.lengths[0]), len(frames), stride)
+    with (_gif if is_gif else _mp4)(path, stride / frames_a_second) as add:
+        played = play_episodes(lambda: env, acting, [seed])
+    return Episode(float(played.returns[0]), int(played.lengths[0]), n_frames, stride)
+
+
+def check_video(config: RunConfig) -> None:
+    """Raise ConfigError where an MP4 is asked for and the package that writes it is not installed."""
+    if "mp4" in config.selected_stages and not find_spec("imageio_ffmpeg"):
+        raise ConfigError("mp4=true needs the extra mp4: pip install 'otr[mp4]'; video=true writes a GIF without it")
+
+
+@contextmanager
+def _gif(path: Path, frame_s: float) -> Iterator[Callable[[Image], None]]:
+    """Give a function that adds a frame, which is shown for so long, to a GIF."""
+    from PIL import Image
+
+    frames: list[Image.Image] = []
+    yield lambda frame: frames.append(frame.quantize(COLOURS, dither=Image.Dither.NONE))
+    frames[0].save(path, format="GIF", save_all=True, append_images=frames[1:], duration=round(1000 * frame_s), loop=0)
+
+
+@contextmanager
+def _mp4(path: Path, frame_s: float) -> Iterator[Callable[[Image], None]]:
+    """Give a function that adds a frame, which is shown for so long, to an MP4 (H.264); all frames have one size."""
+    with naming_the_extra("an episode as MP4"):
+        from imageio_ffmpeg import write_frames
+
+    file: Any = None
+
+    def add(frame: Image) -> None:
+        nonlocal file
+        if file is None:
+            file = write_frames(
+                str(path), frame.size, fps=1 / frame_s, quality=QUALITY, macro_block_size=2, ffmpeg_log_level="error"
+            )
+            file.send(None)
+        file.send(frame.tobytes())
+
+    try:
+        yield add
+    finally:
+        if file is not None:
+            file.close()
 
 
 def _in_order(tree: otr.ObliqueTree) -> otr.ObliqueTree:
@@ -111,7 +160,7 @@ def _rendered(env: Any, env_config: EnvConfig) -> np.ndarray:
             raise ValueError("render() gave no picture")
     except Exception as error:  # whatever a renderer or a driver fails with
         raise PipelineError(
-            f"video=true: {env_config.id} cannot be rendered here ({type(error).__name__}: {error}). MuJoCo needs "
+            f"video: {env_config.id} cannot be rendered here ({type(error).__name__}: {error}). MuJoCo needs "
             "OpenGL: MUJOCO_GL=egl with a GPU's driver or Mesa, MUJOCO_GL=osmesa with libosmesa, or a screen. All "
             "other stages are done and kept"
         ) from error
@@ -124,7 +173,7 @@ def _frame(
     from PIL import Image, ImageDraw, ImageFont
 
     picture = Image.fromarray(shown.astype(np.uint8))
-    height = round(picture.height * WIDTH / picture.width)
+    height = 2 * round(picture.height * WIDTH / picture.width / 2)  # even, as H.264 wants it
     frame = Image.new("RGB", (WIDTH + STRIP + 16, height + BAND), "#ffffff")
     frame.paste(picture.resize((WIDTH, height)), (0, 0))
     draw, font = ImageDraw.Draw(frame), ImageFont.load_default(TEXT)
@@ -135,7 +184,7 @@ def _frame(
     draw.text((26, height + 4), _fitting(does, font), fill="#1a1a1a", font=font)
     draw.text((26, height + 21), f"step {step:,}, return {total:.1f}", fill="#5b6570", font=font)
     _draw_strip(draw, tree, leaf, colour, height + BAND)
-    return frame.quantize(COLOURS, dither=Image.Dither.NONE)
+    return frame
 
 
 def _in_words(answer: np.ndarray, names: list[str]) -> str:

@@ -38,8 +38,9 @@ def show_result(summary: dict[str, Any], run_dir: Path, whole: Path) -> None:
         lines += _simplified(summary["simplify"], whole)
     if "leaves" in summary:
         lines.append(_returns_of_leaves(read_csv(whole / "leaves" / "returns.csv"), run_dir))
-    if "video" in summary:
-        lines.append(_shown(summary["video"], run_dir, whole))
+    for stage, name in (("video", "episode.gif"), ("mp4", "episode.mp4")):
+        if stage in summary:
+            lines.append(_shown(summary[stage], f"{stage}/{name}", run_dir, whole))
     where = program if whole == run_dir else f"otr-export run={run_dir} format=text"
     picture = run_dir / "prune" / "tree.svg"
     show_finished(text, where, _title(summary), _table(summary), lines, summary["seconds"], run_dir, picture)
@@ -136,9 +137,9 @@ def _returns_of_leaves(rows: list[dict[str, str]], run_dir: Path) -> str:
     return f"return by leaves kept: {returns}; otr-tabulate leaves run={run_dir}"
 
 
-def _shown(report: dict[str, Any], run_dir: Path, whole: Path) -> str:
+def _shown(report: dict[str, Any], file: str, run_dir: Path, whole: Path) -> str:
     """Return which episode a video shows, and where it lies."""
-    where = f"{run_dir}/video/episode.gif" if whole == run_dir else f"in {run_dir}/stages.tar.xz: video/episode.gif"
+    where = f"{run_dir}/{file}" if whole == run_dir else f"in {run_dir}/stages.tar.xz: {file}"
     return f"video: the episode of seed {report['seed']}, return {report['return']:.1f}: {where}"
 
 

@@ -16,6 +16,7 @@ _EXTRAS = {
     "joblib": ("joblib", "learn"),
     "matplotlib": ("matplotlib", "plots"),
     "onnx": ("onnx", "onnx"),
+    "skops": ("skops", "learn"),
     "sklearn": ("scikit-learn", "learn"),
     "torch": ("torch", "learn"),
     "imageio_ffmpeg": ("imageio-ffmpeg", "mp4"),

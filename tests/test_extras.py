@@ -14,11 +14,11 @@ from otr.extras import naming_the_extra
 
 ASKED = """
 import sys
-sys.modules.update(dict.fromkeys(["gymnasium", "joblib", "matplotlib", "onnx", "sklearn", "torch"]))
+sys.modules.update(dict.fromkeys(["gymnasium", "joblib", "matplotlib", "onnx", "skops", "sklearn", "torch"]))
 import json
 import numpy as np
 import otr
-from otr import control, learners
+from otr import control, importers, learners
 
 network = otr.ReluNetwork([np.ones((1, 2))], [np.zeros(1)])
 tree = otr.map_network(network)
@@ -26,6 +26,7 @@ calls = {
     "otr.from_torch": lambda: otr.from_torch(None),
     "otr.from_sb3": lambda: otr.from_sb3(sys.argv[1]),
     "otr.from_sklearn": lambda: otr.from_sklearn(None),
+    "otr.importers.read_policy": lambda: importers.read_policy("policy.skops"),
     "otr.from_onnx": lambda: otr.from_onnx(b""),
     "otr.rollout": lambda: otr.rollout("CartPole-v1", tree),
     "otr.evaluate": lambda: otr.evaluate("CartPole-v1", tree),
@@ -67,6 +68,7 @@ def errors(tmp_path_factory):
         ("otr.from_torch", "torch", "learn"),
         ("otr.from_sb3", "torch", "learn"),
         ("otr.from_sklearn", "scikit-learn", "learn"),
+        ("otr.importers.read_policy", "skops", "learn"),
         ("otr.from_onnx", "onnx", "onnx"),
         ("otr.to_onnx", "onnx", "onnx"),
         ("otr.rollout", "gymnasium", "run"),

@@ -1,52 +1,78 @@
-"""Networks from torch, Stable-Baselines3, ONNX and scikit-learn, which are imported only when they are asked for."""
+"""Policies from torch, Stable-Baselines3, ONNX and scikit-learn, which are imported only when they are asked for."""
 
 from __future__ import annotations
 
+import io
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from otr.core.head import Head
-from otr.core.heads import Argmax, Identity, Sign
+from otr.core.io import load
 from otr.core.network import ReluNetwork
-from otr.core.smooth_network import SmoothNetwork
-from otr.errors import InvalidNetworkError
+from otr.core.pattern_tree import PatternTree
+from otr.core.smooth_network import Oracle
+from otr.errors import ArtefactError, InvalidNetworkError
 from otr.extras import naming_the_extra
-from otr.importers.onnx_graph import network_of_onnx
+from otr.importers.chain import Chain, mappable
+from otr.importers.onnx_graph import chain_of_onnx
 from otr.importers.sb3_archive import network_of_file, oracle_of_file
 from otr.importers.sb3_model import network_of_model
+from otr.importers.sklearn_estimator import policy_of_estimator, read_skops
+from otr.importers.torch_export_graph import chain_of_export
 from otr.importers.torch_modules import network_of_module
 from otr.importers.vec_normalize import fold_observation_statistics
 
 if TYPE_CHECKING:
     import torch
     from onnx import ModelProto
+    from torch.export import ExportedProgram
 
 
 @naming_the_extra("otr.from_torch")
-def from_torch(module: torch.nn.Module, *, head: Head | None = None) -> ReluNetwork:
-    """Return the network of a `torch.nn.Sequential` of Linear, ReLU and LeakyReLU layers.
+def from_torch(
+    module: torch.nn.Module | ExportedProgram | str | os.PathLike[str], *, head: Head | None = None
+) -> ReluNetwork:
+    """Return the network of a `torch.nn.Sequential` of Linear, ReLU and LeakyReLU layers, or of a torch export.
 
-    Nested Sequentials are opened; Flatten, Identity and Dropout are skipped, as they do nothing to a vector at
-    inference. Linear layers without an activation between them are multiplied. A last Tanh becomes the head
+    Of a Sequential, nested ones are opened; Flatten, Identity and Dropout are skipped, as they do nothing to a vector
+    at inference. Linear layers without an activation between them are multiplied. A last Tanh becomes the head
     `TanhBox(-1, 1)`; a last Sigmoid needs ``head=otr.Sign()`` and a last Softmax ``head=otr.Argmax()``, since the tree
     answers with the label and not the probability.
 
     A float64 copy of the module, in evaluation mode, is run on fixed states of several magnitudes: where it answers
     otherwise than its layers (hooks, an overridden `forward`, the old `weight_norm`), nothing is returned.
 
+    A module with a `forward` of its own is exported: ``torch.export.export(module, (states,))``, or the path of the
+    file to which `torch.export.save` wrote that. Read is a chain of layers as `from_onnx` reads it: linear, relu,
+    leaky_relu, constants added, subtracted, multiplied and divided, shapes that keep each state's numbers, and a last
+    tanh, clamp, hardtanh or argmax. Of the file only JSON and the bytes of tensors are read, without torch, and its
+    pickles are not opened, as `torch.export.load` would. The export computes in its own type, mostly float32.
+
     Args:
-        module: the layers; parameters of any float type, on any device. It stays as it is.
-        head: from the outputs to the answer; None for Identity, or TanhBox after a last Tanh.
+        module: the layers, of any float type, on any device, which stay as they are; an exported program, or the path
+            of its file (torch 2.9 or newer).
+        head: from the outputs to the answer; None for Identity, or TanhBox after a last Tanh, or the export's own.
 
     Raises:
-        InvalidNetworkError: a layer of another kind, named with its position; activations of several slopes; a module
-            that is not what its layers say, with the largest difference; tensors that are complex, sparse or expanded,
-            or without numbers.
-        MissingExtraError: torch is not installed.
+        InvalidNetworkError: a layer or an operation of another kind, named with its position; values that branch and
+            join; activations of several slopes; a module that is not what its layers say, with the largest difference;
+            tensors that are complex, sparse or expanded, or without numbers.
+        ArtefactError: a file that is missing, cut off, unpacks to more than 64 MiB, or is no torch export.
+        MissingExtraError: torch is not installed; a file needs none.
     """
+    if isinstance(module, str | os.PathLike):
+        return mappable(chain_of_export(Path(module)).network(head))
+    from torch.export import ExportedProgram, save
+
+    if isinstance(module, ExportedProgram):
+        written = io.BytesIO()
+        save(module, written)
+        return mappable(chain_of_export(written.getvalue()).network(head))
     return network_of_module(module, head)
 
 
@@ -98,21 +124,74 @@ def from_sb3(
     return network if vec_normalize is None else fold_observation_statistics(network, vec_normalize)
 
 
-@naming_the_extra("otr.importers.oracle_from_sb3")
-def oracle_from_sb3(
-    path: str | os.PathLike[str], *, vec_normalize: str | os.PathLike[str] | None = None
-) -> ReluNetwork | SmoothNetwork:
-    """Return the deterministic actor of a saved Stable-Baselines3 model, to be imitated by a tree.
+@naming_the_extra("otr.importers.read_policy")
+def read_policy(path: str | os.PathLike[str], *, vec_normalize: str | os.PathLike[str] | None = None) -> Oracle:
+    """Return the policy in a file, to be mapped to a tree or to be imitated by one.
 
-    As `from_sb3` reads a file, and with the same errors, but units may be smooth, too: Tanh (the default of PPO and
-    A2C), Sigmoid, SiLU, ELU and GELU. No tree is equal to such a network.
+    The suffix says what the file is: ``.zip`` of Stable-Baselines3 (`from_sb3`), ``.onnx`` (`from_onnx`), ``.pt2`` of
+    torch (`from_torch`), ``.skops`` of scikit-learn (`from_sklearn`), ``.json`` and ``.npz`` of `otr.save`. It is read
+    as these functions read it, and with the same errors, but units may be smooth, too: tanh (the default of PPO and
+    A2C in Stable-Baselines3), sigmoid, SiLU, ELU and GELU. No tree is equal to such a network. Of a model that ends in
+    a Softmax or a Sigmoid the likelier label is the answer.
+
+    Args:
+        path: of the file.
+        vec_normalize: path of the file that `VecNormalize.save` wrote, for a zip whose policy was trained under one.
+
+    Raises:
+        InvalidNetworkError: as the functions above; a classifier whose classes are not 0, 1, ..., the actions; a saved
+            tree, which stands for no network; statistics beside another file than a zip.
+        ArtefactError: as the functions above; or the suffix is another one.
+        MissingExtraError: a package that the kind of file needs is not installed.
     """
-    network = oracle_of_file(Path(path))
+    path = Path(path)
+    reader = _READERS.get(path.suffix)
+    if reader is None:
+        raise ArtefactError(
+            f"{path}: read are {', '.join(_READERS)}, not {path.suffix or 'files without a suffix'}; a torch module is "
+            "written by torch.export.save(torch.export.export(module, (states,)), 'policy.pt2'), a scikit-learn "
+            "estimator by skops.io.dump(estimator, 'policy.skops')"
+        )
     if vec_normalize is None:
-        return network
-    if isinstance(network, ReluNetwork):
-        return fold_observation_statistics(network, vec_normalize)
-    return fold_observation_statistics(network, vec_normalize)
+        return reader(path)
+    if path.suffix != ".zip":
+        raise InvalidNetworkError(f"statistics of VecNormalize belong to a Stable-Baselines3 zip, not to {path}")
+    policy = reader(path)
+    if isinstance(policy, ReluNetwork):
+        return fold_observation_statistics(policy, vec_normalize)
+    return fold_observation_statistics(policy, vec_normalize)
+
+
+def _decided(chain: Chain) -> Oracle:
+    return chain.network(chain.deciding_head)
+
+
+def _of_skops(path: Path) -> Oracle:
+    estimator = read_skops(path)
+    policy = policy_of_estimator(estimator)
+    classes = np.asarray(estimator.classes_).tolist() if policy.head.gives_labels else []
+    if classes != list(range(len(classes))):
+        raise InvalidNetworkError(
+            f"the classes of {estimator!r} are {classes}, expected the actions' numbers 0, 1, ...; fit it on these"
+        )
+    return policy
+
+
+def _of_saved(path: Path) -> Oracle:
+    tree = load(path)
+    if isinstance(tree, PatternTree):
+        return tree.network
+    raise InvalidNetworkError(f"it holds a tree of {tree.n_leaves} leaves, which stands for no network")
+
+
+_READERS: dict[str, Callable[[Path], Oracle]] = {
+    ".zip": oracle_of_file,
+    ".onnx": lambda path: _decided(chain_of_onnx(path, None)),
+    ".pt2": lambda path: _decided(chain_of_export(path)),
+    ".skops": _of_skops,
+    ".json": _of_saved,
+    ".npz": _of_saved,
+}
 
 
 @naming_the_extra("otr.from_onnx")
@@ -142,39 +221,31 @@ def from_onnx(
         ArtefactError: the file is missing, too large, cut off or not valid.
         MissingExtraError: onnx is not installed.
     """
-    return network_of_onnx(model, head, output)
+    return mappable(chain_of_onnx(model, output).network(head))
 
 
 @naming_the_extra("otr.from_sklearn")
-def from_sklearn(mlp: Any) -> ReluNetwork:
-    """Return the network of a fitted scikit-learn `MLPClassifier` or `MLPRegressor`.
+def from_sklearn(estimator: Any) -> ReluNetwork:
+    """Return the network of a fitted scikit-learn MLP or linear model, also behind the scalers of a Pipeline.
 
-    A binary classifier gets the head `Sign`, one of several classes `Argmax`; labels are positions in
-    ``mlp.classes_``. With activation "identity" the layers are multiplied into a linear model.
+    Read are `MLPClassifier`, `MLPRegressor`, and models with coefficients (LogisticRegression, Ridge, LinearSVC, ...),
+    which have no hidden layer. `StandardScaler`, `MinMaxScaler`, `MaxAbsScaler` and `RobustScaler` before one of them
+    are folded into the first layer. A binary classifier gets the head `Sign`, one of several classes `Argmax`; labels
+    are positions in ``estimator.classes_``. With activation "identity" the layers are multiplied into a linear model.
+
+    The estimator predicts fixed states of several magnitudes: where it predicts otherwise than its coefficients (a
+    link function, one classifier for each pair of classes), nothing is returned.
+
+    Args:
+        estimator: fitted, or the path of the file to which `skops.io.dump` wrote it. Of a file, types are loaded that
+            skops trusts by itself, and the two optimizers of an MLP, which hold numbers; nothing of any other.
 
     Raises:
-        InvalidNetworkError: not fitted, another activation, several labels at once, or a loss with a link function.
-        MissingExtraError: scikit-learn is not installed.
+        InvalidNetworkError: not fitted, another activation, several labels at once, a loss with a link function, or
+            another step of the Pipeline; a file that holds a type that skops does not trust, which is named.
+        ArtefactError: the file is missing, cut off, or unpacks to more than 64 MiB.
+        MissingExtraError: scikit-learn, or for a file skops, is not installed.
     """
-    from sklearn.neural_network import MLPClassifier, MLPRegressor
-    from sklearn.preprocessing import LabelBinarizer
-
-    if not isinstance(mlp, MLPClassifier | MLPRegressor) or not hasattr(mlp, "coefs_"):
-        raise InvalidNetworkError(f"expected a fitted MLPClassifier or MLPRegressor, got {mlp!r}; call fit first")
-    if mlp.activation not in ("relu", "identity"):
-        raise InvalidNetworkError(f"the activation is {mlp.activation!r}; fit with activation='relu'")
-    head: Head = Identity()
-    if isinstance(mlp, MLPClassifier):
-        kind = mlp._label_binarizer.y_type_ if isinstance(mlp._label_binarizer, LabelBinarizer) else "unknown"
-        if kind not in ("binary", "multiclass"):
-            raise InvalidNetworkError(f"the labels are of type {kind!r}; fit one classifier for each label")
-        head = Sign() if kind == "binary" else Argmax()
-    elif mlp.out_activation_ != "identity":
-        raise InvalidNetworkError(f"the output goes through {mlp.out_activation_!r}; fit with loss='squared_error'")
-    weights = [coefficients.T for coefficients in mlp.coefs_]
-    biases = list(mlp.intercepts_)
-    while mlp.activation == "identity" and len(weights) > 1:
-        upper_weight, upper_bias = weights.pop(), biases.pop()
-        biases[-1] = upper_weight @ biases[-1] + upper_bias
-        weights[-1] = upper_weight @ weights[-1]
-    return ReluNetwork(weights, biases, head=head)
+    if isinstance(estimator, str | os.PathLike):
+        estimator = read_skops(Path(estimator))
+    return mappable(policy_of_estimator(estimator))

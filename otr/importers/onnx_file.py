@@ -95,10 +95,10 @@ def array_of(tensor: TensorProto) -> NDArray[Any]:
     return values.astype(np.float64 if tensor.data_type in reals else np.int64)
 
 
-def numbers(value: Any, node: NodeProto) -> FloatArray:
+def numbers(value: Any) -> FloatArray:
     """Return real constants that a node reads, or raise InvalidNetworkError."""
     if not isinstance(value, np.ndarray) or value.dtype != np.float64:
-        raise InvalidNetworkError(f"{describe(node)} reads something else than constant real numbers beside the states")
+        raise InvalidNetworkError("reads something else than constant real numbers beside the states")
     return value
 
 

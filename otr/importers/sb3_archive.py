@@ -25,8 +25,9 @@ from otr.core.network import ReluNetwork
 from otr.core.smooth_network import SmoothNetwork
 from otr.core.zip_members import read_members
 from otr.errors import ArtefactError, InvalidNetworkError
+from otr.importers.chain import RELU_REMEDY
 from otr.importers.sb3_model import require_widths
-from otr.importers.torch_modules import RELU_REMEDY, real_values
+from otr.importers.torch_modules import real_values
 
 _RELU = "<class 'torch.nn.modules.activation.ReLU'>"
 _LEAKY_RELU = "<class 'torch.nn.modules.activation.LeakyReLU'>"
@@ -64,7 +65,7 @@ def network_of_file(
 
 
 def oracle_of_file(path: Path) -> ReluNetwork | SmoothNetwork:
-    """Return the actor in the zip file at `path`; `otr.importers.oracle_from_sb3` documents it."""
+    """Return the actor in the zip file at `path`; `otr.importers.read_policy` documents it."""
     actor = _actor(path, None, None)
     smooth = _SMOOTH.get(_activation(actor))
     if len(actor.weights) == 1 or smooth is None:

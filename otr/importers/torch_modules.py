@@ -14,14 +14,11 @@ from otr.core.head import Head
 from otr.core.heads import Argmax, Sign, TanhBox
 from otr.core.network import ReluNetwork
 from otr.errors import InvalidNetworkError
+from otr.importers.chain import RELU_REMEDY, Chain, mappable, naming
 
 if TYPE_CHECKING:
     import torch
 
-RELU_REMEDY = (
-    "a tree needs ReLU or LeakyReLU: train with torch.nn.ReLU (in Stable-Baselines3, "
-    "policy_kwargs=dict(activation_fn=torch.nn.ReLU)), or imitate the policy, as otr-run method=augtree does"
-)
 _NOTHING = ("Flatten", "Identity", "Dropout")  # is what these do to a vector at inference
 _LAYERS = ("Linear", "ReLU", "LeakyReLU", "Tanh", "Sigmoid", "Softmax", "LogSoftmax")
 _PROBES = 64  # states of each magnitude
@@ -61,33 +58,21 @@ def flat_layers(module: Any, name: str) -> Iterable[tuple[str, Any]]:
 
 def network_of_layers(layers: Sequence[tuple[str, Any]], head: Head | None) -> ReluNetwork:
     """Return the network of (position, layer) pairs: Linear, ReLU and LeakyReLU."""
-    weights: list[FloatArray] = []
-    biases: list[FloatArray] = []
-    slopes: set[float] = set()
-    after_activation = True
+    first = next((layer for _, layer in layers if _kind(layer) == "Linear"), None)
+    if first is None:
+        raise InvalidNetworkError("there is no Linear layer; give a Sequential of Linear, ReLU and LeakyReLU layers")
+    chain = Chain((int(first.weight.shape[1]),))
     for position, layer in layers:
         if _kind(layer) == "Linear":
             W, b = _affine(position, layer)
-            if after_activation:
-                weights.append(W)
-                biases.append(b)
-            else:
-                weights[-1], biases[-1] = W @ weights[-1], W @ biases[-1] + b
+            with naming(position):
+                chain = chain.linear(W, b)
         elif _kind(layer) in ("ReLU", "LeakyReLU"):
-            if after_activation:
-                raise InvalidNetworkError(f"{position} is {layer}, which follows no Linear layer; put one before it")
-            slopes.add(float(getattr(layer, "negative_slope", 0.0)))
+            with naming(f"{position} is {layer}, which"):
+                chain = chain.activation(float(getattr(layer, "negative_slope", 0.0)))
         else:
             raise InvalidNetworkError(f"{position} is {layer}; {_remedy(_kind(layer))}")
-        after_activation = _kind(layer) != "Linear"
-    if not weights:
-        raise InvalidNetworkError("there is no Linear layer; give a Sequential of Linear, ReLU and LeakyReLU layers")
-    if len(slopes) > 1:
-        raise InvalidNetworkError(f"activations have the slopes {sorted(slopes)} below zero; one network has one slope")
-    if after_activation:  # the activation's output is the answer: one more layer that passes it on
-        weights.append(np.eye(len(biases[-1])))
-        biases.append(np.zeros(len(biases[-1])))
-    return ReluNetwork(weights, biases, negative_slope=slopes.pop() if slopes else 0.0, head=head)
+    return mappable(chain.network(head))
 
 
 def real_values(tensor: Any, name: str) -> FloatArray:

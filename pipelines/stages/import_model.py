@@ -1,13 +1,13 @@
 """Stage import: a policy that was trained elsewhere, as a network that acts in the run's environment."""
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import otr
 from otr.core.smooth_network import Oracle
-from otr.importers import oracle_from_sb3
+from otr.importers import read_policy
 from pipelines.config.env import EnvConfig
 from pipelines.config.model import ImportedModel
 from pipelines.config.run import RunConfig
@@ -16,11 +16,6 @@ from pipelines.engine.store import write_files, write_json
 from pipelines.errors import ConfigError
 from pipelines.play.actor_files import actor_files
 from pipelines.play.environments import Spaces, spaces
-
-IN_PYTHON = (
-    "read it in Python, which gives a file that does: otr.save(otr.PatternTree(otr.from_torch(module)), "
-    '"policy.json"), or otr.from_sklearn, or an ONNX file'
-)
 
 
 def import_settings(config: RunConfig) -> dict[str, Any]:
@@ -39,7 +34,7 @@ def import_policy(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> N
 
 
 def read_model(model: str, vec_normalize: str | None, env: EnvConfig) -> ImportedModel:
-    """Return the policy in a file: a Stable-Baselines3 zip, an ONNX model, or a pattern tree saved by `otr.save`.
+    """Return the policy in a file of one of the kinds that `otr.importers.read_policy` reads.
 
     Args:
         model: path of the file; a zip's suffix may be left out.
@@ -57,33 +52,13 @@ def read_model(model: str, vec_normalize: str | None, env: EnvConfig) -> Importe
     for file in files:
         if not file.is_file():
             raise ConfigError(f"{'model' if file is path else 'vec_normalize'}={file}: there is no such file")
-    reader = READERS.get(path.suffix)
-    if reader is None:
-        raise ConfigError(f"model={model}: read are {', '.join(READERS)}, not {path.suffix or 'others'}; {IN_PYTHON}")
-    if vec_normalize and path.suffix != ".zip":
-        raise ConfigError(f"vec_normalize={vec_normalize} belongs to a Stable-Baselines3 zip, not to model={model}")
     try:
-        network = reader(path, files[1] if vec_normalize else None)
+        network = read_policy(path, vec_normalize=files[1] if vec_normalize else None)
         policy = _fitted(network, spaces(env), env)
     except (otr.OtrError, ValueError) as error:
         raise ConfigError(f"model={model}: {error}") from error
     sha256 = hashlib.sha256(b"".join(hashlib.sha256(file.read_bytes()).digest() for file in files)).hexdigest()
     return ImportedModel(policy, path.name, sha256)
-
-
-def _of_tree(path: Path, _: Path | None) -> Oracle:
-    tree = otr.load(path)
-    if isinstance(tree, otr.PatternTree):
-        return tree.network
-    raise ValueError(f"it holds a tree of {tree.n_leaves} leaves, which stands for no network")
-
-
-READERS: dict[str, Callable[[Path, Path | None], Oracle]] = {
-    ".zip": lambda path, statistics: oracle_from_sb3(path, vec_normalize=statistics),
-    ".onnx": lambda path, _: otr.from_onnx(path),
-    ".json": _of_tree,
-    ".npz": _of_tree,
-}
 
 
 def _fitted(network: Oracle, space: Spaces, env: EnvConfig) -> Oracle:

@@ -288,7 +288,7 @@ def test_torch_classifiers() -> None:
         (nn.Sequential(nn.Sequential(nn.Linear(3, 4), nn.Tanh()), nn.Linear(4, 1)), r"module\[0\]\[1\] is Tanh.*ReLU"),
         (nn.Sequential(nn.Linear(3, 1), nn.Sigmoid()), "head=otr.Sign"),
         (nn.Sequential(nn.Linear(3, 2), nn.Softmax(dim=1)), "head=otr.Argmax"),
-        (nn.Sequential(nn.ReLU(), nn.Linear(3, 2)), "follows no Linear"),
+        (nn.Sequential(nn.ReLU(), nn.Linear(3, 2)), "which follows no layer with weights"),
         (nn.Sequential(), "no Linear layer"),
         (
             nn.Sequential(nn.Linear(3, 2), nn.ReLU(), nn.Linear(2, 2), nn.LeakyReLU(0.1), nn.Linear(2, 1)),
@@ -331,7 +331,7 @@ def test_sklearn_models_that_are_refused() -> None:
     X = np.random.default_rng(0).normal(size=(30, 2))
     with pytest.raises(otr.InvalidNetworkError, match="call fit first"):
         otr.from_sklearn(MLPClassifier())
-    with pytest.raises(otr.InvalidNetworkError, match="activation is 'tanh'"):
+    with pytest.raises(otr.InvalidNetworkError, match="the units are tanh; a tree needs ReLU"):
         otr.from_sklearn(MLPRegressor(hidden_layer_sizes=(2,), activation="tanh", max_iter=2).fit(X, X[:, 0]))
     with pytest.raises(otr.InvalidNetworkError, match="one classifier for each label"):
         otr.from_sklearn(MLPClassifier(hidden_layer_sizes=(2,), max_iter=2).fit(X, X > 0))

@@ -13,6 +13,7 @@ from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
 import otr
+from otr.importers import read_policy
 
 torch.set_num_threads(1)
 RNG = np.random.default_rng(0)
@@ -156,6 +157,24 @@ def test_probabilities_need_their_head():
     np.testing.assert_array_equal(labels, answers(model(*nodes), X).argmax(axis=1))
 
 
+SMOOTH = {
+    "Tanh": np.tanh,
+    "Sigmoid": lambda z: 1 / (1 + np.exp(-z)),
+    "Elu": lambda z: np.where(z > 0, z, np.exp(np.minimum(z, 0)) - 1),
+}
+
+
+@pytest.mark.parametrize("operator", SMOOTH)
+def test_smooth_units_are_an_oracle(tmp_path: Path, operator: str) -> None:
+    made = model(HIDDEN[0], (operator, ["z"], "a"), (*LAST[:2], "u", LAST[3]), ("Softmax", ["u"], "y"))
+    onnx.save(made, tmp_path / "policy.onnx")
+    oracle = read_policy(tmp_path / "policy.onnx")
+    X = RNG.normal(size=(100, 3))
+    expected = SMOOTH[operator](X @ W1.T + B1) @ W2.T + B2
+    np.testing.assert_allclose(oracle.forward(X), expected, atol=1e-12)
+    np.testing.assert_array_equal(oracle.predict(X), expected.argmax(axis=1))
+
+
 def test_a_head_that_is_given_must_be_the_models():
     made = model(*READ["tanh"])
     with pytest.raises(otr.InvalidNetworkError, match="the model ends in Tanh"):
@@ -181,9 +200,17 @@ def one_more(*nodes: tuple) -> list[tuple]:
 @pytest.mark.parametrize(
     ("nodes", "options", "message"),
     [
-        ([HIDDEN[0], ("Sigmoid", ["z"], "a"), LAST], {}, r"node 'y!' \(Gemm\) comes after Sigmoid"),
-        ([HIDDEN[0], ("Tanh", ["z"], "a"), LAST], {}, "comes after Tanh; a tree needs ReLU or LeakyReLU"),
-        ([HIDDEN[0], ("Elu", ["z"], "a"), LAST], {}, r"node 'a!' \(Elu\) cannot be read; accepted are Gemm, MatMul"),
+        ([HIDDEN[0], ("Sigmoid", ["z"], "a"), LAST], {}, "the units are sigmoid; a tree needs ReLU or LeakyReLU"),
+        ([HIDDEN[0], ("Tanh", ["z"], "a"), LAST], {}, "the units are tanh; a tree needs ReLU or LeakyReLU"),
+        ([HIDDEN[0], ("Elu", ["z"], "a"), LAST], {}, "the units are elu"),
+        ([HIDDEN[0], ("Elu", ["z"], "a", {"alpha": 0.5}), LAST], {}, r"node 'a!' \(Elu\) has another alpha than 1"),
+        ([HIDDEN[0], ("Exp", ["z"], "a"), LAST], {}, r"node 'a!' \(Exp\) cannot be read; accepted are Gemm, MatMul"),
+        ([("Tanh", ["x"], "a"), ("MatMul", ["a", "W1t"], "y")], {}, "Tanh, which follows no layer with weights"),
+        (
+            [HIDDEN[0], ("Tanh", ["z"], "a"), ("MatMul", ["a", "W2t"], "u"), ("Relu", ["u"], "y")],
+            {},
+            "the units are relu, tanh; one network has one kind",
+        ),
         ([HIDDEN[0], ("Clip", ["z", "low"], "a"), LAST], {}, "comes after Clip"),
         (one_more(("Clip", ["u", "low"], "y")), {}, r"-0.5\] .. \[inf, inf\]; expected finite limits on both sides"),
         (one_more(("Clip", ["u", "high", "low"], "y")), {}, "leaves one answer only"),
@@ -192,10 +219,10 @@ def one_more(*nodes: tuple) -> list[tuple]:
         (one_more(("Div", ["two", "u"], "y")), {}, "divides by the states"),
         (one_more(("Mul", ["u", "u"], "y")), {}, "joins two values that depend on the states"),
         (one_more(("Add", ["u", "b1"], "y")), {}, r"has a constant of shape \(4,\), expected \(2,\)"),
-        (one_more(("ArgMax", ["u"], "y", {"axis": 0})), {}, "goes over axis 0"),
-        (one_more(("ArgMax", ["u"], "y", {"axis": 1, "select_last_index": 1})), {}, "first largest"),
-        ([("Relu", ["x"], "a"), ("MatMul", ["a", "W1t"], "y")], {}, "follows no Gemm or MatMul"),
-        ([("Add", ["x", "mean"], "y")], {}, "no Gemm or MatMul lies between 'x' and 'y'"),
+        (one_more(("ArgMax", ["u"], "y", {"axis": 0})), {}, "goes over the states"),
+        (one_more(("ArgMax", ["u"], "y", {"axis": 1, "select_last_index": 1})), {}, "first largest output"),
+        ([("Relu", ["x"], "a"), ("MatMul", ["a", "W1t"], "y")], {}, "follows no layer with weights"),
+        ([("Add", ["x", "mean"], "y")], {}, "no layer with weights lies between the states"),
         ([("MatMul", ["W1", "x"], "y")], {}, "multiplies from the left"),
         ([("MatMul", ["x", "W2t"], "y")], {}, r"weights of shape \(4, 2\), expected \(3, n_out\)"),
         ([("Flatten", ["x"], "f", {"axis": 0}), ("MatMul", ["f", "W1t"], "y")], {}, "changes more than the shape"),

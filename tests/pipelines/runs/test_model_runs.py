@@ -1,12 +1,16 @@
-"""Policies from elsewhere, from a Stable-Baselines3 zip, an ONNX file or a saved network or tree to a run's summary."""
+"""Policies from elsewhere, from a file of Stable-Baselines3, ONNX, torch, scikit-learn or otr to a run's summary."""
 
 import json
 
 import gymnasium as gym
 import numpy as np
 import pytest
+import skops.io
 import torch
 from onnx import TensorProto, helper, numpy_helper
+from sklearn.neural_network import MLPClassifier
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
@@ -108,6 +112,27 @@ def test_saved_networks_and_onnx_files(models):
         np.testing.assert_array_equal(read_model(str(models / name), None, CART_POLE).policy.predict(states), expected)
 
 
+def test_torch_exports_and_skops_files(models):
+    states = np.random.default_rng(1).normal(size=(200, 4)).astype(np.float32)
+    labels = (states[:, 2] > 0).astype(int)
+    fitted = make_pipeline(StandardScaler(), MLPClassifier((3,), max_iter=5, random_state=0)).fit(states, labels)
+    skops.io.dump(fitted, models / "classifier.skops")
+    torch.manual_seed(0)
+    module = torch.nn.Sequential(torch.nn.Linear(4, 3), torch.nn.Tanh(), torch.nn.Linear(3, 2), torch.nn.Softmax(dim=1))
+    torch.export.save(torch.export.export(module, (torch.zeros(1, 4),)), models / "probabilities.pt2")
+    likelier = module(torch.from_numpy(states)).argmax(dim=1).numpy()
+    for name, expected in (("classifier.skops", fitted.predict(states)), ("probabilities.pt2", likelier)):
+        policy = read_model(str(models / name), None, CART_POLE).policy
+        assert policy.head.gives_labels and 0 < expected.mean() < 1
+        np.testing.assert_array_equal(policy.predict(states), expected)
+    (job,) = jobs(*SMOKE, f"model={models / 'classifier.skops'}")
+    assert job.folder.startswith("runs/CartPole-v1/model/depth-3/smoke/seed-0~")
+    (job,) = jobs(*SMOKE, "method=augtree", "depth=3", f"oracle={models / 'probabilities.pt2'}")
+    assert job.config.oracle == [3] and job.folder.startswith("runs/CartPole-v1/augtree/depth-3/smoke/seed-0~")
+    with pytest.raises(ConfigError, match=r"its units are tanh, which no tree is equal to. A tree can imitate it"):
+        jobs(*SMOKE, f"model={models / 'probabilities.pt2'}")
+
+
 def test_a_saved_tree_is_a_program(models):
     tree = otr.map_network(otr.from_sb3(models / "relu.zip"))
     otr.save(tree, models / "tree.json")
@@ -160,7 +185,7 @@ def test_a_network_distilled_from_an_oracle_is_mapped_proved_and_polished(models
     [
         (("model=nosuch.zip",), "model=nosuch.zip: there is no such file"),
         (("method=model",), "method=model: which model"),
-        (("model={}/statistics.pkl",), "read are .zip, .onnx, .json, .npz, not .pkl; read it in Python"),
+        (("model={}/statistics.pkl",), "read are .zip, .onnx, .pt2, .skops, .json, .npz, not .pkl; a torch module"),
         (("model={}/pendulum.zip",), "the policy reads 3 numbers, the observations of CartPole-v1 have 4"),
         (("model={}/relu.zip", "vec_normalize={}/gone.pkl"), "vec_normalize=.*gone.pkl: there is no such file"),
         (("model={}/relu.zip", "vec_normalize={}/statistics.pkl"), "3 means and 3 variances, the network has 4"),
@@ -171,6 +196,7 @@ def test_a_network_distilled_from_an_oracle_is_mapped_proved_and_polished(models
         (("oracle={}/tanh.zip", "method=sdt"), "who is to imitate it"),
         (("model={}/tanh.zip", "method=viper", "oracle=[8]"), "leave oracle=.8. out"),
         (("oracle={}/tanh.zip", "method=augtree", "method.features=deep"), "units of .* are tanh, which has none"),
+        (("model={}/network.onnx", "vec_normalize={}/statistics.pkl"), "belong to a Stable-Baselines3 zip, not to"),
         (("method=viper", "vec_normalize={}/statistics.pkl"), "method=viper: which model"),
     ],
 )

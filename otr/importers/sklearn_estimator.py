@@ -1,0 +1,164 @@
+"""Networks from scikit-learn: MLPs and linear models, with the scalers of a Pipeline before them, and skops files."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from otr.core.head import Head
+from otr.core.heads import Argmax, Identity, Sign
+from otr.core.smooth_network import Oracle
+from otr.core.zip_members import read_members
+from otr.errors import ArtefactError, InvalidNetworkError
+from otr.importers.chain import Chain
+from otr.importers.torch_modules import probe_states, reach
+
+_UNITS: dict[str, float | str] = {"relu": 0.0, "tanh": "tanh", "logistic": "sigmoid"}
+_ACCEPTED = "MLPClassifier or MLPRegressor, linear model, or Pipeline of scalers before one of these"
+_ROUNDING = 1e-9  # of the size of a sum's terms
+_LIMIT_BYTES = 2**26  # of a file's members
+_TREE_REMEDY = (
+    "a single decision tree is written where it was fitted, as a tree of otr: "
+    'otr.save(otr.learners.from_sklearn_tree(tree), "tree.json")'
+)
+# What an MLP keeps of its training: numbers alone, and no method that loading would call. skops does not know them.
+_TRUSTED = tuple(f"sklearn.neural_network._stochastic_optimizers.{name}" for name in ("AdamOptimizer", "SGDOptimizer"))
+
+
+def policy_of_estimator(estimator: Any) -> Oracle:
+    """Return the network of a fitted estimator, units smooth or not; `otr.from_sklearn` documents it."""
+    from sklearn.pipeline import Pipeline
+
+    steps = [step for _, step in estimator.steps] if isinstance(estimator, Pipeline) else [estimator]
+    *scalers, last = [step for step in steps if step not in (None, "passthrough")] or [None]
+    n_inputs = getattr(estimator, "n_features_in_", None)
+    if n_inputs is None:
+        raise InvalidNetworkError(f"expected a fitted {_ACCEPTED}, got {estimator!r}; call fit first")
+    chain = Chain((int(n_inputs),))
+    for scaler in scalers:
+        chain = _scaled(chain, scaler)
+    chain, head = _answer(chain, last)
+    policy = chain.network(head)
+    _require_same_answers(estimator, policy)
+    return policy
+
+
+def read_skops(path: Path) -> Any:
+    """Return the estimator in a file of `skops.io.dump`, of types that skops trusts by itself and MLPs' optimizers.
+
+    Raises:
+        ArtefactError: the file is missing, cut off, or unpacks to more than 64 MiB.
+        InvalidNetworkError: it holds another type, which is named; nothing of it was loaded.
+        MissingExtraError: skops is not installed.
+    """
+    import skops.io
+
+    try:
+        for _ in read_members(path, str(path), limit_bytes=_LIMIT_BYTES):
+            pass  # its size is known to be moderate
+        content = path.read_bytes()
+        untrusted = sorted(set(skops.io.get_untrusted_types(data=content)) - set(_TRUSTED))
+        if not untrusted:
+            return skops.io.loads(content, trusted=list(_TRUSTED))
+    except FileNotFoundError as error:
+        raise ArtefactError(f"{path} does not exist; give the path of a file that skops.io.dump wrote") from error
+    except ArtefactError:
+        raise
+    except Exception as error:  # foreign files can fail in any way
+        raise ArtefactError(f"{path} is no skops file that can be read ({error}); write it again") from error
+    is_tree = any(name.startswith("sklearn.tree.") for name in untrusted)
+    remedy = _TREE_REMEDY if is_tree else f"expected is a fitted {_ACCEPTED}"
+    raise InvalidNetworkError(f"{path} holds {', '.join(untrusted[:3])}, which skops does not trust; {remedy}")
+
+
+def _scaled(chain: Chain, scaler: Any) -> Chain:
+    """Return the chain after a transformer that shifts and scales every feature."""
+    from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler, StandardScaler
+
+    if not isinstance(scaler, StandardScaler | MinMaxScaler | MaxAbsScaler | RobustScaler):
+        raise InvalidNetworkError(
+            f"the Pipeline has the step {scaler!r}; StandardScaler, MinMaxScaler, MaxAbsScaler and RobustScaler are "
+            "folded into the first layer, others are not"
+        )
+    if getattr(scaler, "clip", False):
+        raise InvalidNetworkError(f"{scaler!r} clips the states, which no layer does; fit it with clip=False")
+    if isinstance(scaler, MinMaxScaler):
+        return chain.affine(scaler.scale_, scaler.min_)
+    centre = scaler.mean_ if isinstance(scaler, StandardScaler) and scaler.with_mean else None
+    centre = scaler.center_ if isinstance(scaler, RobustScaler) else centre
+    scale = 1.0 if scaler.scale_ is None else 1.0 / scaler.scale_
+    return chain.affine(1.0, 0.0 if centre is None else -centre).affine(scale, 0.0)
+
+
+def _answer(chain: Chain, estimator: Any) -> tuple[Chain, Head]:
+    """Return the chain after the layers of an MLP or a linear model, and the head of its answer."""
+    from sklearn.base import is_classifier
+    from sklearn.neural_network import MLPClassifier, MLPRegressor
+
+    if isinstance(estimator, MLPClassifier | MLPRegressor) and hasattr(estimator, "coefs_"):
+        return _mlp(chain, estimator), _mlp_head(estimator)
+    if not (hasattr(estimator, "coef_") and hasattr(estimator, "intercept_")):
+        remedy = _TREE_REMEDY if hasattr(estimator, "tree_") else "call fit first"
+        raise InvalidNetworkError(f"expected a fitted {_ACCEPTED}, got {estimator!r}; {remedy}")
+    try:
+        W = np.atleast_2d(np.asarray(estimator.coef_, dtype=np.float64))
+        chain = chain.linear(W, np.asarray(estimator.intercept_, dtype=np.float64))
+    except (TypeError, ValueError) as error:
+        raise InvalidNetworkError(f"the coefficients of {estimator!r} are no matrix of numbers: {error}") from error
+    if not is_classifier(estimator):
+        return chain, Identity()
+    return chain, Sign() if len(W) == 1 else Argmax()
+
+
+def _mlp(chain: Chain, mlp: Any) -> Chain:
+    if mlp.activation != "identity" and mlp.activation not in _UNITS:
+        raise InvalidNetworkError(f"the activation is {mlp.activation!r}; fit with activation='relu'")
+    for layer, (W, b) in enumerate(zip(mlp.coefs_, mlp.intercepts_, strict=True)):
+        if layer and mlp.activation != "identity":
+            chain = chain.activation(_UNITS[mlp.activation])
+        chain = chain.linear(np.asarray(W, dtype=np.float64).T, b)
+    return chain
+
+
+def _mlp_head(mlp: Any) -> Head:
+    from sklearn.neural_network import MLPClassifier
+    from sklearn.preprocessing import LabelBinarizer
+
+    if isinstance(mlp, MLPClassifier):
+        kind = mlp._label_binarizer.y_type_ if isinstance(mlp._label_binarizer, LabelBinarizer) else "unknown"
+        if kind not in ("binary", "multiclass"):
+            raise InvalidNetworkError(f"the labels are of type {kind!r}; fit one classifier for each label")
+        return Sign() if kind == "binary" else Argmax()
+    if mlp.out_activation_ != "identity":
+        raise InvalidNetworkError(f"the output goes through {mlp.out_activation_!r}; fit with loss='squared_error'")
+    return Identity()
+
+
+def _require_same_answers(estimator: Any, policy: Oracle) -> None:
+    """Raise InvalidNetworkError where the estimator predicts otherwise than the network, but for rounding."""
+    states = probe_states(policy.n_inputs)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that the states have no names
+            expected = estimator.predict(states)
+    except Exception as error:  # a foreign estimator can fail in any way
+        raise InvalidNetworkError(f"{estimator!r} cannot predict {len(states)} fixed states: {error}") from error
+    outputs = policy.forward(states)
+    rounding = _ROUNDING * reach(zip(policy.weights, policy.biases, strict=True), states).max(axis=1)
+    if policy.head.gives_labels:
+        gaps = np.abs(outputs[:, 0]) if outputs.shape[1] == 1 else np.ptp(np.sort(outputs, axis=1)[:, -2:], axis=1)
+        classes = np.asarray(estimator.classes_)
+        answers = classes[np.minimum(policy.predict(states), len(classes) - 1)]
+        differs = (answers != expected) & (gaps > rounding)
+    else:
+        expected = np.asarray(expected, dtype=np.float64).reshape(len(states), -1)
+        differs = ~(np.abs(outputs - expected) <= rounding[:, None]).all(axis=1)
+    if differs.any():
+        i = int(np.argmax(differs))
+        raise InvalidNetworkError(
+            f"{estimator!r} predicts otherwise than its coefficients: {expected[i]} in state {states[i].tolist()}; a "
+            "link function, or one classifier for each pair of classes, cannot be mapped"
+        )

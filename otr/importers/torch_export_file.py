@@ -1,0 +1,223 @@
+"""The nodes and tensors of a torch export, read from its JSON and raw bytes, without torch and its pickles."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otr.core.arrays import FloatArray
+from otr.core.zip_members import read_members
+from otr.errors import ArtefactError, InvalidNetworkError
+
+_LIMIT_BYTES = 2**26  # of the archive: sixteen million numbers
+_LIMIT_TEXT_BYTES = 2**24  # of its JSON, which takes twenty times as much memory
+_REMEDY = "write it with torch 2.9 or newer: torch.export.save(torch.export.export(module, (states,)), 'policy.pt2')"
+# Codes of torch's types in the JSON (torch._export.serde.schema.ScalarType); bfloat16 is the upper half of a float32.
+_FLOATS = {6: "<f2", 7: "<f4", 8: "<f8"}
+_BFLOAT16 = 13
+_METADATA = ("_assert_tensor_metadata", "sym_size")  # operators that look at a value's form and not at its numbers
+
+
+class Name(str):
+    """The name of a value of the graph, where a number or a text could stand, too."""
+
+
+@dataclass(frozen=True)
+class Node:
+    """One operation of the graph.
+
+    Attributes:
+        operator: the name of aten's, such as "linear", without overload and without the underscore of one in place.
+        arguments: by name: a `Name`, a number, a list of them, or None.
+        output: name of the value that it makes; empty where it makes none.
+    """
+
+    operator: str
+    arguments: dict[str, Any]
+    output: Name
+
+    def __str__(self) -> str:
+        return f"node {str(self.output)!r} ({self.operator})"
+
+
+@dataclass(frozen=True)
+class Export:
+    """What is needed of an exported program.
+
+    Attributes:
+        input_name, input_shape: of the states; a size that is not fixed is 0.
+        output_name: of the answers.
+        nodes: in the order in which they are computed.
+        tensors: parameters, buffers and constants, as float64, by their names in the graph.
+    """
+
+    input_name: Name
+    input_shape: tuple[int, ...]
+    output_name: Name
+    nodes: list[Node]
+    tensors: dict[Name, FloatArray]
+
+
+def read_export(file: Path | bytes) -> Export:
+    """Return what is needed of an archive that `torch.export.save` wrote, or of its bytes.
+
+    Raises:
+        ArtefactError: the file is missing, too large, cut off, or no such archive.
+        InvalidNetworkError: the program has several inputs or outputs, changes a value in two places, or has tensors
+            that are not plain real numbers.
+    """
+    label = "the export" if isinstance(file, bytes) else str(file)
+    members = _members(io.BytesIO(file) if isinstance(file, bytes) else file, label)
+    model = _json(members, "models/model.json", label)
+    try:
+        return _export(model, members, label)
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, StopIteration) as error:
+        if isinstance(error, InvalidNetworkError):
+            raise
+        version = model.get("schema_version") if isinstance(model, dict) else None
+        raise ArtefactError(
+            f"{label} is an export in another form than is read here (version {version}, {type(error).__name__}: "
+            f"{error}); {_REMEDY}"
+        ) from error
+
+
+def _members(file: Path | IO[bytes], label: str) -> dict[str, bytes]:
+    """Return the archive's members by name, without the folder that it calls itself."""
+    try:
+        members = dict(read_members(file, label, limit_bytes=_LIMIT_BYTES))
+    except FileNotFoundError as error:
+        raise ArtefactError(f"{label} does not exist; give the path of a file that torch.export.save wrote") from error
+    return {name.partition("/")[2]: content for name, content in members.items()}
+
+
+def _json(members: dict[str, bytes], name: str, label: str) -> Any:
+    if name not in members:
+        raise ArtefactError(f"{label} holds no {name}, as an export of torch does; {_REMEDY}")
+    if len(members[name]) > _LIMIT_TEXT_BYTES:
+        raise ArtefactError(f"{name} in {label} has {len(members[name]):,} bytes, the limit is {_LIMIT_TEXT_BYTES:,}")
+    try:
+        return json.loads(members[name])
+    except (ValueError, RecursionError) as error:
+        raise ArtefactError(f"{label} cannot be read: {name} is no JSON ({error}); {_REMEDY}") from error
+
+
+def _export(model: Any, members: dict[str, bytes], label: str) -> Export:
+    if members["byteorder"].strip() != b"little":
+        raise ArtefactError(f"{label} was written on a machine with another byte order; write it on another one")
+    program = model["graph_module"]
+    graph, signature = program["graph"], program["signature"]
+    inputs = [spec["user_input"]["arg"] for spec in signature["input_specs"] if "user_input" in spec]
+    outputs = signature["output_specs"]
+    if len(inputs) != 1 or len(outputs) != 1 or "user_output" not in outputs[0]:
+        raise InvalidNetworkError(
+            f"the program reads {len(inputs)} inputs and makes {len(outputs)} results, expected one of each: the "
+            "states and the actions; export a module that returns the actions alone, after module.eval()"
+        )
+    (answer,) = graph["outputs"]
+    nodes = [_node(node) for node in graph["nodes"]]
+    input_name, output_name = Name(inputs[0]["as_tensor"]["name"]), Name(answer["as_tensor"]["name"])
+    tensors = _tensors(signature["input_specs"], members, label)
+    _require_a_chain(nodes, input_name, output_name)
+    sizes = graph["tensor_values"][input_name]["sizes"]
+    shape = tuple(int(size.get("as_int", 0)) for size in sizes)
+    return Export(input_name, shape, output_name, nodes, tensors)
+
+
+def _node(node: dict[str, Any]) -> Node:
+    """Return a node of the JSON; an operator that is not aten's keeps its whole name."""
+    target = str(node["target"])
+    operator = target.removeprefix("torch.ops.aten.").partition(".")[0] if "ops.aten." in target else target
+    operator = operator if operator.startswith("_") else operator.rstrip("_")
+    outputs = node["outputs"]
+    output = next(iter(outputs[0].values())) if len(outputs) == 1 else {}
+    if len(outputs) > 1:
+        operator = target
+    name = output.get("name", output.get("as_name", "")) if isinstance(output, dict) else ""
+    return Node(operator, {given["name"]: _argument(given["arg"]) for given in node["inputs"]}, Name(name))
+
+
+def _argument(argument: dict[str, Any]) -> Any:
+    """Return a value of the graph as a `Name`, numbers as they are."""
+    ((kind, value),) = argument.items()
+    if kind == "as_none":
+        return None
+    if kind == "as_float":
+        return float(value)  # infinity is a text
+    if kind == "as_tensor":
+        return Name(value["name"])
+    if kind == "as_sym_int":
+        return _size(value)
+    if kind == "as_sym_ints":
+        return [_size(size) for size in value]
+    return value
+
+
+def _size(value: dict[str, Any]) -> Any:
+    return int(value["as_int"]) if "as_int" in value else Name(value["as_name"])
+
+
+def _require_a_chain(nodes: list[Node], given: Name, answer: Name) -> None:
+    """Raise InvalidNetworkError where a value is read twice, as it may then be changed in place between the two."""
+    of_states, read = {given}, Counter([answer])
+    for node in nodes:
+        if node.operator in _METADATA:
+            continue
+        own = [value for value in node.arguments.values() if isinstance(value, Name) and value in of_states]
+        read.update(own)
+        of_states.update([node.output] if own else [])
+    twice = [name for name, count in read.items() if count > 1]
+    if twice:
+        raise InvalidNetworkError(f"the value {twice[0]!r} is read in two places; only a chain of layers can be read")
+
+
+def _tensors(specs: list[Any], members: dict[str, bytes], label: str) -> dict[Name, FloatArray]:
+    """Return the tensors that the graph reads by their names in it."""
+    kept: dict[str, Any] = {}
+    for folder, config in (("weights", "model_weights_config"), ("constants", "model_constants_config")):
+        payloads = _json(members, f"data/{folder}/{config}.json", label)["config"]
+        kept |= {name: (f"data/{folder}/{payload['path_name']}", payload) for name, payload in payloads.items()}
+    tensors = {}
+    for spec in specs:
+        ((kind, about),) = spec.items()
+        if kind == "user_input":
+            continue
+        path, payload = kept[about[f"{kind}_name"]]
+        tensors[Name(about["arg"]["name"])] = _tensor(about[f"{kind}_name"], members[path], payload)
+    return tensors
+
+
+def _tensor(name: str, content: bytes, payload: dict[str, Any]) -> FloatArray:
+    """Return a tensor's numbers, which lie in their storage's bytes in steps of their own."""
+    if payload["use_pickle"]:
+        raise InvalidNetworkError(f"the tensor {name!r} is kept as a pickle, which is not opened; use plain tensors")
+    about = payload["tensor_meta"]
+    shape, steps = ([size["as_int"] for size in about[key]] for key in ("sizes", "strides"))
+    start = about["storage_offset"]["as_int"]
+    stored = _stored(name, content, about["dtype"])
+    last = start + sum((size - 1) * step for size, step in zip(shape, steps, strict=True))
+    n_numbers = math.prod(shape)
+    if n_numbers < 1 or min((*shape, *steps, start), default=0) < 0 or last >= len(stored) or n_numbers > len(stored):
+        raise InvalidNetworkError(
+            f"the tensor {name!r} shows the shape {tuple(shape)}, {len(stored)} numbers are stored; expected a number "
+            "of its own for every entry"
+        )
+    bytes_a_step = [step * stored.itemsize for step in steps]
+    shown = np.lib.stride_tricks.as_strided(stored[start:], shape, bytes_a_step, writeable=False)
+    return shown.astype(np.float64)
+
+
+def _stored(name: str, content: bytes, dtype: int) -> NDArray[Any]:
+    """Return the numbers of a storage in their order."""
+    if dtype == _BFLOAT16:
+        return (np.frombuffer(content, "<u2").astype("<u4") << 16).view("<f4")
+    if dtype not in _FLOATS:
+        raise InvalidNetworkError(f"the tensor {name!r} is of torch's type {dtype}, expected real numbers (float32)")
+    return np.frombuffer(content, _FLOATS[dtype])

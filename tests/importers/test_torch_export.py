@@ -1,0 +1,268 @@
+"""Networks read from torch exports: against what the exported modules answer, and what is refused or never opened."""
+
+import copy
+import io
+import json
+import subprocess
+import sys
+import warnings
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+import otr
+from otr.core.smooth_network import SmoothNetwork
+from otr.importers import read_policy
+from otr.importers.torch_export_graph import chain_of_export
+from tests.importers.test_importers import _Bomb, rewrite
+
+torch.set_num_threads(1)
+STATES = torch.from_numpy(np.random.default_rng(0).normal(size=(200, 4)).astype(np.float32)) * 2
+
+
+class Policy(nn.Module):
+    """Layers and constants with a `forward` of one's own."""
+
+    def __init__(self, forward: Callable) -> None:
+        super().__init__()
+        torch.manual_seed(0)
+        self.one, self.two, self.own = nn.Linear(4, 5), nn.Linear(5, 2), forward
+        self.register_buffer("mean", torch.randn(4))
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return self.own(self, x)
+
+
+def sequential(*layers: nn.Module) -> nn.Module:
+    torch.manual_seed(0)
+    return nn.Sequential(nn.Linear(4, 5), layers[0], nn.Linear(5, 3), layers[0], nn.Linear(3, 2), *layers[1:])
+
+
+def exported(
+    module: nn.Module, *, states: torch.Tensor = STATES[:1], **options: object
+) -> torch.export.ExportedProgram:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return torch.export.export(module.eval(), (states,), **options)
+
+
+def written(program: torch.export.ExportedProgram, path: Path) -> Path:
+    torch.export.save(program, path)
+    return path
+
+
+def assert_answers(network: otr.ReluNetwork | SmoothNetwork, module: nn.Module) -> None:
+    with torch.no_grad():
+        expected = copy.deepcopy(module).double()(STATES.double()).numpy()
+    np.testing.assert_allclose(network.predict(STATES.numpy()), expected, rtol=0, atol=1e-12)
+    assert len(np.unique(expected, axis=0)) > 1
+
+
+MAPPED = {
+    "layers": (lambda: sequential(nn.ReLU(True), nn.Dropout(), nn.Tanh()), otr.TanhBox(-1, 1)),
+    "leaky": (lambda: sequential(nn.LeakyReLU(0.25), nn.Hardtanh(-0.5, 0.25)), otr.ClipBox([-0.5] * 2, [0.25] * 2)),
+    "normalised": (
+        lambda: Policy(lambda m, x: m.two(torch.relu(m.one(((x - m.mean) / 0.5).flatten(1))))),
+        otr.Identity(),
+    ),
+    "tanh of a box": (
+        lambda: Policy(lambda m, x: torch.tanh(m.two(torch.relu(m.one(1 - 2 * x)))) * 2 + 0.5),
+        otr.TanhBox([-1.5] * 2, [2.5] * 2),
+    ),
+    "matrices": (
+        lambda: Policy(lambda m, x: torch.relu(x @ m.one.weight.T + m.one.bias) @ m.two.weight.t() - m.two.bias),
+        otr.Identity(),
+    ),
+    "clamp": (
+        lambda: Policy(lambda m, x: m.two(torch.relu(m.one(x.view(-1, 4)))).clamp_(-0.25, 0.5).reshape(1, 2)),
+        otr.ClipBox([-0.25] * 2, [0.5] * 2),
+    ),
+    "labels": (lambda: Policy(lambda m, x: m.two(torch.relu(m.one(x))).argmax(dim=1)), otr.Argmax()),
+}
+
+
+@pytest.mark.parametrize("name", MAPPED)
+def test_answers_are_the_modules(tmp_path: Path, name: str) -> None:
+    make, head = MAPPED[name]
+    module = make()
+    program = exported(module)
+    network = otr.from_torch(written(program, tmp_path / "policy.pt2"))
+    assert network.head == head and network.n_hidden in (5, 8)
+    if name == "clamp":  # its shape is of one state
+        module.own = lambda m, x: m.two(torch.relu(m.one(x))).clamp(-0.25, 0.5)
+    assert_answers(network, module)
+    if name == "leaky":
+        assert_answers(otr.from_torch(program), module)
+        assert_answers(otr.map_network(network), module)
+
+
+def test_any_number_of_states_and_none() -> None:
+    any_number = {"dynamic_shapes": ({0: torch.export.Dim("n")},)}
+    module = Policy(lambda m, x: m.two(torch.relu(m.one(x.reshape(x.shape[0], -1)))))
+    assert_answers(otr.from_torch(exported(module, states=STATES[:3].reshape(3, 2, 2), **any_number)), module)
+    module = sequential(nn.ReLU())
+    assert_answers(otr.from_torch(exported(module, states=STATES[0])), module)
+
+
+SMOOTH = {"tanh": nn.Tanh, "sigmoid": nn.Sigmoid, "silu": nn.SiLU, "elu": nn.ELU, "gelu": nn.GELU}
+
+
+@pytest.mark.parametrize("name", SMOOTH)
+def test_smooth_units_are_an_oracle(tmp_path: Path, name: str) -> None:
+    module = sequential(SMOOTH[name]())
+    path = written(exported(module), tmp_path / "policy.pt2")
+    oracle = read_policy(path)
+    assert isinstance(oracle, SmoothNetwork) and oracle.activation == name
+    assert_answers(oracle, module)
+    with pytest.raises(otr.InvalidNetworkError, match=f"the units are {name}; a tree needs ReLU or LeakyReLU"):
+        otr.from_torch(path)
+
+
+def test_scaled_tanh_units() -> None:
+    module = Policy(lambda m, x: m.two(torch.tanh(m.one(x)) * 2 + 0.5))
+    torch.export.save(exported(module), written_to := io.BytesIO())
+    assert_answers(chain_of_export(written_to.getvalue()).network(), module)
+
+
+def test_probabilities_are_decided_or_need_their_head(tmp_path: Path) -> None:
+    module = sequential(nn.ReLU(), nn.Softmax(dim=1))
+    path = written(exported(module), tmp_path / "policy.pt2")
+    labels = module(STATES).argmax(dim=1).numpy()
+    np.testing.assert_array_equal(otr.from_torch(path, head=otr.Argmax()).predict(STATES.numpy()), labels)
+    np.testing.assert_array_equal(read_policy(path).predict(STATES.numpy()), labels)
+    with pytest.raises(otr.InvalidNetworkError, match=r"ends in Softmax; it needs head=otr.Argmax\(\)"):
+        otr.from_torch(path)
+
+
+def changed_in_place(m: Policy, x: torch.Tensor) -> torch.Tensor:
+    z = m.one(x)
+    z.detach().relu_()
+    return m.two(z)
+
+
+@pytest.mark.parametrize(
+    ("forward", "message"),
+    [
+        (lambda m, x: m.two(torch.cos(m.one(x))), r"node 'cos' \(cos\) cannot be read; accepted are linear layers"),
+        (lambda m, x: m.two(m.one(x)) + m.two(m.one(x + 1)), "'x' is read in two places"),
+        (changed_in_place, "is read in two places"),
+        (lambda m, x: (m.two(m.one(x)), m.mean), "makes 2 results, expected one of each"),
+        (lambda m, x: m.two(torch.relu(m.one(x))).argmax(dim=0), "goes over the states"),
+        (lambda m, x: m.two(torch.relu(m.one(x.half().float()))), "rounds the numbers to another type"),
+        (lambda m, x: m.two(nn.functional.dropout(m.one(x))), r"call module.eval\(\) before the export"),
+        (lambda m, x: m.two(nn.functional.gelu(m.one(x), approximate="tanh")), "is approximated"),
+        (lambda m, x: m.two(m.one(x)) @ (m.mean[:2, None] * m.mean), "of constants cannot be read"),
+        (lambda m, x: x - m.mean, "no layer with weights lies between"),
+    ],
+)
+def test_what_is_refused(forward: Callable, message: str) -> None:
+    with pytest.raises(otr.InvalidNetworkError, match=message):
+        otr.from_torch(exported(Policy(forward)))
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(exported(sequential(nn.ReLU())), tmp_path_factory.mktemp("saved") / "policy.pt2")
+
+
+def test_a_file_is_read_without_torch(saved: Path) -> None:
+    code = (
+        "import sys; sys.modules['torch'] = None\n"
+        f"import otr; print(otr.from_torch({str(saved)!r}).predict([[1.0, 2.0, 3.0, 4.0]]).tolist())"
+    )
+    out = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert json.loads(out.stdout) == otr.from_torch(saved).predict([[1.0, 2.0, 3.0, 4.0]]).tolist()
+
+
+@pytest.mark.filterwarnings("ignore:Unable to load")
+def test_no_pickle_is_opened(saved: Path, tmp_path: Path) -> None:
+    """torch.export.load runs the code in one. That of a tensor is named here, that of the example states is skipped."""
+    sentinel = tmp_path / "sentinel"
+    bomb = io.BytesIO()
+    torch.save(_Bomb(sentinel), bomb)
+    with zipfile.ZipFile(saved) as archive:
+        names = {name.partition("/")[2]: name for name in archive.namelist()}
+        config = json.loads(archive.read(names["data/weights/model_weights_config.json"]))
+    payload = config["config"]["0.weight"]
+    payload["use_pickle"] = True
+    bad = {
+        names["data/weights/model_weights_config.json"]: json.dumps(config).encode(),
+        names[f"data/weights/{payload['path_name']}"]: bomb.getvalue(),
+    }
+    rewrite(saved, tmp_path / "weight.pt2", bad)
+    with pytest.raises(otr.InvalidNetworkError, match=r"'0.weight' is kept as a pickle, which is not opened"):
+        otr.from_torch(tmp_path / "weight.pt2")
+    rewrite(saved, tmp_path / "example.pt2", {names["data/sample_inputs/model.pt"]: bomb.getvalue()})
+    assert otr.from_torch(tmp_path / "example.pt2").n_hidden == 8
+    assert not sentinel.exists()
+    with pytest.raises(Exception):  # noqa: B017 - whatever torch makes of it
+        torch.export.load(tmp_path / "weight.pt2")
+    assert sentinel.exists(), "the bomb works"
+
+
+def changed(saved: Path, target: Path, name: str, change: Callable) -> Path:
+    with zipfile.ZipFile(saved) as archive:
+        (member,) = [each for each in archive.namelist() if each.endswith(name)]
+        about = json.loads(archive.read(member))
+    change(about)
+    rewrite(saved, target, {member: json.dumps(about).encode()})
+    return target
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("models/model.json", lambda about: about.pop("graph_module"), "in another form than is read here .version .*"),
+        ("models/model.json", lambda about: about["graph_module"]["graph"]["nodes"][0].pop("target"), "another form"),
+        (
+            "models/model.json",
+            lambda about: about["graph_module"]["graph"]["nodes"][0]["inputs"].pop(1),
+            r"node 'linear' \(linear\) has other arguments than are known here",
+        ),
+        (
+            "weights_config.json",
+            lambda about: about["config"]["0.weight"]["tensor_meta"].update(storage_offset={"as_int": 1}),
+            r"'0.weight' shows the shape \(5, 4\), 20 numbers are stored",
+        ),
+        (
+            "weights_config.json",
+            lambda about: about["config"]["0.weight"]["tensor_meta"].update(sizes=[{"as_int": 10**9}] * 2, strides=[
+                {"as_int": 0}] * 2),
+            "20 numbers are stored",
+        ),
+        ("weights_config.json", lambda about: about["config"].pop("0.weight"), "another form"),
+        ("weights_config.json", lambda about: about["config"]["0.weight"]["tensor_meta"].update(dtype=5), "type 5"),
+    ],
+)  # fmt: skip
+def test_files_that_were_changed(saved: Path, tmp_path: Path, name: str, change: Callable, message: str) -> None:
+    with pytest.raises(otr.OtrError, match=message):
+        otr.from_torch(changed(saved, tmp_path / "changed.pt2", name, change))
+
+
+def test_what_is_no_export(saved: Path, tmp_path: Path) -> None:
+    content = saved.read_bytes()
+    for length in range(0, len(content), 997):
+        (tmp_path / "cut.pt2").write_bytes(content[:length])
+        with pytest.raises(otr.ArtefactError):
+            otr.from_torch(tmp_path / "cut.pt2")
+    with pytest.raises(otr.ArtefactError, match="does not exist"):
+        otr.from_torch(tmp_path / "nosuch.pt2")
+    torch.save(sequential(nn.ReLU()).state_dict(), tmp_path / "weights.pt2")
+    with pytest.raises(otr.ArtefactError, match=r"holds no models/model.json.*torch 2.9 or newer: torch.export.save"):
+        otr.from_torch(tmp_path / "weights.pt2")
+
+
+def test_numbers_of_other_types() -> None:
+    """Half and bfloat16 weights, and tied ones, which share their bytes."""
+    for kind in (torch.float64, torch.float16, torch.bfloat16):
+        module = sequential(nn.ReLU()).to(kind)
+        network = otr.from_torch(exported(module, states=STATES[:1].to(kind)))
+        np.testing.assert_array_equal(network.weights[0], module[0].weight.detach().double().numpy())
+    tied = nn.Sequential(nn.Linear(4, 4), nn.ReLU(), nn.Linear(4, 4))
+    tied[2].weight = tied[0].weight
+    assert_answers(otr.from_torch(exported(tied)), tied)

@@ -15,7 +15,7 @@ from otr import OtrError
 from pipelines.engine.archive import MANIFEST, Derive, verified_manifest
 from pipelines.engine.console import duration
 from pipelines.engine.stage import Stage, run_stage, stage_key, stage_status
-from pipelines.engine.store import exists, write_json, write_text
+from pipelines.engine.store import archive_files, exists, write_json, write_text
 from pipelines.errors import PipelineError
 
 
@@ -61,10 +61,16 @@ J = TypeVar("J", bound=Job)
 
 def do_stage(job: Job, stage: Stage, derive: Derive | None = None) -> None:
     """Bring a stage of a job up to date, see to the job's config.yaml, and print how long the stage took."""
+    write_config(job)
     result = run_stage(stage, job.run_dir, job.config, job.command, derive)
-    if not (job.run_dir / "config.yaml").exists():
-        write_text(job.run_dir / "config.yaml", job.config_yaml)
     print(f"{stage.name}: {'done before, ' * result.skipped}{duration(result.seconds)}", flush=True)
+
+
+def write_config(job: Job) -> None:
+    """Write a job's config.yaml, so that a job under way can be looked at; anew while no stage of it is finished."""
+    path = job.run_dir / "config.yaml"
+    if not path.exists() or not (archive_files(job.run_dir) or any(job.run_dir.glob(f"[!.]*/{MANIFEST}"))):
+        write_text(path, job.config_yaml)
 
 
 def write_summary(job: Job, summary: dict[str, Any]) -> None:

@@ -31,7 +31,8 @@ class RunFigure:
 
 def write_curves(asked: RunFigure, results_dir: Path, load_config: Callable[[Path], RunConfig]) -> list[Path]:
     """Write the learning curves of runs, or of all runs below folders, as PNG, or as what `out` ends in."""
-    return _written(learning_curves(load_curves(runs_below(asked.run, results_dir))), "curves", asked, results_dir)
+    curves = load_curves(runs_below(asked.run, results_dir), load_config)
+    return _written(learning_curves(curves), "curves", asked, results_dir)
 
 
 def write_leaves(asked: RunFigure, results_dir: Path, load_config: Callable[[Path], RunConfig]) -> list[Path]:
@@ -69,7 +70,8 @@ def _below(run: str, results_dir: Path) -> list[Path]:
     check_run(run)
     tried = [Path(run), results_dir / run, results_dir / "runs" / run]
     folder = next((path for path in tried if path.is_dir()), None)
-    below = sorted(path.parent for path in folder.rglob("config.yaml")) if folder else []
+    found = sorted(path.parent for path in folder.rglob("config.yaml")) if folder else []
+    below = [path for path in found if path.absolute().parts[-3].startswith("depth-")]  # a fit's has another name there
     return below or [find_run(run, str(results_dir))]
 
 

@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any, Self
 
 from pipelines.config.methods import EXTRA_STAGES
-from pipelines.engine.job import Job, disk_errors_explained, do_stage, failure, write_summary
+from pipelines.engine.job import Job, disk_errors_explained, do_stage, failure, write_config, write_summary
 from pipelines.engine.stage import Stage, run_stage_together, stage_status
 from pipelines.engine.store import read_json
 from pipelines.runs.result import show_result
@@ -79,6 +79,7 @@ def _train_together(jobs: Sequence[RunJob]) -> list[Exception | None]:
     for job in missing:
         print(f"{job.run_dir}", flush=True)
         job.run_dir.mkdir(parents=True, exist_ok=True)
+        write_config(job)
     if missing:
         announce_training([job.config for job in missing])
     return run_stage_together(TRAIN, [(job.run_dir, job.config) for job in jobs], train_together)

@@ -11,8 +11,8 @@ from pipelines.config.run import RunConfig
 from pipelines.engine.console import duration
 from pipelines.engine.digests import digest
 from pipelines.engine.stage import Stage
-from pipelines.engine.store import read_json
 from pipelines.errors import PipelineError
+from pipelines.training.checkpoints import evaluations_so_far
 from pipelines.training.estimates import estimated_bytes, estimated_seconds
 
 VERSION = 1
@@ -69,8 +69,7 @@ def checkpoint_folder(config: RunConfig, inputs: Mapping[str, Path] | None = Non
 
 def trained_steps(config: RunConfig) -> int:
     """Return how many environment steps the run's checkpoint holds; 0 where there is none."""
-    histories = sorted(checkpoint_folder(config).glob("segment-*/history.json"))
-    return int(read_json(histories[-1])["counters"]["num_timesteps"]) if histories else 0
+    return evaluations_so_far(checkpoint_folder(config))[1]
 
 
 def seconds_left(config: RunConfig) -> float:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from pipelines.engine.store import read_json, write_csv, write_files, write_json
+from pipelines.errors import PipelineError
 from pipelines.play.rollout import Rollout
 
 EVALUATION_COLUMNS = ("steps", "return_mean", "return_std", "n_episodes", "best")
@@ -95,6 +96,22 @@ def write_segment(folder: Path, history: History, counters: dict[str, int], stat
 def last_segment(folder: Path) -> Path | None:
     """Return the folder of the last whole segment; None before the first."""
     return max(folder.glob("segment-*"), default=None)
+
+
+def evaluations_so_far(folder: Path) -> tuple[list[dict[str, Any]], int]:
+    """Return the evaluations of a training under way and its environment steps; (none, 0) before the first segment.
+
+    The training is not disturbed: where it puts a new checkpoint in the place of the one that is read, that is read.
+    """
+    while (segment := last_segment(folder)) is not None:
+        try:
+            about = read_json(segment / "history.json")
+        except PipelineError:
+            if segment == last_segment(folder):
+                raise
+            continue
+        return about["evaluations"], int(about["counters"]["num_timesteps"])
+    return [], 0
 
 
 def read_segment(segment: Path) -> tuple[History, dict[str, int]]:

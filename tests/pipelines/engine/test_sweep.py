@@ -1,5 +1,6 @@
 """Sweeps whatever launches them: lost workers, jobs that are done, what a launcher's process does with its group."""
 
+import dataclasses
 import pickle
 import re
 import subprocess
@@ -8,7 +9,7 @@ from concurrent.futures.process import BrokenProcessPool
 
 import pytest
 
-from pipelines.engine.job import is_done
+from pipelines.engine.job import is_done, write_config
 from pipelines.engine.sweep import GroupTask, Outcome, check_launcher, run_sweep
 from pipelines.errors import ConfigError
 from pipelines.runs.run_job import RunJob, run_job, run_jobs
@@ -119,6 +120,17 @@ def test_a_group_is_done_in_another_process_that_composes_nothing(tiny, tmp_path
     assert (tmp_path / "results/runs/seed-1/summary.json").is_file()
     assert (tmp_path / "results/runs/seed-1/config.yaml").read_text() == "seed: 1\n"
     assert "pendulum depth 4 seed 1: train" in done.stdout  # as it does where others share the terminal
+
+
+def test_the_configuration_is_written_anew_until_a_stage_is_finished(jobs):
+    folder = jobs[0].run_dir
+    (folder / ".train.tmp").mkdir(parents=True)
+    (folder / ".train.tmp/manifest.json").touch()
+    for text, kept in (("a", "a"), ("b", "b"), ("c", "b")):
+        write_config(dataclasses.replace(jobs[0], config_yaml=text))
+        assert (folder / "config.yaml").read_text() == kept
+        if text == "b":
+            (folder / ".train.tmp").rename(folder / "train")
 
 
 def test_a_failure_of_a_whole_group_is_told_once(tiny, tmp_path, capsys, monkeypatch):

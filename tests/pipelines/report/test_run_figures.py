@@ -9,8 +9,10 @@ from matplotlib.colors import to_hex
 
 import otr
 from otr.programs.picture.colours import label_colours, level_colour
+from pipelines.cli.runs import load_config
+from pipelines.config.run import RunConfig
 from pipelines.errors import ConfigError, MissingInputError
-from pipelines.report.learning_curves import ROWS, STEPS, learning_curves, load_curves
+from pipelines.report.learning_curves import FINISHED, ROWS, STEPS, learning_curves, load_curves
 from pipelines.report.regions import chosen_inputs, draw_regions
 from pipelines.report.run_figures import runs_below
 from tests.committed import RESULTS
@@ -20,20 +22,25 @@ HOPPER = "hopper/otr/depth-6/quick/seed-0"
 STATES = np.array([[-1.0, 0.0, 5.0], [1.0, 2.0, 7.0], [0.5, 0.5, 6.0]])
 
 
+def load(run_dir: Path) -> RunConfig:
+    return load_config(run_dir, 1)
+
+
 def curve(run: str, *points: tuple[float, float], **changes: object) -> pd.DataFrame:
-    row = {"panel": "hopper", "label": "otr", "run": run, "unit": STEPS, "std": 1.0, "chosen": False, "final": 5.0}
+    row = {"panel": "hopper", "label": "otr", "run": run, "unit": STEPS, "std": 1.0, "chosen": False, "final": 5.0,
+           **FINISHED}  # fmt: skip
     return pd.DataFrame([{**row, "spent": spent, "mean": mean} | changes for spent, mean in points])
 
 
 def test_curves_of_committed_runs() -> None:
-    trained = load_curves([RESULTS / "runs" / HOPPER])
+    trained = load_curves([RESULTS / "runs" / HOPPER], load)
     assert len(trained) == 20 and set(trained["unit"]) == {STEPS} and set(trained["label"]) == {"otr, depth 6, quick"}
     assert trained["spent"].iloc[[0, -1]].tolist() == [5000, 100_000]
     assert trained["chosen"].sum() == 1 and trained.loc[trained["chosen"], "mean"].item() == trained["mean"].max()
-    imitated = load_curves([RESULTS / "runs/lunarlander/viper/depth-4/quick/seed-2"])
+    imitated = load_curves([RESULTS / "runs/lunarlander/viper/depth-4/quick/seed-2"], load)
     assert set(imitated["unit"]) == {ROWS} and len(imitated) == 51 and imitated["std"].isna().all()
     with pytest.raises(MissingInputError, match="no learning curve is kept there"):
-        load_curves([RESULTS / "runs/mountaincar/program/depth-1/thesis/seed-0~51b7cab2"])
+        load_curves([RESULTS / "runs/mountaincar/program/depth-1/thesis/seed-0~51b7cab2"], load)
 
 
 def test_one_run_has_a_band_and_several_have_a_mean() -> None:

@@ -40,8 +40,9 @@ def _make(env: EnvConfig) -> gym.Env:
             if "mujoco" in str(spec.entry_point):
                 _hear_mujoco_warnings()
             return gym.make(spec, disable_env_checker=True, **env.kwargs)
-        except (gym.error.Error, ImportError, TypeError) as error:
-            raise ConfigError(f"env.id={env.id} with {env.kwargs or 'no arguments'} cannot be made: {error}") from error
+        except Exception as error:  # foreign code can fail in any way
+            arguments = env.kwargs or "no arguments"
+            raise ConfigError(f"env.id={env.id} with {arguments} cannot be made: {_told(error)}") from error
 
 
 def spec_of(env_id: str) -> Any:
@@ -76,8 +77,13 @@ def _import(module: str, env_id: str) -> None:
         importlib.import_module(module)
     except Exception as error:  # foreign code can fail in any way
         missing = isinstance(error, ModuleNotFoundError) and error.name == module.split(".")[0]
-        what = f"there is no such module, installed or in {here}" if missing else f"{type(error).__name__}: {error}"
+        what = f"there is no such module, installed or in {here}" if missing else _told(error)
         raise ConfigError(f"environment {env_id}: module {module} cannot be imported: {what}") from error
+
+
+def _told(error: Exception) -> str:
+    """Return an error of foreign code in one line, with its kind unless it is one of gymnasium's own."""
+    return str(error) if isinstance(error, gym.error.Error) else f"{type(error).__name__}: {error}"
 
 
 def _first_sentence(error: Exception) -> str:
@@ -99,14 +105,43 @@ def own_environment(env_id: str, kwargs: Mapping[str, Any]) -> EnvConfig:
     the environment's class gives as ``metadata["feature_names"]`` and ``metadata["action_names"]``, if any.
 
     Raises:
-        ConfigError: there is no such environment, or its observations or actions are of a kind that no policy here has.
+        ConfigError: there is no such environment, its observations or actions are of a kind that no policy here has, or
+            a first reset and step do not give what gymnasium's interface says.
     """
     env = EnvConfig(re.sub(r"[^\w.-]+", "_", env_id), "", env_id, dict(kwargs))
     task = "discrete" if spaces(env).box is None else "continuous"
     made = make_env(env)
+    _try_out(made, env_id)
     features, actions = (list(made.metadata.get(key, [])) for key in ("feature_names", "action_names"))
     made.close()
     return dataclasses.replace(env, task=task, kwargs={}, feature_names=features, action_names=actions)
+
+
+def _try_out(env: gym.Env, env_id: str) -> None:
+    """Reset and step once; raise ConfigError where that fails, or gives what the spaces or the interface do not allow."""
+    env.action_space.seed(0)
+    call = "reset(seed=0)"
+    try:
+        state, _ = env.reset(seed=0)
+        _check_state(state, env)
+        call = "step(action)"
+        state, reward, *_ = env.step(env.action_space.sample())
+        _check_state(state, env)
+        float(reward)
+    except Exception as error:  # foreign code can fail in any way
+        raise ConfigError(
+            f"environment {env_id}: {call} fails: {_told(error)}. In gymnasium, reset(seed=..., options=...) returns "
+            "(observation, info), and step(action) returns (observation, reward, terminated, truncated, info); "
+            "gymnasium.utils.env_checker.check_env checks all of that, and debug=true shows where it fails"
+        ) from error
+
+
+def _check_state(state: Any, env: gym.Env) -> None:
+    values, wanted = np.asarray(state), env.observation_space.shape
+    if values.shape != wanted:
+        raise ValueError(f"the observation has shape {values.shape}, the observation space {wanted}")
+    if not np.isfinite(values.astype(np.float64)).all():
+        raise ValueError(f"the observation is not finite: {values}")
 
 
 def check_names(env: EnvConfig) -> None:

@@ -57,6 +57,42 @@ class Unsuitable(Cart):
         self.action_space = actions or self.action_space
 
 
+class OfOldGym(Cart):
+    """The cart with the reset that gym had."""
+
+    def reset(self) -> Any:
+        return super().reset()[0]
+
+
+class ReturnsFour(Cart):
+    """The cart with the step that gym had."""
+
+    def step(self, action: Any) -> Any:
+        state, reward, ended, _, info = super().step(action)
+        return state, reward, ended, info
+
+
+class LongerThanItsSpace(Cart):
+    """The cart with observations of three numbers in a space of two."""
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
+        return np.append(super().reset(seed=seed)[0], 0), {}
+
+
+class NotFinite(Cart):
+    """The cart whose first step leads nowhere."""
+
+    def step(self, action: Any) -> Any:
+        return np.array([np.nan, 0.0]), 0.0, False, False, {}
+
+
+class NeedsAFile(Cart):
+    """The cart that cannot be made."""
+
+    def __init__(self) -> None:
+        raise FileNotFoundError("track.csv")
+
+
 SPACES: dict[str, dict[str, gym.Space]] = {
     "Images": {"observations": gym.spaces.Box(0, 255, (8, 8, 3), np.uint8)},
     "Parts": {"observations": gym.spaces.Dict(x=gym.spaces.Box(-1, 1, (2,)))},
@@ -69,5 +105,7 @@ SPACES: dict[str, dict[str, gym.Space]] = {
 gym.register("Cart-v0", entry_point=Cart, max_episode_steps=50)
 gym.register("PushOrPull-v0", entry_point=PushOrPull, max_episode_steps=50)
 gym.register("Endless-v0", entry_point=Cart)
+for mistaken in (OfOldGym, ReturnsFour, LongerThanItsSpace, NotFinite, NeedsAFile):
+    gym.register(f"{mistaken.__name__}-v0", entry_point=mistaken, max_episode_steps=50)
 for name, spaces in SPACES.items():
     gym.register(f"{name}-v0", entry_point=Unsuitable, kwargs=spaces, max_episode_steps=50)

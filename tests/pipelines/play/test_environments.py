@@ -8,7 +8,7 @@ import yaml
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError
-from pipelines.play.environments import make_env
+from pipelines.play.environments import make_env, own_environment
 
 FILES = sorted((CONF_DIR / "env").glob("*.yaml"))
 
@@ -38,3 +38,18 @@ def test_unknown_environment_is_named():
 def test_argument_the_environment_does_not_take():
     with pytest.raises(ConfigError, match="wheels"):
         make_env(EnvConfig("pendulum", "pendulum", "Pendulum-v1", {"wheels": 4}))
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("OfOldGym", r"reset\(seed=0\) fails: TypeError: .*'(seed|options)'.* returns \(observation, info\)"),
+        ("ReturnsFour", r"step\(action\) fails: ValueError: .*expected 5, got 4.* truncated, info\)"),
+        ("LongerThanItsSpace", r"reset\(seed=0\) fails: .*shape \(3,\), the observation space \(2,\)"),
+        ("NotFinite", r"step\(action\) fails: .*not finite: \[nan"),
+        ("NeedsAFile", r"cannot be made: FileNotFoundError: track.csv"),
+    ],
+)
+def test_mistakes_of_an_own_environment_are_told_before_anything_runs(name, message):
+    with pytest.raises(ConfigError, match=message):
+        own_environment(f"tests.pipelines.own_envs:{name}-v0", {})

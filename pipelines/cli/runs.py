@@ -3,6 +3,7 @@
 import copy
 import dataclasses
 import functools
+import re
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -128,7 +129,10 @@ class RunWorkflow(Workflow):
             super().check_option(group, value, overrides)
         elif ":" not in value and value not in registered_ids():
             hint = did_you_mean(value, known, unlisted=registered_ids())
-            more = "" if "?" in hint else "; besides, any registered id, as CartPole-v1 or module:Id"
+            more = "" if "?" in hint else "; besides, any registered id, as CartPole-v1"
+            more += (
+                f" Where a module of yours registers it: env=my_module:{value}" if re.search(r"-v\d+$", value) else ""
+            )
             raise ConfigError(f"env={value}: there is no such environment.{hint}{more}")
 
     def _compose_exactly(self, overrides: Sequence[str]) -> DictConfig:

@@ -94,8 +94,13 @@ def _near(name: str, module: str) -> str:
     """Return a question with the ids nearest to one that is not registered; of a module, its own."""
     if not module:
         return did_you_mean(name, [], unlisted=registered_ids())
-    own = [env_id for env_id, spec in gym.registry.items() if str(spec.entry_point).startswith(module)]
-    return did_you_mean(name, own) if own else f" Module {module} registers none"
+    made_by = {env_id: spec.entry_point for env_id, spec in gym.registry.items()}  # "module:Class", or the class itself
+    own = [env_id for env_id, made in made_by.items() if getattr(made, "__module__", str(made)).startswith(module)]
+    return (
+        did_you_mean(f"{module}:{name}", [f"{module}:{env_id}" for env_id in own])
+        if own
+        else f" Module {module} registers none"
+    )
 
 
 def own_environment(env_id: str, kwargs: Mapping[str, Any]) -> EnvConfig:
@@ -118,7 +123,7 @@ def own_environment(env_id: str, kwargs: Mapping[str, Any]) -> EnvConfig:
 
 
 def _try_out(env: gym.Env, env_id: str) -> None:
-    """Reset and step once; raise ConfigError where that fails, or gives what the spaces or the interface do not allow."""
+    """Reset and step once; raise ConfigError where that fails or gives what spaces or interface do not allow."""
     env.action_space.seed(0)
     call = "reset(seed=0)"
     try:
@@ -220,7 +225,8 @@ def action_names(env: EnvConfig, n_outputs: int) -> list[str]:
 
 def _names(given: list[str], n: int, prefix: str, where: str) -> list[str]:
     if given and len(given) != n:
-        raise ConfigError(f"{where} has {len(given)} names, the policy has {n}")
+        names = "name" if len(given) == 1 else "names"
+        raise ConfigError(f"{where} has {len(given)} {names}, the policy has {n}: {', '.join(given)}")
     twice = sorted({name for name in given if given.count(name) > 1})
     if twice:
         raise ConfigError(f"{where} has {twice[0]!r} twice: give every one a name of its own")

@@ -68,10 +68,11 @@ def test_arguments_decide_the_kind_of_actions():
     ("words", "told"),
     [
         (("env=cartpole",), "there is no such environment. Did you mean CartPole-v1"),
-        (("env=xyzzy",), "besides, any registered id"),
+        (("env=xyzzy",), "besides, any registered id, as CartPole-v1$"),
+        (("env=Cart-v0",), "Where a module of yours registers it: env=my_module:Cart-v0"),
         (("env=CartPole-v7",), "Did you mean CartPole-v1"),
         (("env=no_such_module:Cart-v0",), "module no_such_module cannot be imported: there is no such module"),
-        ((f"env={MODULE}:Card-v0",), "Environment `Card` doesn't exist"),
+        ((f"env={MODULE}:Card-v0",), f"Environment `Card` doesn't exist. Did you mean {MODULE}:Cart-v0"),
         ((f"env={MODULE}:Images-v0",), "observations .* are not a vector of numbers"),
         ((f"env={MODULE}:Parts-v0",), "observations .* are not a vector of numbers"),
         ((f"env={MODULE}:Cells-v0",), "observations .* are not a vector of numbers"),
@@ -81,6 +82,7 @@ def test_arguments_decide_the_kind_of_actions():
         ((f"env={MODULE}:Endless-v0",), "episodes have no limit, so one may never end; give one as"),
         (("env=CartPole-v1", "env.feature_names=[a,b]"), "env.feature_names has 2 names, the policy has 4"),
         (("env=CartPole-v1", "env.feature_names=[a,b,c,a]"), "env.feature_names has 'a' twice"),
+        (("env=CartPole-v1", "env.feature_names=[a]"), "env.feature_names has 1 name, the policy has 4: a"),
         (("env=pendulum", "env.action_names=[a,b]"), "env.action_names has 2 names, the policy has 1"),
     ],
 )

@@ -36,6 +36,7 @@ class Composer:
     # Where that file and the command's own groups lie, below conf/; what is not there is looked for in conf/ itself.
     folder = ""
     needs: tuple[str, str] | None = None  # the group of which an option must be named, and what such an option is
+    besides = ""  # what else may be named, in words
     short: tuple[str, ...] = ()  # keys of overrides that stand for others (`Workflow.spelt_out`)
     # Keys of single values. Overrides that differ in these alone are composed once, and the values put in.
     varied: tuple[str, ...] = ()
@@ -114,7 +115,9 @@ class Composer:
                 check_launcher(value)
         if self.needs and self.needs[0] not in map(key_of, overrides):
             group, what = self.needs
-            raise ConfigError(f"which {what}? Add {group}=NAME with one of: {', '.join(self.options(group))}")
+            raise ConfigError(
+                f"which {what}? Add {group}=NAME with one of: {', '.join(self.options(group))}{self.besides}"
+            )
         with self.hydra():
             try:
                 return compose(self.name, [*self._search_path(), *overrides])

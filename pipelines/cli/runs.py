@@ -87,6 +87,7 @@ class RunWorkflow(Workflow):
     """`otr-run`, whose jobs are runs."""
 
     needs = ("env", "environment")
+    besides = "; besides, any registered id, as CartPole-v1 or my_module:Maze-v0"
     anything = "pendulum"
     short = (*GIVEN_POLICIES, "vec_normalize", "column")
     varied = ("seed", "depth", "oracle", "stages")

@@ -23,6 +23,7 @@ def show_result(summary: dict[str, Any], run_dir: Path, whole: Path) -> None:
         f"{_count(summary['patterns'], paths)} reached, estimated pruned depth {summary['pruned_depth']:.1f}; "
         f"the pruned tree acts as the {policy} in {100 * summary['fidelity']:.2f} % of the states"
     ]
+    lines += _fewer_answers(text, summary["pruned_leaves"])
     if "n_outside_domain" in summary:
         lines.append(
             f"{summary['n_outside_domain']:,} of {summary['n_states']:,} visited states lie outside the box in which "
@@ -49,6 +50,16 @@ def show_result(summary: dict[str, Any], run_dir: Path, whole: Path) -> None:
 def _count(n: int, what: str) -> str:
     plural = {"leaf": "leaves"}.get(what, f"{what}s")
     return f"{n} {what if n == 1 else plural}"
+
+
+def _fewer_answers(program: str, n_leaves: int) -> list[str]:
+    """Return why a program answers in fewer places than its tree has leaves, where it does."""
+    n_answers = sum(line.strip().startswith("return") for line in program.splitlines())
+    if not 0 < n_answers < n_leaves:
+        return []
+    return [
+        f"the program writes {n_leaves:,} leaves as {n_answers}: tests whose two sides answer the same are left out"
+    ]
 
 
 def _likeness(oracle: dict[str, Any]) -> str:

@@ -123,7 +123,7 @@ def test_replay_finds_an_episode_that_was_changed(finished, tmp_path):
     ("words", "code", "told"),
     [
         (("env=hoper",), 2, "Did you mean hopper"),
-        (("depth=6",), 2, "which environment?"),
+        (("depth=6",), 2, "besides, any registered id, as CartPole-v1 or my_module:Maze-v0"),
         (("env=pendulum", "trainer=null"), 2, "trainer=null: there is no such trainer. There are: fleet, sb3"),
         (("env=pendulum", "budget=fast"), 2, "There are: quick, smoke, standard, thesis"),
         (("env=pendulum", "algo.gama=0.9"), 2, "Did you mean algo.gamma"),

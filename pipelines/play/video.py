@@ -25,7 +25,7 @@ from otr.programs.walk import walk
 from pipelines.config.env import EnvConfig
 from pipelines.config.run import RunConfig
 from pipelines.errors import ConfigError, PipelineError
-from pipelines.play.environments import action_names, make_env
+from pipelines.play.environments import action_names, make_env, spec_of
 from pipelines.play.rollout import rollout
 
 if TYPE_CHECKING:
@@ -138,7 +138,7 @@ def _in_order(tree: otr.ObliqueTree) -> otr.ObliqueTree:
 
 def _renderable(env_config: EnvConfig) -> Any:
     """Return the environment with pictures; one of MuJoCo without a screen renders by EGL, unless MUJOCO_GL is set."""
-    is_mujoco = "mujoco" in str(gym.spec(env_config.id).entry_point)
+    is_mujoco = "mujoco" in str(spec_of(env_config.id).entry_point)
     if is_mujoco and sys.platform == "linux" and not os.environ.get("DISPLAY"):
         os.environ.setdefault("MUJOCO_GL", "egl")
     kwargs = {**env_config.kwargs, "render_mode": "rgb_array"} | (MUJOCO_SIZE if is_mujoco else {})

@@ -9,8 +9,9 @@ from imageio_ffmpeg import count_frames_and_secs, read_frames
 from PIL import Image
 
 import otr
+from pipelines.config.env import EnvConfig
 from pipelines.engine.store import read_csv
-from pipelines.errors import PipelineError
+from pipelines.errors import ConfigError, PipelineError
 from pipelines.play import video
 from pipelines.play.video import write_video
 from tests.committed import RESULTS, committed_tree, copy_run
@@ -86,3 +87,8 @@ def test_what_cannot_be_rendered_is_told(monkeypatch: pytest.MonkeyPatch, tmp_pa
         PipelineError, match=r"Hopper-v4 cannot be rendered here \(RuntimeError: no OpenGL\).*MUJOCO_GL=egl"
     ):
         write_video(tree, HOPPER, 0, tmp_path / "a.gif")
+
+
+def test_an_own_environment_that_cannot_render_is_told() -> None:
+    with pytest.raises(ConfigError, match=r"cannot be made: .*render_mode"):
+        video._renderable(EnvConfig("cart", "continuous", "tests.pipelines.own_envs:Cart-v0"))

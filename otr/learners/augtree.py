@@ -17,8 +17,9 @@ from sklearn.utils.validation import check_random_state
 from otr.core.arrays import FloatArray
 from otr.core.network import ReluNetwork
 from otr.importers import from_sklearn
-from otr.learners.base.parameters import AT_LEAST_1, Constraints, Widths, some_of
+from otr.learners.base.parameters import AT_LEAST_1, CLASS_WEIGHT, Constraints, Widths, some_of
 from otr.learners.base.single_tree import GrownClassifier, GrownRegressor
+from otr.learners.base.weights import ClassWeight, mean_and_deviation
 from otr.learners.cart import from_sklearn_tree
 from otr.learners.model_tree import LinearModelTreeRegressor
 
@@ -40,7 +41,12 @@ class _AugTree:
     }
 
     def _augmentation(
-        self, mlp_class: type, X: NDArray[Any], y: NDArray[Any], random_state: np.random.RandomState
+        self,
+        mlp_class: type,
+        X: NDArray[Any],
+        y: NDArray[Any],
+        weights: FloatArray | None,
+        random_state: np.random.RandomState,
     ) -> tuple[FloatArray, FloatArray]:
         """Set `network_`, trained where none was given, and return A (m, d) and a (m,)."""
         network = self.network
@@ -52,7 +58,7 @@ class _AugTree:
             )
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", ConvergenceWarning)
-                mlp.fit(X / size, y)
+                mlp.fit(X / size, y, weights)
             network = from_sklearn(mlp).fold_input_normalisation(0.0, size)
         self.network_, d = network, X.shape[1]
         if network.n_inputs != d or network.n_hidden == 0:
@@ -80,6 +86,7 @@ class AugTreeClassifier(_AugTree, GrownClassifier):
         mlp_max_iter: epochs of its training at most.
         include_inputs: False for the variant with features z_1 alone.
         max_depth, min_samples_leaf, max_leaf_nodes: the tree's, as in scikit-learn.
+        class_weight: None, "balanced" or weights by class, as in scikit-learn; of the network and the tree.
         random_state: the network's training, and splits of equal gain.
 
     Attributes:
@@ -91,6 +98,7 @@ class AugTreeClassifier(_AugTree, GrownClassifier):
     _parameter_constraints: ClassVar[Constraints] = {
         **_AugTree._parameter_constraints,
         **some_of(DecisionTreeClassifier, "min_samples_leaf", "max_leaf_nodes"),
+        "class_weight": CLASS_WEIGHT,
     }
 
     def __init__(
@@ -103,6 +111,7 @@ class AugTreeClassifier(_AugTree, GrownClassifier):
         max_depth: int | None = None,
         min_samples_leaf: int = 1,
         max_leaf_nodes: int | None = None,
+        class_weight: ClassWeight = None,
         random_state: Any = None,
     ) -> None:
         self.network = network
@@ -112,24 +121,25 @@ class AugTreeClassifier(_AugTree, GrownClassifier):
         self.max_depth = max_depth
         self.min_samples_leaf = min_samples_leaf
         self.max_leaf_nodes = max_leaf_nodes
+        self.class_weight = class_weight
         self.random_state = random_state
 
-    def fit(self, X: ArrayLike, y: ArrayLike) -> AugTreeClassifier:
-        """Fit on X (n, d) and classes y (n,).
+    def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> AugTreeClassifier:
+        """Fit on X (n, d) and classes y (n,); `sample_weight` (n,) counts a row as that many.
 
         Raises:
             ValueError: the network reads another number of inputs, or has no hidden layer.
         """
-        X, labels = self._checked_fit(X, y)
+        X, labels, weights = self._checked_fit(X, y, sample_weight)
         random_state = check_random_state(self.random_state)
-        A, a = self._augmentation(MLPClassifier, X, labels, random_state)
+        A, a = self._augmentation(MLPClassifier, X, labels, weights, random_state)
         cart = DecisionTreeClassifier(
             max_depth=self.max_depth,
             min_samples_leaf=self.min_samples_leaf,
             max_leaf_nodes=self.max_leaf_nodes,
             random_state=random_state,
         )
-        self.tree_ = self._named(from_sklearn_tree(cart.fit(X @ A.T + a, labels)).compose(A, a))
+        self.tree_ = self._named(from_sklearn_tree(cart.fit(X @ A.T + a, labels, weights)).compose(A, a))
         return self
 
 
@@ -178,24 +188,24 @@ class AugTreeRegressor(_AugTree, GrownRegressor):
         self.min_samples_leaf = min_samples_leaf
         self.random_state = random_state
 
-    def fit(self, X: ArrayLike, y: ArrayLike) -> AugTreeRegressor:
-        """Fit on X (n, d) and targets y, (n,) or (n, o).
+    def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> AugTreeRegressor:
+        """Fit on X (n, d) and targets y, (n,) or (n, o); `sample_weight` (n,) counts a row as that many.
 
         Raises:
             ValueError: the network reads another number of inputs or has no hidden layer.
         """
-        X, targets = self._checked_fit(X, y)
+        X, targets, weights = self._checked_fit(X, y, sample_weight)
         random_state = check_random_state(self.random_state)
-        scale = targets.std(axis=0)
-        Y = (targets - targets.mean(axis=0)) / np.where(scale > 0, scale, 1.0)
-        A, a = self._augmentation(MLPRegressor, X, Y if Y.shape[1] > 1 else Y[:, 0], random_state)
+        mean, scale = mean_and_deviation(targets, weights)
+        Y = (targets - mean) / np.where(scale > 0, scale, 1.0)
+        A, a = self._augmentation(MLPRegressor, X, Y if Y.shape[1] > 1 else Y[:, 0], weights, random_state)
         options = {"max_depth": self.max_depth, "random_state": random_state}
         if self.min_samples_leaf is not None:
             options["min_samples_leaf"] = self.min_samples_leaf
         features = X @ A.T + a
         if self.leaves == "linear":
-            tree = LinearModelTreeRegressor(**options).fit(features, targets).tree_
+            tree = LinearModelTreeRegressor(**options).fit(features, targets, weights).tree_
         else:
-            tree = from_sklearn_tree(DecisionTreeRegressor(**options).fit(features, targets))
+            tree = from_sklearn_tree(DecisionTreeRegressor(**options).fit(features, targets, weights))
         self.tree_ = self._named(tree.compose(A, a))
         return self

@@ -10,9 +10,10 @@ from sklearn.tree import BaseDecisionTree, DecisionTreeClassifier, DecisionTreeR
 from sklearn.utils.validation import check_is_fitted
 
 from otr.core.tree import ObliqueTree
-from otr.learners.base.parameters import Constraints, some_of
+from otr.learners.base.parameters import CLASS_WEIGHT, Constraints, some_of
 from otr.learners.base.single_tree import GrownClassifier, GrownRegressor, class_tree
 from otr.learners.base.tree_answers import with_names_of
+from otr.learners.base.weights import ClassWeight
 
 
 def from_sklearn_tree(model: BaseDecisionTree) -> ObliqueTree:
@@ -84,16 +85,39 @@ class CARTClassifier(_Cart, GrownClassifier):
     Args:
         max_depth, min_samples_leaf, max_leaf_nodes, ccp_alpha, random_state: as in scikit-learn's
             `DecisionTreeClassifier`; `random_state` decides between splits of equal gain.
+        class_weight: None, "balanced" or weights by class, as in scikit-learn.
 
     Attributes:
         tree_: the `otr.ObliqueTree`; its labels are positions in `classes_`.
         classes_: (n_classes,) the classes, sorted.
     """
 
+    _parameter_constraints: ClassVar[Constraints] = {**_Cart._parameter_constraints, "class_weight": CLASS_WEIGHT}
+
+    def __init__(
+        self,
+        *,
+        max_depth: int | None = None,
+        min_samples_leaf: int = 1,
+        max_leaf_nodes: int | None = None,
+        ccp_alpha: float = 0.0,
+        class_weight: ClassWeight = None,
+        random_state: Any = None,
+    ) -> None:
+        super().__init__(
+            max_depth=max_depth,
+            min_samples_leaf=min_samples_leaf,
+            max_leaf_nodes=max_leaf_nodes,
+            ccp_alpha=ccp_alpha,
+            random_state=random_state,
+        )
+        self.class_weight = class_weight
+
     def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> CARTClassifier:
         """Fit on X (n, d) and classes y (n,); `sample_weight` (n,) counts a row as that many."""
-        X, labels = self._checked_fit(X, y)
-        cart = DecisionTreeClassifier(**self.get_params()).fit(X, labels, sample_weight)
+        X, labels, weights = self._checked_fit(X, y, sample_weight)
+        parameters = self.get_params() | {"class_weight": None}  # it is in the weights
+        cart = DecisionTreeClassifier(**parameters).fit(X, labels, weights)
         self.tree_ = self._named(from_sklearn_tree(cart))
         return self
 
@@ -113,7 +137,7 @@ class CARTRegressor(_Cart, GrownRegressor):
 
     def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> CARTRegressor:
         """Fit on X (n, d) and targets y, (n,) or (n, o); `sample_weight` (n,) counts a row as that many."""
-        X, targets = self._checked_fit(X, y)
-        cart = DecisionTreeRegressor(**self.get_params()).fit(X, targets, sample_weight)
+        X, targets, weights = self._checked_fit(X, y, sample_weight)
+        cart = DecisionTreeRegressor(**self.get_params()).fit(X, targets, weights)
         self.tree_ = self._named(from_sklearn_tree(cart))
         return self

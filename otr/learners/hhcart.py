@@ -12,8 +12,9 @@ from sklearn.utils.validation import check_random_state
 
 from otr.core.arrays import BoolArray, FloatArray, IntArray
 from otr.core.tree import ObliqueTree
-from otr.learners.base.parameters import AT_LEAST_0, AT_LEAST_1, Constraints
+from otr.learners.base.parameters import AT_LEAST_0, AT_LEAST_1, CLASS_WEIGHT, Constraints
 from otr.learners.base.single_tree import GrownClassifier, GrownRegressor, class_tree
+from otr.learners.base.weights import ClassWeight, mean_and_deviation
 from otr.learners.growing.eigenvector import dominant_direction
 from otr.learners.growing.greedy import Test, grow
 from otr.learners.growing.splits import TIE, AxisSplit, best_bit_split, best_split
@@ -37,32 +38,46 @@ def householder_normal(q: FloatArray) -> FloatArray | None:
 class _Grower:
     """Finds HHCART's test for a node."""
 
-    def __init__(self, X: NDArray[Any], Y: FloatArray, groups: list[BoolArray], options: _Hhcart) -> None:
-        """Keep X (n, d), Y (n, o) as `best_split` takes it, and the masks (n,) whose covariances give reflections."""
-        self._X, self._Y, self._groups, self._options = X, Y, groups, options
+    def __init__(
+        self,
+        X: NDArray[Any],
+        Y: FloatArray,
+        weights: FloatArray | None,
+        groups: list[BoolArray],
+        options: _Hhcart,
+    ) -> None:
+        """Keep X (n, d), Y (n, o) as `best_split` takes it, the weights (n,), and the masks (n,) of groups of rows.
+
+        A group's covariance gives a reflection.
+        """
+        self._X, self._Y, self._weights, self._groups, self._options = X, Y, weights, groups, options
         self._random_state = check_random_state(options.random_state)
         self._are_bits = bool(((X == 0) | (X == 1)).all())
-        self._noise = 1e-12 * float(np.square(Y).sum())
+        self._noise = 1e-12 * _sum_of_squares(Y, weights)
 
     def tree(self, targets: FloatArray) -> ObliqueTree:
         """Return the tree with the mean of the rows' targets (n, o) in each leaf."""
         skeleton = grow(self._X, self.find_test, self._options.max_depth)
-        return skeleton.with_leaves(np.array([targets[rows].mean(axis=0) for rows in skeleton.leaf_rows]))
+        means = [np.average(targets[rows], axis=0, weights=self._of(rows)) for rows in skeleton.leaf_rows]
+        return skeleton.with_leaves(np.array(means))
+
+    def _of(self, rows: IntArray | BoolArray) -> FloatArray | None:
+        return None if self._weights is None else self._weights[rows]
 
     def find_test(self, rows: IntArray) -> Test | None:
         """Return the test of the node that holds `rows`, None if it is pure, too small, or has nothing to split on."""
-        Y = self._Y[rows]
-        impurity = float(np.square(Y - Y.mean(axis=0)).sum())
+        Y, weights = self._Y[rows], self._of(rows)
+        impurity = _sum_of_squares(Y - np.average(Y, axis=0, weights=weights), weights)
         if len(rows) < self._options.min_samples_split or impurity <= self._noise:
             return None
         X = self._X if len(rows) == len(self._X) else self._X[rows]
-        best = self._split(X, Y, None)
+        best = self._split(X, Y, weights, None)
         normal = None
         for group in self._groups:
-            candidate = self._normal(X, group[rows])
+            candidate = self._normal(X, weights, group[rows])
             if candidate is None:
                 continue
-            split = self._split(X, Y, candidate)
+            split = self._split(X, Y, weights, candidate)
             if split is not None and (best is None or split.gain > best.gain + TIE * impurity):
                 best, normal = split, candidate
         if best is None:
@@ -73,19 +88,30 @@ class _Grower:
             P -= 2.0 * normal[best.column] * normal
         return Test(P, -best.threshold)
 
-    def _split(self, X: NDArray[Any], Y: FloatArray, normal: FloatArray | None) -> AxisSplit | None:
-        options = {"min_samples_leaf": self._options.min_samples_leaf, "random_state": self._random_state}
+    def _split(
+        self, X: NDArray[Any], Y: FloatArray, weights: FloatArray | None, normal: FloatArray | None
+    ) -> AxisSplit | None:
+        options: dict[str, Any] = {
+            "weights": weights,
+            "min_samples_leaf": self._options.min_samples_leaf,
+            "random_state": self._random_state,
+        }
         if normal is None and self._are_bits:
             return best_bit_split(X, Y, **options)
         return best_split(X, Y, normal=normal, n_jobs=self._options.n_jobs, **options)
 
-    def _normal(self, X: NDArray[Any], mask: BoolArray) -> FloatArray | None:
+    def _normal(self, X: NDArray[Any], weights: FloatArray | None, mask: BoolArray) -> FloatArray | None:
         n_members = int(mask.sum())
         if n_members < 2:
             return None
         members = X if n_members == len(X) else X[mask]
-        eigenvalue, q = dominant_direction(members, self._random_state)
+        eigenvalue, q = dominant_direction(members, self._random_state, None if weights is None else weights[mask])
         return householder_normal(q) if eigenvalue > 0 else None
+
+
+def _sum_of_squares(values: FloatArray, weights: FloatArray | None) -> float:
+    squares = np.square(values)
+    return float((squares if weights is None else squares * weights[:, None]).sum())
 
 
 class _Hhcart:
@@ -137,6 +163,7 @@ class HHCARTClassifier(_Hhcart, GrownClassifier):
         max_depth: number of tests on a path at most; None for no limit.
         min_samples_split: a node with fewer rows is a leaf.
         min_samples_leaf: rows in a leaf at least.
+        class_weight: None, "balanced" or weights by class, as in scikit-learn.
         random_state: ties, and the start of Lanczos.
         n_jobs: threads that share the columns; the tree is the same for any number.
 
@@ -145,13 +172,34 @@ class HHCARTClassifier(_Hhcart, GrownClassifier):
         classes_: (n_classes,) the classes, sorted.
     """
 
-    def fit(self, X: ArrayLike, y: ArrayLike) -> HHCARTClassifier:
-        """Fit on X (n, d) and classes y (n,)."""
-        X, labels = self._checked_fit(X, y)
+    _parameter_constraints: ClassVar[Constraints] = {**_Hhcart._parameter_constraints, "class_weight": CLASS_WEIGHT}
+
+    def __init__(
+        self,
+        *,
+        max_depth: int | None = None,
+        min_samples_split: int = 2,
+        min_samples_leaf: int = 1,
+        class_weight: ClassWeight = None,
+        random_state: Any = None,
+        n_jobs: int | None = None,
+    ) -> None:
+        super().__init__(
+            max_depth=max_depth,
+            min_samples_split=min_samples_split,
+            min_samples_leaf=min_samples_leaf,
+            random_state=random_state,
+            n_jobs=n_jobs,
+        )
+        self.class_weight = class_weight
+
+    def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> HHCARTClassifier:
+        """Fit on X (n, d) and classes y (n,); `sample_weight` (n,) counts a row as that many."""
+        X, labels, weights = self._checked_fit(X, y, sample_weight)
         one_hot = np.eye(len(self.classes_))[labels]
         groups = [labels == k for k in range(len(self.classes_))]
         Y = one_hot[:, :1] if len(self.classes_) == 2 else one_hot  # for two classes, half of it says it all
-        tree = _Grower(X, Y, groups, self).tree(one_hot)
+        tree = _Grower(X, Y, weights, groups, self).tree(one_hot)
         self.tree_ = self._named(class_tree(tree, tree.c))
         return self
 
@@ -172,11 +220,11 @@ class HHCARTRegressor(_Hhcart, GrownRegressor):
         tree_: the `otr.ObliqueTree`.
     """
 
-    def fit(self, X: ArrayLike, y: ArrayLike) -> HHCARTRegressor:
-        """Fit on X (n, d) and targets y, (n,) or (n, o)."""
-        X, targets = self._checked_fit(X, y)
-        scale = targets.std(axis=0)
-        Y = (targets - targets.mean(axis=0)) / np.where(scale > 0, scale, 1.0)
+    def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> HHCARTRegressor:
+        """Fit on X (n, d) and targets y, (n,) or (n, o); `sample_weight` (n,) counts a row as that many."""
+        X, targets, weights = self._checked_fit(X, y, sample_weight)
+        mean, scale = mean_and_deviation(targets, weights)
+        Y = (targets - mean) / np.where(scale > 0, scale, 1.0)
         everyone = [np.ones(len(X), dtype=np.bool_)]
-        self.tree_ = self._named(_Grower(X, Y, everyone, self).tree(targets))
+        self.tree_ = self._named(_Grower(X, Y, weights, everyone, self).tree(targets))
         return self

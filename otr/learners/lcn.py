@@ -8,11 +8,20 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from otr.core.tree import ObliqueTree
-from otr.learners.base.parameters import AT_LEAST_1, SEED, STANDARDIZE, Constraints, parameters_of, some_of
+from otr.learners.base.parameters import (
+    AT_LEAST_1,
+    CLASS_WEIGHT,
+    SEED,
+    STANDARDIZE,
+    Constraints,
+    parameters_of,
+    some_of,
+)
 from otr.learners.base.problem import Problem
 from otr.learners.base.tree_per_label import NetworkLearner, TreeClassifier, TreeRegressor
+from otr.learners.base.weights import ClassWeight
 from otr.learners.networks.batched_lcn import LcnSettings
-from otr.learners.networks.batched_training import Schedule
+from otr.learners.networks.batched_training import Schedule, schedule_of
 from otr.learners.networks.labels_and_seeds import TrainedNetworks, train_many
 from otr.learners.networks.lcn_network import LcnNetwork
 
@@ -22,7 +31,9 @@ class _LCNLearner(NetworkLearner):
 
     _parameter_constraints: ClassVar[Constraints] = {
         **some_of(LcnSettings, "depth", "hidden", "drop_connect"),
-        **some_of(Schedule, "epochs", "batch_size", "learning_rate", "momentum", "decay_every"),
+        **some_of(Schedule, "batch_size", "learning_rate", "momentum"),
+        "epochs": [AT_LEAST_1, None],
+        "decay_every": [AT_LEAST_1, None],
         "standardize": STANDARDIZE,
         "max_leaves": [AT_LEAST_1],
         "random_state": SEED,
@@ -34,11 +45,11 @@ class _LCNLearner(NetworkLearner):
         *,
         hidden: int = 0,
         drop_connect: float = 0.0,
-        epochs: int = 30,
+        epochs: int | None = None,
         batch_size: int = 64,
-        learning_rate: float = 0.1,
+        learning_rate: float = 0.03,
         momentum: float = 0.9,
-        decay_every: int = 10,
+        decay_every: int | None = None,
         standardize: bool | Literal["auto"] = "auto",
         max_leaves: int = 2**12,
         random_state: int | np.random.RandomState | None = None,
@@ -64,14 +75,14 @@ class _LCNLearner(NetworkLearner):
             **parameters_of(self, LcnSettings),
             loss=problem.loss,
             n_classes=problem.n_classes,
-            schedule=Schedule(**parameters_of(self, Schedule)),
+            schedule=schedule_of(self, len(problem.X)),
         )
         return train_many(
             problem.X,
             problem.Y,
             seeds,
             settings,
-            sample_weight=problem.weights,
+            sample_weight=problem.label_weights,
             X_valid=problem.X_valid,
             Y_valid=problem.Y_valid,
         )
@@ -92,10 +103,13 @@ _PARAMETERS = """
         depth: neurons, one a layer.
         hidden: width of the hidden layer of g; 0 for a linear g.
         drop_connect: see `LcnSettings`.
-        epochs, batch_size, learning_rate, momentum, decay_every: see `Schedule`.
+        epochs: passes over the rows; None for as many as make 1,000 steps, and 30 at least.
+        decay_every: see `Schedule`; None for a third of the epochs.
+        batch_size, learning_rate, momentum: see `Schedule`.
         standardize: train on inputs shifted and scaled to mean 0 and deviation 1, which is folded into the network;
             "auto": unless all are 0 and 1.
         max_leaves: refuse to train for a larger tree.
+        class_weight: a classifier's: None, "balanced" or weights by class, as in scikit-learn, for each label.
         random_state: an integer is the seed as in `train_many`.
 
     Attributes:
@@ -107,6 +121,39 @@ _PARAMETERS = """
 
 class LCNClassifier(TreeClassifier, _LCNLearner):
     __doc__ = "Classifier of locally constant networks, as oblique trees with constant leaves." + _PARAMETERS
+
+    _parameter_constraints: ClassVar[Constraints] = {**_LCNLearner._parameter_constraints, "class_weight": CLASS_WEIGHT}
+
+    def __init__(
+        self,
+        depth: int = 6,
+        *,
+        hidden: int = 0,
+        drop_connect: float = 0.0,
+        epochs: int | None = None,
+        batch_size: int = 64,
+        learning_rate: float = 0.03,
+        momentum: float = 0.9,
+        decay_every: int | None = None,
+        standardize: bool | Literal["auto"] = "auto",
+        max_leaves: int = 2**12,
+        class_weight: ClassWeight = None,
+        random_state: int | np.random.RandomState | None = None,
+    ) -> None:
+        super().__init__(
+            depth,
+            hidden=hidden,
+            drop_connect=drop_connect,
+            epochs=epochs,
+            batch_size=batch_size,
+            learning_rate=learning_rate,
+            momentum=momentum,
+            decay_every=decay_every,
+            standardize=standardize,
+            max_leaves=max_leaves,
+            random_state=random_state,
+        )
+        self.class_weight = class_weight
 
 
 class LCNRegressor(TreeRegressor, _LCNLearner):

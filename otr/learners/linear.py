@@ -12,9 +12,17 @@ from otr.core.arrays import FloatArray
 from otr.core.head import Head
 from otr.core.heads import Argmax, Identity, Sign
 from otr.core.tree import ObliqueTree
-from otr.learners.base.parameters import AT_LEAST_1, NOT_NEGATIVE, POSITIVE, STANDARDIZE, Constraints
+from otr.learners.base.parameters import (
+    AT_LEAST_1,
+    CLASS_WEIGHT,
+    NOT_NEGATIVE,
+    POSITIVE,
+    STANDARDIZE,
+    Constraints,
+)
 from otr.learners.base.problem import Problem
 from otr.learners.base.tree_per_label import TreeClassifier, TreeLearner, TreeRegressor
+from otr.learners.base.weights import ClassWeight
 
 
 class _LinearLearner(TreeLearner):
@@ -22,7 +30,7 @@ class _LinearLearner(TreeLearner):
         trees = []
         for label, (y_mean, y_scale) in enumerate(zip(problem.y_mean, problem.y_scale, strict=True)):
             present = ~np.isnan(problem.Y[:, label])
-            weights = None if problem.weights is None else problem.weights[present]
+            weights = None if problem.label_weights is None else problem.label_weights[present, label]
             W, b, head = self._fit_linear(problem.X[present], problem.Y[present, label], weights, problem.loss)
             # Back to inputs and targets as they were before standardising.
             W = W * y_scale / problem.scale
@@ -45,6 +53,7 @@ class LinearTreeClassifier(TreeClassifier, _LinearLearner):
         C: inverse strength of the penalty.
         max_iter: of the solver.
         standardize: fit on inputs shifted and scaled to mean 0 and deviation 1; "auto": unless all are 0 and 1.
+        class_weight: None, "balanced" or weights by class, as in scikit-learn, for each label.
 
     Attributes:
         trees_, tree_: the trees, one a label, or the one.
@@ -55,12 +64,21 @@ class LinearTreeClassifier(TreeClassifier, _LinearLearner):
         "C": [POSITIVE],
         "max_iter": [AT_LEAST_1],
         "standardize": STANDARDIZE,
+        "class_weight": CLASS_WEIGHT,
     }
 
-    def __init__(self, C: float = 0.1, *, max_iter: int = 1000, standardize: bool | Literal["auto"] = "auto") -> None:
+    def __init__(
+        self,
+        C: float = 0.1,
+        *,
+        max_iter: int = 1000,
+        standardize: bool | Literal["auto"] = "auto",
+        class_weight: ClassWeight = None,
+    ) -> None:
         self.C = C
         self.max_iter = max_iter
         self.standardize = standardize
+        self.class_weight = class_weight
 
     def _fit_problem(self, problem: Problem) -> None:
         self.n_iter_ = 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from numbers import Integral
 from typing import Any, ClassVar
 
@@ -15,6 +16,7 @@ from sklearn.utils.validation import check_random_state
 from otr.core.arrays import FloatArray, IntArray
 from otr.learners.base.parameters import AT_LEAST_0, AT_LEAST_1, NOT_NEGATIVE, Constraints
 from otr.learners.base.single_tree import GrownRegressor
+from otr.learners.base.weights import mean_and_deviation
 from otr.learners.growing.greedy import Skeleton, Test, grow
 
 # A split has to lower the objective by this share of the targets' total sum of squares.
@@ -30,7 +32,8 @@ class LinearModelTreeRegressor(GrownRegressor):
     ``|Y - X W - c|^2 + alpha |W|^2`` together, with a model of all inputs on either side (as in M5 and its heirs, but
     by exact search: the models of all candidates follow from cumulative sums). Inputs are standardised over the
     training rows for the penalty; targets are weighted by 1 / variance where there are several. The penalty counts
-    on both sides, so a split has to earn it: a node whose best split does not lower the objective is a leaf.
+    on both sides, so a split has to earn it: a node whose best split does not lower the objective is a leaf. Rows with
+    `sample_weight` w count as w rows in the objective, in standardising and in the variance.
 
     Search: for each input, at most `max_bins` - 1 thresholds at quantiles of the node's rows, all of them where it has
     fewer distinct values; then as many between the two neighbours of the best one, on its input, and so on until none
@@ -41,7 +44,7 @@ class LinearModelTreeRegressor(GrownRegressor):
 
     Args:
         max_depth: number of tests on a path at most; None for no limit; 0 for one ridge regression.
-        min_samples_leaf: rows in a leaf at least.
+        min_samples_leaf: rows in a leaf at least, whatever their weights.
         alpha: ridge penalty on the slopes, not the offset, for standardised inputs.
         max_bins: see above, at least 4.
         max_features: inputs searched at a node, drawn at random; None for all. Models always read all inputs.
@@ -77,9 +80,9 @@ class LinearModelTreeRegressor(GrownRegressor):
         self.max_features = max_features
         self.random_state = random_state
 
-    def fit(self, X: ArrayLike, y: ArrayLike) -> LinearModelTreeRegressor:
-        """Fit on X (n, d) and targets y, (n,) or (n, o)."""
-        X, targets = self._checked_fit(X, y)
+    def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> LinearModelTreeRegressor:
+        """Fit on X (n, d) and targets y, (n,) or (n, o); `sample_weight` (n,) counts a row as that many."""
+        X, targets, weights = self._checked_fit(X, y, sample_weight)
         X = X.astype(np.float64, copy=False)
         random_state = check_random_state(self.random_state)
         features = np.arange(X.shape[1])
@@ -89,7 +92,7 @@ class LinearModelTreeRegressor(GrownRegressor):
                 return features
             return np.sort(random_state.choice(features, self.max_features, replace=False))
 
-        tests, M, c = grow_models(X, X, targets, self, drawn)
+        tests, M, c = grow_models(X, X, targets, self, drawn, weights)
         self.tree_ = self._named(tests.with_leaves(c, M))
         return self
 
@@ -100,20 +103,24 @@ def grow_models(
     targets: FloatArray,
     options: LinearModelTreeRegressor,
     searched: Callable[[IntArray, FloatArray, FloatArray], IntArray],
+    weights: FloatArray | None = None,
 ) -> tuple[Skeleton, FloatArray, FloatArray]:
     """Return the tests of `LinearModelTreeRegressor` on features (n, m), and the leaves' models M, c of X (n, d).
 
     `options` holds depth, leaf size, penalty and bins. `searched` maps a node's rows, and their standardised inputs and
-    targets, to the columns of `features` that are searched there.
+    targets, to the columns of `features` that are searched there. `weights` (n,) are above 0, None for one each.
     """
-    x_mean, x_scale = _standard(X)
-    y_mean, y_scale = _standard(targets)
+    x_mean, x_scale = _standard(X, weights)
+    y_mean, y_scale = _standard(targets, weights)
     Z, Y = (X - x_mean) / x_scale, (targets - y_mean) / y_scale
-    min_gain = _MIN_GAIN * float(np.square(Y).sum())
+    min_gain = _MIN_GAIN * float(np.square(Y if weights is None else Y * np.sqrt(weights)[:, None]).sum())
+
+    def of(rows: IntArray) -> FloatArray | None:
+        return None if weights is None else weights[rows]
 
     def find_test(rows: IntArray) -> Test | None:
         z, y = Z[rows], Y[rows]
-        split = _best_split(features[rows], z, y, searched(rows, z, y), options)
+        split = _best_split(features[rows], z, y, searched(rows, z, y), options, of(rows))
         if split is None or split.gain <= min_gain:
             return None
         P = np.zeros(features.shape[1])
@@ -121,7 +128,7 @@ def grow_models(
         return Test(P, -_midpoint(features[rows, split.column].astype(np.float64), split.n_left))
 
     tests = grow(features, find_test, options.max_depth)
-    models = [_ridge(Z[rows], Y[rows], options.alpha) for rows in tests.leaf_rows]
+    models = [_ridge(Z[rows], Y[rows], options.alpha, of(rows)) for rows in tests.leaf_rows]
     M = np.array([W.T for W, _ in models]) * y_scale[:, None] / x_scale
     c = np.array([offset for _, offset in models]) * y_scale + y_mean - M @ x_mean
     return tests, M, c
@@ -136,9 +143,9 @@ class _ModelSplit:
     gain: float
 
 
-def _standard(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _standard(values: FloatArray, weights: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """Return mean and standard deviation of the columns, 1 where a column is constant."""
-    mean, scale = values.mean(axis=0), values.std(axis=0)
+    mean, scale = mean_and_deviation(values, weights)
     return mean, np.where(scale > 1e-12 * np.abs(values).max(axis=0), scale, 1.0)
 
 
@@ -149,20 +156,28 @@ def _midpoint(column: FloatArray, n_left: int) -> float:
 
 
 def _best_split(
-    features: NDArray[Any], X: FloatArray, Y: FloatArray, columns: IntArray, options: LinearModelTreeRegressor
+    features: NDArray[Any],
+    X: FloatArray,
+    Y: FloatArray,
+    columns: IntArray,
+    options: LinearModelTreeRegressor,
+    weights: FloatArray | None = None,
 ) -> _ModelSplit | None:
     """Return the best split of a node's rows by one of the `columns` of their features (n, m), for models of X (n, d).
 
-    None if there is no threshold to try.
+    None if there is no threshold to try. `weights` (n,) of the rows are above 0; None for one each.
     """
     n, d, m = *X.shape, options.min_samples_leaf
     if n < 2 * m:
         return None
-    X, Y = X - X.mean(axis=0), Y - Y.mean(axis=0)
+    X, Y = X - np.average(X, axis=0, weights=weights), Y - np.average(Y, axis=0, weights=weights)
     rows = np.concatenate((X, Y), axis=1)
-    parent = float(
-        ridge_objectives((rows.T @ rows)[None], np.zeros((1, rows.shape[1])), np.array([n]), d, options.alpha)[0]
-    )
+    gram, _, total = _moments(rows, weights)
+    parent = float(ridge_objectives(gram[None], np.zeros((1, rows.shape[1])), np.array([total]), d, options.alpha)[0])
+
+    def objectives_of(order: IntArray, cuts: IntArray) -> FloatArray:
+        return _split_objectives(rows[order], cuts, d, options.alpha, None if weights is None else weights[order])
+
     n_most = options.max_bins - 1
     best: tuple[float, int, int] | None = None
     for column in columns.tolist():
@@ -173,7 +188,7 @@ def _best_split(
         tried = _spread(cuts, 0, n, n_most)
         if not len(tried):
             continue
-        objectives = _split_objectives(rows[order], tried, d, options.alpha)
+        objectives = objectives_of(order, tried)
         at = int(objectives.argmin())
         if best is None or objectives[at] < best[0]:
             best = float(objectives[at]), column, int(tried[at])
@@ -189,7 +204,7 @@ def _best_split(
         if not len(between):
             return _ModelSplit(column, n_left, parent - objective)
         tried = _spread(between, low, high, n_most)
-        objectives = _split_objectives(rows[order], tried, d, options.alpha)
+        objectives = objectives_of(order, tried)
         if objectives.min() < objective:
             tried = np.append(tried, n_left)
             objective, n_left = float(objectives.min()), int(tried[objectives.argmin()])
@@ -203,19 +218,27 @@ def _spread(cuts: IntArray, low: int, high: int, n_most: int) -> IntArray:
     return np.unique(cuts[np.searchsorted(cuts, wanted).clip(0, len(cuts) - 1)])
 
 
-def _split_objectives(rows: FloatArray, cuts: IntArray, d: int, alpha: float) -> FloatArray:
+def _moments(rows: FloatArray, weights: FloatArray | None) -> tuple[FloatArray, FloatArray, float]:
+    """Return the Gram matrix, the sums and the number of rows (n, k), each as it is weighted."""
+    if weights is None:
+        return rows.T @ rows, rows.sum(axis=0), len(rows)
+    weighted = rows * weights[:, None]
+    return rows.T @ weighted, weighted.sum(axis=0), float(weights.sum())
+
+
+def _split_objectives(rows: FloatArray, cuts: IntArray, d: int, alpha: float, weights: FloatArray | None) -> FloatArray:
     """Return, for each cut of the sorted rows (X, Y), the ridge objectives of the two sides, added."""
-    parts = np.split(rows, cuts)
-    grams = np.cumsum([part.T @ part for part in parts], axis=0)
-    sums = np.cumsum([part.sum(axis=0) for part in parts], axis=0)
-    n_left = cuts
-    n_right = len(rows) - cuts
-    left = ridge_objectives(grams[:-1], sums[:-1], n_left, d, alpha)
-    right = ridge_objectives(grams[-1] - grams[:-1], sums[-1] - sums[:-1], n_right, d, alpha)
+    slices = [slice(*ends) for ends in pairwise((0, *cuts.tolist(), len(rows)))]
+    moments = [_moments(rows[part], None if weights is None else weights[part]) for part in slices]
+    grams, sums, counts = (np.cumsum(each, axis=0) for each in zip(*moments, strict=True))
+    left = ridge_objectives(grams[:-1], sums[:-1], counts[:-1], d, alpha)
+    right = ridge_objectives(grams[-1] - grams[:-1], sums[-1] - sums[:-1], counts[-1] - counts[:-1], d, alpha)
     return left + right
 
 
-def ridge_objectives(grams: FloatArray, sums: FloatArray, counts: IntArray, d: int, alpha: float) -> FloatArray:
+def ridge_objectives(
+    grams: FloatArray, sums: FloatArray, counts: IntArray | FloatArray, d: int, alpha: float
+) -> FloatArray:
     """Return the least of |Y - X W - c|^2 + alpha |W|^2 from Gram matrices (k, d + o, d + o) and sums (k, d + o)."""
     scatter = grams - sums[:, :, None] * sums[:, None, :] / counts[:, None, None]
     xx, xy, yy = scatter[:, :d, :d], scatter[:, :d, d:], scatter[:, d:, d:]
@@ -224,11 +247,14 @@ def ridge_objectives(grams: FloatArray, sums: FloatArray, counts: IntArray, d: i
     return np.asarray(np.trace(yy, axis1=1, axis2=2) - (xy * slopes).sum(axis=(1, 2)))
 
 
-def _ridge(X: FloatArray, Y: FloatArray, alpha: float) -> tuple[FloatArray, FloatArray]:
+def _ridge(X: FloatArray, Y: FloatArray, alpha: float, weights: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """Return W (d, o) and c (o,) of the ridge regression, of least norm where alpha = 0 leaves a choice."""
-    x_mean, y_mean = X.mean(axis=0), Y.mean(axis=0)
+    x_mean, y_mean = np.average(X, axis=0, weights=weights), np.average(Y, axis=0, weights=weights)
     d = X.shape[1]
-    A = np.concatenate((X - x_mean, np.sqrt(alpha) * np.eye(d)))
-    B = np.concatenate((Y - y_mean, np.zeros((d, Y.shape[1]))))
+    X, Y = X - x_mean, Y - y_mean
+    if weights is not None:
+        X, Y = X * np.sqrt(weights)[:, None], Y * np.sqrt(weights)[:, None]
+    A = np.concatenate((X, np.sqrt(alpha) * np.eye(d)))
+    B = np.concatenate((Y, np.zeros((d, Y.shape[1]))))
     W = np.linalg.lstsq(A, B, rcond=None)[0]
     return W, y_mean - x_mean @ W

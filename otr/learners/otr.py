@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import ClassVar, Literal
 
@@ -15,6 +14,7 @@ from otr.core.pattern_tree import PatternTree
 from otr.core.tree import ObliqueTree
 from otr.learners.base.parameters import (
     AT_LEAST_1,
+    CLASS_WEIGHT,
     NOT_NEGATIVE,
     SEED,
     STANDARDIZE,
@@ -24,13 +24,11 @@ from otr.learners.base.parameters import (
 )
 from otr.learners.base.problem import Problem
 from otr.learners.base.tree_per_label import NetworkLearner, TreeClassifier, TreeRegressor
+from otr.learners.base.weights import ClassWeight
 from otr.learners.distillation import Teacher, distillation_set
 from otr.learners.networks.batched_mlp import MlpSettings
-from otr.learners.networks.batched_training import Schedule
+from otr.learners.networks.batched_training import Schedule, schedule_of
 from otr.learners.networks.labels_and_seeds import TrainedNetworks, train_many
-
-# Without `epochs`: fewer steps leave small data sets far from fitted (docs/decisions/supervised.md).
-_LEAST_STEPS, _LEAST_EPOCHS = 1000, 30
 
 
 class _OTRLearner(NetworkLearner):
@@ -99,8 +97,10 @@ class _OTRLearner(NetworkLearner):
             return self._train_on(problem.X, problem.Y, seeds, problem)
         if problem.loss != "logistic":
             raise ValueError(f"a teacher is for binary labels, and the loss here is {problem.loss!r}")
-        if problem.weights is not None:
-            raise ValueError("a teacher's rows have no sample_weight; leave out teacher or sample_weight")
+        if problem.label_weights is not None:
+            raise ValueError(
+                "a teacher's rows have no weights; leave out the teacher, or sample_weight and class_weight"
+            )
         taught = (distillation_set(problem.X, problem.Y, self.teacher, seed=seed) for seed in seeds)
         return _joined([self._train_on(*rows, [seed], problem) for seed, rows in zip(seeds, taught, strict=True)])
 
@@ -112,26 +112,17 @@ class _OTRLearner(NetworkLearner):
             **parameters_of(self, MlpSettings),
             loss=problem.loss,
             n_classes=problem.n_classes,
-            schedule=self._schedule(len(X)),
+            schedule=schedule_of(self, len(X)),
         )
         return train_many(
             X,
             Y,
             seeds,
             settings,
-            sample_weight=problem.weights,
+            sample_weight=problem.label_weights,
             X_valid=problem.X_valid,
             Y_valid=problem.Y_valid,
         )
-
-    def _schedule(self, n_rows: int) -> Schedule:
-        epochs, decay_every = self.epochs, self.decay_every
-        if epochs is None:
-            steps_of_an_epoch = math.ceil(n_rows / self.batch_size)
-            epochs = max(_LEAST_EPOCHS, math.ceil(_LEAST_STEPS / steps_of_an_epoch))
-        if decay_every is None:
-            decay_every = math.ceil(epochs / 3)
-        return Schedule(**parameters_of(self, Schedule) | {"epochs": epochs, "decay_every": decay_every})
 
     def _unscaled(self, network: ReluNetwork, problem: Problem, y_mean: float, y_scale: float) -> ReluNetwork:
         sparse = _without_small_weights(network, self.drop_below)
@@ -186,6 +177,7 @@ _PARAMETERS = """
         standardize: train on inputs shifted and scaled to mean 0 and deviation 1, which is folded into the network;
             "auto": unless all are 0 and 1.
         max_leaves: see above.
+        class_weight: a classifier's: None, "balanced" or weights by class, as in scikit-learn, for each label.
         random_state: an integer is the seed as in `train_many`.
 
     Attributes:
@@ -197,6 +189,57 @@ _PARAMETERS = """
 
 class OTRClassifier(TreeClassifier, _OTRLearner):
     __doc__ = "Classifier of ReLU networks mapped to oblique trees exactly (Orfanos 2023, Table 4.2)." + _PARAMETERS
+
+    _parameter_constraints: ClassVar[Constraints] = {**_OTRLearner._parameter_constraints, "class_weight": CLASS_WEIGHT}
+
+    def __init__(
+        self,
+        hidden: Sequence[int] = (8,),
+        *,
+        dense: bool | Literal["input", "all"] = False,
+        negative_slope: float = 0.0,
+        shared: bool = False,
+        input_dropout: float = 0.0,
+        hidden_dropout: float = 0.0,
+        l1: float = 0.0,
+        l2: float = 0.0,
+        drop_below: float = 0.0,
+        averaging: float = 0.0,
+        common_epoch: bool = False,
+        teacher: Teacher | None = None,
+        epochs: int | None = None,
+        batch_size: int = 64,
+        learning_rate: float = 0.1,
+        momentum: float = 0.9,
+        decay_every: int | None = None,
+        standardize: bool | Literal["auto"] = "auto",
+        max_leaves: int = 1024,
+        class_weight: ClassWeight = None,
+        random_state: int | np.random.RandomState | None = None,
+    ) -> None:
+        super().__init__(
+            hidden,
+            dense=dense,
+            negative_slope=negative_slope,
+            shared=shared,
+            input_dropout=input_dropout,
+            hidden_dropout=hidden_dropout,
+            l1=l1,
+            l2=l2,
+            drop_below=drop_below,
+            averaging=averaging,
+            common_epoch=common_epoch,
+            teacher=teacher,
+            epochs=epochs,
+            batch_size=batch_size,
+            learning_rate=learning_rate,
+            momentum=momentum,
+            decay_every=decay_every,
+            standardize=standardize,
+            max_leaves=max_leaves,
+            random_state=random_state,
+        )
+        self.class_weight = class_weight
 
 
 class OTRRegressor(TreeRegressor, _OTRLearner):

@@ -20,8 +20,9 @@ from otr.core.arrays import BoolArray, FloatArray, IntArray
 from otr.core.heads import Identity
 from otr.core.pruning import prune_unreached
 from otr.core.tree import ObliqueTree
-from otr.learners.base.parameters import AT_LEAST_0, AT_LEAST_1, POSITIVE, Constraints
+from otr.learners.base.parameters import AT_LEAST_0, AT_LEAST_1, CLASS_WEIGHT, POSITIVE, Constraints
 from otr.learners.base.single_tree import GrownClassifier, class_tree
+from otr.learners.base.weights import ClassWeight
 from otr.learners.cart import from_sklearn_tree
 from otr.learners.growing.greedy import Test, grow
 
@@ -35,8 +36,9 @@ class TAOClassifier(GrownClassifier):
     From an initial tree whose structure stays, passes go over the nodes from the deepest level to the root. With all
     other nodes fixed, a row that reaches node i is answered rightly by the left child's subtree, the right one's, both
     or neither. Only rows where exactly one is right depend on the node's test, so the best test is the linear
-    classifier of these rows with the right side as class (the reduced problem; with the 0/1 loss, each row weighs the
-    same). That is solved through a convex surrogate by liblinear. Leaves take the majority class of their rows.
+    classifier of these rows with the right side as class (the reduced problem; with the 0/1 loss, each row counts as
+    it is weighted). That is solved through a convex surrogate by liblinear. Leaves take the majority class of their
+    rows. All sums over rows are weighted.
 
     The surrogate's solution is taken only if it misdirects no more of these rows than the present test, so the
     training loss never rises, whatever the penalty. If all of them belong to one side, the test becomes constant. The
@@ -53,7 +55,8 @@ class TAOClassifier(GrownClassifier):
 
     Args:
         max_depth: of the initial tree; None for a CART grown until its leaves are pure.
-        init: "cart", or "random": oblique tests of normal random direction that halve a node's rows.
+        init: "cart", or "random": oblique tests of normal random direction that halve a node's rows, whatever their
+            weights.
         penalty: "l2" or "l1", on the coefficients of a node's test (and its offset, as always in liblinear).
         surrogate: "squared_hinge" (support vectors) or "logistic".
         C: the surrogate's weight against the penalty.
@@ -62,6 +65,7 @@ class TAOClassifier(GrownClassifier):
         leaf_values: "shares" of the classes among a leaf's training rows, or "labels", 1 for the largest share and 0
             for the others. TAO knows labels alone; shares rank rows, which an area under the curve asks for.
         solver_max_iter: iterations of liblinear in one fit at most; a fit that stops there is used as it is.
+        class_weight: None, "balanced" or weights by class, as in scikit-learn.
         random_state: initial tree and liblinear.
 
     Attributes:
@@ -81,6 +85,7 @@ class TAOClassifier(GrownClassifier):
         "tol": [Interval(Real, None, None, closed="neither")],
         "leaf_values": [StrOptions({"shares", "labels"})],
         "solver_max_iter": [AT_LEAST_1],
+        "class_weight": CLASS_WEIGHT,
         "random_state": ["random_state"],
     }
 
@@ -96,6 +101,7 @@ class TAOClassifier(GrownClassifier):
         tol: float = 0.005,
         leaf_values: Literal["shares", "labels"] = "shares",
         solver_max_iter: int = 10_000,
+        class_weight: ClassWeight = None,
         random_state: Any = None,
     ) -> None:
         self.max_depth = max_depth
@@ -107,14 +113,16 @@ class TAOClassifier(GrownClassifier):
         self.tol = tol
         self.leaf_values = leaf_values
         self.solver_max_iter = solver_max_iter
+        self.class_weight = class_weight
         self.random_state = random_state
 
-    def fit(self, X: ArrayLike, y: ArrayLike) -> TAOClassifier:
-        """Fit on X (n, d) and classes y (n,)."""
-        X, labels = self._checked_fit(X, y)
+    def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> TAOClassifier:
+        """Fit on X (n, d) and classes y (n,); `sample_weight` (n,) counts a row as that many."""
+        X, labels, weights = self._checked_fit(X, y, sample_weight)
+        weights = np.ones(len(X)) if weights is None else weights
         random_state = check_random_state(self.random_state)
-        start = self._initial_tree(X, labels, random_state)
-        alternation = _Alternation(X, labels, start, self._surrogate(random_state))
+        start = self._initial_tree(X, labels, weights, random_state)
+        alternation = _Alternation(X, labels, weights, start, self._surrogate(random_state))
         self.loss_path_ = [alternation.loss()]
         for _ in range(self.max_iter):
             alternation.run_pass()
@@ -124,16 +132,18 @@ class TAOClassifier(GrownClassifier):
         self.n_iter_ = len(self.loss_path_) - 1
         tree = prune_unreached(alternation.tree(), X)
         counts = np.zeros((tree.n_leaves, len(self.classes_)))
-        np.add.at(counts, (tree.apply(X), labels), 1.0)
+        np.add.at(counts, (tree.apply(X), labels), weights)
         if self.leaf_values == "labels":
             counts = np.eye(len(self.classes_))[counts.argmax(axis=1)]
         self.tree_ = self._named(class_tree(tree, counts / counts.sum(axis=1, keepdims=True)))
         return self
 
-    def _initial_tree(self, X: NDArray[Any], labels: IntArray, random_state: np.random.RandomState) -> ObliqueTree:
+    def _initial_tree(
+        self, X: NDArray[Any], labels: IntArray, weights: FloatArray, random_state: np.random.RandomState
+    ) -> ObliqueTree:
         if self.init == "cart":
             cart = DecisionTreeClassifier(max_depth=self.max_depth, random_state=random_state)
-            return from_sklearn_tree(cart.fit(X, labels))
+            return from_sklearn_tree(cart.fit(X, labels, weights))
 
         def halve(rows: IntArray) -> Test | None:
             if (labels[rows] == labels[rows[0]]).all():
@@ -157,10 +167,12 @@ class TAOClassifier(GrownClassifier):
 class _Alternation:
     """The tree under way: tests P, v and leaf labels that change, a structure that does not."""
 
-    def __init__(self, X: NDArray[Any], labels: IntArray, start: ObliqueTree, surrogate: Any) -> None:
+    def __init__(
+        self, X: NDArray[Any], labels: IntArray, weights: FloatArray, start: ObliqueTree, surrogate: Any
+    ) -> None:
         is_sparse = np.count_nonzero(X) < _SPARSE_BELOW * X.size
         self._X = sparse.csr_matrix(X, dtype=np.float64) if is_sparse else np.asarray(X, dtype=np.float64)
-        self._labels = labels
+        self._labels, self._weights = labels, weights
         self._start = start
         self._P, self._v = start.P.copy(), start.v.copy()
         self._leaf_labels = np.zeros(start.n_leaves, dtype=np.int64)
@@ -174,9 +186,10 @@ class _Alternation:
         return self._start.replace(P=self._P, v=self._v, M=M, c=values, labels=None, head=Identity())
 
     def loss(self) -> float:
-        """Return the share of training rows that the tree answers wrongly."""
+        """Return the share of training rows, as they are weighted, that the tree answers wrongly."""
         rows = np.arange(len(self._labels))
-        return float((self._answers(0 if len(self._v) else ~0, rows) != self._labels).mean())
+        is_wrong = self._answers(0 if len(self._v) else ~0, rows) != self._labels
+        return float(self._weights[is_wrong].sum() / self._weights.sum())
 
     def run_pass(self) -> None:
         """Set the leaves, then every test from the deepest level to the root, each to the best given the others."""
@@ -201,10 +214,11 @@ class _Alternation:
     def _update_leaves(self, rows: dict[int, IntArray]) -> None:
         for leaf in range(len(self._leaf_labels)):
             if len(rows[~leaf]):
-                self._leaf_labels[leaf] = np.bincount(self._labels[rows[~leaf]]).argmax()
+                mine = rows[~leaf]
+                self._leaf_labels[leaf] = np.bincount(self._labels[mine], self._weights[mine]).argmax()
 
     def _update_test(self, node: int, rows: IntArray) -> None:
-        """Solve the node's reduced problem and keep the solution if it misdirects no more rows than the test does."""
+        """Solve the node's reduced problem and keep the solution if it misdirects no more weight than the test does."""
         labels = self._labels[rows]
         left_right = (self._start.children_left[node], self._start.children_right[node])
         on_left, on_right = (self._answers(int(child), rows) == labels for child in left_right)
@@ -218,14 +232,15 @@ class _Alternation:
         P, v = self._solve(rows, target)
         if not (np.isfinite(P).all() and np.isfinite(v)):
             return
-        n_wrong_now = (self._goes_right(node, rows) != target).sum()
-        if ((self._X[rows] @ P > -v) != target).sum() <= n_wrong_now:
+        weights = self._weights[rows]
+        wrong_now = weights[self._goes_right(node, rows) != target].sum()
+        if weights[(self._X[rows] @ P > -v) != target].sum() <= wrong_now:
             self._P[node], self._v[node] = P, v
 
     def _solve(self, rows: IntArray, target: BoolArray) -> tuple[FloatArray, float]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)
-            self._surrogate.fit(self._X[rows], target)
+            self._surrogate.fit(self._X[rows], target, self._weights[rows])
         return self._surrogate.coef_[0], float(self._surrogate.intercept_[0])
 
     def _goes_right(self, node: int, rows: IntArray) -> BoolArray:

@@ -57,7 +57,16 @@ class LearnerConfig:
 
 
 @dataclass(frozen=True)
-class LinearConfig(LearnerConfig):
+class ClassifierConfig(LearnerConfig):
+    """What the methods have that classify."""
+
+    class_weight: Annotated[str | None, OneOf("balanced"), AsBefore(None)] = (
+        None  # balanced: each class counts the same
+    )
+
+
+@dataclass(frozen=True)
+class LinearConfig(ClassifierConfig):
     """`LinearTreeClassifier` and `LinearTreeRegressor`, the trees of depth 0."""
 
     C: Positive = 0.1
@@ -65,7 +74,7 @@ class LinearConfig(LearnerConfig):
 
 
 @dataclass(frozen=True)
-class CartConfig(LearnerConfig):
+class CartConfig(ClassifierConfig):
     """`CARTClassifier` and `CARTRegressor`."""
 
     max_depth: Count | None = None
@@ -73,7 +82,7 @@ class CartConfig(LearnerConfig):
 
 
 @dataclass(frozen=True)
-class HhcartConfig(LearnerConfig):
+class HhcartConfig(ClassifierConfig):
     """`HHCARTClassifier` and `HHCARTRegressor`."""
 
     max_depth: Annotated[int | None, Range(0)] = None
@@ -81,7 +90,7 @@ class HhcartConfig(LearnerConfig):
 
 
 @dataclass(frozen=True)
-class TaoConfig(LearnerConfig):
+class TaoConfig(ClassifierConfig):
     """`TAOClassifier`."""
 
     max_depth: Count | None = None
@@ -94,7 +103,7 @@ class TaoConfig(LearnerConfig):
 
 
 @dataclass(frozen=True)
-class FirstLayerTreeConfig(LearnerConfig):
+class FirstLayerTreeConfig(ClassifierConfig):
     """`AugTreeClassifier` and `AugTreeRegressor` on the first layer of the network that `method=otr` would train."""
 
     max_depth: Count | None = None
@@ -111,7 +120,7 @@ class ModelTreeConfig(LearnerConfig):
 
 
 @dataclass(frozen=True)
-class LcnConfig(LearnerConfig):
+class LcnConfig(ClassifierConfig):
     """`LCNClassifier` and `LCNRegressor`."""
 
     depth: Count = 6
@@ -125,7 +134,7 @@ class LcnConfig(LearnerConfig):
 
 
 @dataclass(frozen=True)
-class OtrConfig(LearnerConfig):
+class OtrConfig(ClassifierConfig):
     """`OTRClassifier` and `OTRRegressor`."""
 
     hidden: list[Width] = field(default_factory=lambda: [8, 8])

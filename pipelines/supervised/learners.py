@@ -49,8 +49,10 @@ def _loaded(name: str) -> Dataset:
 
 
 def check_learner(method: LearnerConfig, dataset: Dataset) -> None:
-    """Raise ConfigError where the learner has no estimator for the data set's task."""
+    """Raise ConfigError where the learner has no estimator, or no class weights, for the data set's task."""
     _estimator_name(method.learner, dataset)
+    if dataset.task == "regression" and learner_settings(method).get("class_weight"):
+        raise ConfigError(f"method.class_weight is for classes, and {dataset.name} is a regression; leave it out")
 
 
 def usable_labels(dataset: Dataset) -> list[int]:
@@ -87,7 +89,8 @@ def fit_trees(
     oracles: list[list[Any]] = [[None] * len(seeds) for _ in labels]
     if method.learner == "augtree":
         otr_name = _estimator_name("otr", dataset)
-        otr = learner_settings(OtrConfig("otr", "otr", hidden=learner_settings(method)["hidden"]))
+        mine = learner_settings(method)
+        otr = learner_settings(OtrConfig("otr", "otr", hidden=mine["hidden"], class_weight=mine["class_weight"]))
         networks = [est.networks_ for est in _estimators(otr_name, otr, dataset, labels, seeds)]
         oracles = [[of_seed[i] for of_seed in networks] for i in range(len(labels))]
     parameters = _parameters(name, {**learner_settings(method), "n_jobs": n_workers})

@@ -31,11 +31,21 @@ def problem(estimator, n=200, d=5, n_classes=3, seed=0):
     return X, score
 
 
+EXPECTED_TO_FAIL = {
+    "LinearModelTreeRegressor": {
+        "check_sample_weight_equivalence_on_dense_data": "at least 10 rows a leaf, whatever their weights"
+    },
+    "TAOClassifier": {
+        "check_class_weight_classifiers": "the 0/1 loss fits rows of weight 0.0001 where that costs none of weight 1000"
+    },
+}
+
+
 @pytest.mark.parametrize("cls", ESTIMATORS)
 def test_check_estimator(cls):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # checks that scikit-learn skips
-        check_estimator(cls())
+        check_estimator(cls(), expected_failed_checks=EXPECTED_TO_FAIL.get(cls.__name__))
 
 
 @pytest.mark.parametrize("cls", CLASSIFIERS)

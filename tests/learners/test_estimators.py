@@ -26,8 +26,9 @@ from otr.learners.networks.batched_mlp import MlpSettings
 from otr.learners.networks.batched_training import Schedule
 from otr.learners.networks.labels_and_seeds import train_many
 
-CLASSIFIERS = [OTRClassifier(epochs=30), LCNClassifier(), LinearTreeClassifier()]
-REGRESSORS = [OTRRegressor(epochs=30), LCNRegressor(), LinearTreeRegressor()]
+QUICK_LCN = {"epochs": 30, "learning_rate": 0.1}
+CLASSIFIERS = [OTRClassifier(epochs=30), LCNClassifier(**QUICK_LCN), LinearTreeClassifier()]
+REGRESSORS = [OTRRegressor(epochs=30), LCNRegressor(**QUICK_LCN), LinearTreeRegressor()]
 
 
 def not_to_the_last_digit(estimator):
@@ -76,7 +77,7 @@ def test_large_trees_are_held_as_patterns_and_compute_the_same():
 
 
 @pytest.mark.parametrize(
-    "model", [OTRClassifier(random_state=0), LCNClassifier(random_state=0), LinearTreeClassifier()]
+    "model", [OTRClassifier(random_state=0), LCNClassifier(random_state=0, **QUICK_LCN), LinearTreeClassifier()]
 )
 def test_many_classes(model):
     X, y = load_digits(return_X_y=True)

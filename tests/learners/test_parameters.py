@@ -14,7 +14,7 @@ from otr.learners.base.parameters import Widths
 from otr.learners.distillation import Teacher
 from otr.learners.networks.batched_lcn import LcnSettings
 from otr.learners.networks.batched_mlp import MlpSettings
-from otr.learners.networks.batched_training import Schedule
+from otr.learners.networks.batched_training import Schedule, schedule_of
 
 ESTIMATORS = [cls for cls in (getattr(learners, name) for name in learners.__all__) if isinstance(cls, type)]
 OTR = learners.OTRClassifier
@@ -82,6 +82,15 @@ def test_parameters_of_the_same_kind_do_as_well():
         OTR((2, 2), dense=True, epochs=1).fit(X, y).network_.dense
         == OTR((2, 2), dense="all", epochs=1).fit(X, y).network_.dense
     )
+
+
+def test_the_schedule_of_the_defaults():
+    """1,000 steps: two an epoch of 100 rows; and 30 epochs at least."""
+    lcn, otr_ = schedule_of(learners.LCNClassifier(), 100), schedule_of(OTR(), 100)
+    assert (lcn.epochs, lcn.decay_every, lcn.learning_rate) == (500, 167, 0.03)
+    assert (otr_.epochs, otr_.decay_every, otr_.learning_rate) == (500, 167, 0.1)
+    assert schedule_of(learners.LCNRegressor(), 10_000).epochs == 30
+    assert schedule_of(OTR(epochs=7, decay_every=2), 100) == Schedule(epochs=7, decay_every=2)
 
 
 def test_without_hidden_layers_the_network_is_linear():

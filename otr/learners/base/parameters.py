@@ -25,6 +25,7 @@ SHARE = Interval(Real, 0, 1, closed="both")
 BELOW_1 = Interval(Real, 0, 1, closed="left")
 SEED = [AT_LEAST_0, np.random.RandomState, None]
 STANDARDIZE = ["boolean", StrOptions({"auto"})]
+CLASS_WEIGHT = [dict, StrOptions({"balanced"}), None]
 
 
 class Widths(Interval):  # type: ignore[misc]

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from otr.core.arrays import FloatArray
+from otr.learners.base.weights import mean_and_deviation
 
 
 class Problem:
@@ -22,6 +23,8 @@ class Problem:
         self.X, self.loss = X, loss  # (n, d), shifted and scaled by `mean` and `scale`
         self.Y = Y  # (n, L), NaN where missing: 0 and 1 (logistic), class numbers (softmax), standardised (squared)
         self.weights = weights  # (n,), as how many rows each one counts; None for one each
+        # (n, L), the same in the loss of each label, times the weights of its classes
+        self.label_weights = None if weights is None else np.tile(weights[:, None], Y.shape[1])
         self.n_classes = 2  # of the softmax loss
         self.X_valid: FloatArray | None = None  # the same for the rows that choose the epoch
         self.Y_valid: FloatArray | None = None
@@ -44,10 +47,6 @@ class Problem:
 
     def _moments(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean and standard deviation of each column; 1 for the deviation of what is constant up to rounding."""
-        if self.weights is None:
-            mean, deviation = values.mean(axis=0), np.nanstd(values, axis=0)
-        else:
-            mean = np.average(values, axis=0, weights=self.weights)
-            deviation = np.sqrt(np.average((values - mean) ** 2, axis=0, weights=self.weights))
+        mean, deviation = mean_and_deviation(values, self.weights)
         deviation[deviation <= 1e-12 * np.maximum(1.0, np.abs(mean))] = 1.0
         return mean, deviation

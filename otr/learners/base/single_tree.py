@@ -17,6 +17,7 @@ from otr.core.arrays import FloatArray, IntArray
 from otr.core.heads import Argmax
 from otr.core.tree import ObliqueTree
 from otr.learners.base.tree_answers import FLOATS, TreeAnswers
+from otr.learners.base.weights import ClassWeight, class_weighted, counted_rows
 
 
 class _GrownEstimator(TreeAnswers):
@@ -28,6 +29,7 @@ class _GrownEstimator(TreeAnswers):
 class GrownClassifier(ClassifierMixin, _GrownEstimator):  # type: ignore[misc]
     """A classifier whose `tree_` has class shares in its leaves and positions in `classes_` as labels."""
 
+    class_weight: ClassWeight
     classes_: NDArray[Any]
 
     def predict(self, X: ArrayLike) -> NDArray[Any]:
@@ -36,17 +38,20 @@ class GrownClassifier(ClassifierMixin, _GrownEstimator):  # type: ignore[misc]
         return np.asarray(self.classes_[self.tree_.predict(X)])
 
     def predict_proba(self, X: ArrayLike) -> FloatArray:
-        """Return the training shares (n, n_classes) of the classes in each row's leaf."""
+        """Return the training shares (n, n_classes) of the classes in each row's leaf, of rows as they are weighted."""
         X = self._checked(X)
         return np.asarray(self.tree_.c[self.tree_.apply(X)])
 
-    def _checked_fit(self, X: ArrayLike, y: ArrayLike) -> tuple[NDArray[Any], IntArray]:
-        """Return X and, for each row, the position of its class in `classes_`, which is set here."""
+    def _checked_fit(
+        self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None
+    ) -> tuple[NDArray[Any], IntArray, FloatArray | None]:
+        """Return the rows that count, each one's position of its class in `classes_`, which is set here, and weight."""
         self._validate_params()
         checked, classes = validate_data(self, X, y, dtype=FLOATS)
         check_classification_targets(classes)
+        checked, classes, weights = counted_rows(checked, classes, sample_weight)
         self.classes_, labels = np.unique(classes, return_inverse=True)
-        return checked, labels
+        return checked, labels, class_weighted(weights, self.class_weight, classes)
 
 
 class GrownRegressor(MultiOutputMixin, RegressorMixin, _GrownEstimator):  # type: ignore[misc]
@@ -60,13 +65,15 @@ class GrownRegressor(MultiOutputMixin, RegressorMixin, _GrownEstimator):  # type
         values = self.tree_.predict(X)
         return np.asarray(values[:, 0] if self._is_flat else values)
 
-    def _checked_fit(self, X: ArrayLike, y: ArrayLike) -> tuple[NDArray[Any], FloatArray]:
-        """Return X and the targets (n, o) as float64."""
+    def _checked_fit(
+        self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None
+    ) -> tuple[NDArray[Any], FloatArray, FloatArray | None]:
+        """Return the rows that count, their targets (n, o) as float64, and weights."""
         self._validate_params()
         checked, values = validate_data(self, X, y, dtype=FLOATS, multi_output=True, y_numeric=True)
         targets: FloatArray = np.asarray(values, dtype=np.float64)
         self._is_flat = targets.ndim == 1
-        return checked, targets.reshape(len(targets), -1)
+        return counted_rows(checked, targets.reshape(len(targets), -1), sample_weight)
 
 
 def class_tree(tree: ObliqueTree, shares: FloatArray) -> ObliqueTree:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.base import ClassifierMixin, RegressorMixin
 from sklearn.utils import check_array, check_random_state
 from sklearn.utils.multiclass import check_classification_targets, type_of_target
-from sklearn.utils.validation import _check_sample_weight, check_is_fitted, column_or_1d, validate_data
+from sklearn.utils.validation import check_is_fitted, column_or_1d, validate_data
 
 from otr.core.arrays import FloatArray
 from otr.core.pattern_tree import PatternTree
@@ -24,6 +24,7 @@ from otr.core.pruning import prune_unreached
 from otr.core.tree import ObliqueTree
 from otr.learners.base.problem import Problem
 from otr.learners.base.tree_answers import TreeAnswers
+from otr.learners.base.weights import ClassWeight, class_weighted, counted_rows
 
 Validation = tuple[ArrayLike, ArrayLike] | None
 Thing = TypeVar("Thing")
@@ -52,11 +53,12 @@ class TreeLearner(TreeAnswers, ABC):
                 missing, or of several targets.
             sample_weight: (n,), 0 or more: as how many rows each one counts in the loss and in standardising; None for
                 one each. Networks take them in the mean over mini-batches, and exactly where all rows are one batch.
+                A classifier's `class_weight` multiplies them in the loss of each label, by the label's own classes.
             validation: (X, y) of rows on which the best epoch is chosen; without, the last is kept.
 
         Raises:
-            ValueError: a parameter that is not what it may be, y of one class only, shapes that do not agree, or
-                weights that are negative or all 0.
+            ValueError: a parameter that is not what it may be, y of one class only, shapes that do not agree,
+                weights that are negative or all 0, or those of classes that are none.
         """
         self._fit_problem(self._problem(X, y, sample_weight, validation))
         return self
@@ -93,12 +95,6 @@ class TreeLearner(TreeAnswers, ABC):
         check_is_fitted(self)
         rows = validate_data(self, X, dtype=np.float64, reset=False)
         return np.stack([tree.forward(rows) for tree in self.trees_], axis=1)
-
-    def _weights(self, sample_weight: ArrayLike | None, X: FloatArray) -> FloatArray | None:
-        """Return the rows' weights (n,), or None for one each."""
-        if sample_weight is None:
-            return None
-        return np.asarray(_check_sample_weight(sample_weight, X, dtype=np.float64, ensure_non_negative=True))
 
     def _standardised(self, problem: Problem, validation: Validation, encoded_valid: FloatArray | None) -> Problem:
         """Return the problem with its validation rows, inputs and targets shifted and scaled as is asked."""
@@ -178,6 +174,7 @@ class TreeClassifier(ClassifierMixin, TreeLearner):  # type: ignore[misc]
     Multi-label targets are 0 and 1, (n, L); NaN is a missing label, and its row is left out for that label.
     """
 
+    class_weight: ClassWeight
     classes_: NDArray[Any]
 
     def _problem(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None, validation: Validation) -> Problem:
@@ -189,24 +186,38 @@ class TreeClassifier(ClassifierMixin, TreeLearner):  # type: ignore[misc]
             rows = validate_data(self, X, dtype=np.float64)
             encode = self._encode_labels
             Y = encode(y)
+            if len(Y) != len(rows):
+                raise ValueError(f"X has {len(rows)} rows and y {len(Y)}")
+            rows, Y, weights = counted_rows(rows, Y, sample_weight)
             self.classes_ = np.arange(Y.shape[1])
         else:
             rows, labels = validate_data(self, X, y, dtype=np.float64)
             labels = column_or_1d(labels, warn=True)
             check_classification_targets(labels)
+            rows, labels, weights = counted_rows(rows, labels, sample_weight)
             self.classes_ = np.unique(labels)
             if len(self.classes_) < 2:
                 only_class = self.classes_.tolist()[0]
                 raise ValueError(f"y has the one class {only_class!r}; a classifier needs at least two classes")
             encode = self._encode_classes
             Y = encode(labels)
-        if len(Y) != len(rows):
-            raise ValueError(f"X has {len(rows)} rows and y {len(Y)}")
         self.multilabel_ = multilabel
         loss: Any = "softmax" if not multilabel and len(self.classes_) > 2 else "logistic"
-        problem = Problem(rows, Y, loss, self._weights(sample_weight, rows))
+        problem = Problem(rows, Y, loss, weights)
         problem.n_classes = len(self.classes_)
+        if self.class_weight is not None:
+            problem.label_weights = self._label_weights(problem.weights, Y)
         return self._standardised(problem, validation, None if validation is None else encode(validation[1]))
+
+    def _label_weights(self, weights: FloatArray | None, Y: FloatArray) -> FloatArray:
+        """Return the weights (n, L) of the rows of each label, 0 where it is missing."""
+        by_label = np.zeros(Y.shape)
+        for column, of_label in zip(Y.T, by_label.T, strict=True):
+            present = ~np.isnan(column)
+            labels = column[present].astype(np.int64)
+            names = labels if self.multilabel_ else self.classes_[labels]
+            of_label[present] = class_weighted(None if weights is None else weights[present], self.class_weight, names)
+        return by_label
 
     def _encode_labels(self, y: ArrayLike) -> FloatArray:
         Y: FloatArray = check_array(y, dtype=np.float64, ensure_all_finite="allow-nan", input_name="y")
@@ -266,7 +277,8 @@ class TreeRegressor(RegressorMixin, TreeLearner):  # type: ignore[misc]
         encoded = None
         if validation is not None:
             encoded = check_array(validation[1], ensure_2d=False, dtype=np.float64, input_name="y of validation")
-        problem = Problem(rows, _columns(targets), "squared", self._weights(sample_weight, rows))
+        rows, targets, weights = counted_rows(rows, targets, sample_weight)
+        problem = Problem(rows, _columns(targets), "squared", weights)
         return self._standardised(problem, validation, None if encoded is None else _columns(encoded))
 
     def predict(self, X: ArrayLike) -> FloatArray:

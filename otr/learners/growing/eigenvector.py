@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -20,36 +21,52 @@ _ZERO = 1e-24
 _CHUNK_ENTRIES = 2**20
 
 
-def dominant_direction(X: NDArray[Any], random_state: np.random.RandomState) -> tuple[float, FloatArray]:
+def dominant_direction(
+    X: NDArray[Any], random_state: np.random.RandomState, weights: FloatArray | None = None
+) -> tuple[float, FloatArray]:
     """Return the largest eigenvalue of the covariance of X (n, d) and its unit eigenvector (d,).
 
     Lanczos (ARPACK) on ``v -> (X - mean)^T (X - mean) v / n``: O(n d) for each of some tens of products, and O(n + d)
     memory beside X; `random_state` draws the start. Where n or d is small, the smaller Gram matrix is formed instead.
-    The largest entry in absolute value is positive, so that the sign is determined.
+    The largest entry in absolute value is positive, so that the sign is determined. Mean and covariance count a row as
+    its weight, `weights` (n,) above 0; None for one each.
     """
     n, d = X.shape
-    mean = X.mean(axis=0, dtype=np.float64)
+    shares = None if weights is None else weights / weights.sum()
+    mean = X.mean(axis=0, dtype=np.float64) if shares is None else _times(shares, X)
     zero = _ZERO * float(mean @ mean)
-    if _total_variance(X, mean) <= zero:
+    if _total_variance(X, mean, shares) <= zero:
         return 0.0, np.eye(1, d)[0]
     if min(n, d) <= _MAX_GRAM:
-        value, vector = _by_gram(np.asarray(X - mean, dtype=np.float64))
+        value, vector = _by_gram(np.asarray(X - mean, dtype=np.float64), shares)
     else:
-        value, vector = _by_lanczos(X, mean, random_state)
+        value, vector = _by_lanczos(X, mean, shares, random_state)
     if value <= zero:
         return 0.0, np.eye(1, d)[0]
     vector = vector / np.linalg.norm(vector) * np.sign(vector[np.abs(vector).argmax()])
     return value, vector
 
 
-def _total_variance(X: NDArray[Any], mean: FloatArray) -> float:
+def _chunks(X: NDArray[Any]) -> Iterator[slice]:
     chunk = max(1, _CHUNK_ENTRIES // X.shape[1])
-    parts = (X[start : start + chunk] - mean for start in range(0, len(X), chunk))
-    return sum(float(np.square(part).sum()) for part in parts) / len(X)
+    return (slice(start, start + chunk) for start in range(0, len(X), chunk))
 
 
-def _by_gram(centred: FloatArray) -> tuple[float, FloatArray]:
+def _times(shares: FloatArray, X: NDArray[Any]) -> FloatArray:
+    """Return shares @ X in float64 without a float64 copy of all of X."""
+    return np.asarray(sum(shares[part] @ X[part].astype(np.float64) for part in _chunks(X)))
+
+
+def _total_variance(X: NDArray[Any], mean: FloatArray, shares: FloatArray | None) -> float:
+    if shares is None:
+        return sum(float(np.square(X[part] - mean).sum()) for part in _chunks(X)) / len(X)
+    return sum(float((shares[part] @ np.square(X[part] - mean)).sum()) for part in _chunks(X))
+
+
+def _by_gram(centred: FloatArray, shares: FloatArray | None) -> tuple[float, FloatArray]:
     n, d = centred.shape
+    if shares is not None:
+        centred = centred * np.sqrt(n * shares)[:, None]
     last = min(n, d) - 1
     gram = centred.T @ centred if d <= n else centred @ centred.T
     values, vectors = eigh(gram, subset_by_index=[last, last])
@@ -57,13 +74,17 @@ def _by_gram(centred: FloatArray) -> tuple[float, FloatArray]:
     return max(float(values[0]), 0.0) / n, vector
 
 
-def _by_lanczos(X: NDArray[Any], mean: FloatArray, random_state: np.random.RandomState) -> tuple[float, FloatArray]:
+def _by_lanczos(
+    X: NDArray[Any], mean: FloatArray, shares: FloatArray | None, random_state: np.random.RandomState
+) -> tuple[float, FloatArray]:
     n, d = X.shape
 
     def covariance_times(vector: FloatArray) -> FloatArray:
         vector = vector.ravel()
         image = X @ vector.astype(X.dtype, copy=False)
         image = np.asarray(image, dtype=np.float64) - mean @ vector
+        if shares is not None:
+            image = image * (n * shares)
         back = np.asarray(image.astype(X.dtype, copy=False) @ X, dtype=np.float64)
         return np.asarray((back - image.sum() * mean) / n)
 

@@ -33,6 +33,7 @@ def best_split(
     Y: FloatArray,
     *,
     normal: FloatArray | None = None,
+    weights: FloatArray | None = None,
     min_samples_leaf: int = 1,
     random_state: np.random.RandomState,
     n_jobs: int | None = None,
@@ -41,10 +42,12 @@ def best_split(
 
     The impurity of rows is ``sum |Y - mean(Y)|^2``: the squared error for targets Y, the Gini impurity times the number
     of rows for Y one-hot, and half of that for two classes in one column of 0 and 1. With Y centred at the node and S
-    the sums on the left, a split of n rows into p and n - p lowers it by ``|S|^2 (1 / p + 1 / (n - p))``.
+    the sums on the left, a split of n rows into p and n - p lowers it by ``|S|^2 (1 / p + 1 / (n - p))``. All of these
+    count a row as its weight, but `min_samples_leaf` counts rows, as in scikit-learn.
 
-    X is (n, d), Y (n, o); u is `normal` (d,), of unit length, or None for the columns as they are. `random_state`
-    decides between columns of equal gain, and the number of threads `n_jobs` changes nothing.
+    X is (n, d), Y (n, o); u is `normal` (d,), of unit length, or None for the columns as they are; `weights` (n,) are
+    above 0, None for one each. `random_state` decides between columns of equal gain, and the number of threads `n_jobs`
+    changes nothing.
 
     Cost: O(d n log n), a sort of each column. The columns come in blocks, so each thread needs some tens of MB beside
     X, or a few dozen numbers a row where there are more than 2**18 rows.
@@ -52,47 +55,68 @@ def best_split(
     n, d = X.shape
     if n < 2 * min_samples_leaf:
         return None
-    Y = Y - Y.mean(axis=0)
+    Y, impurity = _centred(Y, weights)
     shift = None if normal is None else _product(X, normal)
     width = max(1, _BLOCK_ENTRIES // n)
     blocks = [slice(start, min(start + width, d)) for start in range(0, d, width)]
     found = Parallel(n_jobs=n_jobs, prefer="threads")(
-        delayed(_best_of_each)(X[:, block], None if normal is None else normal[block], shift, Y, min_samples_leaf)
+        delayed(_best_of_each)(
+            X[:, block], None if normal is None else normal[block], shift, Y, weights, min_samples_leaf
+        )
         for block in blocks
     )
     gains, thresholds = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return _largest(gains, thresholds, Y, random_state)
+    return _largest(gains, thresholds, impurity, random_state)
 
 
 def best_bit_split(
-    X: NDArray[Any], Y: FloatArray, *, min_samples_leaf: int = 1, random_state: np.random.RandomState
+    X: NDArray[Any],
+    Y: FloatArray,
+    *,
+    weights: FloatArray | None = None,
+    min_samples_leaf: int = 1,
+    random_state: np.random.RandomState,
 ) -> AxisSplit | None:
     """Return what `best_split` does, for X (n, d) of zeros and ones: one product, O(n d o), and no sorts."""
     n, d = X.shape
-    Y = Y - Y.mean(axis=0)
+    Y, impurity = _centred(Y, weights)
     n_right, right = np.zeros(d), np.zeros((Y.shape[1], d))
+    weight_right = n_right if weights is None else np.zeros(d)
     chunk = max(1, _BLOCK_ENTRIES // d)
     for start in range(0, n, chunk):
         part = X[start : start + chunk].astype(np.float64)
         n_right += part.sum(axis=0)
         right += Y[start : start + chunk].T @ part
-    n_left = n - n_right
-    possible = np.minimum(n_left, n_right) >= max(1, min_samples_leaf)
+        if weights is not None:
+            weight_right += weights[start : start + chunk] @ part
+    weight_left = (n if weights is None else weights.sum()) - weight_right
+    possible = np.minimum(n - n_right, n_right) >= max(1, min_samples_leaf)
     gains = np.full(d, -np.inf)
-    gains[possible] = np.square(right).sum(axis=0)[possible] * (1.0 / n_left[possible] + 1.0 / n_right[possible])
-    return _largest(gains, np.full(d, 0.5), Y, random_state)
+    gains[possible] = np.square(right).sum(axis=0)[possible] * (
+        1.0 / weight_left[possible] + 1.0 / weight_right[possible]
+    )
+    return _largest(gains, np.full(d, 0.5), impurity, random_state)
 
 
 def _largest(
-    gains: FloatArray, thresholds: FloatArray, Y: FloatArray, random_state: np.random.RandomState
+    gains: FloatArray, thresholds: FloatArray, impurity: float, random_state: np.random.RandomState
 ) -> AxisSplit | None:
-    """Return the column of the largest gain, drawn among those that tie, or None if all are -inf; Y is centred."""
+    """Return the column of the largest gain, drawn among those that tie, or None if all are -inf."""
     best = gains.max()
     if not np.isfinite(best):
         return None
-    ties = np.flatnonzero(gains >= best - TIE * np.square(Y).sum())
+    ties = np.flatnonzero(gains >= best - TIE * impurity)
     column = int(ties[random_state.randint(len(ties))]) if len(ties) > 1 else int(ties[0])
     return AxisSplit(column, float(thresholds[column]), float(gains[column]))
+
+
+def _centred(Y: FloatArray, weights: FloatArray | None) -> tuple[FloatArray, float]:
+    """Return the rows of Y (n, o) less their mean, times their weights; and their impurity."""
+    centred: FloatArray = Y - np.average(Y, axis=0, weights=weights)
+    if weights is None:
+        return centred, float(np.square(centred).sum())
+    weighted = centred * weights[:, None]
+    return weighted, float((centred * weighted).sum())
 
 
 def _product(X: NDArray[Any], vector: FloatArray) -> FloatArray:
@@ -103,7 +127,12 @@ def _product(X: NDArray[Any], vector: FloatArray) -> FloatArray:
 
 
 def _best_of_each(
-    columns: NDArray[Any], normal: FloatArray | None, shift: FloatArray | None, Y: FloatArray, min_samples_leaf: int
+    columns: NDArray[Any],
+    normal: FloatArray | None,
+    shift: FloatArray | None,
+    Y: FloatArray,
+    weights: FloatArray | None,
+    min_samples_leaf: int,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the best gain (m,) and its threshold (m,) for each of m columns; -inf where a column has no split."""
     Z = np.ascontiguousarray(columns.T, dtype=np.float64)
@@ -118,8 +147,13 @@ def _best_of_each(
         left = target[order].cumsum(axis=1)[:, :-1]
         left *= left
         gains += left
-    n_left = np.arange(1.0, n)
-    gains *= 1.0 / n_left + 1.0 / (n - n_left)
+    if weights is None:
+        weight_left = np.arange(1.0, n)
+        weight_right = n - weight_left
+    else:
+        weight_left = weights[order].cumsum(axis=1)[:, :-1]
+        weight_right = (weights.sum() - weight_left).clip(min=weights.min())
+    gains *= 1.0 / weight_left + 1.0 / weight_right
     gains[equal] = -np.inf
     gains[:, : min_samples_leaf - 1] = -np.inf
     gains[:, n - min_samples_leaf :] = -np.inf

@@ -8,22 +8,36 @@ differs.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 import torch
+from sklearn.base import BaseEstimator
 from torch import Tensor
 from torch.optim.sgd import sgd
 
 from otr.core.arrays import BoolArray, FloatArray, IntArray
 from otr.errors import OtrError
-from otr.learners.base.parameters import AT_LEAST_1, BELOW_1, NOT_NEGATIVE, POSITIVE, SHARE, Constraints, Settings
+from otr.learners.base.parameters import (
+    AT_LEAST_1,
+    BELOW_1,
+    NOT_NEGATIVE,
+    POSITIVE,
+    SHARE,
+    Constraints,
+    Settings,
+    parameters_of,
+)
 from otr.learners.networks.batched_models import PADDED_TO, BatchedModels, Loss, SeedStreams
 from otr.learners.networks.denormals import denormals_as_zero
 from otr.learners.networks.first_layer import InputRows
 from otr.learners.networks.validation_scores import areas_under_curve, negative_losses
+
+# Without `epochs`: fewer steps leave small data sets far from fitted (docs/decisions/supervised.md).
+_LEAST_STEPS, _LEAST_EPOCHS = 1000, 30
 
 
 class DivergedError(OtrError, ArithmeticError):
@@ -78,6 +92,20 @@ class Schedule(Settings):
         return self.learning_rate * self.decay ** (epoch // self.decay_every)
 
 
+def schedule_of(estimator: BaseEstimator, n_rows: int) -> Schedule:
+    """Return the schedule of an estimator's parameters, whose `epochs` and `decay_every` may be None.
+
+    Without epochs there are as many as make 1,000 steps, and 30 at least; without `decay_every` it is a third of them.
+    """
+    settings = parameters_of(estimator, Schedule)
+    if settings["epochs"] is None:
+        steps_of_an_epoch = math.ceil(n_rows / settings["batch_size"])
+        settings["epochs"] = max(_LEAST_EPOCHS, math.ceil(_LEAST_STEPS / steps_of_an_epoch))
+    if settings["decay_every"] is None:
+        settings["decay_every"] = math.ceil(settings["epochs"] / 3)
+    return Schedule(**settings)
+
+
 @dataclass(frozen=True)
 class Fitted:
     """What `train_models` kept."""
@@ -101,7 +129,7 @@ def train_models(
     """Train all S x L models on n rows and keep each at its best epoch by validation score, the first of equals.
 
     Labels Y (n, L) are NaN where missing. A step's loss is the mean over its rows with a label, each weighted by its
-    `sample_weight` (n,), divided by the mean weight of all rows with that label. Labels whose validation rows are of
+    `sample_weight` (n, L), divided by the mean weight of all rows with that label. Labels whose validation rows are of
     one class do not take part in choosing a common epoch, where others do. The score is the area under the ROC curve
     for the logistic loss, or minus the loss where the validation rows of a label are of one class and for the other
     losses. Without validation rows the last epoch is kept. Raise DivergedError if a model's parameters are not finite
@@ -111,7 +139,7 @@ def train_models(
     present = torch.from_numpy((~np.isnan(Y.T)).astype(np.float32))
     counts = present
     if sample_weight is not None:
-        counts = present * torch.from_numpy(sample_weight)
+        counts = present * torch.from_numpy(sample_weight.T)
         counts = (counts * (present.sum(1) / counts.sum(1).clamp_(min=1e-300))[:, None]).float()
     optimiser = _NesterovSgd(models, schedule)
     flats = [parameter.flat for parameter in models.parameters]

@@ -94,7 +94,7 @@ def train_many(
             `otr.learners.distillation.distillation_set` makes them.
         seeds: S integers >= 0.
         settings: `MlpSettings` or `LcnSettings`: kind, shape and training.
-        sample_weight: (n,) >= 0, as how many rows each one counts; None for one each.
+        sample_weight: (n, L) >= 0, as how many rows each one counts in a label's loss; None for one each.
         X_valid, Y_valid: rows that choose each network's best epoch, with labels and no probabilities; without
             them the last is kept.
 

@@ -9,13 +9,14 @@ import pytest
 from sklearn.metrics import roc_auc_score
 
 import otr
-from otr.learners import OTRClassifier
+from otr.learners import CARTClassifier, OTRClassifier
 from pipelines.datasets.load import load_dataset
 from pipelines.engine.job import is_done
 from pipelines.engine.store import read_csv, read_json
 from pipelines.errors import ConfigError
 from pipelines.supervised.fit import fit
 from pipelines.supervised.fit_job import FitJob, fit_job, fit_jobs
+from pipelines.supervised.learners import fit_trees
 from pipelines.supervised.tune import best_of, checkpoint_folder, tune
 
 GRID = [{"max_depth": [1, 2, 5]}]
@@ -134,6 +135,18 @@ def test_done_fits_are_found_again_with_and_without_their_trees(fit_of, capsys):
 def test_a_learner_that_is_not_for_the_task_says_so(fit_of):
     with pytest.raises(ConfigError, match="tao is not for regression, which diabetes is"):
         fit_job(job_of(fit_of("tao", data="diabetes")))
+
+
+def test_class_weights_reach_the_learner(fit_of):
+    dataset = load_dataset("breast_cancer")
+    weighed, plain = (fit_of("cart", max_depth=1, class_weight=w).method for w in ("balanced", None))
+    shares = [fit_trees(method, dataset, [0], [0])[0][0].tree.c for method in (weighed, plain)]
+    X, y = dataset.labelled("train", 0)
+    expected = CARTClassifier(max_depth=1, class_weight="balanced", random_state=0).fit(X, y).tree_.c
+    np.testing.assert_allclose(shares[0], expected)
+    assert np.abs(shares[0] - shares[1]).max() > 0.01
+    with pytest.raises(ConfigError, match="class_weight is for classes, and diabetes is a regression"):
+        fit_job(job_of(fit_of("cart", data="diabetes", class_weight="balanced")))
 
 
 @pytest.mark.parametrize("learner", ["linear", "cart", "hhcart", "augtree", "model_tree", "lcn", "otr"])

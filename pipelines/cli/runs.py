@@ -4,7 +4,6 @@ import copy
 import dataclasses
 import functools
 import re
-import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -30,6 +29,7 @@ from pipelines.engine.store import corrupt
 from pipelines.errors import ConfigError, did_you_mean
 from pipelines.play.environments import check_names, episode_limit, own_environment, registered_ids
 from pipelines.play.video import check_video
+from pipelines.runs.imitation import imitating_command
 from pipelines.runs.run_job import RunJob, run_job, run_jobs
 from pipelines.stages.import_model import read_model
 from pipelines.stages.parse import holds_tree, policy_tree, read_program
@@ -293,11 +293,11 @@ def _model(config: RunConfig, overrides: Sequence[str]) -> tuple[ImportedModel, 
     Raises:
         ConfigError: no policy can be read from it, or the run asks for its tree and it has none; tells how to make one.
     """
-    method, env = config.method, config.env
+    method = config.method
     assert isinstance(method, TakesModel)
     if not method.model:
         raise ConfigError(f"method={method.name}: which model? Add model=FILE")
-    imported = read_model(method.model, method.vec_normalize, env)
+    imported = read_model(method.model, method.vec_normalize, config.env)
     key, given = ("oracle", "oracle=[") if method.imitates else ("depth", "depth=")
     for override in overrides:
         if override.startswith(given):
@@ -310,11 +310,9 @@ def _model(config: RunConfig, overrides: Sequence[str]) -> tuple[ImportedModel, 
             f"{imported.policy.activation}, which has none; leave it out"
         )
     elif "map" in config.selected_stages and not method.imitates:
-        words = [f"env={env.id}", "method=augtree", f"oracle={method.model}", "depth=4"]
-        words += [f"vec_normalize={method.vec_normalize}"] if method.vec_normalize else []
         raise ConfigError(
             f"model={method.model}: its units are {imported.policy.activation}, which no tree is equal to. A tree can "
-            f"imitate it:\n  otr-run {shlex.join(words)}"
+            f"imitate it:\n  {imitating_command(config)}"
         )
     return imported, f"[{','.join(map(str, imported.policy.hidden_widths))}]".replace("[]", "0")
 

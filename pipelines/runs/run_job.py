@@ -10,6 +10,8 @@ from pipelines.config.methods import EXTRA_STAGES
 from pipelines.engine.job import Job, disk_errors_explained, do_stage, failure, write_config, write_summary
 from pipelines.engine.stage import Stage, run_stage_together, stage_status
 from pipelines.engine.store import read_json
+from pipelines.engine.wrapping import columns, fitted
+from pipelines.runs.imitation import advice
 from pipelines.runs.result import show_result
 from pipelines.runs.summary import summarise
 from pipelines.stages.derived import derive, opened_run
@@ -104,6 +106,9 @@ def _run_stages(job: RunJob) -> dict[str, Any] | None:
     write_summary(job, summary)
     unasked = {extra for extra in EXTRA_STAGES if extra not in config.selected_stages}
     with opened_run(config, run_dir) as whole:
-        show_result({key: value for key, value in summary.items() if key not in unasked}, run_dir, whole)
+        shown = {key: value for key, value in summary.items() if key not in unasked}
+        show_result(shown, run_dir, whole)
+        if told := advice(config, shown):
+            print(fitted(told, columns()))
         Tracker(config).finish(summary, whole)
     return summary

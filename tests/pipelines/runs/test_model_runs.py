@@ -149,7 +149,7 @@ def test_a_tanh_policy_is_an_oracle(models):
     words = ("method=augtree", "oracle=tanh.zip", "depth=3")
     refused = otr_command("otr-run", *SMOKE, "model=tanh.zip", cwd=models)
     assert refused.returncode == 2 and refused.stdout == ""
-    assert refused.stderr.endswith("  otr-run env=CartPole-v1 method=augtree oracle=tanh.zip depth=4\n")
+    assert refused.stderr.endswith("  otr-run env=CartPole-v1 method=augtree oracle=tanh.zip depth=3\n")
     done = otr_command("otr-run", *SMOKE, *words, cwd=models)
     assert done.returncode == 0, done.stdout + done.stderr
     (run,) = models.glob("results/runs/CartPole-v1/augtree/depth-3/smoke/seed-0~*")

@@ -1,0 +1,35 @@
+"""The command with which a tree that people can read imitates a policy whose own tree nobody can."""
+
+import shlex
+from collections.abc import Mapping
+from typing import Any
+
+from pipelines.config.methods import TakesModel
+from pipelines.config.run import RunConfig
+
+READABLE_LEAVES = 64  # the lines of a page
+DEPTH = 3  # of the tree that is suggested
+
+
+def imitating_command(config: RunConfig) -> str:
+    """Return the command that makes a tree which imitates the policy that a run imports."""
+    method, env = config.method, config.env
+    assert isinstance(method, TakesModel)
+    words = [f"env={env.id}", *(f"++env.kwargs.{name}={value}" for name, value in env.kwargs.items())]
+    words += ["method=augtree", f"oracle={method.model}", f"depth={DEPTH}"]
+    words += [f"vec_normalize={method.vec_normalize}"] if method.vec_normalize else []
+    return f"otr-run {shlex.join(words)}"
+
+
+def advice(config: RunConfig, summary: Mapping[str, Any]) -> str | None:
+    """Return what to do where the last tree of an imported policy is too large to be read; None where it is not."""
+    if config.imported is None or not config.method.is_mapped or config.method.imitates:
+        return None
+    made = [summary[stage]["n_leaves"] for stage in ("simplify", "polish") if stage in summary]
+    n_leaves = made[0] if made else summary["pruned_leaves"]
+    if n_leaves <= READABLE_LEAVES:
+        return None
+    return (
+        f"A tree of {n_leaves:,} leaves is more than a person reads. A tree of at most {2**DEPTH} leaves can imitate "
+        f"the policy:\n  {imitating_command(config)}"
+    )

@@ -202,7 +202,7 @@ class Chain:
             raise InvalidNetworkError("comes after Clip; nothing but a scale, a shift and a clip may")
         units = self.units | {_UNITS_OF_ENDS[self.end]}
         return replace(self, end="", is_activated=True, units=units, scale=self.half, offset=self.middle,
-                       half=1.0, middle=0.0)  # fmt: skip
+                       half=1.0, middle=0.0, low=-math.inf, high=math.inf)  # fmt: skip
 
     def _require_open(self) -> None:
         if self.end:

@@ -61,16 +61,27 @@ J = TypeVar("J", bound=Job)
 
 def do_stage(job: Job, stage: Stage, derive: Derive | None = None) -> None:
     """Bring a stage of a job up to date, see to the job's config.yaml, and print how long the stage took."""
-    write_config(job)
     result = run_stage(stage, job.run_dir, job.config, job.command, derive)
+    if not (job.run_dir / "config.yaml").exists():
+        write_text(job.run_dir / "config.yaml", job.config_yaml)
     print(f"{stage.name}: {'done before, ' * result.skipped}{duration(result.seconds)}", flush=True)
 
 
 def write_config(job: Job) -> None:
     """Write a job's config.yaml, so that a job under way can be looked at; anew while no stage of it is finished."""
     path = job.run_dir / "config.yaml"
-    if not path.exists() or not (archive_files(job.run_dir) or any(job.run_dir.glob(f"[!.]*/{MANIFEST}"))):
+    if not path.exists() or not _has_finished_a_stage(job):
         write_text(path, job.config_yaml)
+
+
+def withdraw_config(job: Job) -> None:
+    """Take config.yaml away from a job that was refused before a stage of it was finished."""
+    if not _has_finished_a_stage(job):
+        (job.run_dir / "config.yaml").unlink(missing_ok=True)
+
+
+def _has_finished_a_stage(job: Job) -> bool:
+    return bool(archive_files(job.run_dir)) or any(job.run_dir.glob(f"[!.]*/{MANIFEST}"))
 
 
 def write_summary(job: Job, summary: dict[str, Any]) -> None:

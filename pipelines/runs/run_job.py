@@ -7,10 +7,19 @@ from functools import partial
 from typing import Any, Self
 
 from pipelines.config.methods import EXTRA_STAGES
-from pipelines.engine.job import Job, disk_errors_explained, do_stage, failure, write_config, write_summary
+from pipelines.engine.job import (
+    Job,
+    disk_errors_explained,
+    do_stage,
+    failure,
+    withdraw_config,
+    write_config,
+    write_summary,
+)
 from pipelines.engine.stage import Stage, run_stage_together, stage_status
 from pipelines.engine.store import read_json
 from pipelines.engine.wrapping import columns, fitted
+from pipelines.errors import ConfigError
 from pipelines.runs.imitation import advice
 from pipelines.runs.result import show_result
 from pipelines.runs.summary import summarise
@@ -99,7 +108,13 @@ def _run_stages(job: RunJob) -> dict[str, Any] | None:
             announce_training([config])
         if stage.name == "polish" and stage_status(stage, run_dir / "polish", config) == "missing":
             announce_polish(config)
-        do_stage(job, stage, partial(derive, config))
+        if stage.checkpoints:
+            write_config(job)
+        try:
+            do_stage(job, stage, partial(derive, config))
+        except ConfigError:
+            withdraw_config(job)
+            raise
     if job.ends_with not in config.selected_stages:
         return None
     summary = summarise(config, run_dir)

@@ -37,7 +37,10 @@ READ = {
     "mlp": (mlp(), THREE),
     "mlp of two classes behind a scaler": (make_pipeline(StandardScaler(), mlp()), TWO),
     "stochastic gradient": (mlp(MLPRegressor, solver="sgd", learning_rate_init=1e-4), TARGETS),
-    "several scalers": (make_pipeline(StandardScaler(with_mean=False), MaxAbsScaler(), RobustScaler(), mlp()), THREE),
+    "several scalers": (
+        make_pipeline(StandardScaler(with_mean=False), MaxAbsScaler(), RobustScaler(), mlp(max_iter=300)),
+        THREE,
+    ),
     "range": (make_pipeline(MinMaxScaler((-1, 3)), "passthrough", mlp(MLPRegressor)), TARGETS[:, 0]),
     "mean alone": (make_pipeline(StandardScaler(with_std=False), LogisticRegression()), TWO),
     "logistic regression": (LogisticRegression(), THREE),

@@ -69,7 +69,7 @@ def test_arguments_decide_the_kind_of_actions():
     [
         (("env=cartpole",), "there is no such environment. Did you mean CartPole-v1"),
         (("env=xyzzy",), "besides, any registered id, as CartPole-v1$"),
-        (("env=Cart-v0",), "Where a module of yours registers it: env=my_module:Cart-v0"),
+        (("env=Kart-v0",), "Where a module of yours registers it: env=my_module:Kart-v0"),
         (("env=CartPole-v7",), "Did you mean CartPole-v1"),
         (("env=no_such_module:Cart-v0",), "module no_such_module cannot be imported: there is no such module"),
         ((f"env={MODULE}:Card-v0",), f"Environment `Card` doesn't exist. Did you mean {MODULE}:Cart-v0"),

@@ -4,8 +4,6 @@ Returns of training runs are few and spread wide, so an interval is given from f
 al. 2021, "Deep reinforcement learning at the edge of the statistical precipice", whose other measures these are).
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import stats
@@ -80,18 +78,6 @@ def paired_difference(ours: ArrayLike, theirs: ArrayLike) -> tuple[float, Interv
         raise ValueError(f"{first.shape[1]} starts of ours, {second.shape[1]} of theirs; give the same starts")
     differences = first.mean(axis=0) - second.mean(axis=0)
     return float(differences.mean()), mean_interval(differences)
-
-
-def performance_profile(scores: Sequence[ArrayLike], thresholds: ArrayLike) -> np.ndarray:
-    """Return the share of runs whose score is above each threshold, (t,): the mean over tasks of each task's share.
-
-    Args:
-        scores: for each task the normalised scores of its runs.
-        thresholds: (t,).
-    """
-    taus = np.asarray(thresholds, dtype=float)
-    profile: np.ndarray = np.mean([(_known(runs)[:, None] > taus).mean(axis=0) for runs in scores], axis=0)
-    return profile
 
 
 def _known(values: ArrayLike) -> np.ndarray:

@@ -9,7 +9,6 @@ from pipelines.report.statistics import (
     interquartile_mean,
     mean_interval,
     paired_difference,
-    performance_profile,
     probability_of_improvement,
 )
 
@@ -67,8 +66,3 @@ def test_pairing_takes_out_what_a_start_is_worth():
     assert (low, high) == pytest.approx((2.0 - 0.199412, 2.0 + 0.199412), abs=1e-4)
     with pytest.raises(ValueError, match="100 starts of ours, 99 of theirs"):
         paired_difference(ours, theirs[:, :99])
-
-
-def test_a_profile_is_the_mean_of_the_tasks_shares():
-    profile = performance_profile([[0.0, 1.0], [0.5, 0.5, 2.0, 2.0]], [-1.0, 0.5, 1.5])
-    np.testing.assert_allclose(profile, [1.0, (1 / 2 + 1 / 2) / 2, (0 + 1 / 2) / 2])

@@ -6,6 +6,7 @@ selection episodes. Of each trainer the runs with the most steps are shown.
     python -m benchmarks.search_curves     draws the picture anew with the rates in results/benchmarks/search.json
 """
 
+import argparse
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -29,6 +30,9 @@ PEERS = {"sb3": "Stable-Baselines3 SAC, one run", "fleet": "fleet's SAC, ten run
 
 def main() -> None:
     """Draw the picture anew."""
+    argparse.ArgumentParser(
+        "benchmarks.search_curves", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    ).parse_args()
     entries = [entry for entry in read_json(output_dir(quick=False) / "search.json") if entry["name"] == RATES]
     rates = {"ars": entries[0]["value"]}
     by_peer = {entry["peer"]: entry["peer_value"] for entry in entries}

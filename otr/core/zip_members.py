@@ -14,7 +14,7 @@ from otr.errors import ArtefactError
 
 LIMIT_BYTES = 2**28
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # the others unpack a chunk without a limit
-_BROKEN = (OSError, ValueError, EOFError, RuntimeError, OverflowError, struct.error, zipfile.BadZipFile, zlib.error)
+_BROKEN = (OSError, ValueError, EOFError, RuntimeError, OverflowError, struct.error, zlib.error)
 
 
 def read_members(
@@ -37,6 +37,9 @@ def read_members(
                 yield member.filename, _read(archive, member, label)
     except FileNotFoundError:
         raise
+    except zipfile.BadZipFile as error:
+        what = "it is cut off or changed: write it again" if _starts_as_zip(file) else "is it the right file?"
+        raise ArtefactError(f"{label} cannot be read ({error}); {what}") from error
     except _BROKEN as error:
         raise ArtefactError(f"{label} cannot be read ({error}); it is cut off or changed: write it again") from error
 
@@ -71,6 +74,14 @@ def _checked(
             "yours, write it again without compression"
         )
     return members
+
+
+def _starts_as_zip(file: Path | IO[bytes]) -> bool:
+    if isinstance(file, Path):
+        with file.open("rb") as opened:
+            return opened.read(2) == b"PK"
+    file.seek(0)
+    return file.read(2) == b"PK"
 
 
 def _size(archive: zipfile.ZipFile) -> int:

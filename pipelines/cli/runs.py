@@ -29,7 +29,7 @@ from pipelines.engine.store import corrupt
 from pipelines.errors import ConfigError, did_you_mean
 from pipelines.play.environments import check_names, episode_limit, own_environment, registered_ids
 from pipelines.play.video import check_video
-from pipelines.runs.imitation import imitating_command
+from pipelines.runs.imitation import OTHERS, imitating_command
 from pipelines.runs.run_job import RunJob, run_job, run_jobs
 from pipelines.stages.import_model import read_model
 from pipelines.stages.parse import holds_tree, policy_tree, read_program
@@ -311,8 +311,8 @@ def _model(config: RunConfig, overrides: Sequence[str]) -> tuple[ImportedModel, 
         )
     elif "map" in config.selected_stages and not method.imitates:
         raise ConfigError(
-            f"model={method.model}: its units are {imported.policy.activation}, which no tree is equal to. A tree can "
-            f"imitate it:\n  {imitating_command(config)}"
+            f"model={method.model}: its units are {imported.policy.activation}, which no tree is equal to. Of the "
+            f"methods that imitate it, {OTHERS}; augtree makes a tree:\n  {imitating_command(config)}"
         )
     return imported, f"[{','.join(map(str, imported.policy.hidden_widths))}]".replace("[]", "0")
 

@@ -2,7 +2,9 @@
 
 import dataclasses
 import errno
+import re
 import shlex
+import sysconfig
 import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
@@ -11,12 +13,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
 
+import otr
 from otr import OtrError
 from pipelines.engine.archive import MANIFEST, Derive, verified_manifest
 from pipelines.engine.console import duration
 from pipelines.engine.stage import Stage, run_stage, stage_key, stage_status
 from pipelines.engine.store import archive_files, exists, write_json, write_text
 from pipelines.errors import PipelineError
+
+# Where code lies that is not a user's: these packages, Python's and what pip installs.
+_INSTALLED = (Path(__file__).parents[1], Path(otr.__file__).parent, *map(Path, sysconfig.get_paths().values()))
 
 
 @dataclass(frozen=True)
@@ -135,7 +141,21 @@ def _is_stage_done(job: Job, stage: Stage, gone: set[str]) -> bool:
 
 def message_of(error: Exception) -> str:
     """Return the message alone where it was written for people, with the error's kind where it was not."""
-    return str(error) if isinstance(error, PipelineError | OtrError) else f"{type(error).__name__}: {error}"
+    if isinstance(error, PipelineError | OtrError):
+        return str(error)
+    return f"{type(error).__name__}: {error}{_place_of(error)}"
+
+
+def _place_of(error: Exception) -> str:
+    """Return where an error came up in code that is neither ours nor installed, as a user's own environment is."""
+    text = "".join(traceback.format_exception(error))  # has the frames of another process, too
+    frames = re.findall(r'File "([^"<>]+)", line (\d+), in (\S+)', text)
+    own = [frame for frame in frames if not _is_installed(Path(frame[0]))]
+    return f" ({own[-1][0]}, line {own[-1][1]}, in {own[-1][2]})" if own else ""
+
+
+def _is_installed(path: Path) -> bool:
+    return any(path.is_relative_to(folder) for folder in _INSTALLED)
 
 
 def record_failure(job: Job, error: BaseException, sweep: str) -> str:

@@ -84,9 +84,18 @@ def write_video(tree: otr.ObliqueTree, env_config: EnvConfig, seed: int, path: P
 
 
 def check_video(config: RunConfig) -> None:
-    """Raise ConfigError where an MP4 is asked for and the package that writes it is not installed."""
+    """Raise ConfigError where an MP4's package is missing, or the environment cannot be rendered: a frame is tried."""
     if "mp4" in config.selected_stages and not find_spec("imageio_ffmpeg"):
         raise ConfigError("mp4=true needs the extra mp4: pip install 'otr[mp4]'; video=true writes a GIF without it")
+    if {"video", "mp4"} & set(config.selected_stages):
+        env = _renderable(config.env)
+        try:
+            env.reset(seed=0)
+            _rendered(env, config.env)
+        except PipelineError as error:
+            raise ConfigError(str(error)) from error
+        finally:
+            env.close()
 
 
 @contextmanager
@@ -142,6 +151,12 @@ def _renderable(env_config: EnvConfig) -> Any:
     if is_mujoco and sys.platform == "linux" and not os.environ.get("DISPLAY"):
         os.environ.setdefault("MUJOCO_GL", "egl")
     kwargs = {**env_config.kwargs, "render_mode": "rgb_array"} | (MUJOCO_SIZE if is_mujoco else {})
+    modes = make_env(env_config).metadata.get("render_modes", [])
+    if "rgb_array" not in modes:
+        raise ConfigError(
+            f"video: {env_config.id} renders {', '.join(modes) or 'nothing'}, and a video needs rgb_array: give the "
+            'environment metadata["render_modes"] with it and a render_mode, or leave video=true and mp4=true out'
+        )
     env: Any = make_env(dataclasses.replace(env_config, kwargs=kwargs))
     if is_mujoco:
         import mujoco
@@ -161,8 +176,8 @@ def _rendered(env: Any, env_config: EnvConfig) -> np.ndarray:
     except Exception as error:  # whatever a renderer or a driver fails with
         raise PipelineError(
             f"video: {env_config.id} cannot be rendered here ({type(error).__name__}: {error}). MuJoCo needs "
-            "OpenGL: MUJOCO_GL=egl with a GPU's driver or Mesa, MUJOCO_GL=osmesa with libosmesa, or a screen. All "
-            "other stages are done and kept"
+            "OpenGL: MUJOCO_GL=egl with a GPU's driver or Mesa, MUJOCO_GL=osmesa with libosmesa, or a screen. Without "
+            "video=true or mp4=true all else is done; the same command with it adds the video later"
         ) from error
     return np.asarray(shown)
 

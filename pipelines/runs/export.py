@@ -15,7 +15,7 @@ import otr
 from pipelines.config.methods import EXTRA_STAGES, ProgramConfig
 from pipelines.config.run import RunConfig
 from pipelines.config.setting import Folder, FreeText, OneOf, Range, check_settings
-from pipelines.engine.archive import MANIFEST, verified_manifest
+from pipelines.engine.archive import MANIFEST, read_manifest, verified_manifest
 from pipelines.engine.seeding import episode_seeds
 from pipelines.engine.store import exists
 from pipelines.errors import ConfigError, MissingInputError, PipelineError, did_you_mean
@@ -161,6 +161,15 @@ def run_command(folder: Path) -> str | None:
     return f"otr-run {' '.join(overrides)}{' and the settings that made the digest ~' + digest if digest else ''}"
 
 
+def _command_of(folder: Path, stage: str) -> str:
+    """Return the command that made a run: that of its path, or where the path has a digest the recorded one."""
+    command = run_command(folder)
+    recorded = read_manifest(folder / stage)["command"] if exists(folder / stage / MANIFEST) else ""
+    if command and "~" not in folder.name:
+        return command
+    return recorded if recorded.startswith("otr-run ") else command or "the command that made the run"
+
+
 def program_of(config: ExportConfig, run: RunConfig, policy: Any) -> str | bytes:
     """Return a policy as the program that was asked for, as text, or as bytes where the format is not text.
 
@@ -233,7 +242,7 @@ def tree_of(form: str, run: RunConfig, folder: Path) -> Any:
         extra = f" {stage}=true" if stage in EXTRA_STAGES else ""
         raise MissingInputError(
             f"{folder}: stage {stage}, which makes tree={form}, is not finished there\nRun: "
-            f"{run_command(folder.absolute()) or 'the command that made the run'}{extra}"
+            f"{_command_of(folder.absolute(), run.method.actor_stage)}{extra}"
         )
     verified_manifest(folder / stage)
     if form == "compact":

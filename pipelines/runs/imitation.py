@@ -9,6 +9,7 @@ from pipelines.config.run import RunConfig
 
 READABLE_LEAVES = 64  # the lines of a page
 DEPTH = 3  # of the tree that is suggested
+OTHERS = "viper, lm_viper and ndps make trees of other kinds, distilled_otr a small network whose tree is exact"
 
 
 def imitating_command(config: RunConfig) -> str:
@@ -30,6 +31,6 @@ def advice(config: RunConfig, summary: Mapping[str, Any]) -> str | None:
     if n_leaves <= READABLE_LEAVES:
         return None
     return (
-        f"A tree of {n_leaves:,} leaves is more than a person reads. A tree of at most {2**DEPTH} leaves can imitate "
-        f"the policy:\n  {imitating_command(config)}"
+        f"A tree of {n_leaves:,} leaves is more than a person reads. Of the methods that imitate the policy, {OTHERS}; "
+        f"augtree makes a tree of at most {2**DEPTH} leaves:\n  {imitating_command(config)}"
     )

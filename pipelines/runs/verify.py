@@ -67,8 +67,8 @@ def verify_run(config: VerifyConfig, run: RunConfig, folder: Path) -> str:
     whose = "the environment's box of states" if limits else "the box of the certificate"
     return (
         f"verified: {certificate.n_leaves:,} leaves, {certificate.n_regions:,} regions of the network; on {whose}, "
-        f"{_box(domain)}, tree and network differ by at most {bound:.3g} at every real "
-        "point (in rational arithmetic)"
+        f"{_box(domain)}, tree and network {_alike(bound)} at every real point "
+        "(in rational arithmetic)"
     )
 
 
@@ -76,6 +76,11 @@ def certified_stage(run: RunConfig, folder: Path) -> str:
     """Return the stage of a run whose actor its certificate is of: polish after polish=true, else train or import."""
     report = read_json(folder / "certify" / "report.json")
     return "polish" if report.get("policy") == "polished" else run.method.actor_stage
+
+
+def _alike(bound: float) -> str:
+    """Return how far apart two policies may be, in words."""
+    return f"differ by at most {bound:.3g}" if bound else "are equal"
 
 
 def _box(domain: otr.Domain) -> str:
@@ -117,7 +122,7 @@ def compared(
         if isinstance(other, otr.ReluNetwork):
             certificate = otr.certify(tree, other, domain, max_error=bound)
             otr.verify(certificate, tree, other)
-            return Answer(True, f"proved: the program and {what} differ by at most {certificate.max_error:.3g}{before}")
+            return Answer(True, f"proved: the program and {what} {_alike(certificate.max_error)}{before}")
         verdict = otr.find_difference(tree, other, domain, max_difference=bound)
     except otr.CertificateError as error:
         if error.state is None:
@@ -127,7 +132,7 @@ def compared(
         raise ConfigError(f"the program and {what} cannot be compared: {error}") from error
     else:
         if verdict.state is None:
-            size = f"differ by at most {verdict.value:.3g}{before}"
+            size = f"{_alike(verdict.value)}{before}"
             return Answer(True, f"proved: the program and {what} {size if tree.labels is None else 'answer alike'}")
         state = verdict.state
     place = in_words(feature_names(env, len(state)), state)

@@ -122,6 +122,6 @@ class TrainingProgress(TrainingDisplay):
         mark = " (best so far)" if evaluation["best"] else ""
         self.at_step(steps)
         self.say(
-            f"step {steps:,}/{self.n_steps:,}  {progress['steps_per_s']:,.0f} steps/s  "
+            f"step {steps:,}/{max(steps, self.n_steps):,}  {progress['steps_per_s']:,.0f} steps/s  "
             f"{self.time_left(self.n_steps - steps)}  return {evaluation['return_mean']:.1f}{mark}"
         )

@@ -113,7 +113,8 @@ def test_files_that_are_refused() -> None:
         (patched(good, b"PK\1\2", 24, struct.pack("<I", 800)), r"'a' in it holds 700 bytes, its header says 800|CRC"),
         (patched(good, b"PK\1\2", 42, struct.pack("<I", 2**31)), r"it cannot be read \("),
         (good[:-30], r"it cannot be read \(File is not a zip file\); it is cut off"),
-        (b"", r"it cannot be read \("),
+        (b"", r"it cannot be read \(File is not a zip file\); is it the right file\?"),
+        (b"a text", r"it cannot be read \(File is not a zip file\); is it the right file\?"),
     ]
     for content, message in refused:
         with pytest.raises(otr.ArtefactError, match=message):

@@ -86,6 +86,16 @@ class NotFinite(Cart):
         return np.array([np.nan, 0.0]), 0.0, False, False, {}
 
 
+class FailsLater(Cart):
+    """The cart with a mistake that the first steps do not show."""
+
+    def step(self, action: Any) -> Any:
+        state, *others = super().step(action)
+        if abs(state[0]) < 0.1:
+            raise KeyError("goal")
+        return state, *others
+
+
 class NeedsAFile(Cart):
     """The cart that cannot be made."""
 
@@ -105,7 +115,7 @@ SPACES: dict[str, dict[str, gym.Space]] = {
 gym.register("Cart-v0", entry_point=Cart, max_episode_steps=50)
 gym.register("PushOrPull-v0", entry_point=PushOrPull, max_episode_steps=50)
 gym.register("Endless-v0", entry_point=Cart)
-for mistaken in (OfOldGym, ReturnsFour, LongerThanItsSpace, NotFinite, NeedsAFile):
+for mistaken in (OfOldGym, ReturnsFour, LongerThanItsSpace, NotFinite, FailsLater, NeedsAFile):
     gym.register(f"{mistaken.__name__}-v0", entry_point=mistaken, max_episode_steps=50)
 for name, spaces in SPACES.items():
     gym.register(f"{name}-v0", entry_point=Unsuitable, kwargs=spaces, max_episode_steps=50)

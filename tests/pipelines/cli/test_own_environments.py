@@ -1,6 +1,8 @@
 """Environments that conf/env has no file for: any registered id, `module:Id`, and a file of one's own."""
 
 import json
+import re
+from pathlib import Path
 
 import pytest
 
@@ -111,3 +113,11 @@ def test_a_file_of_ones_own_and_a_sweep(tmp_path):
     assert refused.stderr == "otr-run: env=heavi: there is no such environment. Did you mean heavy?\n"
     nowhere = otr_command("otr-run", "env=heavy", "--config-dir", "nowhere", cwd=tmp_path)
     assert "nowhere: there is no such folder" in nowhere.stderr
+
+
+def test_a_mistake_in_an_environment_is_told_with_its_line(command, tmp_path):
+    failed = command("run", f"env={MODULE}:FailsLater-v0", "depth=1", "budget=smoke", f"results_dir={tmp_path}")
+    assert failed.returncode == 1
+    lines = Path("tests/pipelines/own_envs.py").read_text().splitlines()
+    number = 1 + next(i for i, line in enumerate(lines) if 'KeyError("goal")' in line)
+    assert re.search(rf"KeyError: 'goal' \(.*own_envs\.py, line {number}, in step\)", failed.stderr.replace("\n", " "))

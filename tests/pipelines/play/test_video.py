@@ -9,9 +9,8 @@ from imageio_ffmpeg import count_frames_and_secs, read_frames
 from PIL import Image
 
 import otr
-from pipelines.config.env import EnvConfig
 from pipelines.engine.store import read_csv
-from pipelines.errors import ConfigError, PipelineError
+from pipelines.errors import PipelineError
 from pipelines.play import video
 from pipelines.play.video import write_video
 from tests.committed import RESULTS, committed_tree, copy_run
@@ -89,6 +88,9 @@ def test_what_cannot_be_rendered_is_told(monkeypatch: pytest.MonkeyPatch, tmp_pa
         write_video(tree, HOPPER, 0, tmp_path / "a.gif")
 
 
-def test_an_own_environment_that_cannot_render_is_told() -> None:
-    with pytest.raises(ConfigError, match=r"cannot be made: .*render_mode"):
-        video._renderable(EnvConfig("cart", "continuous", "tests.pipelines.own_envs:Cart-v0"))
+def test_an_environment_without_pictures_is_refused_before_anything_runs(command, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    own = "env=tests.pipelines.own_envs:Cart-v0"
+    refused = command("run", own, "video=true", "depth=1", f"results_dir={tmp_path / 'new'}")
+    assert refused.returncode == 2
+    assert "tests.pipelines.own_envs:Cart-v0 renders nothing, and a video needs rgb_array" in refused.stderr
+    assert not (tmp_path / "new").exists()

@@ -141,6 +141,16 @@ def test_an_unfinished_or_damaged_run_is_told(export, tmp_path):
     assert "is a fit of otr-fit" in export(f"run={run}", "format=c").stderr
 
 
+def test_a_run_with_a_digest_is_told_the_command_that_made_it(export, tmp_path):
+    run = tmp_path / "runs" / f"{LANDER}~12345678"
+    copy_run(LANDER, run)
+    path = run / "train/manifest.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"command": "otr-run env=lunarlander model=a.zip"}))
+    done = export(f"run={run}", "format=c", "tree=simplified")
+    assert done.returncode == 1
+    assert "not finished there\nRun: otr-run env=lunarlander model=a.zip simplify=true" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("folder", "command"),
     [

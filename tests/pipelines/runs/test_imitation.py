@@ -28,7 +28,7 @@ def config(tmp_path_factory):
     ("leaves", "told"),
     [
         ({"pruned_leaves": READABLE_LEAVES}, None),
-        ({"pruned_leaves": 1234}, "A tree of 1,234 leaves is more than a person reads. A tree of at most 8 leaves"),
+        ({"pruned_leaves": 1234}, "A tree of 1,234 leaves is more than a person reads. Of the methods that imitate"),
         ({"pruned_leaves": 1234, "polish": {"n_leaves": 90}}, "A tree of 90 leaves"),
         ({"pruned_leaves": 1234, "polish": {"n_leaves": 90}, "simplify": {"n_leaves": 5}}, None),
     ],
@@ -38,7 +38,7 @@ def test_more_leaves_than_people_read(config, leaves, told):
         assert advice(config, leaves) is None
     else:
         assert advice(config, leaves).startswith(told)
-        assert advice(config, leaves).endswith(f"imitate the policy:\n  {imitating_command(config)}")
+        assert advice(config, leaves).endswith(f"a tree of at most 8 leaves:\n  {imitating_command(config)}")
     assert advice(dataclasses.replace(config, imported=None), leaves) is None
 
 

@@ -129,7 +129,7 @@ def test_torch_exports_and_skops_files(models):
     assert job.folder.startswith("runs/CartPole-v1/model/depth-3/smoke/seed-0~")
     (job,) = jobs(*SMOKE, "method=augtree", "depth=3", f"oracle={models / 'probabilities.pt2'}")
     assert job.config.oracle == [3] and job.folder.startswith("runs/CartPole-v1/augtree/depth-3/smoke/seed-0~")
-    with pytest.raises(ConfigError, match=r"its units are tanh, which no tree is equal to. A tree can imitate it"):
+    with pytest.raises(ConfigError, match=r"its units are tanh, which no tree is equal to. Of the methods that"):
         jobs(*SMOKE, f"model={models / 'probabilities.pt2'}")
 
 

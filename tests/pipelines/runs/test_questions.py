@@ -90,7 +90,7 @@ def test_a_program_is_compared_with_network_and_tree(verify, command, tmp_path):
     for path, precision in ((exact, 17), (short, 4)):
         done = command("export", PENDULUM_RUN, "format=text", "tree=minimal", f"precision={precision}", f"out={path}")
         assert done.returncode == 0, done.stderr
-    assert verify(PENDULUM_RUN, f"program={exact}").stdout.startswith("proved: the program and the network differ by")
+    assert verify(PENDULUM_RUN, f"program={exact}").stdout.startswith("proved: the program and the network are equal")
     assert "and the tree differ by at most" in verify(PENDULUM_RUN, f"program={exact}", "tree=minimal").stdout
     done = verify(PENDULUM_RUN, f"program={short}")
     assert done.returncode == 1 and done.stdout.startswith("differ: at cos_angle = "), done.stderr

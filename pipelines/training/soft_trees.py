@@ -1,5 +1,6 @@
 """Soft trees as modules of torch: which one a run trains, their files, the hard trees that they become."""
 
+import copy
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -81,15 +82,22 @@ def load_soft(folder: Path) -> SoftModule:
 
 @dataclass(frozen=True)
 class SoftPolicy:
-    """A soft tree as a policy: what Stable-Baselines3's own did deterministically."""
+    """A soft tree as a policy: what Stable-Baselines3's own did deterministically, in float64.
+
+    In float32 an answer depends on the number of states beside it in a batch, by some 1e-6 in a cascade, and with that
+    the episodes on the number of workers.
+    """
 
     module: SoftModule
     head: otr.Head
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "module", copy.deepcopy(self.module).double())
+
     def predict(self, states: np.ndarray) -> np.ndarray:
         """Return actions (n, a) or labels (n,) for states (n, d)."""
         with torch.no_grad():
-            outputs = self.module(torch.as_tensor(states, dtype=torch.float32)).numpy().astype(np.float64)
+            outputs = self.module(torch.as_tensor(states, dtype=torch.float64)).numpy()
         return self.head(outputs)
 
 

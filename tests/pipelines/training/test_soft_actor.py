@@ -162,6 +162,15 @@ def test_the_hard_tree_is_the_policy_of_hard_tests(actor: Shape, algorithm: type
     assert (tree.labels is not None) == (env_id == "CartPole-v1")
 
 
+def test_an_answer_does_not_depend_on_the_states_beside_it() -> None:
+    torch.manual_seed(0)
+    options = {"feature_depth": 3, "n_features": 2, "decision_depth": 3}
+    policy = SoftPolicy(build_module(Shape("cdt", options), 8, 2), otr.Identity())
+    X = np.random.default_rng(0).normal(size=(100, 8))
+    alone = np.concatenate([policy.predict(X[i : i + 1]) for i in range(100)])
+    np.testing.assert_allclose(alone, policy.predict(X), rtol=0, atol=1e-13)
+
+
 def test_axis_aligned_programs_are_refused() -> None:
     space = gym.spaces.Discrete(2)
     assert np.count_nonzero(harden(build_module(ACTORS[0], 4, 2), space, axis_aligned=True).P) == 3

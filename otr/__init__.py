@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from otr.core.heads import (
         Argmax as Argmax,
         ClipBox as ClipBox,
+        Exp as Exp,
         Identity as Identity,
         PidBox as PidBox,
         Sign as Sign,
@@ -90,7 +91,7 @@ _NAMES_OF_MODULES = {
     "control.search.polish": "polish",
     "core.domain": "Domain",
     "core.head": "Head",
-    "core.heads": "Argmax ClipBox Identity PidBox Sign TanhBox head_from_dict",
+    "core.heads": "Argmax ClipBox Exp Identity PidBox Sign TanhBox head_from_dict",
     "core.io": "load save",
     "core.mapping": "map_network",
     "core.network": "ReluNetwork",

@@ -1,4 +1,4 @@
-"""The heads that there are: the outputs themselves, three boxes of actions, and two that decide a label."""
+"""The heads that there are: the outputs themselves, expected counts, three boxes of actions, and two for labels."""
 
 from __future__ import annotations
 
@@ -29,6 +29,16 @@ class Identity(Head):
 
     def clipped_to(self, low: FloatArray, high: FloatArray) -> Head:
         return ClipBox(low, high)
+
+
+class Exp(Head):
+    """exp(y): the expected count of a Poisson regression, whose link is the logarithm; inf for y above 709.7."""
+
+    name = "exp"
+
+    def __call__(self, Y: FloatArray) -> NDArray[Any]:
+        with np.errstate(over="ignore"):
+            return np.asarray(np.exp(Y))
 
 
 class _Box(Head):
@@ -258,7 +268,7 @@ class Argmax(Head):
         return 1
 
 
-HEADS: dict[str, type[Head]] = {head.name: head for head in (Identity, TanhBox, ClipBox, PidBox, Sign, Argmax)}
+HEADS: dict[str, type[Head]] = {head.name: head for head in (Identity, Exp, TanhBox, ClipBox, PidBox, Sign, Argmax)}
 
 
 def head_from_dict(description: Mapping[str, Any]) -> Head:

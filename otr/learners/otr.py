@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import ClassVar, Literal
 
 import numpy as np
+from sklearn.utils._param_validation import StrOptions
 
 from otr.core.arrays import FloatArray
 from otr.core.mapping import map_network
@@ -109,8 +110,7 @@ class _OTRLearner(NetworkLearner):
     ) -> TrainedNetworks[ReluNetwork]:
         """Return the networks of these rows, the problem's own or a teacher's."""
         settings = MlpSettings(
-            **parameters_of(self, MlpSettings),
-            loss=problem.loss,
+            **{**parameters_of(self, MlpSettings), "loss": problem.loss},
             n_classes=problem.n_classes,
             schedule=schedule_of(self, len(X)),
         )
@@ -177,6 +177,8 @@ _PARAMETERS = """
         standardize: train on inputs shifted and scaled to mean 0 and deviation 1, which is folded into the network;
             "auto": unless all are 0 and 1.
         max_leaves: see above.
+        loss: a regressor's: "squared_error", or "poisson" for counts, whose tree has the head `Exp`, so that `predict`
+            returns the expected count (Orfanos 2023 names this link; scikit-learn's `PoissonRegressor` is its depth 0).
         class_weight: a classifier's: None, "balanced" or weights by class, as in scikit-learn, for each label.
         random_state: an integer is the seed as in `train_many`.
 
@@ -247,3 +249,57 @@ class OTRRegressor(TreeRegressor, _OTRLearner):
         "Regressor of ReLU networks mapped to oblique trees exactly; targets are standardised in training."
         + _PARAMETERS
     )
+
+    _parameter_constraints: ClassVar[Constraints] = {
+        **_OTRLearner._parameter_constraints,
+        "loss": [StrOptions({"squared_error", "poisson"})],
+    }
+
+    def __init__(
+        self,
+        hidden: Sequence[int] = (8,),
+        *,
+        dense: bool | Literal["input", "all"] = False,
+        negative_slope: float = 0.0,
+        shared: bool = False,
+        input_dropout: float = 0.0,
+        hidden_dropout: float = 0.0,
+        l1: float = 0.0,
+        l2: float = 0.0,
+        drop_below: float = 0.0,
+        averaging: float = 0.0,
+        common_epoch: bool = False,
+        teacher: Teacher | None = None,
+        epochs: int | None = None,
+        batch_size: int = 64,
+        learning_rate: float = 0.1,
+        momentum: float = 0.9,
+        decay_every: int | None = None,
+        standardize: bool | Literal["auto"] = "auto",
+        max_leaves: int = 1024,
+        loss: Literal["squared_error", "poisson"] = "squared_error",
+        random_state: int | np.random.RandomState | None = None,
+    ) -> None:
+        super().__init__(
+            hidden,
+            dense=dense,
+            negative_slope=negative_slope,
+            shared=shared,
+            input_dropout=input_dropout,
+            hidden_dropout=hidden_dropout,
+            l1=l1,
+            l2=l2,
+            drop_below=drop_below,
+            averaging=averaging,
+            common_epoch=common_epoch,
+            teacher=teacher,
+            epochs=epochs,
+            batch_size=batch_size,
+            learning_rate=learning_rate,
+            momentum=momentum,
+            decay_every=decay_every,
+            standardize=standardize,
+            max_leaves=max_leaves,
+            random_state=random_state,
+        )
+        self.loss = loss

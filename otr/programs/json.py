@@ -27,10 +27,11 @@ def to_json(
 
     Start with r = root. While r >= 0, node r sends x left where weights . x + offset <= 0, else right. Then the leaf is
     leaves[-1 - r]. If it has a label, that is the answer. Else its outputs are y = weights x + offsets, and the answer
-    follows by head.name: identity y; clip_box min(max(y, low), high); tanh_box low + (tanh(y) + 1) / 2 * (high - low);
-    sign 1 where y[0] > 0, else 0; argmax the first index of the largest y. low and high are a number for all outputs or
-    one for each. With the head pid_box, of a actions, y is 1 + a vectors of one length: the terms, then each action's
-    gains; an action is tanh_box of the sum of its gains times the terms. JSON's numbers are to be read as float64.
+    follows by head.name: identity y; exp exp(y); clip_box min(max(y, low), high); tanh_box
+    low + (tanh(y) + 1) / 2 * (high - low); sign 1 where y[0] > 0, else 0; argmax the first index of the largest y. low
+    and high are a number for all outputs or one for each. With the head pid_box, of a actions, y is 1 + a vectors of
+    one length: the terms, then each action's gains; an action is tanh_box of the sum of its gains times the terms.
+    JSON's numbers are to be read as float64.
 
     Args:
         tree: any tree.

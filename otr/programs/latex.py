@@ -93,6 +93,7 @@ _LATEX = Notation(
     argmax=r"\textbf{return} $\operatorname{arg\,max}(%s)$",
     assigned=r"$%s \gets %s$",
     clip=r"\operatorname{clip}(%s,\, %s,\, %s)",
+    exp=r"\exp(%s)",
     tanh=r"\tanh(%s)",
     product=r"%s \cdot %s",
     gain=r"\theta_{%s}",

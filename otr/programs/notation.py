@@ -10,7 +10,7 @@ import numpy as np
 
 from otr.core.arrays import FloatArray
 from otr.core.head import Head, no_entry
-from otr.core.heads import Argmax, ClipBox, Identity, PidBox, Sign, TanhBox
+from otr.core.heads import Argmax, ClipBox, Exp, Identity, PidBox, Sign, TanhBox
 from otr.core.tree import ObliqueTree
 from otr.programs.names import label_name
 from otr.programs.pid_gains import gain_vectors, term_vectors
@@ -34,7 +34,8 @@ class Notation:
     sign: str  # the one that answers whether a value is above 0
     argmax: str  # the one that answers which of the values with these names is the largest
     assigned: str  # the line that gives a name to a value
-    clip: str  # a formula, as the next two
+    clip: str  # a formula, as the next three
+    exp: str
     tanh: str
     product: str
     gain: str  # the name of the gains of a term, for the only action
@@ -114,6 +115,11 @@ def answer_lines(head: Head, program: Program, leaf: int) -> list[str]:
 @answer_lines.register
 def _(head: Identity, program: Program, leaf: int) -> list[str]:
     return program.answered(program.outputs(leaf))
+
+
+@answer_lines.register
+def _(head: Exp, program: Program, leaf: int) -> list[str]:
+    return program.answered([program.notation.exp % value for value in program.outputs(leaf)])
 
 
 @answer_lines.register

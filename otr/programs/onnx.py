@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otr.core.head import Head, no_entry
-from otr.core.heads import Argmax, ClipBox, Identity, PidBox, Sign, TanhBox
+from otr.core.heads import Argmax, ClipBox, Exp, Identity, PidBox, Sign, TanhBox
 from otr.core.tree import ObliqueTree
 from otr.extras import naming_the_extra
 from otr.programs.names import give_labels, names_of, one_line, require_tree
@@ -207,6 +207,11 @@ def answer_node(head: Head, graph: _Graph, y: str, n_outputs: int) -> str:
 @answer_node.register
 def _(head: Identity, graph: _Graph, y: str, n_outputs: int) -> str:
     return y
+
+
+@answer_node.register
+def _(head: Exp, graph: _Graph, y: str, n_outputs: int) -> str:
+    return graph.add("Exp", [y])
 
 
 @answer_node.register

@@ -44,7 +44,8 @@ def parse_program(
 
     Where all answers of every output are clipped to the same constants, the tree has the head `ClipBox` and no tests
     for it; a constant answer within them counts as clipped. Where all are ``constant + constant * tanh(...)``, alike in
-    every leaf, the head is `TanhBox`. Other trees have no head, and their clips are tests.
+    every leaf, the head is `TanhBox`, and where all are ``exp(...)`` it is `Exp`. Other trees have no head, and their
+    clips are tests.
 
     Args:
         text: the program.

@@ -10,7 +10,7 @@ from functools import singledispatch
 import numpy as np
 
 from otr.core.head import Head, no_entry
-from otr.core.heads import Argmax, ClipBox, Identity, PidBox, Sign, TanhBox
+from otr.core.heads import Argmax, ClipBox, Exp, Identity, PidBox, Sign, TanhBox
 from otr.core.merging import merge_equal_leaves
 from otr.core.tree import ObliqueTree
 from otr.programs.names import Names, give_labels, label_name, names_for, require_tree
@@ -29,7 +29,7 @@ from otr.programs.walk import (
 
 # A sum is parsed and compiled by recursion over its terms.
 MAX_TERMS = 200
-_CALLED = ("tanh", "min", "max")
+_CALLED = ("exp", "tanh", "min", "max")
 _RESERVED = (*keyword.kwlist, *_CALLED, "state", "outputs")
 _INDENT = "    "
 
@@ -68,7 +68,8 @@ def to_python(
     if tree.labels is None:
         outputs = names.output_ids if nested else [f"outputs[{i}]" for i in range(tree.n_outputs)]
         answer = answer_lines(tree.head, outputs, names)
-        imports = ["from math import tanh", ""] if any("tanh(" in line for line in answer) else []
+        called = next((word for word in ("exp", "tanh") if any(f"{word}(" in line for line in answer)), None)
+        imports = [f"from math import {called}", ""] if called else []
         body += answer
     # Python looks for a declaration of the file's encoding in comments on the first two lines: no name stands there.
     what = summary_of(tree)
@@ -188,6 +189,11 @@ def answer_lines(head: Head, outputs: Sequence[str], names: Names) -> list[str]:
 @answer_lines.register
 def _(head: Identity, outputs: Sequence[str], names: Names) -> list[str]:
     return [_returned(outputs)]
+
+
+@answer_lines.register
+def _(head: Exp, outputs: Sequence[str], names: Names) -> list[str]:
+    return [_returned([f"exp({value})" for value in outputs])]
 
 
 @answer_lines.register

@@ -9,7 +9,7 @@ from functools import singledispatch
 import numpy as np
 
 from otr.core.head import Head, no_entry
-from otr.core.heads import Argmax, ClipBox, Identity, PidBox, Sign, TanhBox
+from otr.core.heads import Argmax, ClipBox, Exp, Identity, PidBox, Sign, TanhBox
 from otr.core.merging import merge_equal_leaves
 from otr.core.tree import ObliqueTree
 from otr.programs.names import Names, give_labels, in_comment, label_name, names_for, require_tree
@@ -200,6 +200,11 @@ def answer_statements(head: Head, names: Names) -> tuple[list[str], list[str]]:
 @answer_statements.register
 def _(head: Identity, names: Names) -> tuple[list[str], list[str]]:
     return [], []
+
+
+@answer_statements.register
+def _(head: Exp, names: Names) -> tuple[list[str], list[str]]:
+    return [], [f"{output} := EXP({output});" for output in names.output_ids]
 
 
 @answer_statements.register

@@ -81,6 +81,7 @@ _TEXT = Notation(
     argmax="return argmax(%s)",
     assigned="%s = %s",
     clip="clip(%s, %s, %s)",
+    exp="exp(%s)",
     tanh="tanh(%s)",
     product="%s . %s",
     gain="theta_%s",

@@ -6,7 +6,7 @@ import numpy as np
 
 from otr.core.domain import Box, Domain
 from otr.core.head import Head
-from otr.core.heads import Argmax, ClipBox, Identity, TanhBox
+from otr.core.heads import Argmax, ClipBox, Exp, Identity, TanhBox
 from otr.core.tree import ObliqueTree
 from otr.errors import TreeTooLargeError
 from otr.proof.properties import find_violation
@@ -93,7 +93,7 @@ def _both(tree: ObliqueTree, other: ObliqueTree) -> ObliqueTree:
 
 def _head_of_both(head: Head, other: Head, n_outputs: int) -> Head:
     """Return the head of what is compared of both."""
-    if head == other and isinstance(head, Identity | TanhBox):
+    if head == other and isinstance(head, Identity | TanhBox | Exp):
         return Identity()
     if isinstance(head, ClipBox) and isinstance(other, ClipBox):
         both = zip(head.limits(n_outputs), other.limits(n_outputs), strict=True)

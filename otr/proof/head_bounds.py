@@ -1,7 +1,8 @@
 """What proofs know of a head: for each of its actions the exact value, and lines above it.
 
 An action weighed by a number w is bounded by an affine function of its output y, a line nowhere below ``w * h(y)`` on
-an interval. Under an affine head and a clip, lines and values are exact; under tanh they are as exact as float64 is.
+an interval. Under an affine head and a clip, lines and values are exact; under tanh and exp they are as exact as
+float64 is.
 """
 
 from __future__ import annotations
@@ -16,9 +17,13 @@ import numpy as np
 
 from otr.core.arrays import FloatArray
 from otr.core.head import Head, no_entry
-from otr.core.heads import Argmax, ClipBox, Identity, Sign, TanhBox
+from otr.core.heads import Argmax, ClipBox, Exp, Identity, Sign, TanhBox
+from otr.errors import OtrError
 
 _TANH = Fraction(1, 10**12)  # of an action's range: up to where float64 knows a tanh
+
+_EXP = Fraction(1, 10**12)  # of the value: up to where float64 knows an exp
+_MOST = 700  # of an output whose exp is a float64
 
 Line = tuple[float, float | Fraction]  # slope and offset
 
@@ -151,6 +156,40 @@ class _TanhAction(Action):
         return math.isfinite(low) and math.isfinite(high)
 
 
+class _ExpAction(Action):
+    """h(y) = exp(y), for y up to `_MOST`."""
+
+    is_exact = False
+
+    def value(self, y: Fraction) -> tuple[Fraction, Fraction]:
+        if y > _MOST:
+            raise OtrError(f"an output reaches {float(y):.6g}, and no float64 is the exp of more than 709")
+        count = Fraction(math.exp(max(y, Fraction(-_MOST))))
+        return count, _EXP * count
+
+    def near(self, y: FloatArray) -> FloatArray:
+        return np.asarray(np.exp(y))
+
+    def line_above(self, weight: float, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the chord where the share is convex, for a positive weight, and the tangent in the middle else."""
+        middle, at_low, at_high = (low + high) / 2, np.exp(low), np.exp(high)
+        chord = (at_high - at_low) / np.maximum(high - low, 1e-300)
+        slope = weight * (chord if weight > 0 else np.exp(middle))
+        if weight > 0:
+            offset = np.maximum(weight * at_low - slope * low, weight * at_high - slope * high)
+        else:
+            offset = weight * np.exp(middle) - slope * middle
+        rounding = 1e-15 * (np.abs(slope) * np.maximum(np.abs(low), np.abs(high)) + abs(weight) * at_high)
+        return slope, offset + 4 * rounding
+
+    def turns(self, weight: float, slope: float, low: float, high: float) -> set[float]:
+        share = slope / weight
+        return {math.log(share)} if share > 0 and low < math.log(share) < high else set()
+
+    def stays_above(self, weight: float, slope: float, low: float, high: float) -> bool:
+        return math.isfinite(low) and math.isfinite(high)
+
+
 @singledispatch
 def action_of(head: Head, n_outputs: int, output: int) -> Action:
     """Return what proofs know of one action of a head that acts by output; raise ValueError for labels."""
@@ -160,6 +199,11 @@ def action_of(head: Head, n_outputs: int, output: int) -> Action:
 @action_of.register
 def _(head: Identity, n_outputs: int, output: int) -> Action:
     return _AffineAction()
+
+
+@action_of.register
+def _(head: Exp, n_outputs: int, output: int) -> Action:
+    return _ExpAction()
 
 
 @action_of.register

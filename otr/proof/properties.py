@@ -96,7 +96,8 @@ def find_violation(
         tree: any tree.
         condition: with coefficients (d,) and (o,).
         box: bounded.
-        tolerance: with a tanh head, a condition may be called kept that fails by no more than this.
+        tolerance: with a head that goes through tanh or exp, a condition may be called kept that fails by no more than
+            this.
         max_pieces: refuse to look at more.
 
     Raises:

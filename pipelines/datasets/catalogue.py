@@ -20,6 +20,8 @@ LCN_ROOTS = (
 # SMILES and labels as of January 2019, MIT licence.
 CHEMPROP_ROOT = "https://raw.githubusercontent.com/chemprop/chemprop/a68ade20f227862fe6265c46f021c78217a324ab/data"
 PACKED_AT_SOURCE = {"raw/hiv.csv"}
+# RAND's Health Insurance Experiment, in the public domain, as Statsmodels 0.14.4 has it.
+RANDHIE_ROOT = "https://raw.githubusercontent.com/statsmodels/statsmodels/v0.14.4/statsmodels/datasets/randhie"
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,8 @@ class DataFile:
         folder, _, rest = self.path.partition("/")
         if folder == "lcn":
             return tuple(f"{root}/{rest}" for root in LCN_ROOTS)
+        if rest == "randhie.csv":
+            return (f"{RANDHIE_ROOT}/{rest}",)
         return (f"{CHEMPROP_ROOT}/{rest}{'.gz' if self.path in PACKED_AT_SOURCE else ''}",)
 
     @property
@@ -101,12 +105,13 @@ MOLECULES = {
     )
 }
 PDBBIND = FILES["lcn/PDBbind.pkl.gz"]
+RANDHIE = FILES["raw/randhie.csv"]
 EXAMPLES = ("breast_cancer", "digits", "diabetes")
-NAMES = (*MOLECULES, "pdbbind", *EXAMPLES)
+NAMES = (*MOLECULES, "pdbbind", "randhie", *EXAMPLES)
 
 
 def files_of(name: str) -> tuple[DataFile, ...]:
     """Return the files that a data set is read from; none for those that scikit-learn brings."""
     if name in MOLECULES:
         return tuple(MOLECULES[name].parts.values())
-    return (PDBBIND,) if name == "pdbbind" else ()
+    return {"pdbbind": (PDBBIND,), "randhie": (RANDHIE,)}.get(name, ())

@@ -7,7 +7,7 @@ import numpy as np
 
 from pipelines.errors import ConfigError
 
-TaskKind = Literal["classification", "regression"]
+TaskKind = Literal["classification", "regression", "counts"]
 PARTS = ("train", "valid", "test")
 
 
@@ -42,7 +42,7 @@ class Dataset:
     def labelled(self, part: str, label: int | str = 0) -> tuple[np.ndarray, np.ndarray]:
         """Return features (m, d) and one label (m,) of a part, without the rows where that label is missing.
 
-        The label is a column of Y or its name, int64 for classification and float64 for regression.
+        The label is a column of Y or its name, int64 for classification, else float64.
 
         Raises:
             ConfigError: there is no such label.

@@ -9,8 +9,11 @@ from pipelines.datasets.download import keep, locate, read
 from pipelines.datasets.examples import load_example
 from pipelines.datasets.molecules import FEATURE_NAMES, parse_split
 from pipelines.datasets.pdbbind import load_pdbbind
+from pipelines.datasets.randhie import load_randhie
 from pipelines.datasets.rebuild import can_rebuild, rebuild
 from pipelines.errors import ConfigError, MissingInputError, PipelineError
+
+OWN_FORM = {"pdbbind": load_pdbbind, "randhie": load_randhie}  # files that are no fingerprints
 
 
 def load_dataset(name: str) -> Dataset:
@@ -24,8 +27,8 @@ def load_dataset(name: str) -> Dataset:
     check_name(name)
     if name in EXAMPLES:
         return load_example(name)
-    if name == "pdbbind":
-        return load_pdbbind()
+    if name in OWN_FORM:
+        return OWN_FORM[name]()
     return _load_molecules(MOLECULES[name])
 
 

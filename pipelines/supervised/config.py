@@ -155,6 +155,9 @@ class OtrConfig(ClassifierConfig):
     learning_rate: Positive = 0.1
     momentum: Share = 0.9
     decay_every: Count = 10
+    loss: Annotated[str, OneOf("squared_error", "poisson"), AsBefore("squared_error")] = (
+        "squared_error"  # of numbers; poisson is for counts
+    )
     max_leaves: Count = 1024  # a larger tree is held as activation patterns
 
 

@@ -51,14 +51,17 @@ def _loaded(name: str) -> Dataset:
 def check_learner(method: LearnerConfig, dataset: Dataset) -> None:
     """Raise ConfigError where the learner has no estimator, or no class weights, for the data set's task."""
     _estimator_name(method.learner, dataset)
-    if dataset.task == "regression" and learner_settings(method).get("class_weight"):
-        raise ConfigError(f"method.class_weight is for classes, and {dataset.name} is a regression; leave it out")
+    settings = learner_settings(method)
+    if dataset.task != "classification" and settings.get("class_weight"):
+        raise ConfigError(f"method.class_weight is for classes, and {dataset.name} has numbers; leave it out")
+    if dataset.task != "counts" and settings.get("loss") == "poisson":
+        raise ConfigError(f"method.loss=poisson is for counts, and {dataset.name} is a {dataset.task}; leave it out")
 
 
 def usable_labels(dataset: Dataset) -> list[int]:
-    """Return the labels that can be learned: all of a regression, those with two classes or more in training."""
+    """Return the labels that can be learned: all of numbers, those with two classes or more in training."""
     labels = range(len(dataset.label_names))
-    if dataset.task == "regression":
+    if dataset.task != "classification":
         return list(labels)
     return [label for label in labels if len(np.unique(dataset.labelled("train", label)[1])) > 1]
 
@@ -176,7 +179,7 @@ def _teacher(settings: dict[str, Any]) -> Any:
 
 
 def _estimator_name(learner: str, dataset: Dataset) -> str:
-    name = ESTIMATORS[learner][dataset.task == "regression"]
+    name = ESTIMATORS[learner][dataset.task != "classification"]
     if name is None:
         raise ConfigError(f"{learner} is not for {dataset.task}, which {dataset.name} is; choose another method")
     return name

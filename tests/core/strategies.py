@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import otr
 from otr.core.head import Head
 
-HEADS = ("identity", "tanh_box", "clip_box", "sign", "argmax")
+HEADS = ("identity", "exp", "tanh_box", "clip_box", "sign", "argmax")
 
 # Orfanos 2023, Fig. 3.1.
 WORKED_WEIGHTS = ([[-2.7, -0.8], [0.2, 2.0], [1.0, -0.1]], [[-2.0, -2.4, 1.2]])
@@ -36,6 +36,7 @@ def make_head(name: str, n_outputs: int, rng: np.random.Generator) -> Head:
     high = rng.integers(1, 4, n_outputs) / 2
     heads: dict[str, Head] = {
         "identity": otr.Identity(),
+        "exp": otr.Exp(),
         "tanh_box": otr.TanhBox(low, high),
         "clip_box": otr.ClipBox(low, high),
         "sign": otr.Sign(),

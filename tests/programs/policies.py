@@ -47,9 +47,10 @@ def policies() -> dict[str, otr.ObliqueTree]:
     """Return small trees of every kind by name."""
     rng = np.random.default_rng(0)
     made = {"worked": otr.map_network(worked_network())}
-    for head, n_outputs in (("identity", 2), ("tanh_box", 2), ("clip_box", 3), ("sign", 1), ("argmax", 3)):
-        made[head] = otr.map_network(make_network(rng, (2, 2), n_inputs=3, n_outputs=n_outputs, head=head))
-        made[f"{head}_of_one_leaf"] = otr.map_network(make_network(rng, (), n_outputs=n_outputs, head=head))
+    for head, n_outputs in (("identity", 2), ("exp", 2), ("tanh_box", 2), ("clip_box", 3), ("sign", 1), ("argmax", 3)):
+        name = "count" if head == "exp" else head  # exp is a function of C
+        made[name] = otr.map_network(make_network(rng, (2, 2), n_inputs=3, n_outputs=n_outputs, head=head))
+        made[f"{name}_of_one_leaf"] = otr.map_network(make_network(rng, (), n_outputs=n_outputs, head=head))
     plain = otr.map_network(make_network(rng, (3,), n_outputs=3))
     made["argmax_without_labels"] = without_labels(plain, otr.Argmax())
     made["sign_without_labels"] = without_labels(otr.map_network(make_network(rng, (3,))), otr.Sign())

@@ -17,6 +17,7 @@ from otr.programs.names import shown_names
 LOW, HIGH = np.array([-1.0, 0.0]), np.array([1.0, 4.0])
 MADE: dict[str, tuple[otr.Head, int]] = {  # a head of each kind and its number of outputs
     "identity": (otr.Identity(), 2),
+    "exp": (otr.Exp(), 2),
     "tanh_box": (otr.TanhBox(LOW, HIGH), 2),
     "clip_box": (otr.ClipBox(LOW, HIGH), 2),
     "pid_box": (otr.PidBox(LOW, HIGH), 9),

@@ -41,7 +41,7 @@ def test_what_to_text_writes_is_read_back(case: Case) -> None:
     assert otr.to_text(otr.parse_program(again, names_for(tree), labels=has_labels), precision=17) == again
 
 
-@pytest.mark.parametrize("head", ["identity", "tanh_box", "clip_box"])
+@pytest.mark.parametrize("head", ["identity", "exp", "tanh_box", "clip_box"])
 def test_every_number_comes_back_to_the_last_bit(head: str) -> None:
     tree = otr.map_network(make_network(np.random.default_rng(3), (4,), n_outputs=2, head=head))
     text = otr.to_text(tree, precision=17)

@@ -12,12 +12,12 @@ from otr.proof.exact_rows import TreeAndNetwork
 from tests.core.strategies import make_network
 
 BOXES = ((-1.0, 1.0), (-2.0, 2.0), None, (-1e4, 1e4))
-HEADS = ("identity", "tanh_box", "argmax", "sign", "clip_box")
+HEADS = ("identity", "tanh_box", "argmax", "sign", "clip_box", "exp")
 
 
 def network_of(rng: np.random.Generator, k: int) -> otr.ReluNetwork:
     """One or two layers, dense links, leaky; every fourth with nearly parallel neurons."""
-    head = HEADS[k % 5]
+    head = HEADS[k % 6]
     n_inputs, n_outputs = int(rng.integers(1, 4)), {"argmax": 3, "sign": 1}.get(head, int(rng.integers(1, 4)))
     widths = (int(rng.integers(2, 6)),) if k % 2 else (int(rng.integers(2, 4)), int(rng.integers(2, 4)))
     network = make_network(

@@ -255,3 +255,24 @@ def test_the_side_of_what_is_given_is_exact() -> None:
     nowhere = replace(condition, given=(above, otr.HalfSpace([1.0, 0.0], -1.0, False)))
     outside = replace(condition, given=(otr.HalfSpace([1.0, 0.0], -5.0, True),))
     assert otr.find_violation(tree, nowhere, BOX).holds and otr.find_violation(tree, outside, BOX).holds
+
+
+@settings(max_examples=40)
+@given(cases(heads=("exp",), max_layers=2), st.integers(0, 2**32 - 1))
+def test_expected_counts_are_bounded(case, seed: int) -> None:
+    network = case.network
+    if np.abs(network.forward(grid(network.n_inputs))).max() > 20:  # beyond what a bound can be told to 1e-6
+        return
+    tree, rng = otr.map_network(network), np.random.default_rng(seed)
+    counts = network.predict(grid(network.n_inputs))
+    weights = rng.choice([-1.0, 1.0], network.n_outputs)
+    reached = float((counts @ weights).max())
+    above = Condition(np.zeros(network.n_inputs), weights, reached + abs(reached) / 2 + 1e-3)
+    verdict = otr.find_violation(tree, above, BOX, tolerance=1e-6 * (1 + abs(reached)))
+    check_verdict(verdict, tree, above, BOX)
+    if not verdict.holds:
+        assert verdict.state is not None and network.predict(verdict.state) @ weights > above.bound
+    below = replace(above, bound=reached - 1e-3 * (1 + abs(reached)))
+    found = otr.find_violation(tree, below, BOX)
+    assert not found.holds and found.state is not None
+    assert network.predict(found.state) @ weights > below.bound

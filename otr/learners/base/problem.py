@@ -17,11 +17,12 @@ class Problem:
         self,
         X: FloatArray,
         Y: FloatArray,
-        loss: Literal["logistic", "softmax", "squared"],
+        loss: Literal["logistic", "softmax", "squared", "poisson"],
         weights: FloatArray | None = None,
     ) -> None:
         self.X, self.loss = X, loss  # (n, d), shifted and scaled by `mean` and `scale`
-        self.Y = Y  # (n, L), NaN where missing: 0 and 1 (logistic), class numbers (softmax), standardised (squared)
+        self.Y = Y  # (n, L), NaN where missing: 0 and 1 (logistic), class numbers (softmax), standardised (squared),
+        # shares of the mean count (poisson)
         self.weights = weights  # (n,), as how many rows each one counts; None for one each
         # (n, L), the same in the loss of each label, times the weights of its classes
         self.label_weights = None if weights is None else np.tile(weights[:, None], Y.shape[1])
@@ -29,7 +30,8 @@ class Problem:
         self.X_valid: FloatArray | None = None  # the same for the rows that choose the epoch
         self.Y_valid: FloatArray | None = None
         self.mean, self.scale = np.zeros(X.shape[1]), np.ones(X.shape[1])  # (d,)
-        self.y_mean, self.y_scale = np.zeros(Y.shape[1]), np.ones(Y.shape[1])  # (L,), of the targets
+        # (L,): y_mean + y_scale * output are the outputs for the targets as they were given
+        self.y_mean, self.y_scale = np.zeros(Y.shape[1]), np.ones(Y.shape[1])
 
     def standardise_inputs(self) -> None:
         """Shift and scale X to mean 0 and standard deviation 1 on the training rows, as they are weighted."""
@@ -39,7 +41,13 @@ class Problem:
             self.X_valid = (self.X_valid - self.mean) / self.scale
 
     def standardise_targets(self) -> None:
-        """Do the same to Y."""
+        """Do the same to Y; counts are divided by their mean, whose logarithm the outputs then lack."""
+        if self.loss == "poisson":
+            means = np.average(self.Y, axis=0, weights=self.weights)
+            self.y_mean, self.Y = np.log(means), self.Y / means
+            if self.Y_valid is not None:
+                self.Y_valid = self.Y_valid / means
+            return
         self.y_mean, self.y_scale = self._moments(self.Y)
         self.Y = (self.Y - self.y_mean) / self.y_scale
         if self.Y_valid is not None:

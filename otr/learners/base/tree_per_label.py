@@ -106,7 +106,7 @@ class TreeLearner(TreeAnswers, ABC):
         are_bits = ((problem.X == 0) | (problem.X == 1)).all()
         if not are_bits if self.standardize == "auto" else self.standardize:
             problem.standardise_inputs()
-        if problem.loss == "squared":
+        if problem.loss in ("squared", "poisson"):
             problem.standardise_targets()
         return problem
 
@@ -268,6 +268,8 @@ class TreeClassifier(ClassifierMixin, TreeLearner):  # type: ignore[misc]
 class TreeRegressor(RegressorMixin, TreeLearner):  # type: ignore[misc]
     """Base of the regressors, with one tree a target."""
 
+    loss: Literal["squared_error", "poisson"] = "squared_error"
+
     def _problem(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None, validation: Validation) -> Problem:
         self._validate_params()
         rows, targets = validate_data(self, X, y, dtype=np.float64, multi_output=True, y_numeric=True)
@@ -278,18 +280,34 @@ class TreeRegressor(RegressorMixin, TreeLearner):  # type: ignore[misc]
         if validation is not None:
             encoded = check_array(validation[1], ensure_2d=False, dtype=np.float64, input_name="y of validation")
         rows, targets, weights = counted_rows(rows, targets, sample_weight)
-        problem = Problem(rows, _columns(targets), "squared", weights)
+        if self.loss == "poisson":
+            _check_counts(targets, "y")
+            _check_counts(encoded, "y of validation")
+        loss: Any = "poisson" if self.loss == "poisson" else "squared"
+        problem = Problem(rows, _columns(targets), loss, weights)
         return self._standardised(problem, validation, None if encoded is None else _columns(encoded))
 
     def predict(self, X: ArrayLike) -> FloatArray:
-        """Return the leaves' outputs: (n,), or (n, L) for several targets."""
-        outputs = self._outputs(X)[:, :, 0]
-        return outputs[:, 0] if self.one_target_ else outputs
+        """Return the trees' answers, which are expected counts under loss="poisson": (n,), or (n, L) for several."""
+        check_is_fitted(self)
+        rows = validate_data(self, X, dtype=np.float64, reset=False)
+        answers: FloatArray = np.concatenate([tree.predict(rows) for tree in self.trees_], axis=1)
+        return answers[:, 0] if self.one_target_ else answers
 
     def __sklearn_tags__(self) -> Any:
         tags = super().__sklearn_tags__()
         tags.target_tags.multi_output = True
         return tags
+
+
+def _check_counts(y: FloatArray | None, name: str) -> None:
+    """Raise ValueError unless y is counts, or means of counts, of which each column has one above 0."""
+    if y is None:
+        return
+    if (y < 0).any():
+        raise ValueError(f"{name} holds {y.min():g}, and loss='poisson' is for counts, which are 0 or more")
+    if name == "y" and not _columns(y).any(axis=0).all():
+        raise ValueError(f"{name} is 0 in every row, and the expected count of loss='poisson' is above 0")
 
 
 def _columns(y: ArrayLike) -> FloatArray:

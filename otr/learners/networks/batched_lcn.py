@@ -69,7 +69,7 @@ class BatchedLcns(BatchedModels[LcnNetwork]):
         self._settings, self._streams = settings, streams
         self._alpha = 1.0
         S, M = len(streams), settings.depth
-        o = {"logistic": 2, "softmax": settings.n_classes, "squared": 1}[settings.loss]
+        o = {"logistic": 2, "softmax": settings.n_classes, "squared": 1, "poisson": 1}[settings.loss]
         q = settings.hidden or o
         self._shape = (S, n_labels, M, q)
         shapes = {

@@ -21,7 +21,8 @@ from otr.core.arrays import IntArray
 from otr.learners.networks.first_layer import InputRows
 
 PADDED_TO = 64
-Loss = Literal["logistic", "softmax", "squared"]
+Loss = Literal["logistic", "softmax", "squared", "poisson"]
+MOST_LOG_COUNT = 5.0  # 148 times the mean, beyond which a gradient does not grow: large counts would throw a model out
 Network = TypeVar("Network")
 
 
@@ -129,11 +130,14 @@ def loss_derivatives(loss: Loss, outputs: Tensor, targets: Tensor, weights: Tens
     """Return the derivatives of sum_i weights_i loss_i by the outputs (..., o).
 
     The logistic loss has one output and targets in [0, 1], softmax o classes and their numbers as targets, squared is
-    (y - target)**2. Targets and weights are (...); a weight is 0 where the target is missing. `smoothing` is the share
-    of a target that is spread evenly over the classes.
+    (y - target)**2, and poisson exp(y) - target * y, whose y is cut off at `MOST_LOG_COUNT`. Targets and weights are
+    (...); a weight is 0 where the target is missing. `smoothing` is the share of a target that is spread evenly over
+    the classes.
     """
     if loss == "squared":
         return (outputs - targets[..., None]) * (2 * weights[..., None])
+    if loss == "poisson":
+        return (outputs.clamp(max=MOST_LOG_COUNT).exp() - targets[..., None]) * weights[..., None]
     if loss == "logistic":
         goal = targets[..., None]
         if smoothing:

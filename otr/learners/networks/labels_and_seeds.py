@@ -14,14 +14,14 @@ from sklearn.utils._param_validation import Interval, StrOptions
 
 from otr.core.arrays import FloatArray, IntArray
 from otr.core.head import Head
-from otr.core.heads import Argmax, Identity, Sign
+from otr.core.heads import Argmax, Exp, Identity, Sign
 from otr.learners.base.parameters import Constraints, Settings
 from otr.learners.networks.batched_models import BatchedModels, Loss, Network, SeedStreams, streams_of
 from otr.learners.networks.batched_training import Schedule, train_models
 from otr.learners.networks.first_layer import InputRows, new_rows
 
 _CHUNK_BYTES = 2**22  # weights of the first layers that are trained together: they should stay in the cache
-_HEADS: dict[Loss, Head] = {"logistic": Sign(), "softmax": Argmax(), "squared": Identity()}
+_HEADS: dict[Loss, Head] = {"logistic": Sign(), "softmax": Argmax(), "squared": Identity(), "poisson": Exp()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +29,7 @@ class NetworkSettings(Settings, ABC, Generic[Network]):
     """What all kinds of networks have.
 
     Attributes:
-        loss: "logistic" (labels 0 and 1, or probabilities), "softmax" (class numbers) or "squared".
+        loss: "logistic" (labels 0 and 1, or probabilities), "softmax" (class numbers), "squared" or "poisson" (counts).
         n_classes: outputs with the softmax loss.
         schedule: see there.
     """

@@ -41,6 +41,8 @@ def negative_losses(loss: str, outputs: FloatArray, labels: FloatArray) -> Float
         losses = np.logaddexp.reduce(outputs, axis=-1) - chosen
     elif loss == "logistic":
         losses = np.logaddexp(0.0, outputs[..., 0]) - targets * outputs[..., 0]
+    elif loss == "poisson":
+        losses = np.exp(outputs[..., 0]) - targets * outputs[..., 0]
     else:
         losses = (outputs[..., 0] - targets) ** 2
     n_labels = np.maximum((~missing).sum(axis=-1), 1)

@@ -8,7 +8,7 @@ from functools import singledispatch
 import numpy as np
 
 from otr.core.head import Head, no_entry
-from otr.core.heads import Argmax, ClipBox, Identity, PidBox, Sign, TanhBox
+from otr.core.heads import Argmax, ClipBox, Exp, Identity, PidBox, Sign, TanhBox
 from otr.programs.c.tables import CType, Table, literal, real_table
 
 
@@ -20,7 +20,7 @@ class Answer:
     tables: list[Table]  # that the lines read
     array: str = "y"  # of the outputs; y is the answer's own where the answer is numbers
     declared: tuple[str, ...] = ()  # the declaration of that array, if it is another
-    needs_tanh: bool = False
+    calls: str = ""  # a function of the mathematical library
 
 
 @singledispatch
@@ -35,6 +35,12 @@ def _(head: Identity, n_outputs: int, name: str, dtype: CType) -> Answer:
 
 
 @answer_of.register
+def _(head: Exp, n_outputs: int, name: str, dtype: CType) -> Answer:
+    exp = "exp" if dtype == "double" else "expf"
+    return Answer([f"    for (k = 0; k < {n_outputs}; k++)", f"        y[k] = {exp}(y[k]);"], [], calls="exp")
+
+
+@answer_of.register
 def _(head: ClipBox, n_outputs: int, name: str, dtype: CType) -> Answer:
     low, high = head.limits(n_outputs)
     tables, (lows, highs) = _per_output(name, {"low": low, "high": high}, dtype)
@@ -45,7 +51,7 @@ def _(head: ClipBox, n_outputs: int, name: str, dtype: CType) -> Answer:
 @answer_of.register
 def _(head: TanhBox, n_outputs: int, name: str, dtype: CType) -> Answer:
     tables, squashed = _squashed(head, n_outputs, name, dtype, "y[k]")
-    return Answer([f"    for (k = 0; k < {n_outputs}; k++)", f"        y[k] = {squashed};"], tables, needs_tanh=True)
+    return Answer([f"    for (k = 0; k < {n_outputs}; k++)", f"        y[k] = {squashed};"], tables, calls="tanh")
 
 
 @answer_of.register
@@ -63,7 +69,7 @@ def _(head: PidBox, n_outputs: int, name: str, dtype: CType) -> Answer:
         "    }",
     ]
     declared = f"    {dtype} u[{n_outputs}];  /* P, I and D, then each action's gains */"
-    return Answer(lines, tables, "u", (declared,), needs_tanh=True)
+    return Answer(lines, tables, "u", (declared,), calls="tanh")
 
 
 @answer_of.register

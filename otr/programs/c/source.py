@@ -77,9 +77,9 @@ def to_c(
     tables += answer.tables
     n_bytes = sum(table.n_bytes for table in tables)
     declared = _signature(policy, name, dtype)
-    lines = _comment(policy, declared, n_bytes, features, answers, answer.needs_tanh)
+    lines = _comment(policy, declared, n_bytes, features, answers, answer.calls)
     written = [line for table in tables for line in table.lines]
-    lines += ["#include <math.h>"] if answer.needs_tanh else []
+    lines += ["#include <math.h>"] if answer.calls else []
     lines += ["#include <stdint.h>"] if any(line.startswith(_OF_STDINT) for line in written) else []
     lines += ["", *written, "", f"{declared};  /* so that no compiler misses a prototype */", "", declared]
     return re.sub("\n{3,}", "\n\n", "\n".join([*lines, "{", *body, *answer.lines, "}"])) + "\n"
@@ -103,7 +103,7 @@ def _comment(
     n_bytes: int,
     features: Sequence[str],
     answers: Sequence[str],
-    needs_tanh: bool,
+    calls: str,
 ) -> list[str]:
     """Return the comment at the top: how to call, inputs, outputs, sizes."""
     if isinstance(policy, ObliqueTree):
@@ -120,7 +120,7 @@ def _comment(
     lines += [
         " *",
         f" * {n_bytes:,} bytes of constant tables. No heap, no recursion, no variable that outlives a call.",
-        *([" * Link with the mathematical library (-lm) for tanh."] if needs_tanh else []),
+        *([f" * Link with the mathematical library (-lm) for {calls}."] if calls else []),
         " */",
     ]
     return lines

@@ -20,9 +20,10 @@ from otr.programs.language.syntax import (
     Number,
 )
 from otr.programs.language.tokens import Place, Source
-from otr.programs.language.values import Affine, Squashed, Value, clipped, constant
+from otr.programs.language.values import Affine, Clipped, Exponential, Squashed, Value, clipped, constant
 
 ONLY_LAST = "tanh may only be scaled and shifted by constants, as the last step of an answer"
+EXP_IS_LAST = "exp may only be the whole of an answer; add the logarithm of a factor to what stands in it"
 NOT_AFFINE = {
     "*": "this multiplies two values that depend on the inputs, which is not affine; one factor must be constant",
     "/": "this divides by a value that depends on the inputs, which is not affine; divide by constants only",
@@ -68,9 +69,9 @@ class Evaluator:
         return [decided for own, value in self.value(node, path) for decided in self.unclipped(own, value, node.at)]
 
     def unclipped(self, path: Path, value: Value, at: Place) -> AffineWorth:
-        """Return a value with its clip decided by tests; raise ProgramError if it is a tanh."""
-        if isinstance(value, Squashed):
-            raise self._source.error(ONLY_LAST, at)
+        """Return a value with its clip decided by tests; raise ProgramError if it is a tanh or an exp."""
+        if isinstance(value, Squashed | Exponential):
+            raise self._source.error(ONLY_LAST if isinstance(value, Squashed) else EXP_IS_LAST, at)
         if isinstance(value, Affine):
             return [(path, value)]
         worth: AffineWorth = []
@@ -200,6 +201,7 @@ class Evaluator:
             "abs": self._abs,
             "argmax": self._argmax,
             "clip": self._clip,
+            "exp": self._exp,
             "max": self._extreme,
             "min": self._extreme,
             "tanh": self._tanh,
@@ -251,7 +253,7 @@ class Evaluator:
         is_max = node.function == "max"
         if isinstance(first, Affine) and first.is_constant:
             first, second = second, first
-        if not isinstance(first, Squashed) and isinstance(second, Affine) and second.is_constant:
+        if isinstance(first, Affine | Clipped) and isinstance(second, Affine) and second.is_constant:
             limit = second.offset
             return [(path, clipped(first, low=limit) if is_max else clipped(first, high=limit))]
         worth: Worth = []
@@ -273,12 +275,15 @@ class Evaluator:
                     f"clip's limits are {lower.offset:g} and {upper.offset:g}, lower first", node.at
                 )
             for other, value in self.value(inner, own):
-                if are_constant and not isinstance(value, Squashed):
+                if are_constant and isinstance(value, Affine | Clipped):
                     worth.append((other, clipped(value, lower.offset, upper.offset)))
                     continue
                 for another, raised in self._better(other, value, lower, Call("max", [], node.at)):
                     worth += self._better(another, raised, upper, Call("min", [], node.at))
         return worth
+
+    def _exp(self, node: Call, path: Path) -> Worth:
+        return [(own, Exponential(value)) for own, value in self.affine(node.arguments[0], path)]
 
     def _tanh(self, node: Call, path: Path) -> Worth:
         return [(own, Squashed(value, 1.0, 0.0)) for own, value in self.affine(node.arguments[0], path)]

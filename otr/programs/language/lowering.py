@@ -10,7 +10,7 @@ import numpy as np
 
 from otr.core.arrays import FloatArray
 from otr.core.head import Head
-from otr.core.heads import Argmax, ClipBox, Identity, TanhBox
+from otr.core.heads import Argmax, ClipBox, Exp, Identity, TanhBox
 from otr.core.tree import ObliqueTree
 from otr.errors import ProgramError
 from otr.programs.language.evaluation import Evaluator, appended
@@ -18,7 +18,7 @@ from otr.programs.language.paths import GrowingTree, Path
 from otr.programs.language.scope import Scope
 from otr.programs.language.syntax import Assign, Return, Statement, Statements
 from otr.programs.language.tokens import Place, Source
-from otr.programs.language.values import Affine, Clipped, Squashed, Value
+from otr.programs.language.values import Affine, Clipped, Exponential, Squashed, Value
 
 MAX_LABELS = 1024  # where they have no names; every leaf has an output for each
 
@@ -166,6 +166,8 @@ class Lowering:
         answers = self._answers
         if any(isinstance(value, Squashed) for answer in answers for value in answer.values):
             head = self._tanh_box()
+        elif any(isinstance(value, Exponential) for answer in answers for value in answer.values):
+            head = self._exp()
         elif (box := self._clip_box()) is not None:
             head = box
         else:
@@ -205,6 +207,13 @@ class Lowering:
                     raise self._mixed(answer.at)
         half, middle = (np.array(column) for column in zip(*boxes, strict=True))
         return TanhBox(*_limits(half, middle))
+
+    def _exp(self) -> Exp:
+        """Return the head of answers ``exp(...)``; raise ProgramError if one is not of this form."""
+        for answer in self._answers:
+            if not all(isinstance(value, Exponential) for value in answer.values):
+                raise self._source.error("where one answer is an exp all must be, in every leaf", answer.at)
+        return Exp()
 
     def _mixed(self, at: Place) -> ProgramError:
         return self._source.error(

@@ -8,7 +8,15 @@ from contextlib import contextmanager
 
 from otr.programs.language.tokens import Place, Source, written
 
-FUNCTIONS = {"abs": (1, 1), "argmax": (1, None), "clip": (3, 3), "max": (1, None), "min": (1, None), "tanh": (1, 1)}
+FUNCTIONS = {
+    "abs": (1, 1),
+    "argmax": (1, None),
+    "clip": (3, 3),
+    "exp": (1, 1),
+    "max": (1, None),
+    "min": (1, None),
+    "tanh": (1, 1),
+}
 
 
 class Scope:

@@ -97,7 +97,14 @@ class Squashed:
         return Squashed(self.inner, self.half, self.middle + offset)
 
 
-Value: TypeAlias = Affine | Clipped | Squashed
+@dataclass(frozen=True, slots=True)
+class Exponential:
+    """``exp(inner)``."""
+
+    inner: Affine
+
+
+Value: TypeAlias = Affine | Clipped | Squashed | Exponential
 
 
 def constant(value: float) -> Affine:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import singledispatch
 
 from otr.core.head import Head, no_entry
-from otr.core.heads import Argmax, ClipBox, Identity, PidBox, Sign, TanhBox
+from otr.core.heads import Argmax, ClipBox, Exp, Identity, PidBox, Sign, TanhBox
 from otr.core.tree import ObliqueTree
 from otr.programs.picture.formulas import number_text
 
@@ -24,6 +24,11 @@ def note_of(head: Head, n_outputs: int) -> str:
 @note_of.register
 def _(head: Identity, n_outputs: int) -> str:
     return ""
+
+
+@note_of.register
+def _(head: Exp, n_outputs: int) -> str:
+    return "formulas go through exp"
 
 
 @note_of.register

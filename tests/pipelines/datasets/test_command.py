@@ -41,7 +41,7 @@ def test_list_fetches_nothing(server, tiny_bace, own, capsys):
     assert lines[0] == f"data folder: {own}"
     assert "  bace           1 of 3 files here" in lines
     assert "  digits         comes with scikit-learn" in lines
-    assert len(lines) == 9
+    assert len(lines) == 10
     assert server.asked == []
 
 

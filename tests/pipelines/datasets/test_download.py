@@ -30,7 +30,7 @@ def no_rdkit(monkeypatch):
 
 def test_known_hashes_of_git_and_the_addresses():
     assert catalogue.git_blob_hash(b"") == "e69de29bb2d1d6434b8b29ae775ad8c2e48c5391"  # git hash-object /dev/null
-    assert len(FILES) == 17
+    assert len(FILES) == 18
     assert catalogue.PDBBIND.git_blob == "7c67031042f93fed4674108ea496e76efdfd29ae"
     assert catalogue.PDBBIND.addresses == (
         "https://raw.githubusercontent.com/guanghelee/iclr20-lcn/78d2262207ef/data/PDBbind.pkl.gz",

@@ -1,11 +1,14 @@
 import numpy as np
 import pytest
-from sklearn.metrics import roc_auc_score
+from sklearn.metrics import mean_poisson_deviance, roc_auc_score
 
 import otr
-from otr.learners import CARTClassifier, OTRClassifier
+from otr.learners import CARTClassifier, OTRClassifier, OTRRegressor
 from pipelines.datasets.load import load_dataset
-from pipelines.supervised.metrics import metric_of, outputs_of, score, size_of
+from pipelines.errors import ConfigError
+from pipelines.supervised.config import OtrConfig
+from pipelines.supervised.learners import check_learner
+from pipelines.supervised.metrics import gain, metric_of, outputs_of, score, size_of
 
 
 @pytest.mark.parametrize("name, metric", [("breast_cancer", "auc"), ("digits", "accuracy"), ("diabetes", "rmse")])
@@ -32,3 +35,16 @@ def test_leaves_are_those_of_the_pruned_tree_whatever_holds_it():
     assert isinstance(explicit, otr.ObliqueTree) and isinstance(patterns, otr.PatternTree)
     pruned = otr.prune_unreached(explicit, X)
     assert size_of(explicit, X) == size_of(patterns, X) == (5, pruned.n_leaves)
+
+
+def test_counts_are_scored_by_their_deviance():
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(200, 2))
+    y = rng.poisson(np.exp(X[:, 0])).astype(float)
+    model = OTRRegressor((2,), loss="poisson", random_state=0).fit(X, y)
+    outputs = outputs_of(model.tree_, X)
+    np.testing.assert_allclose(outputs, model.predict(X))
+    assert score("deviance", outputs, y) == pytest.approx(mean_poisson_deviance(y, np.maximum(outputs, 1e-3)))
+    assert np.isfinite(score("deviance", np.zeros(200), y)) and gain("deviance", 2.0) == -2.0
+    with pytest.raises(ConfigError, match="loss=poisson is for counts, and diabetes is a regression"):
+        check_learner(OtrConfig("otr", "otr", loss="poisson"), load_dataset("diabetes"))

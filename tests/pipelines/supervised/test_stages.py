@@ -145,7 +145,7 @@ def test_class_weights_reach_the_learner(fit_of):
     expected = CARTClassifier(max_depth=1, class_weight="balanced", random_state=0).fit(X, y).tree_.c
     np.testing.assert_allclose(shares[0], expected)
     assert np.abs(shares[0] - shares[1]).max() > 0.01
-    with pytest.raises(ConfigError, match="class_weight is for classes, and diabetes is a regression"):
+    with pytest.raises(ConfigError, match="class_weight is for classes, and diabetes has numbers"):
         fit_job(job_of(fit_of("cart", data="diabetes", class_weight="balanced")))
 
 

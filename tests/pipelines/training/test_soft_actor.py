@@ -13,6 +13,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv
 
+import otr
 from pipelines.cli.runs import run_config
 from pipelines.config.methods import PiPrlConfig
 from pipelines.engine.store import write_files

@@ -137,7 +137,15 @@ def play_episodes(
         n_inputs, to_env, no_actions = _spaces(envs)
         states = [_state(env.reset(seed=int(seeds[i]))[0]) for i, env in enumerate(envs)]
         while envs:
-            actions = to_env(policy(np.array(states)))
+            batch = np.array(states)
+            if not np.isfinite(batch).all():
+                slot = int((~np.isfinite(batch).all(axis=1)).argmax())
+                i = episode[slot]
+                raise ValueError(
+                    f"the observation of the episode of seed {seeds[i]} at step {lengths[i]} is not finite: "
+                    f"{batch[slot].tolist()}"
+                )
+            actions = to_env(policy(batch))
             for slot in range(len(envs) - 1, -1, -1):  # backwards, so that a finished slot can be removed
                 env, i = envs[slot], episode[slot]
                 if keep_steps:
@@ -147,6 +155,8 @@ def play_episodes(
                 returns[i] += float(reward)
                 lengths[i] += 1
                 if terminal or timeout or lengths[i] >= limit:
+                    if not math.isfinite(returns[i]):
+                        raise ValueError(f"the rewards of the episode of seed {seeds[i]} add up to {returns[i]}")
                     terminated[i], truncated[i] = terminal, timeout or not terminal
                     if waiting == n:
                         env.close()

@@ -108,6 +108,12 @@ class ReluNetwork:
         return int(self.weights[-1].shape[0])
 
     @property
+    def n_answers(self) -> int:
+        """Number of labels, or of values in an answer."""
+        count = self.head.n_labels if self.head.gives_labels else self.head.n_answers
+        return count(self.n_outputs)
+
+    @property
     def hidden_widths(self) -> tuple[int, ...]:
         """Number of neurons in each hidden layer."""
         return tuple(len(bias) for bias in self.biases[:-1])

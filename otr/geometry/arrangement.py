@@ -186,7 +186,7 @@ class Walk:
         raise TreeTooLargeError(
             f"the limit of {limit} was met after {seconds:.1f} s: {self.n_found:,} regions were complete, "
             f"{n_regions - self.n_found:,} others followed to test {block.outcomes.shape[1]} of {self.n_bits} "
-            "or less far; raise max_leaves or max_seconds, or give a smaller domain"
+            "or less far; raise the limit, or give a smaller domain"
         )
 
     def _next_layer(self, block: Block) -> Iterator[Block]:

@@ -65,13 +65,10 @@ def names_of(
 
 def _usual_names(policy: ObliqueTree | ReluNetwork) -> tuple[list[str], list[str]]:
     """Return the names of inputs and answers that have none: x0, x1, ..., and y0, y1, ... or the labels' numbers."""
-    if isinstance(policy, ObliqueTree):
-        n_answers, prefix = policy.n_answers, "y" if policy.labels is None else ""
-    else:  # the tree that a network is decides its labels by tests
-        labelled = policy.head.gives_labels
-        n_answers = (policy.head.n_labels if labelled else policy.head.n_answers)(policy.n_outputs)
-        prefix = "" if labelled else "y"
-    return [f"x{i}" for i in range(policy.n_inputs)], [f"{prefix}{i}" for i in range(n_answers)]
+    # The tree that a network is decides its labels by tests.
+    labelled = policy.labels is not None if isinstance(policy, ObliqueTree) else policy.head.gives_labels
+    prefix = "" if labelled else "y"
+    return [f"x{i}" for i in range(policy.n_inputs)], [f"{prefix}{i}" for i in range(policy.n_answers)]
 
 
 def shown_names(

@@ -173,6 +173,9 @@ class Composer:
         lines = str(cause or error).splitlines()
         if "Could not override" in str(error):
             key = str(error).split("'")[1]
+            if key.startswith("env.kwargs."):
+                given = next(override for override in overrides if key_of(override) == key)
+                return f"env.kwargs has no {key.split('.')[2]!r} to change; to give it one: +{given}"
             base = [
                 override
                 for override in overrides

@@ -14,7 +14,8 @@ from omegaconf.errors import OmegaConfBaseException
 
 import otr
 from pipelines.cli.compose import schema_of, to_object
-from pipelines.cli.overrides import is_search, key_of, parse, quoted
+from pipelines.cli.env_files import check_env_file
+from pipelines.cli.overrides import is_search, key_of, parse, quoted, searched_folders
 from pipelines.cli.workflow import Workflow, columns_spelt_out
 from pipelines.config.algo import ALGORITHMS, ArsConfig
 from pipelines.config.budget import BudgetConfig
@@ -128,12 +129,16 @@ class RunWorkflow(Workflow):
         known = self.options(group, overrides)
         if group != "env" or value in known:
             super().check_option(group, value, overrides)
+            for folder in searched_folders(overrides) if group == "env" else []:
+                if (folder / "env" / f"{value}.yaml").is_file():
+                    check_env_file(folder / "env" / f"{value}.yaml")
         elif ":" not in value and value not in registered_ids():
             hint = did_you_mean(value, known, unlisted=registered_ids())
             more = "" if "?" in hint else "; besides, any registered id, as CartPole-v1"
-            more += (
-                f" Where a module of yours registers it: env=my_module:{value}" if re.search(r"-v\d+$", value) else ""
-            )
+            if re.search(r"-v\d+$", value):
+                more += (
+                    f"{' ' if hint.endswith('?') else '. '}Where a module of yours registers it: env=my_module:{value}"
+                )
             raise ConfigError(f"env={value}: there is no such environment.{hint}{more}")
 
     def _compose_exactly(self, overrides: Sequence[str]) -> DictConfig:

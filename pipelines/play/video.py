@@ -61,7 +61,7 @@ def write_video(tree: otr.ObliqueTree, env_config: EnvConfig, seed: int, path: P
     """
     tree = _in_order(merge_equal_leaves(tree))
     env = gym.wrappers.RecordEpisodeStatistics(_renderable(env_config))
-    names = action_names(env_config, tree.head.n_answers(tree.n_outputs))
+    names = action_names(env_config, tree.n_answers)
     frames_a_second = float(env.metadata.get("render_fps") or 30)
     (length,) = rollout(tree.predict, env_config, [seed], n_workers=1).lengths.tolist()
     is_gif, n_frames = path.suffix == ".gif", 0

@@ -45,7 +45,7 @@ def always(tree: otr.ObliqueTree, condition: str, env: EnvConfig, domain: otr.Do
         ValueError: the box is unbounded, or the policy's head multiplies outputs.
     """
     features = feature_names(env, tree.n_inputs)
-    actions = action_names(env, tree.head.n_answers(tree.n_outputs))
+    actions = action_names(env, tree.n_answers)
     undecided = []
     for label in [None] if tree.labels is None else otr.reachable_labels(tree, domain).tolist():
         failing = _read(condition, features, actions, label)
@@ -67,7 +67,7 @@ def always(tree: otr.ObliqueTree, condition: str, env: EnvConfig, domain: otr.Do
 
 def ranges(tree: otr.ObliqueTree, env: EnvConfig, domain: otr.Domain) -> list[str]:
     """Return a line for every action: its smallest and largest value on a box; of labels, which are reached."""
-    names = action_names(env, tree.head.n_answers(tree.n_outputs))
+    names = action_names(env, tree.n_answers)
     if tree.labels is not None:
         reached = otr.reachable_labels(tree, domain).tolist()
         never = [name for label, name in enumerate(names) if label not in reached]

@@ -42,8 +42,10 @@ def show_result(summary: dict[str, Any], run_dir: Path, whole: Path) -> None:
     for stage, name in (("video", "episode.gif"), ("mp4", "episode.mp4")):
         if stage in summary:
             lines.append(_shown(summary[stage], f"{stage}/{name}", run_dir, whole))
-    where = program if whole == run_dir else f"otr-export run={run_dir} format=text"
-    picture = run_dir / "prune" / "tree.svg"
+    last = "polish" if summary.get("polish", {}).get("kept") else "prune"
+    form = " tree=polished" if last == "polish" else ""
+    where = whole / last / "program.txt" if whole == run_dir else f"otr-export run={run_dir} format=text{form}"
+    picture = run_dir / last / "tree.svg"
     show_finished(text, where, _title(summary), _table(summary), lines, summary["seconds"], run_dir, picture)
 
 

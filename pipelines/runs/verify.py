@@ -136,6 +136,6 @@ def compared(
             return Answer(True, f"proved: the program and {what} {size if tree.labels is None else 'answer alike'}")
         state = verdict.state
     place = in_words(feature_names(env, len(state)), state)
-    names = action_names(env, tree.head.n_answers(tree.n_outputs))
+    names = action_names(env, tree.n_answers)
     ours, theirs = (answer_in_words(each, state, names) for each in (tree, other))
     return Answer(False, f"differ: at {place}, the program answers {ours}, {what} {theirs}")

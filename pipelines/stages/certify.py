@@ -25,8 +25,8 @@ def certify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
 
     The domain is the box of states that the environment declares (gymnasium's observation space, which not every
     environment keeps to) where that is bounded, else the box around the states of the pruning episodes and 5 % more on
-    either side. A tree that would be too large, or take too long, is told in the report. After polish=true the actor is
-    the polished one.
+    either side. A tree or a proof that would be too large, or take too long, is told in the report. After polish=true
+    the actor is the polished one.
     """
     network = load_actor(inputs.get("polish") or inputs[config.method.actor_stage])
     domain, whence = _domain(inputs, config)
@@ -39,11 +39,11 @@ def certify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
         tree = otr.minimal_tree(
             network, domain, order="balanced", max_leaves=limits.max_leaves, max_seconds=limits.max_seconds
         )
+        built = time.monotonic()
+        certificate = otr.certify(tree, network, domain, max_seconds=limits.max_seconds)
     except otr.TreeTooLargeError as error:
         write_json(out / "report.json", {"certified": False, "reason": str(error)} | report)
         return
-    built = time.monotonic()
-    certificate = otr.certify(tree, network, domain)
     certified = time.monotonic()
     otr.verify(certificate, tree, network)
     verified = time.monotonic()

@@ -92,10 +92,9 @@ def _tree_text(path: Path, env: EnvConfig) -> str:
     tree, space = otr.load(path), spaces(env)
     if not isinstance(tree, otr.ObliqueTree):
         raise ConfigError(f"program={path} holds a network; give it as model={path}")
-    n_answers = tree.head.n_answers(tree.n_outputs)
-    if (tree.n_inputs, n_answers) != (space.n_inputs, space.n_actions):
+    if (tree.n_inputs, tree.n_answers) != (space.n_inputs, space.n_actions):
         raise ConfigError(
-            f"{path}: the tree reads {tree.n_inputs} numbers and has {n_answers} actions, {env.id} has "
+            f"{path}: the tree reads {tree.n_inputs} numbers and has {tree.n_answers} actions, {env.id} has "
             f"{space.n_inputs} and {space.n_actions}"
         )
     names = feature_names(env, space.n_inputs), action_names(env, space.n_actions)

@@ -30,7 +30,7 @@ def names_of_env(policy: Any, env: EnvConfig) -> dict[str, Any]:
     """Return the environment's names of a policy's inputs and answers, as programs and pictures take them."""
     return {
         "feature_names": feature_names(env, policy.n_inputs),
-        "output_names": action_names(env, policy.head.n_answers(policy.n_outputs)),
+        "output_names": action_names(env, policy.n_answers),
     }
 
 

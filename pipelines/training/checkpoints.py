@@ -5,6 +5,7 @@ is written beside the last one and renamed, then the last one is removed. What t
 (`pipelines/training/sb3_checkpoints.py`, `pipelines/training/fleet/fleet_run.py`).
 """
 
+import math
 import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,8 +31,16 @@ class History:
     best: dict[str, bytes] = field(default_factory=dict)  # the files of the best actor so far
 
     def segment_done(self, progress_row: dict[str, Any], actor: dict[str, bytes], played: Rollout) -> None:
-        """Add a segment, and keep its actor's files where it did better than all before."""
+        """Add a segment, and keep its actor's files where it did better than all before.
+
+        Raises:
+            PipelineError: a return is no finite number.
+        """
         mean = float(played.returns.mean())
+        if not math.isfinite(mean):
+            raise PipelineError(
+                f"step {progress_row['steps']:,}: the selection episodes return {mean}; rewards have to be finite"
+            )
         best = all(mean > row["return_mean"] for row in self.evaluations)
         self.n_segments += 1
         self.progress.append(progress_row)

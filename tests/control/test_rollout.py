@@ -171,3 +171,24 @@ def test_environments_are_side_by_side_and_closed_at_the_end():
     with pytest.raises(RuntimeError, match="no answer"):
         otr.evaluate(Closing, fails, range(3))
     assert len(closed) == 35
+
+
+def test_observations_and_rewards_that_are_no_numbers_are_told():
+    class Broken(gym.Env):
+        observation_space, action_space = gym.spaces.Box(-1, 1, (2,)), gym.spaces.Discrete(2)
+
+        def __init__(self, state, reward):
+            self.state, self.reward = np.array(state, dtype=np.float32), reward
+
+        def reset(self, *, seed=None, options=None):
+            return np.zeros(2, dtype=np.float32), {}
+
+        def step(self, action):
+            return self.state, self.reward, False, False, {}
+
+    for state, reward, told in (
+        ([0, np.nan], 1.0, r"the observation of the episode of seed 7 at step 1 is not finite: \[0.0, nan\]"),
+        ([0, 1], np.inf, "the rewards of the episode of seed 7 add up to inf"),
+    ):
+        with pytest.raises(ValueError, match=told):
+            otr.evaluate(lambda: Broken(state, reward), lambda X: np.zeros(len(X), dtype=int), [7], max_steps=5)  # noqa: B023

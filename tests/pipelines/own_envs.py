@@ -96,6 +96,14 @@ class FailsLater(Cart):
         return state, *others
 
 
+class NoReward(Cart):
+    """The cart whose reward is no number before long."""
+
+    def step(self, action: Any) -> Any:
+        state, reward, *others = super().step(action)
+        return state, reward if abs(state[0]) > 0.3 else np.nan, *others
+
+
 class NeedsAFile(Cart):
     """The cart that cannot be made."""
 
@@ -115,7 +123,7 @@ SPACES: dict[str, dict[str, gym.Space]] = {
 gym.register("Cart-v0", entry_point=Cart, max_episode_steps=50)
 gym.register("PushOrPull-v0", entry_point=PushOrPull, max_episode_steps=50)
 gym.register("Endless-v0", entry_point=Cart)
-for mistaken in (OfOldGym, ReturnsFour, LongerThanItsSpace, NotFinite, FailsLater, NeedsAFile):
+for mistaken in (OfOldGym, ReturnsFour, LongerThanItsSpace, NotFinite, FailsLater, NoReward, NeedsAFile):
     gym.register(f"{mistaken.__name__}-v0", entry_point=mistaken, max_episode_steps=50)
 for name, spaces in SPACES.items():
     gym.register(f"{name}-v0", entry_point=Unsuitable, kwargs=spaces, max_episode_steps=50)

@@ -121,3 +121,35 @@ def test_a_mistake_in_an_environment_is_told_with_its_line(command, tmp_path):
     lines = Path("tests/pipelines/own_envs.py").read_text().splitlines()
     number = 1 + next(i for i, line in enumerate(lines) if 'KeyError("goal")' in line)
     assert re.search(rf"KeyError: 'goal' \(.*own_envs\.py, line {number}, in step\)", failed.stderr.replace("\n", " "))
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        (("env:\n  name: heavy", "env:\n  name: [heavy"), r"heavy.yaml, line \d+: this is no YAML: expected"),
+        (("feature_names", "feature_name"), r"env has no setting 'feature_name'. Did you mean feature_names"),
+        (("  task: continuous\n", ""), r"heavy.yaml: env.task is missing; docs/own.md has one to copy"),
+        (
+            ("task: continuous", "task: heavy"),
+            r"env.task=heavy: conf/budget has no such row; it is discrete for labels",
+        ),
+        (("# @package _global_\n", ""), r"its first line has to be\n  # @package _global_"),
+        (("env:\n", "environment:\n"), r"it has no settings below env:"),
+    ],
+)
+def test_a_mistake_in_an_own_file_is_told_in_its_words(tmp_path, changes, told):
+    (tmp_path / "env").mkdir()
+    (tmp_path / "env" / "heavy.yaml").write_text(HEAVY.replace(*changes))
+    with pytest.raises(ConfigError, match=told):
+        job("env=heavy", f"hydra.searchpath=[file://{tmp_path}]", "depth=0")
+
+
+def test_an_argument_that_is_not_there_is_told_with_its_plus():
+    with pytest.raises(ConfigError, match=r"env.kwargs has no 'mass' to change; to give it one: \+env.kwargs.mass=3"):
+        job(CART, "depth=0", "env.kwargs.mass=3")
+
+
+def test_rewards_that_are_no_numbers_are_told(command, tmp_path):
+    failed = command("run", f"env={MODULE}:NoReward-v0", "method=linear", "depth=0", "algo=ars", "budget=smoke",
+                     f"results_dir={tmp_path}")  # fmt: skip
+    assert failed.returncode == 1 and re.search(r"step [\d,]+: the selection episodes return nan", failed.stderr)

@@ -215,3 +215,27 @@ def test_a_model_of_other_actions(models):
     assert read_model(str(models / "sign.json"), None, labels).policy.predict([[1.0, 0.0]]).tolist() == [1]
     with pytest.raises(ConfigError, match=r"the policy answers with labels, the actions of .* are real numbers"):
         read_model(str(models / "sign.json"), None, EnvConfig("c", "continuous", "tests.pipelines.own_envs:Cart-v0"))
+
+
+def test_a_binary_classifier_of_scikit_learn_has_both_labels_names(tmp_path):
+    X = np.random.default_rng(0).normal(size=(300, 4))
+    mlp = MLPClassifier([3], max_iter=300, random_state=0).fit(X, (X @ [0.3, 0.5, 8, 2] > 0).astype(int))
+    skops.io.dump(mlp, tmp_path / "cart.skops")
+    done = otr_command(
+        "otr-run", *SMOKE, "model=cart.skops", "certify=true", "env.action_names=[left,right]", cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    (run,) = tmp_path.glob("results/runs/CartPole-v1/model/depth-3/smoke/seed-0~*")
+    whole = (run / "map/program.txt").read_text()
+    assert "return left" in whole and "return right" in whole and "certificate: " in done.stdout
+
+
+def test_a_proof_that_is_too_long_is_told_and_all_else_is_kept(models, monkeypatch):
+    monkeypatch.setattr("pipelines.stages.certify.otr.certify", lambda *given, **limits: too_long())
+
+    def too_long():
+        raise otr.TreeTooLargeError("the limit of 65,536 regions was met")
+
+    done = otr_command("otr-run", *SMOKE, "model=relu.zip", "certify=true", cwd=models)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "no certificate on the box" in done.stdout and "the limit of 65,536 regions was met" in done.stdout

@@ -1,0 +1,48 @@
+"""The file of an environment of one's own, checked before Hydra reads it, whose messages are about its machinery."""
+
+import dataclasses
+import functools
+from pathlib import Path
+
+import yaml  # type: ignore[import-untyped]
+from omegaconf import OmegaConf
+
+from pipelines.config.conf_dir import CONF_DIR
+from pipelines.config.env import EnvConfig
+from pipelines.errors import ConfigError, did_you_mean
+
+PACKAGE = "# @package _global_"
+EXAMPLE = "docs/own.md has one to copy"
+
+
+def check_env_file(path: Path) -> None:
+    """Raise ConfigError where a file that `env=` names cannot be one of an environment; names the line or the key."""
+    text = path.read_text(encoding="utf-8")
+    try:
+        content = yaml.safe_load(text)
+    except yaml.MarkedYAMLError as error:
+        place = f", line {error.problem_mark.line + 1}" if error.problem_mark else ""
+        raise ConfigError(f"{path}{place}: this is no YAML: {error.problem}") from error
+    if not isinstance(content, dict) or not isinstance(content.get("env"), dict):
+        raise ConfigError(f"{path}: it has no settings below env:, such as name, task and id; {EXAMPLE}")
+    if PACKAGE not in text:
+        raise ConfigError(f"{path}: its first line has to be\n  {PACKAGE}")
+    known = [field.name for field in dataclasses.fields(EnvConfig) if "omegaconf_ignore" not in field.metadata]
+    env = content["env"]
+    for key in env:
+        if key not in known:
+            raise ConfigError(f"{path}: env has no setting {key!r}.{did_you_mean(str(key), known)}")
+    missing = [key for key in ("name", "task", "id") if key not in env]
+    if missing:
+        raise ConfigError(f"{path}: env.{missing[0]} is missing; {EXAMPLE}")
+    tasks = _tasks()
+    if env["task"] not in tasks:
+        raise ConfigError(
+            f"{path}: env.task={env['task']}: conf/budget has no such row; it is discrete for labels, continuous for "
+            f"other actions, or one of {', '.join(task for task in tasks if task not in ('discrete', 'continuous'))}"
+        )
+
+
+@functools.cache
+def _tasks() -> list[str]:
+    return [str(task) for task in OmegaConf.load(CONF_DIR / "budget" / "standard.yaml").steps]

@@ -22,6 +22,8 @@ SCORE = X[:, 0] + X[:, 1] * X[:, 2]
 
 def fitted(cls, X=X):
     model = cls(**QUICK.get(cls.__name__, {}))
+    if "random_state" in model.get_params():  # a quick fit of some seeds answers the same everywhere
+        model.set_params(random_state=0)
     names = np.array(["ant", "bee", "cow"])[np.digitize(SCORE, [-0.5, 0.5])]
     return model.fit(X, names if cls.__name__.endswith("Classifier") else SCORE)
 

@@ -179,6 +179,7 @@ _PARAMETERS = """
         max_leaves: see above.
         loss: a regressor's: "squared_error", or "poisson" for counts, whose tree has the head `Exp`, so that `predict`
             returns the expected count (Orfanos 2023 names this link; scikit-learn's `PoissonRegressor` is its depth 0).
+            Where inputs are rare and counts large, the default rate is too high: try learning_rate=0.01.
         class_weight: a classifier's: None, "balanced" or weights by class, as in scikit-learn, for each label.
         random_state: an integer is the seed as in `train_many`.
 

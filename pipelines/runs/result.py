@@ -13,9 +13,11 @@ from pipelines.engine.store import read_csv
 def show_result(summary: dict[str, Any], run_dir: Path, whole: Path) -> None:
     """Print the run's returns, sizes and times, where its artefacts lie, and its program when that is short.
 
+    The program is the polished tree's where polishing gained something, and the pruned tree's otherwise.
     `whole` is the folder in which its stages lie unpacked.
     """
-    program = whole / "prune" / "program.txt"
+    last = "polish" if summary.get("polish", {}).get("kept") else "prune"
+    program = whole / last / "program.txt"
     text = program.read_text(encoding="utf-8") if program.exists() else ""
     policy = "network" if "network" in summary["policies"] else "whole tree"
     paths = "activation pattern" if policy == "network" else "leaf"
@@ -32,7 +34,7 @@ def show_result(summary: dict[str, Any], run_dir: Path, whole: Path) -> None:
     if "oracle" in summary:
         lines.append(_likeness(summary["oracle"]))
     if "polish" in summary:
-        lines += _polished(summary["polish"], whole)
+        lines.append(_polished(summary["polish"]))
     if "certify" in summary:
         lines.append(_proof(summary["certify"]))
     if "simplify" in summary:
@@ -42,9 +44,8 @@ def show_result(summary: dict[str, Any], run_dir: Path, whole: Path) -> None:
     for stage, name in (("video", "episode.gif"), ("mp4", "episode.mp4")):
         if stage in summary:
             lines.append(_shown(summary[stage], f"{stage}/{name}", run_dir, whole))
-    last = "polish" if summary.get("polish", {}).get("kept") else "prune"
     form = " tree=polished" if last == "polish" else ""
-    where = whole / last / "program.txt" if whole == run_dir else f"otr-export run={run_dir} format=text{form}"
+    where = program if whole == run_dir else f"otr-export run={run_dir} format=text{form}"
     picture = run_dir / last / "tree.svg"
     show_finished(text, where, _title(summary), _table(summary), lines, summary["seconds"], run_dir, picture)
 
@@ -87,21 +88,20 @@ def _proof(report: dict[str, Any]) -> str:
     )
 
 
-def _polished(report: dict[str, Any], whole: Path) -> list[str]:
-    """Return the polished program, where it is short, and what it gained."""
+def _polished(report: dict[str, Any]) -> str:
+    """Return what polishing gained, in words."""
     if report["kept"]:
         outcome = (
             f"return {_before_and_after(report)} over {report['n_episodes']} other episodes"
             f" ({report['confirmation_return_before']:.1f} to {report['confirmation_return']:.1f} on the "
-            f"{report['n_selection_episodes']} that confirmed it)"
+            f"{report['n_selection_episodes']} that confirmed it); the program is the polished tree's"
         )
     else:
         outcome = f"nothing better was confirmed on {report['n_selection_episodes']} other episodes; it stays as it was"
-    return [
-        *(_short_program("polished", whole / "polish" / "program.txt") if report["kept"] else []),
+    return (
         f"polished: {report['n_numbers']} numbers of the {report['numbers']} searched in {report['n_iterations']} "
-        f"iterations, {report['n_steps']:,} steps ({duration(report['cpu_seconds'])}); {outcome}",
-    ]
+        f"iterations, {report['n_steps']:,} steps ({duration(report['cpu_seconds'])}); {outcome}"
+    )
 
 
 def _short_program(title: str, path: Path) -> list[str]:

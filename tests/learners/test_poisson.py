@@ -82,3 +82,12 @@ def test_what_is_no_count_is_refused(y: np.ndarray, told: str) -> None:
         OTRRegressor(loss="poisson").fit(X, np.ones(3), validation=(X, [1.0, 2.0, -1.0]))
     with pytest.raises(ValueError, match="loss"):
         OTRRegressor(loss="gamma").fit(X, np.ones(3))  # type: ignore[arg-type]
+
+
+def test_large_counts_where_a_rare_input_is_set_are_learnt_at_a_small_rate() -> None:
+    rng = np.random.default_rng(0)
+    X = np.column_stack((rng.normal(size=(2000, 3)), rng.random((2000, 5)) < 0.02))
+    y = rng.poisson(3 * np.exp(0.5 * X[:, 0]) * np.where(X[:, 3:].any(axis=1), 12, 1)).astype(float)
+    for seed in range(3):
+        model = OTRRegressor((), loss="poisson", learning_rate=0.01, random_state=seed).fit(X, y)
+        assert mean_poisson_deviance(y, model.predict(X)) < 3.0

@@ -22,7 +22,7 @@ from otr.learners.networks.first_layer import InputRows
 
 PADDED_TO = 64
 Loss = Literal["logistic", "softmax", "squared", "poisson"]
-MOST_LOG_COUNT = 5.0  # 148 times the mean, beyond which a gradient does not grow: large counts would throw a model out
+MOST_LOG_COUNT = 5.0  # 148 times the mean, beyond which a gradient does not grow
 Network = TypeVar("Network")
 
 

@@ -32,7 +32,8 @@ _SLACK = 8.0  # times the rounding of a sum, for that of its multipliers
 _GOOD_SHARE = 0.2  # of the bound on the radius: a point with such a margin is good enough
 _ROUNDING = 1e-13  # of a row's value, beside the size of the state, while pivoting
 _TOUCHING = 1e-9  # radius of the largest ball in a polytope that may be a point, or none
-_NOTHING = 1e-14  # radius or multiplier that rounding may have left
+_NO_RADIUS = 1e-12  # that the rounding of pivots may have left
+_NO_MULTIPLIER = 1e-14  # that rounding may have left
 _CHUNK_NUMBERS = 2**17  # of the inverses in work at a time; they should stay in the cache
 
 
@@ -115,7 +116,8 @@ def _pivot_until_decided(
         np.multiply(rows.a[rows.of(of_group), tightest], -sign[:, None], out=column[:, :d])
         pivot(bases, column, margin - bases.solution[:, d], tightest, bases.multipliers)
     radii[_within_rounding(rows, group, signs, centres, radii)] = 0.0
-    is_empty = is_empty & _leaves_nothing(rows, group, signs, done, asked)
+    at = np.flatnonzero(is_empty)
+    is_empty[at] = _leaves_nothing(rows, group[at], signs[at], done.take(at), asked)
     # A largest ball of almost no radius stays undecided; elsewhere rounding has spoilt the pivots.
     gone_wrong = np.abs(done.solution[:, d]) > _TOUCHING
     gone_wrong[problems] = True
@@ -150,7 +152,7 @@ def _is_far_below(bases: Bases, asked: int | None) -> BoolArray:
     if at.size:
         radius = bases.solution[at, -1]
         multiplier = _multiplier_of(bases.take(at), asked)
-        below[at] = (radius < _NOTHING) & (radius + _ROUNDING < _ROUNDED * multiplier)
+        below[at] = (radius < _NO_RADIUS) & (radius + _ROUNDING < _ROUNDED * multiplier)
     return below
 
 
@@ -172,10 +174,15 @@ def _leaves_nothing(
 ) -> BoolArray:
     """Return whether the multipliers of bases show that there is no state that matters, as `largest_balls` says."""
     at = np.where(bases.rows >= 0, bases.rows, 0).astype(np.int64)
-    weights = np.where((bases.rows >= 0) & (bases.multipliers > _NOTHING), bases.multipliers, 0.0)
     of_group = rows.of(group)[:, None]
-    signed = weights * np.take_along_axis(signs, at, axis=1)
-    normals, multiplier = rows.a[of_group, at], _multiplier_of(bases, asked)
+    normals, sign = rows.a[of_group, at], np.take_along_axis(signs, at, axis=1)
+    weights = np.where(bases.rows >= 0, bases.multipliers, 0.0)
+    # Pivots leave more rounding in the multipliers than the rows have: one step of iterative refinement.
+    missing = np.column_stack((np.einsum("nq,nqd->nd", weights * sign, normals), 1.0 - bases.multipliers.sum(axis=1)))
+    weights += np.einsum("nqd,nd->nq", bases.inverse, missing)
+    weights[(bases.rows < 0) | (weights < _NO_MULTIPLIER)] = 0.0
+    signed = weights * sign
+    multiplier = np.where(bases.rows == asked, weights, 0.0).sum(axis=1)
     errors = np.einsum("nq,nqd->nd", weights, rows.rounding[of_group, at])
     residual = np.abs(np.einsum("nq,nqd->nd", signed, normals))
     slopes = errors[:, :-1] + residual

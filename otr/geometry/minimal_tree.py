@@ -37,10 +37,10 @@ def minimal_tree(
     included, however thin the region. A side of a test is left out only where no state has it, the rounding of all rows
     reckoned with, or where nothing but rounding, and that by less than 1e-10 in units of its slope, can make the test
     have it: so a neuron that is parallel to another, equal to it or at the domain's edge adds no path. What floating
-    point cannot decide is kept, so that among regions of the width of rounding a path may be empty after all;
-    `otr.certify` decides in rational arithmetic. Two leaves that are each other's siblings and hold the same map (or
-    label) are one. Where their maps differ, a leaf of several regions with one label has ``M = 0`` and the scores ``c``
-    that its label alone has.
+    point cannot decide is kept, so that a path may be empty after all: among regions of the width of rounding and, on a
+    domain without limits, where a proof takes next to nothing of the test. `otr.certify` decides in rational
+    arithmetic. Two leaves that are each other's siblings and hold the same map (or label) are one. Where their maps
+    differ, a leaf of several regions with one label has ``M = 0`` and the scores ``c`` that its label alone has.
 
     n hyperplanes in general position in R^d make sum_{i <= d} C(n, i) leaves (Zaslavsky 1975).
 

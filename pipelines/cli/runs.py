@@ -28,7 +28,7 @@ from pipelines.config.setting import not_keyed
 from pipelines.config.trainer import TRAINERS, FleetConfig, TrainerConfig
 from pipelines.engine.store import corrupt
 from pipelines.errors import ConfigError, did_you_mean
-from pipelines.play.environments import check_names, episode_limit, own_environment, registered_ids
+from pipelines.play.environments import check_environment, episode_limit, own_environment, registered_ids
 from pipelines.play.video import check_video
 from pipelines.runs.imitation import OTHERS, imitating_command
 from pipelines.runs.run_job import RunJob, run_job, run_jobs
@@ -184,6 +184,8 @@ class RunWorkflow(Workflow):
             elif override in named:
                 spelt_out += [*([] if methods else [f"method={key_of(override)}"]), f"method.{override}"]
             elif override.startswith("vec_normalize="):
+                if not any(key_of(each) in ("model", "oracle", "method.model") for each in overrides):
+                    raise ConfigError(f"{override}: of which model? Add model=FILE or oracle=FILE")
                 spelt_out.append(f"method.{override}")
             elif override.startswith("oracle=") and isinstance(parse(override).value(), str):
                 if not any(map(_imitates, methods)):
@@ -199,7 +201,7 @@ class RunWorkflow(Workflow):
         made = self.composed(overrides)
         config: RunConfig = made.config
         if config.env.name not in self.options("env") or any(key_of(each)[:4] == "env." for each in overrides):
-            check_names(config.env)
+            check_environment(config.env)
             episode_limit(config.env)  # refuses an environment without one, before anything runs
         if isinstance(config.method, ProgramConfig):
             text, depth = _program(config, config.method.program, overrides)
@@ -317,7 +319,7 @@ def _model(config: RunConfig, overrides: Sequence[str]) -> tuple[ImportedModel, 
     elif "map" in config.selected_stages and not method.imitates:
         raise ConfigError(
             f"model={method.model}: its units are {imported.policy.activation}, which no tree is equal to. Of the "
-            f"methods that imitate it, {OTHERS}; augtree makes a tree:\n  {imitating_command(config)}"
+            f"methods that imitate it, {OTHERS}; augtree makes a tree:\n  {imitating_command(config, overrides)}"
         )
     return imported, f"[{','.join(map(str, imported.policy.hidden_widths))}]".replace("[]", "0")
 

@@ -149,8 +149,17 @@ def _check_state(state: Any, env: gym.Env) -> None:
         raise ValueError(f"the observation is not finite: {values}")
 
 
-def check_names(env: EnvConfig) -> None:
-    """Raise ConfigError unless the environment's names are as many as its inputs and actions, and no two the same."""
+def check_environment(env: EnvConfig) -> None:
+    """Raise ConfigError unless an own environment's arguments can be recorded, and its names fit what it has.
+
+    Arguments are recorded as JSON, which has no infinite numbers; names are as many as the inputs and actions, no two
+    the same.
+    """
+    for name, value in env.kwargs.items():
+        try:
+            json.dumps(value, allow_nan=False)
+        except ValueError as error:
+            raise ConfigError(f"env.kwargs.{name}={value}: expected finite numbers") from error
     space, plain = spaces(env), dataclasses.replace(env, pid=None)
     feature_names(plain, space.n_inputs)
     action_names(plain, space.n_actions)

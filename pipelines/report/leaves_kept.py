@@ -19,7 +19,7 @@ from pipelines.report.figures import (
     set_legend,
     styles_of,
 )
-from pipelines.runs.export import run_command
+from pipelines.runs.export import command_of
 from pipelines.stages.leaves import COLUMNS, numbers_of_leaves
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def load_leaves(run_dirs: Sequence[Path]) -> pd.DataFrame:
             numbers = {name: float(row[name]) for name in COLUMNS}
             rows.append({**panel_and_label(run_dir), "run": str(run_dir), **numbers})
     if not rows:
-        command = run_command(run_dirs[0].absolute()) or "the command that made the run"
+        command = command_of(run_dirs[0].absolute(), "evaluate")
         raise MissingInputError(
             f"{run_dirs[0]}: stage leaves, which plays with fewer leaves, is not finished there\n"
             f"Run: {command} leaves=true"

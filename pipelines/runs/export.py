@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 
 import otr
+from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.methods import EXTRA_STAGES, ProgramConfig
 from pipelines.config.run import RunConfig
 from pipelines.config.setting import Folder, FreeText, OneOf, Range, check_settings
@@ -161,11 +162,14 @@ def run_command(folder: Path) -> str | None:
     return f"otr-run {' '.join(overrides)}{' and the settings that made the digest ~' + digest if digest else ''}"
 
 
-def _command_of(folder: Path, stage: str) -> str:
-    """Return the command that made a run: that of its path, or where the path has a digest the recorded one."""
+def command_of(folder: Path, stage: str) -> str:
+    """Return the command that made a run: where its path does not tell, the one that a stage recorded.
+
+    A path tells it for an environment of conf/env and settings without a digest.
+    """
     command = run_command(folder)
     recorded = read_manifest(folder / stage)["command"] if exists(folder / stage / MANIFEST) else ""
-    if command and "~" not in folder.name:
+    if command and "~" not in folder.name and (CONF_DIR / "env" / f"{folder.parts[-5]}.yaml").is_file():
         return command
     return recorded if recorded.startswith("otr-run ") else command or "the command that made the run"
 
@@ -242,7 +246,7 @@ def tree_of(form: str, run: RunConfig, folder: Path) -> Any:
         extra = f" {stage}=true" if stage in EXTRA_STAGES else ""
         raise MissingInputError(
             f"{folder}: stage {stage}, which makes tree={form}, is not finished there\nRun: "
-            f"{_command_of(folder.absolute(), run.method.actor_stage)}{extra}"
+            f"{command_of(folder.absolute(), run.method.actor_stage)}{extra}"
         )
     verified_manifest(folder / stage)
     if form == "compact":

@@ -1,7 +1,9 @@
 """The command with which a tree that people can read imitates a policy whose own tree nobody can."""
 
+import re
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from pipelines.config.methods import TakesModel
@@ -12,17 +14,20 @@ DEPTH = 3  # of the tree that is suggested
 OTHERS = "viper, lm_viper and ndps make trees of other kinds, distilled_otr a small network whose tree is exact"
 
 
-def imitating_command(config: RunConfig) -> str:
-    """Return the command that makes a tree which imitates the policy that a run imports."""
+def imitating_command(config: RunConfig, overrides: Sequence[str] = ()) -> str:
+    """Return the command that makes a tree which imitates the policy that a run of these overrides imports."""
     method, env = config.method, config.env
     assert isinstance(method, TakesModel)
-    words = [f"env={env.id}", *(f"++env.kwargs.{name}={value}" for name, value in env.kwargs.items())]
+    folders = re.findall("file://([^']+)'", " ".join(each for each in overrides if each.startswith("hydra.searchpath=")))
+    own = [folder for folder in folders if (Path(folder) / "env" / f"{env.name}.yaml").is_file()]
+    words = [f"env={env.name}", "--config-dir", own[0]] if own else [f"env={env.id}"]
+    words += [f"++env.kwargs.{name}={value}" for name, value in env.kwargs.items()]
     words += ["method=augtree", f"oracle={method.model}", f"depth={DEPTH}"]
     words += [f"vec_normalize={method.vec_normalize}"] if method.vec_normalize else []
     return f"otr-run {shlex.join(words)}"
 
 
-def advice(config: RunConfig, summary: Mapping[str, Any]) -> str | None:
+def advice(config: RunConfig, summary: Mapping[str, Any], overrides: Sequence[str] = ()) -> str | None:
     """Return what to do where the last tree of an imported policy is too large to be read; None where it is not."""
     if config.imported is None or not config.method.is_mapped or config.method.imitates:
         return None
@@ -30,7 +35,8 @@ def advice(config: RunConfig, summary: Mapping[str, Any]) -> str | None:
     n_leaves = made[0] if made else summary["pruned_leaves"]
     if n_leaves <= READABLE_LEAVES:
         return None
+    policy = "the policy as it was before the polish" if summary.get("polish", {}).get("kept") else "the policy"
     return (
-        f"A tree of {n_leaves:,} leaves is more than a person reads. Of the methods that imitate the policy, {OTHERS}; "
-        f"augtree makes a tree of at most {2**DEPTH} leaves:\n  {imitating_command(config)}"
+        f"A tree of {n_leaves:,} leaves is more than a person reads. Of the methods that imitate {policy}, {OTHERS}; "
+        f"augtree makes a tree of at most {2**DEPTH} leaves:\n  {imitating_command(config, overrides)}"
     )

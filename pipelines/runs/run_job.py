@@ -123,7 +123,7 @@ def _run_stages(job: RunJob) -> dict[str, Any] | None:
     with opened_run(config, run_dir) as whole:
         shown = {key: value for key, value in summary.items() if key not in unasked}
         show_result(shown, run_dir, whole)
-        if told := advice(config, shown):
+        if told := advice(config, shown, job.overrides):
             print(fitted(told, columns()))
         Tracker(config).finish(summary, whole)
     return summary

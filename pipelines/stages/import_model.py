@@ -51,7 +51,8 @@ def read_model(model: str, vec_normalize: str | None, env: EnvConfig) -> Importe
     files = [path, *([Path(vec_normalize).expanduser()] if vec_normalize else [])]
     for file in files:
         if not file.is_file():
-            raise ConfigError(f"{'model' if file is path else 'vec_normalize'}={file}: there is no such file")
+            what = "that is a folder, expected a file" if file.is_dir() else "there is no such file"
+            raise ConfigError(f"{'model' if file is path else 'vec_normalize'}={file}: {what}")
     try:
         network = read_policy(path, vec_normalize=files[1] if vec_normalize else None)
         policy = _fitted(network, spaces(env), env)

@@ -359,6 +359,17 @@ def test_a_sliver_is_bounded_by_its_own_difference() -> None:
         otr.certify(tree, network, (-1.0, 1.0), max_error=9e-9)
 
 
+def test_the_tests_of_an_argmax_are_not_split_again_by_rounding() -> None:
+    """A leaf's tests of the label are the network's up to rounding; cells between the two would double the proof."""
+    rng = np.random.default_rng(0)
+    weights = [rng.normal(size=(6, 8)), rng.normal(size=(4, 6))]
+    network = otr.ReluNetwork(weights, [rng.normal(size=6), rng.normal(size=4)], head=otr.Argmax())
+    tree = otr.minimal_tree(network)
+    certificate = otr.certify(tree, network)
+    assert tree.n_leaves <= certificate.n_regions <= 1.2 * tree.n_leaves
+    assert otr.verify(certificate, tree, network) == certificate.max_error
+
+
 def test_wrong_types_and_numbers_are_told() -> None:
     network = network_of(2)
     tree = otr.minimal_tree(network, BOX)

@@ -85,6 +85,7 @@ def test_arguments_decide_the_kind_of_actions():
         (("env=CartPole-v1", "env.feature_names=[a,b]"), "env.feature_names has 2 names, the policy has 4"),
         (("env=CartPole-v1", "env.feature_names=[a,b,c,a]"), "env.feature_names has 'a' twice"),
         (("env=CartPole-v1", "env.feature_names=[a]"), "env.feature_names has 1 name, the policy has 4: a"),
+        (("env=Pendulum-v1", "+env.kwargs.g=inf"), "env.kwargs.g=inf: expected finite numbers"),
         (("env=pendulum", "env.action_names=[a,b]"), "env.action_names has 2 names, the policy has 1"),
     ],
 )
@@ -109,6 +110,8 @@ def test_a_file_of_ones_own_and_a_sweep(tmp_path):
     assert again.stdout.count("done before") == 4
     export = otr_command("otr-export", f"run={heavy.parent}", "format=structured_text", cwd=tmp_path)
     assert export.returncode == 0 and "v : LREAL" in export.stdout, export.stderr
+    leaves = otr_command("otr-tabulate", "leaves", f"run={heavy.parent}", cwd=tmp_path)
+    assert f"Run: otr-run -m env=heavy,{MODULE}:Cart-v0 algo=ars" in leaves.stderr and " leaves=true" in leaves.stderr
     refused = otr_command("otr-run", "env=heavi", "--config-dir", "settings", cwd=tmp_path)
     assert refused.stderr == "otr-run: env=heavi: there is no such environment. Did you mean heavy?\n"
     nowhere = otr_command("otr-run", "env=heavy", "--config-dir", "nowhere", cwd=tmp_path)

@@ -29,8 +29,8 @@ def config(tmp_path_factory):
     [
         ({"pruned_leaves": READABLE_LEAVES}, None),
         ({"pruned_leaves": 1234}, "A tree of 1,234 leaves is more than a person reads. Of the methods that imitate"),
-        ({"pruned_leaves": 1234, "polish": {"n_leaves": 90}}, "A tree of 90 leaves"),
-        ({"pruned_leaves": 1234, "polish": {"n_leaves": 90}, "simplify": {"n_leaves": 5}}, None),
+        ({"pruned_leaves": 1234, "polish": {"n_leaves": 90, "kept": False}}, "A tree of 90 leaves"),
+        ({"pruned_leaves": 1234, "polish": {"n_leaves": 90, "kept": True}, "simplify": {"n_leaves": 5}}, None),
     ],
 )
 def test_more_leaves_than_people_read(config, leaves, told):
@@ -61,3 +61,19 @@ def test_arguments_of_the_environment_and_statistics_are_in_the_command():
     assert imitating_command(config) == (
         "otr-run env=my_module:Maze-v0 ++env.kwargs.size=5 method=augtree oracle=a.zip depth=3 vec_normalize=s.pkl"
     )
+
+
+def test_the_unpolished_policy_is_what_is_imitated(config):
+    before = "imitate the policy as it was before the polish"
+    for kept in (True, False):
+        told = advice(config, {"pruned_leaves": 1234, "polish": {"n_leaves": 90, "kept": kept}})
+        assert (before in told) is kept
+
+
+def test_an_own_settings_file_is_in_the_command(tmp_path, config):
+    (tmp_path / "env").mkdir()
+    (tmp_path / "env/maze.yaml").touch()
+    overrides = [f"hydra.searchpath=['file://{tmp_path}']"]
+    own = dataclasses.replace(config, env=EnvConfig("maze", "discrete", "my_module:Maze-v0", {"size": 5}))
+    assert f"otr-run env=maze --config-dir {tmp_path} ++env.kwargs.size=5 " in imitating_command(own, overrides)
+    assert imitating_command(config, overrides).startswith("otr-run env=CartPole-v1 method=augtree ")

@@ -39,7 +39,25 @@ def models(tmp_path_factory):
     envs = VecNormalize(DummyVecEnv([lambda: gym.make("Pendulum-v1")]))
     PPO("MlpPolicy", envs, policy_kwargs=relu, n_steps=64, seed=0).learn(64).save(folder / "pendulum.zip")
     envs.save(folder / "statistics.pkl")
+    network = otr.from_sb3(folder / "relu.zip").replace(head=otr.Identity())
+    otr.save(otr.PatternTree(network), folder / "network.json")
+    _write_onnx(network, folder / "network.onnx")
     return folder
+
+
+def _write_onnx(network, path):
+    arrays = {name: numpy_helper.from_array(array, name) for name, array in zip(
+        "WbVc", (network.weights[0], network.biases[0], network.weights[1], network.biases[1]), strict=True
+    )}  # fmt: skip
+    nodes = [
+        helper.make_node("Gemm", ["x", "W", "b"], ["z"], transB=1),
+        helper.make_node("Relu", ["z"], ["h"]),
+        helper.make_node("Gemm", ["h", "V", "c"], ["y"], transB=1),
+    ]
+    x, y = (helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["n", d]) for name, d in (("x", 4), ("y", 2)))
+    graph = helper.make_graph(nodes, "policy", [x], [y], list(arrays.values()))
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    path.write_bytes(model.SerializeToString())
 
 
 def jobs(*words):
@@ -92,22 +110,8 @@ def test_statistics_are_folded_in(models):
 
 
 def test_saved_networks_and_onnx_files(models):
-    network = otr.from_sb3(models / "relu.zip").replace(head=otr.Identity())
-    otr.save(otr.PatternTree(network), models / "network.json")
     states = np.random.default_rng(1).normal(size=(200, 4))
-    expected = network.forward(states).argmax(axis=1)
-    arrays = {name: numpy_helper.from_array(array, name) for name, array in zip(
-        "WbVc", (network.weights[0], network.biases[0], network.weights[1], network.biases[1]), strict=True
-    )}  # fmt: skip
-    nodes = [
-        helper.make_node("Gemm", ["x", "W", "b"], ["z"], transB=1),
-        helper.make_node("Relu", ["z"], ["h"]),
-        helper.make_node("Gemm", ["h", "V", "c"], ["y"], transB=1),
-    ]
-    x, y = (helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["n", d]) for name, d in (("x", 4), ("y", 2)))
-    graph = helper.make_graph(nodes, "policy", [x], [y], list(arrays.values()))
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    (models / "network.onnx").write_bytes(model.SerializeToString())
+    expected = otr.from_sb3(models / "relu.zip").predict(states)
     for name in ("network.json", "network.npz", "network.onnx"):
         np.testing.assert_array_equal(read_model(str(models / name), None, CART_POLE).policy.predict(states), expected)
 
@@ -197,7 +201,8 @@ def test_a_network_distilled_from_an_oracle_is_mapped_proved_and_polished(models
         (("model={}/tanh.zip", "method=viper", "oracle=[8]"), "leave oracle=.8. out"),
         (("oracle={}/tanh.zip", "method=augtree", "method.features=deep"), "units of .* are tanh, which has none"),
         (("model={}/network.onnx", "vec_normalize={}/statistics.pkl"), "belong to a Stable-Baselines3 zip, not to"),
-        (("method=viper", "vec_normalize={}/statistics.pkl"), "method=viper: which model"),
+        (("method=viper", "vec_normalize={}/statistics.pkl"), "statistics.pkl: of which model. Add model=FILE or oracle"),
+        (("model={}",), "that is a folder, expected a file"),
     ],
 )
 def test_words_that_are_refused(models, words, told):

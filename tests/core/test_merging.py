@@ -14,6 +14,18 @@ def equal_siblings(tree: otr.ObliqueTree) -> list[int]:
     return [i for i, (a, b) in enumerate(sides) if a < 0 and b < 0 and answers[~a] == answers[~b]]
 
 
+@given(st.integers(0, 2**32 - 1), st.integers(1, 25))
+def test_the_side_of_a_constant_test_that_no_state_takes_goes(seed: int, n_leaves: int) -> None:
+    rng = np.random.default_rng(seed)
+    tree = random_tree(rng, n_leaves, 2, 1, 6)
+    is_constant = rng.random(tree.n_nodes) < 0.4
+    tree = tree.replace(P=np.where(is_constant[:, None], 0.0, tree.P))
+    merged = merge_equal_leaves(tree)
+    X = rng.normal(size=(200, 2))
+    np.testing.assert_allclose(merged.predict(X), tree.predict(X), rtol=1e-9, atol=1e-12)
+    assert merged.P.any(axis=1).all() and (merged is tree) == (not is_constant.any())
+
+
 @given(st.integers(0, 2**32 - 1), st.integers(1, 25), st.booleans())
 def test_the_merged_tree_acts_the_same_and_has_no_equal_siblings(seed: int, n_leaves: int, labelled: bool) -> None:
     rng = np.random.default_rng(seed)

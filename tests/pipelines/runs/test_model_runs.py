@@ -201,7 +201,10 @@ def test_a_network_distilled_from_an_oracle_is_mapped_proved_and_polished(models
         (("model={}/tanh.zip", "method=viper", "oracle=[8]"), "leave oracle=.8. out"),
         (("oracle={}/tanh.zip", "method=augtree", "method.features=deep"), "units of .* are tanh, which has none"),
         (("model={}/network.onnx", "vec_normalize={}/statistics.pkl"), "belong to a Stable-Baselines3 zip, not to"),
-        (("method=viper", "vec_normalize={}/statistics.pkl"), "statistics.pkl: of which model. Add model=FILE or oracle"),
+        (
+            ("method=viper", "vec_normalize={}/statistics.pkl"),
+            "statistics.pkl: of which model. Add model=FILE or oracle",
+        ),
         (("model={}",), "that is a folder, expected a file"),
     ],
 )

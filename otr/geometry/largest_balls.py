@@ -116,8 +116,8 @@ def _pivot_until_decided(
         np.multiply(rows.a[rows.of(of_group), tightest], -sign[:, None], out=column[:, :d])
         pivot(bases, column, margin - bases.solution[:, d], tightest, bases.multipliers)
     radii[_within_rounding(rows, group, signs, centres, radii)] = 0.0
-    at = np.flatnonzero(is_empty)
-    is_empty[at] = _leaves_nothing(rows, group[at], signs[at], done.take(at), asked)
+    claimed = np.flatnonzero(is_empty)
+    is_empty[claimed] = _leaves_nothing(rows, group[claimed], signs[claimed], done.take(claimed), asked)
     # A largest ball of almost no radius stays undecided; elsewhere rounding has spoilt the pivots.
     gone_wrong = np.abs(done.solution[:, d]) > _TOUCHING
     gone_wrong[problems] = True

@@ -28,8 +28,9 @@ RUN_COLUMNS = {
 NEEDED = {"task", "env_id", "trainer", "algorithm", "steps", "versions.gymnasium"}  # beside what the folder tells
 FIT_COLUMNS = {
     "run": TEXT, "data": TEXT, "method": TEXT, "learner": TEXT, "seed": WHOLE, "settings": TEXT, "metric": TEXT,
-    "train": NUMBER, "valid": NUMBER, "test": NUMBER, "n_labels": WHOLE, "leaves": NUMBER, "depth": NUMBER,
-    "small_weights": NUMBER, "fit_cpu_seconds": NUMBER, "labels_left_out.test": WHOLE, "seconds.tune": NUMBER,
+    "train": NUMBER, "valid": NUMBER, "test": NUMBER, "whole_test": NUMBER, "n_labels": WHOLE, "leaves": NUMBER,
+    "depth": NUMBER, "small_weights": NUMBER, "fit_cpu_seconds": NUMBER, "labels_left_out.test": WHOLE,
+    "seconds.tune": NUMBER,
 }  # fmt: skip
 
 

@@ -4,10 +4,12 @@ import json
 import math
 import shutil
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 import otr
@@ -22,31 +24,35 @@ from pipelines.report.cells import (
 )
 from pipelines.report.figures import auc_against_leaves
 from pipelines.report.frames import load_fits
-from pipelines.report.statistics import MIN_RUNS_FOR_INTERVAL
+from pipelines.report.statistics import MIN_RUNS_FOR_INTERVAL, ResampledAreas
 from pipelines.report.text import latex_grid, markdown_grid, markdown_table, page, write_tables
 
 DATA = {"bace": "Bace", "hiv": "HIV", "sider": "SIDER", "tox21": "Tox21", "pdbbind": "PDBbind"}
 LEARNERS = {"linear": "Linear (depth 0)", "cart": "CART", "hhcart": "HHCART", "tao": "TAO (L2)", "tao_l1": "TAO (L1)",
             "lcn": "LCN", "augtree": "AugTree", "otr": "OTR", "otr_tuned": "OTR (tuned)"}  # fmt: skip
 CLASSIFIERS_ONLY = ("tao", "tao_l1", "otr_tuned")
+NETWORKS = ("lcn", "otr", "otr_tuned")  # whose whole tree is what a network computes
+RIVALS = ("linear", "otr_tuned")  # beside which all others are put
 SPARSE = {"otr_16": "without L1", "otr_16_l1": "with L1 1e-5", "otr_16_sparse": "with L1 8e-3, decaying rate"}
 SHOWN = "runs/bace/otr_16_sparse/seed-0"  # the fit whose tree is printed and drawn
 KEY = ["task", "method"]
 CELLS = [("4.2", data, method) for method in LEARNERS for data in DATA] + [("sparse", "bace", name) for name in SPARSE]
 FURTHER = {"train_mean": ("train", "mean"), "train_std": ("train", "std"), "valid_mean": ("valid", "mean"),
-           "valid_std": ("valid", "std"), "leaves": ("leaves", "mean"), "tree_depth": ("depth", "mean"),
+           "valid_std": ("valid", "std"), "whole": ("whole_test", "mean"),
+           "leaves": ("leaves", "mean"), "tree_depth": ("depth", "mean"),
            "fit_cpu_seconds": ("fit_cpu_seconds", "mean"), "small_weights": ("small_weights", "mean"),
            "seeds": ("seed", tuple), "metric": ("metric", "first"), "n_labels": ("n_labels", "first"),
            "labels_left_out": ("labels_left_out.test", "first"), "run": ("run", "first"),
            "tune_s": ("seconds.tune", "first")}  # fmt: skip
-COLUMNS = [*CSV_COLUMNS, "metric", "train_mean", "train_std", "valid_mean", "valid_std", "leaves", "tree_depth",
-           "fit_cpu_seconds", "small_weights", "n_labels", "labels_left_out"]  # fmt: skip
+COLUMNS = [*CSV_COLUMNS, "metric", "train_mean", "train_std", "valid_mean", "valid_std", "whole", "leaves",
+           "tree_depth", "fit_cpu_seconds", "small_weights", "n_labels", "labels_left_out"]  # fmt: skip
 HEAD = ["Method", "", *DATA.values()]
 
 
 def write_table_4_2(results_dir: Path) -> list[Path]:
     """Write Table 4.2 and, where there are fits, its figure; also the picture of a tree where that is at hand."""
-    cells = make_cells(load_fits(results_dir))
+    fits = load_fits(results_dir)
+    cells = make_cells(fits)
     table = cells[cells["table"] == "4.2"]
     rows = {LEARNERS[method]: row for method, row in table.groupby("method", sort=False)}
     ran = table[table["n_runs"] > 0]
@@ -56,6 +62,7 @@ def write_table_4_2(results_dir: Path) -> list[Path]:
         seeds=_seeds(ran),
         left_out=_left_out(ran),
         details=markdown_table(_details(ran), empty="Nothing has been run yet."),
+        beside=markdown_table(_beside(fits[fits["settings"] == ""], results_dir), empty="Nothing has been run yet."),
         tuned=_tuned(ran, results_dir),
         sparse=markdown_table(_sparse(cells[cells["table"] == "sparse"])),
         program=_sparse_program(results_dir),
@@ -112,12 +119,43 @@ def _by_data(cells: pd.DataFrame) -> Iterable[Any]:
 
 
 def _details(cells: pd.DataFrame) -> list[list[str]]:
-    lines = [["Data", "Method", "Train", "Validation", "Test", "Leaves", "Depth", "CPU seconds", "Seeds"]]
+    lines = [["Data", "Method", "Train", "Validation", "Test", "Network", "Leaves", "Depth", "CPU seconds", "Seeds"]]
     for cell in _by_data(cells):
-        scores = (f"{score:.3f}" for score in (cell.train_mean, cell.valid_mean, cell.mean))
+        scores = [f"{score:.3f}" for score in (cell.train_mean, cell.valid_mean, cell.mean, cell.whole)]
+        scores[-1] = scores[-1] if cell.method in NETWORKS else ""
         lines.append([DATA[cell.task], LEARNERS[cell.method], *scores, f"{cell.leaves:,.1f}", f"{cell.tree_depth:.1f}",
                       f"{cell.fit_cpu_seconds:,.1f}", str(cell.n_runs)])  # fmt: skip
     return lines
+
+
+def _beside(fits: pd.DataFrame, results_dir: Path) -> list[list[str]]:
+    """Return a head and a line a method and data set: its differences from the rivals on the same test molecules."""
+    lines = [["Data", "Method", *(f"Less {LEARNERS[rival]}" for rival in RIVALS)]]
+    for data in DATA:
+        own = fits[(fits["data"] == data) & (fits["metric"] == "auc")]
+        predicted = {method: _predictions(own[own["method"] == method], results_dir) for method in LEARNERS}
+        labels = next((part["labels"] for parts in predicted.values() for part in parts), None)
+        if labels is None:
+            continue
+        areas = ResampledAreas(labels)
+        found = {method: areas.of([part["test"] for part in parts]) for method, parts in predicted.items() if parts}
+        for method in found:
+            texts = [_difference(found, method, rival) for rival in RIVALS]
+            lines.append([DATA[data], LEARNERS[method], *texts])
+    return lines
+
+
+def _predictions(fits: pd.DataFrame, results_dir: Path) -> list[Mapping[str, np.ndarray]]:
+    """Return what the fits of a method answered on the test rows."""
+    paths = [results_dir / "runs" / run / "score" / "predictions.npz" for run in fits["run"]]
+    return [np.load(BytesIO(read_bytes(path))) for path in paths if exists(path)]
+
+
+def _difference(found: Mapping[str, np.ndarray], method: str, rival: str) -> str:
+    if rival not in found or method == rival:
+        return ""
+    difference, (low, high) = ResampledAreas.difference(found[method], found[rival])
+    return f"{difference:+z.3f} ({low:+z.3f} to {high:+z.3f})"
 
 
 def _tuned(cells: pd.DataFrame, results_dir: Path) -> str:

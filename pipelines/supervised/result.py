@@ -18,11 +18,16 @@ def show_fit(summary: dict[str, Any], run_dir: Path) -> None:
     over = f", mean over {n_labels} labels" if n_labels > 1 else ""
     title = f"{summary['data']}, {summary['method']}, seed {summary['seed']}: {METRICS[summary['metric']]}{over}"
     table = Table()
-    for name in (*PARTS, "leaves reached", "depth"):
+    for name in (*PARTS, "leaves", "depth"):
         table.add_column(name, justify="right")
     scores = ["-" if summary[part] is None else f"{summary[part]:.4f}" for part in PARTS]
     table.add_row(*scores, f"{summary['leaves']:,.1f}".removesuffix(".0"), f"{summary['depth']:.1f}".removesuffix(".0"))
     left_out = ", ".join(f"{n} in {part}" for part, n in summary["labels_left_out"].items() if n)
     lines = [f"labels left out, for they have one class: {left_out}"] if left_out else []
+    if summary["whole_test"] != summary["test"]:
+        lines.append(
+            f"scored and counted is the tree that training rows reach; the whole tree has {summary['whole_test']:.4f} "
+            "on the test part"
+        )
     text = read_bytes(program).decode() if exists(program) else ""
     show_finished(text, program, title, table, lines, summary["seconds"], run_dir, picture=run_dir / "fit" / "tree.png")

@@ -1,4 +1,4 @@
-"""Stage score: every tree on the training, validation and test part, and its size."""
+"""Stage score: every tree, pruned to what training rows reach, on the three parts, and its size."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,58 +12,64 @@ from pipelines.engine.stage import Stage
 from pipelines.engine.store import read_csv, write_csv, write_json, write_text
 from pipelines.supervised.config import FitConfig
 from pipelines.supervised.learners import dataset_of
-from pipelines.supervised.metrics import metric_of, outputs_of, score, size_of
+from pipelines.supervised.metrics import metric_of, outputs_of, score
 from pipelines.supervised.readable_trees import program_of
 
-COLUMNS = ("label", "train", "valid", "test", "n_train", "n_valid", "n_test", "leaves", "depth", "settings", "epoch",
-           "small_weights", "cpu_seconds")  # fmt: skip
+COLUMNS = ("label", "train", "valid", "test", "whole_train", "whole_valid", "whole_test", "n_train", "n_valid",
+           "n_test", "leaves", "depth", "settings", "epoch", "small_weights", "cpu_seconds")  # fmt: skip
 
 
 def score_trees(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> None:
     """Write `scores.csv`, a row a label, `predictions.npz`, the outputs on the test rows, and `report.json`.
 
-    The predictions have a column a label, in the order of the rows of `scores.csv`: logits, shares of class 1, or
-    values; NaN where the label was not measured. Classes beyond two have no predictions. A small tree of one label is
-    written as `program.txt`, too.
+    What is scored and counted is the tree pruned to the paths that training rows reach, OTR-hat (`prune_unreached`);
+    the scores of the tree before that, which for OTR and LCN are the network's, are `whole_train` and so on. A small
+    tree of one label is written as `program.txt`, too.
+
+    `predictions.npz` has a column a label, in the order of the rows of `scores.csv`: `test` and `whole`, the outputs of
+    the two trees, logits, shares of class 1, or values; and `labels`, those of the data set. A label that was not
+    measured is NaN in all of them. Classes beyond two have no predictions.
     """
     dataset = dataset_of(config)
     metric = metric_of(dataset)
     trees = read_csv(inputs["fit"] / "trees.csv")
-    predictions = np.full((len(dataset.test.Y), len(trees)), np.nan, dtype=np.float32)
+    columns = np.full((3, len(dataset.test.Y), len(trees)), np.nan, dtype=np.float32)
     rows: list[dict[str, Any]] = []
     for i, described in enumerate(trees):
         label = described["label"]
-        tree = otr.load(inputs["fit"] / described["file"])
+        whole = otr.load(inputs["fit"] / described["file"])
+        tree = otr.prune_unreached(whole, dataset.labelled("train", label)[0])
         row: dict[str, Any] = {"label": label}
         for part in PARTS:
             X, y = dataset.labelled(part, label)
-            outputs = outputs_of(tree, X)
-            value = score(metric, outputs, y)
-            row |= {part: "" if np.isnan(value) else f"{value:.8g}", f"n_{part}": len(y)}
-            if part == "train":
-                depth, leaves = size_of(tree, X)
-            elif part == "test" and outputs.ndim == 1:
+            outputs = [outputs_of(each, X) for each in (tree, whole)]
+            for name, values in zip((part, f"whole_{part}"), outputs, strict=True):
+                value = score(metric, values, y)
+                row[name] = "" if np.isnan(value) else f"{value:.8g}"
+            row[f"n_{part}"] = len(y)
+            if part == "test" and outputs[0].ndim == 1:
                 measured = ~np.isnan(dataset.test.Y[:, dataset.label_names.index(label)])
-                predictions[measured, i] = outputs
-        row |= {"leaves": leaves, "depth": depth}
+                columns[:, measured, i] = [*outputs, y]
+        row |= {"leaves": tree.n_leaves, "depth": tree.depth}
         rows.append(row | {key: described[key] for key in COLUMNS if key in described})
     program = program_of(tree, dataset) if len(trees) == 1 else None
     if program:
         write_text(out / "program.txt", program)
     write_csv(out / "scores.csv", rows, COLUMNS)
-    np.savez_compressed(out / "predictions.npz", test=predictions)
+    np.savez_compressed(out / "predictions.npz", test=columns[0], whole=columns[1], labels=columns[2])
     write_json(out / "report.json", report(metric, len(dataset.label_names), rows))
 
 
 def report(metric: str, n_labels: int, rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the means over labels; what was not learned, or has no score in a part, is left out and counted."""
     small_weights = [row["small_weights"] for row in rows]
-    scores = {part: [float(row[part]) for row in rows if row[part] != ""] for part in PARTS}
+    names = (*PARTS, *(f"whole_{part}" for part in PARTS))
+    scores = {name: [float(row[name]) for row in rows if row[name] != ""] for name in names}
     return {
         "metric": metric,
         "n_labels": n_labels,
-        "labels_left_out": {part: n_labels - len(values) for part, values in scores.items()},
-        **{part: float(np.mean(values)) if values else None for part, values in scores.items()},
+        "labels_left_out": {part: n_labels - len(scores[part]) for part in PARTS},
+        **{name: float(np.mean(values)) if values else None for name, values in scores.items()},
         "leaves": float(np.mean([row["leaves"] for row in rows])),
         "depth": float(np.mean([row["depth"] for row in rows])),
         "small_weights": float(np.mean([float(text) for text in small_weights])) if all(small_weights) else None,
@@ -71,4 +77,4 @@ def report(metric: str, n_labels: int, rows: list[dict[str, Any]]) -> dict[str, 
     }
 
 
-SCORE = Stage("score", version=1, inputs=("fit",), settings=FitConfig.settings, run=score_trees)
+SCORE = Stage("score", version=2, inputs=("fit",), settings=FitConfig.settings, run=score_trees)

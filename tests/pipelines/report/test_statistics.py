@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 from scipy import stats
+from sklearn.metrics import roc_auc_score
 
 from pipelines.report.statistics import (
+    ResampledAreas,
     difference_interval,
     interquartile_mean,
     mean_interval,
@@ -66,3 +68,46 @@ def test_pairing_takes_out_what_a_start_is_worth():
     assert (low, high) == pytest.approx((2.0 - 0.199412, 2.0 + 0.199412), abs=1e-4)
     with pytest.raises(ValueError, match="100 starts of ours, 99 of theirs"):
         paired_difference(ours, theirs[:, :99])
+
+
+def test_resampled_areas_are_those_of_the_drawn_rows():
+    rng = np.random.default_rng(0)
+    labels = rng.integers(0, 2, (80, 2)).astype(float)
+    labels[::7, 1] = np.nan
+    outputs = np.round(rng.normal(size=(3, 80, 2)) + np.nan_to_num(labels), 1)  # with ties
+    outputs[2] = outputs[0]
+    areas = ResampledAreas(labels, 20)
+    found = areas.of(outputs)
+    rows = [np.arange(80), *(np.repeat(np.arange(80), count.astype(int)) for count in areas._counts)]
+    for area, drawn in zip(found, rows, strict=True):
+        known = [drawn[~np.isnan(labels[drawn, label])] for label in (0, 1)]
+        expected = [
+            roc_auc_score(labels[chosen, label], run[chosen, label])
+            for run in outputs
+            for label, chosen in enumerate(known)
+        ]
+        assert area == pytest.approx(np.mean(expected), abs=1e-6)
+    assert ResampledAreas.difference(found, found) == (0.0, (0.0, 0.0))
+
+
+def test_the_paired_interval_is_near_scipys():
+    rng = np.random.default_rng(1)
+    labels = rng.integers(0, 2, (150, 1)).astype(float)
+    ours, theirs = (labels + rng.normal(size=(150, 1)) * width for width in (0.8, 1.2))
+
+    def difference(rows):
+        return np.array([roc_auc_score(labels[own, 0], ours[own, 0]) - roc_auc_score(labels[own, 0], theirs[own, 0])
+                         for own in np.atleast_2d(rows).astype(int)])  # fmt: skip
+
+    their_interval = stats.bootstrap(
+        (np.arange(150),), lambda rows, axis=-1: difference(rows), vectorized=True, n_resamples=1000,
+        method="percentile", rng=2,
+    ).confidence_interval  # fmt: skip
+    areas = ResampledAreas(labels)
+    _, interval = ResampledAreas.difference(areas.of(ours[None]), areas.of(theirs[None]))
+    assert interval == pytest.approx((their_interval.low, their_interval.high), abs=0.015)
+
+
+def test_a_label_of_one_class_is_left_out():
+    labels = np.column_stack((np.tile([0.0, 1.0], 10), np.ones(20)))
+    assert ResampledAreas(labels, 5).of(np.tile(labels, (1, 1, 1)))[0] == 1.0

@@ -1,7 +1,9 @@
 import csv
 import json
+import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from pipelines.errors import PipelineError
@@ -16,10 +18,15 @@ def add_fit(results: Path, data: str, method: str, seed: int, test: float, **cha
         "schema": "otr/fit-summary/1", "data": data, "method": method, "learner": method, "seed": seed,
         "metric": "auc", "n_labels": 27 if data == "sider" else 1,
         "labels_left_out": {"train": 0, "valid": 0, "test": 2 if data == "sider" else 0},
-        "train": 0.95, "valid": 0.75, "test": test, "leaves": 100.0, "depth": 17.0, "small_weights": None,
+        "train": 0.95, "valid": 0.75, "test": test, "whole_test": test + 0.01, "leaves": 100.0,
+        "depth": 17.0, "small_weights": None,
         "fit_cpu_seconds": 1.5, "seconds": {"fit": 1.0}, "versions": {},
     } | changes  # fmt: skip
     (folder / "summary.json").write_text(json.dumps(summary))
+    (folder / "score").mkdir()
+    labels = np.tile([0.0, 1.0, np.nan], 20)[:, None]
+    noise = np.random.default_rng(seed).normal(size=(60, 1)) * (method != "linear")
+    np.savez(folder / "score" / "predictions.npz", test=np.nan_to_num(labels) + noise, labels=labels)
     return folder
 
 
@@ -54,6 +61,15 @@ def test_cells_stand_beside_the_thesis_and_say_how_many_seeds(results):
     assert (bace["ci_low"], bace["ci_high"]) == ("", "")  # of three seeds there is none
     assert rows["hiv", "otr"]["note"] == "not run" and rows["hiv", "otr"]["mean"] == ""
     assert rows["sider", "otr"]["labels_left_out"] == "2" and rows["sider", "otr"]["std"] == ""
+
+
+def test_the_network_stands_in_its_own_column_and_differences_are_paired(results):
+    lines = write_table_4_2(results)[0].read_text().splitlines()
+    details = [line for line in lines if line.startswith("| Bace") and "0.820" in line and "0.830" in line]
+    assert len(details) == 1  # the tree's score, then the network's
+    beside = [line.split("|")[3].strip() for line in lines if line.startswith("| Bace")][-1]
+    difference, low, high = map(float, re.findall(r"[-+]\d\.\d+", beside))
+    assert -1 < low <= difference <= high < 0  # linear is always right here, OTR is not
 
 
 def test_the_same_fits_give_the_same_bytes(results):

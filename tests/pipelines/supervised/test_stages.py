@@ -30,15 +30,19 @@ def test_scores_and_predictions_are_those_of_the_kept_tree(fit_of):
     job = job_of(fit_of("otr", hidden=[3], epochs=8))
     summary = fit_job(job)
     dataset = load_dataset("breast_cancer")
-    tree = otr.load(job.run_dir / "fit" / "label-00")
+    whole = otr.load(job.run_dir / "fit" / "label-00")
+    tree = otr.prune_unreached(whole, dataset.train.X)
     for part in ("train", "valid", "test"):
         X, y = dataset.labelled(part)
-        assert summary[part] == pytest.approx(roc_auc_score(y, tree.forward(X)[:, 0]), abs=1e-7)
+        for name, each in ((part, tree), (f"whole_{part}", whole)):
+            assert summary[name] == pytest.approx(roc_auc_score(y, each.forward(X)[:, 0]), abs=1e-7)
     (row,) = read_csv(job.run_dir / "score" / "scores.csv")
     assert float(row["test"]) == pytest.approx(summary["test"])
-    assert int(row["leaves"]) == otr.prune_unreached(tree, dataset.train.X).n_leaves == summary["leaves"]
-    predictions = np.load(job.run_dir / "score" / "predictions.npz")["test"]
-    assert np.allclose(predictions[:, 0], tree.forward(dataset.test.X)[:, 0], rtol=1e-6)
+    assert (int(row["leaves"]), int(row["depth"])) == (tree.n_leaves, tree.depth)
+    predictions = np.load(job.run_dir / "score" / "predictions.npz")
+    for name, each in (("test", tree), ("whole", whole)):
+        assert np.allclose(predictions[name][:, 0], each.forward(dataset.test.X)[:, 0], rtol=1e-6)
+    assert (predictions["labels"] == dataset.test.Y).all()
     assert (job.run_dir / "score" / "program.txt").read_text().startswith("if ")
     assert (job.run_dir / "fit" / "tree.png").exists()
 

@@ -86,6 +86,46 @@ class Teacher(Settings):
         )
 
 
+@dataclass(frozen=True)
+class FittedTeacher:
+    """What `fit_teacher` returns: the forests and logistic regressions that a teacher's probabilities come from."""
+
+    forests: list[Any]  # one for all labels, or one a label
+    linear: list[Any]  # a logistic regression a label, or the one class that a label has; none without their weight
+    weight_of_linear: float
+
+    def predict_proba(self, X: NDArray[Any]) -> FloatArray:
+        """Return the probability (n, L) of class 1 for each label, of rows X (n, d)."""
+        answers = [_mean_answers(forest.estimators_, X) for forest in self.forests]
+        probabilities: FloatArray = np.concatenate(answers, axis=1).clip(0.0, 1.0)
+        if self.linear:
+            linear = [np.full(len(X), model) if isinstance(model, float) else model.predict_proba(X)[:, 1]
+                      for model in self.linear]  # fmt: skip
+            probabilities += self.weight_of_linear * (np.stack(linear, axis=1) - probabilities)
+        return probabilities
+
+
+def fit_teacher(
+    X: ArrayLike, Y: ArrayLike, teacher: Teacher | None = None, *, seed: int = 0, n_jobs: int | None = None
+) -> FittedTeacher:
+    """Return the teacher that `distillation_set` asks; arguments and errors are the same."""
+    teacher = Teacher() if teacher is None else teacher
+    rows, labels = _checked(X, Y)
+    for_forests = np.random.SeedSequence(seed).spawn(5)[3]
+    present = ~np.isnan(labels)
+    if teacher.joint:
+        groups = [(np.where(present, labels, np.nanmean(labels, axis=0)), np.ones(len(rows), dtype=np.bool_))]
+    else:
+        groups = [(labels[:, [label]], present[:, label]) for label in range(labels.shape[1])]
+    forests, growing = [], _for_growing(rows)
+    for (of_group, is_seen), forest_seed in zip(groups, for_forests.generate_state(len(groups)), strict=True):
+        forest = teacher.new_forest(int(forest_seed), n_jobs)
+        goals = of_group[is_seen]
+        forests.append(forest.fit(growing[is_seen], goals[:, 0] if goals.shape[1] == 1 else goals))
+    linear = _linear_models(growing, labels, teacher.C) if teacher.weight_of_linear else []
+    return FittedTeacher(forests, linear, teacher.weight_of_linear)
+
+
 def distillation_set(
     X: ArrayLike, Y: ArrayLike, teacher: Teacher | None = None, *, seed: int = 0, n_jobs: int | None = None
 ) -> tuple[NDArray[Any], FloatArray]:
@@ -112,27 +152,14 @@ def distillation_set(
     """
     teacher = Teacher() if teacher is None else teacher
     rows, labels = _checked(X, Y)
-    # A student of the same seed has the first three streams, see `SeedStreams`.
-    for_forests, for_copies = np.random.SeedSequence(seed).spawn(5)[3:]
-    copies = _altered_copies(rows, teacher, np.random.default_rng(for_copies))
-    present = ~np.isnan(labels)
-    if teacher.joint:
-        groups = [(np.where(present, labels, np.nanmean(labels, axis=0)), np.ones(len(rows), dtype=np.bool_))]
-    else:
-        groups = [(labels[:, [label]], present[:, label]) for label in range(labels.shape[1])]
-    answers, growing = [], _for_growing(rows)
-    for (of_group, is_seen), forest_seed in zip(groups, for_forests.generate_state(len(groups)), strict=True):
-        forest = teacher.new_forest(int(forest_seed), n_jobs)
-        goals = of_group[is_seen]
-        forest.fit(growing[is_seen], goals[:, 0] if goals.shape[1] == 1 else goals)
-        answers.append(np.concatenate([_mean_answers(forest.estimators_, part) for part in (rows, *copies)]))
-    probabilities = np.concatenate(answers, axis=1).clip(0.0, 1.0)
-    if teacher.weight_of_linear:
-        linear = _linear_answers(growing, labels, [rows, *copies], teacher.C)
-        probabilities += teacher.weight_of_linear * (linear - probabilities)
+    # A student of the same seed has the first three streams, see `SeedStreams`; the forests have the fourth.
+    for_copies = np.random.SeedSequence(seed).spawn(5)[4]
+    parts = [rows, *_altered_copies(rows, teacher, np.random.default_rng(for_copies))]
+    fitted = fit_teacher(rows, labels, teacher, seed=seed, n_jobs=n_jobs)
+    probabilities = np.concatenate([fitted.predict_proba(part) for part in parts])
     targets = np.tile(labels, (1 + teacher.n_copies, 1))
     mixed = (1 - teacher.weight_of_labels) * probabilities + teacher.weight_of_labels * targets
-    return np.concatenate([rows, *copies]), np.where(np.isnan(targets), probabilities, mixed)
+    return np.concatenate(parts), np.where(np.isnan(targets), probabilities, mixed)
 
 
 def _checked(X: ArrayLike, Y: ArrayLike) -> tuple[NDArray[Any], FloatArray]:
@@ -169,17 +196,17 @@ def _for_growing(rows: NDArray[Any]) -> Any:
     return csr_matrix(of_forests) if (rows != 0).mean() <= _MAX_DENSITY else of_forests
 
 
-def _linear_answers(growing: Any, labels: FloatArray, parts: list[NDArray[Any]], C: float) -> FloatArray:
-    """Return the probabilities (n, L) that a logistic regression for each label gives the rows of all parts."""
-    columns = []
+def _linear_models(growing: Any, labels: FloatArray, C: float) -> list[Any]:
+    """Return a logistic regression for each label on the rows that have it, or its class where it has one alone."""
+    models: list[Any] = []
     for label in labels.T:
         present = ~np.isnan(label)
-        if len(np.unique(label[present])) == 1:
-            columns.append(np.full(sum(map(len, parts)), label[present][0]))
-            continue
-        model = LogisticRegression(C=C, max_iter=1000).fit(growing[present], label[present])
-        columns.append(np.concatenate([model.predict_proba(part)[:, 1] for part in parts]))
-    return np.stack(columns, axis=1)
+        is_one = len(np.unique(label[present])) == 1
+        known = label[present]
+        models.append(
+            float(known[0]) if is_one else LogisticRegression(C=C, max_iter=1000).fit(growing[present], known)
+        )
+    return models
 
 
 def _mean_answers(trees: list[Any], rows: NDArray[Any]) -> FloatArray:

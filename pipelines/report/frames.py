@@ -30,7 +30,7 @@ FIT_COLUMNS = {
     "run": TEXT, "data": TEXT, "method": TEXT, "learner": TEXT, "seed": WHOLE, "settings": TEXT, "metric": TEXT,
     "train": NUMBER, "valid": NUMBER, "test": NUMBER, "whole_test": NUMBER, "n_labels": WHOLE, "leaves": NUMBER,
     "depth": NUMBER, "small_weights": NUMBER, "fit_cpu_seconds": NUMBER, "labels_left_out.test": WHOLE,
-    "seconds.tune": NUMBER,
+    "seconds.tune": NUMBER, "teacher.train": NUMBER, "teacher.valid": NUMBER, "teacher.test": NUMBER,
 }  # fmt: skip
 
 
@@ -52,7 +52,12 @@ def load_fits(results_dir: str | Path) -> pd.DataFrame:
     """Return the finished fits under `results_dir`, a row each, by data, method and seed; raises as `load_runs`."""
     rows: list[dict[str, Any]] = []
     for path in sorted(Path(results_dir).glob("runs/*/*/seed-*/summary.json")):
-        rows += _read(path, FitConfig.summary_schema, _fit_rows, {*FIT_COLUMNS} - {"seconds.tune"})
+        rows += _read(
+            path,
+            FitConfig.summary_schema,
+            _fit_rows,
+            {*FIT_COLUMNS} - {"seconds.tune", "teacher.train", "teacher.valid", "teacher.test"},
+        )
     return _frame(sorted(rows, key=lambda row: (row["data"], row["method"], row["seed"])), FIT_COLUMNS)
 
 

@@ -28,11 +28,12 @@ from pipelines.report.statistics import MIN_RUNS_FOR_INTERVAL, ResampledAreas
 from pipelines.report.text import latex_grid, markdown_grid, markdown_table, page, write_tables
 
 DATA = {"bace": "Bace", "hiv": "HIV", "sider": "SIDER", "tox21": "Tox21", "pdbbind": "PDBbind"}
-LEARNERS = {"linear": "Linear (depth 0)", "cart": "CART", "hhcart": "HHCART", "tao": "TAO (L2)", "tao_l1": "TAO (L1)",
-            "lcn": "LCN", "augtree": "AugTree", "otr": "OTR", "otr_tuned": "OTR (tuned)"}  # fmt: skip
+LEARNERS = {"linear_tuned": "Linear (depth 0)", "cart": "CART", "hhcart": "HHCART", "tao": "TAO (L2)",
+            "tao_l1": "TAO (L1)", "lcn": "LCN", "augtree": "AugTree", "otr": "OTR",
+            "otr_tuned": "OTR (tuned)"}  # fmt: skip
 CLASSIFIERS_ONLY = ("tao", "tao_l1", "otr_tuned")
 NETWORKS = ("lcn", "otr", "otr_tuned")  # whose whole tree is what a network computes
-RIVALS = ("linear", "otr_tuned")  # beside which all others are put
+RIVALS = ("linear_tuned", "otr_tuned")  # beside which all others are put
 SPARSE = {"otr_16": "without L1", "otr_16_l1": "with L1 1e-5", "otr_16_sparse": "with L1 8e-3, decaying rate"}
 SHOWN = "runs/bace/otr_16_sparse/seed-0"  # the fit whose tree is printed and drawn
 KEY = ["task", "method"]
@@ -42,10 +43,11 @@ FURTHER = {"train_mean": ("train", "mean"), "train_std": ("train", "std"), "vali
            "leaves": ("leaves", "mean"), "tree_depth": ("depth", "mean"),
            "fit_cpu_seconds": ("fit_cpu_seconds", "mean"), "small_weights": ("small_weights", "mean"),
            "seeds": ("seed", tuple), "metric": ("metric", "first"), "n_labels": ("n_labels", "first"),
-           "labels_left_out": ("labels_left_out.test", "first"), "run": ("run", "first"),
-           "tune_s": ("seconds.tune", "first")}  # fmt: skip
-COLUMNS = [*CSV_COLUMNS, "metric", "train_mean", "train_std", "valid_mean", "valid_std", "whole", "leaves",
-           "tree_depth", "fit_cpu_seconds", "small_weights", "n_labels", "labels_left_out"]  # fmt: skip
+           "teacher_train": ("teacher.train", "mean"), "teacher_valid": ("teacher.valid", "mean"),
+           "teacher_test": ("teacher.test", "mean"), "labels_left_out": ("labels_left_out.test", "first"),
+           "run": ("run", "first"), "tune_s": ("seconds.tune", "first")}  # fmt: skip
+COLUMNS = [*CSV_COLUMNS, "metric", "train_mean", "train_std", "valid_mean", "valid_std", "whole", "teacher_test",
+           "leaves", "tree_depth", "fit_cpu_seconds", "small_weights", "n_labels", "labels_left_out"]  # fmt: skip
 HEAD = ["Method", "", *DATA.values()]
 
 
@@ -125,6 +127,10 @@ def _details(cells: pd.DataFrame) -> list[list[str]]:
         scores[-1] = scores[-1] if cell.method in NETWORKS else ""
         lines.append([DATA[cell.task], LEARNERS[cell.method], *scores, f"{cell.leaves:,.1f}", f"{cell.tree_depth:.1f}",
                       f"{cell.fit_cpu_seconds:,.1f}", str(cell.n_runs)])  # fmt: skip
+        if not math.isnan(cell.teacher_test):
+            taught = [f"{score:.3f}" for score in (cell.teacher_train, cell.teacher_valid, cell.teacher_test)]
+            name = f"Forest, which teaches {LEARNERS[cell.method]}"
+            lines.append([DATA[cell.task], name, *taught, "", "", "", "", str(cell.n_runs)])
     return lines
 
 

@@ -30,7 +30,7 @@ from pipelines.datasets.catalogue import files_of
 from pipelines.engine.digests import differences_suffix
 from pipelines.errors import ConfigError
 
-STAGES = ("tune", "fit", "score")
+STAGES = ("tune", "fit", "teacher", "score")
 BelowOne = Annotated[float, Range(0, 1, open=True)]
 
 
@@ -204,7 +204,9 @@ class FitConfig:
     @property
     def all_stages(self) -> tuple[str, ...]:
         """The method's stages, in order."""
-        return STAGES if self.method.grid else STAGES[1:]
+        left_out = {"tune"} if not self.method.grid else set()
+        left_out |= {"teacher"} if not _is_taught(self.method) else set()
+        return tuple(stage for stage in STAGES if stage not in left_out)
 
     @property
     def selected_stages(self) -> tuple[str, ...]:
@@ -258,6 +260,11 @@ def fit_folder(config: FitConfig, baseline: FitConfig) -> str:
     """
     suffix = differences_suffix(config.settings(), baseline.settings())
     return f"runs/{config.data.name}/{config.method.name}/seed-{config.seed}{suffix}"
+
+
+def _is_taught(method: LearnerConfig) -> bool:
+    """Return whether a method's networks learn from a teacher, or may be chosen to."""
+    return getattr(method, "teacher", None) is not None or any("teacher" in values for values in method.grid)
 
 
 def _check_grid(method: LearnerConfig) -> None:

@@ -15,13 +15,16 @@ from pipelines.supervised.fit import FIT, fit_together
 from pipelines.supervised.learners import BATCHED
 from pipelines.supervised.result import show_fit
 from pipelines.supervised.score import SCORE
+from pipelines.supervised.teacher import TEACHER
 from pipelines.supervised.tune import TUNE
 
 
 def stages_of(config: FitConfig) -> tuple[Stage, ...]:
     """Return the stages that are asked for, in order."""
-    fit = dataclasses.replace(FIT, inputs=("tune",)) if config.method.grid else FIT
-    return tuple(stage for stage in (TUNE, fit, SCORE) if stage.name in config.selected_stages)
+    fit, teacher = (
+        dataclasses.replace(each, inputs=("tune",) if config.method.grid else ()) for each in (FIT, TEACHER)
+    )
+    return tuple(stage for stage in (TUNE, fit, teacher, SCORE) if stage.name in config.selected_stages)
 
 
 class FitJob(Job):
@@ -106,6 +109,7 @@ def summarise(job: FitJob) -> dict[str, Any]:
         "learner": config.method.learner,
         "seed": config.seed,
         **read_json(job.run_dir / "score" / "report.json"),
+        **({"teacher": read_json(job.run_dir / "teacher" / "report.json")} if "teacher" in names else {}),
         "seconds": {name: manifest["seconds"] for name, manifest in manifests.items()},
         "versions": manifests["score"]["versions"],
     }

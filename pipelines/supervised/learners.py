@@ -165,11 +165,12 @@ def _parameters(name: str, settings: dict[str, Any]) -> dict[str, Any]:
     if parameters.get("dense") == "none":
         parameters["dense"] = False
     if parameters.get("teacher") is not None:
-        parameters["teacher"] = _teacher(parameters["teacher"])
+        parameters["teacher"] = teacher_of(parameters["teacher"])
     return parameters
 
 
-def _teacher(settings: dict[str, Any]) -> Any:
+def teacher_of(settings: dict[str, Any]) -> Any:
+    """Return the teacher of these settings; raise ConfigError where it has no such."""
     from otr.learners.distillation import Teacher
 
     try:

@@ -25,7 +25,7 @@ def add_fit(results: Path, data: str, method: str, seed: int, test: float, **cha
     (folder / "summary.json").write_text(json.dumps(summary))
     (folder / "score").mkdir()
     labels = np.tile([0.0, 1.0, np.nan], 20)[:, None]
-    noise = np.random.default_rng(seed).normal(size=(60, 1)) * (method != "linear")
+    noise = np.random.default_rng(seed).normal(size=(60, 1)) * (method != "linear_tuned")
     np.savez(folder / "score" / "predictions.npz", test=np.nan_to_num(labels) + noise, labels=labels)
     return folder
 
@@ -34,7 +34,7 @@ def add_fit(results: Path, data: str, method: str, seed: int, test: float, **cha
 def results(tmp_path):
     for seed, test in enumerate((0.80, 0.82, 0.84)):
         add_fit(tmp_path, "bace", "otr", seed, test)
-        add_fit(tmp_path, "bace", "linear", seed, 0.81)
+        add_fit(tmp_path, "bace", "linear_tuned", seed, 0.81)
     add_fit(tmp_path, "sider", "otr", 0, 0.66)
     return tmp_path
 

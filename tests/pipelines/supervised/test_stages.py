@@ -10,6 +10,7 @@ from sklearn.metrics import roc_auc_score
 
 import otr
 from otr.learners import CARTClassifier, OTRClassifier
+from otr.learners.distillation import Teacher, fit_teacher
 from pipelines.datasets.load import load_dataset
 from pipelines.engine.job import is_done
 from pipelines.engine.store import read_csv, read_json
@@ -71,6 +72,19 @@ def test_what_is_tuned_is_the_best_on_the_validation_part(fit_of):
     tree = otr.load(job.run_dir / "fit" / "label-00")
     assert tree.depth == chosen["settings"]["max_depth"]
     assert read_json(job.run_dir / "summary.json")["valid"] == pytest.approx(float(best["valid"]), abs=0.05)
+
+
+def test_the_teacher_of_the_networks_is_scored_beside_them(fit_of):
+    forest = {"forest": "random_forest", "n_estimators": 20, "n_copies": 1}
+    summary = fit_job(job_of(fit_of("otr", seed=3, hidden=[2], epochs=2, grid=[{"teacher": [forest]}])))
+    dataset = load_dataset("breast_cancer")
+    X, y = dataset.labelled("train")
+    teacher = fit_teacher(X, y, Teacher(**forest), seed=3)
+    for part in ("train", "valid", "test"):
+        rows, labels = dataset.labelled(part)
+        expected = roc_auc_score(labels, teacher.predict_proba(rows)[:, 0])
+        assert summary["teacher"][part] == pytest.approx(expected)
+    assert "teacher" not in fit_job(job_of(fit_of("otr", seed=4, hidden=[2], epochs=2)))
 
 
 @pytest.mark.parametrize("learner, grid", [("cart", GRID), ("otr", [{"hidden": [[2], [3]], "epochs": [2]}])])

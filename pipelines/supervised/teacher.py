@@ -1,0 +1,45 @@
+"""Stage teacher: the score of the forest itself, no tree, whose probabilities a fit's networks learn."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipelines.datasets.dataset import PARTS
+from pipelines.engine.stage import Stage
+from pipelines.engine.store import read_json, write_csv, write_json
+from pipelines.supervised.config import FitConfig, fit_settings
+from pipelines.supervised.learners import dataset_of, teacher_of, usable_labels
+from pipelines.supervised.metrics import metric_of, score
+
+COLUMNS = ("label", *PARTS)
+
+
+def score_teacher(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> None:
+    """Write `scores.csv`, a row a label, and `report.json`, the means over labels; these are empty without a teacher.
+
+    The teacher is the one of the fit's seed, on the same rows. Its settings are those that tuning chose.
+    """
+    from otr.learners.distillation import fit_teacher
+
+    dataset = dataset_of(config)
+    labels = usable_labels(dataset)
+    chosen = read_json(inputs["tune"] / "chosen.json") if "tune" in inputs else [{"settings": {}}]
+    settings = chosen[0]["settings"].get("teacher", getattr(config.method, "teacher", None))
+    rows: list[dict[str, Any]] = []
+    if settings is not None:
+        fitted = fit_teacher(dataset.train.X, dataset.train.Y[:, labels], teacher_of(settings), seed=config.seed)
+        for i, label in enumerate(labels):
+            row: dict[str, Any] = {"label": dataset.label_names[label]}
+            for part in PARTS:
+                X, y = dataset.labelled(part, label)
+                row[part] = score(metric_of(dataset), fitted.predict_proba(X)[:, i], y)
+            rows.append(row)
+    told = {part: [row[part] for row in rows if not np.isnan(row[part])] for part in PARTS}
+    write_csv(out / "scores.csv", rows, COLUMNS)
+    write_json(out / "report.json", {part: float(np.mean(values)) if values else None for part, values in told.items()})
+
+
+# It reads stage tune where the method has a grid, as stage fit does.
+TEACHER = Stage("teacher", version=1, inputs=(), settings=fit_settings, run=score_teacher)

@@ -38,7 +38,7 @@ def write_comparisons(results_dir: Path) -> list[Path]:
 
 def _rows(results_dir: Path) -> Iterator[dict[str, Any]]:
     runs = table_runs(load_runs(results_dir))
-    runs = runs[runs["form"].isin(EPISODES)]
+    runs = runs.loc[runs["form"].isin(EPISODES), [*KEY, *SOURCE, "run", "form", "return_mean"]]
     for task, own in runs.groupby("task", sort=False):
         cells: dict[Any, pd.DataFrame] = dict(list(in_order(own, SOURCE).groupby([*KEY[1:], *SOURCE], sort=False)))
         starts = functools.cache(lambda key, cells=cells: _returns(results_dir, cells[key]))
@@ -79,12 +79,11 @@ def _compared(
 
 def _returns(results_dir: Path, group: pd.DataFrame) -> pd.DataFrame:
     """Return the evaluated returns of runs, a row a run and a column a start's seed; starts that all of them have."""
-    played = {}
-    for run in group.itertuples():
-        form = "polished" if run.form == "polished" else "tree"
-        episodes = read_csv(results_dir / "runs" / run.run / EPISODES[form])
-        played[run.run] = pd.Series({int(row["seed"]): float(row["return"]) for row in episodes})
-    return pd.DataFrame(played).T.dropna(axis=1)
+    played = []
+    for run, form in zip(group["run"], group["form"], strict=True):
+        episodes = read_csv(results_dir / "runs" / run / EPISODES[form])
+        played.append({int(row["seed"]): float(row["return"]) for row in episodes})
+    return pd.DataFrame(played).dropna(axis=1)
 
 
 def _table(rows: pd.DataFrame) -> str:

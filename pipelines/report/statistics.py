@@ -6,7 +6,7 @@ al. 2021, "Deep reinforcement learning at the edge of the statistical precipice"
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import stats
+from scipy.special import stdtrit  # scipy.stats takes longer to import than the tables take to write
 
 MIN_RUNS_FOR_INTERVAL = 5
 LEVEL = 0.95
@@ -23,14 +23,14 @@ def mean_interval(values: ArrayLike) -> Interval:
     known = _known(values)
     if len(known) < MIN_RUNS_FOR_INTERVAL:
         return NO_INTERVAL
-    half = float(stats.t.ppf((1 + LEVEL) / 2, len(known) - 1) * stats.sem(known))
-    return float(known.mean()) - half, float(known.mean()) + half
+    return _students(known.mean(), known.std(ddof=1) / np.sqrt(len(known)), len(known) - 1)
 
 
 def interquartile_mean(values: ArrayLike) -> float:
     """Return the mean of the middle half of values (n,): a quarter of them, rounded down, is cut off at either end."""
-    known = _known(values)
-    return float(stats.trim_mean(known, 0.25)) if len(known) else np.nan
+    known = np.sort(_known(values))
+    cut = len(known) // 4
+    return float(known[cut : len(known) - cut].mean()) if len(known) else np.nan
 
 
 def difference_interval(ours: ArrayLike, theirs: ArrayLike) -> Interval:
@@ -42,11 +42,12 @@ def difference_interval(ours: ArrayLike, theirs: ArrayLike) -> Interval:
     first, second = _known(ours), _known(theirs)
     if min(len(first), len(second)) < MIN_RUNS_FOR_INTERVAL:
         return NO_INTERVAL
+    difference = float(first.mean() - second.mean())
     if not (np.ptp(first) or np.ptp(second)):
-        difference = float(first.mean() - second.mean())
         return difference, difference
-    interval = stats.ttest_ind(first, second, equal_var=False).confidence_interval(LEVEL)
-    return float(interval.low), float(interval.high)
+    squares = [runs.var(ddof=1) / len(runs) for runs in (first, second)]  # of the standard errors
+    degrees = sum(squares) ** 2 / (squares[0] ** 2 / (len(first) - 1) + squares[1] ** 2 / (len(second) - 1))
+    return _students(difference, np.sqrt(sum(squares)), degrees)
 
 
 def probability_of_improvement(ours: ArrayLike, theirs: ArrayLike) -> float:
@@ -58,7 +59,7 @@ def probability_of_improvement(ours: ArrayLike, theirs: ArrayLike) -> float:
     first, second = _known(ours), _known(theirs)
     if not (len(first) and len(second)):
         return np.nan
-    return float(stats.mannwhitneyu(first, second).statistic) / (len(first) * len(second))
+    return float(np.mean((first[:, None] > second) + (first[:, None] == second) / 2))
 
 
 def paired_difference(ours: ArrayLike, theirs: ArrayLike) -> tuple[float, Interval]:
@@ -94,9 +95,13 @@ class ResampledAreas:
             labels: (n, L), 0, 1 or NaN where a label was not measured.
             n_samples: of n rows each, with replacement, by a fixed seed.
         """
-        self._labels = np.asarray(labels, dtype=np.float64)
-        n = len(self._labels)
-        self._counts = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), n_samples).astype(np.float32)
+        labels = np.asarray(labels, dtype=np.float64)
+        n = len(labels)
+        self._weights = np.ones((1 + n_samples, n), dtype=np.float32)
+        self._weights[1:] = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), n_samples)
+        # Of each label: the rows of class 1 and of class 0, and either with its weights, which every method shares.
+        classes = [[np.flatnonzero(column == known) for known in (1, 0)] for column in labels.T]
+        self._classes = [[(rows, self._weights[:, rows]) for rows in both] for both in classes]
 
     def of(self, outputs: ArrayLike) -> np.ndarray:
         """Return the mean area over labels and runs, (1 + n_samples,): first on the rows as they are.
@@ -106,20 +111,17 @@ class ResampledAreas:
         Args:
             outputs: (runs, n, L), larger for label 1.
         """
-        runs = np.unique(np.asarray(outputs, dtype=np.float32), axis=0, return_counts=True)
-        weights = np.concatenate((np.ones((1, len(self._labels)), dtype=np.float32), self._counts))
-        areas = np.full((len(weights), self._labels.shape[1]), np.nan)
-        for label, column in enumerate(self._labels.T):
-            ones, zeros = np.flatnonzero(column == 1), np.flatnonzero(column == 0)
-            if not (len(ones) and len(zeros)):
-                continue
-            wins = np.zeros((len(ones), len(zeros)), dtype=np.float32)
-            for values, n_alike in zip(*runs, strict=True):
-                above, below = values[ones, label][:, None], values[zeros, label]
-                wins += n_alike * ((above > below) + np.float32(0.5) * (above == below))
-            numbers = weights[:, ones].sum(axis=1) * weights[:, zeros].sum(axis=1) * runs[1].sum()
-            sums = ((weights[:, zeros] @ wins.T) * weights[:, ones]).sum(axis=1)
-            areas[:, label] = np.divide(sums, numbers, out=np.full(len(weights), np.nan), where=numbers > 0)
+        runs = np.asarray(outputs, dtype=np.float32)
+        areas = np.full((len(self._weights), len(self._classes)), np.nan)
+        for label, ((ones, ones_weights), (zeros, zeros_weights)) in enumerate(self._classes):
+            twice_wins = np.zeros((len(ones), len(zeros)), dtype=np.int32)
+            for values in runs[:, :, label]:
+                above, below = values[ones][:, None], values[zeros]
+                twice_wins += above > below
+                twice_wins += above >= below
+            sums = ((zeros_weights @ twice_wins.T.astype(np.float32)) * ones_weights).sum(axis=1)
+            numbers = 2 * len(runs) * ones_weights.sum(axis=1) * zeros_weights.sum(axis=1)
+            areas[:, label] = np.divide(sums, numbers, out=np.full(len(numbers), np.nan), where=numbers > 0)
         return np.asarray(np.nanmean(areas, axis=1))
 
     @staticmethod
@@ -128,6 +130,12 @@ class ResampledAreas:
         differences = ours - theirs
         low, high = np.quantile(differences[1:], [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
         return float(differences[0]), (float(low), float(high))
+
+
+def _students(mean: float, error: float, degrees: float) -> Interval:
+    """Return Student's interval of a mean with this standard error."""
+    half = float(stdtrit(degrees, (1 + LEVEL) / 2) * error)
+    return float(mean) - half, float(mean) + half
 
 
 def _known(values: ArrayLike) -> np.ndarray:

@@ -78,7 +78,7 @@ def test_resampled_areas_are_those_of_the_drawn_rows():
     outputs[2] = outputs[0]
     areas = ResampledAreas(labels, 20)
     found = areas.of(outputs)
-    rows = [np.arange(80), *(np.repeat(np.arange(80), count.astype(int)) for count in areas._counts)]
+    rows = [np.repeat(np.arange(80), weights.astype(int)) for weights in areas._weights]
     for area, drawn in zip(found, rows, strict=True):
         known = [drawn[~np.isnan(labels[drawn, label])] for label in (0, 1)]
         expected = [

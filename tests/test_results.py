@@ -33,7 +33,12 @@ def test_committed_tables_are_those_of_the_committed_runs(table, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("figure", "file"), [("4.6", "figure_4_6.csv"), pytest.param("4.7", "figure_4_7.txt", marks=pytest.mark.slow)]
+    ("figure", "file"),
+    [
+        ("4.6", "figure_4_6.csv"),
+        ("profile", "performance_profile.csv"),
+        pytest.param("4.7", "figure_4_7.txt", marks=pytest.mark.slow),
+    ],
 )
 def test_committed_figures_are_those_of_the_committed_runs(figure, file, tmp_path):
     (tmp_path / "runs").symlink_to(RESULTS / "runs")

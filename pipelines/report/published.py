@@ -7,6 +7,7 @@ hidden neurons' tests, with one test less than there are actions: its "depth-fiv
 
 import csv
 import functools
+import math
 from importlib import resources
 from typing import NamedTuple
 
@@ -24,6 +25,12 @@ class Published(NamedTuple):
         spread = f" ± {self.std}" if self.std else ""
         pruned = f" [{self.pruned_depth}]" if self.pruned_depth else ""
         return f"{self.mean}{spread}{pruned}" or "-"
+
+
+def best_published(task: str) -> float:
+    """Return the highest return that the thesis gives for a control task, by whatever method; NaN where it has none."""
+    returns = [float(found.mean) for (table, of, _, _), found in published().items() if of == task and table != "4.2"]
+    return max(returns, default=math.nan)
 
 
 @functools.cache

@@ -4,6 +4,8 @@ Returns of training runs are few and spread wide, so an interval is given from f
 al. 2021, "Deep reinforcement learning at the edge of the statistical precipice", whose other measures these are).
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import stdtrit  # scipy.stats takes longer to import than the tables take to write
@@ -79,6 +81,20 @@ def paired_difference(ours: ArrayLike, theirs: ArrayLike) -> tuple[float, Interv
         raise ValueError(f"{first.shape[1]} starts of ours, {second.shape[1]} of theirs; give the same starts")
     differences = first.mean(axis=0) - second.mean(axis=0)
     return float(differences.mean()), mean_interval(differences)
+
+
+def performance_profile(scores: Sequence[ArrayLike], thresholds: ArrayLike) -> np.ndarray:
+    """Return the share of runs whose score is above each threshold, (k,): the mean over tasks of each task's share.
+
+    Every task counts alike, however many runs it has. The profiles of two methods compare these where
+    they are over the same tasks, whose scores are on one scale.
+
+    Args:
+        scores: (n,) for each of one or more tasks, a normalised score a run, at least one each.
+        thresholds: (k,).
+    """
+    shares = [(_known(task)[:, None] > np.asarray(thresholds)).mean(axis=0) for task in scores]
+    return np.asarray(np.mean(shares, axis=0))
 
 
 class ResampledAreas:

@@ -13,13 +13,14 @@ from pipelines.report.comparisons import write_comparisons
 from pipelines.report.figure_4_6 import Planned, budget_of_runs, write_figure_4_6
 from pipelines.report.figure_4_7 import write_figure_4_7
 from pipelines.report.frames import load_fits, load_runs
+from pipelines.report.performance_profile import write_performance_profile
 from pipelines.report.table_4_1 import write_table_4_1
 from pipelines.report.table_4_2 import write_table_4_2
 from pipelines.report.text import page, write_tables
 
-FIGURES = ("4.6", "4.7")
+FIGURES = ("4.6", "4.7", "profile")
 FIGURES_OF_RUNS = ("curves", "leaves", "regions")  # `pipelines.report.run_figures` writes them
-ALL = ("4.2", "4.6", "4.7", "certificates", "comparisons", "4.1")
+ALL = ("4.2", "4.6", "4.7", "certificates", "comparisons", "profile", "4.1")
 
 
 def reports_of(asked: str) -> tuple[str, ...]:
@@ -63,6 +64,8 @@ def write_report(
     if name in TABLES:
         return TABLES[name](results_dir)
     runs = load_runs(results_dir)
+    if name == "profile":
+        return write_performance_profile(results_dir, runs)
     budget = budget or budget_of_runs(runs)
     if name == "4.6":
         return write_figure_4_6(runs, plan(budget), budget, results_dir)

@@ -11,6 +11,7 @@ from pipelines.report.statistics import (
     interquartile_mean,
     mean_interval,
     paired_difference,
+    performance_profile,
     probability_of_improvement,
 )
 
@@ -68,6 +69,18 @@ def test_pairing_takes_out_what_a_start_is_worth():
     assert (low, high) == pytest.approx((2.0 - 0.199412, 2.0 + 0.199412), abs=1e-4)
     with pytest.raises(ValueError, match="100 starts of ours, 99 of theirs"):
         paired_difference(ours, theirs[:, :99])
+
+
+def test_a_profile_is_the_mean_over_tasks_of_the_share_above():
+    scores = [[0.0, 0.5, 1.0, 1.0], [0.5]]  # the one run of the second task weighs as much as the first's four
+    assert performance_profile(scores, [-1.0, 0.0, 0.5, 0.75, 1.0]).tolist() == [1.0, 0.875, 0.25, 0.25, 0.0]
+    rng = np.random.default_rng(0)
+    scores, thresholds = [rng.normal(size=n) for n in (3, 5, 1)], np.linspace(-2.0, 2.0, 9)
+    expected = []
+    for threshold in thresholds:
+        shares = [sum(score > threshold for score in task) / len(task) for task in scores]
+        expected.append(sum(shares) / len(shares))
+    assert performance_profile(scores, thresholds) == pytest.approx(expected)
 
 
 def test_resampled_areas_are_those_of_the_drawn_rows():

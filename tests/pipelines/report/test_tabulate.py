@@ -28,7 +28,7 @@ def test_unknown_report_lists_those_there_are() -> None:
     with pytest.raises(ConfigError, match=rf"table=x is not known\. {tables}"):
         reports_of("table=x")
     with pytest.raises(
-        ConfigError, match=r"figure=4\.5 is not known.*Known figures: 4\.6, 4\.7, curves, leaves, regions$"
+        ConfigError, match=r"figure=4\.5 is not known.*Known figures: 4\.6, 4\.7, profile, curves, leaves, regions$"
     ):
         reports_of("figure=4.5")
     with pytest.raises(ConfigError, match=r"certificats is not known\. Did you mean certificates\? Known reports: all"):
@@ -80,6 +80,7 @@ def test_all_leaves_out_a_figure_without_runs_and_says_so(tmp_path: Path) -> Non
     done = otr_command("otr-tabulate", "all", "budget=smoke", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "4.7 is left out" in done.stderr and "otr-run +experiment=figure_4_6" in done.stderr
+    assert "profile is left out" in done.stderr and "otr-run +experiment=table_4_1" in done.stderr
     assert len(list((tmp_path / "results/tables").iterdir())) == 10
     done = otr_command("otr-tabulate", "4.7", cwd=tmp_path)
     assert done.returncode == 1 and "otr-run +experiment=figure_4_6" in done.stderr

@@ -24,14 +24,26 @@ def versions() -> dict[str, str]:
 
 @functools.cache
 def git_revision() -> str | None:
-    """Return the source's git revision, with `+changes` where the tree differs from it; None outside a checkout."""
-    folder = Path(__file__).parent
+    """Return the source's git revision, with `+changes` where tracked files differ from it; None outside a checkout.
+
+    Files below `results` are what is made, not what makes it, and do not count.
+    """
+    revision = _git("rev-parse", "--short=12", "HEAD")
+    changed = _git("status", "--porcelain", "--untracked-files=no", "--", ":/", ":(top,exclude)results")
+    if not revision or changed is None:
+        return None
+    return f"{revision}+changes" if changed else revision
+
+
+def _git(*arguments: str) -> str | None:
+    """Return what git prints in this file's folder; None where it fails or is not there."""
     try:
-        command = ["git", "describe", "--always", "--abbrev=12", "--dirty=+changes", "--exclude=*"]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=10, check=True)
+        done = subprocess.run(
+            ["git", *arguments], cwd=Path(__file__).parent, capture_output=True, text=True, timeout=10, check=True
+        )
     except (OSError, subprocess.SubprocessError):
         return None
-    return done.stdout.strip() or None
+    return done.stdout.strip()
 
 
 def command_line() -> str:

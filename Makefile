@@ -7,7 +7,7 @@ export OMP_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: help run test test-all lint smoke bench reproduce-table pack format clean
+.PHONY: help run test test-all lint smoke bench report reproduce-table pack format clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-16s %s\n", $$1, $$2}'
@@ -17,10 +17,13 @@ help:  ## list the targets
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@
 
-# MLflow, EnvPool and RDKit: large, and wanted by the tests of tracking=mlflow, trainer.environments=envpool and the
-# rebuilding of data sets alone (EnvPool is 300 MB to fetch and 740 MB on disk, with the assets of environments that are not ours).
+# MLflow, EnvPool, RDKit and a browser: large, and wanted by the tests of tracking=mlflow, trainer.environments=envpool, the
+# rebuilding of data sets and the page alone (EnvPool is 300 MB to fetch and 740 MB on disk, with the assets of environments
+# that are not ours). The browser is the machine's Chromium or Chrome, else Playwright's, else the distribution's.
 .venv/.installed-all: .venv/.installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev,mlflow,fleet,molecules]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test-all]'
+	command -v chromium chromium-browser google-chrome > /dev/null || $(BIN)/playwright install chromium \
+	    || apt-get install --yes --quiet chromium
 	@touch $@
 
 # Below results/local, so that it leaves the repository's own results alone.
@@ -54,6 +57,9 @@ smoke: .venv/.installed  ## every environment, every control experiment and ever
 
 bench: .venv/.installed  ## measure against numpy, torch and Stable-Baselines3; writes results/benchmarks
 	$(BIN)/python -m benchmarks $(ARGS)
+
+report: .venv/.installed  ## results/page.html: the tables, the figures and the policies, to look at
+	$(BIN)/otr-report $(ARGS)
 
 # EVALUATE=1 plays the episodes of the committed policies again and compares; TRAIN=1 trains everything from nothing.
 reproduce-table: .venv/.installed  ## the thesis's tables and figures from the runs under results (EVALUATE=1, TRAIN=1)

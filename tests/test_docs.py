@@ -16,7 +16,7 @@ PATH = re.compile(rf"(?<![\w./~-])(?:{FOLDERS})/[\w./-]*[\w/]")
 NAME = re.compile(r"(?<![\w./`-])`?((?:otr|pipelines|benchmarks)(?:\.[A-Za-z_]\w*)+)")
 LINK = re.compile(r"\]\(([^)#\s]+)\)")
 # Written when commands run.
-MADE = ("results/runs/", "results/local", "results/sweeps", "results/failures", "results/checkpoints", "results/smoke",
+MADE = ("results/page.html", "results/runs/", "results/local", "results/sweeps", "results/failures", "results/checkpoints", "results/smoke",
         "results/tensorboard", "results/data", "results/benchmarks/quick", "results/tables/runs",
         "results/tables/fits")  # fmt: skip
 

@@ -36,6 +36,19 @@ def walk(tree: ObliqueTree) -> Iterator[tuple[Literal["if", "else", "end", "leaf
             pending.append(_event(int(tree.children_left[index]), depth + 1))
 
 
+def in_printed_order(tree: ObliqueTree) -> ObliqueTree:
+    """Return the tree with its leaves numbered as programs print and pictures draw them, from the top."""
+    order = np.array([leaf for what, leaf, _ in walk(tree) if what == "leaf"])
+    number = np.empty_like(order)
+    number[order] = np.arange(len(order))
+    sides = {
+        name: np.where(side >= 0, side, ~number[np.where(side < 0, ~side, 0)])
+        for name, side in (("children_left", tree.children_left), ("children_right", tree.children_right))
+    }
+    labels = None if tree.labels is None else tree.labels[order]
+    return tree.replace(**sides, M=tree.M[order], P=tree.P, c=tree.c[order], labels=labels)
+
+
 def _event(reference: int, depth: int) -> tuple[Literal["if", "leaf"], int, int]:
     return ("if", reference, depth) if reference >= 0 else ("leaf", ~reference, depth)
 

@@ -10,6 +10,7 @@ fit = partial(main, "otr-fit")
 tabulate = partial(main, "otr-tabulate")
 export = partial(main, "otr-export")
 verify = partial(main, "otr-verify")
+report = partial(main, "otr-report")
 
 
 def data() -> None:

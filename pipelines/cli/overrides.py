@@ -129,3 +129,15 @@ def path_quoted(override: str) -> str:
     key, equals, value = override.partition("=")
     is_path = key in PATHS and value not in ("", "null") and value[0] not in "\"'"
     return f"{key}={quoted(value)}" if equals and is_path else override
+
+
+def runs_listed(overrides: Sequence[str]) -> list[str]:
+    """Return overrides with paths quoted, and run=A run=B, or run=[A,B], as one of them."""
+    values = [override.partition("=")[2] for override in overrides if override.startswith("run=")]
+    runs = [
+        run.strip().strip("'\"")
+        for value in values
+        for run in (value[1:-1].split(",") if value[:1] == "[" else [value])
+    ]
+    others = [path_quoted(override) for override in overrides if not override.startswith("run=")]
+    return [*others, f"run=[{','.join(quoted(run) for run in runs if run)}]"]

@@ -21,7 +21,7 @@ from otr.core.merging import merge_equal_leaves
 from otr.extras import naming_the_extra
 from otr.programs.names import label_name
 from otr.programs.picture.colours import label_colours, level_colour
-from otr.programs.walk import walk
+from otr.programs.walk import in_printed_order
 from pipelines.config.env import EnvConfig
 from pipelines.config.run import RunConfig
 from pipelines.errors import ConfigError, PipelineError
@@ -35,7 +35,6 @@ MOST_FRAMES, FRAMES_A_SECOND = 250, 25
 WIDTH, TEXT, BAND, STRIP = 480, 13, 42, 12  # pixels: of a picture, of letters, below it, and right of it
 COLOURS = 96  # of a GIF
 QUALITY = 7  # of an MP4, of 10
-MUJOCO_SIZE = {"width": 480, "height": 360}
 
 
 @dataclass(frozen=True)
@@ -59,8 +58,8 @@ def write_video(tree: otr.ObliqueTree, env_config: EnvConfig, seed: int, path: P
         PipelineError: the environment cannot be rendered here; says what to do.
         MissingExtraError: the path is an MP4's, and imageio-ffmpeg is not installed.
     """
-    tree = _in_order(merge_equal_leaves(tree))
-    env = gym.wrappers.RecordEpisodeStatistics(_renderable(env_config))
+    tree = in_printed_order(merge_equal_leaves(tree))
+    env = gym.wrappers.RecordEpisodeStatistics(renderable(env_config))
     names = action_names(env_config, tree.n_answers)
     frames_a_second = float(env.metadata.get("render_fps") or 30)
     (length,) = rollout(tree.predict, env_config, [seed], n_workers=1).lengths.tolist()
@@ -71,7 +70,7 @@ def write_video(tree: otr.ObliqueTree, env_config: EnvConfig, seed: int, path: P
         nonlocal n_frames
         answers, step = np.asarray(tree.predict(states)), env.episode_lengths
         if step % stride == 0:
-            shown, leaf = _rendered(env, env_config), int(tree.apply(states)[0])
+            shown, leaf = rendered(env, env_config), int(tree.apply(states)[0])
             add(_frame(shown, tree, leaf, answers[0], names, step, env.episode_returns))
             n_frames += 1
             if n_frames % 50 == 0:
@@ -88,10 +87,10 @@ def check_video(config: RunConfig) -> None:
     if "mp4" in config.selected_stages and not find_spec("imageio_ffmpeg"):
         raise ConfigError("mp4=true needs the extra mp4: pip install 'otr[mp4]'; video=true writes a GIF without it")
     if {"video", "mp4"} & set(config.selected_stages):
-        env = _renderable(config.env)
+        env = renderable(config.env)
         try:
             env.reset(seed=0)
-            _rendered(env, config.env)
+            rendered(env, config.env)
         except PipelineError as error:
             raise ConfigError(str(error)) from error
         finally:
@@ -132,25 +131,17 @@ def _mp4(path: Path, frame_s: float) -> Iterator[Callable[[Image], None]]:
             file.close()
 
 
-def _in_order(tree: otr.ObliqueTree) -> otr.ObliqueTree:
-    """Return the tree with its leaves numbered as programs print and pictures draw them, from the top."""
-    order = np.array([leaf for what, leaf, _ in walk(tree) if what == "leaf"])
-    number = np.empty_like(order)
-    number[order] = np.arange(len(order))
-    sides = {
-        name: np.where(side >= 0, side, ~number[np.where(side < 0, ~side, 0)])
-        for name, side in (("children_left", tree.children_left), ("children_right", tree.children_right))
-    }
-    labels = None if tree.labels is None else tree.labels[order]
-    return tree.replace(**sides, M=tree.M[order], P=tree.P, c=tree.c[order], labels=labels)
+def renderable(env_config: EnvConfig, width: int = WIDTH) -> Any:
+    """Return the environment with pictures, MuJoCo's of `width` pixels.
 
-
-def _renderable(env_config: EnvConfig) -> Any:
-    """Return the environment with pictures; one of MuJoCo without a screen renders by EGL, unless MUJOCO_GL is set."""
+    Without a screen MuJoCo renders by EGL, unless MUJOCO_GL is set.
+    """
     is_mujoco = "mujoco" in str(spec_of(env_config.id).entry_point)
-    if is_mujoco and sys.platform == "linux" and not os.environ.get("DISPLAY"):
-        os.environ.setdefault("MUJOCO_GL", "egl")
-    kwargs = {**env_config.kwargs, "render_mode": "rgb_array"} | (MUJOCO_SIZE if is_mujoco else {})
+    if sys.platform == "linux" and not os.environ.get("DISPLAY"):
+        os.environ.setdefault("MUJOCO_GL" if is_mujoco else "SDL_VIDEODRIVER", "egl" if is_mujoco else "dummy")
+    kwargs = {**env_config.kwargs, "render_mode": "rgb_array"} | (
+        {"width": width, "height": 3 * width // 4} if is_mujoco else {}
+    )
     modes = make_env(env_config).metadata.get("render_modes", [])
     if "rgb_array" not in modes:
         raise ConfigError(
@@ -167,7 +158,7 @@ def _renderable(env_config: EnvConfig) -> Any:
     return env
 
 
-def _rendered(env: Any, env_config: EnvConfig) -> np.ndarray:
+def rendered(env: Any, env_config: EnvConfig) -> np.ndarray:
     """Return what the environment shows (height, width, 3)."""
     try:
         shown = env.render()

@@ -27,7 +27,20 @@ def write_certificates(results_dir: Path) -> list[Path]:
 
     Smoke budgets and runs with other settings (`seed-<s>~<digest>`) are left out.
     """
-    runs = reported(load_runs(results_dir))
+    rows = _rows(load_runs(results_dir))
+    table = markdown_table(_lines(rows), empty="No run has a certificate yet.")
+    return write_tables(results_dir, "certificates", rows, page("certificates.md", table=table))
+
+
+def certificate_lines(runs: pd.DataFrame) -> list[list[str]]:
+    """Return a head and a line for the runs of `load_runs` that differ in their seed alone; nothing without any."""
+    lines = _lines(_rows(runs))
+    return lines if len(lines) > 1 else []
+
+
+def _rows(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return what COLUMNS names of the runs that were certified, or tried, in the table's order."""
+    runs = reported(runs)
     own = runs[(runs["form"] == "tree") & runs["certify.certified"].notna()]
     rows = pd.DataFrame({name: own.get(source) for name, source in COLUMNS.items()}, own.index)
     # A certificate after polish=true is of the polished network.
@@ -36,12 +49,11 @@ def write_certificates(results_dir: Path) -> list[Path]:
         method=method_name(rows["method"]) + of_polished.map({True: "-polished"}).fillna(""),
         reason=rows["reason"].fillna(""),
     )
-    rows = in_order(rows.sort_values([*LINE[3:], "seed"]), LINE[:3])
-    return write_tables(results_dir, "certificates", rows, page("certificates.md", table=_table(rows)))
+    return in_order(rows.sort_values([*LINE[3:], "seed"]), LINE[:3])
 
 
-def _table(rows: pd.DataFrame) -> str:
-    """Return the table, a line for the runs that differ in their seed alone."""
+def _lines(rows: pd.DataFrame) -> list[list[str]]:
+    """Return a head and a line for the runs that differ in their seed alone."""
     lines = [HEAD]
     for (env, method, depth, budget, certified, domain, reason), runs in rows.groupby(LINE, sort=False):
         names = [TASK_NAMES.get(env, env), METHOD_NAMES.get(method, method), depth, budget, str(len(runs))]
@@ -51,7 +63,7 @@ def _table(rows: pd.DataFrame) -> str:
             continue
         times = (f"{runs[f'{step}_s'].max():.2f}" for step in ("find", "prove", "check"))
         lines.append([*names, paths, _range(runs["leaves"]), domain, _rounded_up(runs["max_error"].max()), *times])
-    return markdown_table(lines, empty="No run has a certificate yet.")
+    return lines
 
 
 def _rounded_up(bound: float) -> str:

@@ -166,7 +166,8 @@ def _title(summary: dict[str, Any]) -> str:
     env_id = "" if summary["env_id"] == summary["env"] else f" ({summary['env_id']})"
     given = next((name for name in ("program", "model") if name in summary), "")
     method = "" if summary["method"] in ("otr", given) else f", {METHODS[summary['method']].label}"
-    start = f"{summary['env']}{env_id}{method}, depth {summary['depth']}"
+    depth = str(summary["depth"]).strip("[]")
+    start = f"{summary['env']}{env_id}{method}, depth {depth}"
     if given:
         budget = f" ({summary['budget']})" if method else ""
         return f"{start}{budget}, {given} {summary[given]}, seed {summary['seed']}"

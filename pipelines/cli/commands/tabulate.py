@@ -5,13 +5,12 @@ import dataclasses
 import functools
 import json
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pipelines.cli.compose import Composer, to_object
-from pipelines.cli.overrides import path_quoted, quoted
+from pipelines.cli.overrides import runs_listed
 from pipelines.cli.runs import RUN, load_config, run_config
 from pipelines.config.budget import BudgetConfig
 from pipelines.config.setting import Count, Folder, FreeText, check_settings
@@ -55,7 +54,7 @@ def do(arguments: argparse.Namespace) -> int:
     from pipelines.report.tabulate import reports_of, write_report
 
     names = [argument for argument in arguments.overrides if "=" not in argument]
-    overrides = _paths_quoted([argument for argument in arguments.overrides if argument not in names])
+    overrides = runs_listed([argument for argument in arguments.overrides if argument not in names])
     cfg: TabulateConfig = to_object(TABULATE.compose(overrides))
     asked = names or [f"figure={cfg.figure}" if cfg.figure else f"table={cfg.table}"]
     reports = [report for name in asked for report in reports_of(name)]
@@ -88,18 +87,6 @@ def do(arguments: argparse.Namespace) -> int:
             if path.suffix in (".md", ".txt"):
                 print(f"\n{path.read_text(encoding='utf-8')}")
     return 1 if different else 0
-
-
-def _paths_quoted(overrides: Sequence[str]) -> list[str]:
-    """Return overrides with paths quoted, and run=A run=B, or run=[A,B], as one of them."""
-    values = [override.partition("=")[2] for override in overrides if override.startswith("run=")]
-    runs = [
-        run.strip().strip("'\"")
-        for value in values
-        for run in (value[1:-1].split(",") if value[:1] == "[" else [value])
-    ]
-    others = [path_quoted(override) for override in overrides if not override.startswith("run=")]
-    return [*others, f"run=[{','.join(quoted(run) for run in runs if run)}]"]
 
 
 @functools.cache

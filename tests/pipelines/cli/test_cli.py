@@ -19,7 +19,7 @@ from pipelines.config.conf_dir import CONF_DIR
 from tests.pipelines.conftest import otr_command, otr_program
 from tests.pipelines.sweeps import PROGRAMS, children, wait_for
 
-PROGRAMS_OF_OTR = ("otr-run", "otr-plan", "otr-fit", "otr-tabulate", "otr-export", "otr-verify")
+PROGRAMS_OF_OTR = ("otr-run", "otr-plan", "otr-fit", "otr-tabulate", "otr-export", "otr-verify", "otr-report")
 SMOKE = ("env=pendulum", "depth=3", "budget=smoke", "n_workers=1")
 RUN = Path("results/runs/pendulum/otr/depth-3/smoke/seed-0")
 

@@ -9,6 +9,7 @@ from imageio_ffmpeg import count_frames_and_secs, read_frames
 from PIL import Image
 
 import otr
+from otr.programs.walk import in_printed_order
 from pipelines.engine.store import read_csv
 from pipelines.errors import PipelineError
 from pipelines.play import video
@@ -70,7 +71,7 @@ def test_an_mp4_names_its_extra_before_anything_runs(command, monkeypatch: pytes
 
 def test_leaves_are_numbered_from_the_top() -> None:
     tree = random_tree(np.random.default_rng(0), 9, 2, 1, 8)
-    ordered = video._in_order(tree)
+    ordered = in_printed_order(tree)
     X = np.random.default_rng(1).normal(size=(200, 2))
     np.testing.assert_allclose(ordered.predict(X), tree.predict(X), rtol=1e-9, atol=1e-12)
     assert [leaf for what, leaf, _ in video.walk(ordered) if what == "leaf"] == list(range(9))

@@ -1,0 +1,128 @@
+// Trees: their numbers, bit for bit those of the run, and what they answer. No drawing here.
+"use strict";
+
+const ARRAYS = { f8: Float64Array, f4: Float32Array, i4: Int32Array, u2: Uint16Array, u1: Uint8Array };
+
+/** Return the numbers of an array that was packed as base64 of little-endian bytes. */
+function unpacked(packed) {
+  const bytes = Uint8Array.from(atob(packed.data), (c) => c.charCodeAt(0));
+  return new ARRAYS[packed.dtype](bytes.buffer);
+}
+
+/** An oblique tree: node i tests P_i . x + v_i <= 0 and goes left where that holds; a child ~k is leaf k. */
+class Tree {
+  constructor(data) {
+    this.nInputs = data.P.shape[1];
+    this.nNodes = data.P.shape[0];
+    for (const name of ["left", "right", "P", "v", "shares"]) this[name] = unpacked(data[name]);
+    this.nLeaves = this.shares.length;
+    this.colours = data.colours;
+    this.head = data.head;
+    this.labels = data.labels && unpacked(data.labels);
+    if (!this.labels) {
+      this.nOutputs = data.c.shape[1];
+      this.M = unpacked(data.M);
+      this.c = unpacked(data.c);
+    }
+    this.parent = new Map(); // of a reference: the node above it
+    for (let i = 0; i < this.nNodes; i++) {
+      this.parent.set(this.left[i], i);
+      this.parent.set(this.right[i], i);
+    }
+  }
+
+  get root() { return this.nNodes ? 0 : ~0; }
+
+  value(node, x) {
+    let sum = 0;
+    for (let j = 0, at = node * this.nInputs; j < this.nInputs; j++) sum += this.P[at + j] * x[j];
+    return sum + this.v[node];
+  }
+
+  /** Return the leaf of a state. */
+  apply(x) {
+    let at = this.root;
+    while (at >= 0) at = this.value(at, x) <= 0 ? this.left[at] : this.right[at];
+    return ~at;
+  }
+
+  /** Return the nodes from the root to a leaf, and the reference of the leaf at the end. */
+  pathTo(leaf) {
+    const path = [~leaf];
+    while (this.parent.has(path[0])) path.unshift(this.parent.get(path[0]));
+    return path;
+  }
+
+  outputs(leaf, x) {
+    const y = new Float64Array(this.nOutputs);
+    for (let o = 0; o < this.nOutputs; o++) {
+      let sum = 0;
+      const at = (leaf * this.nOutputs + o) * this.nInputs;
+      for (let j = 0; j < this.nInputs; j++) sum += this.M[at + j] * x[j];
+      y[o] = sum + this.c[leaf * this.nOutputs + o];
+    }
+    return y;
+  }
+
+  /** Return what a leaf answers at a state: a label, or an array of actions. */
+  answer(leaf, x) {
+    if (this.labels) return this.labels[leaf];
+    return answerOf(this.head, this.outputs(leaf, x));
+  }
+}
+
+/** Return what a head makes of outputs; the heads are those of otr/core/heads.py. */
+function answerOf(head, y) {
+  const squashed = (u, j) => {
+    const half = (head.high[j] - head.low[j]) / 2;
+    return head.low[j] + half + Math.tanh(u) * half;
+  };
+  switch (head.name) {
+    case "identity": return Array.from(y);
+    case "exp": return Array.from(y, Math.exp);
+    case "clip_box": return Array.from(y, (value, j) => Math.min(Math.max(value, head.low[j]), head.high[j]));
+    case "tanh_box": return Array.from(y, squashed);
+    case "pid_box": {
+      const n = y.length / (head.low.length + 1);
+      return head.low.map((_, j) => {
+        let u = 0;
+        for (let m = 0; m < n; m++) u += y[(j + 1) * n + m] * y[m];
+        return squashed(u, j);
+      });
+    }
+    case "sign": return y[0] > 0 ? 1 : 0;
+    case "argmax": return y.reduce((best, value, j) => (value > y[best] ? j : best), 0);
+    default: throw new Error(`unknown head ${head.name}`);
+  }
+}
+
+/** Return a number with three significant digits. */
+function digits(value) {
+  if (value === 0) return "0";
+  const size = Math.abs(value);
+  return size >= 1e4 || size < 1e-3 ? value.toExponential(1) : String(Number(value.toPrecision(3)));
+}
+
+/** Return the terms of a node's test, the largest over the ranges of its inputs first. */
+function termsOf(tree, node, features) {
+  const terms = [];
+  for (let j = 0; j < tree.nInputs; j++) {
+    const weight = tree.P[node * tree.nInputs + j];
+    if (weight !== 0) terms.push({ weight, name: features[j].name, size: Math.abs(weight) * (features[j].high - features[j].low) });
+  }
+  return terms.sort((a, b) => b.size - a.size);
+}
+
+/** Return a node's test in words, with its largest terms alone where there are more. */
+function testText(tree, node, features, most = Infinity) {
+  const terms = termsOf(tree, node, features);
+  let text = "";
+  for (const { weight, name } of terms.slice(0, most)) {
+    text += text ? (weight < 0 ? " − " : " + ") : weight < 0 ? "−" : "";
+    text += Math.abs(weight) === 1 ? name : `${digits(Math.abs(weight))} ${name}`;
+  }
+  if (terms.length > most) text += " + …";
+  const v = tree.v[node];
+  if (v !== 0 || !text) text += text ? ` ${v < 0 ? "−" : "+"} ${digits(Math.abs(v))}` : digits(v);
+  return `${text} ≤ 0`;
+}

@@ -1,0 +1,248 @@
+"""The page as one file: its template and scripts, the front of the tables, and the policies, compressed."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from html import escape
+from importlib import resources
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import pandas as pd
+
+import otr
+from pipelines.config.run import RunConfig
+from pipelines.engine.console import progress_lines
+from pipelines.errors import MissingInputError, PipelineError
+from pipelines.report import table_4_1, table_4_2
+from pipelines.report.cells import KEY, SOURCE, TASK_NAMES, table_runs
+from pipelines.report.certificates import certificate_lines
+from pipelines.report.frames import load_fits, load_runs
+from pipelines.report.text import write_file
+from pipelines.report.webpage.front import cell_table, figures_data, name_of_cell, plain_table
+from pipelines.report.webpage.policy import policy_data
+
+SCRIPTS = ("vendor/d3-hierarchy.min.js", "vendor/uPlot.iife.min.js", "tree.js", "drawing.js", "view.js", "page.js")
+STYLES = ("vendor/uPlot.min.css", "page.css")
+FORMS = {"tree": "pruned", "polished": "polished"}  # of a policy in the tables: the tree that the page shows
+FIGURES = {
+    "curves": "Learning curves, mean over runs",
+    "leaves": "Return against the number of leaves, mean over runs",
+    "seconds": "Return against seconds of training, an imitator's oracle apart, mean over runs",
+}
+PARTS = {"table-4-1": "Control", "table-4-2": "Molecules", "proofs": "What is proved", "figures": "Figures"}
+
+
+@dataclass(frozen=True)
+class Detail:
+    """How much of each policy a page holds: see `policy_data`."""
+
+    n_frames: int
+    frame_width: int
+    export_bytes: int
+
+
+OF_ONE = Detail(n_frames=120, frame_width=240, export_bytes=200_000)
+OF_MANY = Detail(n_frames=20, frame_width=160, export_bytes=12_000)  # so that a page of all results is below 3 MB
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A policy of a page: what it is called, and the run and form whose tree it is."""
+
+    name: str
+    group: str
+    folder: Path
+    form: str
+
+
+def write_run_page(
+    folders: Sequence[Path], form: str | None, out: Path, load_config: Callable[[Path], RunConfig]
+) -> Path:
+    """Write a page of some runs' policies, and return its path.
+
+    Args:
+        folders: the runs.
+        form: of their trees, as `tree_of` names them; None for the polished one where that gained, else the pruned.
+        out: the file.
+        load_config: from a run's folder to the configuration that it was made with.
+    """
+    shown = []
+    for folder in folders:
+        config = load_config(folder)
+        last = "polished" if _is_polished(folder) else "pruned"
+        name = f"{config.method.name}, depth {_depth(config)}, seed {config.seed}"
+        shown.append(Shown(name, config.env.name, folder, form or last))
+    detail = OF_ONE if len(shown) == 1 else OF_MANY
+    title = f"{shown[0].group}: {shown[0].name}" if len(shown) == 1 else f"{len(shown)} policies"
+    head = "<p>A policy as a decision tree: move the state, play the episode, copy the program. Made by otr.</p>"
+    return _write(out, title, head, "", shown, detail, load_config, {})
+
+
+def write_results_page(results_dir: Path, out: Path, load_config: Callable[[Path], RunConfig]) -> Path:
+    """Write the page of all finished runs and fits: the tables, the figures, what is proved, and a policy a cell."""
+    runs = load_runs(results_dir)
+    if runs.empty:
+        raise MissingInputError(f"{results_dir}/runs: there is no finished run\nRun: otr-run env=pendulum depth=6")
+    own = table_runs(runs)
+    cells = table_4_1.make_cells(own)
+    shown, policies = _a_policy_a_cell(cells, own, results_dir)
+    tables = [_table_4_1(cells, policies)]
+    fits = load_fits(results_dir)
+    if len(fits):
+        tables.append(_table_4_2(fits))
+    if lines := certificate_lines(runs):
+        tables.append(
+            '<h2 id="proofs">What is proved</h2>'
+            "<p>A certificate says that a tree computes its network's function at every real point of a domain; "
+            "<code>otr-verify run=...</code> checks it again in rational arithmetic.</p>"
+            + plain_table("Certificates", lines[0], lines[1:])
+        )
+    figures = figures_data([each.folder for each in shown], own, load_config)
+    drawn = "".join(
+        f'<h3>{escape(title)}</h3><div id="figure-{name}"></div>' for name, title in FIGURES.items() if name in figures
+    )
+    front = "\n".join([*tables, f'<h2 id="figures">Figures</h2>{drawn}' if drawn else ""])
+    links = "".join(f'<a href="#{key}">{name}</a>' for key, name in PARTS.items() if f'id="{key}"' in front)
+    head = (
+        "<p>Neural policies as oblique decision trees, beside the published numbers of the thesis that otr implements "
+        "(Orfanos 2023). Every number is read from the runs beside this page; what was not run says so.</p>"
+        f'<nav>{links}<a href="#policies">Policies</a></nav>'
+    )
+    return _write(out, "otr: policies as programs", head, front, shown, OF_MANY, load_config, figures)
+
+
+def _a_policy_a_cell(cells: pd.DataFrame, runs: pd.DataFrame, results_dir: Path) -> tuple[list[Shown], dict[Any, str]]:
+    """Return the run nearest to each cell's mean, and by a cell's key the id that it has on the page."""
+    shown, policies = list[Shown](), dict[Any, str]()
+    for cell in cells[(cells["n_runs"] > 0) & (cells["table"] != "other")].itertuples():
+        at = pd.Series(True, runs.index)
+        for name in (*KEY, *SOURCE):
+            at &= runs[name] == getattr(cell, name)
+        of_cell = runs[at & runs["form"].isin(FORMS)]
+        if of_cell.empty:
+            continue
+        nearest = of_cell.loc[(of_cell["return_mean"] - cell.mean).abs().idxmin()]
+        policies[cell.task, cell.method, cell.depth] = f"policy-{len(shown)}"
+        name = name_of_cell(cell.task, cell.method, cell.depth).partition(": ")[2]
+        told = f"{name}, {nearest['budget']}, seed {nearest['seed']}: {nearest['return_mean']:z.1f}"
+        shown.append(Shown(told, TASK_NAMES.get(cell.task, cell.task), results_dir / "runs" / nearest["run"],
+                           FORMS[nearest["form"]]))  # fmt: skip
+    return shown, policies
+
+
+def _table_4_1(cells: pd.DataFrame, policies: dict[Any, str]) -> str:
+    head = ["Task", *table_4_1.HEAD[2:]]
+    table = cells[cells["table"] == "4.1"]
+    rows = {TASK_NAMES[task]: row for task, row in table.groupby("task", sort=False)}
+    text = cells[(cells["table"] == "text") & (cells["n_runs"] > 0)]
+    lines = [[TASK_NAMES.get(cell.task, cell.task), cell.method, cell.depth, cell.ours, cell.runs, str(cell.thesis)]
+             for cell in text.itertuples()]  # fmt: skip
+    return (
+        '<h2 id="table-4-1">Control: return of tree policies</h2>'
+        "<p>Mean and standard deviation over runs of each run's mean return; a cell never mixes budgets. A number "
+        "opens its policy below. Dot: ours, thick line: 95 % interval of the mean (from five runs on), thin line: "
+        "standard deviation, ring: the thesis. Each row has its own scale.</p>"
+        + cell_table("Table 4.1", head, rows, policies)
+        + "<details><summary>Beyond the table</summary>"
+        + plain_table("", ["Task", "Method", "Depth", "Ours", "Runs", "Thesis"], lines)
+        + "</details>"
+    )
+
+
+def _table_4_2(fits: pd.DataFrame) -> str:
+    cells = table_4_2.make_cells(fits)
+    table = cells[cells["table"] == "4.2"]
+    data = [name for name in table_4_2.DATA if (table[table["task"] == name]["n_runs"] > 0).any()]
+    rows = {
+        table_4_2.LEARNERS[method]: row[row["task"].isin(data)] for method, row in table.groupby("method", sort=False)
+    }
+    return (
+        '<h2 id="table-4-2">Molecules: AUC of trees on the test part</h2>'
+        "<p>Mean and standard deviation over seeds. Linear is the tree of depth 0, which has one leaf.</p>"
+        + cell_table("Table 4.2", ["Method", *(table_4_2.DATA[name] for name in data)], rows, {})
+    )
+
+
+def _write(
+    out: Path,
+    title: str,
+    head: str,
+    front: str,
+    shown: Sequence[Shown],
+    detail: Detail,
+    load_config: Callable[[Path], RunConfig],
+    figures: dict[str, Any],
+) -> Path:
+    """Write the page; a policy that cannot be shown is left out, and the page and the terminal say why."""
+    blocks, choices, why = [], list[tuple[str, str, str]](), list[str]()
+    progress = progress_lines("page", "policies")
+    for i, each in enumerate(shown):
+        try:
+            data = policy_data(load_config(each.folder), each.folder, each.form, **vars(detail))
+        except PipelineError as error:
+            why.append(f"{each.group}, {each.name}: {error}")
+            continue
+        folder = Path(os.path.relpath(each.folder.absolute(), out.absolute().parent)).as_posix()
+        run = each.folder.as_posix().rpartition("runs/")[2]
+        command = f"otr-export run={run} tree={each.form} format=c"
+        data |= {"about": f"{each.group}, {each.name}, {each.form} tree", "folder": folder, "export_command": command}
+        blocks.append(_stored(f"policy-{i}", data, "policy"))
+        choices.append((f"policy-{i}", each.group, each.name))
+        progress(i + 1, len(shown))
+    if not blocks:
+        raise PipelineError("\n".join(why))
+    for line in why:
+        print(f"left out: {line}")
+    if figures:
+        blocks.append(_stored("figures-data", figures, "figures"))
+    foot = f"Written by otr {otr.__version__}." + "".join(f" Left out: {escape(line)}" for line in why)
+    parts = {
+        "title": escape(title), "head": head, "front": front, "choice": _choice(choices), "foot": foot,
+        "style": _assets(STYLES), "script": _assets(SCRIPTS), "data": "\n".join(blocks),
+    }  # fmt: skip
+    template = (resources.files("pipelines.report.webpage") / "assets" / "page.html").read_text(encoding="utf-8")
+    return write_file(out, Template(template).substitute(parts))
+
+
+def _choice(choices: Sequence[tuple[str, str, str]]) -> str:
+    """Return the list from which a policy is chosen; nothing where there is one."""
+    if len(choices) < 2:
+        return ""
+    groups = dict.fromkeys(group for _, group, _ in choices)
+    options = "".join(
+        f'<optgroup label="{escape(group)}">'
+        + "".join(f'<option value="{key}">{escape(name)}</option>' for key, of, name in choices if of == group)
+        + "</optgroup>"
+        for group in groups
+    )
+    return f"<h2>The policies</h2><p><label for=choice>Policy </label><select id=choice>{options}</select></p>"
+
+
+def _stored(key: str, data: Any, kind: str) -> str:
+    """Return JSON-able data compressed in a script element that no browser runs."""
+    text = json.dumps(data, allow_nan=False, separators=(",", ":"))
+    packed = base64.b64encode(gzip.compress(text.encode(), 9, mtime=0)).decode("ascii")
+    return f'<script type="text/plain" class="{kind}" id="{key}">{packed}</script>'
+
+
+def _assets(names: Sequence[str]) -> str:
+    folder = resources.files("pipelines.report.webpage") / "assets"
+    return "\n".join((folder / name).read_text(encoding="utf-8") for name in names)
+
+
+def _depth(config: RunConfig) -> str:
+    return ", ".join(map(str, config.hidden_widths)) or "0"
+
+
+def _is_polished(folder: Path) -> bool:
+    from pipelines.engine.store import read_json
+
+    summary = read_json(folder / "summary.json") if (folder / "summary.json").is_file() else {}
+    return bool(summary.get("polish", {}).get("kept"))

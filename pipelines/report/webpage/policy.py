@@ -1,0 +1,138 @@
+"""A run's policy as a page shows it: the tree to the last bit, its names and ranges, an episode, and its programs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import otr
+from otr.core.merging import merge_equal_leaves
+from otr.programs.picture.colours import LABELS, level_colour
+from otr.programs.walk import in_printed_order
+from pipelines.config.run import RunConfig
+from pipelines.engine.seeding import evaluation_seeds
+from pipelines.errors import PipelineError
+from pipelines.play.environments import action_names, feature_names, spaces, state_limits
+from pipelines.report.webpage.episode import packed, record
+from pipelines.report.webpage.units import unit_of
+from pipelines.runs.export import title_of, tree_of, visited_states
+
+EXPORTS: dict[str, Callable[..., str]] = {
+    "C": otr.to_c,
+    "Python": otr.to_python,
+    "Structured text": otr.to_structured_text,
+}
+WIDEST_LIMITS = 1e3  # limits of a state beyond these say nothing: the range is that of visited states
+MARGIN = 0.1  # of the range of visited states, beyond it on either side
+LONGEST_PROGRAM = 64  # leaves; a longer one is no reading, and stands in the exports
+
+
+def policy_data(
+    run: RunConfig, folder: Path, form: str, *, n_frames: int, frame_width: int, export_bytes: int
+) -> dict[str, Any]:
+    """Return what a page shows of one of a run's trees, as JSON-able data.
+
+    Sibling leaves with one answer are merged and leaves are numbered as programs print them: see `page_tree`.
+
+    Args:
+        run, folder: the run.
+        form: of its trees, as `tree_of` names them.
+        n_frames, frame_width: of the episode's pictures; see `record`.
+        export_bytes: a longer program is left out, and the page names the command that writes it.
+
+    Raises:
+        PipelineError: the tree is not there, or is held as activation patterns.
+    """
+    tree = page_tree(run, folder, form)
+    env, space = run.env, spaces(run.env)
+    visited = visited_states(run, tree, n_episodes=2)
+    names, answers = feature_names(env, tree.n_inputs), action_names(env, tree.n_answers)
+    (seed,) = evaluation_seeds(run.evaluate.first_seed, 1)
+    programs = {
+        language: written
+        for language, write in EXPORTS.items()
+        if len(written := write(tree, feature_names=names, output_names=answers)) <= export_bytes
+    }
+    return {
+        "title": title_of(run, form),
+        "env": env.name,
+        "form": form,
+        "features": _features(run, names, visited),
+        "answers": answers,
+        "limits": None if space.box is None else [limits.tolist() for limits in space.box],
+        "tree": tree_data(tree, visited),
+        "episode": record(tree, env, seed, n_frames=n_frames, width=frame_width),
+        "program": otr.to_text(tree, feature_names=names, output_names=answers)
+        if tree.n_leaves <= LONGEST_PROGRAM
+        else "",
+        "exports": programs,
+        "left_out": [language for language in EXPORTS if language not in programs],
+    }
+
+
+def page_tree(run: RunConfig, folder: Path, form: str) -> otr.ObliqueTree:
+    """Return one of a run's trees with equal siblings merged, its leaves in the order of the printed program."""
+    tree = tree_of(form, run, folder)
+    if not isinstance(tree, otr.ObliqueTree):
+        raise PipelineError(
+            f"{folder}: the {form} tree has too many leaves to be held as leaves, so there is nothing to draw; "
+            "method=augtree imitates its policy by a small one"
+        )
+    return in_printed_order(merge_equal_leaves(tree))
+
+
+def tree_data(tree: otr.ObliqueTree, visited: NDArray[Any]) -> dict[str, Any]:
+    """Return a tree as JSON-able data, its float64 numbers bit by bit, with the share of states (n, d) a leaf."""
+    leaves = tree.apply(visited)
+    shares = np.bincount(leaves, minlength=tree.n_leaves) / max(len(leaves), 1)
+    head: dict[str, Any] = {"name": tree.head.name}
+    if (limits := tree.head.limits(tree.n_outputs)) is not None:
+        head |= {"low": limits[0].tolist(), "high": limits[1].tolist()}
+    maps = {} if tree.labels is not None else {"M": packed(tree.M.astype("<f8")), "c": packed(tree.c.astype("<f8"))}
+    return {
+        "left": packed(tree.children_left.astype("<i4")),
+        "right": packed(tree.children_right.astype("<i4")),
+        "P": packed(tree.P.astype("<f8")),
+        "v": packed(tree.v.astype("<f8")),
+        **maps,
+        "labels": None if tree.labels is None else packed(tree.labels.astype("<i4")),
+        "head": head,
+        "shares": packed(shares.astype("<f4")),
+        "colours": _colours(tree, visited, leaves),
+    }
+
+
+def _colours(tree: otr.ObliqueTree, visited: NDArray[Any], leaves: NDArray[Any]) -> list[str]:
+    """Return a colour a leaf: its label's, or that of its mean first action over the states that take it."""
+    if tree.labels is not None:
+        return [LABELS[int(label) % len(LABELS)][0] for label in tree.labels]
+    first = np.asarray(tree.predict(visited), dtype=np.float64).reshape(len(visited), -1)[:, 0]
+    total = np.bincount(leaves, weights=first, minlength=tree.n_leaves)
+    n = np.bincount(leaves, minlength=tree.n_leaves)
+    limits = tree.head.limits(tree.n_outputs)
+    low, high = (first.min(), first.max()) if limits is None else (float(limits[0][0]), float(limits[1][0]))
+    middle, half = (low + high) / 2, max((high - low) / 2, 1e-12)
+    return [
+        level_colour((t / k - middle) / half) if k else "#e4e7ea"
+        for t, k in zip(total.tolist(), n.tolist(), strict=True)
+    ]
+
+
+def _features(run: RunConfig, names: list[str], visited: NDArray[Any]) -> list[dict[str, Any]]:
+    """Return each input's name, unit, and range: that of the environment where it says one, else of visited states."""
+    limits = state_limits(run.env)
+    features = []
+    for i, name in enumerate(names):
+        low, high = float(visited[:, i].min()), float(visited[:, i].max())
+        known = limits is not None and bool(max(abs(limits[0][i]), abs(limits[1][i])) <= WIDEST_LIMITS)
+        if limits is not None and known:
+            low, high = float(limits[0][i]), float(limits[1][i])
+        else:
+            margin = MARGIN * (high - low) or 1.0
+            low, high = low - margin, high + margin
+        features.append({"name": name, "unit": unit_of(run.env, name), "low": low, "high": high, "of_env": known})
+    return features

@@ -1,0 +1,211 @@
+"""The page of finished runs: what stands in the file, down to the bits of the tree. A browser reads it in test-all."""
+
+import base64
+import dataclasses
+import gzip
+import io
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from pipelines.cli.runs import load_config
+from pipelines.engine.store import read_csv
+from pipelines.errors import PipelineError
+from pipelines.play.rollout import rollout
+from pipelines.report.webpage.episode import LEVELS, packed, record
+from pipelines.report.webpage.page import write_results_page, write_run_page
+from pipelines.report.webpage.policy import page_tree, tree_data
+from pipelines.report.webpage.units import unit_of
+from tests.committed import RESULTS
+from tests.core.test_tree import random_tree
+from tests.pipelines.conftest import HOPPER, PENDULUM, otr_command
+
+CAR, LANDER, PID = (
+    RESULTS / "runs" / run
+    for run in (
+        "mountaincar/otr/depth-1/quick/seed-0",
+        "lunarlander/augtree/depth-2/quick/seed-0",
+        "pendulum/pid/depth-1/quick/seed-0",
+    )
+)
+
+
+def config_of(run_dir: Path) -> Any:
+    return load_config(run_dir, 1)
+
+
+def stored(page: str, kind: str = "policy") -> list[dict[str, Any]]:
+    """Return what a page holds compressed: its policies, or its figures."""
+    blocks = re.findall(rf'<script type="text/plain" class="{kind}" id="[\w-]+">([^<]*)</script>', page)
+    return [json.loads(gzip.decompress(base64.b64decode(block))) for block in blocks]
+
+
+def unpacked(data: dict[str, Any]) -> NDArray[Any]:
+    return np.frombuffer(base64.b64decode(data["data"]), "<" + data["dtype"]).reshape(data["shape"])
+
+
+@pytest.fixture(scope="module")
+def car(tmp_path_factory: pytest.TempPathFactory) -> str:
+    out = tmp_path_factory.mktemp("page") / "car.html"
+    return write_run_page([CAR], None, out, config_of).read_text(encoding="utf-8")
+
+
+def test_the_page_holds_the_tree_bit_for_bit(car: str) -> None:
+    (data,) = stored(car)
+    tree, held = page_tree(config_of(CAR), CAR, "pruned"), data["tree"]
+    for name, array in (("left", tree.children_left), ("right", tree.children_right), ("P", tree.P), ("v", tree.v),
+                        ("M", tree.M), ("c", tree.c)):  # fmt: skip
+        np.testing.assert_array_equal(unpacked(held[name]), array)
+    assert held["head"]["name"] == tree.head.name and held["labels"] is None
+    assert unpacked(held["shares"]).sum() == pytest.approx(1.0) and len(held["colours"]) == tree.n_leaves
+
+
+def test_the_episode_is_the_first_one_evaluated(car: str) -> None:
+    (data,) = stored(car)
+    (first, *_) = read_csv(CAR / "evaluate" / "episodes_pruned_tree.csv")
+    episode, tree = data["episode"], page_tree(config_of(CAR), CAR, "pruned")
+    assert episode["return"] == pytest.approx(float(first["return"]), abs=1e-9)
+    assert episode["n_steps"] == int(first["length"]) and episode["seed"] == 1000
+    states = rollout(tree.predict, config_of(CAR).env, [1000], keep_states=True, n_workers=1).states[
+        :: episode["stride"]
+    ]
+    low, high = np.array(episode["low"]), np.array(episode["high"])
+    shown = low + unpacked(episode["states"]) / LEVELS * (high - low)
+    np.testing.assert_allclose(shown, states, atol=float((high - low).max()) / LEVELS)
+    np.testing.assert_array_equal(unpacked(episode["leaves"]), tree.apply(states))
+    np.testing.assert_array_equal(unpacked(episode["answers"]), tree.predict(states).astype(np.float32))
+    sprite = Image.open(io.BytesIO(base64.b64decode(episode["sprite"])))
+    rows = -(-episode["n_frames"] // episode["frame_columns"])
+    assert sprite.size == (episode["frame_width"] * episode["frame_columns"], episode["frame_height"] * rows)
+    assert np.asarray(sprite).std() > 10  # there is something in the pictures
+
+
+def test_programs_ranges_and_names_stand_on_the_page(car: str) -> None:
+    (data,) = stored(car)
+    assert [feature["name"] for feature in data["features"]] == ["position", "velocity"]
+    assert (data["features"][0]["low"], data["features"][0]["high"]) == pytest.approx((-1.2, 0.6))
+    assert "double" in data["exports"]["C"] and "def " in data["exports"]["Python"] and not data["left_out"]
+    assert data["program"].startswith("if ") and data["answers"] == ["force"]
+
+
+def test_the_page_needs_no_network_and_its_scripts_are_whole(car: str) -> None:
+    assert not re.findall(r"""(?:src|href)\s*=\s*["']?(?:https?:)?//""", car)
+    assert "fetch(" not in car and "import(" not in car and "XMLHttpRequest" not in car
+    assert car.count("<script") == car.count("</script>") == 2  # the policy, and the scripts
+    assert "$" + "title" not in car and "<title>mountaincar: otr, depth 1, seed 0</title>" in car
+
+
+def test_names_are_names_whatever_is_in_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    evil = "</script><img src=x onerror=alert(1)>"
+    monkeypatch.setattr("pipelines.report.webpage.policy.feature_names", lambda env, n: [evil, "$style"])
+    monkeypatch.setattr("pipelines.report.webpage.policy.action_names", lambda env, n: ["<b>force"])
+
+    def named(run_dir: Path) -> Any:
+        config = config_of(run_dir)
+        return dataclasses.replace(config, env=dataclasses.replace(config.env, name=evil))
+
+    page = write_run_page([CAR], None, tmp_path / "page.html", named).read_text(encoding="utf-8")
+    assert evil not in page and page.count("</script>") == 2
+    (data,) = stored(page)
+    assert [feature["name"] for feature in data["features"]] == [evil, "$style"] and data["answers"] == ["<b>force"]
+
+
+def test_several_runs_are_chosen_from_a_list_and_terms_of_pid_have_ranges(tmp_path: Path) -> None:
+    page = write_run_page([LANDER, PID], None, tmp_path / "page.html", config_of).read_text(encoding="utf-8")
+    lander, pid = stored(page)
+    assert lander["tree"]["labels"] and lander["limits"] is None and "M" not in lander["tree"]
+    assert page.count("<option") == 2 and '<option value="policy-1">pid, depth 1, seed 0</option>' in page
+    assert len(pid["features"]) == 12 and all(feature["low"] < feature["high"] for feature in pid["features"])
+    assert pid["tree"]["head"]["name"] == "pid_box"
+
+
+def test_a_long_episode_is_thinned_and_one_without_pictures_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    tree = page_tree(config_of(LANDER), LANDER, "pruned")
+    monkeypatch.setattr("pipelines.report.webpage.episode.MOST_STEPS", 50)
+
+    def no_screen(env: Any, width: int) -> None:
+        raise PipelineError("video: it cannot be rendered here (no screen). MuJoCo needs a screen")
+
+    monkeypatch.setattr("pipelines.report.webpage.episode.renderable", no_screen)
+    episode = record(tree, config_of(LANDER).env, 1000, n_frames=5, width=32)
+    assert episode["stride"] == -(-episode["n_steps"] // 50) > 1
+    assert unpacked(episode["leaves"]).shape == (-(-episode["n_steps"] // episode["stride"]),)
+    assert episode["no_frames"] == "video: it cannot be rendered here (no screen)." and "sprite" not in episode
+
+
+def test_packed_arrays_keep_their_numbers() -> None:
+    for array in (np.array([[0.1, -1e300], [5e-324, 3.0]]), np.array([-5, 7], np.int32), np.array([], np.uint16)):
+        np.testing.assert_array_equal(unpacked(packed(array)), array)
+        assert unpacked(packed(array)).dtype == array.dtype
+
+
+def test_leaves_that_are_not_visited_have_no_share() -> None:
+    tree = random_tree(np.random.default_rng(0), 9, 2, 1, 8)
+    X = np.random.default_rng(1).normal(size=(50, 2))
+    shares = unpacked(tree_data(tree, X)["shares"])
+    np.testing.assert_allclose(shares, np.bincount(tree.apply(X), minlength=tree.n_leaves) / 50, atol=1e-7)
+
+
+def test_units_are_those_of_physical_environments() -> None:
+    assert unit_of(PENDULUM, "angle_rate") == "rad/s" and unit_of(PENDULUM, "cos_angle") == ""
+    assert unit_of(HOPPER, "x_velocity") == "m/s" and unit_of(HOPPER, "thigh_angle") == "rad"
+    assert unit_of(dataclasses.replace(HOPPER, id="My-v0"), "x_velocity") == ""
+
+
+def test_the_page_of_all_results_has_the_tables_and_a_policy_a_cell(tmp_path: Path) -> None:
+    for run in (CAR, LANDER, RESULTS / "runs/pendulum/linear/depth-0/quick/seed-0"):
+        place = tmp_path / "results/runs" / run.relative_to(RESULTS / "runs")
+        place.parent.mkdir(parents=True)
+        place.symlink_to(run)
+    page = write_results_page(tmp_path / "results", tmp_path / "page.html", config_of).read_text(encoding="utf-8")
+    policies = stored(page)
+    links = set(re.findall(r'data-policy="([^"]+)"', page))
+    assert links and links <= set(re.findall(r'class="policy" id="([^"]+)"', page))
+    assert {data["env"] for data in policies} >= {"mountaincar", "pendulum"}
+    assert 'id="table-4-1"' in page and "not run" in page and "thesis -138.3" in page
+    assert 'id="table-4-2"' not in page  # there is no fit
+    (figures,) = stored(page, "figures")
+    assert set(figures) == {"curves", "leaves", "seconds"}
+    (line,) = figures["seconds"]["MountainCar"]["series"]
+    summary = json.loads((CAR / "summary.json").read_text())
+    assert line["points"] == [[pytest.approx(summary["seconds"]["train"], rel=1e-5),
+                               pytest.approx(summary["return_mean"], rel=1e-4)]]  # fmt: skip
+
+
+def test_what_cannot_be_shown_is_named_and_the_rest_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import pipelines.report.webpage.policy as policy
+
+    real: Callable[..., Any] = policy.tree_of
+    monkeypatch.setattr(
+        policy, "tree_of", lambda form, run, folder: object() if folder == CAR else real(form, run, folder)
+    )
+    page = write_run_page([CAR, LANDER], None, tmp_path / "page.html", config_of).read_text(encoding="utf-8")
+    assert len(stored(page)) == 1 and "Left out: mountaincar, otr, depth 1, seed 0" in page
+    assert "left out: mountaincar, otr, depth 1, seed 0" in capsys.readouterr().out
+    with pytest.raises(PipelineError, match="too many leaves to be held as leaves"):
+        write_run_page([CAR], None, tmp_path / "none.html", config_of)
+    assert not (tmp_path / "none.html").exists()
+
+
+def test_the_command_names_the_file_and_refuses_what_it_cannot_show(tmp_path: Path) -> None:
+    done = otr_command("otr-report", f"run={CAR}", "out=car.html", cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert re.search(r"^car\.html: 0\.\d MB, open it in any browser$", done.stdout, re.M)
+    for words, told in (
+        (["tree=pruned"], "of which run? Add run=FOLDER"),
+        ([f"run={CAR}", "tree=compact"], "tree=compact: the page shows"),
+        ([f"run={CAR}", "env=pendulum"], "a run that is there, or one to make"),
+        (["results_dir=nowhere"], "there is no finished run"),
+        (["run=nowhere/otr"], "nowhere/otr"),
+    ):
+        done = otr_command("otr-report", *words, cwd=tmp_path)
+        assert done.returncode in (1, 2) and told in done.stderr + done.stdout, (words, done.stderr)

@@ -1,0 +1,219 @@
+"""The page in headless Chromium: the browser's tree answers as ours, the episode plays, names are names, keys work."""
+
+import dataclasses
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipelines.cli.runs import load_config
+from pipelines.report.webpage.page import write_results_page, write_run_page
+from pipelines.report.webpage.policy import page_tree
+from tests.committed import RESULTS
+
+pytestmark = pytest.mark.slow
+
+# Of every head and kind of leaf, and of thousands of leaves.
+RUNS = (
+    "pendulum/otr/depth-6/quick/seed-0",
+    "pendulum/otr/depth-32/quick/seed-0",
+    "pendulum/linear/depth-0/quick/seed-0",
+    "pendulum/pid/depth-1/quick/seed-0",
+    "mountaincar/otr/depth-1/standard-ars/seed-0",
+    "hopper/otr/depth-6/standard-ars/seed-0",
+    "lunarlander/otr/depth-2/thesis/seed-0",
+    "lunarlander/augtree/depth-10/quick/seed-0",
+    "lunarlander/ndps/depth-10/quick/seed-0",
+    "swimmer/viper/depth-6/quick/seed-0",
+)
+N_STATES = 200
+MOVE = """(states) => states.map((state) => {
+  state.forEach((share, j) => {
+    const input = document.getElementById(`state-${j}`);
+    input.value = Number(input.min) + share * (Number(input.max) - Number(input.min));
+    input.dispatchEvent(new Event("input"));
+  });
+  return [Array.from(otr.view.x), otr.view.leaf, otr.view.answer];
+})"""
+SIZES = {"desk": (1280, 900), "phone": (390, 844)}
+
+
+def config_of(run_dir: Path) -> Any:
+    return load_config(run_dir, 1)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Chromium, the machine's or Playwright's own; `make test-all` installs one."""
+    from playwright.sync_api import sync_playwright
+
+    path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def ten(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folders = [RESULTS / "runs" / run for run in RUNS]
+    return write_run_page(folders, "pruned", tmp_path_factory.mktemp("ten") / "page.html", config_of)
+
+
+@pytest.fixture
+def opened(browser: Any) -> Iterator[Any]:
+    """Return what opens a file in a window of some size; an error in it, or a call to the network, fails the test."""
+    wrong, windows = list[str](), []
+
+    def open_page(path: Path, size: tuple[int, int] = SIZES["desk"], **looks: str) -> Any:
+        window = browser.new_page(viewport={"width": size[0], "height": size[1]}, **looks)
+        windows.append(window)
+        window.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
+        window.on("pageerror", lambda error: wrong.append(str(error)))
+        window.on("dialog", lambda dialog: wrong.append(dialog.message))
+        window.on(
+            "request",
+            lambda asked: None if asked.url.startswith(("file:", "data:", "blob:")) else wrong.append(asked.url),
+        )
+        window.goto(path.as_uri())
+        window.evaluate("otr.ready")
+        return window
+
+    yield open_page
+    for window in windows:
+        window.close()
+    assert not wrong
+
+
+def show(window: Any, policy: str) -> None:
+    window.select_option("#choice", policy)
+    window.evaluate("otr.ready")
+
+
+@pytest.mark.parametrize("i", range(len(RUNS)), ids=RUNS)
+def test_the_browser_answers_as_the_tree(ten: Path, opened: Any, i: int) -> None:
+    window, folder = opened(ten), RESULTS / "runs" / RUNS[i]
+    show(window, f"policy-{i}")
+    tree = page_tree(config_of(folder), folder, "pruned")
+    shares = np.random.default_rng(i).uniform(size=(N_STATES, tree.n_inputs))
+    answered = window.evaluate(MOVE, shares.tolist())
+    X = np.array([x for x, _, _ in answered])
+    assert len(np.unique(X, axis=0)) == N_STATES
+    # Sums in another order differ in the last bits: a state that lies on a test could go either way, and none does.
+    np.testing.assert_array_equal([leaf for _, leaf, _ in answered], tree.apply(X))
+    np.testing.assert_allclose([answer for _, _, answer in answered], tree.predict(X), rtol=1e-9, atol=1e-12)
+    assert len({leaf for _, leaf, _ in answered}) > 1 or tree.n_leaves == 1
+
+
+def test_the_episode_plays_and_the_path_moves_along(ten: Path, opened: Any) -> None:
+    window = opened(ten)
+    show(window, "policy-6")
+    window.wait_for_function("otr.view.episode.picture.complete")
+    picture = "[...otr.view.frame.getContext('2d').getImageData(0, 0, 160, 100).data].reduce((a, b) => a + b)"
+    first = window.evaluate(picture)
+    window.get_by_role("button", name="Play").click()
+    window.wait_for_function("otr.view.step > 20")
+    assert window.evaluate(picture) != first > 0
+    leaf, recorded, lit, depth = window.evaluate("""() => {
+      const { leaf, episode, step, tree } = otr.view;
+      return [leaf, episode.leaves[step], document.querySelectorAll(".tree g.on").length, tree.pathTo(leaf).length];
+    }""")
+    assert leaf == recorded and lit == depth > 1
+    window.get_by_role("button", name="Pause").click()
+    stopped = window.evaluate("otr.view.step")
+    window.wait_for_timeout(200)
+    assert window.evaluate("otr.view.step") == stopped
+    window.evaluate("otr.view.showStep(otr.view.episode.length - 3)")
+    window.get_by_role("button", name="Play").click()
+    window.wait_for_function(
+        "otr.view.step === otr.view.episode.length - 1 && otr.view.playButton.textContent === 'Play'"
+    )
+
+
+def test_keys_move_the_state_and_open_a_leaf_and_all_has_a_name(ten: Path, opened: Any) -> None:
+    window = opened(ten)
+    show(window, "policy-6")
+    low, high, before = window.evaluate("[otr.view.features[0].low, otr.view.features[0].high, otr.view.x[0]]")
+    window.focus("#state-0")
+    window.keyboard.press("ArrowRight")
+    assert window.evaluate("otr.view.x[0]") == pytest.approx(before + (high - low) / 100)
+    visited = window.evaluate("otr.view.episode.leaves[otr.view.episode.length - 1]")
+    window.focus(f"[data-leaf='{visited}']")
+    window.keyboard.press("Enter")
+    assert window.evaluate("otr.view.leaf") == visited
+    nameless = window.evaluate("""() => {
+      const told = (e) => e.labels?.length || e.ariaLabel || e.textContent.trim();
+      const named = (e) => told(e) || e.closest("[role=img][aria-label]");
+      const all = document.querySelectorAll("input, button, select, canvas, [role=button], [role=img]");
+      return [...all].filter((e) => !named(e)).map((e) => e.outerHTML);
+    }""")
+    assert nameless == []
+
+
+def test_a_tree_of_thousands_of_leaves_stays_usable(tmp_path: Path, opened: Any) -> None:
+    folder = RESULTS / "runs" / RUNS[1]
+    window = opened(write_run_page([folder], "minimal", tmp_path / "page.html", config_of))
+    assert window.evaluate("otr.view.tree.nLeaves") > 2000
+    assert window.evaluate("document.querySelectorAll('rect[data-leaf]').length") == window.evaluate(
+        "otr.view.tree.nLeaves"
+    )
+    search, found = window.locator("input[type=search]"), "[...document.querySelectorAll('.found')]"
+    search.fill("12")
+    assert window.evaluate(f"{found}.map((cell) => Number(cell.dataset.leaf))") == [11]
+    search.fill("angle_rate")
+    n_found = window.evaluate(f"{found}.length")
+    assert n_found > 1000 and f"{n_found} found" in window.inner_text("p:has(> input[type=search])")
+    opened_path = "document.querySelectorAll('.path details').length + 1"
+    assert window.evaluate(opened_path) == window.evaluate("otr.view.tree.pathTo(otr.view.leaf).length") > 5
+
+
+def test_names_are_names_in_the_browser_too(tmp_path: Path, opened: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    evil = "</script><img src=x onerror=alert(1)>"
+    monkeypatch.setattr("pipelines.report.webpage.policy.feature_names", lambda env, n: [evil, "velocity"])
+
+    def named(run_dir: Path) -> Any:
+        config = config_of(run_dir)
+        return dataclasses.replace(config, env=dataclasses.replace(config.env, name=evil))
+
+    page = write_run_page([RESULTS / "runs" / RUNS[4]], None, tmp_path / "page.html", named)
+    window = opened(page)
+    assert evil in window.inner_text("h1") and evil in window.inner_text("label[for=state-0]")
+    assert window.locator("img").count() == 0
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_nothing_runs_over_the_edge(ten: Path, opened: Any, size: str, scheme: str, tmp_path: Path) -> None:
+    window = opened(ten, SIZES[size], color_scheme=scheme)
+    show(window, "policy-0")
+    window.screenshot(path=tmp_path / f"{size}.png", full_page=True)
+    assert window.evaluate("document.documentElement.scrollWidth") <= SIZES[size][0]
+    assert window.evaluate("getComputedStyle(document.body).backgroundColor") == {
+        "light": "rgb(255, 255, 255)", "dark": "rgb(20, 24, 28)"}[scheme]  # fmt: skip
+
+
+def test_tables_sort_and_numbers_open_their_policy(tmp_path: Path, opened: Any) -> None:
+    for run in (RUNS[0], RUNS[2], RUNS[5], RUNS[9]):
+        place = tmp_path / "results/runs" / run
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.symlink_to(RESULTS / "runs" / run)
+    window = opened(write_results_page(tmp_path / "results", tmp_path / "page.html", config_of))
+    column = window.locator("thead th", has_text="OTR (6)").first
+    order = """() => {
+      const { tHead, tBodies } = document.querySelector("table");
+      const at = [...tHead.rows[0].cells].findIndex((cell) => cell.textContent.startsWith("OTR (6)"));
+      return [...tBodies[0].rows].map((row) => row.cells[at].dataset.value).filter((value) => value).map(Number);
+    }"""
+    column.locator("button").click()
+    values = window.evaluate(order)
+    assert values == sorted(values) and len(values) == 2 and column.get_attribute("aria-sort") == "ascending"
+    column.locator("button").click()
+    assert window.evaluate(order) == values[::-1]
+    link = window.locator("a[data-policy]").last
+    link.click()
+    window.evaluate("otr.ready")
+    assert window.input_value("#choice") == link.get_attribute("data-policy")
+    assert window.locator("#figure-seconds canvas").count() == 1

@@ -16,9 +16,9 @@ PATH = re.compile(rf"(?<![\w./~-])(?:{FOLDERS})/[\w./-]*[\w/]")
 NAME = re.compile(r"(?<![\w./`-])`?((?:otr|pipelines|benchmarks)(?:\.[A-Za-z_]\w*)+)")
 LINK = re.compile(r"\]\(([^)#\s]+)\)")
 # Written when commands run.
-MADE = ("results/page.html", "results/runs/", "results/local", "results/sweeps", "results/failures", "results/checkpoints", "results/smoke",
+MADE = ("results/runs/", "results/local", "results/sweeps", "results/failures", "results/checkpoints", "results/smoke",
         "results/tensorboard", "results/data", "results/benchmarks/quick", "results/tables/runs",
-        "results/tables/fits")  # fmt: skip
+        "results/tables/fits", "results/page.html")  # fmt: skip
 
 
 def docstrings(module: Path) -> Iterator[str]:

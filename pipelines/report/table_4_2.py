@@ -30,9 +30,9 @@ from pipelines.report.text import latex_grid, markdown_grid, markdown_table, pag
 DATA = {"bace": "Bace", "hiv": "HIV", "sider": "SIDER", "tox21": "Tox21", "pdbbind": "PDBbind"}
 LEARNERS = {"linear_tuned": "Linear (depth 0)", "cart": "CART", "hhcart": "HHCART", "tao": "TAO (L2)",
             "tao_l1": "TAO (L1)", "lcn": "LCN", "augtree": "AugTree", "otr": "OTR",
-            "otr_tuned": "OTR (tuned)"}  # fmt: skip
-CLASSIFIERS_ONLY = ("tao", "tao_l1", "otr_tuned")
-NETWORKS = ("lcn", "otr", "otr_tuned")  # whose whole tree is what a network computes
+            "otr_tuned": "OTR (tuned)", "otr_readable": "OTR (16 tests)"}  # fmt: skip
+CLASSIFIERS_ONLY = ("tao", "tao_l1", "otr_tuned", "otr_readable")
+NETWORKS = ("lcn", "otr", "otr_tuned", "otr_readable")  # whose whole tree is what a network computes
 RIVALS = ("linear_tuned", "otr_tuned")  # beside which all others are put
 SPARSE = {"otr_16": "without L1", "otr_16_l1": "with L1 1e-5", "otr_16_sparse": "with L1 8e-3, decaying rate"}
 SHOWN = "runs/bace/otr_16_sparse/seed-0"  # the fit whose tree is printed and drawn
@@ -129,7 +129,7 @@ def _details(cells: pd.DataFrame) -> list[list[str]]:
                       f"{cell.fit_cpu_seconds:,.1f}", str(cell.n_runs)])  # fmt: skip
         if not math.isnan(cell.teacher_test):
             taught = [f"{score:.3f}" for score in (cell.teacher_train, cell.teacher_valid, cell.teacher_test)]
-            name = f"Forest, which teaches {LEARNERS[cell.method]}"
+            name = f"Teacher of {LEARNERS[cell.method]}"
             lines.append([DATA[cell.task], name, *taught, "", "", "", "", str(cell.n_runs)])
     return lines
 

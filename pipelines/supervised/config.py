@@ -79,6 +79,7 @@ class CartConfig(ClassifierConfig):
 
     max_depth: Count | None = None
     min_samples_leaf: Count = 1
+    teacher: Annotated[dict[str, Any] | None, AsBefore(None)] = None  # as of `OtrConfig`
 
 
 @dataclass(frozen=True)
@@ -100,6 +101,7 @@ class TaoConfig(ClassifierConfig):
     max_iter: Annotated[int, Range(0)] = 14
     tol: Annotated[float, Range()] = 0.005
     leaf_values: Annotated[str, OneOf("shares", "labels"), AsBefore("shares")] = "shares"
+    teacher: Annotated[dict[str, Any] | None, AsBefore(None)] = None  # as of `OtrConfig`
 
 
 @dataclass(frozen=True)
@@ -263,7 +265,7 @@ def fit_folder(config: FitConfig, baseline: FitConfig) -> str:
 
 
 def _is_taught(method: LearnerConfig) -> bool:
-    """Return whether a method's networks learn from a teacher, or may be chosen to."""
+    """Return whether a method's networks or trees learn from a teacher, or may be chosen to."""
     return getattr(method, "teacher", None) is not None or any("teacher" in values for values in method.grid)
 
 

@@ -1,6 +1,7 @@
 """From a method's settings to trees: which estimators a learner is, and how labels and seeds are fitted."""
 
 import functools
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -52,6 +53,11 @@ def check_learner(method: LearnerConfig, dataset: Dataset) -> None:
     """Raise ConfigError where the learner has no estimator, or no class weights, for the data set's task."""
     _estimator_name(method.learner, dataset)
     settings = learner_settings(method)
+    teacher = settings.get("teacher")
+    if teacher is not None and dataset.task != "classification":
+        raise ConfigError(f"method.teacher is for binary labels, and {dataset.name} is a {dataset.task}; leave it out")
+    if teacher is not None and settings.get("class_weight"):
+        raise ConfigError("method.teacher: its rows have weights of their own; leave out the teacher, or class_weight")
     if dataset.task != "classification" and settings.get("class_weight"):
         raise ConfigError(f"method.class_weight is for classes, and {dataset.name} has numbers; leave it out")
     if dataset.task != "counts" and settings.get("loss") == "poisson":
@@ -96,21 +102,49 @@ def fit_trees(
         otr = learner_settings(OtrConfig("otr", "otr", hidden=mine["hidden"], class_weight=mine["class_weight"]))
         networks = [est.networks_ for est in _estimators(otr_name, otr, dataset, labels, seeds)]
         oracles = [[of_seed[i] for of_seed in networks] for i in range(len(labels))]
-    parameters = _parameters(name, {**learner_settings(method), "n_jobs": n_workers})
+    settings = learner_settings(method)
+    teacher = settings.pop("teacher", None)
+    parameters = _parameters(name, {**settings, "n_jobs": n_workers})
     trees = []
     for i, label in enumerate(labels):
-        X, y = dataset.labelled("train", label)
-        X = X.astype(np.float32)  # bits and small numbers, which lose nothing
         of_label = []
         for j, seed in enumerate(seeds):
+            rows = _labelled(dataset, label) if teacher is None else _taught(dataset, label, json.dumps(teacher), seed)
             estimator = _new(name, parameters, seed, oracles[i][j])
-            of_label.append(FittedTree(estimator.fit(X, y).tree_))
+            of_label.append(FittedTree(estimator.fit(*rows).tree_))
             progress(i * len(seeds) + j + 1, len(labels) * len(seeds))
-            if "random_state" not in estimator.get_params():  # the same for all seeds
+            if teacher is None and "random_state" not in estimator.get_params():  # the same for all seeds
                 of_label += of_label * (len(seeds) - 1)
                 break
         trees.append(of_label)
     return trees
+
+
+@functools.lru_cache(maxsize=1)
+def _labelled(dataset: Dataset, label: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the training rows that have a label, in float32, and the label."""
+    X, y = dataset.labelled("train", label)
+    return X.astype(np.float32), y  # bits and small numbers, which lose nothing
+
+
+def _taught(dataset: Dataset, label: int, teacher: str, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return a teacher's rows for a label: each as class 1 and as class 0, weighted by these probabilities."""
+    rows, targets = _distilled(dataset, teacher, seed)
+    p = targets[:, usable_labels(dataset).index(label)]
+    is_one, is_zero = p > 0, p < 1
+    X = np.concatenate([rows[is_one], rows[is_zero]])
+    y = np.repeat([1.0, 0.0], [is_one.sum(), is_zero.sum()])
+    return X, y, np.concatenate([p[is_one], 1 - p[is_zero]])
+
+
+@functools.lru_cache(maxsize=1)
+def _distilled(dataset: Dataset, teacher: str, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows in float32 and probabilities, of all labels that can be learned, as networks are taught by them."""
+    from otr.learners.distillation import distillation_set
+
+    labels = dataset.train.Y[:, usable_labels(dataset)]
+    rows, targets = distillation_set(dataset.train.X, labels, teacher_of(json.loads(teacher)), seed=seed)
+    return rows.astype(np.float32), targets
 
 
 def _fit_together(

@@ -9,15 +9,15 @@ import pytest
 from sklearn.metrics import roc_auc_score
 
 import otr
-from otr.learners import CARTClassifier, OTRClassifier
-from otr.learners.distillation import Teacher, fit_teacher
+from otr.learners import CARTClassifier, OTRClassifier, TAOClassifier
+from otr.learners.distillation import Teacher, distillation_set, fit_teacher
 from pipelines.datasets.load import load_dataset
 from pipelines.engine.job import is_done
 from pipelines.engine.store import read_csv, read_json
 from pipelines.errors import ConfigError
 from pipelines.supervised.fit import fit
 from pipelines.supervised.fit_job import FitJob, fit_job, fit_jobs
-from pipelines.supervised.learners import fit_trees
+from pipelines.supervised.learners import check_learner, fit_trees
 from pipelines.supervised.tune import best_of, checkpoint_folder, tune
 
 GRID = [{"max_depth": [1, 2, 5]}]
@@ -85,6 +85,34 @@ def test_the_teacher_of_the_networks_is_scored_beside_them(fit_of):
         expected = roc_auc_score(labels, teacher.predict_proba(rows)[:, 0])
         assert summary["teacher"][part] == pytest.approx(expected)
     assert "teacher" not in fit_job(job_of(fit_of("otr", seed=4, hidden=[2], epochs=2)))
+
+
+@pytest.mark.parametrize(("learner", "estimator"), [("cart", CARTClassifier), ("tao", TAOClassifier)])
+def test_other_trees_learn_from_the_same_teacher(fit_of, learner, estimator):
+    forest = {"forest": "random_forest", "n_estimators": 5, "n_copies": 1}
+    job = job_of(fit_of(learner, max_depth=3, teacher=forest, seed=3))
+    summary = fit_job(job)
+    dataset = load_dataset("breast_cancer")
+    rows, targets = distillation_set(*dataset.labelled("train"), Teacher(**forest), seed=3)
+    p = targets[:, 0]
+    settings = {} if learner == "cart" else {"max_iter": 14, "tol": 0.005, "surrogate": "squared_hinge", "C": 1.0}
+    alone = estimator(max_depth=3, random_state=3, **settings).fit(
+        np.concatenate([rows, rows]).astype(np.float32), np.repeat([1.0, 0.0], len(rows)), np.concatenate([p, 1 - p])
+    )
+    tree = otr.load(job.run_dir / "fit" / "label-00")
+    for name in ("P", "v", "children_left", "c"):
+        np.testing.assert_array_equal(getattr(tree, name), getattr(alone.tree_, name))
+    assert summary["test"] > 0.9 and summary["teacher"]["test"] > 0.9
+    other = fit_job(job_of(fit_of(learner, max_depth=3, seed=4)))
+    assert (other["train"], other["leaves"]) != (summary["train"], summary["leaves"])
+
+
+def test_a_teacher_is_for_labels_and_has_no_class_weights(fit_of):
+    method = fit_of("cart", teacher={"n_estimators": 5}).method
+    with pytest.raises(ConfigError, match=r"method\.teacher is for binary labels, and diabetes is a regression"):
+        check_learner(method, load_dataset("diabetes"))
+    with pytest.raises(ConfigError, match="its rows have weights of their own"):
+        check_learner(dataclasses.replace(method, class_weight="balanced"), load_dataset("breast_cancer"))
 
 
 @pytest.mark.parametrize("learner, grid", [("cart", GRID), ("otr", [{"hidden": [[2], [3]], "epochs": [2]}])])

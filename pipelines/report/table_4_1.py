@@ -55,12 +55,13 @@ def write_table_4_1(results_dir: Path) -> list[Path]:
 def make_cells(runs: pd.DataFrame) -> pd.DataFrame:
     """Return the table's cells, then those of its text and of other runs, then what else there is for the table's.
 
-    A cell is of one budget and trainer, the first there are in the order of `in_order`; `table` is 4.1, text or other.
+    A cell is of one budget and trainer: the first with two runs or more in the order of `in_order`, else the first. Its
+    `table` is 4.1, text or other.
     """
     found = in_order(summarise(
         runs, [*KEY, *SOURCE], "return_mean", best=("return_mean", "max"), n_episodes=("n_episodes", "min"),
         most_episodes=("n_episodes", "max"), pruned_depth=("pruned_depth", lambda depths: depths.mean(skipna=False)),
-    ), SOURCE)  # fmt: skip
+    ), SOURCE).sort_values("n_runs", key=lambda n: n == 1, kind="stable")  # fmt: skip
     rest = found.duplicated(KEY)
     text = {*found[KEY].itertuples(index=False, name=None), *TEXT} - {*TABLE}
     table = pd.DataFrame(TABLE, columns=KEY).assign(table="4.1")

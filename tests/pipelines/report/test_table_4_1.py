@@ -116,15 +116,23 @@ def test_a_polished_policy_has_a_row_beyond_the_table_and_the_tree_keeps_its_cel
 
 def test_the_thesis_budget_comes_first_and_is_never_mixed(tmp_path: Path) -> None:
     write_runs(tmp_path, "hopper/otr/depth-6/quick", QUICK)
-    write_run(tmp_path, "hopper/otr/depth-6/thesis/seed-0", 3500.0)
+    write_runs(tmp_path, "hopper/otr/depth-6/thesis", {0: 3500.0, 1: 3510.0})
     cell = hopper(tmp_path)
-    assert (cell["mean"], cell["n_runs"], cell["budget"]) == ("3500.0", "1", "thesis")
+    assert (cell["mean"], cell["n_runs"], cell["budget"]) == ("3505.0", "2", "thesis")
     assert cell["note"] == "also run: 3 runs, quick"
     other = csv_cells(tmp_path)["other", "hopper", "otr", "6"]
     assert (other["n_runs"], other["budget"]) == ("3", "quick")
     assert other["mean"] == "130.0"
     shown, beyond = markdown_lines(tmp_path, "Hopper")[0], markdown_lines(tmp_path, "Hopper")[-1]
-    assert "3500.0 (1 run, thesis)" in shown and "(3 runs, quick)" in " ".join(beyond)
+    assert "3505.0 ± 7.1 (2 runs, thesis)" in shown and "(3 runs, quick)" in " ".join(beyond)
+
+
+def test_one_run_of_the_thesis_budget_yields_to_several_of_another(tmp_path: Path) -> None:
+    write_run(tmp_path, "hopper/otr/depth-6/thesis/seed-0", 3500.0)
+    assert hopper(tmp_path)["budget"] == "thesis"
+    write_runs(tmp_path, "hopper/otr/depth-6/quick", QUICK)
+    cell = hopper(tmp_path)
+    assert (cell["n_runs"], cell["budget"], cell["note"]) == ("3", "quick", "also run: 1 run, thesis")
 
 
 def test_order_of_budgets(tmp_path: Path) -> None:

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 import otr
 from otr.programs.names import identifiers, one_line
-from otr.programs.walk import distinct_rows, walk, wrapped
+from otr.programs.walk import distinct_rows, in_printed_order, walk, wrapped
+from tests.core.test_tree import random_tree
 from tests.programs.policies import chain
 
 
@@ -71,3 +72,11 @@ def test_a_tree_without_inputs_is_refused() -> None:
     for write in (otr.to_python, otr.to_c, otr.to_structured_text, otr.to_latex, otr.to_dot, otr.to_onnx, otr.to_json):
         with pytest.raises(ValueError, match="the tree has no inputs"):
             write(tree)
+
+
+def test_leaves_are_numbered_from_the_top() -> None:
+    tree = random_tree(np.random.default_rng(0), 9, 2, 1, 8)
+    ordered = in_printed_order(tree)
+    X = np.random.default_rng(1).normal(size=(200, 2))
+    np.testing.assert_allclose(ordered.predict(X), tree.predict(X), rtol=1e-9, atol=1e-12)
+    assert [leaf for what, leaf, _ in walk(ordered) if what == "leaf"] == list(range(9))

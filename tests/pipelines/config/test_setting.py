@@ -43,6 +43,8 @@ OF_ANY_TYPE = {
     ("RunConfig", "depth"),
     ("EnvConfig", "kwargs"),
     ("OtrConfig", "teacher"),
+    ("CartConfig", "teacher"),
+    ("TaoConfig", "teacher"),
 }  # checked where they are read
 
 

@@ -9,13 +9,11 @@ from imageio_ffmpeg import count_frames_and_secs, read_frames
 from PIL import Image
 
 import otr
-from otr.programs.walk import in_printed_order
 from pipelines.engine.store import read_csv
 from pipelines.errors import PipelineError
 from pipelines.play import video
 from pipelines.play.video import write_video
 from tests.committed import RESULTS, committed_tree, copy_run
-from tests.core.test_tree import random_tree
 from tests.pipelines.conftest import HOPPER, PENDULUM
 
 CAR_RUN = "mountaincar/otr/depth-1/quick/seed-0"
@@ -67,14 +65,6 @@ def test_an_mp4_names_its_extra_before_anything_runs(command, monkeypatch: pytes
     tree = otr.ObliqueTree([], [], np.zeros((0, 3)), [], np.zeros((1, 1, 3)), np.zeros((1, 1)))
     with pytest.raises(otr.MissingExtraError, match="an episode as MP4 needs imageio-ffmpeg, which is not installed"):
         write_video(tree, PENDULUM, 0, tmp_path / "a.mp4")
-
-
-def test_leaves_are_numbered_from_the_top() -> None:
-    tree = random_tree(np.random.default_rng(0), 9, 2, 1, 8)
-    ordered = in_printed_order(tree)
-    X = np.random.default_rng(1).normal(size=(200, 2))
-    np.testing.assert_allclose(ordered.predict(X), tree.predict(X), rtol=1e-9, atol=1e-12)
-    assert [leaf for what, leaf, _ in video.walk(ordered) if what == "leaf"] == list(range(9))
 
 
 def test_what_cannot_be_rendered_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

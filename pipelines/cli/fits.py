@@ -15,7 +15,7 @@ class FitWorkflow(Workflow):
     folder = "fit"
     needs = ("data", "data set")
     anything = "bace"
-    naming = ("data", "method", "seed")
+    naming = ("data", "data.split", "method", "seed")
     harmless = not_keyed(FitConfig)
     do = staticmethod(fit_job)
     do_group = staticmethod(fit_jobs)
@@ -28,7 +28,8 @@ class FitWorkflow(Workflow):
         baseline = config
         if not all(map(self.is_plain, overrides)):
             named = self.composed([f"data={config.data.name}", f"method={config.method.name}"])
-            baseline = dataclasses.replace(named.config, seed=config.seed)
+            data = dataclasses.replace(named.config.data, split=config.data.split)
+            baseline = dataclasses.replace(named.config, data=data, seed=config.seed)
         folder = fit_folder(config, baseline)
         return FitJob(dataclasses.replace(config, folder=folder), folder, made.yaml, tuple(overrides))
 

@@ -1,6 +1,7 @@
 """What every data set is once it is read: three parts, each with features and labels."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -17,10 +18,27 @@ class Part:
 
     X: np.ndarray  # features, (n, d), uint8 for fingerprints and float32 otherwise
     Y: np.ndarray  # labels, (n, n_labels), float64; NaN where a label was not measured
+    groups: np.ndarray | None = None  # of molecules the scaffold's number, (n,); None where rows have nothing in common
 
     def __post_init__(self) -> None:
         if self.X.ndim != 2 or self.Y.ndim != 2 or len(self.X) != len(self.Y):
             raise ValueError(f"X is {self.X.shape} and Y is {self.Y.shape}; (n, d) and (n, n_labels) were expected")
+        if self.groups is not None and self.groups.shape != (len(self.X),):
+            raise ValueError(f"groups are {self.groups.shape} where ({len(self.X)},) was expected")
+
+    def take(self, rows: np.ndarray) -> "Part":
+        """Return the part of these rows alone, in their order."""
+        return Part(self.X[rows], self.Y[rows], None if self.groups is None else self.groups[rows])
+
+
+def pool(parts: Sequence[Part]) -> Part:
+    """Return parts as one, one after the other; its rows have groups where all parts have them."""
+    groups = [part.groups for part in parts if part.groups is not None]
+    return Part(
+        np.concatenate([part.X for part in parts]),
+        np.concatenate([part.Y for part in parts]),
+        np.concatenate(groups) if len(groups) == len(parts) else None,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +72,31 @@ class Dataset:
         X = rows.X if measured.all() else rows.X[measured]
         y = y[measured]
         return X, y.astype(np.int64) if self.task == "classification" else y
+
+    def with_parts(self, rows: Mapping[str, np.ndarray], of: Sequence[str] = PARTS) -> "Dataset":
+        """Return the data set with parts made of other rows: their positions in the parts `of` one after the other."""
+        pooled = pool([self.part(name) for name in of])
+        train, valid, test = (pooled.take(rows[name]) for name in PARTS)
+        return replace(self, train=train, valid=valid, test=test)
+
+    def folds(self, n_folds: int = 5) -> list["Dataset"]:
+        """Return data sets for a cross-validation inside train and valid; the test part is in none of them.
+
+        Groups stay together, and folds have about as many rows. In data set k fold k is the part `test`, on which what
+        was fitted is scored; the next fold is `valid`, and the others are `train`.
+        """
+        from sklearn.model_selection import GroupKFold
+
+        pooled = pool([self.train, self.valid])
+        n_rows = len(pooled.X)
+        groups = np.arange(n_rows) if pooled.groups is None else pooled.groups
+        folds = [rows for _, rows in GroupKFold(n_folds).split(np.zeros(n_rows), groups=groups)]
+        made = []
+        for k in range(n_folds):
+            others = [rows for i, rows in enumerate(folds) if i not in (k, (k + 1) % n_folds)]
+            parts = {"train": np.sort(np.concatenate(others)), "valid": folds[(k + 1) % n_folds], "test": folds[k]}
+            made.append(self.with_parts(parts, ("train", "valid")))
+        return made
 
     def _column(self, label: int | str) -> int:
         if isinstance(label, str) and label in self.label_names:

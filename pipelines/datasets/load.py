@@ -3,6 +3,8 @@
 import difflib
 import sys
 
+import numpy as np
+
 from pipelines.datasets.catalogue import EXAMPLES, MOLECULES, NAMES, MoleculeSet
 from pipelines.datasets.dataset import Dataset, Part
 from pipelines.datasets.download import keep, locate, read
@@ -11,25 +13,37 @@ from pipelines.datasets.molecules import FEATURE_NAMES, parse_split
 from pipelines.datasets.pdbbind import load_pdbbind
 from pipelines.datasets.randhie import load_randhie
 from pipelines.datasets.rebuild import can_rebuild, rebuild
+from pipelines.datasets.scaffolds import scaffolds_by_part
+from pipelines.datasets.splits import shuffled_scaffold_split
 from pipelines.errors import ConfigError, MissingInputError, PipelineError
 
 OWN_FORM = {"pdbbind": load_pdbbind, "randhie": load_randhie}  # files that are no fingerprints
 
 
-def load_dataset(name: str) -> Dataset:
+def load_dataset(name: str, split: int | None = None) -> Dataset:
     """Return a data set of NAMES, fetching it or rebuilding it from SMILES where it is not on this machine yet.
 
+    Args:
+        name: of the data set.
+        split: of molecules, the seed that draws the parts anew, whole scaffolds together (`shuffled_scaffold_split`);
+            None for the parts as published.
+
     Raises:
-        ConfigError: there is no such data set.
+        ConfigError: there is no such data set, or its rows have no scaffolds to split them by.
         MissingInputError: it is not here and could not be had; names addresses, hashes and where to put it.
         PipelineError: a local file is damaged.
     """
     check_name(name)
+    check_split(name, split)
     if name in EXAMPLES:
         return load_example(name)
     if name in OWN_FORM:
         return OWN_FORM[name]()
-    return _load_molecules(MOLECULES[name])
+    dataset = _load_molecules(MOLECULES[name])
+    if split is None:
+        return dataset
+    scaffolds = np.concatenate([*scaffolds_by_part(MOLECULES[name]).values()])
+    return dataset.with_parts(shuffled_scaffold_split(scaffolds, split))
 
 
 def check_name(name: str) -> None:
@@ -38,6 +52,12 @@ def check_name(name: str) -> None:
         close = difflib.get_close_matches(name, NAMES, n=1, cutoff=0.5)
         hint = f" Did you mean {close[0]}?" if close else ""
         raise ConfigError(f"there is no data set {name!r}.{hint} There are: {', '.join(NAMES)}")
+
+
+def check_split(name: str, split: int | None) -> None:
+    """Raise a ConfigError where a data set that has no scaffolds is to be split by them."""
+    if split is not None and name not in MOLECULES:
+        raise ConfigError(f"{name} has no scaffolds to split it by; those with scaffolds are {', '.join(MOLECULES)}")
 
 
 def rebuild_and_keep(entry: MoleculeSet) -> dict[str, bytes]:
@@ -49,10 +69,10 @@ def rebuild_and_keep(entry: MoleculeSet) -> dict[str, bytes]:
 
 
 def _load_molecules(entry: MoleculeSet) -> Dataset:
-    parts, label_names = {}, {}
+    parts, label_names, scaffolds = {}, {}, scaffolds_by_part(entry)
     for part, content in _contents(entry).items():
         label_names[part], X, Y = parse_split(content)
-        parts[part] = Part(X, Y)
+        parts[part] = Part(X, Y, scaffolds[part])
     return Dataset(entry.name, "classification", label_names["train"], FEATURE_NAMES, **parts)
 
 

@@ -53,6 +53,7 @@ class Perceived:
     header: str  # first line of the file of SMILES
     rows: list[list[str]]  # its other lines: SMILES, then labels as text
     fingerprints: list[str]  # one a row, 2,048 characters 0 and 1
+    scaffolds: list[str]  # one a row, the Murcko scaffold without chirality
     split: dict[str, np.ndarray]  # the rows of train, valid and test
 
 
@@ -67,11 +68,11 @@ def perceive(entry: MoleculeSet) -> Perceived:
         raise PipelineError(f"rebuilding {entry.name} needs RDKit: pip install 'otr[molecules]'")
     text = read(entry.raw).decode()
     rows = list(csv.reader(io.StringIO(text)))[1:]
-    fingerprints, scaffolds = _perceive([row[0] for row in rows], entry.split_rule == "scaffold")
+    fingerprints, scaffolds = _perceive([row[0] for row in rows])
     for row, bits in _old_rows(entry.lcn_name).items():
         fingerprints[int(row)] = "".join("1" if bit in bits else "0" for bit in range(N_BITS))
     split = scaffold_split(scaffolds) if entry.split_rule == "scaffold" else random_split(len(rows))
-    return Perceived(text.splitlines()[0], rows, fingerprints, split)
+    return Perceived(text.splitlines()[0], rows, fingerprints, scaffolds, split)
 
 
 def fingerprint_generator() -> Any:
@@ -81,8 +82,8 @@ def fingerprint_generator() -> Any:
     return rdFingerprintGenerator.GetMorganGenerator(radius=2, fpSize=N_BITS)
 
 
-def _perceive(smiles: list[str], with_scaffolds: bool) -> tuple[list[str], list[str]]:
-    """Return each molecule's fingerprint as text and, if asked for, its Murcko scaffold without chirality."""
+def _perceive(smiles: list[str]) -> tuple[list[str], list[str]]:
+    """Return each molecule's fingerprint as text and its Murcko scaffold without chirality."""
     from rdkit import Chem, rdBase
     from rdkit.Chem.Scaffolds import MurckoScaffold
 
@@ -92,12 +93,11 @@ def _perceive(smiles: list[str], with_scaffolds: bool) -> tuple[list[str], list[
         for row, text in enumerate(smiles):
             molecule = molecule_of(text)
             fingerprints.append(generator.GetFingerprint(molecule).ToBitString())
-            if with_scaffolds:
-                try:
-                    scaffold = MurckoScaffold.MurckoScaffoldSmiles(mol=molecule, includeChirality=False)
-                except (ValueError, RuntimeError, Chem.MolSanitizeException):
-                    scaffold = f"row {row}"  # a scaffold of its own
-                scaffolds.append(scaffold)
+            try:
+                scaffold = MurckoScaffold.MurckoScaffoldSmiles(mol=molecule, includeChirality=False)
+            except (ValueError, RuntimeError, Chem.MolSanitizeException):
+                scaffold = f"row {row}"  # a scaffold of its own
+            scaffolds.append(scaffold)
     return fingerprints, scaffolds
 
 

@@ -27,11 +27,13 @@ RUN_COLUMNS = {
 }  # fmt: skip
 NEEDED = {"task", "env_id", "trainer", "algorithm", "steps", "versions.gymnasium"}  # beside what the folder tells
 FIT_COLUMNS = {
-    "run": TEXT, "data": TEXT, "method": TEXT, "learner": TEXT, "seed": WHOLE, "settings": TEXT, "metric": TEXT,
+    "run": TEXT, "data": TEXT, "split": WHOLE, "method": TEXT, "learner": TEXT, "seed": WHOLE, "settings": TEXT,
+    "metric": TEXT,
     "train": NUMBER, "valid": NUMBER, "test": NUMBER, "whole_test": NUMBER, "n_labels": WHOLE, "leaves": NUMBER,
     "depth": NUMBER, "small_weights": NUMBER, "fit_cpu_seconds": NUMBER, "labels_left_out.test": WHOLE,
     "seconds.tune": NUMBER, "teacher.train": NUMBER, "teacher.valid": NUMBER, "teacher.test": NUMBER,
 }  # fmt: skip
+NOT_OF_EVERY_FIT = {"split", "seconds.tune", "teacher.train", "teacher.valid", "teacher.test"}
 
 
 def load_runs(results_dir: str | Path) -> pd.DataFrame:
@@ -49,16 +51,13 @@ def load_runs(results_dir: str | Path) -> pd.DataFrame:
 
 
 def load_fits(results_dir: str | Path) -> pd.DataFrame:
-    """Return the finished fits under `results_dir`, a row each, by data, method and seed; raises as `load_runs`."""
+    """Return the finished fits under `results_dir`, a row each, by data, method, split, seed; raises as `load_runs`."""
     rows: list[dict[str, Any]] = []
-    for path in sorted(Path(results_dir).glob("runs/*/*/seed-*/summary.json")):
-        rows += _read(
-            path,
-            FitConfig.summary_schema,
-            _fit_rows,
-            {*FIT_COLUMNS} - {"seconds.tune", "teacher.train", "teacher.valid", "teacher.test"},
-        )
-    return _frame(sorted(rows, key=lambda row: (row["data"], row["method"], row["seed"])), FIT_COLUMNS)
+    for where in ("seed-*", "split-*/seed-*"):
+        for path in sorted(Path(results_dir).glob(f"runs/*/*/{where}/summary.json")):
+            rows += _read(path, FitConfig.summary_schema, _fit_rows, {*FIT_COLUMNS} - NOT_OF_EVERY_FIT)
+    order = sorted(rows, key=lambda row: (row["data"], row["method"], row.get("split", -1), row["seed"]))
+    return _frame(order, FIT_COLUMNS)
 
 
 def _read(
@@ -107,7 +106,8 @@ def _run_rows(summary: dict[str, Any], run_dir: Path) -> list[dict[str, Any]]:
 
 
 def _fit_rows(summary: dict[str, Any], run_dir: Path) -> list[dict[str, Any]]:
-    where = _place(run_dir, f"{summary['data']}/{summary['method']}", summary["seed"])
+    split = f"/split-{summary['split']}" if "split" in summary else ""
+    where = _place(run_dir, f"{summary['data']}/{summary['method']}{split}", summary["seed"])
     for name in ("train", "valid", "test"):
         if summary[name] is not None:
             _finite(summary[name], name)

@@ -54,7 +54,7 @@ HEAD = ["Method", "", *DATA.values()]
 
 def write_table_4_2(results_dir: Path) -> list[Path]:
     """Write Table 4.2 and, where there are fits, its figure; also the picture of a tree where that is at hand."""
-    fits = load_fits(results_dir)
+    fits = own_fits(load_fits(results_dir))
     cells = make_cells(fits)
     table = cells[cells["table"] == "4.2"]
     rows = {LEARNERS[method]: row for method, row in table.groupby("method", sort=False)}
@@ -65,7 +65,7 @@ def write_table_4_2(results_dir: Path) -> list[Path]:
         seeds=_seeds(ran),
         left_out=_left_out(ran),
         details=markdown_table(_details(ran), empty="Nothing has been run yet."),
-        beside=markdown_table(_beside(fits[fits["settings"] == ""], results_dir), empty="Nothing has been run yet."),
+        beside=markdown_table(_beside(fits[fits["split"].isna()], results_dir), empty="Nothing has been run yet."),
         tuned=_tuned(ran, results_dir),
         sparse=markdown_table(_sparse(cells[cells["table"] == "sparse"])),
         program=_sparse_program(results_dir),
@@ -76,12 +76,18 @@ def write_table_4_2(results_dir: Path) -> list[Path]:
     return [*paths, *_write_figure(ran, results_dir), *_copy_tree_picture(results_dir)]
 
 
+def own_fits(fits: pd.DataFrame) -> pd.DataFrame:
+    """Return the fits with the method's own settings."""
+    return fits[fits["settings"] == ""]
+
+
 def make_cells(fits: pd.DataFrame) -> pd.DataFrame:
     """Return the cells of the table and of the sparse experiment, a row a method and data set.
 
-    Fits with other settings than the method's own are left out.
+    Fits with other settings than the method's own, or on parts drawn anew, are left out.
     """
-    own = fits[fits["settings"] == ""].rename(columns={"data": "task"})
+    own = own_fits(fits)
+    own = own[own["split"].isna()].rename(columns={"data": "task"})
     found = summarise(own, KEY, "test", **FURTHER)
     cells = pd.DataFrame(CELLS, columns=["table", *KEY]).merge(found, "left", KEY)
     cells = beside_the_thesis(cells, (("4.2", task, method, "") for _, task, method in CELLS))

@@ -79,7 +79,7 @@ def write_runs(results_dir: Path) -> list[Path]:
 
 def write_fits(results_dir: Path) -> list[Path]:
     """Write all fits, a row each, as CSV, and what its columns are as Markdown."""
-    return _write_frame(results_dir, "fits", load_fits(results_dir), "runs/*/*/seed-*")
+    return _write_frame(results_dir, "fits", load_fits(results_dir), "runs/*/*/seed-*", "runs/*/*/split-*/seed-*")
 
 
 TABLES: dict[str, Callable[[Path], list[Path]]] = {
@@ -92,9 +92,10 @@ TABLES: dict[str, Callable[[Path], list[Path]]] = {
 }
 
 
-def _write_frame(results_dir: Path, name: str, frame: pd.DataFrame, folders: str) -> list[Path]:
+def _write_frame(results_dir: Path, name: str, frame: pd.DataFrame, *folders: str) -> list[Path]:
     """Write a frame, what its columns are, and which folders have no row."""
-    left_out = [path for path in sorted(results_dir.glob(folders)) if not (path / "summary.json").is_file()]
+    found = sorted(path for pattern in folders for path in results_dir.glob(pattern))
+    left_out = [path for path in found if not (path / "summary.json").is_file()]
     named = ", ".join(str(path.relative_to(results_dir / "runs")) for path in left_out) or "none"
     markdown = page(f"{name}.md", n_rows=len(frame), n_folders=frame["run"].nunique(), left_out=named)
     return write_tables(results_dir, name, frame, markdown)

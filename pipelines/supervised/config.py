@@ -27,6 +27,7 @@ from pipelines.config.setting import (
     keyed_settings,
 )
 from pipelines.datasets.catalogue import files_of
+from pipelines.datasets.load import check_split
 from pipelines.engine.digests import differences_suffix
 from pipelines.errors import ConfigError
 
@@ -36,9 +37,11 @@ BelowOne = Annotated[float, Range(0, 1, open=True)]
 
 @dataclass(frozen=True)
 class DataConfig:
-    """A data set, as `pipelines.datasets.load.load_dataset` names it."""
+    """A data set, as `pipelines.datasets.load.load_dataset` has it."""
 
     name: FreeText
+    # Of molecules: the seed that draws the parts anew, whole scaffolds together; None for LCN's parts
+    split: Annotated[int | None, Range(0), AsBefore(None)] = None
 
 
 @dataclass(frozen=True)
@@ -47,9 +50,11 @@ class LearnerConfig:
 
     name: FreeText  # of the method, a row of the table
     learner: FreeText  # which estimators, a key of `LEARNERS`
-    # What is tried on the validation part, as scikit-learn's ParameterGrid has it: dicts of setting to values, all
+    # What is tried, as scikit-learn's ParameterGrid has it: dicts of setting to values, all
     # combinations of each; empty if nothing is tuned
     grid: list[dict[str, list[Any]]] = field(default_factory=list)
+    # On what: `valid`, the validation part, or `folds`, a cross-validation of whole scaffolds inside train and valid
+    tuned_on: Annotated[str, OneOf("valid", "folds"), AsBefore("valid")] = "valid"
     # `label`, every label its own best combination, or `data`, one for all
     tuned_for: Annotated[str, OneOf("label", "data")] = "label"
     # A combination's score is the mean over these, which are not the seeds that are reported
@@ -202,6 +207,7 @@ class FitConfig:
                 own = ", ".join(self.all_stages)
                 raise ConfigError(f"stages: method={self.method.name} has no stage {stage!r}; it has {own}")
         _check_grid(self.method)
+        check_split(self.data.name, self.data.split)
 
     @property
     def all_stages(self) -> tuple[str, ...]:
@@ -223,7 +229,7 @@ class FitConfig:
     def settings(self) -> dict[str, Any]:
         """Return all the settings that decide what comes out, as plain JSON-able data."""
         files = [file.git_blob for file in files_of(self.data.name)]
-        return keyed_settings(self) | {"data": {"name": self.data.name, "git_blobs": files}}
+        return keyed_settings(self) | {"data": {**keyed_settings(self.data), "git_blobs": files}}
 
 
 def combinations(method: LearnerConfig) -> list[dict[str, Any]]:
@@ -256,12 +262,13 @@ def fit_settings(config: FitConfig) -> dict[str, Any]:
 
 
 def fit_folder(config: FitConfig, baseline: FitConfig) -> str:
-    """Return the fit's folder below `results_dir`: `runs/<data>/<method>/seed-<s>[~<digest>]`.
+    """Return the fit's folder below `results_dir`: `runs/<data>/<method>[/split-<k>]/seed-<s>[~<digest>]`.
 
-    `baseline` is what the same data, method and seed give without any other override.
+    `baseline` is what the same data, split, method and seed give without any other override.
     """
     suffix = differences_suffix(config.settings(), baseline.settings())
-    return f"runs/{config.data.name}/{config.method.name}/seed-{config.seed}{suffix}"
+    split = "" if config.data.split is None else f"/split-{config.data.split}"
+    return f"runs/{config.data.name}/{config.method.name}{split}/seed-{config.seed}{suffix}"
 
 
 def _is_taught(method: LearnerConfig) -> bool:

@@ -105,6 +105,7 @@ def summarise(job: FitJob) -> dict[str, Any]:
     return {
         "schema": config.summary_schema,
         "data": config.data.name,
+        **({} if config.data.split is None else {"split": config.data.split}),
         "method": config.method.name,
         "learner": config.method.learner,
         "seed": config.seed,

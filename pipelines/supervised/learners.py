@@ -41,12 +41,12 @@ class FittedTree:
 
 def dataset_of(config: FitConfig) -> Dataset:
     """Return the fit's data set, read once a process; errors as `load_dataset`'s."""
-    return _loaded(config.data.name)
+    return _loaded(config.data.name, config.data.split)
 
 
 @functools.lru_cache(maxsize=1)
-def _loaded(name: str) -> Dataset:
-    return load_dataset(name)
+def _loaded(name: str, split: int | None) -> Dataset:
+    return load_dataset(name, split)
 
 
 def check_learner(method: LearnerConfig, dataset: Dataset) -> None:

@@ -16,7 +16,9 @@ def show_fit(summary: dict[str, Any], run_dir: Path) -> None:
     program = run_dir / "score" / "program.txt"
     n_labels = summary["n_labels"]
     over = f", mean over {n_labels} labels" if n_labels > 1 else ""
-    title = f"{summary['data']}, {summary['method']}, seed {summary['seed']}: {METRICS[summary['metric']]}{over}"
+    split = f", split {summary['split']}" if "split" in summary else ""
+    named = f"{summary['data']}, {summary['method']}{split}, seed {summary['seed']}"
+    title = f"{named}: {METRICS[summary['metric']]}{over}"
     table = Table()
     for name in (*PARTS, "leaves", "depth"):
         table.add_column(name, justify="right")

@@ -1,7 +1,8 @@
-"""Stage tune: every combination of the grid is fitted and scored on the validation part; the best ones are kept.
+"""Stage tune: every combination of the grid is fitted and scored where it was not fitted; the best ones are kept.
 
-The test part is not looked at. What has been tried lies in `results/checkpoints` until all of it is, so that a killed
-job goes on with the next combination.
+That is on the validation part, or on each fold of a cross-validation inside train and valid (`Dataset.folds`). The
+test part is not looked at. What has been tried lies in `results/checkpoints` until all of it is, so that a killed job
+goes on with the next combination.
 """
 
 import json
@@ -32,21 +33,29 @@ def tune(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> None:
     labels, tried = usable_labels(dataset), combinations(config.method)
     folder = checkpoint_folder(config)
     folder.mkdir(parents=True, exist_ok=True)
-    scores = np.full((len(tried), len(labels)), np.nan)
-    rows: list[dict[str, Any]] = []
-    progress = progress_lines(f"{config.line_start}tune", "combinations")
-    for i, changes in enumerate(tried):
-        scores[i], seconds = _scores(config, dataset, labels, changes, folder / f"{digest(changes)[:16]}.json")
-        rows += [
-            {
-                "label": dataset.label_names[label],
-                "settings": json.dumps(changes),
-                "valid": f"{value:.6g}",
-                "seconds": f"{seconds / len(labels):.3g}",
-            }
-            for label, value in zip(labels, scores[i], strict=True)
-        ]
-        progress(i + 1, len(tried))
+    on_folds = config.method.tuned_on == "folds"
+    trials = [(each, "test") for each in dataset.folds()] if on_folds else [(dataset, "valid")]
+    parts = np.full((len(trials), len(tried), len(labels)), np.nan)
+    seconds = np.zeros(len(tried))
+    progress = progress_lines(f"{config.line_start}tune", "combinations" if len(trials) == 1 else "fits")
+    for k, (data, part) in enumerate(trials):  # fold by fold, as what a teacher answers is kept for one of them
+        for i, changes in enumerate(tried):
+            path = folder / f"{digest([changes, k])[:16]}.json"
+            parts[k, i], took = _scores(config, data, part, labels, changes, path)
+            seconds[i] += took
+            progress(k * len(tried) + i + 1, len(trials) * len(tried))
+    told = ~np.isnan(parts)
+    scores = np.where(told.any(axis=0), np.nansum(parts, axis=0) / np.maximum(told.sum(axis=0), 1), np.nan)
+    rows = [
+        {
+            "label": dataset.label_names[label],
+            "settings": json.dumps(changes),
+            "valid": f"{value:.6g}",
+            "seconds": f"{took / len(labels):.3g}",
+        }
+        for changes, of_labels, took in zip(tried, scores, seconds, strict=True)
+        for label, value in zip(labels, of_labels, strict=True)
+    ]
     best = best_of(scores, config.method.tuned_for == "label", metric_of(dataset))
     write_csv(out / "candidates.csv", rows, COLUMNS)
     write_json(
@@ -79,9 +88,12 @@ def checkpoint_folder(config: FitConfig, inputs: Mapping[str, Path] | None = Non
 
 
 def _scores(
-    config: FitConfig, dataset: Dataset, labels: list[int], changes: dict[str, Any], path: Path
+    config: FitConfig, dataset: Dataset, part: str, labels: list[int], changes: dict[str, Any], path: Path
 ) -> tuple[np.ndarray, float]:
-    """Return the validation scores of one combination, the mean over the tuning seeds for every label, and seconds."""
+    """Return the scores of one combination on a part, the mean over the tuning seeds for every label, and seconds.
+
+    NaN stands for a label of which the data set's training rows, or the part's, have one class.
+    """
     if path.exists():
         before = read_json(path)
         return np.array(before["scores"], dtype=np.float64), before["seconds"]
@@ -89,14 +101,15 @@ def _scores(
     seeds = config.method.tuning_seeds
     progress = progress_lines(f"{config.line_start}tune {json.dumps(changes)}", "trees")
     method = with_settings(config.method, changes)
-    fitted = fit_trees(method, dataset, labels, seeds, n_workers=config.n_workers, progress=progress)
-    means = []
-    for label, of_label in zip(labels, fitted, strict=True):
-        X, y = dataset.labelled("valid", label)
-        means.append(float(np.mean([score(metric, outputs_of(each.tree, X), y) for each in of_label])))
+    learned = [label for label in labels if label in usable_labels(dataset)]
+    fitted = fit_trees(method, dataset, learned, seeds, n_workers=config.n_workers, progress=progress)
+    means = dict.fromkeys(labels, np.nan)
+    for label, of_label in zip(learned, fitted, strict=True):
+        X, y = dataset.labelled(part, label)
+        means[label] = float(np.mean([score(metric, outputs_of(each.tree, X), y) for each in of_label]))
     seconds = time.process_time() - began
-    write_json(path, {"settings": changes, "scores": [_number(mean) for mean in means], "seconds": seconds})
-    return np.array(means), seconds
+    write_json(path, {"settings": changes, "scores": [_number(mean) for mean in means.values()], "seconds": seconds})
+    return np.array(list(means.values())), seconds
 
 
 def _number(value: float) -> float | None:

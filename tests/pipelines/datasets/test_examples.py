@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from pipelines.datasets import load_dataset
+from pipelines.errors import ConfigError
 
 
 @pytest.mark.parametrize(
@@ -26,3 +27,17 @@ def test_fixed_parts(name, task, sizes, n_features, label, first):
     np.testing.assert_array_equal(dataset.train.X[0], whole.data[first].astype(np.float32))
     assert dataset.train.Y[0, 0] == whole.target[first]
     assert sorted(np.concatenate([part.Y[:, 0] for part in parts])) == sorted(whole.target)
+
+
+def test_folds_of_rows_without_groups():
+    dataset = load_dataset("breast_cancer")
+    folds = dataset.folds(4)
+    rows = np.concatenate([fold.test.X for fold in folds])
+    pooled = np.concatenate([dataset.train.X, dataset.valid.X])
+    assert sorted(map(tuple, rows.tolist())) == sorted(map(tuple, pooled.tolist()))
+    assert all(fold.test.groups is None for fold in folds)
+
+
+def test_what_has_no_scaffolds_is_not_split_by_them():
+    with pytest.raises(ConfigError, match="digits has no scaffolds to split it by; those with scaffolds are bace"):
+        load_dataset("digits", split=0)

@@ -49,3 +49,43 @@ def test_fingerprints_are_those_of_the_text(real_data):
     assert [[int(c) for c in line[0]] for line in lines[:50]] == valid.X[:50].tolist()
     written = [["" if np.isnan(y) else str(int(y)) for y in row] for row in valid.Y]
     assert written == [line[1:] for line in lines]
+
+
+def parts_of(dataset):
+    return [dataset.train, dataset.valid, dataset.test]
+
+
+def shared_scaffolds(dataset):
+    train, valid, test = (set(part.groups.tolist()) for part in parts_of(dataset))
+    return len(train & valid), len(train & test), len(valid & test)
+
+
+def test_parts_drawn_anew_have_whole_scaffolds_and_the_same_molecules(real_data):
+    published, fresh = load_dataset("bace"), load_dataset("bace", split=0)
+    assert (
+        shared_scaffolds(published) == shared_scaffolds(fresh) == (0, 0, 0)
+    )  # LCN's rule for Bace is by scaffolds, too
+    assert [len(part.X) for part in parts_of(fresh)] == [1210, 151, 152]
+    told = [
+        sorted(
+            (part.X[i].tobytes(), part.Y[i, 0], part.groups[i]) for part in parts_of(each) for i in range(len(part.X))
+        )
+        for each in (published, fresh)
+    ]
+    assert told[0] == told[1]
+    assert not np.array_equal(load_dataset("bace", split=1).test.X, fresh.test.X)
+    assert min(shared_scaffolds(load_dataset("sider"))) > 0 and shared_scaffolds(load_dataset("sider", split=3)) == (
+        0,
+        0,
+        0,
+    )
+
+
+def test_folds_are_of_whole_scaffolds_and_leave_the_test_part_out(real_data):
+    dataset = load_dataset("bace")
+    folds = dataset.folds()
+    assert [shared_scaffolds(fold) for fold in folds] == [(0, 0, 0)] * 5
+    scored = np.concatenate([fold.test.groups for fold in folds])
+    assert sorted(scored.tolist()) == sorted([*dataset.train.groups.tolist(), *dataset.valid.groups.tolist()])
+    assert not set(scored.tolist()) & set(dataset.test.groups.tolist())
+    assert all(len(part.X) in (272, 273, 816, 817) for fold in folds for part in parts_of(fold))

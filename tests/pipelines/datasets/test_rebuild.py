@@ -2,10 +2,12 @@
 
 import shutil
 
+import numpy as np
 import pytest
 
 from pipelines.datasets import load, load_dataset, rebuild
 from pipelines.datasets.catalogue import MOLECULES
+from pipelines.datasets.scaffolds import number_scaffolds, scaffolds_of
 from pipelines.errors import PipelineError
 
 from .conftest import expect, split_file
@@ -71,4 +73,5 @@ def test_rebuilt_files_are_lcns(rdkit_at_hand, real_data, own, monkeypatch, name
     contents = load.rebuild_and_keep(MOLECULES[name])  # compares hashes itself
     for part, file in MOLECULES[name].parts.items():
         assert file.difference(contents[part]) is None
+    np.testing.assert_array_equal(number_scaffolds(MOLECULES[name]), scaffolds_of(name))  # the file in the package
     assert len(load_dataset(name).test.X) == {"bace": 152, "hiv": 4113, "sider": 143, "tox21": 783}[name]

@@ -1,8 +1,8 @@
-"""The two rules of the parts, by hand."""
+"""The rules of the parts."""
 
 import numpy as np
 
-from pipelines.datasets.splits import random_split, scaffold_split
+from pipelines.datasets.splits import random_split, scaffold_split, shuffled_scaffold_split
 
 
 def test_random_split_takes_test_before_valid():
@@ -27,3 +27,17 @@ def test_a_scaffold_that_fits_nowhere_else_goes_to_test():
     assert parts["train"].tolist() == [10]
     assert parts["valid"].tolist() == []
     assert parts["test"].tolist() == list(range(10))
+
+
+def test_a_shuffled_split_keeps_scaffolds_together_and_the_sizes():
+    scaffolds = np.random.default_rng(0).integers(0, 300, size=1000)
+    scaffolds[:80] = 300  # more than half of a part of a tenth: in train, whatever the seed
+    splits = [shuffled_scaffold_split(scaffolds, seed) for seed in range(5)]
+    for parts in splits:
+        assert sorted(np.concatenate([*parts.values()]).tolist()) == list(range(1000))
+        found = [set(scaffolds[rows].tolist()) for rows in parts.values()]
+        assert not found[0] & found[1] and not found[0] & found[2] and not found[1] & found[2]
+        assert [abs(len(parts[name]) - due) <= 10 for name, due in (("train", 800), ("valid", 100), ("test", 100))]
+        assert 300 in found[0]
+    assert not np.array_equal(splits[0]["test"], splits[1]["test"])
+    np.testing.assert_array_equal(splits[2]["test"], shuffled_scaffold_split(scaffolds, 2)["test"])

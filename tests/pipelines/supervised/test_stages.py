@@ -115,16 +115,41 @@ def test_a_teacher_is_for_labels_and_has_no_class_weights(fit_of):
         check_learner(dataclasses.replace(method, class_weight="balanced"), load_dataset("breast_cancer"))
 
 
+@pytest.mark.parametrize("tuned_on", ["valid", "folds"])
 @pytest.mark.parametrize("learner, grid", [("cart", GRID), ("otr", [{"hidden": [[2], [3]], "epochs": [2]}])])
-def test_tuning_and_fitting_never_read_the_test_part(fit_of, monkeypatch, tmp_path, learner, grid):
+def test_tuning_and_fitting_never_read_the_test_part(fit_of, monkeypatch, tmp_path, learner, grid, tuned_on):
     dataset = dataclasses.replace(load_dataset("breast_cancer"), test=None)
-    config = fit_of(learner, grid=grid)
+    config = fit_of(learner, grid=grid, tuned_on=tuned_on)
     for stage in ("tune", "fit"):
         monkeypatch.setattr(f"pipelines.supervised.{stage}.dataset_of", lambda config: dataset)
         (tmp_path / stage).mkdir()
     tune({}, config, tmp_path / "tune")
     fit({"tune": tmp_path / "tune"}, config, tmp_path / "fit")
     assert (tmp_path / "fit" / "label-00.npz").exists()
+
+
+def test_tuning_on_folds_takes_the_mean_over_them(fit_of, tmp_path):
+    tune({}, fit_of("cart", grid=GRID, tuned_on="folds"), tmp_path)
+    scores = []
+    for fold in load_dataset("breast_cancer").folds():
+        model = CARTClassifier(max_depth=2, random_state=1000).fit(*fold.labelled("train"))
+        X, y = fold.labelled("test")
+        scores.append(roc_auc_score(y, model.predict_proba(X)[:, 1]))
+    told = {row["settings"]: float(row["valid"]) for row in read_csv(tmp_path / "candidates.csv")}
+    assert told['{"max_depth": 2}'] == pytest.approx(np.mean(scores), abs=1e-6)
+    assert np.std(scores) > 0.001
+
+
+def test_a_label_of_one_class_in_a_fold_is_left_out_there(fit_of, monkeypatch, tmp_path):
+    dataset = load_dataset("breast_cancer")
+    rare = np.zeros((len(dataset.train.Y), 1))
+    rare[:2] = 1  # in one fold or two of five
+    train = dataclasses.replace(dataset.train, Y=np.hstack([dataset.train.Y, rare]))
+    valid = dataclasses.replace(dataset.valid, Y=np.hstack([dataset.valid.Y, np.zeros((len(dataset.valid.Y), 1))]))
+    two = dataclasses.replace(dataset, train=train, valid=valid, label_names=("benign", "rare"))
+    monkeypatch.setattr("pipelines.supervised.tune.dataset_of", lambda config: two)
+    tune({}, fit_of("cart", grid=GRID, tuned_on="folds"), tmp_path)
+    assert [each["settings"].keys() for each in read_json(tmp_path / "chosen.json")] == [{"max_depth"}] * 2
 
 
 def test_seeds_share_what_was_tuned_and_only_one_tunes(fit_of, monkeypatch):

@@ -24,7 +24,7 @@ from pipelines.report.cells import (
 )
 from pipelines.report.figures import auc_against_leaves
 from pipelines.report.frames import load_fits
-from pipelines.report.statistics import MIN_RUNS_FOR_INTERVAL, ResampledAreas
+from pipelines.report.statistics import MIN_RUNS_FOR_INTERVAL, ResampledAreas, mean_interval
 from pipelines.report.text import latex_grid, markdown_grid, markdown_table, page, write_tables
 
 DATA = {"bace": "Bace", "hiv": "HIV", "sider": "SIDER", "tox21": "Tox21", "pdbbind": "PDBbind"}
@@ -66,6 +66,7 @@ def write_table_4_2(results_dir: Path) -> list[Path]:
         left_out=_left_out(ran),
         details=markdown_table(_details(ran), empty="Nothing has been run yet."),
         beside=markdown_table(_beside(fits[fits["split"].isna()], results_dir), empty="Nothing has been run yet."),
+        splits=markdown_table(_splits(fits[fits["split"].notna()]), empty="Nothing has been run yet."),
         tuned=_tuned(ran, results_dir),
         sparse=markdown_table(_sparse(cells[cells["table"] == "sparse"])),
         program=_sparse_program(results_dir),
@@ -105,9 +106,11 @@ def _not_run(cell: Any) -> str:
 
 
 def _ours(cell: Any) -> str:
-    if math.isnan(cell.mean):
-        return _not_run(cell)
-    return f"{cell.mean:.3f}" if math.isnan(cell.std) else f"{cell.mean:.3f} ± {cell.std:.3f}"
+    return _not_run(cell) if math.isnan(cell.mean) else _with_spread(cell.mean, cell.std)
+
+
+def _with_spread(mean: float, std: float) -> str:
+    return f"{mean:.3f}" if math.isnan(std) else f"{mean:.3f} ± {std:.3f}"
 
 
 def _seeds(cells: pd.DataFrame) -> str:
@@ -158,6 +161,30 @@ def _beside(fits: pd.DataFrame, results_dir: Path) -> list[list[str]]:
     return lines
 
 
+def _splits(fits: pd.DataFrame) -> list[list[str]]:
+    """Return a head and a line a method and data set: the mean over parts drawn anew, and less linear's on the same."""
+    lines = [["Data", "Method", "Test", "Less Linear (depth 0)", "Leaves", "Splits"]]
+    for data in DATA:
+        means = fits[fits["data"] == data].groupby(["method", "split"])[["test", "leaves"]].mean()
+        for method in (name for name in LEARNERS if name in means.index.levels[0] and name in means.index):
+            own = means.loc[method]
+            linear = means.loc["linear_tuned"] if "linear_tuned" in means.index else own.iloc[:0]
+            less = (own["test"] - linear["test"]).dropna()
+            lines.append([DATA[data], LEARNERS[method], _with_spread(own["test"].mean(), own["test"].std()),
+                          "" if method == "linear_tuned" else _less(less), f"{own['leaves'].mean():,.1f}",
+                          ", ".join(map(str, own.index))])  # fmt: skip
+    return lines
+
+
+def _less(differences: pd.Series) -> str:
+    """Return a mean difference and its interval over splits, where there are enough of them."""
+    if differences.empty:
+        return ""
+    low, high = mean_interval(differences)
+    interval = "" if math.isnan(low) else f" ({low:+z.3f} to {high:+z.3f})"
+    return f"{differences.mean():+z.3f}{interval}"
+
+
 def _predictions(fits: pd.DataFrame, results_dir: Path) -> list[Mapping[str, np.ndarray]]:
     """Return what the fits of a method answered on the test rows."""
     paths = [results_dir / "runs" / run / "score" / "predictions.npz" for run in fits["run"]]
@@ -202,7 +229,7 @@ def _grids(tuned: Sequence[tuple[Any, dict[str, Any], list[dict[str, Any]]]]) ->
 
 def _chosen(tuned: Sequence[tuple[Any, dict[str, Any], list[dict[str, Any]]]]) -> list[list[str]]:
     """Return a head and a line for every tuned cell: for what, with which seeds, and what was chosen how often."""
-    lines = [["Data", "Method", "For each", "Seeds", "Chosen"]]
+    lines = [["Data", "Method", "For each", "On", "Seeds", "Chosen"]]
     for cell, tuning, chosen in tuned:
         texts = Counter(_text(each["settings"]) for each in chosen).most_common()
         if tuning["tuned_for"] == "data" or len(texts) == 1:
@@ -210,7 +237,9 @@ def _chosen(tuned: Sequence[tuple[Any, dict[str, Any], list[dict[str, Any]]]]) -
         else:
             text = "; ".join(f"{text} ({n})" for text, n in texts)
         per = {"label": "label", "data": "data set"}[tuning["tuned_for"]]
-        lines.append([DATA[cell.task], LEARNERS[cell.method], per, ", ".join(map(str, tuning["tuning_seeds"])), text])
+        where = {"valid": "validation", "folds": "5 folds"}[tuning.get("tuned_on", "valid")]
+        seeds = ", ".join(map(str, tuning["tuning_seeds"]))
+        lines.append([DATA[cell.task], LEARNERS[cell.method], per, where, seeds, text])
     return lines
 
 

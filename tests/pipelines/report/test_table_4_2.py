@@ -12,7 +12,8 @@ from pipelines.report.table_4_2 import make_cells, write_table_4_2
 
 
 def add_fit(results: Path, data: str, method: str, seed: int, test: float, **changes: object) -> Path:
-    folder = results / "runs" / data / method / f"seed-{seed}"
+    split = f"split-{changes['split']}" if "split" in changes else ""
+    folder = results / "runs" / data / method / split / f"seed-{seed}"
     folder.mkdir(parents=True)
     summary = {
         "schema": "otr/fit-summary/1", "data": data, "method": method, "learner": method, "seed": seed,
@@ -83,6 +84,20 @@ def test_fits_with_other_settings_are_left_out(results):
     assert path.is_file() and len(load_fits(results)) == 8
     cells = make_cells(load_fits(results)).set_index(["task", "method"])
     assert cells.loc[("bace", "otr"), "n_runs"] == 3
+
+
+def test_parts_drawn_anew_stand_apart_with_differences_on_the_same_split(results):
+    before = write_table_4_2(results)[1].read_bytes()
+    for split, (linear, otr) in enumerate([(0.70, 0.74), (0.80, 0.82), (0.60, 0.66), (0.75, 0.77), (0.65, 0.71)]):
+        add_fit(results, "bace", "linear_tuned", 0, linear, split=split)
+        add_fit(results, "bace", "otr", 0, otr, split=split, leaves=10.0)
+    markdown, table, *_ = write_table_4_2(results)
+    lines = [line for line in markdown.read_text().splitlines() if "0, 1, 2, 3, 4" in line]
+    assert [[cell.strip() for cell in line.split("|")[2:6]] for line in lines] == [
+        ["Linear (depth 0)", "0.700 ± 0.079", "", "100.0"],
+        ["OTR", "0.740 ± 0.060", "+0.040 (+0.015 to +0.065)", "10.0"],
+    ]
+    assert table.read_bytes() == before  # the cells are of the published parts alone
 
 
 def test_what_was_tuned_is_told(results):

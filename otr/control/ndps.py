@@ -6,6 +6,7 @@ import copy
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
@@ -33,6 +34,7 @@ class NdpsSettings:
         learning_rate: at first; it falls to zero along a cosine.
         beta_first, beta_last: how hard the tests are at first and at last; beta grows geometrically.
         ridge: of the leaves' refit, towards the soft tree's leaves, in rows: 1 weighs as much as one row.
+        leaves: "linear", a map of the state each, or "constant", an action or label each as in the thesis's Figure 4.5.
     """
 
     depth: int = 6
@@ -42,6 +44,12 @@ class NdpsSettings:
     beta_first: float = 1.0
     beta_last: float = 50.0
     ridge: float = 1.0
+    leaves: Literal["linear", "constant"] = "linear"
+
+    @property
+    def affine_leaves(self) -> bool:
+        """Whether the leaves are maps of the state."""
+        return self.leaves == "linear"
 
 
 @dataclass(frozen=True)
@@ -63,7 +71,7 @@ def fit_ndps(
     settings: NdpsSettings,
     start: SoftTree | None = None,
 ) -> NdpsFit:
-    """Fit a soft tree with affine leaves to an oracle's answers, harden it and fit its leaves again.
+    """Fit a soft tree to an oracle's answers, harden it and fit its leaves again.
 
     Labels are fitted by cross-entropy, actions by squared error. With a `ClipBox` head an answer at the box's edge asks
     for a value at the edge or beyond, as that is what the head makes of it. Inputs are standardised for the fit and
@@ -92,7 +100,9 @@ def fit_ndps(
     problem = _StandardisedRows.of((X - centre) / spread, answers, weights / weights.mean(), head, n_outputs)
     torch_generator = torch.Generator().manual_seed(int(generator.integers(2**63)))
     if start is None:
-        module = SoftTree(X.shape[1], n_outputs, settings.depth, affine_leaves=True, generator=torch_generator)
+        module = SoftTree(
+            X.shape[1], n_outputs, settings.depth, affine_leaves=settings.affine_leaves, generator=torch_generator
+        )
     else:
         module = copy.deepcopy(start)
         module.substitute(centre, spread)
@@ -149,7 +159,9 @@ class NdpsImitator:
         earlier = [path for path in self.folder.glob("soft-*.npz") if int(path.stem.split("-")[1]) < n_rows]
         if not earlier:
             return None
-        module = SoftTree(n_inputs, n_outputs, self.settings.depth, affine_leaves=True).double()
+        module = SoftTree(
+            n_inputs, n_outputs, self.settings.depth, affine_leaves=self.settings.affine_leaves
+        ).double()
         with np.load(max(earlier), allow_pickle=False) as saved:
             module.load_state_dict({name: torch.from_numpy(saved[name]) for name in saved})
         return module
@@ -217,11 +229,13 @@ def _clipped_errors(outputs: Tensor, wanted: Tensor, low: Tensor, high: Tensor) 
 def _refit_leaves(module: SoftTree, problem: _StandardisedRows, ridge: float) -> None:
     """Fit every leaf to the rows that the hard tests send to it; a leaf without rows stays as it is."""
     rows_of = module.harden().apply(problem.X)
-    X1 = np.concatenate((problem.X, np.ones((len(problem.X), 1))), axis=1)
+    X1 = np.ones((len(problem.X), 1))
+    if module.affine_leaves:
+        X1 = np.concatenate((problem.X, X1), axis=1)
     if problem.has_labels:
         _refit_logits(module, X1, rows_of, problem, ridge)
         return
-    maps = module.leaves.detach().numpy()  # shares the module's memory
+    maps = _as_maps(module.leaves).detach().numpy()  # shares the module's memory
     for leaf in np.unique(rows_of):
         here = rows_of == leaf
         for output in range(maps.shape[1]):
@@ -268,7 +282,7 @@ def _refit_logits(module: SoftTree, X1: FloatArray, leaves: IntArray, problem: _
 
     def loss() -> Tensor:
         optimizer.zero_grad()
-        logits = (module.leaves[rows] * states[:, None, :]).sum(-1)
+        logits = (_as_maps(module.leaves)[rows] * states[:, None, :]).sum(-1)
         losses = functional.cross_entropy(logits, labels, reduction="none")
         total: Tensor = (losses * weights).sum() + 0.5 * ridge * (module.leaves - prior).square().sum()
         total.backward()  # type: ignore[no-untyped-call]
@@ -277,7 +291,12 @@ def _refit_logits(module: SoftTree, X1: FloatArray, leaves: IntArray, problem: _
     optimizer.step(loss)  # type: ignore[no-untyped-call]
 
 
+def _as_maps(leaves: Tensor) -> Tensor:
+    """Return leaves as (k, o, c), in which a constant one (k, o) is a map of c = 1 column, that of ones."""
+    return leaves if leaves.ndim == 3 else leaves[:, :, None]
+
+
 @torch.no_grad()
 def _scale_leaves(module: SoftTree, factors: FloatArray) -> None:
     """Multiply output k of every leaf by factors[k]."""
-    module.leaves.mul_(torch.tensor(factors, dtype=module.leaves.dtype)[:, None])
+    _as_maps(module.leaves).mul_(torch.tensor(factors, dtype=module.leaves.dtype)[:, None])

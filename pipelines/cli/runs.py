@@ -23,7 +23,7 @@ from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import EnvConfig
 from pipelines.config.methods import METHODS, AugTreeConfig, MethodConfig, ProgramConfig, TakesModel
 from pipelines.config.model import ImportedModel
-from pipelines.config.run import RunConfig, run_folder
+from pipelines.config.run import RunConfig, changes_text, run_folder
 from pipelines.config.setting import not_keyed
 from pipelines.config.trainer import TRAINERS, FleetConfig, TrainerConfig
 from pipelines.engine.store import corrupt
@@ -216,7 +216,12 @@ class RunWorkflow(Workflow):
         oracle = self.job(_of_oracle(config, overrides)) if config.method.imitates else None
         baseline = config if all(map(self.is_plain, overrides)) else self._baseline(config, overrides)
         folder = run_folder(config, baseline)
-        config = dataclasses.replace(config, folder=folder, oracle_run=oracle.config if oracle else None)
+        config = dataclasses.replace(
+            config,
+            folder=folder,
+            changes=changes_text(config, baseline),
+            oracle_run=oracle.config if oracle else None,
+        )
         return RunJob(config, folder, made.yaml, tuple(overrides), oracle)
 
     def _baseline(self, config: RunConfig, overrides: Sequence[str]) -> RunConfig:

@@ -11,7 +11,7 @@ from typing import Annotated, Any, ClassVar
 from pipelines.config.algo import AlgoConfig, DdpgConfig, OnPolicyConfig
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import PidTerms
-from pipelines.config.setting import DERIVED, Count, FreeText, NotNegative, OneOf, Positive, Range, Share
+from pipelines.config.setting import DERIVED, AsBefore, Count, FreeText, NotNegative, OneOf, Positive, Range, Share
 from pipelines.config.stages import ActorConfig
 from pipelines.errors import ConfigError
 
@@ -268,6 +268,7 @@ class NdpsConfig(ImitatingTreeConfig):
     beta_first: Hardness
     beta_last: Hardness
     ridge: NotNegative
+    leaves: Annotated[Leaves, AsBefore("linear")] = field(default="linear", kw_only=True)
 
     label = "NDPS"
     fit_s = 5.0

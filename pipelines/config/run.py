@@ -2,6 +2,7 @@
 
 import dataclasses
 import hashlib
+import json
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
 
@@ -35,7 +36,7 @@ from pipelines.config.stages import (
     TrainConfig,
 )
 from pipelines.config.trainer import FleetConfig, TrainerConfig
-from pipelines.engine.digests import differences_suffix
+from pipelines.engine.digests import differences_suffix, setting_differences
 from pipelines.errors import ConfigError
 
 OracleWidth = Annotated[int, Range(1, remedy="give the hidden layers of the network to imitate, as oracle=[256,256]")]
@@ -82,6 +83,8 @@ class RunConfig:
     imported: Annotated[ImportedModel | None, DERIVED] = field(default=None, metadata={"omegaconf_ignore": True})
     # The run's folder below `results_dir`, which the command line works out from all other settings
     folder: Annotated[FreeText, DERIVED] = field(default="", metadata={"omegaconf_ignore": True})
+    # What differs from the usual run of its environment, method, depth, budget and seed, as overrides
+    changes: Annotated[FreeText, DERIVED] = field(default="", metadata={"omegaconf_ignore": True})
     # The run that trains the oracle, for a method that imitates one; worked out there, too
     oracle_run: "Annotated[RunConfig | None, DERIVED]" = field(default=None, metadata={"omegaconf_ignore": True})
 
@@ -202,6 +205,16 @@ def run_folder(config: RunConfig, baseline: RunConfig) -> str:
     place = f"{config.env.name}/{config.method.name}/depth-{depth}/{config.budget_level}"
     suffix = "" if config is baseline else differences_suffix(config.settings(), baseline.settings())
     return f"runs/{place}/seed-{config.seed}{suffix}"
+
+
+def changes_text(config: RunConfig, baseline: RunConfig) -> str:
+    """Return what differs from the baseline, as overrides: `method.leaves=constant, oracle=[32]`; mostly nothing."""
+    differences = {} if config is baseline else setting_differences(config.settings(), baseline.settings())
+    return ", ".join(f"{key}={_as_override(new)}" for key, (new, _) in differences.items())
+
+
+def _as_override(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
 
 
 def _check_depth(depth: Any) -> None:

@@ -35,7 +35,11 @@ DECIMALS = 6  # of a CSV file's means and deviations: more would show how a plat
 
 def reported(runs: pd.DataFrame) -> pd.DataFrame:
     """Return the rows of `load_runs` that tables are made of: no smoke budgets, no settings but the budget's own."""
-    return runs[(runs["settings"] == "") & (runs["budget"].str.split("-").str[0] != "smoke")]
+    return runs[(runs["settings"] == "") & ~_is_smoke(runs)]
+
+
+def _is_smoke(runs: pd.DataFrame) -> pd.Series:
+    return runs["budget"].str.split("-").str[0] == "smoke"
 
 
 def method_name(methods: pd.Series) -> pd.Series:
@@ -49,14 +53,27 @@ def table_runs(runs: pd.DataFrame) -> pd.DataFrame:
     Versions of a task's environment (env=hopper_v5) are left out. OTR of depth 0 is the linear policy; where both names
     hold a seed it counts once.
     """
-    own = reported(runs)
+    return _in_tables(reported(runs), [])
+
+
+def variant_runs(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return the runs that change settings of their budget, as `table_runs` does those that do not.
+
+    Runs whose oracle alone is another one are left out: Figure 4.6 has them.
+    """
+    changes = runs["changes"].fillna("")
+    is_oracle = changes.str.fullmatch(r"oracle=\[[\d,]*\]")
+    return _in_tables(runs[(changes != "") & ~is_oracle & ~_is_smoke(runs)], ["changes"])
+
+
+def _in_tables(own: pd.DataFrame, further_keys: list[str]) -> pd.DataFrame:
     own = own[(own["env"] == own["task"]) & own["form"].isin(FORMS)]
     linear = (own["method"] == "otr") & (own["depth"] == "0")
     own = own.assign(
         method=method_name(own["method"].mask(linear, "linear")) + own["form"].map(FORMS),
         pruned_depth=own["pruned_depth"].where(own["form"] == "tree"),
     )
-    return own.drop_duplicates([*KEY, *SOURCE, "seed"])
+    return own.drop_duplicates([*KEY, *SOURCE, *further_keys, "seed"])
 
 
 def summarise(frame: pd.DataFrame, by: Sequence[str], value: str, **further: tuple[str, Any]) -> pd.DataFrame:

@@ -20,9 +20,9 @@ from pipelines.supervised.config import FitConfig
 TEXT, WHOLE, NUMBER = "string", "Int64", "float64"
 RUN_COLUMNS = {
     "run": TEXT, "env": TEXT, "task": TEXT, "env_id": TEXT, "method": TEXT, "depth": TEXT, "budget": TEXT,
-    "trainer": TEXT, "algorithm": TEXT, "seed": WHOLE, "settings": TEXT, "form": TEXT, "return_mean": NUMBER,
-    "return_std": NUMBER, "n_episodes": WHOLE, "steps": WHOLE, "n_leaves": WHOLE, "pruned_leaves": WHOLE,
-    "pruned_depth": NUMBER, "patterns": WHOLE, "fidelity": NUMBER, "oracle.hidden_widths": TEXT,
+    "trainer": TEXT, "algorithm": TEXT, "seed": WHOLE, "settings": TEXT, "changes": TEXT, "form": TEXT,
+    "return_mean": NUMBER, "return_std": NUMBER, "n_episodes": WHOLE, "steps": WHOLE, "n_leaves": WHOLE,
+    "pruned_leaves": WHOLE, "pruned_depth": NUMBER, "patterns": WHOLE, "fidelity": NUMBER, "oracle.hidden_widths": TEXT,
     "versions.gymnasium": TEXT, "certify.certified": "boolean",
 }  # fmt: skip
 NEEDED = {"task", "env_id", "trainer", "algorithm", "steps", "versions.gymnasium"}  # beside what the folder tells

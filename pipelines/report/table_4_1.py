@@ -20,6 +20,7 @@ from pipelines.report.cells import (
     runs_text,
     summarise,
     table_runs,
+    variant_runs,
 )
 from pipelines.report.frames import load_runs
 from pipelines.report.statistics import MIN_RUNS_FOR_INTERVAL
@@ -36,7 +37,8 @@ TEXT = [("mountaincar", "otr", "1"), ("lunarlander", "otr", "2"), ("lunarlander"
 
 def write_table_4_1(results_dir: Path) -> list[Path]:
     """Write Table 4.1, return and standard deviation on the eight control tasks, and the runs beyond it."""
-    runs = table_runs(load_runs(results_dir))
+    every = load_runs(results_dir)
+    runs = table_runs(every)
     cells = make_cells(runs)
     table = cells["table"] == "4.1"
     rows = {TASK_NAMES[task]: row for task, row in cells[table].groupby("task", sort=False)}
@@ -45,6 +47,7 @@ def write_table_4_1(results_dir: Path) -> list[Path]:
         table=markdown_grid(HEAD, rows),
         provenance=markdown_table(_provenance(cells, runs), empty="Nothing has been run yet."),
         beyond=markdown_table(_beyond(cells[~table])),
+        variants=markdown_table(_variants(variant_runs(every), runs), empty="Nothing has been run yet."),
         min_runs=MIN_RUNS_FOR_INTERVAL,
     )
     advice = r"\usepackage{booktabs}; wide: use it within \resizebox or on a landscape page."
@@ -131,4 +134,20 @@ def _beyond(cells: pd.DataFrame) -> list[list[str]]:
         name, method = TASK_NAMES.get(cell.task, cell.task), METHOD_NAMES.get(cell.method, cell.method)
         note = cell.note.removeprefix("not run").removeprefix("; ")
         lines.append([name, method, cell.depth, markdown_cell(cell), cell.thesis, note])
+    return lines
+
+
+def _variants(changed: pd.DataFrame, usual: pd.DataFrame) -> list[list[str]]:
+    """Return a head and a line for each group of runs that change a setting, beside the same without the change."""
+    lines = [["Task", "Method", "Depth", "Changed", "Ours", "Without the change"]]
+    cells = [
+        summarise(runs, by, "return_mean", pruned_depth=("pruned_depth", "mean"))
+        for runs, by in ((changed, [*KEY, *SOURCE, "changes"]), (usual, [*KEY, *SOURCE]))
+    ]
+    both = in_order(cells[0], KEY).merge(cells[1], "left", [*KEY, *SOURCE], suffixes=("", "_usual"))
+    for cell in both.fillna({"n_runs_usual": 0}).astype({"n_runs_usual": int}).itertuples():
+        same = cell._replace(mean=cell.mean_usual, std=cell.std_usual, n_runs=cell.n_runs_usual)
+        lines.append([TASK_NAMES.get(cell.task, cell.task), METHOD_NAMES.get(cell.method, cell.method), cell.depth,
+                      f"`{cell.changes}`", *(f"{_ours(each)} ({runs_text(each)})" if each.n_runs else _ours(each)
+                                             for each in (cell, same))])  # fmt: skip
     return lines

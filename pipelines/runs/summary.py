@@ -44,6 +44,8 @@ def summarise(config: RunConfig, run_dir: Path) -> dict[str, Any]:
         "seconds": seconds,
         "versions": manifests["evaluate"]["versions"],
     }
+    if config.changes:
+        summary["changes"] = config.changes
     if "imitate" in names:
         summary["oracle"] = {"hidden_widths": list(config.oracle), **evaluated["oracle"]}
         imitated = read_json(run_dir / "imitate" / "report.json")

@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -62,6 +64,22 @@ def test_labels_are_recovered_and_rounds_go_on():
     assert (first.tree.predict(X) == labels).mean() > 0.95
     assert (again.tree.predict(X) == labels).mean() > 0.97
     np.testing.assert_array_equal(first.module.harden(otr.Argmax()).predict(X), first.tree.predict(X))
+
+
+@pytest.mark.parametrize("gives_labels", [True, False])
+def test_constant_leaves_are_recovered_and_rounds_go_on(gives_labels):
+    X, planted_tree = planted(7)  # of others a fit may stay at a worse optimum
+    tree = planted_tree.replace(M=np.zeros_like(planted_tree.M), c=np.eye(4)[:, :2] + [[0, 0], [0, 0], [2, 0], [0, 2]])
+    outputs = tree.forward(X)
+    answers = outputs.argmax(axis=1) if gives_labels else outputs
+    head = otr.Argmax() if gives_labels else otr.Identity()
+    settings = dataclasses.replace(SETTINGS, leaves="constant")
+    weights, generator = np.ones(len(X)), np.random.default_rng(0)
+    first = fit_ndps(X, answers, weights, generator, head=head, n_outputs=2, settings=settings)
+    again = fit_ndps(X, answers, weights, generator, head=head, n_outputs=2, settings=settings, start=first.module)
+    for fitted in (first.tree, again.tree):
+        assert (fitted.depth, fitted.n_leaves) == (2, 4) and not fitted.M.any()
+        assert np.isclose(fitted.predict(X), answers, atol=0.1).mean() > 0.97
 
 
 def test_weights_count():

@@ -350,3 +350,17 @@ def test_published_numbers() -> None:
     note = "published as a tree of depth 5: 2 hidden neurons and the tests of the actions"
     assert numbers["text", "lunarlander", "otr", "2"] == Published("269.0", "16.6", "5", "", note)
     assert sum(float(number.mean) for key, number in numbers.items() if key[0] == "4.1") == pytest.approx(103130.31)
+
+
+def test_runs_with_other_settings_stand_beside_those_without(tmp_path: Path) -> None:
+    write_runs(tmp_path, "lunarlander/ndps/depth-2/quick", QUICK)
+    changed = {seed: {0: 90.0, 1: 110.0}[seed] for seed in (0, 1)}
+    for seed, return_mean in changed.items():
+        for digest, changes in (("0123abcd", "method.leaves=constant"), ("9876abcd", "oracle=[32]")):
+            write_run(tmp_path, f"lunarlander/ndps/depth-2/quick/seed-{seed}~{digest}", return_mean, changes=changes)
+    text = write_table_4_1(tmp_path)[0].read_text(encoding="utf-8")
+    assert [line for line in text.partition("## With other settings")[2].splitlines() if "NDPS" in line] == [
+        "| LunarLander | NDPS   | 2     | `method.leaves=constant` | 100.0 ± 14.1 (2 runs, quick) | "
+        "130.0 ± 30.0 (3 runs, quick) |"
+    ]
+    assert "0123abcd" not in text and "oracle=[32]" not in text

@@ -13,7 +13,7 @@ from otr.control.dagger.row_sampling import draw_rows
 from otr.control.features.binned import quantised, with_thresholds_between
 from otr.control.features.hidden_units import AffineFeatures, deep_features, first_layer_features
 from otr.control.features.screening import best_columns
-from otr.control.viper import Criterion, centred, fit_cart, with_head
+from otr.control.viper import Criterion, centred, check_criterion, fit_cart, with_head
 from otr.core.arrays import FloatArray, IntArray
 from otr.core.network import ReluNetwork
 from otr.core.smooth_network import Oracle
@@ -68,8 +68,7 @@ class AugTreeFit:
                 f"features={self.features!r}, leaves={self.leaves!r}; expected features to be 'all', 'z' or 'deep' and "
                 "leaves to be 'constant' or 'linear'"
             )
-        if self.criterion not in ("gini", "entropy"):
-            raise ValueError(f"criterion={self.criterion!r}; expected 'gini' or 'entropy'")
+        check_criterion(self.criterion)
         n_needed = 2 if self.features == "deep" else 1
         if self.features == "deep" and not isinstance(self.oracle, ReluNetwork):
             raise ValueError("features='deep' reads activation patterns, which an oracle of smooth units has none of")

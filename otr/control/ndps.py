@@ -159,9 +159,7 @@ class NdpsImitator:
         earlier = [path for path in self.folder.glob("soft-*.npz") if int(path.stem.split("-")[1]) < n_rows]
         if not earlier:
             return None
-        module = SoftTree(
-            n_inputs, n_outputs, self.settings.depth, affine_leaves=self.settings.affine_leaves
-        ).double()
+        module = SoftTree(n_inputs, n_outputs, self.settings.depth, affine_leaves=self.settings.affine_leaves).double()
         with np.load(max(earlier), allow_pickle=False) as saved:
             module.load_state_dict({name: torch.from_numpy(saved[name]) for name in saved})
         return module

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,18 +25,24 @@ Criterion = Literal["gini", "entropy"]
 class CartFit:
     """VIPER's fit: CART by scikit-learn on the rows that `draw_rows` draws.
 
-    Labels: a classification tree (Gini) on the resampled rows, a row that was drawn k times counting k times.
+    Labels: a classification tree on the resampled rows, a row that was drawn k times counting k times.
     Continuous actions: a regression tree on a subsample, unweighted.
 
     Attributes:
         max_depth: number of tests on a path at most.
         max_samples: rows drawn for a fit.
         min_samples_leaf: distinct rows in a leaf at least.
+        criterion: of labels, "gini" or "entropy".
     """
 
     max_depth: int
     max_samples: int = 100_000
     min_samples_leaf: int = 1
+    criterion: Criterion = "gini"
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for an unknown criterion."""
+        check_criterion(self.criterion)
 
     def __call__(
         self, X: FloatArray, answers: FloatArray, weights: FloatArray | None, generator: np.random.Generator
@@ -44,7 +50,9 @@ class CartFit:
         """Return the tree for states X (n, d) and what `run_dagger` says of them."""
         rows, counts = draw_rows(len(X), weights, self.max_samples, generator)
         targets = answers[rows] if weights is None else answers[rows].argmax(axis=1)
-        return fit_cart(X[rows], targets, counts, answers.shape[1], self.max_depth, self.min_samples_leaf, generator)
+        return fit_cart(
+            X[rows], targets, counts, answers.shape[1], self.max_depth, self.min_samples_leaf, generator, self.criterion
+        )
 
 
 @dataclass(frozen=True)
@@ -109,6 +117,12 @@ def fit_cart(
     shares = np.zeros((tree.n_leaves, n_outputs))  # 0 for labels that no row has
     shares[:, model.classes_] = tree.c
     return class_tree(tree, shares)
+
+
+def check_criterion(criterion: str) -> None:
+    """Raise ValueError for what is not a `Criterion`."""
+    if criterion not in get_args(Criterion):
+        raise ValueError(f"criterion={criterion!r}; expected 'gini' or 'entropy'")
 
 
 def centred(outputs: FloatArray) -> FloatArray:

@@ -30,6 +30,7 @@ SEARCH_STEPS = [
     "actor.rescale_inputs=false",  # states are normalised by what is visited
 ]  # fmt: skip
 Leaves = Annotated[str, OneOf("constant", "linear")]
+Criterion = Annotated[str, OneOf("gini", "entropy")]
 Hardness = Annotated[float, Range(1e-6, 1e6)]
 
 
@@ -217,6 +218,7 @@ class ViperConfig(ImitatingTreeConfig):
 
     max_samples: Count
     min_samples_leaf: Count
+    criterion: Annotated[Criterion, AsBefore("gini")] = field(default="gini", kw_only=True)
 
     label = "VIPER"
     fit_s = 0.3
@@ -242,7 +244,7 @@ class AugTreeConfig(ImitatingTreeConfig):
     leaves: Leaves
     max_patterns: Count
     weighted: bool
-    criterion: Annotated[str, OneOf("gini", "entropy")]
+    criterion: Criterion
     max_samples: Count
     min_samples_leaf: Count
 

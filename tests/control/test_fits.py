@@ -256,8 +256,9 @@ def test_entropy_sets_a_rare_label_apart_and_gini_parts_the_frequent_ones():
     oracle = otr.ReluNetwork([[[1.0, 0.0]], np.ones((3, 1))], [[0.0], np.zeros(3)], head=otr.Argmax())
     tests = {}
     for criterion in ("entropy", "gini"):
-        tree = AugTreeFit(oracle, 1, criterion=criterion)(X, outputs, weights, generator())
-        tests[criterion] = tree.P.tolist()
+        fits = AugTreeFit(oracle, 1, criterion=criterion), CartFit(1, criterion=criterion)
+        tests[criterion], of_viper = (fit(X, outputs, weights, generator()).P.tolist() for fit in fits)
+        assert of_viper == tests[criterion]
     assert tests == {"entropy": [[1.0, 0.0]], "gini": [[0.0, 1.0]]}
     assert AugTreeFit(oracle, 1)(X, outputs, weights, generator()).P.tolist() == tests["entropy"]
 
@@ -288,3 +289,5 @@ def test_errors():
         AugTreeFit(oblique_oracle(), 3, "x")
     with pytest.raises(ValueError, match="criterion='mse'"):
         AugTreeFit(oblique_oracle(), 3, criterion="mse")
+    with pytest.raises(ValueError, match="criterion='mse'"):
+        CartFit(3, criterion="mse")

@@ -17,6 +17,8 @@ class BudgetConfig:
     n_prune_episodes: Count
     n_evaluation_episodes: Count
     max_learning_starts: Annotated[int, Range(0)]
+    # In place of n_evaluation_episodes for the evaluation itself, for tasks where more of them are cheap
+    evaluation_episodes: dict[str, Count] = field(default_factory=dict)
     n_rounds: Annotated[int, Range(0)] = 50
     n_round_episodes: Count = 25
     n_choice_episodes: Annotated[int, Range(0)] = 100

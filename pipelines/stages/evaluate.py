@@ -8,13 +8,13 @@ import numpy as np
 
 import otr
 from pipelines.config.run import RunConfig
-from pipelines.engine.seeding import evaluation_seeds
 from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import write_csv, write_json
 from pipelines.errors import PolicyMismatchError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.agreement import answers_agree
-from pipelines.play.rollout import Rollout, rollout
+from pipelines.play.rollout import Rollout
+from pipelines.stages.evaluation_episodes import play_evaluation_episodes
 from pipelines.stages.oracle import load_oracle
 
 TOLERANCE = 1e-6
@@ -94,9 +94,8 @@ def likeness(ours: np.ndarray, theirs: np.ndarray) -> dict[str, float]:
 
 def play(policies: Mapping[str, Any], config: RunConfig, keep_states_of: str = "") -> dict[str, Rollout]:
     """Play the evaluation episodes with each policy; the states of one are kept."""
-    seeds = evaluation_seeds(config.evaluate.first_seed, config.evaluate.n_episodes)
     return {
-        name: rollout(policy.predict, config.env, seeds, keep_states=name == keep_states_of, n_workers=config.n_workers)
+        name: play_evaluation_episodes(policy.predict, config, keep_states=name == keep_states_of)
         for name, policy in policies.items()
     }
 

@@ -8,11 +8,12 @@ import numpy as np
 
 import otr
 from pipelines.config.run import RunConfig
-from pipelines.engine.seeding import episode_seeds, evaluation_seeds
+from pipelines.engine.seeding import episode_seeds
 from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import write_csv, write_json
 from pipelines.play.rollout import rollout
 from pipelines.stages.evaluate import moments
+from pipelines.stages.evaluation_episodes import play_evaluation_episodes
 from pipelines.stages.polish import load_tree
 
 COLUMNS = ("n_leaves", "share_of_states", "return_mean", "return_std", "n_episodes")
@@ -29,11 +30,10 @@ def leaves(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     states = rollout(tree.predict, config.env, seeds, keep_states=True, n_workers=config.n_workers).states
     visits = np.sort(np.bincount(tree.apply(states), minlength=tree.n_leaves))[::-1]
     n_reached = int(np.count_nonzero(visits))
-    seeds = evaluation_seeds(config.evaluate.first_seed, config.evaluate.n_episodes)
     rows: list[dict[str, Any]] = []
     for k in numbers_of_leaves(n_reached):
         kept = otr.prune_to_k(tree, states, k)
-        played = moments(rollout(kept.predict, config.env, seeds, n_workers=config.n_workers))
+        played = moments(play_evaluation_episodes(kept.predict, config))
         rows.append({"n_leaves": k, "share_of_states": float(visits[:k].sum() / len(states)), **played})
         print(f"leaves: {k:,} of {n_reached:,} kept, return {played['return_mean']:.1f}", flush=True)
     write_csv(out / "returns.csv", rows, COLUMNS)

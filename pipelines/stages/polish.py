@@ -14,17 +14,17 @@ import otr
 from otr.control.search.polish import PolishReport
 from pipelines.config.run import RunConfig
 from pipelines.engine.console import duration
-from pipelines.engine.seeding import episode_seeds, evaluation_seeds, stream_seed
+from pipelines.engine.seeding import episode_seeds, stream_seed
 from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import exists, write_csv, write_files, write_json
 from pipelines.play.actor_files import actor_files, load_actor
 from pipelines.play.environments import episode_limit
-from pipelines.play.rollout import Rollout, rollout
+from pipelines.play.rollout import Rollout
 from pipelines.stages.evaluate import EPISODE_COLUMNS, episode_rows
+from pipelines.stages.evaluation_episodes import has_numpy_plant, play_evaluation_episodes
 from pipelines.stages.map import map_actor
 from pipelines.stages.printed_programs import write_program
 from pipelines.stages.prune import prune
-from pipelines.training.environments.classic_control import EQUAL_IDS
 from pipelines.training.search.episodes import SearchEpisodes
 
 Policy = TypeVar("Policy", otr.ObliqueTree, otr.ReluNetwork)
@@ -64,7 +64,7 @@ def polish(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     write_csv(out / "candidates.csv", polished.candidates, CANDIDATE_COLUMNS)
     tree: Any = otr.load(out / "tree")
     policies = {"before": before, "after": polished.policy, "pruned": tree}
-    played = {name: _evaluation(policy, config) for name, policy in policies.items()}
+    played = {name: play_evaluation_episodes(policy.predict, config) for name, policy in policies.items()}
     write_csv(out / "episodes.csv", episode_rows(played["after"]), EPISODE_COLUMNS)
     write_json(
         out / "report.json",
@@ -145,8 +145,7 @@ def search(policy: Policy, config: RunConfig, purpose: str) -> Polished:
 
 def environments(config: RunConfig) -> str:
     """Return who computes the environments of a polish."""
-    in_numpy = config.env.id in EQUAL_IDS and not config.env.kwargs and config.env.pid is None
-    return config.polishing.environments or ("numpy" if in_numpy else "gymnasium")
+    return config.polishing.environments or ("numpy" if has_numpy_plant(config.env) else "gymnasium")
 
 
 def estimated_seconds(config: RunConfig) -> float:
@@ -222,11 +221,6 @@ def _told(report: PolishReport, config: RunConfig) -> dict[str, Any]:
         "confirmation_return": after,
         "n_episodes_played": report.n_played,
     }
-
-
-def _evaluation(policy: Any, config: RunConfig) -> Rollout:
-    seeds = evaluation_seeds(config.evaluate.first_seed, config.evaluate.n_episodes)
-    return rollout(policy.predict, config.env, seeds, n_workers=config.n_workers)
 
 
 # Its inputs depend on the method: `pipelines.stages.table.stages_of` sets them.

@@ -13,11 +13,12 @@ import otr
 from otr.shorten.edits import n_numbers, without_idle_head
 from otr.shorten.simplify import Judge, Simplification
 from pipelines.config.run import RunConfig
-from pipelines.engine.seeding import episode_seeds, evaluation_seeds
+from pipelines.engine.seeding import episode_seeds
 from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import write_csv, write_json
 from pipelines.play.environments import spaces, state_limits
 from pipelines.play.rollout import rollout
+from pipelines.stages.evaluation_episodes import play_evaluation_episodes
 from pipelines.stages.polish import load_tree, moments, search
 from pipelines.stages.printed_programs import write_picture, write_program
 
@@ -62,8 +63,7 @@ def _polished_again(simpler: Simplification, config: RunConfig) -> tuple[Simplif
     # The constants of a tree without a clip lie within the actions, and are to stay there.
     clipped = simpler.tree if box is None else simpler.tree.replace(head=simpler.tree.head.clipped_to(*box))
     polished = search(clipped, config, "simplify")
-    seeds = evaluation_seeds(config.evaluate.first_seed, config.evaluate.n_episodes)
-    played = rollout(simpler.tree.predict, config.env, seeds, n_workers=config.n_workers)
+    played = play_evaluation_episodes(simpler.tree.predict, config)
     report = {"polished_again": polished.report | moments("_before", played)}
     if not polished.report["kept"]:
         return simpler, report
@@ -163,9 +163,8 @@ def _report(
     out: Path,
 ) -> None:
     """Play the evaluation episodes with both trees and write what came out."""
-    seeds = evaluation_seeds(config.evaluate.first_seed, config.evaluate.n_episodes)
-    before = rollout(tree.predict, config.env, seeds, keep_states=True, n_workers=config.n_workers)
-    after = rollout(simpler.tree.predict, config.env, seeds, n_workers=config.n_workers)
+    before = play_evaluation_episodes(tree.predict, config, keep_states=True)
+    after = play_evaluation_episodes(simpler.tree.predict, config)
     states = before.states
     ours, theirs = (np.asarray(each.predict(states), dtype=np.float64) for each in (simpler.tree, tree))
     box = spaces(config.env).box
@@ -174,7 +173,7 @@ def _report(
     write_csv(
         out / "episodes.csv",
         ({"episode": i, "seed": seed, "return": float(value)}
-         for i, (seed, value) in enumerate(zip(seeds, after.returns, strict=True))),
+         for i, (seed, value) in enumerate(zip(after.seeds.tolist(), after.returns, strict=True))),
         ("episode", "seed", "return"),
     )  # fmt: skip
     print(f"simplify: {simpler.n_tried} changes tried, {simpler.n_kept} kept", flush=True)
@@ -192,7 +191,7 @@ def _report(
             "n_deciding_episodes": len(judge.seeds),
             "return_loss": config.simplification.return_loss,
             "action_bound": config.simplification.action_bound,
-            "n_episodes": len(seeds),
+            "n_episodes": len(after.seeds),
             "return_mean_before": float(before.returns.mean()),
             "return_std_before": float(before.returns.std()),
             "return_mean": float(after.returns.mean()),

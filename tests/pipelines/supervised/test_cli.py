@@ -2,7 +2,9 @@
 
 import pytest
 
+from pipelines.report import load_fits
 from tests.pipelines.conftest import otr_command
+from tests.pipelines.datasets.conftest import real_data as real_data  # a fixture
 
 
 def test_fit_sweep_runs_and_is_found_done(tmp_path):
@@ -40,6 +42,17 @@ def test_missing_data_is_told_once_for_all_seeds(tmp_path):
     assert done.stderr.count("train.fgp2048.csv") == alone.stderr.count("train.fgp2048.csv") > 0
     assert done.stderr.count("failed: so, too") == 2
     assert "3 failed" in done.stdout
+
+
+def test_parts_drawn_anew(tmp_path, real_data):
+    words = ("-m", "data=bace", "method=cart", "method.grid=[]", "method.max_depth=2", "data.split=range(0,2)")
+    done = otr_command("otr-fit", *words, cwd=tmp_path, OTR_DATA_DIR=str(real_data))
+    assert done.returncode == 0, done.stderr
+    assert "bace, cart, split 1, seed 0: AUC" in done.stdout
+    (run_dir,) = tmp_path.glob("results/runs/bace/cart/split-1/seed-0~*")
+    first, second = load_fits(tmp_path / "results").itertuples()
+    assert (first.split, second.split, second.run) == (0, 1, f"bace/cart/split-1/{run_dir.name}")
+    assert first.test != second.test
 
 
 def test_published_settings_are_used_where_there_are_any(tmp_path):

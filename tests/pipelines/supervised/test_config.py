@@ -7,7 +7,7 @@ from sklearn.utils._param_validation import validate_parameter_constraints
 from otr import learners
 from pipelines.config.setting import Range, declared
 from pipelines.errors import ConfigError
-from pipelines.supervised.config import LEARNERS, combinations, fit_folder, fit_settings, tune_settings
+from pipelines.supervised.config import LEARNERS, DataConfig, combinations, fit_folder, fit_settings, tune_settings
 from pipelines.supervised.fit_job import fit_groups
 from pipelines.supervised.learners import ESTIMATORS
 
@@ -46,6 +46,16 @@ def test_folder_names_the_fit_and_digests_other_settings(fit_of):
     assert fit_folder(baseline, baseline) == "runs/breast_cancer/cart/seed-3"
     other = fit_folder(fit_of("cart", seed=3, max_depth=2), baseline)
     assert other.startswith("runs/breast_cancer/cart/seed-3~") and len(other.split("~")[1]) == 8
+
+
+def test_parts_drawn_anew_have_folders_of_their_own(fit_of):
+    published = fit_of("cart", data="bace", seed=3)
+    split = dataclasses.replace(published, data=DataConfig("bace", 2))
+    assert fit_folder(split, split) == "runs/bace/cart/split-2/seed-3"
+    assert fit_settings(split) != fit_settings(published) and tune_settings(split) != tune_settings(published)
+    assert "split" not in published.settings()["data"]  # so that fits from before it was a setting are found
+    with pytest.raises(ConfigError, match="digits has no scaffolds"):
+        dataclasses.replace(published, data=DataConfig("digits", 2))
 
 
 def test_tuning_does_not_depend_on_the_seed_and_fitting_does(fit_of):

@@ -59,11 +59,12 @@ def table_runs(runs: pd.DataFrame) -> pd.DataFrame:
 def variant_runs(runs: pd.DataFrame) -> pd.DataFrame:
     """Return the runs that change settings of their budget, as `table_runs` does those that do not.
 
-    Runs whose oracle alone is another one are left out: Figure 4.6 has them.
+    Runs whose oracle alone is another one are left out, as Figure 4.6 has them; so are programs and imported policies.
     """
     changes = runs["changes"].fillna("")
     is_oracle = changes.str.fullmatch(r"oracle=\[[\d,]*\]")
-    return _in_tables(runs[(changes != "") & ~is_oracle & ~_is_smoke(runs)], ["changes"])
+    is_given = runs["method"].isin([name for name, method in METHODS.items() if not method.is_trained])
+    return _in_tables(runs[(changes != "") & ~is_oracle & ~is_given & ~_is_smoke(runs)], ["changes"])
 
 
 def _in_tables(own: pd.DataFrame, further_keys: list[str]) -> pd.DataFrame:

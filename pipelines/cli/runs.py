@@ -44,7 +44,7 @@ OF_TRAINING = ("env", "algo", "actor", "trainer", "budget", "train", "experiment
 # What stands for a method and its policy, and what is done with that.
 GIVEN_POLICIES = {"program": "evaluated", "model": "imported"}
 
-# Who trains, and how: whoever names one of them goes a way of their own, not a budget's.
+# Who trains: whoever names one of them goes a way of their own, not a budget's, and trains an oracle of the usual size.
 TRAINED_BY = {"algo", "trainer"}
 
 
@@ -105,7 +105,7 @@ class RunWorkflow(Workflow):
     def implied(self, overrides: Sequence[str]) -> list[str]:
         """Return the overrides that the choice of budget, method, environment and algorithm implies."""
         given = dict(override.split("=", 1) for override in overrides if "=" in override)
-        taken = {*given, *TRAINED_BY} if TRAINED_BY & given.keys() else given.keys()
+        taken = {*given, *TRAINED_BY, "oracle"} if TRAINED_BY & given.keys() else given.keys()
         road = [override for override in _road(given) if key_of(override) not in taken]
         given |= dict(override.split("=", 1) for override in road)
         return [*road, *METHODS.get(given.get("method", "otr"), MethodConfig).implied(given)]
@@ -331,8 +331,8 @@ def _model(config: RunConfig, overrides: Sequence[str]) -> tuple[ImportedModel, 
 def _of_oracle(config: RunConfig, overrides: Sequence[str]) -> list[str]:
     """Return the overrides of the run that trains an oracle: the oracle's layers are the depth of method=otr.
 
-    Its trainer is the imitating run's, which may be on a budget's road. An oracle from a file is imported by
-    method=model.
+    Its trainer, or the search, is the imitating run's, which may be on a budget's road. An oracle from a file is
+    imported by method=model.
     """
     own = [override for override in overrides if key_of(override).split(".")[0] in OF_TRAINING or is_search(override)]
     if config.imported is not None:
@@ -340,6 +340,8 @@ def _of_oracle(config: RunConfig, overrides: Sequence[str]) -> list[str]:
         return [*own, "method=model", *files, "stages=[import]", f"seed={config.seed}"]
     if not any(key_of(override) == "trainer" for override in own):
         own.append(f"trainer={config.trainer.name}")
+    if isinstance(config.algo, ArsConfig) and not any(key_of(override) == "algo" for override in own):
+        own.append("algo=ars")
     depth = f"depth={config.oracle}".replace(" ", "")
     return [*own, depth, "method=otr", "stages=[train]", f"seed={config.seed}"]
 

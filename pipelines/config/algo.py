@@ -41,7 +41,7 @@ class AlgoConfig:
         """The environment steps that training does at least, and in whole multiples."""
         return 1
 
-    def check(self, depth: int | list[int], actor: ActorConfig) -> None:
+    def check(self, key: str, depth: int | list[int], actor: ActorConfig) -> None:
         """Raise ConfigError if the algorithm does not train this actor."""
         if actor.dense != "none":
             raise ConfigError(f"actor.dense={actor.dense}: algo={self.name} trains layered actors; use algo=ars")
@@ -82,12 +82,13 @@ class ArsConfig(AlgoConfig):
         """The likely environment steps per second on one core."""
         return self.expected_steps_per_s
 
-    def check(self, depth: int | list[int], actor: ActorConfig) -> None:
+    def check(self, key: str, depth: int | list[int], actor: ActorConfig) -> None:
         """Refuse networks too large to be searched, and settings that make no search."""
         widths = [depth] if isinstance(depth, int) else depth
         if len(widths) > MOST_LAYERS or max(widths) > WIDEST_LAYER:
             raise ConfigError(
-                f"depth={depth}: algo=ars searches small networks, up to {MOST_LAYERS} layers of {WIDEST_LAYER} neurons"
+                f"{key}={depth}: algo=ars searches small networks, up to {MOST_LAYERS} layers of {WIDEST_LAYER} neurons"
+                "; others, as algo=sac, train larger ones"
             )
         if self.n_top > self.n_directions:
             raise ConfigError(f"algo.n_top={self.n_top} is more than algo.n_directions={self.n_directions}")

@@ -98,7 +98,9 @@ class RunConfig:
         self._check_stages()
         self.method.check_depth(self.depth)
         self.method.check(self.algo, self.actor, self.oracle)
-        self.algo.check(self.depth, self.actor)
+        if self.method.is_trained and not getattr(self.method, "model", ""):
+            key = "oracle" if self.method.imitates else "depth"
+            self.algo.check(key, getattr(self, key), self.actor)
         if self.fleet:
             self.fleet.check(self.algo)
 

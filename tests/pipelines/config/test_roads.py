@@ -6,6 +6,7 @@ from omegaconf import OmegaConf
 from pipelines.cli.runs import RUN
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.methods import METHODS
+from pipelines.errors import ConfigError
 
 
 def made(*overrides):
@@ -24,7 +25,8 @@ def made(*overrides):
         (["env=hopper", "budget=thesis"], "sac", "sb3", "runs/hopper/otr/depth-6/thesis/seed-0"),
         (["env=hopper", "trainer=fleet"], "sac", "fleet", None),
         (["env=hopper", "algo=sac"], "sac", "sb3", None),
-        (["env=hopper", "method=viper"], "sac", "fleet", None),
+        (["env=reacher", "method=viper"], "sac", "fleet", None),
+        (["env=hopper", "method=viper"], "ars", "ars", "runs/hopper/viper/depth-6/standard-ars/seed-0"),
     ],
 )
 def test_the_cheapest_road_is_the_default(overrides, algo, trainer, folder):
@@ -36,6 +38,19 @@ def test_the_cheapest_road_is_the_default(overrides, algo, trainer, folder):
 
 def test_what_is_given_stands():
     assert made("env=pendulum").polish and not made("env=pendulum", "polish=false").polish
+
+
+def test_a_searched_oracle_is_the_run_of_otr_32():
+    (job,) = RUN.jobs([["env=hopper", "method=viper"]])
+    assert job.oracle is not None and job.oracle.folder == made("env=hopper", "depth=32").folder
+
+
+def test_an_oracle_of_ones_own_is_not_searched():
+    config = made("env=hopper", "method=viper", "algo=sac")
+    assert config.algo.name == "sac" and config.oracle == [256, 256]
+    with pytest.raises(ConfigError, match=r"oracle=\[64\]: algo=ars searches small networks"):
+        made("env=hopper", "method=viper", "oracle=[64]")
+    assert made("env=hopper", "method=distilled_otr", "depth=64").depth == 64  # of the student, which is not searched
 
 
 def test_roads_lead_somewhere():

@@ -1,5 +1,6 @@
 """Cells of tables and points of figures: runs or fits grouped by what made them, under the names that tables print."""
 
+import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -25,6 +26,8 @@ METHOD_NAMES = {
     for name, config in METHODS.items()
     for form, text in {"tree": "", **config.forms, "polished": "polished"}.items()
 }
+ORACLE = "oracle"  # the method's name of the networks that others imitate; their depth is empty
+METHOD_NAMES[ORACLE] = "Oracle"
 KEY, SOURCE = ["task", "method", "depth"], ["budget", "trainer"]
 # fmt: off
 ORDER = (*TASK_NAMES, "thesis", "thesis-fleet", "standard", "standard-ars", "standard-fleet", "quick",
@@ -67,6 +70,13 @@ def variant_runs(runs: pd.DataFrame) -> pd.DataFrame:
     return _in_tables(runs[(changes != "") & ~is_oracle & ~is_given & ~_is_smoke(runs)], ["changes"])
 
 
+def oracle_runs(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return the oracles of the runs in `table_runs`, in the same form: one a task, budget, trainer and seed."""
+    own = reported(runs)
+    own = own[(own["env"] == own["task"]) & (own["form"] == ORACLE)].assign(method=ORACLE, depth="")
+    return own.drop_duplicates([*KEY, *SOURCE, "seed"])
+
+
 def _in_tables(own: pd.DataFrame, further_keys: list[str]) -> pd.DataFrame:
     own = own[(own["env"] == own["task"]) & own["form"].isin(FORMS)]
     linear = (own["method"] == "otr") & (own["depth"] == "0")
@@ -107,7 +117,7 @@ def in_order(frame: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
 
 def _sort_key(column: pd.Series) -> pd.Series:
     if column.name == "depth":
-        return column.map(lambda depth: "-".join(f"{int(width):06}" for width in depth.split("-")))
+        return column.map(lambda depth: re.sub(r"\d+", lambda width: f"{int(width[0]):06}", depth))
     return column.map(lambda name: f"{ORDER.index(name) if name in ORDER else len(ORDER):02} {name}")
 
 

@@ -12,11 +12,13 @@ from pipelines.report.cells import (
     DECIMALS,
     KEY,
     METHOD_NAMES,
+    ORACLE,
     SOURCE,
     TASK_NAMES,
     beside_the_thesis,
     best,
     in_order,
+    oracle_runs,
     runs_text,
     summarise,
     table_runs,
@@ -26,9 +28,9 @@ from pipelines.report.frames import load_runs
 from pipelines.report.statistics import MIN_RUNS_FOR_INTERVAL
 from pipelines.report.text import latex_grid, markdown_cell, markdown_grid, markdown_table, page, write_tables
 
-COLUMNS = (("linear", "0"), ("viper", "6"), ("lm-viper", "6"), ("ndps", "6"), ("pi-prl", "6"), ("otr", "6"),
-           ("otr", "32"))  # fmt: skip
-HEAD = ["Task", "", *(f"{METHOD_NAMES[method]} ({depth})" for method, depth in COLUMNS)]
+COLUMNS = (("linear", "0"), (ORACLE, ""), ("viper", "6"), ("lm-viper", "6"), ("ndps", "6"), ("pi-prl", "6"),
+           ("otr", "6"), ("otr", "32"))  # fmt: skip
+HEAD = ["Task", "", *(METHOD_NAMES[method] + (f" ({depth})" if depth else "") for method, depth in COLUMNS)]
 TABLE = [(task, *column) for task in tuple(TASK_NAMES)[:8] for column in COLUMNS]  # in the thesis's order
 TEXT = [("mountaincar", "otr", "1"), ("lunarlander", "otr", "2"), ("lunarlander", "sdt-soft", "5"),
         ("lunarlander", "sdt-discrete", "5"), ("lunarlander", "cdt", "3-3"), ("lunarlander", "augtree", "2"),
@@ -38,7 +40,7 @@ TEXT = [("mountaincar", "otr", "1"), ("lunarlander", "otr", "2"), ("lunarlander"
 def write_table_4_1(results_dir: Path) -> list[Path]:
     """Write Table 4.1, return and standard deviation on the eight control tasks, and the runs beyond it."""
     every = load_runs(results_dir)
-    runs = table_runs(every)
+    runs = pd.concat([table_runs(every), oracle_runs(every)])
     cells = make_cells(runs)
     table = cells["table"] == "4.1"
     rows = {TASK_NAMES[task]: row for task, row in cells[table].groupby("task", sort=False)}
@@ -64,6 +66,7 @@ def make_cells(runs: pd.DataFrame) -> pd.DataFrame:
     found = in_order(summarise(
         runs, [*KEY, *SOURCE], "return_mean", best=("return_mean", "max"), n_episodes=("n_episodes", "min"),
         most_episodes=("n_episodes", "max"), pruned_depth=("pruned_depth", lambda depths: depths.mean(skipna=False)),
+        oracle=("oracle.hidden_widths", "first"),
     ), SOURCE).sort_values("n_runs", key=lambda n: n == 1, kind="stable")  # fmt: skip
     rest = found.duplicated(KEY)
     text = {*found[KEY].itertuples(index=False, name=None), *TEXT} - {*TABLE}
@@ -80,7 +83,8 @@ def make_cells(runs: pd.DataFrame) -> pd.DataFrame:
         also[cell.task, cell.method, cell.depth].append(f"also run: {runs_text(cell)}")
     cells["note"] = ["; ".join(_notes(cell, also[cell.task, cell.method, cell.depth])) for cell in cells.itertuples()]
     cells["ours"], cells["runs"] = ([text(cell) for cell in cells.itertuples()] for text in (_ours, runs_text))
-    return cells.assign(bold=best(cells, "task", cells["mean"].where(cells["table"] == "4.1"), SOURCE))
+    rivals = (cells["table"] == "4.1") & (cells["method"] != ORACLE)
+    return cells.assign(bold=best(cells, "task", cells["mean"].where(rivals), SOURCE))
 
 
 def _notes(cell: Any, also: list[str]) -> Iterable[str]:
@@ -94,7 +98,9 @@ def _notes(cell: Any, also: list[str]) -> Iterable[str]:
         yield cell.published_note
     if cell.published_n_runs == "1" and cell.n_runs > 1:
         yield f"the best run: {cell.best:z.1f}"
-    if cell.pruned_depth >= 0 and (cell.table == "text" or cell.depth == "32"):
+    if cell.method == ORACLE and cell.n_runs:
+        yield f"hidden layers {cell.oracle}"
+    elif cell.pruned_depth >= 0 and (cell.table == "text" or cell.depth == "32"):
         theirs = cell.published_pruned_depth
         yield f"pruned depth {cell.pruned_depth:.1f}" + (f" (published {theirs})" if theirs else "")
     if cell.n_runs and cell.n_episodes != cell.most_episodes:
@@ -118,13 +124,17 @@ def _provenance(cells: pd.DataFrame, runs: pd.DataFrame) -> list[list[str]]:
 
 
 def _ours(cell: Any) -> str:
-    """Return `mean ± std [pruned depth]`, the brackets at depth 32 only, as in the thesis; or "not run"."""
+    """Return `mean ± std [pruned depth]`, the brackets at depth 32 only, as in the thesis; or "not run".
+
+    An oracle has its hidden layers in their place.
+    """
     if not cell.n_runs:
         return "not run"
     decimals = 2 if cell.task == "reacher" else 1
     spread = f" ± {cell.std:.{decimals}f}" if cell.n_runs > 1 else ""
     pruned = f" [{cell.pruned_depth:.1f}]" if cell.depth == "32" and cell.pruned_depth >= 0 else ""
-    return f"{cell.mean:z.{decimals}f}{spread}{pruned}"
+    layers = f" of {cell.oracle.replace(',', ', ')}" if cell.method == ORACLE else ""
+    return f"{cell.mean:z.{decimals}f}{spread}{pruned}{layers}"
 
 
 def _beyond(cells: pd.DataFrame) -> list[list[str]]:

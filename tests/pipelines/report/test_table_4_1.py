@@ -73,12 +73,13 @@ def test_csv_has_the_thesis_rows_and_columns_in_order(tmp_path: Path) -> None:
     assert list(dict.fromkeys(row["task"] for row in rows if row["table"] == "4.1")) == [
         "reacher", "walker2d", "hopper", "halfcheetah", "ant", "swimmer", "bipedalwalker", "pendulum",
     ]  # fmt: skip
-    assert [(row["method"], row["depth"]) for row in rows[:7]] == [
-        ("linear", "0"), ("viper", "6"), ("lm-viper", "6"), ("ndps", "6"), ("pi-prl", "6"), ("otr", "6"), ("otr", "32"),
+    assert [(row["method"], row["depth"]) for row in rows[:8]] == [
+        ("linear", "0"), ("oracle", ""), ("viper", "6"), ("lm-viper", "6"), ("ndps", "6"), ("pi-prl", "6"),
+        ("otr", "6"), ("otr", "32"),
     ]  # fmt: skip
-    assert len(rows) == 8 * 7 + 7
+    assert len(rows) == 8 * 8 + 7
     assert all((row["n_runs"], row["mean"], row["budget"], row["note"][:7]) == ("0", "", "", "not run") for row in rows)
-    assert all((row["published_mean"] == "") == (row["method"] == "linear") for row in rows)
+    assert all((row["published_mean"] == "") == (row["method"] in ("linear", "oracle")) for row in rows)
 
 
 def test_fewest_episodes_are_given_and_a_difference_is_noted(tmp_path: Path) -> None:
@@ -95,6 +96,23 @@ def test_pruned_depth_is_averaged_over_runs_and_set_beside_the_published(tmp_pat
     assert markdown_lines(tmp_path, "Hopper")[0][-1] == "102.0 ± 2.8 [8.5] (2 runs, quick)"
     write_run(tmp_path, "hopper/otr/depth-32/quick/seed-2", 102.0, pruned_depth=None)
     assert markdown_lines(tmp_path, "Hopper")[0][-1] == "102.0 ± 2.0 (3 runs, quick)"
+
+
+# --- oracles ------------------------------------------------------------------------------------------------------
+
+
+def test_the_oracle_s_own_return_stands_beside_those_that_imitate_it(tmp_path: Path) -> None:
+    for method, share in (("viper", 0.5), ("ndps", 0.9)):
+        for seed, mean in QUICK.items():
+            own = {"oracle": {"return_mean": 2 * mean, "n_episodes": 100}}
+            run = f"hopper/{method}/depth-6/quick/seed-{seed}"
+            write_run(tmp_path, run, share * mean, policies=own, oracle={"hidden_widths": [256, 256]})
+    cell = csv_cells(tmp_path)["4.1", "hopper", "oracle", ""]
+    assert (cell["mean"], cell["std"], cell["n_runs"]) == ("260.0", "60.0", "3")  # each oracle once
+    assert cell["note"] == "hidden layers [256,256]"
+    ours = markdown_lines(tmp_path, "Hopper")[0]
+    assert ours[3] == "260.0 ± 60.0 of [256, 256] (3 runs, quick)"  # the best, and no rival
+    assert ours[6] == "**117.0 ± 27.0** (3 runs, quick)"
 
 
 # --- forms --------------------------------------------------------------------------------------------------------
@@ -147,7 +165,7 @@ def test_order_of_budgets(tmp_path: Path) -> None:
 
 def test_trainers_are_never_mixed_and_sb3_comes_first(tmp_path: Path) -> None:
     write_run(tmp_path, "hopper/otr/depth-6/thesis/seed-0", 10.0, trainer="fleet")
-    assert markdown_lines(tmp_path, "Hopper")[0][7] == "10.0 (1 run, thesis, fleet)"
+    assert markdown_lines(tmp_path, "Hopper")[0][8] == "10.0 (1 run, thesis, fleet)"
     write_run(tmp_path, "hopper/otr/depth-6/thesis/seed-1", 20.0)
     cell = hopper(tmp_path)
     assert (cell["mean"], cell["trainer"], cell["note"]) == ("20.0", "sb3", "also run: 1 run, thesis, fleet")
@@ -246,11 +264,11 @@ def test_markdown_sets_ours_over_the_thesis(tmp_path: Path) -> None:
     write_runs(tmp_path, "pendulum/otr/depth-6/quick", {0: -150.0, 1: -160.0, 2: -161.6})
     write_runs(tmp_path, "reacher/otr/depth-6/quick", {0: -5.0, 1: -5.1})
     ours = markdown_lines(tmp_path, "Pendulum")[0]
-    assert ours[1:8] == ["ours", *["not run"] * 5, "-157.2 ± 6.3 (3 runs, quick)"]
-    assert markdown_lines(tmp_path, "Reacher")[0][7] == "-5.05 ± 0.07 (2 runs, quick)"
+    assert ours[1:9] == ["ours", *["not run"] * 6, "-157.2 ± 6.3 (3 runs, quick)"]
+    assert markdown_lines(tmp_path, "Reacher")[0][8] == "-5.05 ± 0.07 (2 runs, quick)"
     published_line = markdown_lines(tmp_path, "")[-1]
-    assert published_line[1:4] == ["thesis", "-", "-196.3 ± 21.8"]
-    assert published_line[7:] == ["-138.3 ± 1.0", "-135.0 ± 1.2 [8.4]"]
+    assert published_line[1:5] == ["thesis", "-", "-", "-196.3 ± 21.8"]
+    assert published_line[8:] == ["-138.3 ± 1.0", "-135.0 ± 1.2 [8.4]"]
 
 
 def test_best_is_bold_only_among_cells_of_one_budget(tmp_path: Path) -> None:
@@ -285,12 +303,12 @@ def test_same_runs_give_the_same_bytes(tmp_path: Path) -> None:
     ]  # fmt: skip
 
 
-def test_latex_is_escaped_and_every_line_has_nine_columns(tmp_path: Path) -> None:
+def test_latex_is_escaped_and_every_line_has_ten_columns(tmp_path: Path) -> None:
     write_runs(tmp_path, "pendulum/otr/depth-6/my_budget", {0: -150.0, 1: -160.0})
     text = write_table_4_1(tmp_path)[2].read_text(encoding="utf-8")
     body = [line for line in text.splitlines() if line.endswith(r"\\")]
     assert len(body) == 1 + 8 * 2 + 1
-    assert all(line.count("&") == 8 for line in body)
+    assert all(line.count("&") == 9 for line in body)
     assert r"$-$155.0 $\pm$ 7.1" in text
     assert r"2 runs, my\_budget" in text
     assert not re.search("[±π–]", "".join(body))

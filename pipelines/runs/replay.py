@@ -33,5 +33,5 @@ def replay(config: RunConfig, run_dir: Path) -> int:
         different = np.flatnonzero(np.abs(again - recorded) > TOLERANCE * np.maximum(1.0, np.abs(recorded)))
         n_different += len(different)
         verdict = f"{len(different)} differ, the first is episode {different[0]}" if len(different) else "as recorded"
-        print(f"{run_dir}: {name.replace('_', ' ')}: {len(again)} episodes played again, {verdict}", flush=True)
+        print(f"{run_dir}: {name.replace('_', ' ')}: {len(again):,} episodes played again, {verdict}", flush=True)
     return n_different

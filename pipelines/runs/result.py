@@ -92,12 +92,13 @@ def _polished(report: dict[str, Any]) -> str:
     """Return what polishing gained, in words."""
     if report["kept"]:
         outcome = (
-            f"return {_before_and_after(report)} over {report['n_episodes']} other episodes"
+            f"return {_before_and_after(report)} over {report['n_episodes']:,} other episodes"
             f" ({report['confirmation_return_before']:.1f} to {report['confirmation_return']:.1f} on the "
-            f"{report['n_selection_episodes']} that confirmed it); the program is the polished tree's"
+            f"{report['n_selection_episodes']:,} that confirmed it); the program is the polished tree's"
         )
     else:
-        outcome = f"nothing better was confirmed on {report['n_selection_episodes']} other episodes; it stays as it was"
+        confirming = f"{report['n_selection_episodes']:,} other episodes"
+        outcome = f"nothing better was confirmed on {confirming}; it stays as it was"
     return (
         f"polished: {report['n_numbers']} numbers of the {report['numbers']} searched in {report['n_iterations']} "
         f"iterations, {report['n_steps']:,} steps ({duration(report['cpu_seconds'])}); {outcome}"
@@ -127,7 +128,7 @@ def _simplified(report: dict[str, Any], whole: Path) -> list[str]:
     return [
         *_short_program("simplified", whole / "simplify" / "program.txt"),
         f"simplified: {report['n_numbers_before']} numbers to {report['n_numbers']}, {leaves}; over "
-        f"{report['n_episodes']} other episodes {_before_and_after(report)}; the same action{within} in "
+        f"{report['n_episodes']:,} other episodes {_before_and_after(report)}; the same action{within} in "
         f"{same:.1f} % of the states, {apart:.2g} apart on average",
         *([f"polished again: {again['return_mean_before']:z.1f} before and {report['return_mean']:z.1f} after"
            if again["kept"] else "polished again: nothing better was confirmed"] if again else []),
@@ -138,7 +139,7 @@ def _simplified(report: dict[str, Any], whole: Path) -> list[str]:
 def _loss(loss: dict[str, Any]) -> str:
     """Return what a shorter program loses against the one that it came from, in words."""
     mean, error = loss["mean"], loss["standard_error"]
-    where = f"on {loss['n_episodes']} episodes that decided nothing"
+    where = f"on {loss['n_episodes']:,} episodes that decided nothing"
     if mean > error:
         return f"the shorter program loses {mean:.2f} ± {error:.2f} {where}"
     return f"the shorter program loses nothing {where}: {-mean:+z.2f} ± {error:.2f}"
@@ -182,7 +183,7 @@ def _table(summary: dict[str, Any]) -> Table:
     episodes = summary["n_episodes"]
     table = Table()
     table.add_column("policy")
-    table.add_column(f"return over {episodes} episodes", justify="right")
+    table.add_column(f"return over {episodes:,} episodes", justify="right")
     table.add_column("leaves", justify="right")
     leaves = {"tree": _leaves(summary["n_leaves"]), "pruned_tree": f"{summary['pruned_leaves']:,}"}
     for name, moments in summary["policies"].items():

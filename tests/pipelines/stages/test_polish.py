@@ -107,7 +107,7 @@ def test_a_mapped_tree_is_polished_as_its_network_proved_and_exported(command, r
     assert network.head == trained.head and network.hidden_widths == (6,)
     assert report["kept"] == (not np.array_equal(network.weights[0], trained.weights[0]))
     assert replay(load_config(run, 1), run) == 0
-    assert f"{run}: polished: 5000 episodes played again, as recorded" in capsys.readouterr().out
+    assert f"{run}: polished: 5,000 episodes played again, as recorded" in capsys.readouterr().out
     tree = otr.load(run / "polish/tree")
     X = np.random.default_rng(0).uniform(*spaces(PENDULUM).states, (2000, 3))
     same = np.isclose(otr.map_network(network).predict(X), network.predict(X), atol=1e-9).all()

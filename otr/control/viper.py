@@ -33,12 +33,15 @@ class CartFit:
         max_samples: rows drawn for a fit.
         min_samples_leaf: distinct rows in a leaf at least.
         criterion: of labels, "gini" or "entropy".
+        weighted: draw the rows of labels by weight; else every row is as likely, which is DAgger with CART (Ross et
+            al. 2011).
     """
 
     max_depth: int
     max_samples: int = 100_000
     min_samples_leaf: int = 1
     criterion: Criterion = "gini"
+    weighted: bool = True
 
     def __post_init__(self) -> None:
         """Raise ValueError for an unknown criterion."""
@@ -48,7 +51,7 @@ class CartFit:
         self, X: FloatArray, answers: FloatArray, weights: FloatArray | None, generator: np.random.Generator
     ) -> ObliqueTree:
         """Return the tree for states X (n, d) and what `run_dagger` says of them."""
-        rows, counts = draw_rows(len(X), weights, self.max_samples, generator)
+        rows, counts = draw_rows(len(X), weights if self.weighted else None, self.max_samples, generator)
         targets = answers[rows] if weights is None else answers[rows].argmax(axis=1)
         return fit_cart(
             X[rows], targets, counts, answers.shape[1], self.max_depth, self.min_samples_leaf, generator, self.criterion

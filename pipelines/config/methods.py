@@ -219,6 +219,7 @@ class ViperConfig(ImitatingTreeConfig):
     max_samples: Count
     min_samples_leaf: Count
     criterion: Annotated[Criterion, AsBefore("gini")] = field(default="gini", kw_only=True)
+    weighted: Annotated[bool, AsBefore(True)] = field(default=True, kw_only=True)
 
     label = "VIPER"
     fit_s = 0.3

@@ -263,17 +263,22 @@ def test_entropy_sets_a_rare_label_apart_and_gini_parts_the_frequent_ones():
     assert AugTreeFit(oracle, 1)(X, outputs, weights, generator()).P.tolist() == tests["entropy"]
 
 
-@pytest.mark.parametrize("leaves", ["constant", "linear"])
-def test_augtree_draws_by_weight_only_if_asked(leaves):
+@pytest.mark.parametrize("leaves", ["constant", "linear", "viper's"])
+def test_rows_are_drawn_by_weight_only_if_asked(leaves):
     """Rows of weight 0 hold the label 1, the others the label 0."""
     oracle = otr.ReluNetwork([[[1.0]], [[-1.0], [1.0]]], [[0.0], [0.0, -0.5]], head=otr.Argmax())
     X = np.linspace(-1, 1, 1000)[:, None]
     outputs = oracle.forward(X)
     weights = (outputs.argmax(axis=1) == 0).astype(float)
-    fits = [AugTreeFit(oracle, 3, leaves=leaves, weighted=weighted) for weighted in (True, False)]
+    fits = [
+        CartFit(3, weighted=weighted)
+        if leaves == "viper's"
+        else AugTreeFit(oracle, 3, leaves=leaves, weighted=weighted)
+        for weighted in (True, False)
+    ]
     weighted, plain = (fit(X, outputs, weights, generator()) for fit in fits)
     assert (plain.predict(X) == outputs.argmax(axis=1)).mean() > 0.99
-    if leaves == "constant":
+    if leaves != "linear":
         assert (weighted.predict(X) == 0).all()
     else:
         assert not np.array_equal(weighted.predict(X), plain.predict(X))

@@ -21,7 +21,7 @@ from pipelines.config.run import RunConfig
 from pipelines.engine.console import progress_lines
 from pipelines.errors import MissingInputError, PipelineError
 from pipelines.report import table_4_1, table_4_2
-from pipelines.report.cells import KEY, SOURCE, TASK_NAMES, table_runs
+from pipelines.report.cells import KEY, SOURCE, TASK_NAMES, oracle_runs, table_runs
 from pipelines.report.certificates import certificate_lines
 from pipelines.report.frames import load_fits, load_runs
 from pipelines.report.text import write_file
@@ -91,7 +91,7 @@ def write_results_page(results_dir: Path, out: Path, load_config: Callable[[Path
     if runs.empty:
         raise MissingInputError(f"{results_dir}/runs: there is no finished run\nRun: otr-run env=pendulum depth=6")
     own = table_runs(runs)
-    cells = table_4_1.make_cells(own)
+    cells = table_4_1.make_cells(pd.concat([own, oracle_runs(runs)]))
     shown, policies = _a_policy_a_cell(cells, own, results_dir)
     tables = [_table_4_1(cells, policies)]
     fits = load_fits(results_dir)

@@ -170,6 +170,7 @@ def test_the_page_of_all_results_has_the_tables_and_a_policy_a_cell(tmp_path: Pa
     assert links and links <= set(re.findall(r'class="policy" id="([^"]+)"', page))
     assert {data["env"] for data in policies} >= {"mountaincar", "pendulum"}
     assert 'id="table-4-1"' in page and "not run" in page and "thesis -138.3" in page
+    assert "<td>oracle</td>" in page and " of [256]</td>" in page  # that the lander's tree imitates
     assert 'id="table-4-2"' not in page  # there is no fit
     (figures,) = stored(page, "figures")
     assert set(figures) == {"curves", "leaves", "seconds"}

@@ -135,7 +135,7 @@ class Composer:
         """Return what tasks return (see `hydra_plugins/otr_sweeper.py`), under the launcher that the overrides name."""
         with self.hydra():
             hydra: Any = GlobalHydra.instance().hydra
-            asked = [*self._search_path(), *map(self.with_list, overrides)]
+            asked = [*self._search_path(), *map(self.with_list, [*self.implied(overrides), *overrides])]
             returned: list[Any] = hydra.multirun(self.name, tasks, asked, with_log_configuration=False)
         return returned
 

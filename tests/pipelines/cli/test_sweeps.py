@@ -55,6 +55,13 @@ def test_two_sweeps_on_one_folder_do_each_job_once(one_by_one, tmp_path):
     assert digests(tmp_path / "results") == one_by_one
 
 
+def test_sweep_may_change_what_its_budget_implies(tmp_path):
+    budget = ("train.steps=300", "train.eval_interval_steps=200", "train.n_selection_episodes=1", "stages=[train]")
+    done = otr_command("otr-run", "-m", "env=mountaincar", "seed=0,1", "algo.noise_end=0.5", *budget, cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "2 jobs: 2 done, 0 failed" in done.stdout
+
+
 @LINUX
 def test_sweep_goes_on_where_a_worker_is_killed(tmp_path):
     words = ("-m", "env=pendulum", "depth=1,2", "budget=smoke", "train.steps=400", "train.eval_interval_steps=100")

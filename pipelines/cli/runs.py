@@ -17,7 +17,7 @@ from pipelines.cli.compose import schema_of, to_object
 from pipelines.cli.env_files import check_env_file
 from pipelines.cli.overrides import is_search, key_of, parse, quoted, searched_folders
 from pipelines.cli.workflow import Workflow, columns_spelt_out
-from pipelines.config.algo import ALGORITHMS, ArsConfig
+from pipelines.config.algo import ALGORITHMS, WIDEST_LAYER, ArsConfig
 from pipelines.config.budget import BudgetConfig
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import EnvConfig
@@ -227,6 +227,8 @@ class RunWorkflow(Workflow):
         """Return what the same env, method, depth, budget, trainer and seed give without any other override."""
         env = [override for override in overrides if override.startswith("env=") or is_search(override)]
         algorithm = ["algo=ars"] if isinstance(config.algo, ArsConfig) else []
+        if algorithm and config.method.imitates:
+            algorithm.append(f"oracle=[{WIDEST_LAYER}]")  # as the roads have it: no larger network is searched
         baseline: RunConfig = self.composed([
             *env, f"method={config.method.name}", f"budget={config.budget.name}",
             f"trainer={config.trainer.name}", *algorithm, f"depth={config.depth}", f"seed={config.seed}",

@@ -90,9 +90,6 @@ def announce_training(configs: Sequence[RunConfig]) -> None:
             f"{folder}: training needs about {n_bytes / 1e6:,.0f} MB for checkpoints, {free / 1e6:,.0f} MB are free\n"
             "Choose another place with results_dir=PATH, or a smaller algo.buffer_size."
         )
-    expected = config.budget.expected.get(config.method.name, {}).get(config.env.task)
-    if expected and config.is_trained:
-        print(f"expect {expected} (budget={config.budget.name}, as measured)", flush=True)
     if seconds >= LONG_RUN_S:
         runs = f"{len(configs)} runs as one, " if len(configs) > 1 else ""
         print(

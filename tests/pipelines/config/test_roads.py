@@ -7,6 +7,7 @@ from pipelines.cli.runs import RUN
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.methods import METHODS
 from pipelines.errors import ConfigError
+from pipelines.runs.run_job import announce_return
 
 
 def made(*overrides):
@@ -45,6 +46,14 @@ def test_a_searched_oracle_is_the_run_of_otr_32():
     assert job.oracle is not None and job.oracle.folder == made("env=hopper", "depth=32").folder
 
 
+@pytest.mark.parametrize("env", ["env=hopper", "env=pendulum"])
+def test_imitating_a_searched_oracle_takes_settings(env):
+    plain = made(env, "method=viper", "algo=ars", "oracle=[32]")
+    assert "~" not in plain.folder
+    changed = made(env, "method=viper", "algo=ars", "oracle=[16]", "method.criterion=entropy")
+    assert changed.changes == "method.criterion=entropy, oracle=[16]" and "~" in changed.folder
+
+
 def test_an_oracle_of_ones_own_is_not_searched():
     config = made("env=hopper", "method=viper", "algo=sac")
     assert config.algo.name == "sac" and config.oracle == [256, 256]
@@ -66,3 +75,25 @@ def test_roads_lead_somewhere():
 def test_the_search_has_an_environments_own_settings():
     hopper, ant = made("env=hopper", "algo=ars").algo, made("env=ant", "algo=ars").algo
     assert hopper.alive_bonus == ant.alive_bonus == 1.0 and hopper.n_directions != ant.n_directions
+
+
+@pytest.mark.parametrize(
+    ("overrides", "is_told"),
+    [
+        (["env=halfcheetah"], True),
+        (["env=reacher", "depth=32"], True),
+        (["env=hopper", "method=viper"], True),
+        (["env=pendulum"], True),
+        (["env=hopper", "method=viper", "algo=sac"], False),
+        (["env=hopper", "method=viper", "method.criterion=entropy"], False),
+        (["env=halfcheetah", "algo=sac", "trainer=fleet"], False),
+        (["env=halfcheetah", "trainer=fleet", "depth=[256,256]"], False),
+        (["env=reacher", "depth=[256,256]"], False),
+        (["env=reacher", "trainer=sb3"], False),
+        (["env=walker2d", "algo.noise_end=0.1"], False),
+        (["env=walker2d", "budget.search.walker2d.steps=1000"], False),
+    ],
+)
+def test_only_a_run_as_measured_is_told_what_to_expect(overrides, is_told, capsys):
+    announce_return(made(*overrides))
+    assert ("expect a return" in capsys.readouterr().out) == is_told

@@ -22,7 +22,7 @@ def made(*overrides):
         (["env=hopper_v5"], "ars", "ars", "runs/hopper_v5/otr/depth-6/standard-ars/seed-0"),
         (["env=hopper", "method=linear", "depth=0"], "ars", "ars", "runs/hopper/linear/depth-0/standard-ars/seed-0"),
         (["env=reacher"], "sac", "fleet", "runs/reacher/otr/depth-6/standard-fleet/seed-0"),
-        (["env=bipedalwalker"], "ppo", "sb3", "runs/bipedalwalker/otr/depth-6/standard/seed-0"),
+        (["env=bipedalwalker"], "sac", "fleet", "runs/bipedalwalker/otr/depth-6/standard-fleet/seed-0"),
         (["env=hopper", "budget=thesis"], "sac", "sb3", "runs/hopper/otr/depth-6/thesis/seed-0"),
         (["env=hopper", "trainer=fleet"], "sac", "fleet", None),
         (["env=hopper", "algo=sac"], "sac", "sb3", None),

@@ -1,4 +1,4 @@
-"""What archives of runs leave out, because it is made again in seconds: full trees and printed programs."""
+"""What archives of runs leave out, as it is made again in seconds: full trees, trees of paths, printed programs."""
 
 from contextlib import AbstractContextManager
 from functools import partial
@@ -32,6 +32,9 @@ def derive(config: RunConfig, run_dir: Path, folder: Path) -> dict[str, bytes]:
         out = Path(place)
         if folder.name == "map":
             otr.save(full_tree(load_actor(run_dir / config.method.actor_stage), config), out / "tree")
+        paths = otr.load(folder / "paths") if (folder / "paths.json").is_file() else None
+        if isinstance(paths, otr.PatternTree):
+            otr.save(paths.to_tree(), out / "tree")
         for name, program in PROGRAMS.items():
             where = next((each for each in (out, folder) if (each / f"{name}.json").is_file()), None)
             tree = otr.load(where / name) if where else None

@@ -27,7 +27,9 @@ def prune(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
 
     The episodes are the run's own and not the ones it is evaluated on. A path is an activation pattern where the tree
     is a mapped network's, and a leaf of the tree where it is not. Of a PID policy also `constant_gains`, the pruned
-    tree with each leaf's gains averaged over the states that these episodes bring to it.
+    tree with each leaf's gains averaged over the states that these episodes bring to it. Of a tree that is held as
+    activation patterns also `paths`, those that are kept and how often they were taken: archives hold them for the
+    pruned tree, which is a hundred times as large.
 
     Raises:
         PolicyMismatchError: the pruned tree differs from the policy on a state that it was pruned with.
@@ -52,6 +54,9 @@ def prune(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     else:
         pruned = otr.prune_to_k(tree, states, config.prune.k)
     otr.save(pruned, out / "tree")
+    if isinstance(tree, otr.PatternTree):
+        taken = otr.PatternTree(tree.network).observe(states)
+        otr.save(taken.observed() if config.prune.k is None else taken.keep(config.prune.k), out / "paths")
     write_program(pruned, config.env, out)
     write_picture(pruned, config.env, states, out)
     if not pruned.head.acts_by_output:  # gains in the leaves

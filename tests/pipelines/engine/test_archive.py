@@ -16,6 +16,7 @@ from pipelines.stages.oracle import load_oracle
 from tests.committed import copy_run
 
 PENDULUM = "pendulum/otr/depth-6/quick/seed-0"
+WIDE = "pendulum/otr/depth-32/quick/seed-0"
 ORACLE = "pendulum/otr/depth-256-256/quick/seed-0"
 VIPER = "pendulum/viper/depth-6/quick/seed-0"
 LEFT_OUT = {
@@ -76,6 +77,18 @@ def test_the_same_run_gives_the_same_archive_and_new_stages_join_it(run, tmp_pat
     assert (run / ARCHIVE).read_bytes() == (tmp_path / "copy" / ARCHIVE).read_bytes()
     pack_run(run)  # nothing is left to pack
     assert (run / ARCHIVE).read_bytes() == (tmp_path / "copy" / ARCHIVE).read_bytes()
+
+
+def test_the_pruned_tree_of_a_wide_network_is_kept_as_its_paths(command, tmp_path):
+    run = tmp_path / "runs" / WIDE
+    copy_run(WIDE, run, "prune", "evaluate")
+    words = ("env=pendulum", "depth=32", "budget=quick", f"results_dir={tmp_path}", "n_workers=1")
+    assert command("run", *words, "stages=[prune]").returncode == 0
+    before = files_of(run / "prune")
+    pack_run(run)
+    assert {"prune/tree.npz", "prune/tree.json"}.isdisjoint(archive_files(run)) and "tree.npz" in before
+    with opened_run(load_config(run, None), run) as whole:
+        assert files_of(whole / "prune") == before
 
 
 def test_files_are_read_from_where_they_lie(run):

@@ -226,9 +226,12 @@ class RunWorkflow(Workflow):
     def _baseline(self, config: RunConfig, overrides: Sequence[str]) -> RunConfig:
         """Return what the same env, method, depth, budget, trainer and seed give without any other override."""
         env = [override for override in overrides if override.startswith("env=") or is_search(override)]
-        algorithm = ["algo=ars"] if isinstance(config.algo, ArsConfig) else []
-        if algorithm and config.method.imitates:
-            algorithm.append(f"oracle=[{WIDEST_LAYER}]")  # as the roads have it: no larger network is searched
+        algorithm = [f"algo={config.algo.name}"]
+        if isinstance(config.algo, ArsConfig):
+            if config.method.imitates:
+                algorithm.append(f"oracle=[{WIDEST_LAYER}]")  # as the roads have it: no larger network is searched
+        elif not {*algorithm, f"trainer={config.trainer.name}"} <= {*_road(_named(config))}:
+            algorithm = []  # the environment's own
         baseline: RunConfig = self.composed([
             *env, f"method={config.method.name}", f"budget={config.budget.name}",
             f"trainer={config.trainer.name}", *algorithm, f"depth={config.depth}", f"seed={config.seed}",
@@ -257,6 +260,11 @@ def _env_kwargs(overrides: Sequence[str]) -> dict[str, Any]:
 def _named_ids() -> dict[str, str]:
     """Return the names of the environments that have a file in conf/env, by id."""
     return {str(OmegaConf.load(path).env.id): path.stem for path in (CONF_DIR / "env").glob("*.yaml")}
+
+
+def _named(config: RunConfig) -> dict[str, str]:
+    """Return the names by which a budget has its roads."""
+    return {"env": config.env.name, "method": config.method.name, "budget": config.budget.name}
 
 
 def _road(given: Mapping[str, str]) -> Sequence[str]:
@@ -342,8 +350,7 @@ def _of_oracle(config: RunConfig, overrides: Sequence[str]) -> list[str]:
         return [*own, "method=model", *files, "stages=[import]", f"seed={config.seed}"]
     if not any(key_of(override) == "trainer" for override in own):
         own.append(f"trainer={config.trainer.name}")
-    if isinstance(config.algo, ArsConfig) and not any(key_of(override) == "algo" for override in own):
-        own.append("algo=ars")
+        own += [override for override in RUN.implied(overrides) if key_of(override) == "algo"]
     depth = f"depth={config.oracle}".replace(" ", "")
     return [*own, depth, "method=otr", "stages=[train]", f"seed={config.seed}"]
 

@@ -46,6 +46,17 @@ def test_a_searched_oracle_is_the_run_of_otr_32():
     assert job.oracle is not None and job.oracle.folder == made("env=hopper", "depth=32").folder
 
 
+def test_an_oracle_has_the_algorithm_of_the_road():
+    """The biped's own algorithm is PPO, and its road SAC in a fleet: for an oracle as well, and spelt out or not."""
+    for method in ("method=viper", "method=distilled_otr"):
+        (job,) = RUN.jobs([["env=bipedalwalker", method]])
+        assert job.oracle is not None and job.oracle.config.algo.name == "sac"
+        assert job.oracle.folder == made("env=bipedalwalker", "depth=[256,256]").folder
+    spelt_out = made("env=bipedalwalker", "algo=sac", "trainer=fleet", "depth=[256,256]")
+    assert spelt_out.folder == job.oracle.folder and not spelt_out.changes
+    assert "~" in made("env=bipedalwalker", "algo=sac").folder  # of a trainer that the road has not
+
+
 @pytest.mark.parametrize("env", ["env=hopper", "env=pendulum"])
 def test_imitating_a_searched_oracle_takes_settings(env):
     plain = made(env, "method=viper", "algo=ars", "oracle=[32]")

@@ -1,6 +1,6 @@
 """The algorithm that trains a run: a file of conf/algo."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
 from pipelines.config.setting import (
@@ -114,6 +114,9 @@ class OnPolicyConfig(GradientConfig):
     n_envs: Annotated[int, Range(1, 4096)]
     n_steps: Annotated[int, Range(2)]
     gae_lambda: Share
+    # Whether states, and rewards by the deviation of their discounted sum, are normalised by what was met so far
+    # (VecNormalize); the states' part is affine and is folded into the actor, which reads the environment's own states
+    normalise: Annotated[bool, AsBefore(False)] = field(default=False, kw_only=True)
 
     steps_per_s = 1_700.0
 
@@ -121,6 +124,12 @@ class OnPolicyConfig(GradientConfig):
     def rollout_steps(self) -> int:
         """A rollout of `n_steps` in each environment."""
         return self.n_steps * self.n_envs
+
+    def check(self, key: str, depth: int | list[int], actor: ActorConfig) -> None:
+        """Refuse states that are normalised twice."""
+        super().check(key, depth, actor)
+        if self.normalise and actor.rescale_inputs:
+            raise ConfigError("algo.normalise=true and actor.rescale_inputs=true both change the states: leave one out")
 
 
 @dataclass(frozen=True)

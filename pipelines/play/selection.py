@@ -4,6 +4,7 @@ Which actor is kept is decided here, on episodes of a stream of their own, never
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,10 +22,25 @@ FLOAT32_ROUNDING = 1e-6  # of the sum of all terms' sizes: some eight roundings
 Predict = Callable[[np.ndarray], np.ndarray]
 
 
-def play_selection_episodes(network: otr.ReluNetwork, config: RunConfig) -> tuple[otr.ReluNetwork, Rollout]:
+@dataclass(frozen=True)
+class InputUnits:
+    """Training sees ``(state - middle) / scale``, (d,) each."""
+
+    middle: np.ndarray
+    scale: np.ndarray
+
+
+def units_of_box(config: RunConfig) -> InputUnits | None:
+    """Return the units of the environment's box where a run's settings ask for them; None for its own."""
+    return InputUnits(*state_box(config.env)) if config.actor.rescale_inputs else None
+
+
+def play_selection_episodes(
+    network: otr.ReluNetwork, config: RunConfig, units: InputUnits | None
+) -> tuple[otr.ReluNetwork, Rollout]:
     """Return the actor as it reads the environment's own states, and what came of its selection episodes."""
-    if config.actor.rescale_inputs:
-        network = network.fold_input_normalisation(*state_box(config.env))
+    if units is not None:
+        network = network.fold_input_normalisation(units.middle, units.scale)
     return network, play_episodes(network.predict, config)
 
 
@@ -34,16 +50,18 @@ def play_episodes(policy: Policy, config: RunConfig) -> Rollout:
     return rollout(policy, config.env, seeds, keep_states=True, n_workers=1)
 
 
-def compare_with_trained(network: otr.ReluNetwork, trained: Predict, states: np.ndarray, config: RunConfig) -> None:
+def compare_with_trained(
+    network: otr.ReluNetwork, trained: Predict, states: np.ndarray, units: InputUnits | None
+) -> None:
     """Raise PolicyMismatchError where network and trainer disagree by more than TOLERANCE on a state (n, d).
 
     The trainer computes in float32, whose rounding grows with the terms that are summed up, not with their sum; that
     much is allowed for, as bounded by the network of the absolute weights on the absolute states. `trained` gives the
-    trainer's own deterministic actions on float32 states, rescaled as it was trained on them.
+    trainer's own deterministic actions on float32 states, in the units that it was trained on.
     """
-    middle, half_width = state_box(config.env) if config.actor.rescale_inputs else (0.0, 1.0)
     ours, outputs = network.predict(states), network.forward(states)
-    theirs = trained(((states - middle) / half_width).astype(np.float32))
+    seen = states if units is None else (states - units.middle) / units.scale
+    theirs = trained(seen.astype(np.float32))
     sizes = otr.ReluNetwork(
         [np.abs(weight) for weight in network.weights], [np.abs(bias) for bias in network.biases], dense=network.dense
     ).forward(np.abs(states))

@@ -11,6 +11,7 @@ from pipelines.config.run import RunConfig
 from pipelines.play.actor_files import actor_files
 from pipelines.play.rollout import Rollout
 from pipelines.play.selection import compare_with_trained, diverged, play_selection_episodes
+from pipelines.training.normalisation import input_units
 
 
 class ReluActor:
@@ -48,8 +49,7 @@ class ReluActor:
             network = self.exported(model)
         except otr.InvalidNetworkError as error:
             raise diverged(model.num_timesteps, error) from error
-        network, played = play_selection_episodes(network, self.config)
-        compare_with_trained(
-            network, lambda states: model.predict(states, deterministic=True)[0], played.states, self.config
-        )
+        units = input_units(model, self.config)
+        network, played = play_selection_episodes(network, self.config, units)
+        compare_with_trained(network, lambda states: model.predict(states, deterministic=True)[0], played.states, units)
         return actor_files(network), played

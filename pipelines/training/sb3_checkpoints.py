@@ -14,6 +14,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from pipelines.training.checkpoints import History, last_segment, read_segment, write_segment
+from pipelines.training.normalisation import set_statistics, statistics
 
 COUNTERS = ("num_timesteps", "_n_updates", "_episode_num", "_n_calls")
 REPLAY_ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
@@ -26,7 +27,8 @@ def save_checkpoint(folder: Path, model: BaseAlgorithm, history: History, replay
         _write_replay(folder, model, replay_start, history.n_segments)
     # Through a buffer: torch would report a full disk as an internal error.
     buffer = io.BytesIO()
-    torch.save({"parameters": model.get_parameters(), "tensors": _loose_tensors(model)}, buffer)
+    state = {"parameters": model.get_parameters(), "tensors": _loose_tensors(model), "statistics": statistics(model)}
+    torch.save(state, buffer)
     counters = {name: int(getattr(model, name)) for name in COUNTERS if hasattr(model, name)}
     write_segment(folder, history, counters, ("model.pt", buffer.getvalue()))
 
@@ -40,6 +42,7 @@ def load_checkpoint(folder: Path, model: BaseAlgorithm) -> History:
     model.set_parameters(saved["parameters"], exact_match=True)
     for name, tensor in saved["tensors"].items():
         getattr(model, name).data.copy_(tensor)
+    set_statistics(model, saved.get("statistics", {}))
     history, counters = read_segment(segment)
     for name, value in counters.items():
         setattr(model, name, value)

@@ -2,7 +2,7 @@
 
 import functools
 from dataclasses import fields
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -12,7 +12,7 @@ from stable_baselines3 import DDPG, DQN, PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, OrnsteinUhlenbeckActionNoise
-from stable_baselines3.common.vec_env import DummyVecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from pipelines.config.algo import (
     AlgoConfig,
@@ -32,6 +32,7 @@ from pipelines.errors import ConfigError
 from pipelines.play.environments import flat_state_size, is_discrete, make_training_env
 from pipelines.training.actors import actor_of
 from pipelines.training.estimates import learning_starts
+from pipelines.training.normalisation import normalised
 from pipelines.training.relu_actor import ReluActor
 
 torch.set_num_threads(1)  # two threads make these small networks a hundred times slower
@@ -46,7 +47,7 @@ ALGORITHMS: dict[type[AlgoConfig], type[BaseAlgorithm]] = {
     DdpgConfig: DDPG,
 }
 # The settings of an algorithm that its class has not, under that name or at all; all others are passed on.
-OTHER_SETTINGS = ("name", "critic", "weight_decay", "n_envs", "action_noise_std", "action_noise_dt",
+OTHER_SETTINGS = ("name", "critic", "weight_decay", "n_envs", "normalise", "action_noise_std", "action_noise_dt",
                   "exploration_fraction", "exploration_final_eps")  # fmt: skip
 
 
@@ -54,7 +55,7 @@ def build_model(config: RunConfig, seed: int) -> BaseAlgorithm:
     """Return an untrained model on its own environments, reproducible from `seed`."""
     algo = config.algo
     env = build_env(config)
-    single = env.envs[0]
+    single = cast(DummyVecEnv, env.unwrapped).envs[0]
     flat_state_size(single)
     assert isinstance(algo, GradientConfig)
     _check_actions(config, is_discrete(single))
@@ -86,14 +87,15 @@ def _check_actions(config: RunConfig, discrete: bool) -> None:
         raise ConfigError(f"algo={algo.name} needs continuous actions; {env_id} has labels: use algo=ppo")
 
 
-def build_env(config: RunConfig) -> DummyVecEnv:
-    """Return new training environments: one, or as many side by side as PPO is set to use."""
+def build_env(config: RunConfig) -> VecEnv:
+    """Return new training environments: one, or as many side by side as PPO is set to use, normalised if it is set."""
     n_envs = config.algo.n_envs if isinstance(config.algo, OnPolicyConfig) else 1
 
     def make() -> gym.Env:
         return Monitor(make_training_env(config.env, rescale_inputs=config.actor.rescale_inputs))
 
-    return DummyVecEnv([make] * n_envs)
+    env = DummyVecEnv([make] * n_envs)
+    return normalised(env, config)
 
 
 def _policy_kwargs(algo: GradientConfig, actor: ReluActor) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from pipelines.tracking.tracker import Tracker
 from pipelines.training.actors import actor_of
 from pipelines.training.checkpoints import progress_row
 from pipelines.training.estimates import segment_steps
+from pipelines.training.normalisation import hand_on_statistics
 from pipelines.training.progress import TrainingProgress
 from pipelines.training.relu_actor import ReluActor
 from pipelines.training.sb3_checkpoints import load_checkpoint, save_checkpoint
@@ -57,7 +58,7 @@ def train_segment(model: BaseAlgorithm, actor: ReluActor, segment: int, progress
     config, start = actor.config, model.num_timesteps
     n_steps = min(segment_steps(config), config.train.steps - start)
     model.set_logger(Logger(folder=None, output_formats=[]))  # its default leaves a temporary folder every segment
-    model.set_env(build_env(config), force_reset=True)
+    model.set_env(hand_on_statistics(model, build_env(config)), force_reset=True)
     model.set_random_seed(stream_seed(config.seed, "train", segment))
     if isinstance(model, DQN):  # its first action comes before its schedule is asked
         model.exploration_rate = model.exploration_schedule(1.0)

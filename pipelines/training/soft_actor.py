@@ -20,10 +20,9 @@ from torch import nn
 import otr
 from otr.control.pi_prl import RelaxedProgram
 from pipelines.config.methods import PiPrlConfig, SoftConfig
-from pipelines.config.run import RunConfig
-from pipelines.play.environments import state_box
 from pipelines.play.rollout import Rollout
-from pipelines.play.selection import diverged, play_episodes
+from pipelines.play.selection import InputUnits, diverged, play_episodes
+from pipelines.training.normalisation import input_units
 from pipelines.training.relu_actor import ReluActor
 from pipelines.training.soft_trees import Shape, SoftModule, build_module, harden, shape_of, soft_files
 
@@ -47,7 +46,7 @@ class SoftActor(ReluActor):
     def evaluate(self, model: BaseAlgorithm) -> tuple[dict[str, bytes], Rollout]:
         """Return the soft tree's files, and what came of the hard tree's selection episodes."""
         assert isinstance(model, OnPolicyAlgorithm)
-        module = exported_module(model, self.config)
+        module = exported_module(model, input_units(model, self.config))
         try:
             tree = harden(module, model.action_space)
         except otr.InvalidTreeError as error:
@@ -112,10 +111,9 @@ def soft_module(model: OnPolicyAlgorithm) -> SoftModule:
     return cast(SoftModule, model.policy.action_net)
 
 
-def exported_module(model: OnPolicyAlgorithm, config: RunConfig) -> SoftModule:
-    """Return a copy of a model's actor that reads the environment's own states, where training rescales them too."""
+def exported_module(model: OnPolicyAlgorithm, units: InputUnits | None) -> SoftModule:
+    """Return a copy of a model's actor that reads the environment's own states, whatever units it was trained in."""
     module = copy.deepcopy(soft_module(model))
-    if config.actor.rescale_inputs:
-        middle, half_width = state_box(config.env)
-        module.substitute(-middle / half_width, 1.0 / half_width)
+    if units is not None:
+        module.substitute(-units.middle / units.scale, 1.0 / units.scale)
     return module.float()

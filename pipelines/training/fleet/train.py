@@ -18,7 +18,7 @@ import torch
 from pipelines.config.run import RunConfig
 from pipelines.errors import PipelineError
 from pipelines.play.actor_files import actor_files
-from pipelines.play.selection import compare_with_trained, diverged, play_selection_episodes
+from pipelines.play.selection import compare_with_trained, diverged, play_selection_episodes, units_of_box
 from pipelines.training.checkpoints import progress_row
 from pipelines.training.fleet.fleet_run import FleetRun
 from pipelines.training.fleet.progress import FleetProgress
@@ -67,8 +67,9 @@ def _segment(trainer: FleetTrainer, progress: FleetProgress) -> None:
         try:
             if not all(bool(torch.isfinite(tensor).all()) for tensor in run.tensors.values()):
                 raise diverged(run.n_steps, "its parameters are not finite")
-            network, episodes = play_selection_episodes(trainer.network(r), run.config)
-            compare_with_trained(network, functools.partial(trainer.answers, r), episodes.states, run.config)
+            units = units_of_box(run.config)
+            network, episodes = play_selection_episodes(trainer.network(r), run.config, units)
+            compare_with_trained(network, functools.partial(trainer.answers, r), episodes.states, units)
         except PipelineError as error:
             run.error = error
             progress.given_up(run)

@@ -105,12 +105,12 @@ def test_exported_network_is_the_trained_actor(pid, depth, slope):
     def trained(seen: np.ndarray) -> np.ndarray:
         return model.predict(seen, deterministic=True)[0]
 
-    compare_with_trained(network, trained, states, config)
+    compare_with_trained(network, trained, states, units=None)
     weights = [weight.copy() for weight in network.weights]
     weights[-1][-1, 0] += 1e-3
     other = otr.ReluNetwork(weights, network.biases, dense=network.dense, negative_slope=slope, head=network.head)
     with pytest.raises(PolicyMismatchError, match="in state"):
-        compare_with_trained(other, trained, states, config)
+        compare_with_trained(other, trained, states, units=None)
 
 
 def test_penalty_is_in_the_gradient_of_the_output_weights_alone(pid):

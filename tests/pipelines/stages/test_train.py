@@ -18,11 +18,12 @@ from pipelines.play.actor_files import load_actor
 from pipelines.play.rollout import rollout
 from pipelines.play.selection import compare_with_trained
 from pipelines.stages.table import STAGES
-from pipelines.stages.train import TRAIN, train_settings, trained_steps
+from pipelines.stages.train import TRAIN, checkpoint_folder, train_settings, trained_steps
 from pipelines.training import sb3_checkpoints as checkpoint_module
 from pipelines.training import sb3_training
 from pipelines.training.actors import actor_of
 from pipelines.training.estimates import estimated_bytes, segment_steps
+from pipelines.training.normalisation import input_units
 from pipelines.training.sb3_models import build_model
 from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM, PPO, SAC
 from tests.pipelines.sweeps import run_until_killed
@@ -32,7 +33,8 @@ TD3 = Td3Config("td3", 1e-3, 32, 0.99, [16], 0.0, 1000, 50, 0.005, 1, 1, "normal
 SMALL_BUFFER_SAC = dataclasses.replace(SAC, buffer_size=150)  # wraps round within 300 steps
 # Random for a while, with a target network that is replaced within a segment.
 DQN = DqnConfig("dqn", 1e-3, 32, 0.99, [], 0.0, 1000, 20, 1.0, 4, 2, 70, 0.5, 0.1, 10.0)
-ALGORITHMS = {"dqn": DQN, "sac": SMALL_BUFFER_SAC, "ddpg": DDPG, "td3": TD3, "ppo": PPO}
+ALGORITHMS = {"dqn": DQN, "sac": SMALL_BUFFER_SAC, "ddpg": DDPG, "td3": TD3, "ppo": PPO,
+              "normalised ppo": dataclasses.replace(PPO, normalise=True)}  # fmt: skip
 
 
 def train_until_killed(config, out, where):
@@ -70,6 +72,7 @@ def train_until_killed(config, out, where):
         ("dqn", "after saving"),
         ("ppo", "before saving"),
         ("ppo", "after saving"),
+        ("normalised ppo", "after saving"),
     ],
 )
 def test_killed_and_resumed_equals_uninterrupted(tiny, tmp_path, algorithm, where):
@@ -109,6 +112,21 @@ def test_best_evaluation_s_actor_is_kept(tiny, tmp_path):
     assert again.returns.mean() == max(returns)
 
 
+def test_an_actor_trained_on_normalised_states_reads_the_environments_own(tiny, tmp_path):
+    """The stage itself compares the actor with the model; here the statistics are far from 0 and 1."""
+    config = tiny(algo=dataclasses.replace(PPO, normalise=True), results_dir=str(tmp_path / "results"))
+    TRAIN.run({}, config, tmp_path)
+    model = build_model(config, 0)
+    checkpoint_module.load_checkpoint(checkpoint_folder(config), model)
+    env = model.get_vec_normalize_env()
+    assert env.obs_rms.count > config.train.steps  # of all segments
+    states = np.random.default_rng(0).uniform([-1, -1, -8], [1, 1, 8], (200, 3))
+    seen = (states - env.obs_rms.mean) / np.sqrt(env.obs_rms.var + env.epsilon)
+    assert np.abs(seen - states).max() > 3.0
+    network = otr.from_sb3(model).fold_input_normalisation(*dataclasses.astuple(input_units(model, config)))
+    np.testing.assert_allclose(network.predict(states), model.predict(seen, deterministic=True)[0], atol=1e-5)
+
+
 @pytest.mark.parametrize(("depth", "slope"), [(0, 0.0), ([3, 2], 0.0), (4, 0.1)])
 def test_actor_has_the_shape_asked_for(tiny, tmp_path, depth, slope):
     TRAIN.run({}, tiny(depth=depth, actor=ActorConfig(slope)), tmp_path)
@@ -132,12 +150,12 @@ def test_network_that_is_not_the_policy_is_caught(tiny):
     def trained(seen: np.ndarray) -> np.ndarray:
         return model.predict(seen, deterministic=True)[0]
 
-    compare_with_trained(network, trained, states, tiny())
+    compare_with_trained(network, trained, states, units=None)
     weights = [weight.copy() for weight in network.weights]
     weights[-1][0, 0] += 1e-3
     other = otr.ReluNetwork(weights, network.biases, head=network.head)
     with pytest.raises(PolicyMismatchError, match="in state"):
-        compare_with_trained(other, trained, states, tiny())
+        compare_with_trained(other, trained, states, units=None)
 
 
 def test_segments_of_ppo_are_whole_rollouts(tiny):

@@ -18,6 +18,7 @@ from pipelines.cli.runs import run_config
 from pipelines.config.methods import PiPrlConfig
 from pipelines.engine.store import write_files
 from pipelines.errors import ConfigError, PipelineError
+from pipelines.training.normalisation import input_units, normalised
 from pipelines.training.sb3_checkpoints import load_checkpoint, save_checkpoint
 from pipelines.training.sb3_models import build_model
 from pipelines.training.soft_actor import (
@@ -191,12 +192,32 @@ def test_modules_trained_on_rescaled_states_read_the_environments_own(actor: Sha
     own = np.random.default_rng(0).uniform(low, high, (50, 2)).astype(np.float32)
     rescaled = (own - (low + high) / 2) / ((high - low) / 2)
     expected = model.predict(rescaled, deterministic=True)[0]
-    exported = exported_module(model, config)
+    exported = exported_module(model, input_units(model, config))
     head = harden(exported, model.action_space).head
     np.testing.assert_allclose(SoftPolicy(exported, head).predict(own), expected, atol=1e-4)
-    plain = dataclasses.replace(config, actor=dataclasses.replace(config.actor, rescale_inputs=False))
-    as_is = SoftPolicy(exported_module(model, plain), head).predict(rescaled)
+    as_is = SoftPolicy(exported_module(model, None), head).predict(rescaled)
     np.testing.assert_allclose(as_is, expected, atol=1e-6)  # of float32
+
+
+@ids
+def test_modules_trained_on_normalised_states_read_the_environments_own(actor: Shape) -> None:
+    config = run_config(["env=pendulum", "method=sdt", "depth=2", "algo.normalise=true"])
+    model = make_model(actor, "Pendulum-v1")
+    model.set_env(normalised(make_env("Pendulum-v1"), config), force_reset=True)
+    model.learn(4 * ROLLOUT)
+    statistics = model.get_vec_normalize_env().obs_rms
+    own = np.random.default_rng(0).uniform([-1, -1, -8], [1, 1, 8], (50, 3)).astype(np.float32)
+    seen = (own - statistics.mean) / np.sqrt(statistics.var)
+    expected = model.predict(seen, deterministic=True)[0]
+    units = input_units(model, config)
+    head = harden(exported_module(model, units), model.action_space).head
+    np.testing.assert_allclose(SoftPolicy(exported_module(model, units), head).predict(own), expected, atol=1e-5)
+    assert np.abs(SoftPolicy(exported_module(model, None), head).predict(own) - expected).max() > 1e-3
+
+
+def test_states_are_not_rescaled_and_normalised() -> None:
+    with pytest.raises(ConfigError, match=r"algo.normalise=true and actor.rescale_inputs=true"):
+        run_config(["env=mountaincar", "method=sdt", "depth=3", "algo.normalise=true"])
 
 
 def test_noise_by_state_needs_continuous_actions() -> None:

@@ -1,13 +1,17 @@
 """What is committed under results: the table is that of the runs, and the runs reach what the README says."""
 
 import json
+import re
+import shlex
 
 import pytest
 
 import otr
-from pipelines.cli.runs import load_config
+from pipelines.cli.fits import FIT
+from pipelines.cli.runs import RUN, load_config
 from pipelines.config.methods import METHODS
 from pipelines.engine.archive import MANIFEST, opened, verified_manifest
+from pipelines.engine.job import is_done
 from pipelines.engine.store import exists, read_csv
 from pipelines.play.actor_files import load_actor
 from pipelines.report.tabulate import TABLES
@@ -23,6 +27,16 @@ FITS = sorted((RESULTS / "runs").glob("*/*/seed-*/summary.json"))
 
 def id_of(run_dir):
     return run_dir.relative_to(RESULTS / "runs").as_posix()
+
+
+def commands_of_the_page():
+    """Yield the words of the commands by which docs/results.md says that the committed runs and fits were made."""
+    page = (RESULTS.parent / "docs/results.md").read_text()
+    block = re.search(r"## Commands.*?```\n(.*?)```", page, re.DOTALL)[1]
+    for line in block.replace("\\\n", " ").splitlines():
+        words = shlex.split(line, comments=True)
+        if words and words[0] != "otr-tabulate":
+            yield words
 
 
 @pytest.mark.parametrize("table", ["4.1", "4.2", "certificates", "comparisons"])
@@ -113,3 +127,19 @@ def test_committed_certificates_prove_what_they_claim(run_dir):
         network = load_actor(run_dir / certified_stage(load_config(run_dir, None), run_dir))
         bound = otr.verify(certificate, otr.load(whole / "certify/tree"), network)
     assert bound <= certificate.max_error < 1e-10
+
+
+@pytest.mark.slow
+def test_what_is_committed_was_made_by_the_commands_of_the_page_and_its_runs_are_all_there(monkeypatch):
+    monkeypatch.chdir(RESULTS.parent)
+    made, left = set(), []
+    for command, *overrides in commands_of_the_page():
+        workflow = {"otr-run": RUN, "otr-fit": FIT}[command]
+        words = [each for each in overrides if each != "-m"]
+        jobs = workflow.jobs(workflow.expand(words, "-m" in overrides))
+        made |= {job.folder for job in jobs}
+        if workflow is RUN:  # what is left of the fits the tables call not run
+            left += [job.folder for job in jobs if not is_done(job)]
+    summaries = (RESULTS / "runs").glob("**/summary.json")
+    assert {path.parent.relative_to(RESULTS).as_posix() for path in summaries} - made == set()
+    assert left == []

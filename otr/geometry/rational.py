@@ -36,6 +36,12 @@ def integers(values: FloatArray) -> tuple[Integers, int]:
     return exact, power
 
 
+def without_denominators(row: Sequence[Fraction]) -> tuple[Integers, int]:
+    """Return a row times the least common multiple of its denominators, integers (n,), and that multiple."""
+    denominator = lcm(*(value.denominator for value in row))
+    return np.array([int(value * denominator) for value in row], dtype=object), denominator
+
+
 def common_integers(parts: Sequence[tuple[Integers, int]], power: int) -> list[Integers]:
     """Return integers over 2**power, which is no smaller than their own powers."""
     return [exact * 2 ** (power - own) for exact, own in parts]

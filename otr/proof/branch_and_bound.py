@@ -20,7 +20,7 @@ from otr.core.arrays import FloatArray, IntArray
 from otr.core.half_spaces import HalfSpaces
 from otr.errors import CertificateError, OtrError
 from otr.geometry.largest_values import LargestValues, largest_values
-from otr.geometry.rational import Point, as_point
+from otr.geometry.rational import Point, as_point, without_denominators
 from otr.geometry.regions import leaf_rows
 from otr.proof.certificate import Sum
 from otr.proof.exact_cells import decide
@@ -102,8 +102,7 @@ class Search:
             limit = self.question.allowed(tolerance) - (Fraction(tolerance) / 10 if tolerance else 0)
             beyond = form.copy()
             beyond[-1] -= limit * 2**self.question.power
-            denominator = np.lcm.reduce([value.denominator for value in beyond.tolist()])
-            numbers = np.array([int(value * denominator) for value in beyond], dtype=object)
+            numbers, denominator = without_denominators(beyond.tolist())
             found = decide(rows | {"beyond": ExactRow(numbers, True)}, self.tree.n_inputs)
             if isinstance(found, tuple):
                 if point is None:  # well inside, if there is an inside, where float64 finds it, too
@@ -111,7 +110,7 @@ class Search:
                     deeper = decide(strict | {"beyond": ExactRow(numbers, True)}, self.tree.n_inputs)
                     point = deeper if isinstance(deeper, tuple) else found
                 continue
-            own = found.pop("beyond", Fraction(0)) * int(denominator)
+            own = found.pop("beyond", Fraction(0)) * denominator
             if not own:
                 return replace(piece, proof=Sum(tuple(found), tuple(found.values())), is_empty=True)
             shown = {name: multiplier / own for name, multiplier in found.items()}

@@ -8,7 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from otr.geometry.rational import ExactTree, ExactUnits, as_point, at, independent_rows, integers
+from otr.geometry.rational import (
+    ExactTree,
+    ExactUnits,
+    as_point,
+    at,
+    independent_rows,
+    integers,
+    without_denominators,
+)
 from otr.geometry.rational_linear_programs import inner_point, largest_value
 from tests.core.strategies import Case, cases
 
@@ -92,3 +100,11 @@ def test_exact_outputs_are_those_of_network_and_tree(case: Case) -> None:
         np.testing.assert_allclose(outputs, network.forward(x), rtol=1e-9, atol=1e-9)
         leaf = exact.leaf(point)
         np.testing.assert_allclose([float(v) for v in exact.outputs(leaf, point)], outputs, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("denominators", [(2**62, 3), (2**63, 2), (2**65, 3), (2**1074, 10), (1, 1)])
+def test_denominators_of_any_size_are_multiplied_away(denominators):
+    row = [Fraction(1, each) for each in denominators]
+    numbers, multiple = without_denominators(row)
+    assert [Fraction(number, multiple) for number in numbers] == row
+    assert multiple > 0 and {type(number) for number in numbers} == {int}

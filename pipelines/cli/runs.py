@@ -44,8 +44,10 @@ OF_TRAINING = ("env", "algo", "actor", "trainer", "budget", "train", "experiment
 # What stands for a method and its policy, and what is done with that.
 GIVEN_POLICIES = {"program": "evaluated", "model": "imported"}
 
-# Who trains: whoever names one of them goes a way of their own, not a budget's, and trains an oracle of the usual size.
+# Who trains: whoever names another than a budget's road does goes a way of their own, for as long as the budget says, and
+# trains an oracle of the usual size.
 TRAINED_BY = {"algo", "trainer"}
+OF_A_WAY = TRAINED_BY | {"oracle", "train.steps", "train.eval_interval_steps"}
 
 
 def run_config(overrides: Sequence[str]) -> RunConfig:
@@ -105,8 +107,10 @@ class RunWorkflow(Workflow):
     def implied(self, overrides: Sequence[str]) -> list[str]:
         """Return the overrides that the choice of budget, method, environment and algorithm implies."""
         given = dict(override.split("=", 1) for override in overrides if "=" in override)
-        taken = {*given, *TRAINED_BY, "oracle"} if TRAINED_BY & given.keys() else given.keys()
-        road = [override for override in _road(given) if key_of(override) not in taken]
+        road = _road(given)
+        leaves_it = any(f"{key}={given[key]}" not in road for key in TRAINED_BY & given.keys())
+        taken = {*given, *OF_A_WAY} if leaves_it else given.keys()
+        road = [override for override in road if key_of(override) not in taken]
         given |= dict(override.split("=", 1) for override in road)
         return [*road, *METHODS.get(given.get("method", "otr"), MethodConfig).implied(given)]
 
@@ -226,15 +230,15 @@ class RunWorkflow(Workflow):
     def _baseline(self, config: RunConfig, overrides: Sequence[str]) -> RunConfig:
         """Return what the same env, method, depth, budget, trainer and seed give without any other override."""
         env = [override for override in overrides if override.startswith("env=") or is_search(override)]
-        algorithm = [f"algo={config.algo.name}"]
         if isinstance(config.algo, ArsConfig):
+            way = ["algo=ars"]
             if config.method.imitates:
-                algorithm.append(f"oracle=[{WIDEST_LAYER}]")  # as the roads have it: no larger network is searched
-        elif not {*algorithm, f"trainer={config.trainer.name}"} <= {*_road(_named(config))}:
-            algorithm = []  # the environment's own
+                way.append(f"oracle=[{WIDEST_LAYER}]")  # as the roads have it: no larger network is searched
+        else:
+            way = _way(config)
         baseline: RunConfig = self.composed([
             *env, f"method={config.method.name}", f"budget={config.budget.name}",
-            f"trainer={config.trainer.name}", *algorithm, f"depth={config.depth}", f"seed={config.seed}",
+            f"trainer={config.trainer.name}", *way, f"depth={config.depth}", f"seed={config.seed}",
         ]).config  # fmt: skip
         return baseline
 
@@ -262,9 +266,20 @@ def _named_ids() -> dict[str, str]:
     return {str(OmegaConf.load(path).env.id): path.stem for path in (CONF_DIR / "env").glob("*.yaml")}
 
 
-def _named(config: RunConfig) -> dict[str, str]:
-    """Return the names by which a budget has its roads."""
-    return {"env": config.env.name, "method": config.method.name, "budget": config.budget.name}
+def _way(config: RunConfig) -> list[str]:
+    """Return what a budget's roads in an environment say of training by a run's algorithm and trainer, but the trainer.
+
+    The method's own road stands before those of others, as an oracle is trained by its imitator's. Nothing is said of the
+    environment's own algorithm, as a rule.
+    """
+    named = {"env": config.env.name, "budget": config.budget.name}
+    for method in (config.method.name, *_roads(config.budget.name)):
+        road = _road({**named, "method": method})
+        given = dict(override.split("=", 1) for override in road)
+        algorithm = given.get("algo", "").partition("_")[0]  # ppo_normalised is PPO
+        if (algorithm, given.get("trainer")) == (config.algo.name, config.trainer.name):
+            return [override for override in road if key_of(override) in OF_A_WAY - {"trainer"}]
+    return []
 
 
 def _road(given: Mapping[str, str]) -> Sequence[str]:

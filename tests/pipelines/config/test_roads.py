@@ -22,7 +22,13 @@ def made(*overrides):
         (["env=hopper_v5"], "ars", "ars", "runs/hopper_v5/otr/depth-6/standard-ars/seed-0"),
         (["env=hopper", "method=linear", "depth=0"], "ars", "ars", "runs/hopper/linear/depth-0/standard-ars/seed-0"),
         (["env=reacher"], "sac", "fleet", "runs/reacher/otr/depth-6/standard-fleet/seed-0"),
-        (["env=bipedalwalker"], "sac", "fleet", "runs/bipedalwalker/otr/depth-6/standard-fleet/seed-0"),
+        (["env=bipedalwalker"], "ppo", "sb3", "runs/bipedalwalker/otr/depth-6/standard/seed-0"),
+        (
+            ["env=bipedalwalker", "algo=sac", "trainer=fleet"],
+            "sac",
+            "fleet",
+            "runs/bipedalwalker/otr/depth-6/standard-fleet/seed-0",
+        ),
         (["env=hopper", "budget=thesis"], "sac", "sb3", "runs/hopper/otr/depth-6/thesis/seed-0"),
         (["env=hopper", "trainer=fleet"], "sac", "fleet", None),
         (["env=hopper", "algo=sac"], "sac", "sb3", None),
@@ -47,14 +53,25 @@ def test_a_searched_oracle_is_the_run_of_otr_32():
 
 
 def test_an_oracle_has_the_algorithm_of_the_road():
-    """The biped's own algorithm is PPO, and its road SAC in a fleet: for an oracle as well, and spelt out or not."""
+    """The biped's own algorithm is PPO, and its oracles' SAC in a fleet: spelt out or not."""
     for method in ("method=viper", "method=distilled_otr"):
         (job,) = RUN.jobs([["env=bipedalwalker", method]])
         assert job.oracle is not None and job.oracle.config.algo.name == "sac"
-        assert job.oracle.folder == made("env=bipedalwalker", "depth=[256,256]").folder
     spelt_out = made("env=bipedalwalker", "algo=sac", "trainer=fleet", "depth=[256,256]")
     assert spelt_out.folder == job.oracle.folder and not spelt_out.changes
     assert "~" in made("env=bipedalwalker", "algo=sac").folder  # of a trainer that the road has not
+
+
+def test_who_names_another_algorithm_or_trainer_leaves_the_road_with_all_that_it_says_of_training():
+    on_the_road = made("env=bipedalwalker")
+    assert (on_the_road.algo.normalise, on_the_road.train.steps) == (True, 1_000_000) and not on_the_road.changes
+    own_way = made("env=bipedalwalker", "algo=ppo")
+    assert (own_way.algo.normalise, own_way.train.steps) == (False, 400_000) and "~" in own_way.folder
+    assert made("env=bipedalwalker", "trainer=sb3").settings() == on_the_road.settings()
+    spelt_out = made("env=bipedalwalker", "algo=ppo_normalised", "train.steps=1_000_000",
+                     "train.eval_interval_steps=50_000", "trainer=sb3")  # fmt: skip
+    assert spelt_out.folder == on_the_road.folder
+    assert made("env=bipedalwalker", "algo=sac", "trainer=fleet").train.steps == 400_000
 
 
 @pytest.mark.parametrize("env", ["env=hopper", "env=pendulum"])

@@ -44,7 +44,7 @@ OF_TRAINING = ("env", "algo", "actor", "trainer", "budget", "train", "experiment
 # What stands for a method and its policy, and what is done with that.
 GIVEN_POLICIES = {"program": "evaluated", "model": "imported"}
 
-# Who trains: whoever names another than a budget's road does goes a way of their own, for as long as the budget says, and
+# Who trains: whoever names another than a budget's road goes a way of their own, for as long as the budget says, and
 # trains an oracle of the usual size.
 TRAINED_BY = {"algo", "trainer"}
 OF_A_WAY = TRAINED_BY | {"oracle", "train.steps", "train.eval_interval_steps"}
@@ -269,8 +269,8 @@ def _named_ids() -> dict[str, str]:
 def _way(config: RunConfig) -> list[str]:
     """Return what a budget's roads in an environment say of training by a run's algorithm and trainer, but the trainer.
 
-    The method's own road stands before those of others, as an oracle is trained by its imitator's. Nothing is said of the
-    environment's own algorithm, as a rule.
+    The method's own road stands before those of others, as an oracle is trained by its imitator's. As a rule nothing
+    is said of the environment's own algorithm.
     """
     named = {"env": config.env.name, "budget": config.budget.name}
     for method in (config.method.name, *_roads(config.budget.name)):

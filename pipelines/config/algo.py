@@ -43,8 +43,6 @@ class AlgoConfig:
 
     def check(self, key: str, depth: int | list[int], actor: ActorConfig) -> None:
         """Raise ConfigError if the algorithm does not train this actor."""
-        if actor.dense != "none":
-            raise ConfigError(f"actor.dense={actor.dense}: algo={self.name} trains layered actors; use algo=ars")
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,9 @@ Every parameter of a stack is a view into one array with a row a network, so tha
 update is one operation. Activations live in a workspace that passes share one after another, which keeps them in the
 cache. A network's bits do not depend on how many there are (`stacked_tensors`).
 
+With `dense`, layers after the first read the inputs beside the activations before them: concat(a, x), as in
+`otr.ReluNetwork` with `dense="input"`.
+
 With `precision="bf16"` the products between wide layers, where almost all arithmetic is, take bfloat16 factors and sum
 in float32; parameters, first and last layers and everything elementwise stay float32.
 """
@@ -25,7 +28,8 @@ class Layers:
     """A stack of n networks with layer widths w0, ..., wk, as views into `flat`."""
 
     flat: Tensor  # (n, padded), a network's weights, then its biases, layer by layer, each with zeros behind it
-    # (n, w[i], w[i+1]) each: inputs times weights, which the products are faster with than transposed
+    # (n, w[i], w[i+1]) each: inputs times weights, which the products are faster with than transposed; where layers are
+    # dense, those after the first have w0 rows more
     weights: list[Tensor]
     biases: list[Tensor]  # (n, 1, w[i+1]) each
     factors: list[Tensor]  # the weights as they enter products: the weights themselves, or their bfloat16 copies
@@ -43,9 +47,9 @@ class Layers:
                 factor.copy_(weight)
 
 
-def new_layers(n: int, widths: Sequence[int], precision: str = "fp32") -> Layers:
+def new_layers(n: int, widths: Sequence[int], precision: str = "fp32", dense: bool = False) -> Layers:
     """Return a stack of n networks, all zeros, of torch's default type (float32 unless a test sets another)."""
-    shapes = list(itertools.pairwise(widths))
+    shapes = [(w_in + dense * (i > 0) * widths[0], w_out) for i, (w_in, w_out) in enumerate(itertools.pairwise(widths))]
     parts = [*shapes, *((1, w_out) for w_out in widths[1:])]
     sizes = [w_in * w_out for w_in, w_out in parts]
     flat = torch.zeros(n, sum(map(padded, sizes)))
@@ -69,14 +73,21 @@ class StackedMlp:
         n_rows: inputs per network.
         negative_slope: 0 is ReLU.
         n_back_rows: the first so many inputs take part in `backward`; None for all.
+        dense: whether layers after the first read the inputs, too.
     """
 
     def __init__(
-        self, layers: Layers, n_rows: int, negative_slope: float = 0.0, n_back_rows: int | None = None
+        self,
+        layers: Layers,
+        n_rows: int,
+        negative_slope: float = 0.0,
+        n_back_rows: int | None = None,
+        dense: bool = False,
     ) -> None:
         self.n_rows = n_rows
         self._n_networks = len(layers.flat)
         self._slope = negative_slope
+        self._dense = dense
         self._n_back_rows = n_rows if n_back_rows is None else n_back_rows
         self._stacks: dict[tuple[str, int], Tensor] = {}
         # What a layer gives out has the type of what the next one multiplies.
@@ -84,6 +95,11 @@ class StackedMlp:
         self._outputs = [
             self._stack("output", i, (n_rows, weight.shape[2]), dtype)
             for i, (weight, dtype) in enumerate(zip(layers.weights, types, strict=True))
+        ]
+        # What the layers after the first read, by the layer before them
+        self._read = [
+            self._stack("read", i, (n_rows, weight.shape[1]), layers.flat.dtype) if dense else output
+            for i, (weight, output) in enumerate(zip(layers.weights[1:], self._outputs, strict=False))
         ]
 
     @property
@@ -104,8 +120,11 @@ class StackedMlp:
             torch.add(multiply(x, factor, product), bias, out=output)
             if i < last:
                 self._activate(output)
-            x = output
-        return x
+                x = self._read[i]
+                if self._dense:
+                    x[:, :, : output.shape[2]] = output
+                    x[:, :, output.shape[2] :] = inputs
+        return self.outputs
 
     def backward(
         self,
@@ -122,14 +141,15 @@ class StackedMlp:
             inputs: as in forward.
             d_outputs: (n, n_back_rows, w_last), the loss's derivative by the outputs, a stack of `new_stack`.
             gradients: where the derivatives by weights and biases are written; None where they are not wanted.
-            inputs_from: the derivative by the inputs from this column on is returned; None where it is not wanted.
+            inputs_from: the derivative by the inputs from this column on is returned; None where it is not wanted, which
+                is all that dense networks have.
 
         Returns:
             (n, n_back_rows, w0 - inputs_from), or None; the next pass overwrites it.
         """
         delta = d_outputs
         for i in reversed(range(len(layers.weights))):
-            x = (self._outputs[i - 1] if i else inputs)[:, : self._n_back_rows]
+            x = (self._read[i - 1] if i else inputs)[:, : self._n_back_rows]
             factor = layers.factors[i]
             if delta.dtype != factor.dtype:
                 delta = self._stack("copy", i, delta.shape[1:], factor.dtype).copy_(delta)
@@ -137,12 +157,13 @@ class StackedMlp:
                 self._weight_gradient(i, x, delta, gradients)
             if i == 0 and inputs_from is None:
                 return None
-            factor = factor if i else factor[:, inputs_from:]
+            output = self._outputs[i - 1][:, : self._n_back_rows]
+            factor = factor[:, : output.shape[2]] if i else factor[:, inputs_from:]
             below = self._stack("delta", i, (self._n_back_rows, factor.shape[1]), factor.dtype)
             multiply(delta, factor.transpose(1, 2), below)
             if i == 0:
                 return below
-            self._activate_backward(below, x)
+            self._activate_backward(below, output)
             delta = below
         raise AssertionError("a network has layers")
 

@@ -33,6 +33,7 @@ class Shapes:
     negative_slope: float = 0.0  # of the actor's and critics' activation
     tau: float = 0.005  # share of the online critics that goes into their targets at each update
     precision: str = "fp32"  # fp32 or bf16 (see `mlp`)
+    dense: bool = False  # whether the actor's layers after the first read the state, too
 
 
 @dataclass(frozen=True)
@@ -65,12 +66,14 @@ class FleetSac:
         actor_widths = (shapes.n_inputs, *shapes.actor, 2 * shapes.n_actions)  # means, then log standard deviations
         critic_widths = (shapes.n_inputs + shapes.n_actions, *shapes.critic, 1)
 
-        def stack(n_networks: int, widths: Sequence[int], precision: str = "fp32") -> Layers:
-            return new_layers(n_networks, widths, precision)
+        def actors() -> Layers:
+            return new_layers(n, actor_widths, dense=shapes.dense)
 
-        self.actor = stack(n, actor_widths)
-        self.critics = stack(N_CRITICS * n, critic_widths, shapes.precision)
-        self.targets = stack(N_CRITICS * n, critic_widths, shapes.precision)
+        def critics(precision: str = "fp32") -> Layers:
+            return new_layers(N_CRITICS * n, critic_widths, precision)
+
+        self.actor = actors()
+        self.critics, self.targets = critics(shapes.precision), critics(shapes.precision)
         # A run's temperature, its gradient and its moments begin rows of their own, as its parameters do.
         temperature_rows = [torch.zeros(n, ROW_MULTIPLE) for _ in range(4)]
         self.log_temperature, self._temperature_gradient, *self.temperature_moments = (
@@ -78,12 +81,12 @@ class FleetSac:
         )
         self._temperature_rows = temperature_rows
         # Gradients and Adam's two moments have the layout of the parameters.
-        self.actor_gradients, *self.actor_moments = (stack(n, actor_widths) for _ in range(3))
-        self.critic_gradients, *self.critic_moments = (stack(N_CRITICS * n, critic_widths) for _ in range(3))
+        self.actor_gradients, *self.actor_moments = (actors() for _ in range(3))
+        self.critic_gradients, *self.critic_moments = (critics() for _ in range(3))
         self._n_updates_before = n_updates
         self._groups: tuple[list[AdamGroup], list[AdamGroup]] | None = None
 
-        self._actor_pass = StackedMlp(self.actor, 2 * rows, shapes.negative_slope, n_back_rows=rows)
+        self._actor_pass = StackedMlp(self.actor, 2 * rows, shapes.negative_slope, rows, shapes.dense)
         self._critic_pass = StackedMlp(self.critics, rows, shapes.negative_slope)
         self._actions = SquashedActions(n, 2 * rows, shapes.n_actions)
         self._acting: tuple[StackedMlp, Tensor, SquashedActions] | None = None
@@ -169,7 +172,7 @@ class FleetSac:
         n, n_envs, n_inputs = states.shape
         if self._acting is None or self._acting[0].n_rows != n_envs:
             self._acting = (
-                StackedMlp(self.actor, n_envs, self.shapes.negative_slope),
+                StackedMlp(self.actor, n_envs, self.shapes.negative_slope, dense=self.shapes.dense),
                 new_stack(n, n_envs, n_inputs),
                 SquashedActions(n, n_envs, self.shapes.n_actions),
             )
@@ -180,7 +183,8 @@ class FleetSac:
         """Return one run's deterministic actions in [-1, 1], (n, n_actions), in states (n, n_inputs)."""
         actor = self.actor.only(run)
         inputs = new_stack(1, *states.shape).copy_(states)
-        outputs = StackedMlp(actor, len(states), self.shapes.negative_slope).forward(actor, inputs)
+        network = StackedMlp(actor, len(states), self.shapes.negative_slope, dense=self.shapes.dense)
+        outputs = network.forward(actor, inputs)
         return torch.tanh(outputs[0, :, : self.shapes.n_actions])
 
     # -- learning -------------------------------------------------------------------------------------------------

@@ -9,7 +9,19 @@ from torch import Tensor, nn
 from pipelines.training.fleet.sac import FleetSac, Minibatch
 
 
-def mlp(layers: list[tuple[Tensor, Tensor]], slope: float) -> nn.Sequential:
+class Dense(nn.Sequential):
+    """Layers of which those after the first read the input beside the activations before them."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return the outputs (n, w_last) of inputs (n, w_first)."""
+        read = x
+        for module in self:
+            y = module(read)
+            read = y if isinstance(module, nn.Linear) else torch.cat([y, x], 1)
+        return y
+
+
+def mlp(layers: list[tuple[Tensor, Tensor]], slope: float, dense: bool = False) -> nn.Sequential:
     """Return a (leaky) ReLU network with a copy of the given weights (w_in, w_out) and biases (1, w_out)."""
     modules: list[nn.Module] = []
     for weight, bias in layers:
@@ -17,7 +29,7 @@ def mlp(layers: list[tuple[Tensor, Tensor]], slope: float) -> nn.Sequential:
         linear.weight.data.copy_(weight.T)
         linear.bias.data.copy_(bias[0])
         modules += [linear, nn.LeakyReLU(slope)]
-    return nn.Sequential(*modules[:-1])
+    return (Dense if dense else nn.Sequential)(*modules[:-1])
 
 
 class AutogradSac:
@@ -29,7 +41,7 @@ class AutogradSac:
         def network(name: str, row: int) -> nn.Sequential:
             n_layers = sum(key.startswith(f"{name}.weight") for key in tensors)
             layers = [(tensors[f"{name}.weight{i}"][row], tensors[f"{name}.bias{i}"][row]) for i in range(n_layers)]
-            return mlp(layers, self.shapes.negative_slope)
+            return mlp(layers, self.shapes.negative_slope, self.shapes.dense and name == "actor")
 
         self.actor = network("actor", 0)
         self.critics, self.targets = (

@@ -119,6 +119,7 @@ def in_float64(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         yield
 
 
+@pytest.mark.parametrize("dense", [False, True], ids=["layered", "dense"])
 @pytest.mark.parametrize("actor", [(), (6,), (8, 8)], ids=str)
 @pytest.mark.parametrize(
     ("slope", "decay", "temperature"),
@@ -126,9 +127,9 @@ def in_float64(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     ids=["plain", "leaky, weight decay", "fixed temperature"],
 )
 def test_gradients_are_those_of_autograd(
-    actor: tuple[int, ...], slope: float, decay: float, temperature: float | None
+    actor: tuple[int, ...], slope: float, decay: float, temperature: float | None, dense: bool
 ) -> None:
-    shapes = Shapes(N_INPUTS, N_ACTIONS, actor, (64, 64), BATCH, negative_slope=slope, tau=0.01)
+    shapes = Shapes(N_INPUTS, N_ACTIONS, actor, (64, 64), BATCH, negative_slope=slope, tau=0.01, dense=dense)
     generator = torch.Generator().manual_seed(4)
     with float64():
         fleet = new_fleet(shapes, [0], [RunSettings(1e-3, 0.98, decay, temperature)])
@@ -216,12 +217,12 @@ def assert_same(alone: FleetSac, fleet: FleetSac, run: int) -> None:
         assert torch.equal(tensor, fleet.tensors(run)[name]), name
 
 
-@pytest.mark.parametrize("precision", ["fp32", "bf16"])
+@pytest.mark.parametrize(("precision", "dense"), [("fp32", False), ("fp32", True), ("bf16", False)])
 @pytest.mark.parametrize(("actor", "critic"), [((), (64, 64)), ((6,), (256, 256)), ((7, 5), (100, 65))], ids=str)
 def test_a_run_of_a_fleet_is_the_run_alone_bit_for_bit(
-    precision: str, actor: tuple[int, ...], critic: tuple[int, ...]
+    precision: str, dense: bool, actor: tuple[int, ...], critic: tuple[int, ...]
 ) -> None:
-    shapes = Shapes(N_INPUTS, N_ACTIONS, actor, critic, BATCH, negative_slope=0.05, precision=precision)
+    shapes = Shapes(N_INPUTS, N_ACTIONS, actor, critic, BATCH, negative_slope=0.05, precision=precision, dense=dense)
     seeds = [0, 1, 2, 3]
     settings = [RunSettings(1e-3, 0.99), RunSettings(3e-4, 0.9, 1e-2), *[RunSettings(1e-3, 0.99)] * 2]
     together, alike = new_fleet(shapes, seeds, settings), new_fleet(shapes, seeds[2:])

@@ -75,6 +75,17 @@ def test_a_run_in_company_is_the_run_alone(fleet_run, tmp_path, n_envs):
     assert not same(together[0], together[1])
 
 
+@pytest.mark.parametrize("depth", [0, 4, [4, 3]], ids=str)
+def test_a_dense_actor_has_a_linear_map_of_the_state(fleet_run, tmp_path, depth):
+    (out,) = trained([fleet_run(actor=ActorConfig(0.05, dense="input"), depth=depth)], tmp_path)
+    network = load_actor(out)  # the training has compared it with the trained policy on the selection episodes' states
+    assert network.dense == "input"
+    if depth:
+        neurons = network.hidden_widths[-1]
+        state_map = network.weights[-1][:, neurons:]
+        assert state_map.shape[1] == network.n_inputs and np.any(state_map)
+
+
 def test_result_has_the_artefacts_of_the_other_trainer(fleet_run, tiny, tmp_path):
     from pipelines.stages.train import train as train_by_sb3
 

@@ -123,6 +123,6 @@ def test_what_is_refused(search_run, changes, message):
         search_run(**changes)
 
 
-def test_gradients_train_no_dense_actor(tiny):
-    with pytest.raises(ConfigError, match=r"actor\.dense=input: algo=sac trains layered actors"):
+def test_stable_baselines3_trains_no_dense_actor(tiny):
+    with pytest.raises(ConfigError, match=r"actor\.dense=input: trainer=sb3 trains layered actors"):
         tiny(actor=ActorConfig(0.0, dense="input"))

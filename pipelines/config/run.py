@@ -103,8 +103,8 @@ class RunConfig:
             self.algo.check(key, getattr(self, key), self.actor)
             if self.actor.dense != "none" and self.trainer_name == "sb3":
                 raise ConfigError(
-                    f"actor.dense={self.actor.dense}: trainer=sb3 trains layered actors; use algo=ars, or algo=sac with "
-                    "trainer=fleet"
+                    f"actor.dense={self.actor.dense}: trainer=sb3 trains layered actors; use algo=ars, or algo=sac "
+                    "with trainer=fleet"
                 )
         if self.fleet:
             self.fleet.check(self.algo)

@@ -141,8 +141,8 @@ class StackedMlp:
             inputs: as in forward.
             d_outputs: (n, n_back_rows, w_last), the loss's derivative by the outputs, a stack of `new_stack`.
             gradients: where the derivatives by weights and biases are written; None where they are not wanted.
-            inputs_from: the derivative by the inputs from this column on is returned; None where it is not wanted, which
-                is all that dense networks have.
+            inputs_from: the derivative by the inputs from this column on is returned; None where it is not wanted, and
+                always for dense networks, of which it would be a part.
 
         Returns:
             (n, n_back_rows, w0 - inputs_from), or None; the next pass overwrites it.

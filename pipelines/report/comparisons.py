@@ -53,9 +53,18 @@ def _rows(results_dir: Path) -> Iterator[dict[str, Any]]:
 
 
 def _rival(cells: dict[Any, pd.DataFrame], ours: Any, policy: tuple[str, str]) -> Any:
-    """Return which runs of a rival stand beside ours: those of the same budget and trainer, else the most there are."""
+    """Return which runs of a rival stand beside ours: of the same budget before others, then the most there are.
+
+    Of as many by several trainers those that Table 4.1 shows, which come first.
+    """
     rivals = [key for key in cells if key[:2] == policy]
-    return max(rivals, key=lambda key: (key[2:] == ours[2:], len(cells[key])), default=None)
+    return max(rivals, key=lambda key: (_level(key) == _level(ours), len(cells[key])), default=None)
+
+
+def _level(key: Any) -> str:
+    """Return the budget of a cell, whoever trained."""
+    budget: str = key[len(KEY) - 1]
+    return budget.partition("-")[0]
 
 
 def _compared(

@@ -57,6 +57,15 @@ def test_a_rival_of_the_same_budget_is_taken_else_the_most_runs(tmp_path):
     assert (other["rival_budget"], other["n_starts"], float(other["difference"])) == ("quick", "30", 4.0)
 
 
+def test_a_rival_by_another_trainer_is_taken_where_it_is_the_tables(tmp_path):
+    for seed in range(2):
+        played(tmp_path, f"hopper/otr/depth-6/standard/seed-{seed}", 5.0)
+        played(tmp_path, f"hopper/otr/depth-6/standard-fleet/seed-{seed}", -5.0)
+        played(tmp_path, f"hopper/viper/depth-6/standard-fleet/seed-{seed}", 0.0)
+    _, found = rows(tmp_path)
+    assert found["viper", "standard-fleet", "otr-6"]["rival_budget"] == "standard"
+
+
 def test_a_polished_policy_has_its_own_episodes(tmp_path):
     played(tmp_path, "hopper/linear/depth-0/quick/seed-0", 0.0)
     moments = {"return_mean": 1026.5, "n_episodes": 40}

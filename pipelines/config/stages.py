@@ -1,7 +1,7 @@
 """The actor, and what each stage of a run is told beside the method."""
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pipelines.config.setting import AsBefore, Count, NotNegative, OneOf, Positive, Range, Seed, Share
 
@@ -16,6 +16,11 @@ class ActorConfig:
     rescale_inputs: Annotated[bool, AsBefore(False)] = False
     # "input": a linear map of the state beside the neurons (dense links, Orfanos 2023, Corollary 1); "none" is without
     dense: Annotated[str, OneOf("none", "input"), AsBefore("none")] = "none"
+
+    @property
+    def links(self) -> Literal["input", False]:
+        """The dense links as networks have them."""
+        return "input" if self.dense == "input" else False
 
 
 @dataclass(frozen=True)

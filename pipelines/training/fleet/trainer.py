@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -66,7 +66,7 @@ class FleetTrainer:
             config.actor.negative_slope,
             algo.tau,
             config.fleet.precision,
-            config.actor.dense == "input",
+            bool(config.actor.links),
         )
         self._learner = FleetSac(shapes, [run.settings for run in runs], runs[0].n_updates)
         for r, run in enumerate(runs):
@@ -100,8 +100,7 @@ class FleetTrainer:
         biases = [tensors[f"actor.bias{i}"][0, 0].double().numpy() for i in range(n_layers)]
         weights[-1], biases[-1] = weights[-1][:n_actions], biases[-1][:n_actions]  # the means
         actor, head = self._config.actor, otr.TanhBox(self._task.low, self._task.high)
-        dense: Literal["input", False] = "input" if actor.dense == "input" else False
-        return otr.ReluNetwork(weights, biases, negative_slope=actor.negative_slope, dense=dense, head=head)
+        return otr.ReluNetwork(weights, biases, negative_slope=actor.negative_slope, dense=actor.links, head=head)
 
     def answers(self, r: int, states: np.ndarray) -> np.ndarray:
         """Return a run's own deterministic actions on states (n, d)."""

@@ -23,7 +23,7 @@ def network_shape(config: RunConfig) -> NetworkShape:
         config.hidden_widths,
         space.n_actions,
         space.box,
-        "input" if config.actor.dense == "input" else False,
+        config.actor.links,
         config.actor.negative_slope,
     )
 

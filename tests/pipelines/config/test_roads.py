@@ -72,6 +72,8 @@ def test_who_names_another_algorithm_or_trainer_leaves_the_road_with_all_that_it
                      "train.eval_interval_steps=50_000", "trainer=sb3")  # fmt: skip
     assert spelt_out.folder == on_the_road.folder
     assert made("env=bipedalwalker", "algo=sac", "trainer=fleet").train.steps == 400_000
+    soft_tree = made("env=bipedalwalker", "method=pi_prl")
+    assert soft_tree.algo.normalise and soft_tree.folder == "runs/bipedalwalker/pi_prl/depth-6/standard/seed-0"
 
 
 @pytest.mark.parametrize("env", ["env=hopper", "env=pendulum"])

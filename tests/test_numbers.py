@@ -1,0 +1,106 @@
+"""The numbers in prose are those of the committed runs and fits: a page that has fallen behind them fails here."""
+
+import re
+
+import pandas as pd
+import pytest
+import yaml
+
+from pipelines.report import load_fits, load_runs
+from tests.committed import RESULTS
+
+ROOT = RESULTS.parent
+NUMBER = r"-?(?:\d{1,3}(?:,\d{3})+(?:\.\d+)?|\d*\.?\d+)"
+SPREAD = re.compile(rf"({NUMBER}) ± ({NUMBER})")
+RETURN = re.compile(rf"\bof ({NUMBER})(?: at depth (\d+))?")
+RANGE = re.compile(rf"\(({NUMBER}) to ({NUMBER})\)")
+TASKS = ("reacher", "walker2d", "hopper", "halfcheetah", "ant", "swimmer", "bipedalwalker", "pendulum")
+EXPECTED = yaml.safe_load((ROOT / "conf/budget/standard.yaml").read_text())["expected"]
+
+
+@pytest.fixture(scope="module")
+def runs():
+    """Return the runs of one setting, a row each: mean, std (n - 1), min and max over runs of the mean return."""
+    keys = ["env", "method", "depth", "budget", "trainer", "settings", "oracle.hidden_widths", "form"]
+    return (
+        load_runs("results").groupby(keys, dropna=False)["return_mean"].agg(["mean", "std", "min", "max"]).reset_index()
+    )
+
+
+@pytest.fixture(scope="module")
+def spreads(runs):
+    """Return the pairs of a mean and a standard deviation in the results, over runs or seeds, of trees and of networks.
+
+    Pairs of one run, over its episodes, and the published ones count among the trees'.
+    """
+    fits = load_fits("results").groupby(["data", "split", "method", "settings"], dropna=False)
+    published = pd.read_csv(RESULTS / "tables/table_4_1.csv")[["published_mean", "published_std"]]
+    each = load_runs("results")[["return_mean", "return_std"]]
+    tables = {
+        "tree": [runs[["mean", "std"]], each, published, fits["test"].agg(["mean", "std"])],
+        "network": [fits["whole_test"].agg(["mean", "std"])],
+    }
+    return {
+        form: [tuple(row) for each in found for row in each.dropna().to_numpy(float)] for form, found in tables.items()
+    }
+
+
+def is_rounded(told: str, number: float) -> bool:
+    """Return whether what is told, such as 1,234.5, is the number, rounded to as many digits; a tie goes both ways."""
+    decimals = len(told.partition(".")[2])
+    return abs(float(told.replace(",", "")) - number) <= 0.5 * 10**-decimals + 1e-9
+
+
+def test_rounding_is_told_from_another_number():
+    assert is_rounded("9,357", 9357.46)
+    assert not is_rounded("9,358", 9357.46)
+    assert is_rounded(".867", 0.8671)
+    assert not is_rounded("-4.1", -4.04)
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/results.md", "docs/methods.md", "docs/data.md"])
+def test_means_and_spreads_on_a_page_are_of_committed_results(page, spreads):
+    """A line that gives the score of a fit's network, not of the tree that is counted, says `network`."""
+    text = re.sub(r"```.*?```", "", (ROOT / page).read_text(), flags=re.DOTALL)
+    told = [(match, line) for line in text.splitlines() for match in SPREAD.findall(line)]
+    assert told
+    strange = []
+    for (mean, std), line in told:
+        known = spreads["tree"] + (spreads["network"] if "network" in line else [])
+        if not any(is_rounded(mean, each[0]) and is_rounded(std, each[1]) for each in known):
+            strange.append(f"{mean} ± {std}")
+    assert strange == []
+
+
+def rows_by_task(page: str, column: int) -> list[tuple[str, str]]:
+    """Return (task, cell of the column) of a page's table on the thesis's eight tasks, which has a row for each."""
+    rows = [line.strip("| ").split(" | ") for line in (ROOT / page).read_text().splitlines() if line.startswith("| ")]
+    names = {cells[0].lower().replace("-", ""): cells for cells in rows if len(cells) > column}
+    found = [(env, names[name][column]) for env in TASKS for name in names if name and env.startswith(name)]
+    assert [env for env, _ in found] == list(TASKS)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("page", "column"), [("README.md", 1), ("README.md", 2), ("README.md", 3), ("docs/results.md", 2)]
+)
+def test_numbers_in_a_row_of_a_task_are_those_of_its_runs(page, column, runs):
+    for env, cell in rows_by_task(page, column):
+        means = runs[runs.env == env][["mean", "min", "max"]].to_numpy().ravel()
+        told = re.findall(rf"(?<![\w(±.,-])({NUMBER})(?![\w.,]*\d|M)", re.sub(r"± \S+|\(\d+\)", "", cell))
+        assert told, cell
+        assert [number for number in told if not any(is_rounded(number, mean) for mean in means)] == [], cell
+
+
+@pytest.mark.parametrize(("method", "env"), [(method, env) for method, told in EXPECTED.items() for env in told])
+def test_what_a_run_is_said_to_come_to_is_what_the_committed_runs_came_to(method, env, runs):
+    """`expected` says a mean for each depth, and in brackets the least and the best run."""
+    kin = runs[(runs.env == env) & (runs.method == method) & runs.budget.str.startswith("standard")]
+    returns = RETURN.findall(EXPECTED[method][env])
+    assert returns
+    for told, depth in returns:
+        means = kin[kin.depth == (depth or "0")]["mean"]
+        assert any(is_rounded(told, mean) for mean in means), f"{told} at depth {depth or 0}: {sorted(means)}"
+    for least, best in RANGE.findall(EXPECTED[method][env]):
+        ranges = list(kin[["min", "max"]].itertuples(index=False))
+        assert any(is_rounded(least, low) and is_rounded(best, high) for low, high in ranges), ranges

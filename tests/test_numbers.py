@@ -58,7 +58,14 @@ def test_rounding_is_told_from_another_number():
     assert not is_rounded("-4.1", -4.04)
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/results.md", "docs/methods.md", "docs/data.md"])
+@pytest.mark.parametrize(
+    "page",
+    [
+        page.relative_to(ROOT).as_posix()
+        for page in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
+        if SPREAD.search(page.read_text()) and page.stem not in ("benchmarks", "programs")  # their own measurements
+    ],
+)
 def test_means_and_spreads_on_a_page_are_of_committed_results(page, spreads):
     """A line that gives the score of a fit's network, not of the tree that is counted, says `network`."""
     text = re.sub(r"```.*?```", "", (ROOT / page).read_text(), flags=re.DOTALL)
@@ -104,3 +111,14 @@ def test_what_a_run_is_said_to_come_to_is_what_the_committed_runs_came_to(method
     for least, best in RANGE.findall(EXPECTED[method][env]):
         ranges = list(kin[["min", "max"]].itertuples(index=False))
         assert any(is_rounded(least, low) and is_rounded(best, high) for low, high in ranges), ranges
+
+
+def test_the_note_under_table_4_1_names_the_tasks_whose_actors_are_dense():
+    cells = pd.read_csv(RESULTS / "tables/table_4_1.csv").query("table == '4.1' and method == 'otr'")
+    found = {True: set(), False: set()}
+    for cell in cells.itertuples():
+        for config in (RESULTS / f"runs/{cell.task}/otr/depth-{cell.depth}/{cell.budget}").glob("seed-?/config.yaml"):
+            found["dense: input" in config.read_text()].add(cell.task)
+    named = re.search(r"OTR: on (.*) a linear map", (RESULTS / "tables/table_4_1.md").read_text())[1]
+    assert re.split(", | and ", named.lower()) == [task for task in TASKS if task in found[True]]
+    assert not found[True] & found[False]

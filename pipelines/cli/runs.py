@@ -47,7 +47,7 @@ GIVEN_POLICIES = {"program": "evaluated", "model": "imported"}
 # Who trains: whoever names another than a budget's road goes a way of their own, for as long as the budget says, and
 # trains an oracle of the usual size.
 TRAINED_BY = {"algo", "trainer"}
-OF_A_WAY = TRAINED_BY | {"oracle", "train.steps", "train.eval_interval_steps"}
+OF_A_WAY = TRAINED_BY | {"oracle", "actor.dense", "train.steps", "train.eval_interval_steps"}
 
 
 def run_config(overrides: Sequence[str]) -> RunConfig:
@@ -356,8 +356,8 @@ def _model(config: RunConfig, overrides: Sequence[str]) -> tuple[ImportedModel, 
 def _of_oracle(config: RunConfig, overrides: Sequence[str]) -> list[str]:
     """Return the overrides of the run that trains an oracle: the oracle's layers are the depth of method=otr.
 
-    Its trainer, or the search, is the imitating run's, which may be on a budget's road. An oracle from a file is
-    imported by method=model.
+    Its trainer, or the search, is the imitating run's, which may be on a budget's road. So are its dense links: what
+    the road of OTR says of them, it says of small actors. An oracle from a file is imported by method=model.
     """
     own = [override for override in overrides if key_of(override).split(".")[0] in OF_TRAINING or is_search(override)]
     if config.imported is not None:
@@ -367,7 +367,10 @@ def _of_oracle(config: RunConfig, overrides: Sequence[str]) -> list[str]:
         own.append(f"trainer={config.trainer.name}")
         own += [override for override in RUN.implied(overrides) if key_of(override) == "algo"]
     depth = f"depth={config.oracle}".replace(" ", "")
-    return [*own, depth, "method=otr", "stages=[train]", f"seed={config.seed}"]
+    trained = [*own, depth, "method=otr", "stages=[train]", f"seed={config.seed}"]
+    links = f"actor.dense={config.actor.dense}"
+    is_other = any(key_of(override) == "actor.dense" and override != links for override in RUN.implied(trained))
+    return [*trained, links] if is_other else trained
 
 
 RUN = RunWorkflow(

@@ -217,7 +217,16 @@ def run_folder(config: RunConfig, baseline: RunConfig) -> str:
 def changes_text(config: RunConfig, baseline: RunConfig) -> str:
     """Return what differs from the baseline, as overrides: `method.leaves=constant, oracle=[32]`; mostly nothing."""
     differences = {} if config is baseline else setting_differences(config.settings(), baseline.settings())
-    return ", ".join(f"{key}={_as_override(new)}" for key, (new, _) in differences.items())
+    told = {key: _not_keyed(config, key) if new is None else new for key, (new, _) in differences.items()}
+    return ", ".join(f"{key}={_as_override(value)}" for key, value in told.items())
+
+
+def _not_keyed(config: RunConfig, key: str) -> Any:
+    """Return the value of a setting that keys leave out where it is as before (actor.dense=none), or None."""
+    value: Any = config
+    for name in key.split("."):
+        value = getattr(value, name, None)
+    return value
 
 
 def _as_override(value: Any) -> str:

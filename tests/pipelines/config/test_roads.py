@@ -76,6 +76,18 @@ def test_who_names_another_algorithm_or_trainer_leaves_the_road_with_all_that_it
     assert soft_tree.algo.normalise and soft_tree.folder == "runs/bipedalwalker/pi_prl/depth-6/standard/seed-0"
 
 
+def test_small_actors_of_the_ant_are_dense_and_nothing_else_of_it_is():
+    on_the_road = made("env=ant")
+    assert on_the_road.actor.dense == "input" and on_the_road.folder == "runs/ant/otr/depth-6/standard-fleet/seed-0"
+    layered = made("env=ant", "actor.dense=none")
+    assert layered.changes == "actor.dense=none" and "~" in layered.folder
+    assert made("env=ant", "trainer=sb3").actor.dense == "none"  # which trains no dense actors
+    for method in ("method=viper", "method=distilled_otr", "method=linear"):
+        (job,) = RUN.jobs([["env=ant", method]])
+        assert (job.oracle or job).config.actor.dense == "none"
+        assert not job.config.changes
+
+
 @pytest.mark.parametrize("env", ["env=hopper", "env=pendulum"])
 def test_imitating_a_searched_oracle_takes_settings(env):
     plain = made(env, "method=viper", "algo=ars", "oracle=[32]")

@@ -17,7 +17,7 @@ from pipelines.cli.compose import schema_of, to_object
 from pipelines.cli.env_files import check_env_file
 from pipelines.cli.overrides import is_search, key_of, parse, quoted, searched_folders
 from pipelines.cli.workflow import Workflow, columns_spelt_out
-from pipelines.config.algo import ALGORITHMS, WIDEST_LAYER, ArsConfig
+from pipelines.config.algo import ALGORITHMS, WIDEST_LAYER, ArsConfig, is_small
 from pipelines.config.budget import BudgetConfig
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import EnvConfig
@@ -48,6 +48,10 @@ GIVEN_POLICIES = {"program": "evaluated", "model": "imported"}
 # trains an oracle of the usual size.
 TRAINED_BY = {"algo", "trainer"}
 OF_A_WAY = TRAINED_BY | {"oracle", "actor.dense", "train.steps", "train.eval_interval_steps"}
+
+
+# For roads: what they say of small actors is not said of oracles, nor of the linear policy.
+OmegaConf.register_new_resolver("dense_if_small", lambda depth: "input" if is_small(depth) else "none", replace=True)
 
 
 def run_config(overrides: Sequence[str]) -> RunConfig:
@@ -356,8 +360,8 @@ def _model(config: RunConfig, overrides: Sequence[str]) -> tuple[ImportedModel, 
 def _of_oracle(config: RunConfig, overrides: Sequence[str]) -> list[str]:
     """Return the overrides of the run that trains an oracle: the oracle's layers are the depth of method=otr.
 
-    Its trainer, or the search, is the imitating run's, which may be on a budget's road. So are its dense links: what
-    the road of OTR says of them, it says of small actors. An oracle from a file is imported by method=model.
+    Its trainer, or the search, is the imitating run's, which may be on a budget's road. An oracle from a file is
+    imported by method=model.
     """
     own = [override for override in overrides if key_of(override).split(".")[0] in OF_TRAINING or is_search(override)]
     if config.imported is not None:
@@ -367,10 +371,7 @@ def _of_oracle(config: RunConfig, overrides: Sequence[str]) -> list[str]:
         own.append(f"trainer={config.trainer.name}")
         own += [override for override in RUN.implied(overrides) if key_of(override) == "algo"]
     depth = f"depth={config.oracle}".replace(" ", "")
-    trained = [*own, depth, "method=otr", "stages=[train]", f"seed={config.seed}"]
-    links = f"actor.dense={config.actor.dense}"
-    is_other = any(key_of(override) == "actor.dense" and override != links for override in RUN.implied(trained))
-    return [*trained, links] if is_other else trained
+    return [*own, depth, "method=otr", "stages=[train]", f"seed={config.seed}"]
 
 
 RUN = RunWorkflow(

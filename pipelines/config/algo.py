@@ -1,7 +1,8 @@
 """The algorithm that trains a run: a file of conf/algo."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 from pipelines.config.setting import (
     EXECUTION,
@@ -20,6 +21,12 @@ from pipelines.config.stages import ActorConfig
 from pipelines.errors import ConfigError
 
 MOST_LAYERS, WIDEST_LAYER = 2, 32  # of an actor that is searched
+
+
+def is_small(depth: Any) -> bool:
+    """Return whether a network of these hidden layers has neurons, and no more than a search moves."""
+    widths = list(depth) if isinstance(depth, Sequence) else [depth]
+    return len(widths) <= MOST_LAYERS and all(isinstance(width, int) and 0 < width <= WIDEST_LAYER for width in widths)
 
 
 @dataclass(frozen=True)

@@ -82,6 +82,7 @@ def test_small_actors_of_the_ant_are_dense_and_nothing_else_of_it_is():
     layered = made("env=ant", "actor.dense=none")
     assert layered.changes == "actor.dense=none" and "~" in layered.folder
     assert made("env=ant", "trainer=sb3").actor.dense == "none"  # which trains no dense actors
+    assert made("env=ant", "depth=[256,256]").actor.dense == made("env=ant", "depth=256").actor.dense == "none"
     for method in ("method=viper", "method=distilled_otr", "method=linear"):
         (job,) = RUN.jobs([["env=ant", method]])
         assert (job.oracle or job).config.actor.dense == "none"

@@ -178,9 +178,9 @@ def test_a_packed_run_gets_a_certificate_and_another_run_shares_its_stages(run, 
     words = ("env=pendulum", "depth=6", "budget=quick", f"results_dir={tmp_path}", "n_workers=1")
     assert command("run", *words, "certify=true").returncode == 0
     assert [path.name for path in run.iterdir() if path.is_dir()] == ["certify"]
-    assert command("verify", f"run={run}").stdout.startswith("verified: 29 leaves")
+    assert command("verify", f"run={run}").stdout.startswith("verified: 30 leaves")
     pack_run(run)
-    assert command("verify", f"run={run}").stdout.startswith("verified: 29 leaves")
+    assert command("verify", f"run={run}").stdout.startswith("verified: 30 leaves")
     done = command("run", *words, "evaluate.n_episodes=2")
     (other,) = run.parent.glob("seed-0~*")
     assert done.returncode == 0 and "train: done before" in done.stdout

@@ -36,10 +36,10 @@ def test_a_finished_run_gets_a_certificate_and_nothing_else_is_done_again(comman
     before = {path: path.read_bytes() for path in run.glob("*/*") if path.suffix in (".npz", ".csv", ".json")}
     done = certified(command, results)
     assert "certify: " in done.stdout and "train: done before" in done.stdout
-    assert "the minimal tree, of 29 leaves, is exactly the network on the environment's box of states" in done.stdout
+    assert "the minimal tree, of 30 leaves, is exactly the network on the environment's box of states" in done.stdout
     assert all(path.read_bytes() == content for path, content in before.items())
     report = json.loads((run / "certify/report.json").read_text())
-    assert (report["certified"], report["n_leaves"]) == (True, 29)
+    assert (report["certified"], report["n_leaves"]) == (True, 30)
     assert 0 <= report["max_error"] < 1e-9
     assert set(report["seconds"]) == {"minimal_tree", "certify", "verify"}
     assert report["low"] == [-1.0, -1.0, -8.0] and report["high"] == [1.0, 1.0, 8.0]
@@ -55,7 +55,7 @@ def test_otr_verify_accepts_what_is_true_and_names_the_leaf_of_what_is_not(comma
     certified(command, results)
     folder, word = results / PENDULUM_RUN / "certify", f"run={results / PENDULUM_RUN}"
     done = command("verify", word)
-    assert done.returncode == 0 and done.stdout.startswith("verified: 29 leaves, 29 regions"), done.stderr
+    assert done.returncode == 0 and done.stdout.startswith("verified: 30 leaves, 30 regions"), done.stderr
     assert "at every real point (in rational arithmetic)" in done.stdout
     tree = otr.load(folder / "tree")
     M = tree.M.copy()

@@ -23,7 +23,7 @@ def runs():
     """Return the runs of one setting, a row each: mean, std (n - 1), min and max over runs of the mean return."""
     keys = ["env", "method", "depth", "budget", "trainer", "settings", "oracle.hidden_widths", "form"]
     return (
-        load_runs("results").groupby(keys, dropna=False)["return_mean"].agg(["mean", "std", "min", "max"]).reset_index()
+        load_runs(RESULTS).groupby(keys, dropna=False)["return_mean"].agg(["mean", "std", "min", "max"]).reset_index()
     )
 
 
@@ -33,9 +33,9 @@ def spreads(runs):
 
     Pairs of one run, over its episodes, and the published ones count among the trees'.
     """
-    fits = load_fits("results").groupby(["data", "split", "method", "settings"], dropna=False)
+    fits = load_fits(RESULTS).groupby(["data", "split", "method", "settings"], dropna=False)
     published = pd.read_csv(RESULTS / "tables/table_4_1.csv")[["published_mean", "published_std"]]
-    each = load_runs("results")[["return_mean", "return_std"]]
+    each = load_runs(RESULTS)[["return_mean", "return_std"]]
     tables = {
         "tree": [runs[["mean", "std"]], each, published, fits["test"].agg(["mean", "std"])],
         "network": [fits["whole_test"].agg(["mean", "std"])],

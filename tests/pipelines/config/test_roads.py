@@ -76,15 +76,17 @@ def test_who_names_another_algorithm_or_trainer_leaves_the_road_with_all_that_it
     assert soft_tree.algo.normalise and soft_tree.folder == "runs/bipedalwalker/pi_prl/depth-6/standard/seed-0"
 
 
-def test_small_actors_of_the_ant_are_dense_and_nothing_else_of_it_is():
-    on_the_road = made("env=ant")
-    assert on_the_road.actor.dense == "input" and on_the_road.folder == "runs/ant/otr/depth-6/standard-fleet/seed-0"
-    layered = made("env=ant", "actor.dense=none")
+@pytest.mark.parametrize("env", ["env=ant", "env=halfcheetah"])
+def test_small_actors_of_these_tasks_are_dense_and_nothing_else_of_them_is(env):
+    on_the_road = made(env)
+    assert on_the_road.actor.dense == "input"
+    assert on_the_road.folder == f"runs/{on_the_road.env.name}/otr/depth-6/standard-fleet/seed-0"
+    layered = made(env, "actor.dense=none")
     assert layered.changes == "actor.dense=none" and "~" in layered.folder
-    assert made("env=ant", "trainer=sb3").actor.dense == "none"  # which trains no dense actors
-    assert made("env=ant", "depth=[256,256]").actor.dense == made("env=ant", "depth=256").actor.dense == "none"
+    assert made(env, "trainer=sb3").actor.dense == "none"  # which trains no dense actors
+    assert made(env, "depth=[256,256]").actor.dense == made(env, "depth=256").actor.dense == "none"
     for method in ("method=viper", "method=distilled_otr", "method=linear"):
-        (job,) = RUN.jobs([["env=ant", method]])
+        (job,) = RUN.jobs([[env, method]])
         assert (job.oracle or job).config.actor.dense == "none"
         assert not job.config.changes
 
@@ -129,7 +131,8 @@ def test_the_search_has_an_environments_own_settings():
         (["env=pendulum"], True),
         (["env=hopper", "method=viper", "algo=sac"], False),
         (["env=hopper", "method=viper", "method.criterion=entropy"], False),
-        (["env=halfcheetah", "algo=sac", "trainer=fleet"], False),
+        (["env=halfcheetah", "algo=sac", "trainer=fleet"], True),
+        (["env=halfcheetah", "algo=ars"], False),
         (["env=halfcheetah", "trainer=fleet", "depth=[256,256]"], False),
         (["env=reacher", "depth=[256,256]"], False),
         (["env=reacher", "trainer=sb3"], False),

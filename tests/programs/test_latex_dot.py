@@ -76,14 +76,18 @@ def test_latex_compiles_with_amsmath_alone(tmp_path: Path) -> None:
 
 
 def test_the_graph_is_the_tree() -> None:
-    text = otr.to_dot(committed("hopper"), max_terms=2)
+    tree = committed("hopper")
+    text = otr.to_dot(tree, max_terms=2)
     assert text.startswith("digraph policy {") and text.endswith("}\n")
-    assert len(re.findall(r"^    n\d+ \[", text, re.M)) == 7
-    assert re.findall(r"(n\d) -> (n\d) \[label=\"(\w+)\"\]", text) == [
-        ("n0", "n1", "yes"), ("n0", "n2", "no"), ("n2", "n3", "yes"), ("n2", "n4", "no"),
-        ("n4", "n5", "yes"), ("n4", "n6", "no"),
-    ]  # fmt: skip
-    assert text.count("+ …") == 3 + 4 * 3
+    nodes, edges = [0], []  # level by level, a test's own number or ~leaf
+    for number, node in enumerate(nodes):
+        if node >= 0:
+            for child, answer in ((tree.children_left[node], "yes"), (tree.children_right[node], "no")):
+                edges.append((f"n{number}", f"n{len(nodes)}", answer))
+                nodes.append(child)
+    assert re.findall(r"^    (n\d+) \[", text, re.M) == [f"n{number}" for number in range(len(nodes))]
+    assert re.findall(r"(n\d+) -> (n\d+) \[label=\"(\w+)\"\]", text) == edges
+    assert text.count("+ …") == tree.n_leaves - 1 + 3 * tree.n_leaves
     assert 'label="formulas go through tanh, scaled to [−1, 1]"' in text
 
 

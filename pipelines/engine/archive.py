@@ -8,6 +8,7 @@ are made again in seconds; of these the manifests keep the sha256. JSON and CSV 
 import hashlib
 import io
 import shutil
+import sys
 import tarfile
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
@@ -15,7 +16,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from pipelines.engine.store import ARCHIVE, archive_files, corrupt, packed_files, read_json, write_files
+from pipelines.engine.digests import digest
+from pipelines.engine.store import ARCHIVE, archive_files, corrupt, packed_files, read_json, write_files, write_json
 from pipelines.errors import PipelineError
 
 MANIFEST = "manifest.json"
@@ -64,7 +66,8 @@ def opened(run_dir: Path, stages: Collection[str], derive: Derive | None = None)
         derive: makes again what the archive leaves out; without it that stays out.
 
     Raises:
-        PipelineError: a packed file was changed, or what is made again is not what was recorded.
+        PipelineError: a packed file was changed, or what is made again is not what was recorded, by more than how a
+            processor rounds a tree's arrays, which is printed.
     """
     packed = {name: files for name in stages if (files := packed_files(run_dir / name))}
     if not packed:
@@ -88,19 +91,40 @@ def opened(run_dir: Path, stages: Collection[str], derive: Derive | None = None)
 
 
 def _complete(run_dir: Path, folder: Path, derive: Derive) -> None:
-    """Add to an unpacked stage what its run's archive leaves out."""
+    """Add to an unpacked stage what its run's archive leaves out.
+
+    Another processor may round a tree's arrays otherwise. That is said, and the unpacked manifest has the digests of
+    what was made here; text that is written otherwise from the same arrays is refused.
+    """
     manifest = read_manifest(folder)
-    left_out = [name for name in manifest["outputs"] if not (folder / name).is_file()]
+    outputs = manifest["outputs"]
+    left_out = [name for name in outputs if not (folder / name).is_file()]
     made = derive(run_dir, folder) if left_out else {}
     for name in left_out:
-        if bytes_digest(made.get(name, b"")) != manifest["outputs"][name]:
-            raise PipelineError(
-                f"{run_dir / folder.name / name} is left out of {ARCHIVE}, and "
-                f"{'comes out with another sha256 than was recorded' if name in made else 'cannot be made again'}\n"
-                f"It was made at revision {manifest.get('git_revision')} with {manifest.get('versions')}: use these, "
-                f"or delete {run_dir} and do the run again, which makes it."
-            )
+        if name not in made:
+            raise _not_as_recorded(run_dir, folder.name, name, "cannot be made again", manifest)
         (folder / name).write_bytes(made[name])
+    others = {name: found for name in left_out if (found := bytes_digest(made[name])) != outputs[name]}
+    if not others:
+        return
+    if not any(name.endswith(".npz") for name in others):
+        what = "comes out with another sha256 than was recorded"
+        raise _not_as_recorded(run_dir, folder.name, next(iter(others)), what, manifest)
+    print(
+        f"{run_dir / folder.name}: {', '.join(others)}, made again from the recorded actor, have another sha256 than "
+        f"at revision {manifest.get('git_revision')}, as this processor or these packages round otherwise",
+        file=sys.stderr,
+    )
+    outputs |= others
+    write_json(folder / MANIFEST, manifest | {"output_digest": digest(outputs)})
+
+
+def _not_as_recorded(run_dir: Path, stage: str, name: str, what: str, manifest: Mapping[str, Any]) -> PipelineError:
+    return PipelineError(
+        f"{run_dir / stage / name} is left out of {ARCHIVE}, and {what}\n"
+        f"It was made at revision {manifest.get('git_revision')} with {manifest.get('versions')}: use these, or delete "
+        f"{run_dir} and do the run again, which makes it."
+    )
 
 
 def pack(run_dir: Path, derive: Derive | None = None, leave: Collection[str] = ()) -> None:
@@ -120,10 +144,11 @@ def pack(run_dir: Path, derive: Derive | None = None, leave: Collection[str] = (
     there = {path.parent.name for path in run_dir.glob(f"[!.]*/{MANIFEST}")}.difference(leave)
     if not there:
         return
-    stages = there.union(name.partition("/")[0] for name in archive_files(run_dir))
-    with opened(run_dir, stages, derive) as whole:
-        kept = {name: _kept(run_dir, whole / name, derive) for name in stages}
-    files = {f"{stage}/{name}": content for stage in kept for name, content in kept[stage].items()}
+    packed = {name: content for name, content in archive_files(run_dir).items() if name.partition("/")[0] not in there}
+    for stage in {name.partition("/")[0] for name in packed}:
+        verified_manifest(run_dir / stage)
+    kept = {stage: _kept(run_dir, run_dir / stage, derive) for stage in there}
+    files = packed | {f"{stage}/{name}": content for stage in kept for name, content in kept[stage].items()}
     temporary = run_dir / f".{ARCHIVE}.tmp"
     _write_archive(temporary, files)
     temporary.replace(run_dir / ARCHIVE)

@@ -119,6 +119,19 @@ def test_what_is_made_again_otherwise_is_refused(packed):
         pass
 
 
+def test_trees_that_another_processor_rounds_otherwise_are_said_and_used(packed, capsys):
+    config, recorded = load_config(packed, None), read_manifest(packed / "map")
+
+    def other_processor(run_dir, folder):
+        made = derive(config, run_dir, folder)
+        return {name: content + b" " * name.startswith("tree.") for name, content in made.items()}
+
+    with opened(packed, ["map"], other_processor) as whole:
+        assert "map: tree.json, tree.npz, made again" in capsys.readouterr().err
+        assert verified_manifest(whole / "map")["output_digest"] != recorded["output_digest"]
+    assert read_manifest(packed / "map") == recorded
+
+
 def test_what_cannot_be_made_again_byte_for_byte_is_kept(run):
     config, before = load_config(run, None), files_of(run / "prune")
     pack(run, lambda run_dir, folder: derive(config, run_dir, folder) | {"program.txt": b"if\n"})

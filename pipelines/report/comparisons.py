@@ -55,10 +55,14 @@ def _rows(results_dir: Path) -> Iterator[dict[str, Any]]:
 def _rival(cells: dict[Any, pd.DataFrame], ours: Any, policy: tuple[str, str]) -> Any:
     """Return which runs of a rival stand beside ours: of the same budget before others, then the most there are.
 
-    Of as many by several trainers those that Table 4.1 shows, which come first.
+    Of the same budget by several trainers those that Table 4.1 shows: the first in its order that has two runs or more.
     """
-    rivals = [key for key in cells if key[:2] == policy]
-    return max(rivals, key=lambda key: (_level(key) == _level(ours), len(cells[key])), default=None)
+
+    def rank(key: Any) -> tuple[bool, int]:
+        is_same, n_runs = _level(key) == _level(ours), len(cells[key])
+        return is_same, min(n_runs, 2) if is_same else n_runs
+
+    return max((key for key in cells if key[:2] == policy), key=rank, default=None)
 
 
 def _level(key: Any) -> str:

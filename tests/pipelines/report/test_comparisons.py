@@ -62,6 +62,8 @@ def test_a_rival_by_another_trainer_is_taken_where_it_is_the_tables(tmp_path):
         played(tmp_path, f"hopper/otr/depth-6/standard/seed-{seed}", 5.0)
         played(tmp_path, f"hopper/otr/depth-6/standard-fleet/seed-{seed}", -5.0)
         played(tmp_path, f"hopper/viper/depth-6/standard-fleet/seed-{seed}", 0.0)
+    for seed in range(3):  # more than Table 4.1's two, which come first there
+        played(tmp_path, f"hopper/otr/depth-6/standard-ars/seed-{seed}", 9.0)
     _, found = rows(tmp_path)
     assert found["viper", "standard-fleet", "otr-6"]["rival_budget"] == "standard"
 

@@ -66,8 +66,8 @@ def opened(run_dir: Path, stages: Collection[str], derive: Derive | None = None)
         derive: makes again what the archive leaves out; without it that stays out.
 
     Raises:
-        PipelineError: a packed file was changed, or what is made again is not what was recorded, by more than how a
-            processor rounds a tree's arrays, which is printed.
+        PipelineError: a packed file was changed, or what is made again is not what was recorded. Of arrays that is
+            printed instead, as processors round them otherwise.
     """
     packed = {name: files for name in stages if (files := packed_files(run_dir / name))}
     if not packed:
@@ -93,8 +93,9 @@ def opened(run_dir: Path, stages: Collection[str], derive: Derive | None = None)
 def _complete(run_dir: Path, folder: Path, derive: Derive) -> None:
     """Add to an unpacked stage what its run's archive leaves out.
 
-    Another processor may round a tree's arrays otherwise. That is said, and the unpacked manifest has the digests of
-    what was made here; text that is written otherwise from the same arrays is refused.
+    Another processor rounds a tree's arrays otherwise, in their last bit. Arrays that differ are therefore taken,
+    whatever the difference, as the recorded ones are not kept to compare with; it is printed, and the unpacked manifest
+    has the digests of what was made here. Text that is written otherwise from the same arrays is refused.
     """
     manifest = read_manifest(folder)
     outputs = manifest["outputs"]
@@ -112,7 +113,8 @@ def _complete(run_dir: Path, folder: Path, derive: Derive) -> None:
         raise _not_as_recorded(run_dir, folder.name, next(iter(others)), what, manifest)
     print(
         f"{run_dir / folder.name}: {', '.join(others)}, made again from the recorded actor, have another sha256 than "
-        f"at revision {manifest.get('git_revision')}, as this processor or these packages round otherwise",
+        f"at revision {manifest.get('git_revision')}: another processor or other packages round otherwise in the last "
+        "bit; by how much these differ is not known",
         file=sys.stderr,
     )
     outputs |= others

@@ -1,9 +1,14 @@
 """Packed runs: the same files under the same names, what is left out made again, and damage always told."""
 
 import multiprocessing
+import os
 import shutil
+import subprocess
+import sys
 from functools import partial
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from pipelines.cli.runs import load_config
@@ -19,6 +24,7 @@ PENDULUM = "pendulum/otr/depth-6/quick/seed-0"
 WIDE = "pendulum/otr/depth-32/quick/seed-0"
 ORACLE = "pendulum/otr/depth-256-256/quick/seed-0"
 VIPER = "pendulum/viper/depth-6/quick/seed-0"
+WALKER = "walker2d/otr/depth-32/standard-ars/seed-5"
 LEFT_OUT = {
     "map": ["program.txt", "tree.json", "tree.npz"],
     "prune": ["program.txt"],
@@ -130,6 +136,44 @@ def test_trees_that_another_processor_rounds_otherwise_are_said_and_used(packed,
         assert "map: tree.json, tree.npz, made again" in capsys.readouterr().err
         assert verified_manifest(whole / "map")["output_digest"] != recorded["output_digest"]
     assert read_manifest(packed / "map") == recorded
+
+
+OPEN = """
+import shutil, sys
+from pathlib import Path
+from pipelines.cli.runs import load_config
+from pipelines.stages.derived import opened_run
+
+run = Path(sys.argv[1])
+with opened_run(load_config(run, None), run) as whole:
+    shutil.copy(whole / "prune/tree.npz", sys.argv[2])
+"""
+
+
+def test_a_wide_run_opens_under_other_kernels_and_differs_in_the_last_bit(tmp_path):
+    """OpenBLAS chooses its kernels by the processor, or by OPENBLAS_CORETYPE."""
+    run, trees = Path(__file__).parents[3] / "results/runs" / WALKER, []
+    for kernels in ("Haswell", "Prescott"):
+        out = tmp_path / f"{kernels}.npz"
+        environment = os.environ | {"OPENBLAS_CORETYPE": kernels}
+        done = subprocess.run(
+            [sys.executable, "-c", OPEN, run, out], env=environment, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stderr
+        trees.append(np.load(out))
+    for name in trees[0].files:
+        one, other = (tree[name] for tree in trees)
+        assert np.abs(one - other).max() <= 1e-14 * np.abs(one).max()
+
+
+def test_new_stages_join_an_archive_whose_trees_are_rounded_otherwise_here(run):
+    shutil.move(run / "evaluate", run.parent / "evaluate")
+    pack_run(run)
+    before = archive_files(run)
+    shutil.move(run.parent / "evaluate", run / "evaluate")
+    pack(run, lambda *_: {"tree.npz": b"other", "tree.json": b"other"})
+    after = archive_files(run)
+    assert before.items() <= after.items() and "evaluate/manifest.json" in after
 
 
 def test_what_cannot_be_made_again_byte_for_byte_is_kept(run):

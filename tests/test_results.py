@@ -62,10 +62,10 @@ def test_committed_figures_are_those_of_the_committed_runs(figure, file, tmp_pat
 
 
 @pytest.mark.parametrize("summary", SUMMARIES, ids=lambda path: id_of(path.parent))
-def test_committed_artefacts_are_whole(summary):
+def test_committed_artefacts_are_whole_and_of_clean_revisions(summary):
     told = json.loads(summary.read_text())
     for stage in METHODS[told["method"]].stages:
-        verified_manifest(summary.parent / stage)
+        assert "+" not in verified_manifest(summary.parent / stage)["git_revision"]
     if METHODS[told["method"]].imitates:
         load_oracle(summary.parent / "oracle", RESULTS)
     cheap = {"pendulum": 5000, "mountaincar": 1000}

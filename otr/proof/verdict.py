@@ -75,8 +75,9 @@ class Verdict:
         value: where it holds, a bound on ``state @ x + action @ u`` over the box, to within the tolerance the largest
             value; else the value at the state found.
         leaf: the leaf where that is.
-        state, action: (d,), (o,) a state where the condition fails, and the tree's own answer there; None where it
-            holds. Where float64 is too coarse for such a state, the nearest to `point`.
+        state, action: (d,), (o,) a state where the condition fails, and the tree's own answer there, of which `value`
+            is the left side to 1e-9; None where it holds. Where float64 is too coarse for such a state, the nearest to
+            `point`, whose action may be another than the one in `value`.
         point: the state as fractions, at which the condition fails in exact arithmetic; None where it holds.
         pieces: the proof that it holds, which `otr.check_verdict` checks.
         tolerance: what the condition may fail by all the same, under tanh.
@@ -257,9 +258,16 @@ class Question(TreeOnDomain):
         return leaf < self.n_leaves and self.is_inside(point) and value - off > Fraction(self.bound)
 
     def fails_in_float64(self, state: FloatArray) -> bool:
-        """Return whether the condition fails at a state (d,) under the tree's own `predict` as in exact arithmetic."""
-        return float(self.state @ state + self.own_action(state) @ self.action) > self.bound and self.fails(
-            as_point(state)
+        """Return whether the condition fails at a state (d,) under the tree's own `predict` as in exact arithmetic.
+
+        Both must find the same left side, to 1e-9: on the edge of a test, rounding may send a state over a jump.
+        """
+        left_side = float(self.state @ state + self.own_action(state) @ self.action)
+        point = as_point(state)
+        return (
+            left_side > self.bound
+            and self.fails(point)
+            and math.isclose(left_side, float(self.value(point)[1]), rel_tol=1e-9, abs_tol=1e-9)
         )
 
     def own_action(self, state: FloatArray) -> FloatArray:

@@ -86,10 +86,24 @@ def test_a_verdict_agrees_with_every_state(case, seed: int, slack: float) -> Non
         assert verdict.value > condition.bound
         x = verdict.state
         assert (x >= BOX[0] - 1e-9).all() and (x <= BOX[1] + 1e-9).all()
-        assert w @ x + verdict.action @ u == pytest.approx(verdict.value, abs=1e-9)
+        if verdict.point == tuple(map(Fraction, x)):  # else float64 is too coarse for a state that fails
+            assert w @ x + verdict.action @ u == pytest.approx(verdict.value, rel=1e-9, abs=1e-9)
         np.testing.assert_allclose(tree.predict(x) if tree.labels is None else verdict.action, verdict.action)
     if values.max() > condition.bound + 1e-6:
         assert not verdict.holds
+
+
+def test_the_value_is_of_the_answer_beside_it() -> None:
+    """At (1, 1), where the condition is largest, the test is positive but rounds to 0: the labels differ."""
+    tree = otr.ObliqueTree(
+        [~0], [~1], [[1.0, 1e-17]], [-1.0], [[[0.0] * 2]] * 2, [[0.0]] * 2, labels=[0, 1], head=otr.Sign()
+    )
+    w, u, box = np.array([1.0, 1.0]), np.array([0.5]), (-1.0, 1.0)
+    assert tree.predict([1.0, 1.0]) == 0
+    verdict = otr.find_violation(tree, Condition(w, u, 0.0), box)
+    check_verdict(verdict, tree, Condition(w, u, 0.0), box)
+    assert verdict.point == tuple(map(Fraction, verdict.state))
+    assert w @ verdict.state + verdict.action @ u == pytest.approx(verdict.value, abs=1e-9)
 
 
 def test_the_largest_value_is_found_to_the_tolerance() -> None:

@@ -77,7 +77,7 @@ class Verdict:
         leaf: the leaf where that is.
         state, action: (d,), (o,) a state where the condition fails, and the tree's own answer there, of which `value`
             is the left side to 1e-9; None where it holds. Where float64 is too coarse for such a state, the nearest to
-            `point`, whose action may be another than the one in `value`.
+            `point`, whose action may be of another leaf than `value`.
         point: the state as fractions, at which the condition fails in exact arithmetic; None where it holds.
         pieces: the proof that it holds, which `otr.check_verdict` checks.
         tolerance: what the condition may fail by all the same, under tanh.

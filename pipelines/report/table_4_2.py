@@ -28,13 +28,13 @@ from pipelines.report.statistics import MIN_RUNS_FOR_INTERVAL, ResampledAreas, m
 from pipelines.report.text import latex_grid, markdown_grid, markdown_table, page, write_tables
 
 DATA = {"bace": "Bace", "hiv": "HIV", "sider": "SIDER", "tox21": "Tox21", "pdbbind": "PDBbind"}
-LEARNERS = {"linear_tuned": "Linear (depth 0)", "cart": "CART", "cart_taught": "CART (taught)", "hhcart": "HHCART",
-            "tao": "TAO (L2)", "tao_l1": "TAO (L1)", "tao_taught": "TAO (taught)", "lcn": "LCN",
-            "augtree": "AugTree", "otr": "OTR",
+LEARNERS = {"linear_tuned": "Linear (depth 0)", "linear_taught": "Linear (taught)", "cart": "CART",
+            "cart_taught": "CART (taught)", "hhcart": "HHCART", "tao": "TAO (L2)", "tao_l1": "TAO (L1)",
+            "tao_taught": "TAO (taught)", "lcn": "LCN", "augtree": "AugTree", "otr": "OTR",
             "otr_tuned": "OTR (tuned)", "otr_readable": "OTR (16 tests)"}  # fmt: skip
-CLASSIFIERS_ONLY = ("cart_taught", "tao", "tao_l1", "tao_taught", "otr_tuned", "otr_readable")
+CLASSIFIERS_ONLY = ("linear_taught", "cart_taught", "tao", "tao_l1", "tao_taught", "otr_tuned", "otr_readable")
 NETWORKS = ("lcn", "otr", "otr_tuned", "otr_readable")  # whose whole tree is what a network computes
-RIVALS = ("linear_tuned", "otr_tuned")  # beside which all others are put
+RIVALS = ("linear_tuned", "linear_taught", "otr_tuned")  # beside which all others are put
 SPARSE = {"otr_16": "without L1", "otr_16_l1": "with L1 1e-5", "otr_16_sparse": "with L1 8e-3, decaying rate"}
 SHOWN = "runs/bace/otr_16_sparse/seed-0"  # the fit whose tree is printed and drawn
 KEY = ["task", "method"]

@@ -71,7 +71,14 @@ class ClassifierConfig(LearnerConfig):
 
 
 @dataclass(frozen=True)
-class LinearConfig(ClassifierConfig):
+class TaughtConfig(ClassifierConfig):
+    """What the methods beside OTR have that learn labels, or the probabilities of a teacher."""
+
+    teacher: Annotated[dict[str, Any] | None, AsBefore(None)] = None  # as of `OtrConfig`
+
+
+@dataclass(frozen=True)
+class LinearConfig(TaughtConfig):
     """`LinearTreeClassifier` and `LinearTreeRegressor`, the trees of depth 0."""
 
     C: Positive = 0.1
@@ -79,12 +86,11 @@ class LinearConfig(ClassifierConfig):
 
 
 @dataclass(frozen=True)
-class CartConfig(ClassifierConfig):
+class CartConfig(TaughtConfig):
     """`CARTClassifier` and `CARTRegressor`."""
 
     max_depth: Count | None = None
     min_samples_leaf: Count = 1
-    teacher: Annotated[dict[str, Any] | None, AsBefore(None)] = None  # as of `OtrConfig`
 
 
 @dataclass(frozen=True)
@@ -96,7 +102,7 @@ class HhcartConfig(ClassifierConfig):
 
 
 @dataclass(frozen=True)
-class TaoConfig(ClassifierConfig):
+class TaoConfig(TaughtConfig):
     """`TAOClassifier`."""
 
     max_depth: Count | None = None
@@ -106,7 +112,6 @@ class TaoConfig(ClassifierConfig):
     max_iter: Annotated[int, Range(0)] = 14
     tol: Annotated[float, Range()] = 0.005
     leaf_values: Annotated[str, OneOf("shares", "labels"), AsBefore("shares")] = "shares"
-    teacher: Annotated[dict[str, Any] | None, AsBefore(None)] = None  # as of `OtrConfig`
 
 
 @dataclass(frozen=True)

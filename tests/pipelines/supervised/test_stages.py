@@ -9,7 +9,7 @@ import pytest
 from sklearn.metrics import roc_auc_score
 
 import otr
-from otr.learners import CARTClassifier, OTRClassifier, TAOClassifier
+from otr.learners import CARTClassifier, LinearTreeClassifier, OTRClassifier, TAOClassifier
 from otr.learners.distillation import Teacher, distillation_set, fit_teacher
 from pipelines.datasets.load import load_dataset
 from pipelines.engine.job import is_done
@@ -87,23 +87,31 @@ def test_the_teacher_of_the_networks_is_scored_beside_them(fit_of):
     assert "teacher" not in fit_job(job_of(fit_of("otr", seed=4, hidden=[2], epochs=2)))
 
 
-@pytest.mark.parametrize(("learner", "estimator"), [("cart", CARTClassifier), ("tao", TAOClassifier)])
-def test_other_trees_learn_from_the_same_teacher(fit_of, learner, estimator):
+@pytest.mark.parametrize(
+    ("learner", "estimator", "settings"),
+    [
+        ("cart", CARTClassifier, {"max_depth": 3}),
+        ("tao", TAOClassifier, {"max_depth": 3}),
+        ("linear", LinearTreeClassifier, {"C": 0.1}),
+    ],
+)
+def test_other_trees_learn_from_the_same_teacher(fit_of, learner, estimator, settings):
     forest = {"forest": "random_forest", "n_estimators": 5, "n_copies": 1}
-    job = job_of(fit_of(learner, max_depth=3, teacher=forest, seed=3))
+    job = job_of(fit_of(learner, teacher=forest, seed=3, **settings))
     summary = fit_job(job)
     dataset = load_dataset("breast_cancer")
     rows, targets = distillation_set(*dataset.labelled("train"), Teacher(**forest), seed=3)
     p = targets[:, 0]
-    settings = {} if learner == "cart" else {"max_iter": 14, "tol": 0.005, "surrogate": "squared_hinge", "C": 1.0}
-    alone = estimator(max_depth=3, random_state=3, **settings).fit(
+    usual = {"max_iter": 14, "tol": 0.005, "surrogate": "squared_hinge", "C": 1.0} if learner == "tao" else {}
+    drawn = {} if learner == "linear" else {"random_state": 3}
+    alone = estimator(**settings, **usual, **drawn).fit(
         np.concatenate([rows, rows]).astype(np.float32), np.repeat([1.0, 0.0], len(rows)), np.concatenate([p, 1 - p])
     )
     tree = otr.load(job.run_dir / "fit" / "label-00")
     for name in ("P", "v", "children_left", "c"):
         np.testing.assert_array_equal(getattr(tree, name), getattr(alone.tree_, name))
     assert summary["test"] > 0.9 and summary["teacher"]["test"] > 0.9
-    other = fit_job(job_of(fit_of(learner, max_depth=3, seed=4)))
+    other = fit_job(job_of(fit_of(learner, seed=4, **settings)))
     assert (other["train"], other["leaves"]) != (summary["train"], summary["leaves"])
 
 

@@ -1,7 +1,7 @@
 """Cells of tables and points of figures: runs or fits grouped by what made them, under the names that tables print."""
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import pandas as pd
@@ -50,13 +50,13 @@ def method_name(methods: pd.Series) -> pd.Series:
     return methods.str.replace("_", "-")
 
 
-def table_runs(runs: pd.DataFrame) -> pd.DataFrame:
-    """Return the runs of control tables, a row for each of FORMS, from `load_runs`, its order kept.
+def table_runs(runs: pd.DataFrame, forms: Mapping[str, str] = FORMS) -> pd.DataFrame:
+    """Return the runs of control tables, a row for each of these forms, from `load_runs`, its order kept.
 
     Versions of a task's environment (env=hopper_v5) are left out. OTR of depth 0 is the linear policy; where both names
     hold a seed it counts once.
     """
-    return _in_tables(reported(runs), [])
+    return _in_tables(reported(runs), [], forms)
 
 
 def variant_runs(runs: pd.DataFrame) -> pd.DataFrame:
@@ -77,11 +77,11 @@ def oracle_runs(runs: pd.DataFrame) -> pd.DataFrame:
     return own.drop_duplicates([*KEY, *SOURCE, "seed"])
 
 
-def _in_tables(own: pd.DataFrame, further_keys: list[str]) -> pd.DataFrame:
-    own = own[(own["env"] == own["task"]) & own["form"].isin(FORMS)]
+def _in_tables(own: pd.DataFrame, further_keys: list[str], forms: Mapping[str, str] = FORMS) -> pd.DataFrame:
+    own = own[(own["env"] == own["task"]) & own["form"].isin(forms)]
     linear = (own["method"] == "otr") & (own["depth"] == "0")
     own = own.assign(
-        method=method_name(own["method"].mask(linear, "linear")) + own["form"].map(FORMS),
+        method=method_name(own["method"].mask(linear, "linear")) + own["form"].map(forms),
         pruned_depth=own["pruned_depth"].where(own["form"] == "tree"),
     )
     return own.drop_duplicates([*KEY, *SOURCE, *further_keys, "seed"])
@@ -130,13 +130,11 @@ def beside_the_thesis(cells: pd.DataFrame, keys: Iterable[tuple[str, str, str, s
     return cells.assign(n_runs=cells["n_runs"].fillna(0).astype(int), **columns, thesis=[str(each) for each in found])
 
 
-def best(cells: pd.DataFrame, by: str, scores: pd.Series, alike: Sequence[str] = ()) -> pd.Series:
-    """Return whether a cell is the best of its group, ties included: of two or more with a score, alike in columns."""
+def best(cells: pd.DataFrame, by: str, scores: pd.Series) -> pd.Series:
+    """Return whether a cell is the best of its group, ties included: of two or more with a score."""
     ran = cells.assign(score=scores)[scores.notna()]
-    groups = ran.groupby(by)
-    is_best = (ran["score"] == groups["score"].transform("max")) & (groups["score"].transform("size") > 1)
-    for name in alike:
-        is_best &= groups[name].transform("nunique") == 1
+    groups = ran.groupby(by)["score"]
+    is_best = (ran["score"] == groups.transform("max")) & (groups.transform("size") > 1)
     return is_best.reindex(cells.index, fill_value=False)
 
 

@@ -14,6 +14,7 @@ from pipelines.report.frames import load_runs
 from pipelines.report.statistics import (
     difference_interval,
     interquartile_mean,
+    mean_interval,
     paired_difference,
     probability_of_improvement,
 )
@@ -46,23 +47,25 @@ def _rows(results_dir: Path) -> Iterator[dict[str, Any]]:
             for rival, policy in RIVALS.items():
                 if ours[:2] in (policy, RIVALS["linear"]):  # the linear row against OTR is OTR against it
                     continue
-                theirs = _rival(cells, ours, policy)
-                if theirs is not None:
+                for theirs in _rivals(cells, ours, policy):
                     row = {"task": task, **dict(zip([*KEY[1:], *SOURCE], ours, strict=True)), "rival": rival}
                     yield row | _compared(group, starts(ours), cells[theirs], starts(theirs))
 
 
-def _rival(cells: dict[Any, pd.DataFrame], ours: Any, policy: tuple[str, str]) -> Any:
+def _rivals(cells: dict[Any, pd.DataFrame], ours: Any, policy: tuple[str, str]) -> list[Any]:
     """Return which runs of a rival stand beside ours: of the same budget before others, then the most there are.
 
-    Of the same budget by several trainers those that Table 4.1 shows: the first in its order that has two runs or more.
+    Of the same budget by several trainers these are those that Table 4.1 shows, the first in its order that has two
+    runs or more, and besides those by our own trainer, so that a search is seen beside a search.
     """
 
     def rank(key: Any) -> tuple[bool, int]:
         is_same, n_runs = _level(key) == _level(ours), len(cells[key])
         return is_same, min(n_runs, 2) if is_same else n_runs
 
-    return max((key for key in cells if key[:2] == policy), key=rank, default=None)
+    theirs = [key for key in cells if key[:2] == policy]
+    shown = [max(theirs, key=rank)] if theirs else []
+    return shown + [key for key in theirs if key not in shown and key[2:] == ours[2:]]
 
 
 def _level(key: Any) -> str:
@@ -80,13 +83,17 @@ def _compared(
     difference, over_starts = np.nan, (np.nan, np.nan)
     if len(shared):
         difference, over_starts = paired_difference(our_starts[shared], their_starts[shared])
-    over_runs = difference_interval(means, rivals)
+    if set(ours["run"]) == set(theirs["run"]):  # two forms of the same runs
+        gains = (ours.set_index("run")["return_mean"] - theirs.set_index("run")["return_mean"]).astype(float)
+        over_runs, probability = mean_interval(gains), float(((gains > 0) + (gains == 0) / 2).mean())
+    else:
+        over_runs, probability = difference_interval(means, rivals), probability_of_improvement(means, rivals)
     return {
         "n_runs": len(means), "mean": means.mean(), "iqm": interquartile_mean(means),
         "rival_budget": theirs["budget"].iloc[0], "n_rival_runs": len(rivals), "n_starts": len(shared),
         "difference": difference, "starts_low": over_starts[0], "starts_high": over_starts[1],
         "runs_low": over_runs[0], "runs_high": over_runs[1],
-        "probability": probability_of_improvement(means, rivals),
+        "probability": probability,
     }  # fmt: skip
 
 

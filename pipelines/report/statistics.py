@@ -28,6 +28,23 @@ def mean_interval(values: ArrayLike) -> Interval:
     return _students(known.mean(), known.std(ddof=1) / np.sqrt(len(known)), len(known) - 1)
 
 
+def resplit_interval(differences: ArrayLike, test_to_train: float) -> Interval:
+    """Return the 95 % interval of the mean of differences (n,), one for each random split into training and test rows.
+
+    The training rows of two splits are mostly the same, so that the differences vary less than they would on fresh
+    data. The standard error is enlarged for it by sqrt(1 + n `test_to_train`), as Nadeau & Bengio correct it
+    ("Inference for the generalization error", Machine Learning 52, 2003). NaN for fewer than five.
+
+    Args:
+        differences: (n,), NaN left out.
+        test_to_train: the number of test rows over that of training rows.
+    """
+    known = _known(differences)
+    if len(known) < MIN_RUNS_FOR_INTERVAL:
+        return NO_INTERVAL
+    return _students(known.mean(), known.std(ddof=1) * np.sqrt(1 / len(known) + test_to_train), len(known) - 1)
+
+
 def interquartile_mean(values: ArrayLike) -> float:
     """Return the mean of the middle half of values (n,): a quarter of them, rounded down, is cut off at either end."""
     known = np.sort(_known(values))

@@ -16,7 +16,6 @@ from pipelines.report.cells import (
     SOURCE,
     TASK_NAMES,
     beside_the_thesis,
-    best,
     in_order,
     oracle_runs,
     runs_text,
@@ -35,6 +34,7 @@ TABLE = [(task, *column) for task in tuple(TASK_NAMES)[:8] for column in COLUMNS
 TEXT = [("mountaincar", "otr", "1"), ("lunarlander", "otr", "2"), ("lunarlander", "sdt-soft", "5"),
         ("lunarlander", "sdt-discrete", "5"), ("lunarlander", "cdt", "3-3"), ("lunarlander", "augtree", "2"),
         ("pendulum", "pid", "1")]  # fmt: skip # what chapter 4 reports outside its tables
+LEAST_CHANGE = 0.01  # of the return, from which on a pruned tree is listed beside the whole one
 
 
 def write_table_4_1(results_dir: Path) -> list[Path]:
@@ -49,6 +49,8 @@ def write_table_4_1(results_dir: Path) -> list[Path]:
         table=markdown_grid(HEAD, rows),
         provenance=markdown_table(_provenance(cells, runs), empty="Nothing has been run yet."),
         beyond=markdown_table(_beyond(cells[~table])),
+        pruned=markdown_table(_pruned(every), empty="Nothing has been run yet that pruning changes."),
+        least_change=f"{100 * LEAST_CHANGE:.0f} %",
         variants=markdown_table(_variants(variant_runs(every), runs), empty="Nothing has been run yet."),
         min_runs=MIN_RUNS_FOR_INTERVAL,
     )
@@ -83,8 +85,7 @@ def make_cells(runs: pd.DataFrame) -> pd.DataFrame:
         also[cell.task, cell.method, cell.depth].append(f"also run: {runs_text(cell)}")
     cells["note"] = ["; ".join(_notes(cell, also[cell.task, cell.method, cell.depth])) for cell in cells.itertuples()]
     cells["ours"], cells["runs"] = ([text(cell) for cell in cells.itertuples()] for text in (_ours, runs_text))
-    rivals = (cells["table"] == "4.1") & (cells["method"] != ORACLE)
-    return cells.assign(bold=best(cells, "task", cells["mean"].where(rivals), SOURCE))
+    return cells.assign(bold=False)  # rows hold several budgets and trainers
 
 
 def _notes(cell: Any, also: list[str]) -> Iterable[str]:
@@ -144,6 +145,23 @@ def _beyond(cells: pd.DataFrame) -> list[list[str]]:
         name, method = TASK_NAMES.get(cell.task, cell.task), METHOD_NAMES.get(cell.method, cell.method)
         note = cell.note.removeprefix("not run").removeprefix("; ")
         lines.append([name, method, cell.depth, markdown_cell(cell), cell.thesis, note])
+    return lines
+
+
+def _pruned(every: pd.DataFrame) -> list[list[str]]:
+    """Return a head and a line for each policy that returns otherwise once it is pruned: means over runs."""
+    lines = [["Task", "Method", "Depth", "Whole tree", "Pruned tree", "Acts alike", "Leaves"]]
+    runs = in_order(table_runs(every, {"tree": "", "pruned_tree": "-pruned"}), [*KEY, *SOURCE])
+    whole, pruned = runs[runs["form"] == "tree"], runs[runs["form"] == "pruned_tree"]
+    both = whole.merge(pruned[["run", "return_mean"]], on="run", suffixes=("", "_pruned"))
+    for (task, method, depth, *_), group in both.groupby([*KEY, *SOURCE], sort=False):
+        before, after = group["return_mean"].mean(), group["return_mean_pruned"].mean()
+        if abs(after - before) >= LEAST_CHANGE * abs(before):
+            digits = 2 if task == "reacher" else 1
+            lines.append([TASK_NAMES.get(task, task), METHOD_NAMES.get(method, method), depth,
+                          f"{before:z.{digits}f} ({runs_text(group.assign(n_runs=len(group)).iloc[0])})",
+                          f"{after:z.{digits}f}", f"{100 * group['fidelity'].mean():.1f} %",
+                          f"{group['pruned_leaves'].mean():,.0f}"])  # fmt: skip
     return lines
 
 

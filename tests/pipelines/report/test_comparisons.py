@@ -24,7 +24,9 @@ def played(results_dir, run, shift, starts=STARTS, spread=0.0, form="evaluate"):
 
 def rows(results_dir):
     markdown, table = write_comparisons(results_dir)
-    return markdown.read_text(), {(r["method"], r["budget"], r["rival"]): r for r in read_csv(table)}
+    found = read_csv(table)
+    first = {(r["method"], r["budget"], r["rival"]): r for r in reversed(found)}
+    return markdown.read_text(), first | {(r["method"], r["budget"], r["rival"], r["rival_budget"]): r for r in found}
 
 
 def test_a_policy_stands_beside_the_linear_row_and_otr(tmp_path):
@@ -33,7 +35,9 @@ def test_a_policy_stands_beside_the_linear_row_and_otr(tmp_path):
         played(tmp_path, f"hopper/otr/depth-6/quick/seed-{seed}", 10.0 + seed, spread=1.0)
     played(tmp_path, "hopper/viper/depth-6/quick/seed-0", -5.0)
     markdown, found = rows(tmp_path)
-    assert set(found) == {("otr", "quick", "linear"), ("viper", "quick", "linear"), ("viper", "quick", "otr-6")}
+    assert {key for key in found if len(key) == 3} == {
+        ("otr", "quick", "linear"), ("viper", "quick", "linear"), ("viper", "quick", "otr-6"),
+    }  # fmt: skip
     otr = found["otr", "quick", "linear"]
     assert (otr["n_runs"], otr["n_rival_runs"], otr["n_starts"]) == ("5", "5", "40")
     assert float(otr["difference"]) == pytest.approx(10.5) and float(otr["probability"]) == 1.0
@@ -66,6 +70,23 @@ def test_a_rival_by_another_trainer_is_taken_where_it_is_the_tables(tmp_path):
         played(tmp_path, f"hopper/otr/depth-6/standard-ars/seed-{seed}", 9.0)
     _, found = rows(tmp_path)
     assert found["viper", "standard-fleet", "otr-6"]["rival_budget"] == "standard"
+    assert found["viper", "standard-fleet", "otr-6", "standard-fleet"]["n_rival_runs"] == "2"  # its own, beside it
+    assert ("viper", "standard-fleet", "otr-6", "standard-ars") not in found
+
+
+def test_forms_of_the_same_runs_are_paired_run_by_run(tmp_path):
+    for seed in range(5):
+        before, after = 100.0 * seed, 100.0 * seed + 1.0 + seed % 2
+        moments = {"return_mean": 1019.5 + after, "n_episodes": 40}
+        run = f"hopper/otr/depth-6/quick/seed-{seed}"
+        write_run(tmp_path, run, 1019.5 + before, n_episodes=40, polish=moments)
+        played(tmp_path, run, before)
+        played(tmp_path, run, after, form="polish")
+    polished = rows(tmp_path)[1]["otr-polished", "quick", "otr-6"]
+    assert float(polished["probability"]) == 1.0  # of all pairs it would be .6
+    half = 2.7764451 * np.std([1.0, 2.0, 1.0, 2.0, 1.0], ddof=1) / np.sqrt(5)
+    interval = [float(polished[name]) for name in ("runs_low", "runs_high")]
+    assert interval == pytest.approx([1.4 - half, 1.4 + half], abs=1e-5)
 
 
 def test_a_polished_policy_has_its_own_episodes(tmp_path):

@@ -13,6 +13,7 @@ from pipelines.report.statistics import (
     paired_difference,
     performance_profile,
     probability_of_improvement,
+    resplit_interval,
 )
 
 
@@ -34,6 +35,14 @@ def test_intervals_are_near_scipys_bootstrap_and_cover_the_mean():
         low, high = mean_interval(generator.normal(size=5))
         covered += low <= 0.0 <= high
     assert 0.92 < covered / 400 < 0.98  # the percentile bootstrap of five values covers some 83 %
+
+
+def test_an_interval_over_overlapping_splits_is_wider_than_students():
+    values = [3.0, 1.0, 4.0, 1.0, 5.0]
+    assert resplit_interval(values, 0.0) == pytest.approx(mean_interval(values))
+    low, high = resplit_interval(values, 1 / 4)  # 100 test rows and 400 training rows: the error is 1.5 times as large
+    assert (low, high) == pytest.approx((2.8 - 1.5 * 2.7764451 * 0.8, 2.8 + 1.5 * 2.7764451 * 0.8))
+    assert np.isnan(resplit_interval(values[:4], 1 / 9)).all()
 
 
 def test_the_interquartile_mean_leaves_a_quarter_out_at_either_end():

@@ -196,7 +196,7 @@ def _function(policy: Any) -> Policy:
 
 
 def _state(observation: Any) -> FloatArray:
-    return np.asarray(observation, dtype=np.float64).ravel()
+    return np.array(observation, dtype=np.float64).ravel()  # a copy, as an environment may go on writing into its own
 
 
 def _spaces(envs: Sequence[gym.Env[Any, Any]]) -> tuple[int, Callable[[Any], Sequence[Any]], NDArray[Any]]:

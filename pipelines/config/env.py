@@ -1,8 +1,16 @@
 """The environment of a run: a file of conf/env, or one that is registered with gymnasium."""
 
+import functools
+import hashlib
+import importlib.util
+import sys
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated, Any
 
+from omegaconf import OmegaConf
+
+from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.setting import DERIVED, FreeText
 
 
@@ -31,6 +39,50 @@ class EnvConfig:
     pid: Annotated[PidTerms | None, DERIVED] = field(default=None, metadata={"omegaconf_ignore": True})
 
     def settings(self) -> dict[str, Any]:
-        """Return what decides how the environment behaves, for the keys of stages that play in it."""
+        """Return what decides how the environment behaves, for the keys of stages that play in it.
+
+        Of `module:Id` that is the module's code, too.
+        """
         pid = {} if self.pid is None else {"pid": {"goal": list(self.pid.goal), "n_history": self.pid.n_history}}
-        return {"id": self.id, "kwargs": self.kwargs, **pid}
+        module = self.id.rpartition(":")[0]
+        code = {"code_sha256": _code_sha256(module)} if module else {}
+        return {"id": self.id, "kwargs": self.kwargs, **pid, **code}
+
+    def own_names(self) -> dict[str, Any]:
+        """Return the names of features and actions for the keys of stages that print them, none where they are conf's.
+
+        Those of conf/env do not change, so results do not have to be keyed by them.
+        """
+        names = {"feature_names": list(self.feature_names), "action_names": list(self.action_names)}
+        return {} if names == _names_in_conf(self.name) else names
+
+
+def search_here() -> None:
+    """Let modules be imported from the folder in which the command was started, after the installed ones."""
+    here = str(Path.cwd())
+    if here not in sys.path:  # a command's own path begins with the folder of the command
+        sys.path.append(here)
+
+
+@functools.cache
+def _code_sha256(module: str) -> str | None:
+    """Return the digest of a module's file, of a package's Python files; None where there is no such module or file."""
+    search_here()
+    try:
+        spec = importlib.util.find_spec(module)
+    except ModuleNotFoundError:
+        spec = None
+    if spec is None or not spec.has_location or spec.origin is None:
+        return None
+    file = Path(spec.origin)
+    files = sorted(file.parent.rglob("*.py")) if file.name == "__init__.py" else [file]
+    return hashlib.sha256(b"".join(hashlib.sha256(each.read_bytes()).digest() for each in files)).hexdigest()
+
+
+@functools.cache
+def _names_in_conf(name: str) -> dict[str, Any] | None:
+    path = CONF_DIR / "env" / f"{name}.yaml"
+    if not path.is_file():
+        return None
+    file: Any = OmegaConf.to_container(OmegaConf.load(path))
+    return {key: file["env"].get(key, []) for key in ("feature_names", "action_names")}

@@ -5,7 +5,6 @@ import functools
 import importlib
 import json
 import re
-import sys
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ import gymnasium as gym
 import numpy as np
 
 from otr.control import pid_observation_names
-from pipelines.config.env import EnvConfig, PidTerms
+from pipelines.config.env import EnvConfig, PidTerms, search_here
 from pipelines.errors import ConfigError, did_you_mean
 from pipelines.play.pid_environment import PidObservation
 
@@ -70,14 +69,12 @@ def registered_ids() -> list[str]:
 
 
 def _import(module: str, env_id: str) -> None:
-    here = str(Path.cwd())
-    if here not in sys.path:  # a command's own path begins with the folder of the command
-        sys.path.append(here)
+    search_here()
     try:
         importlib.import_module(module)
     except Exception as error:  # foreign code can fail in any way
         missing = isinstance(error, ModuleNotFoundError) and error.name == module.split(".")[0]
-        what = f"there is no such module, installed or in {here}" if missing else _told(error)
+        what = f"there is no such module, installed or in {Path.cwd()}" if missing else _told(error)
         raise ConfigError(f"environment {env_id}: module {module} cannot be imported: {what}") from error
 
 

@@ -34,13 +34,13 @@ class PidObservation(gym.Wrapper[np.ndarray, Any, np.ndarray, Any]):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, Any]:
         state, info = self.env.reset(seed=seed, options=options)
-        self._history.extend([state] * self._n_history)
+        self._history.extend([np.array(state)] * self._n_history)
         return self._observation(state), info
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         state, reward, terminated, truncated, info = self.env.step(action)
         observation = self._observation(state)
-        self._history.append(state)
+        self._history.append(np.array(state))
         return observation, float(reward), terminated, truncated, info
 
     def _observation(self, state: np.ndarray) -> np.ndarray:

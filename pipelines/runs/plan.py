@@ -1,10 +1,14 @@
 """What a sweep would do: run, resume or skip for every job, and the time that is left."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 
+from pipelines.engine.archive import MANIFEST
 from pipelines.engine.console import counted, duration
-from pipelines.engine.stage import stage_status
+from pipelines.engine.stage import Stage, stage_key, stage_status
+from pipelines.engine.store import exists
 from pipelines.engine.wrapping import columns, fitted
+from pipelines.errors import PipelineError
 from pipelines.runs.run_job import RunJob
 from pipelines.stages import imitate, polish
 from pipelines.stages.train import seconds_left, trained_steps
@@ -16,7 +20,7 @@ def job_plan(job: RunJob, planned: set[str]) -> tuple[str, float]:
     `planned` has the folders of the oracles that jobs before it train; its own is added.
     """
     config = job.config
-    statuses = {stage.name: stage_status(stage, job.run_dir / stage.name, config) for stage in job.stages}
+    statuses = {stage.name: _status(job, stage) for stage in job.stages}
     if "other settings" in statuses.values():
         names = [name for name, status in statuses.items() if status == "other settings"]
         return f"refused: {', '.join(names)} there has other settings", 0.0
@@ -33,6 +37,15 @@ def job_plan(job: RunJob, planned: set[str]) -> tuple[str, float]:
         what, oracle_seconds = _oracle_plan(job.oracle, planned)
         return f"run, {what}{polished}", seconds + oracle_seconds
     return f"run {', '.join(left)}", seconds
+
+
+def _status(job: RunJob, stage: Stage) -> str:
+    """Return a stage's status, by what it was made from where that is at hand and whole."""
+    inputs, wanted = {name: job.run_dir / name for name in stage.inputs}, None
+    if all(exists(folder / MANIFEST) for folder in inputs.values()):
+        with suppress(PipelineError):  # damaged: doing the job tells what is wrong
+            wanted = stage_key(stage, job.config, inputs)
+    return stage_status(stage, job.run_dir / stage.name, job.config, wanted)
 
 
 def _oracle_plan(oracle: RunJob, planned: set[str]) -> tuple[str, float]:

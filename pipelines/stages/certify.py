@@ -82,12 +82,19 @@ def _domain(inputs: Mapping[str, Path], config: RunConfig) -> tuple[otr.Domain, 
     return otr.Domain(low - margin, high + margin), f"the box around the states of {config.prune.n_episodes} episodes"
 
 
-CERTIFY_SETTINGS = picked(
+_PICKED = picked(
     env="env",
     n_episodes="prune.n_episodes",
     seed="seed",
     max_leaves="certification.max_leaves",
     max_seconds="certification.max_seconds",
 )
+
+
+def certify_settings(config: RunConfig) -> dict[str, Any]:
+    """Return what decides the certificate, and the names in its program."""
+    return _PICKED(config) | config.env.own_names()
+
+
 # Its inputs depend on the method and on polish=true: `pipelines.stages.table.stages_of` sets them.
-CERTIFY = Stage("certify", version=2, inputs=(), settings=CERTIFY_SETTINGS, run=certify)
+CERTIFY = Stage("certify", version=2, inputs=(), settings=certify_settings, run=certify)

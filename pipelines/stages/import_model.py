@@ -58,6 +58,8 @@ def read_model(model: str, vec_normalize: str | None, env: EnvConfig) -> Importe
         policy = _fitted(network, spaces(env), env)
     except (otr.OtrError, ValueError) as error:
         raise ConfigError(f"model={model}: {error}") from error
+    if path.suffix == ".npz":  # the arrays of a policy whose JSON beside them has all else, and their digest
+        files[0] = path.with_suffix(".json")
     sha256 = hashlib.sha256(b"".join(hashlib.sha256(file.read_bytes()).digest() for file in files)).hexdigest()
     return ImportedModel(policy, path.name, sha256)
 

@@ -78,5 +78,12 @@ def prune(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
 
 
 # Its inputs depend on the method: `pipelines.stages.table.stages_of` sets them.
-PRUNE_SETTINGS = picked(env="env", n_episodes="prune.n_episodes", k="prune.k", seed="seed")
-PRUNE = Stage("prune", version=1, inputs=(), settings=PRUNE_SETTINGS, run=prune)
+_PICKED = picked(env="env", n_episodes="prune.n_episodes", k="prune.k", seed="seed")
+
+
+def prune_settings(config: RunConfig) -> dict[str, Any]:
+    """Return what decides the pruned tree, and the names in its program and picture."""
+    return _PICKED(config) | config.env.own_names()
+
+
+PRUNE = Stage("prune", version=1, inputs=(), settings=prune_settings, run=prune)

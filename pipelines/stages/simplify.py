@@ -77,8 +77,9 @@ def _simplest(
     """Return the simpler tree, the number of attempts that it took, and what the report says of polishing it again.
 
     A search over hundreds of trees on the same episodes overestimates the tree that it keeps. So its outcome plays
-    as many others; where it loses more than is allowed on them, the search is done again with half the allowance. A
-    tree that is polished again is to lose nothing: no more than one standard error of the paired differences.
+    as many others; where it loses more than is allowed on them, the search is done again with half the allowance, and
+    after MAX_ATTEMPTS the tree stays as it is. A tree that is polished again is to lose nothing: no more than one
+    standard error of the paired differences.
     """
     check, n_attempts = _fresh_judge(tree, config, 1), 0
     again: dict[str, Any] = {}
@@ -88,7 +89,12 @@ def _simplest(
         if polishes:
             simpler, again = _polished_again(simpler, config)
         loss, error = check.loss(simpler.tree)
-        if loss <= (error if polishes else check.allowed) or n_attempts == MAX_ATTEMPTS:
+        if loss <= (error if polishes else check.allowed):
+            break
+        if n_attempts == MAX_ATTEMPTS:
+            print(f"simplify: {n_attempts} shorter trees lost too much on other episodes; none is kept", flush=True)
+            same = simpler.n_numbers_before
+            simpler, again = dataclasses.replace(simpler, tree=tree, n_numbers=same, n_kept=0), {}
             break
         judge.allowed /= 2
         if polishes:

@@ -63,8 +63,12 @@ def train_together(
 
 
 def checkpoint_folder(config: RunConfig, inputs: Mapping[str, Path] | None = None) -> Path:
-    """Return where the run's checkpoints lie while it trains; training reads no other stage."""
-    return Path(config.results_dir) / "checkpoints" / digest([VERSION, train_settings(config)])[:16]
+    """Return where the run's checkpoints lie while it trains; training reads no other stage.
+
+    Runs that lie side by side and train alike share them, as they share the result.
+    """
+    place = str(Path(config.folder).parent)
+    return Path(config.results_dir) / "checkpoints" / digest([VERSION, place, train_settings(config)])[:16]
 
 
 def trained_steps(config: RunConfig) -> int:

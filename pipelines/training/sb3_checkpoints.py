@@ -13,6 +13,7 @@ import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
+from pipelines.errors import PipelineError
 from pipelines.training.checkpoints import History, last_segment, read_segment, write_segment
 from pipelines.training.normalisation import set_statistics, statistics
 
@@ -77,13 +78,22 @@ def _read_replay(folder: Path, model: OffPolicyAlgorithm, n_segments: int) -> No
     """Fill the model's replay buffer from the logs of the first `n_segments` segments."""
     buffer = model.replay_buffer
     assert buffer is not None
+    oldest = max(0, model.num_timesteps - buffer.buffer_size)
+    is_there = np.zeros(model.num_timesteps - oldest, dtype=np.bool_)
     for log in sorted(folder.glob("replay-*.npz")):
         if int(log.stem.split("-")[1]) > n_segments:
             continue  # written just before the kill, by a segment that has no checkpoint; it will be written again
         with np.load(log, allow_pickle=False) as saved:
             end = int(saved["end"])
-            rows = np.arange(end - len(saved["rewards"]), end) % buffer.buffer_size
+            steps = np.arange(end - len(saved["rewards"]), end)
+            rows = steps % buffer.buffer_size
             for name in REPLAY_ARRAYS:
                 getattr(buffer, name)[rows] = saved[name]
+            is_there[steps[steps >= oldest] - oldest] = True
+    if not is_there.all():
+        raise PipelineError(
+            f"{folder}: {int((~is_there).sum()):,} of {len(is_there):,} transitions of the replay buffer are gone; bring the "
+            "replay-*.npz back, or delete the folder to train from the beginning"
+        )
     buffer.pos = model.num_timesteps % buffer.buffer_size
     buffer.full = model.num_timesteps >= buffer.buffer_size

@@ -173,6 +173,25 @@ def test_environments_are_side_by_side_and_closed_at_the_end():
     assert len(closed) == 35
 
 
+def test_states_are_kept_where_an_environment_writes_into_its_own():
+    class Reusing(gym.Env):
+        observation_space, action_space = gym.spaces.Box(-9, 9, (2,), np.float64), gym.spaces.Discrete(2)
+
+        def __init__(self):
+            self.state = np.zeros(2)
+
+        def reset(self, *, seed=None, options=None):
+            self.state[:] = 0.0
+            return self.state, {}
+
+        def step(self, action):
+            self.state += 1.0
+            return self.state, 0.0, False, False, {}
+
+    states = otr.rollout(Reusing, lambda X: np.zeros(len(X), dtype=int), 1, max_steps=4).states
+    np.testing.assert_array_equal(states, [[0.0, 0.0], [1.0, 1.0], [2.0, 2.0], [3.0, 3.0]])
+
+
 def test_observations_and_rewards_that_are_no_numbers_are_told():
     class Broken(gym.Env):
         observation_space, action_space = gym.spaces.Box(-1, 1, (2,)), gym.spaces.Discrete(2)

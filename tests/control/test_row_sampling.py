@@ -43,10 +43,10 @@ def test_weights_that_are_all_zero_count_as_equal():
 @pytest.mark.parametrize("n_candidates", [1, 2, 3, 51, 64])
 def test_the_plan_halves_and_spends_what_it_may(n_candidates):
     plan = halving_plan(n_candidates, 75)
-    assert sum(n for _, n in plan) == (75 if n_candidates > 2 else 0)
+    assert sum(n for _, n in plan) == (75 if n_candidates > 1 else 0)
     left = n_candidates
     for n_left, _ in plan:
-        assert n_left == (left + 1) // 2
+        assert n_left == max(2, (left + 1) // 2)
         left = n_left
     assert left <= 2
     assert [n for _, n in plan] == sorted(n for _, n in plan)
@@ -77,3 +77,5 @@ def test_a_single_candidate_and_ties():
     assert successive_halving([[1.0]], 100, None)[0] == 0
     best, _ = successive_halving([[1.0], [2.0], [2.0]], 5, lambda stage, candidate, n: [2.0] * n)
     assert best == 1
+    best, returns = successive_halving([[2.0], [1.0]], 5, lambda stage, candidate, n: [float(candidate)] * n)
+    assert best == 1 and returns == [[2.0, 0.0, 0.0, 0.0, 0.0], [1.0, 1.0, 1.0, 1.0, 1.0]]  # two play on, too

@@ -14,9 +14,10 @@ def halving_plan(n_candidates: int, n_episodes: int) -> list[tuple[int, int]]:
     """Return, stage by stage, how many candidates play and how many further episodes each of them plays.
 
     The better half goes on: of n candidates (n + 1) // 2, until one would be left. The episodes double from stage to
-    stage as far as whole numbers allow, so that each stage costs about the same, and sum to `n_episodes`.
+    stage as far as whole numbers allow, so that each stage costs about the same, and sum to `n_episodes`. Two
+    candidates play them all.
     """
-    n_left = []
+    n_left = [2] if n_candidates == 2 else []
     while n_candidates > 1:
         n_candidates = (n_candidates + 1) // 2
         if n_candidates > 1:

@@ -182,7 +182,8 @@ def run_dagger(
         settings: how much is played.
         seed: root of the fits' randomness; tree r draws from its child (..., r).
         folder: of the working files, made if it is not there: states.f64, answers.f64, weights.f64, dagger.json and
-            iterate-<r>.npz and .json.
+            iterate-<r>.npz and .json. A run that was stopped goes on in it, and one that is done is returned as it
+            was: `fit` and `play` are functions and not compared, so take another folder for others.
         on_round: called after every round of this call.
 
     Raises:

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pipelines.errors import PipelineError
 from pipelines.training.fleet.sac import Minibatch
 
 
@@ -35,10 +36,19 @@ class RowLayout:
         return Minibatch(states, actions, rewards[..., 0], next_states, continues[..., 0])
 
 
-def open_rows(path: Path, capacity: int, layout: RowLayout) -> np.memmap:
-    """Return a run's rows, (capacity, width) float32; a new file takes disk as rows are written."""
+def open_rows(path: Path, capacity: int, layout: RowLayout, n_written: int = 0) -> np.memmap:
+    """Return a run's rows, (capacity, width) float32; a new file takes disk as rows are written.
+
+    Raises:
+        PipelineError: the run has transitions (`n_written`), and the file is gone or of another size.
+    """
     shape = (capacity, layout.width)
     fits = path.exists() and path.stat().st_size == 4 * capacity * layout.width
+    if n_written and not fits:
+        raise PipelineError(
+            f"{path}: the transitions of {n_written:,} steps are gone; bring the file back, or delete {path.parent} to "
+            "train from the beginning"
+        )
     return np.memmap(path, dtype=np.float32, mode="r+" if fits else "w+", shape=shape)
 
 

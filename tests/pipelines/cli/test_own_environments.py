@@ -8,7 +8,9 @@ import pytest
 
 from pipelines.cli.runs import RUN
 from pipelines.errors import ConfigError
-from tests.pipelines.conftest import otr_command
+from pipelines.stages.certify import CERTIFY
+from pipelines.stages.prune import PRUNE
+from tests.pipelines.conftest import otr_command, otr_program
 
 MODULE = "tests.pipelines.own_envs"
 CART = f"env={MODULE}:Cart-v0"
@@ -49,6 +51,38 @@ def test_an_id_is_an_environment(word, name, algorithm, features):
     assert made.config.algo.name == algorithm
     assert made.config.env.feature_names == features
     assert made.command == f"otr-run {'env=mountaincar' if name == 'mountaincar' else word} budget=quick depth=2"
+
+
+def test_another_code_of_an_own_environment_is_no_old_result(tmp_path):
+    (tmp_path / "maze.py").write_text("""
+import gymnasium, numpy
+class Maze(gymnasium.Env):
+    metadata = {"render_modes": []}
+    observation_space, action_space = gymnasium.spaces.Box(0, 1, (2,)), gymnasium.spaces.Discrete(2)
+    def reset(self, *, seed=None, options=None):
+        return numpy.zeros(2, numpy.float32), {}
+    def step(self, action):
+        return numpy.zeros(2, numpy.float32), 1.0, False, False, {}
+gymnasium.register("Maze-v0", Maze, max_episode_steps=3)
+""")
+    (tmp_path / "p.txt").write_text("if x0 <= 0.5 then\n    return 0\nelse\n    return 1\n")
+    words = ("otr-run", "env=maze:Maze-v0", "program=p.txt", "budget=smoke", "results_dir=results", "n_workers=1")
+    assert "3.0 ± 0.0" in otr_program(*words, cwd=tmp_path).stdout
+    assert "evaluate: done before" in otr_program(*words, cwd=tmp_path).stdout
+    code = (tmp_path / "maze.py").read_text()
+    (tmp_path / "maze.py").write_text(code.replace("1.0, False", "7.0, False"))
+    done = otr_program(*words, cwd=tmp_path)
+    assert done.returncode == 1 and "env.code_sha256" in done.stdout + done.stderr, done.stdout + done.stderr
+
+
+def test_names_of_ones_own_are_in_the_keys_of_what_prints_them():
+    hopper, cart = job("env=hopper", "depth=2").config.env, job(CART, "depth=2").config.env
+    assert hopper.own_names() == {} and cart.own_names()["feature_names"] == ["position", "velocity"]
+    renamed = job("env=hopper", "depth=2", "env.action_names=[a,b,c]").config
+    assert renamed.env.own_names()["action_names"] == ["a", "b", "c"]
+    for stage in (PRUNE, CERTIFY):
+        assert stage.settings(renamed)["action_names"] == ["a", "b", "c"]
+        assert "action_names" not in stage.settings(job("env=hopper", "depth=2").config)
 
 
 @pytest.mark.parametrize("method", ["linear", "viper", "sdt", "pid"])

@@ -98,6 +98,14 @@ def test_the_file_decides_the_run(models, tmp_path):
     assert one.startswith("runs/CartPole-v1/model/depth-3/smoke/seed-0~")
 
 
+def test_arrays_alone_do_not_tell_one_saved_policy_from_another(models, tmp_path):
+    network, keys = otr.from_sb3(models / "relu.zip"), []
+    for slope in (0.0, 0.5):  # which the JSON beside the arrays has
+        otr.save(otr.PatternTree(network.replace(negative_slope=slope)), tmp_path / "one")
+        keys.append([jobs(*SMOKE, f"model={tmp_path / name}")[0].folder for name in ("one.npz", "one.json")])
+    assert keys[0] != keys[1] and keys[0][0] != keys[1][0]
+
+
 def test_statistics_are_folded_in(models):
     read = read_model(str(models / "pendulum.zip"), str(models / "statistics.pkl"), PENDULUM)
     raw = read_model(str(models / "pendulum.zip"), None, PENDULUM)

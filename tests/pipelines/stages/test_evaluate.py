@@ -115,6 +115,10 @@ def test_agreement_is_relative_and_forgives_ties_of_labels():
     assert answers_agree(ours, theirs, outputs, 1e-6).tolist() == [True, False]
     logits = np.array([[1.0, 1.0 + 1e-9], [1.0, 2.0]])
     assert answers_agree(np.array([0, 0]), np.array([1, 1]), logits, 1e-6).tolist() == [True, False]
+    signs = np.array([[0.0], [1e-9], [0.5], [-2.0]])  # of one output the sign decides
+    assert answers_agree(np.array([0, 0, 0, 1]), np.array([1, 1, 1, 0]), signs, 1e-6).tolist() == [
+        True, True, False, False,
+    ]  # fmt: skip
 
 
 def test_actor_round_trips_and_damage_is_told(tmp_path):

@@ -90,6 +90,23 @@ def test_killed_and_resumed_equals_uninterrupted(tiny, tmp_path, algorithm, wher
         assert (outs[0] / name).read_bytes() == (outs[1] / name).read_bytes(), name
 
 
+def test_a_replay_buffer_that_is_gone_is_told(tiny, tmp_path):
+    config, out = tiny(algo=SMALL_BUFFER_SAC), tmp_path / "out"
+    out.mkdir()
+    run_until_killed(train_until_killed, config, out, "after saving")
+    logs = sorted(checkpoint_folder(config).glob("replay-*.npz"))
+    logs[-1].unlink()
+    with pytest.raises(PipelineError, match=r"100 of 150 transitions of the replay buffer are gone; bring the replay"):
+        TRAIN.run({}, config, out)
+
+
+def test_only_runs_side_by_side_share_checkpoints(tiny):
+    one = tiny(folder="runs/pendulum/otr/depth-0/quick/seed-0")
+    shorter = dataclasses.replace(one, folder="runs/pendulum/otr/depth-0/quick/seed-0~1234abcd")
+    linear = dataclasses.replace(one, folder="runs/pendulum/linear/depth-0/quick/seed-0")
+    assert checkpoint_folder(one) == checkpoint_folder(shorter) != checkpoint_folder(linear)
+
+
 def test_seed_decides_the_actor(tiny, tmp_path):
     actors = []
     for i, seed in enumerate((0, 0, 1)):

@@ -14,7 +14,7 @@ from pipelines.config.env import EnvConfig
 from pipelines.config.stages import ActorConfig, TrainConfig
 from pipelines.config.trainer import FleetConfig
 from pipelines.engine.store import read_csv
-from pipelines.errors import ConfigError
+from pipelines.errors import ConfigError, PipelineError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import make_env
 from pipelines.stages.train import checkpoint_folder, fleets, group_key, train_settings, trained_steps
@@ -84,6 +84,15 @@ def test_a_dense_actor_has_a_linear_map_of_the_state(fleet_run, tmp_path, depth)
         neurons = network.hidden_widths[-1]
         state_map = network.weights[-1][:, neurons:]
         assert state_map.shape[1] == network.n_inputs and np.any(state_map)
+
+
+def test_a_replay_buffer_that_is_gone_is_told(fleet_run, tmp_path):
+    config, outs = fleet_run(), [tmp_path / "out"]
+    outs[0].mkdir()
+    run_until_killed(train_until_killed, [config], outs, "in a segment")
+    (checkpoint_folder(config) / "replay.bin").unlink()
+    with pytest.raises(PipelineError, match=r"replay\.bin: the transitions of \d+ steps are gone; bring the file back"):
+        train_all([config], outs)
 
 
 def test_result_has_the_artefacts_of_the_other_trainer(fleet_run, tiny, tmp_path):

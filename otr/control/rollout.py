@@ -233,10 +233,11 @@ def _labels(answers: Any, n_labels: int) -> list[int]:
 
 
 def _actions(answers: Any, shape: tuple[int, ...], dtype: Any) -> list[NDArray[Any]]:
-    actions = np.asarray(_array(answers), dtype=dtype)
-    if actions.size != len(actions) * math.prod(shape):
-        raise ValueError(f"the policy answers {_shown(answers)}, expected actions (n, {math.prod(shape)})")
-    return list(actions.reshape(-1, *shape))
+    actions = _array(answers)
+    if actions.size != len(actions) * math.prod(shape) or not np.isfinite(actions).all():
+        raise ValueError(f"the policy answers {_shown(answers)}, expected finite actions (n, {math.prod(shape)})")
+    rounded = np.rint(actions) if np.issubdtype(dtype, np.integer) else actions
+    return list(rounded.astype(dtype).reshape(-1, *shape))
 
 
 def _array(answers: Any) -> NDArray[Any]:

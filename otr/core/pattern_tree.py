@@ -6,7 +6,6 @@ one, `Argmax` o - 1). Test j sends a state right where bit j is 1. P, v, M, c fo
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -90,11 +89,6 @@ class PatternTree:
             return int(2**self.network.n_hidden)
         hidden = pack_rows(self.patterns[:, : self.network.n_hidden])
         return len(count_rows(hidden, self._counts)[0])
-
-    @property
-    def estimated_depth(self) -> float:
-        """Depth log2(a) of a balanced tree over the a patterns (the brackets of Orfanos 2023, Table 4.1)."""
-        return math.log2(self.n_patterns)
 
     @property
     def patterns(self) -> BoolArray:

@@ -195,7 +195,7 @@ def program_of(config: ExportConfig, run: RunConfig, policy: Any) -> str | bytes
 
 
 def visited_states(run: RunConfig, policy: otr.ObliqueTree, n_episodes: int = 5) -> np.ndarray:
-    """Return the states (n, d) that a policy visits in the first of the episodes that the run was pruned with."""
+    """Return the states (n, d) that a policy visits in a few of the episodes that the run was pruned with."""
     seeds = episode_seeds(run.seed, "prune", min(n_episodes, run.prune.n_episodes))
     return rollout(policy.predict, run.env, seeds, keep_states=True, n_workers=1).states
 

@@ -92,8 +92,8 @@ def _read_replay(folder: Path, model: OffPolicyAlgorithm, n_segments: int) -> No
             is_there[steps[steps >= oldest] - oldest] = True
     if not is_there.all():
         raise PipelineError(
-            f"{folder}: {int((~is_there).sum()):,} of {len(is_there):,} transitions of the replay buffer are gone; bring the "
-            "replay-*.npz back, or delete the folder to train from the beginning"
+            f"{folder}: {int((~is_there).sum()):,} of {len(is_there):,} transitions of the replay buffer are gone; "
+            "bring the replay-*.npz back, or delete the folder to train from the beginning"
         )
     buffer.pos = model.num_timesteps % buffer.buffer_size
     buffer.full = model.num_timesteps >= buffer.buffer_size

@@ -124,7 +124,8 @@ def test_it_is_shown_in_one_line():
 @pytest.mark.parametrize(
     ("env", "policy", "message"),
     [
-        (Walk, lambda X: np.zeros((len(X), 2)), r"an array of shape \(5, 2\).*expected actions \(n, 1\)"),
+        (Walk, lambda X: np.zeros((len(X), 2)), r"an array of shape \(5, 2\).*expected finite actions \(n, 1\)"),
+        (Walk, lambda X: np.full((len(X), 1), np.nan), r"first \[nan\], expected finite actions \(n, 1\)"),
         (Walk, lambda X: (np.zeros((len(X), 1)), None), r"a tuple of 2.*deterministic=True\)\[0\]"),
         (Labels, lambda X: np.zeros(len(X)), r"type float64.*expected labels \(n,\) from 0 to 2"),
         (Labels, lambda X: np.full(len(X), 3), r"first \[3\], expected labels \(n,\) from 0 to 2"),

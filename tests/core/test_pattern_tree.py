@@ -1,5 +1,3 @@
-import math
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -44,7 +42,6 @@ def test_observed_paths_are_counted(case: Case) -> None:
     assert seen.n_paths == len(rows)
     assert seen.to_tree().n_leaves == len(rows)
     assert tree.n_patterns == seen.n_patterns == len(np.unique(case.network.patterns(case.states), axis=0))
-    assert tree.estimated_depth == math.log2(tree.n_patterns)
 
 
 def test_keep_takes_the_most_frequent_and_breaks_ties_by_order() -> None:
@@ -106,7 +103,7 @@ def test_a_restricted_tree_counts_where_states_end() -> None:
 def test_n_patterns_ignores_the_heads_tests() -> None:
     net = make_network(np.random.default_rng(0), (2,), n_outputs=2, head="argmax")
     tree = otr.PatternTree(net, all_paths(3)[:4])
-    assert (tree.n_paths, tree.n_patterns, tree.estimated_depth) == (4, 2, 1.0)
+    assert (tree.n_paths, tree.n_patterns) == (4, 2)
     assert otr.PatternTree(net).n_patterns == 4
 
 

@@ -49,10 +49,7 @@ class EnvConfig:
         return {"id": self.id, "kwargs": self.kwargs, **pid, **code}
 
     def own_names(self) -> dict[str, Any]:
-        """Return the names of features and actions for the keys of stages that print them, none where they are conf's.
-
-        Those of conf/env do not change, so results do not have to be keyed by them.
-        """
+        """Return the names of features and actions for the keys of stages that print them; none if conf's."""
         names = {"feature_names": list(self.feature_names), "action_names": list(self.action_names)}
         return {} if names == _names_in_conf(self.name) else names
 

@@ -15,7 +15,7 @@ from pipelines.engine.store import write_json
 from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import state_limits
 from pipelines.play.rollout import rollout
-from pipelines.stages.printed_programs import write_program
+from pipelines.stages.printed_programs import and_names, write_program
 
 MARGIN = 0.05  # of the width of what was visited, on either side
 
@@ -82,19 +82,14 @@ def _domain(inputs: Mapping[str, Path], config: RunConfig) -> tuple[otr.Domain, 
     return otr.Domain(low - margin, high + margin), f"the box around the states of {config.prune.n_episodes} episodes"
 
 
-_PICKED = picked(
-    env="env",
-    n_episodes="prune.n_episodes",
-    seed="seed",
-    max_leaves="certification.max_leaves",
-    max_seconds="certification.max_seconds",
+CERTIFY_SETTINGS = and_names(
+    picked(
+        env="env",
+        n_episodes="prune.n_episodes",
+        seed="seed",
+        max_leaves="certification.max_leaves",
+        max_seconds="certification.max_seconds",
+    )
 )
-
-
-def certify_settings(config: RunConfig) -> dict[str, Any]:
-    """Return what decides the certificate, and the names in its program."""
-    return _PICKED(config) | config.env.own_names()
-
-
 # Its inputs depend on the method and on polish=true: `pipelines.stages.table.stages_of` sets them.
-CERTIFY = Stage("certify", version=2, inputs=(), settings=certify_settings, run=certify)
+CERTIFY = Stage("certify", version=2, inputs=(), settings=CERTIFY_SETTINGS, run=certify)

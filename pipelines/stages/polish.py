@@ -23,7 +23,7 @@ from pipelines.play.rollout import Rollout
 from pipelines.stages.evaluate import EPISODE_COLUMNS, episode_rows
 from pipelines.stages.evaluation_episodes import has_numpy_plant, play_evaluation_episodes
 from pipelines.stages.map import map_actor
-from pipelines.stages.printed_programs import write_program
+from pipelines.stages.printed_programs import and_names, write_program
 from pipelines.stages.prune import prune
 from pipelines.training.search.episodes import SearchEpisodes
 
@@ -232,4 +232,4 @@ POLISH_SETTINGS = picked(
     prune="prune",
     evaluate="evaluate",
 )
-POLISH = Stage("polish", version=1, inputs=(), settings=POLISH_SETTINGS, run=polish)
+POLISH = Stage("polish", version=1, inputs=(), settings=and_names(POLISH_SETTINGS), run=polish)

@@ -26,6 +26,11 @@ def write_picture(tree: otr.ObliqueTree, env: EnvConfig, states: np.ndarray, out
     write_text(out / "tree.svg", otr.to_svg(tree, **names_of_env(tree, env), states=states))
 
 
+def and_names(settings: Callable[[Any], dict[str, Any]]) -> Callable[[Any], dict[str, Any]]:
+    """Return a stage's `settings` and the names that it prints, but for those of conf/env, which do not change."""
+    return lambda config: settings(config) | config.env.own_names()
+
+
 def names_of_env(policy: Any, env: EnvConfig) -> dict[str, Any]:
     """Return the environment's names of a policy's inputs and answers, as programs and pictures take them."""
     return {

@@ -17,7 +17,7 @@ from pipelines.errors import PolicyMismatchError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.agreement import answers_agree
 from pipelines.play.rollout import rollout
-from pipelines.stages.printed_programs import program_text, write_picture, write_program
+from pipelines.stages.printed_programs import and_names, program_text, write_picture, write_program
 
 TOLERANCE = 1e-6
 
@@ -78,12 +78,5 @@ def prune(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
 
 
 # Its inputs depend on the method: `pipelines.stages.table.stages_of` sets them.
-_PICKED = picked(env="env", n_episodes="prune.n_episodes", k="prune.k", seed="seed")
-
-
-def prune_settings(config: RunConfig) -> dict[str, Any]:
-    """Return what decides the pruned tree, and the names in its program and picture."""
-    return _PICKED(config) | config.env.own_names()
-
-
-PRUNE = Stage("prune", version=1, inputs=(), settings=prune_settings, run=prune)
+PRUNE_SETTINGS = and_names(picked(env="env", n_episodes="prune.n_episodes", k="prune.k", seed="seed"))
+PRUNE = Stage("prune", version=1, inputs=(), settings=PRUNE_SETTINGS, run=prune)

@@ -20,7 +20,7 @@ from pipelines.play.environments import spaces, state_limits
 from pipelines.play.rollout import rollout
 from pipelines.stages.evaluation_episodes import play_evaluation_episodes
 from pipelines.stages.polish import load_tree, moments, search
-from pipelines.stages.printed_programs import write_picture, write_program
+from pipelines.stages.printed_programs import and_names, write_picture, write_program
 
 MAX_ATTEMPTS = 4
 FIRST_LOOK = 0.2  # of the deciding episodes: a tree that loses clearly on these is not played on
@@ -221,4 +221,4 @@ SIMPLIFY_SETTINGS = picked(
 )
 # After polish=true it reads the stage polish alone (`pipelines.stages.table.stages_of`), whose result is keyed by the
 # settings of polishing.
-SIMPLIFY = Stage("simplify", version=1, inputs=("prune",), settings=SIMPLIFY_SETTINGS, run=simplify)
+SIMPLIFY = Stage("simplify", version=1, inputs=("prune",), settings=and_names(SIMPLIFY_SETTINGS), run=simplify)

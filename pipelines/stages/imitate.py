@@ -31,7 +31,7 @@ from pipelines.play.actor_files import actor_files
 from pipelines.play.environments import episode_limit
 from pipelines.play.rollout import Policy, Rollout, rollout
 from pipelines.stages.oracle import load_oracle
-from pipelines.stages.printed_programs import and_names, write_program
+from pipelines.stages.printed_programs import write_program
 
 STREAM_ELEMENTS = {"oracle": 0, "dagger": 1, "selection": 2, "fit": 3}
 ITERATE_COLUMNS = ("round", "n_rows", "rollout_mean", "selection_mean", "n_selection_episodes", "n_leaves", "depth",
@@ -170,10 +170,5 @@ def estimated_seconds(config: RunConfig) -> float:
 
 
 IMITATE = Stage(
-    "imitate",
-    VERSION,
-    inputs=("oracle",),
-    settings=and_names(imitate_settings),
-    run=imitate,
-    checkpoints=working_folder,
+    "imitate", VERSION, inputs=("oracle",), settings=imitate_settings, run=imitate, checkpoints=working_folder
 )

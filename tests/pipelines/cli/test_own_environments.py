@@ -9,7 +9,6 @@ import pytest
 from pipelines.cli.runs import RUN
 from pipelines.errors import ConfigError
 from pipelines.stages.certify import CERTIFY
-from pipelines.stages.imitate import IMITATE
 from pipelines.stages.polish import POLISH
 from pipelines.stages.prune import PRUNE
 from pipelines.stages.simplify import SIMPLIFY
@@ -83,7 +82,7 @@ def test_names_of_ones_own_are_in_the_keys_of_what_prints_them():
     assert hopper.own_names() == {} and cart.own_names()["feature_names"] == ["position", "velocity"]
     renamed = job("env=hopper", "method=viper", "depth=2", "env.action_names=[a,b,c]").config
     assert renamed.env.own_names()["action_names"] == ["a", "b", "c"]
-    for stage in (PRUNE, CERTIFY, IMITATE, POLISH, SIMPLIFY):
+    for stage in (PRUNE, CERTIFY, POLISH, SIMPLIFY):
         assert stage.settings(renamed)["action_names"] == ["a", "b", "c"]
         assert "action_names" not in stage.settings(job("env=hopper", "method=viper", "depth=2").config)
 

@@ -1,18 +1,21 @@
 """Environments that conf/env has no file for: any registered id, `module:Id`, and a file of one's own."""
 
+import importlib
 import json
 import re
+import sys
 from pathlib import Path
 
 import pytest
 
 from pipelines.cli.runs import RUN
+from pipelines.config.env import EnvConfig, _code_sha256
 from pipelines.errors import ConfigError
 from pipelines.stages.certify import CERTIFY
 from pipelines.stages.polish import POLISH
 from pipelines.stages.prune import PRUNE
 from pipelines.stages.simplify import SIMPLIFY
-from tests.pipelines.conftest import otr_command, otr_program
+from tests.pipelines.conftest import otr_command
 
 MODULE = "tests.pipelines.own_envs"
 CART = f"env={MODULE}:Cart-v0"
@@ -55,26 +58,25 @@ def test_an_id_is_an_environment(word, name, algorithm, features):
     assert made.command == f"otr-run {'env=mountaincar' if name == 'mountaincar' else word} budget=quick depth=2"
 
 
-def test_another_code_of_an_own_environment_is_no_old_result(tmp_path):
-    (tmp_path / "maze.py").write_text("""
-import gymnasium, numpy
-class Maze(gymnasium.Env):
-    metadata = {"render_modes": []}
-    observation_space, action_space = gymnasium.spaces.Box(0, 1, (2,)), gymnasium.spaces.Discrete(2)
-    def reset(self, *, seed=None, options=None):
-        return numpy.zeros(2, numpy.float32), {}
-    def step(self, action):
-        return numpy.zeros(2, numpy.float32), 1.0, False, False, {}
-gymnasium.register("Maze-v0", Maze, max_episode_steps=3)
-""")
-    (tmp_path / "p.txt").write_text("if x0 <= 0.5 then\n    return 0\nelse\n    return 1\n")
-    words = ("otr-run", "env=maze:Maze-v0", "program=p.txt", "budget=smoke", "results_dir=results", "n_workers=1")
-    assert "3.0 ± 0.0" in otr_program(*words, cwd=tmp_path).stdout
-    assert "evaluate: done before" in otr_program(*words, cwd=tmp_path).stdout
-    code = (tmp_path / "maze.py").read_text()
-    (tmp_path / "maze.py").write_text(code.replace("1.0, False", "7.0, False"))
-    done = otr_program(*words, cwd=tmp_path)
-    assert done.returncode == 1 and "env.code_sha256" in done.stdout + done.stderr, done.stdout + done.stderr
+def test_the_code_of_an_own_environment_is_in_the_keys(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    made = EnvConfig("maze", "discrete", "maze_of_test:Maze-v0")
+
+    def key(text, file="maze_of_test.py"):
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        (tmp_path / file).write_text(text)
+        importlib.invalidate_caches()
+        _code_sha256.cache_clear()  # a process reads a module once
+        return made.settings()["code_sha256"]
+
+    first = key("reward = 1.0")
+    assert first == made.settings()["code_sha256"] == key("reward = 1.0") != key("reward = 7.0")
+    (tmp_path / "maze_of_test.py").unlink()
+    package = key("", "maze_of_test/__init__.py")
+    assert key("reward = 1.0", "maze_of_test/rewards.py") != package
+    assert EnvConfig("gone", "discrete", "no_such_module:Maze-v0").settings()["code_sha256"] is None
+    assert "code_sha256" not in EnvConfig("CartPole-v1", "discrete", "CartPole-v1").settings()
 
 
 def test_names_of_ones_own_are_in_the_keys_of_what_prints_them():

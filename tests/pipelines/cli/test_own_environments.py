@@ -1,5 +1,6 @@
 """Environments that conf/env has no file for: any registered id, `module:Id`, and a file of one's own."""
 
+import dataclasses
 import importlib
 import json
 import re
@@ -80,13 +81,13 @@ def test_the_code_of_an_own_environment_is_in_the_keys(tmp_path, monkeypatch):
 
 
 def test_names_of_ones_own_are_in_the_keys_of_what_prints_them():
-    hopper, cart = job("env=hopper", "depth=2").config.env, job(CART, "depth=2").config.env
-    assert hopper.own_names() == {} and cart.own_names()["feature_names"] == ["position", "velocity"]
-    renamed = job("env=hopper", "method=viper", "depth=2", "env.action_names=[a,b,c]").config
-    assert renamed.env.own_names()["action_names"] == ["a", "b", "c"]
+    config = job("env=hopper", "depth=2").config
+    renamed = dataclasses.replace(config, env=dataclasses.replace(config.env, action_names=["a", "b", "c"]))
+    own = dataclasses.replace(config, env=dataclasses.replace(config.env, name="mine"))  # no file of conf/env
     for stage in (PRUNE, CERTIFY, POLISH, SIMPLIFY):
+        assert "action_names" not in stage.settings(config)
         assert stage.settings(renamed)["action_names"] == ["a", "b", "c"]
-        assert "action_names" not in stage.settings(job("env=hopper", "method=viper", "depth=2").config)
+        assert stage.settings(own)["feature_names"] == config.env.feature_names
 
 
 @pytest.mark.parametrize("method", ["linear", "viper", "sdt", "pid"])

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
-from omegaconf import OmegaConf
+import yaml  # type: ignore[import-untyped]
 
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.setting import DERIVED, FreeText
@@ -81,5 +81,5 @@ def _names_in_conf(name: str) -> dict[str, Any] | None:
     path = CONF_DIR / "env" / f"{name}.yaml"
     if not path.is_file():
         return None
-    file: Any = OmegaConf.to_container(OmegaConf.load(path))
+    file = yaml.safe_load(path.read_text(encoding="utf-8"))
     return {key: file["env"].get(key, []) for key in ("feature_names", "action_names")}

@@ -92,7 +92,9 @@ def rows_under_way(
     """
     if not (run_dir / "config.yaml").is_file():
         return [], FINISHED
-    config = dataclasses.replace(load_config(run_dir), results_dir=str(run_dir.absolute().parents[5]))
+    results_dir = run_dir.absolute().parents[5]
+    place = str(run_dir.absolute().relative_to(results_dir))
+    config = dataclasses.replace(load_config(run_dir), results_dir=str(results_dir), folder=place)
     found = stages_of(config.method.name).get(stage)
     inputs = {name: run_dir / name for name in found.inputs} if found else {}
     if found is None or not found.checkpoints or not all(exists(folder / MANIFEST) for folder in inputs.values()):

@@ -43,8 +43,7 @@ OF_ANY_TYPE = {
     ("RunConfig", "depth"),
     ("EnvConfig", "kwargs"),
     ("OtrConfig", "teacher"),
-    ("CartConfig", "teacher"),
-    ("TaoConfig", "teacher"),
+    *((kind, "teacher") for kind in ("CartConfig", "LinearConfig", "TaoConfig")),
 }  # checked where they are read
 
 

@@ -16,6 +16,8 @@ import pytest
 
 from pipelines.cli.runs import run_config
 from pipelines.config.conf_dir import CONF_DIR
+from pipelines.engine.archive import file_digest
+from pipelines.engine.digests import digest
 from tests.pipelines.conftest import otr_command, otr_program
 from tests.pipelines.sweeps import PROGRAMS, children, wait_for
 
@@ -98,6 +100,19 @@ def test_plan_says_skip_and_run(finished):
         "runs/pendulum/otr/depth-5/smoke/seed-0": "run",
     }
     assert "2 jobs: 1 to skip, 1 left" in done.stdout
+
+
+def test_plan_says_what_was_made_from_another_result(finished, tmp_path):
+    shutil.copytree(finished[0] / "results", tmp_path / "results")
+    trained = tmp_path / RUN / "train"
+    with (trained / "progress.csv").open("a") as file:
+        file.write("\n")
+    manifest = json.loads((trained / "manifest.json").read_text())
+    manifest["outputs"]["progress.csv"] = file_digest(trained / "progress.csv")
+    manifest["output_digest"] = digest(manifest["outputs"])
+    (trained / "manifest.json").write_text(json.dumps(manifest))
+    done = otr_command("otr-plan", *SMOKE, cwd=tmp_path, COLUMNS="200")
+    assert f"{RUN.relative_to('results')}  run map" in done.stdout, done.stdout
 
 
 def test_replay_gives_the_recorded_episodes(finished):

@@ -15,6 +15,7 @@ from pipelines.config.methods import PidConfig
 from pipelines.errors import ConfigError, PolicyMismatchError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import feature_names, make_env
+from pipelines.play.pid_environment import PidObservation
 from pipelines.play.rollout import rollout
 from pipelines.play.selection import compare_with_trained
 from pipelines.stages.train import TRAIN, train_settings, trained_steps
@@ -22,6 +23,7 @@ from pipelines.training.actors import actor_of
 from pipelines.training.sb3_models import build_model
 from tests.control.pids import thesis_policy
 from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM, otr_command
+from tests.pipelines.own_envs import Cart
 from tests.pipelines.stages.test_train import DDPG, train_until_killed
 from tests.pipelines.sweeps import run_until_killed
 
@@ -64,6 +66,23 @@ def test_history_starts_anew_with_each_episode():
     for _ in range(4):
         env.step(np.ones(1, dtype=np.float32))
     np.testing.assert_array_equal(env.reset(seed=3)[0], first)
+
+
+def test_history_holds_states_that_the_environment_changes_in_place():
+    class InPlace(Cart):
+        def reset(self, **options):
+            self.seen = super().reset(**options)[0]
+            return self.seen, {}
+
+        def step(self, action):
+            self.seen[:], *rest = super().step(action)
+            return self.seen, *rest
+
+    def observations(cart):
+        env = PidObservation(cart, PidTerms((0.0, 0.0), 3))
+        return [env.reset(seed=1)[0], *(env.step([1.0])[0] for _ in range(5))]
+
+    np.testing.assert_array_equal(observations(InPlace()), observations(Cart()))
 
 
 def test_names_are_those_of_the_state_and_its_terms():

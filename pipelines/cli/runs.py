@@ -21,7 +21,7 @@ from pipelines.config.algo import ALGORITHMS, WIDEST_LAYER, ArsConfig, is_small
 from pipelines.config.budget import BudgetConfig
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import EnvConfig
-from pipelines.config.methods import METHODS, AugTreeConfig, MethodConfig, ProgramConfig, TakesModel
+from pipelines.config.methods import EXTRA_STAGES, METHODS, AugTreeConfig, MethodConfig, ProgramConfig, TakesModel
 from pipelines.config.model import ImportedModel
 from pipelines.config.run import RunConfig, changes_text, run_folder
 from pipelines.config.setting import not_keyed
@@ -201,6 +201,7 @@ class RunWorkflow(Workflow):
                 spelt_out.append(f"method.model={override.removeprefix('oracle=')}")
             else:
                 spelt_out.append(override)
+        _check_stages(spelt_out)
         return spelt_out
 
     def job(self, overrides: Sequence[str]) -> RunJob:
@@ -245,6 +246,20 @@ class RunWorkflow(Workflow):
             f"trainer={config.trainer.name}", *way, f"depth={config.depth}", f"seed={config.seed}",
         ]).config  # fmt: skip
         return baseline
+
+
+def _check_stages(overrides: Sequence[str]) -> None:
+    """Refuse a switch that a user gave beside a list of stages without its stage: it would do nothing."""
+    words = {"stages", *EXTRA_STAGES}
+    given = {key_of(override): parse(override).value() for override in overrides if key_of(override) in words}
+    chosen = given.pop("stages", None)
+    stages = [chosen] if isinstance(chosen, str) else chosen
+    for switch, value in given.items():
+        if value is True and isinstance(stages, list) and switch not in stages:
+            raise ConfigError(
+                f"{switch}=true and stages=[{','.join(map(str, stages))}], which has no {switch}; "
+                f"add {switch} to the stages, or leave one of the two out"
+            )
 
 
 def _offer(env: EnvConfig) -> None:

@@ -146,6 +146,7 @@ def test_replay_finds_an_episode_that_was_changed(finished, tmp_path):
         (("env=pendulum", "seed=one"), 2, "seed=one: give a whole number from 0 to 4294967295"),
         (("env=pendulum", "seed=null"), 2, "seed=null: give a whole number from 0 to 4294967295"),
         (("env=pendulum", "seed=-1"), 2, "seed=-1 is not between 0 and 4294967295"),
+        (("env=pendulum", "stages=[train]", "polish=true"), 2, "polish=true and stages=[train], which has no polish"),
         (("env=pendulum", "certify=maybe"), 2, "certify=maybe: give true or false"),
         (("env=pendulum", "algo.gamma=much"), 2, "algo.gamma=much: give a number from 0 to 1"),
         (

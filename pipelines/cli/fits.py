@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 
+from pipelines.cli.overrides import key_of
 from pipelines.cli.workflow import Workflow
 from pipelines.config.setting import not_keyed
 from pipelines.supervised.config import LEARNERS, DataConfig, FitConfig, fit_folder
@@ -21,15 +22,20 @@ class FitWorkflow(Workflow):
     do_group = staticmethod(fit_jobs)
     groups = staticmethod(fit_groups)
 
+    def implied(self, overrides: Sequence[str]) -> list[str]:
+        """Return what parts that are drawn anew imply: no settings that were tuned on the published ones."""
+        is_drawn = any(key_of(each) == "data.split" and not each.endswith("=null") for each in overrides)
+        return ["published=none"] if is_drawn else []
+
     def job(self, overrides: Sequence[str]) -> FitJob:
         """Return the fit with these overrides."""
         made = self.composed(overrides)
         config: FitConfig = made.config
         baseline = config
         if not all(map(self.is_plain, overrides)):
-            named = self.composed([f"data={config.data.name}", f"method={config.method.name}"])
-            data = dataclasses.replace(named.config.data, split=config.data.split)
-            baseline = dataclasses.replace(named.config, data=data, seed=config.seed)
+            split = [] if config.data.split is None else [f"data.split={config.data.split}"]
+            named = self.composed([f"data={config.data.name}", f"method={config.method.name}", *split])
+            baseline = dataclasses.replace(named.config, seed=config.seed)
         folder = fit_folder(config, baseline)
         return FitJob(dataclasses.replace(config, folder=folder), folder, made.yaml, tuple(overrides))
 

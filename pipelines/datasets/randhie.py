@@ -38,5 +38,5 @@ def load_randhie() -> Dataset:
     Y = table[:, [head.index(VISITS)]]
     block = np.arange(len(table)) // BLOCK
     parts = {part: np.isin(block, blocks) for part, blocks in random_split(int(block[-1]) + 1).items()}
-    named = {part: Part(X[chosen], Y[chosen]) for part, chosen in parts.items()}
+    named = {part: Part(X[chosen], Y[chosen], block[chosen]) for part, chosen in parts.items()}
     return Dataset("randhie", "counts", ("visits",), tuple(NAMES.values()), **named)

@@ -78,13 +78,17 @@ def _compared(
     ours: pd.DataFrame, our_starts: pd.DataFrame, theirs: pd.DataFrame, their_starts: pd.DataFrame
 ) -> dict[str, Any]:
     """Return what is said of two groups of runs, and of their returns (runs, starts) on the starts that both have."""
+    both = set(ours["run"]) & set(theirs["run"])
+    if both and len(both) in (len(ours), len(theirs)):  # two forms of the same runs, of which some may have one alone
+        our_starts, their_starts = our_starts[_of(ours, both)], their_starts[_of(theirs, both)]
+        theirs = theirs[_of(theirs, both)]
     shared = our_starts.columns.intersection(their_starts.columns)
     means, rivals = ours["return_mean"].astype(float), theirs["return_mean"].astype(float)
     difference, over_starts = np.nan, (np.nan, np.nan)
     if len(shared):
         difference, over_starts = paired_difference(our_starts[shared], their_starts[shared])
-    if set(ours["run"]) == set(theirs["run"]):  # two forms of the same runs
-        gains = (ours.set_index("run")["return_mean"] - theirs.set_index("run")["return_mean"]).astype(float)
+    if both and len(both) == len(theirs):
+        gains = (ours[_of(ours, both)].set_index("run")["return_mean"] - theirs.set_index("run")["return_mean"]).astype(float)
         over_runs, probability = mean_interval(gains), float(((gains > 0) + (gains == 0) / 2).mean())
     else:
         over_runs, probability = difference_interval(means, rivals), probability_of_improvement(means, rivals)
@@ -95,6 +99,10 @@ def _compared(
         "runs_low": over_runs[0], "runs_high": over_runs[1],
         "probability": probability,
     }  # fmt: skip
+
+
+def _of(group: pd.DataFrame, runs: set[str]) -> np.ndarray:
+    return group["run"].isin(runs).to_numpy()
 
 
 def _returns(results_dir: Path, group: pd.DataFrame) -> pd.DataFrame:

@@ -212,6 +212,8 @@ class FitConfig:
                 own = ", ".join(self.all_stages)
                 raise ConfigError(f"stages: method={self.method.name} has no stage {stage!r}; it has {own}")
         _check_grid(self.method)
+        if _is_taught(self.method) and self.method.grid and self.method.tuned_for == "label":
+            raise ConfigError("method.tuned_for=label with a teacher, who teaches all labels at once; choose data")
         check_split(self.data.name, self.data.split)
 
     @property

@@ -11,7 +11,14 @@ import numpy as np
 from pipelines.datasets.dataset import Dataset
 from pipelines.datasets.load import load_dataset
 from pipelines.errors import ConfigError
-from pipelines.supervised.config import FitConfig, LearnerConfig, OtrConfig, learner_settings
+from pipelines.supervised.config import (
+    FitConfig,
+    LearnerConfig,
+    OtrConfig,
+    combinations,
+    learner_settings,
+    with_settings,
+)
 
 if TYPE_CHECKING:
     from otr import ObliqueTree, PatternTree
@@ -50,9 +57,22 @@ def _loaded(name: str, split: int | None) -> Dataset:
 
 
 def check_learner(method: LearnerConfig, dataset: Dataset) -> None:
-    """Raise ConfigError where the learner has no estimator, or no class weights, for the data set's task."""
-    _estimator_name(method.learner, dataset)
-    settings = learner_settings(method)
+    """Raise ConfigError where the learner has no estimator, or not what is asked of it, for the data set's task.
+
+    That is asked of it with each combination of its grid.
+    """
+    name = _estimator_name(method.learner, dataset)
+    known = {"teacher", "keep", *_parameters_of(name)}
+    if method.learner == "augtree":
+        known |= {"hidden", "class_weight"}  # of the network
+    for key in dict.fromkeys(key for values in method.grid for key in values):
+        if key not in known:
+            raise ConfigError(f"method.grid: {name}, which {dataset.name} takes, has no {key}; leave it out")
+    for changes in combinations(method) or [{}]:
+        _check_settings(learner_settings(with_settings(method, changes)), dataset)
+
+
+def _check_settings(settings: dict[str, Any], dataset: Dataset) -> None:
     teacher = settings.get("teacher")
     if teacher is not None and dataset.task != "classification":
         raise ConfigError(f"method.teacher is for binary labels, and {dataset.name} is a {dataset.task}; leave it out")
@@ -192,15 +212,19 @@ def _new(name: str, parameters: dict[str, Any], seed: int | None, network: Any) 
 
 def _parameters(name: str, settings: dict[str, Any]) -> dict[str, Any]:
     """Return the settings that the estimator has, as it has them."""
-    from otr import learners
-
-    known = getattr(learners, name)().get_params()
+    known = _parameters_of(name)
     parameters = {key: value for key, value in settings.items() if key in known}
     if parameters.get("dense") == "none":
         parameters["dense"] = False
     if parameters.get("teacher") is not None:
         parameters["teacher"] = teacher_of(parameters["teacher"])
     return parameters
+
+
+def _parameters_of(name: str) -> list[str]:
+    from otr import learners
+
+    return list(getattr(learners, name)().get_params())
 
 
 def teacher_of(settings: dict[str, Any]) -> Any:

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.datasets.dataset import PARTS
+from pipelines.datasets.dataset import PARTS, Dataset
 from pipelines.engine.stage import Stage
 from pipelines.engine.store import read_json, write_csv, write_json
 from pipelines.supervised.config import FitConfig, fit_settings
-from pipelines.supervised.learners import dataset_of, teacher_of, usable_labels
+from pipelines.supervised.learners import BATCHED, dataset_of, teacher_of, usable_labels
 from pipelines.supervised.metrics import metric_of, score
 
 COLUMNS = ("label", *PARTS)
@@ -19,7 +19,8 @@ COLUMNS = ("label", *PARTS)
 def score_teacher(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> None:
     """Write `scores.csv`, a row a label, and `report.json`, the means over labels; these are empty without a teacher.
 
-    The teacher is the one of the fit's seed, on the same rows. Its settings are those that tuning chose.
+    The teacher is the one of the fit's seed, on the same rows, as the learner standardises them. Its settings are those
+    that tuning chose.
     """
     from otr.learners.distillation import fit_teacher
 
@@ -29,16 +30,28 @@ def score_teacher(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> N
     settings = chosen[0]["settings"].get("teacher", getattr(config.method, "teacher", None))
     rows: list[dict[str, Any]] = []
     if settings is not None:
-        fitted = fit_teacher(dataset.train.X, dataset.train.Y[:, labels], teacher_of(settings), seed=config.seed)
+        mean, scale = _standardising(dataset) if config.method.learner in BATCHED else (0.0, 1.0)
+        rows_seen = (dataset.train.X - mean) / scale
+        fitted = fit_teacher(rows_seen, dataset.train.Y[:, labels], teacher_of(settings), seed=config.seed)
         for i, label in enumerate(labels):
             row: dict[str, Any] = {"label": dataset.label_names[label]}
             for part in PARTS:
                 X, y = dataset.labelled(part, label)
-                row[part] = score(metric_of(dataset), fitted.predict_proba(X)[:, i], y)
+                row[part] = score(metric_of(dataset), fitted.predict_proba((X - mean) / scale)[:, i], y)
             rows.append(row)
     told = {part: [row[part] for row in rows if not np.isnan(row[part])] for part in PARTS}
     write_csv(out / "scores.csv", rows, COLUMNS)
     write_json(out / "report.json", {part: float(np.mean(values)) if values else None for part, values in told.items()})
+
+
+def _standardising(dataset: Dataset) -> tuple[np.ndarray, np.ndarray]:
+    """Return by which networks shift and scale inputs: not at all those that are all 0 and 1."""
+    from otr.learners.base.problem import Problem
+
+    problem = Problem(dataset.train.X.astype(np.float64), dataset.train.Y, "logistic")
+    if not ((problem.X == 0) | (problem.X == 1)).all():
+        problem.standardise_inputs()
+    return problem.mean, problem.scale
 
 
 # It reads stage tune where the method has a grid, as stage fit does.

@@ -108,6 +108,8 @@ def test_several_labels_with_missing_ones(model, fingerprints):
         _ = model.tree_
     with pytest.raises(ValueError, match="multi-label targets are 0, 1 and NaN"):
         model.fit(X, Y + 1)
+    with pytest.raises(ValueError, match="label 2 of y is missing in all rows"):
+        model.fit(X, np.column_stack([Y[:, :2], np.full(len(Y), np.nan)]))
 
 
 def test_estimator_is_the_batched_trainer(fingerprints):

@@ -57,8 +57,8 @@ class TreeLearner(TreeAnswers, ABC):
             validation: (X, y) of rows on which the best epoch is chosen; without, the last is kept.
 
         Raises:
-            ValueError: a parameter that is not what it may be, y of one class only, shapes that do not agree,
-                weights that are negative or all 0, or those of classes that are none.
+            ValueError: a parameter that is not what it may be, y of one class only, a label that all rows lack, shapes
+                that do not agree, weights that are negative or all 0, or those of classes that are none.
         """
         self._fit_problem(self._problem(X, y, sample_weight, validation))
         return self
@@ -189,6 +189,9 @@ class TreeClassifier(ClassifierMixin, TreeLearner):  # type: ignore[misc]
             if len(Y) != len(rows):
                 raise ValueError(f"X has {len(rows)} rows and y {len(Y)}")
             rows, Y, weights = counted_rows(rows, Y, sample_weight)
+            missing = np.isnan(Y).all(axis=0)
+            if missing.any():
+                raise ValueError(f"label {int(np.argmax(missing))} of y is missing in all rows; leave the label out")
             self.classes_ = np.arange(Y.shape[1])
         else:
             rows, labels = validate_data(self, X, y, dtype=np.float64)

@@ -132,7 +132,7 @@ def train_models(
     `sample_weight` (n, L), divided by the mean weight of all rows with that label. Labels whose validation rows are of
     one class do not take part in choosing a common epoch, where others do. The score is the area under the ROC curve
     for the logistic loss, or minus the loss where the validation rows of a label are of one class and for the other
-    losses. Without validation rows the last epoch is kept. Raise DivergedError if a model's parameters are not finite
+    losses. The last epoch is kept without validation rows, and of a label that is missing in all of them. Raise DivergedError if a model's parameters are not finite
     at its best epoch.
     """
     targets = torch.from_numpy(np.nan_to_num(Y.T).astype(np.float32))
@@ -145,10 +145,12 @@ def train_models(
     flats = [parameter.flat for parameter in models.parameters]
     averages = [flat.clone() for flat in flats] if schedule.averaging else flats
     scored = [parameter.view(flat) for parameter, flat in zip(models.parameters, averages, strict=True)]
-    voters = None
-    if validation is not None and (schedule.common_epoch or models.shares_labels):
-        voters = _voters(models.loss, validation[1])
-    kept = _Kept(models, len(streams), Y.shape[1], voters)
+    voters, is_told = None, np.ones(Y.shape[1], dtype=np.bool_)
+    if validation is not None:
+        is_told = ~np.isnan(validation[1]).all(axis=0)
+        if schedule.common_epoch or models.shares_labels:
+            voters = _voters(models.loss, validation[1])
+    kept = _Kept(models, len(streams), is_told, voters)
     for epoch in range(1, schedule.epochs + 1):
         models.start_epoch(epoch, schedule.epochs)
         order = np.stack([stream.order.permutation(rows.n_rows) for stream in streams])
@@ -222,18 +224,21 @@ class _NesterovSgd:
 class _Kept:
     """Every model's parameters at its best epoch so far."""
 
-    def __init__(self, models: BatchedModels[Any], n_seeds: int, n_labels: int, voters: BoolArray | None) -> None:
-        """Choose by the mean score of `voters` (L,), or label by label."""
-        self._parameters, self._voters = models.parameters, voters
+    def __init__(
+        self, models: BatchedModels[Any], n_seeds: int, is_told: BoolArray, voters: BoolArray | None
+    ) -> None:
+        """Choose by the mean score of `voters` (L,), or label by label; `is_told` (L,) is where there is a score."""
+        self._parameters, self._is_told, self._voters = models.parameters, is_told, voters
+        n_labels = len(is_told)
         self._best = np.full((n_seeds, n_labels), -np.inf)
         self._values = [torch.zeros_like(parameter.values) for parameter in models.parameters]
         self._scores = np.full((n_seeds, n_labels), -np.inf)
         self._epochs = np.zeros((n_seeds, n_labels), dtype=np.int64)
 
     def offer(self, epoch: int, values: Sequence[Tensor], scores: FloatArray) -> None:
-        ranked = scores
+        ranked = np.where(self._is_told, scores, epoch)  # without a score a later epoch is better
         if self._voters is not None:
-            ranked = np.broadcast_to(scores[:, self._voters].mean(axis=1, keepdims=True), scores.shape)
+            ranked = np.broadcast_to(ranked[:, self._voters].mean(axis=1, keepdims=True), scores.shape)
         better = (ranked > self._best) | (self._epochs == 0)
         self._best[better] = ranked[better]
         self._scores[better] = scores[better]
@@ -259,12 +264,13 @@ def _validation_scores(loss: Loss, outputs: FloatArray, Y: FloatArray) -> FloatA
 
 
 def _voters(loss: Loss, Y: FloatArray) -> BoolArray:
-    """Return which labels (L,) have a say in a common epoch: those with both classes, or all if there are none."""
+    """Return which labels (L,) have a say in a common epoch: those with both classes, else those with any rows."""
     if loss == "logistic":
         both = (Y == 0).any(axis=0) & (Y == 1).any(axis=0)
         if both.any():
             return np.asarray(both)
-    return np.ones(Y.shape[1], dtype=np.bool_)
+    is_told = ~np.isnan(Y).all(axis=0)
+    return np.asarray(is_told if is_told.any() else ~is_told)
 
 
 def _check_finite(models: BatchedModels[Any], fitted: Fitted) -> None:

@@ -28,7 +28,7 @@ def areas_under_curve(scores: FloatArray, labels: FloatArray) -> FloatArray:
 
 
 def negative_losses(loss: str, outputs: FloatArray, labels: FloatArray) -> FloatArray:
-    """Return minus the mean loss of every model over the labels that are there; 0 without any.
+    """Return minus the mean loss of every model over the labels that are there; NaN without any.
 
     Outputs (..., n, o) are affine, o is 1 but for softmax; labels are as in `areas_under_curve`, for softmax the
     class's number.
@@ -45,6 +45,6 @@ def negative_losses(loss: str, outputs: FloatArray, labels: FloatArray) -> Float
         losses = np.exp(outputs[..., 0]) - targets * outputs[..., 0]
     else:
         losses = (outputs[..., 0] - targets) ** 2
-    n_labels = np.maximum((~missing).sum(axis=-1), 1)
-    means: FloatArray = -np.where(missing, 0.0, losses).sum(axis=-1) / n_labels
+    with np.errstate(invalid="ignore"):
+        means: FloatArray = -np.where(missing, 0.0, losses).sum(axis=-1) / (~missing).sum(axis=-1)
     return means

@@ -252,6 +252,20 @@ def test_the_best_epoch_is_kept(fingerprints):
             assert _equal(last, result.networks[label][seed])
 
 
+@pytest.mark.parametrize("common_epoch", [False, True])
+def test_the_last_epoch_is_kept_of_a_label_without_validation_rows(fingerprints, common_epoch):
+    X, Y = fingerprints
+    valid = Y[200:].copy()
+    valid[:, 1] = np.nan
+    settings = MlpSettings(schedule=Schedule(epochs=6, common_epoch=common_epoch))
+    result = train_many(X, Y, [0, 1], settings, X_valid=X[200:], Y_valid=valid)
+    assert np.isnan(result.scores[1]).all() and not np.isnan(result.scores[[0, 2]]).any()
+    expected = result.epochs[0] if common_epoch else 6
+    assert (result.epochs[1] == expected).all()
+    valid[:] = np.nan
+    assert (train_many(X, Y, [0], settings, X_valid=X[200:], Y_valid=valid).epochs == 6).all()
+
+
 def test_divergence_is_told():
     X = np.random.default_rng(0).normal(size=(100, 4)) * 1e3
     settings = MlpSettings(loss="squared", schedule=Schedule(epochs=5, learning_rate=10.0))

@@ -35,3 +35,4 @@ def test_losses_are_the_means_over_labels_that_are_there():
     ones = 1 / (1 + np.exp(-outputs[0, there, 0]))
     assert negative_losses("logistic", outputs[0, :, :1], binary) == pytest.approx(-log_loss(binary[there], ones))
     assert negative_losses("squared", np.array([[1.0], [5.0]]), np.array([3.0, np.nan])) == -4.0
+    assert np.isnan(negative_losses("squared", np.array([[1.0]]), np.array([np.nan])))

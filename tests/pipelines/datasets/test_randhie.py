@@ -20,6 +20,9 @@ def test_columns_and_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     assert sorted(np.concatenate(parts)) == list(range(1050))
     blocks = [set(part // 100) for part in parts]
     assert [len(each) for each in blocks] == [8, 2, 1] and not blocks[0] & blocks[1] and not blocks[1] & blocks[2]
+    for fold in dataset.folds():
+        blocks = [set(part.Y[:, 0] // 100) for part in (fold.train, fold.valid, fold.test)]
+        assert not blocks[0] & blocks[1] and not blocks[0] & blocks[2] and not blocks[1] & blocks[2]
     np.testing.assert_allclose(dataset.train.X[:, 0], dataset.train.Y[:, 0] / 1000, rtol=1e-6)
 
 

@@ -89,6 +89,25 @@ def test_forms_of_the_same_runs_are_paired_run_by_run(tmp_path):
     assert interval == pytest.approx([1.4 - half, 1.4 + half], abs=1e-5)
 
 
+def test_forms_are_paired_where_some_runs_have_both(tmp_path):
+    for seed in range(6):
+        before, run = 100.0 * seed, f"hopper/otr/depth-6/quick/seed-{seed}"
+        if seed == 0:
+            played(tmp_path, run, before)
+            continue
+        after = before + 1.0 + seed % 2
+        moments = {"return_mean": 1019.5 + after, "n_episodes": 40}
+        write_run(tmp_path, run, 1019.5 + before, n_episodes=40, polish=moments)
+        played(tmp_path, run, before)
+        played(tmp_path, run, after, form="polish")
+    polished = rows(tmp_path)[1]["otr-polished", "quick", "otr-6"]
+    assert (polished["n_runs"], polished["n_rival_runs"], float(polished["probability"])) == ("5", "5", 1.0)
+    assert float(polished["difference"]) == pytest.approx(1.6)
+    half = 2.7764451 * np.std([2.0, 1.0, 2.0, 1.0, 2.0], ddof=1) / np.sqrt(5)
+    interval = [float(polished[name]) for name in ("runs_low", "runs_high")]
+    assert interval == pytest.approx([1.6 - half, 1.6 + half], abs=1e-5)
+
+
 def test_a_polished_policy_has_its_own_episodes(tmp_path):
     played(tmp_path, "hopper/linear/depth-0/quick/seed-0", 0.0)
     moments = {"return_mean": 1026.5, "n_episodes": 40}

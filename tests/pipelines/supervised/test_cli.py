@@ -2,6 +2,7 @@
 
 import pytest
 
+from pipelines.cli.fits import FIT
 from pipelines.report import load_fits
 from tests.pipelines.conftest import otr_command
 from tests.pipelines.datasets.conftest import real_data as real_data  # a fixture
@@ -61,3 +62,11 @@ def test_published_settings_are_used_where_there_are_any(tmp_path):
     mine = otr_command("otr-fit", "--cfg", "data=bace", "method=lcn", "method.depth=3", cwd=tmp_path).stdout
     assert "depth: 3" in mine
     assert "grid: []" not in otr_command("otr-fit", "--cfg", "data=sider", "method=lcn", cwd=tmp_path).stdout
+
+
+def test_parts_drawn_anew_have_no_settings_that_were_tuned_on_the_published_ones():
+    published, anew = FIT.jobs([["data=bace", "method=lcn"], ["data=bace", "method=lcn", "data.split=3"]])
+    assert published.config.method.grid == [] and anew.config.method.grid
+    assert anew.folder == "runs/bace/lcn/split-3/seed-0"
+    (changed,) = FIT.jobs([["data=bace", "method=lcn", "data.split=3", "method.epochs=3"]])
+    assert changed.folder.startswith("runs/bace/lcn/split-3/seed-0~")

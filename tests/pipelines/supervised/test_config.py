@@ -26,6 +26,7 @@ def test_grid_is_all_combinations_of_each_part(fit_of):
         ({"grid": [{"max_depth": 3}]}, "needs a list of values"),
         ({"grid": [{"max_depth": [3]}], "tuning_seeds": []}, "tuning_seeds is empty"),
         ({"grid": [{"max_depth": [3, 0]}]}, "method.grid: max_depth=0 is not at least 1"),
+        ({"grid": [{"teacher": [{"n_estimators": 5}]}]}, "tuned_for=label with a teacher, who teaches all labels"),
         ({"tuned_for": "seed"}, "use one of label, data"),
     ],
 )

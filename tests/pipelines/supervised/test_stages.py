@@ -7,6 +7,7 @@ import shutil
 import numpy as np
 import pytest
 from sklearn.metrics import roc_auc_score
+from sklearn.preprocessing import StandardScaler
 
 import otr
 from otr.learners import CARTClassifier, LinearTreeClassifier, OTRClassifier, TAOClassifier
@@ -76,13 +77,15 @@ def test_what_is_tuned_is_the_best_on_the_validation_part(fit_of):
 
 def test_the_teacher_of_the_networks_is_scored_beside_them(fit_of):
     forest = {"forest": "random_forest", "n_estimators": 20, "n_copies": 1}
-    summary = fit_job(job_of(fit_of("otr", seed=3, hidden=[2], epochs=2, grid=[{"teacher": [forest]}])))
+    grid = [{"teacher": [forest | {"weight_of_linear": 0.5}]}]
+    summary = fit_job(job_of(fit_of("otr", seed=3, hidden=[2], epochs=2, grid=grid, tuned_for="data")))
     dataset = load_dataset("breast_cancer")
     X, y = dataset.labelled("train")
-    teacher = fit_teacher(X, y, Teacher(**forest), seed=3)
+    scaler = StandardScaler().fit(X)  # as the networks see it
+    teacher = fit_teacher(scaler.transform(X), y, Teacher(**forest, weight_of_linear=0.5), seed=3)
     for part in ("train", "valid", "test"):
         rows, labels = dataset.labelled(part)
-        expected = roc_auc_score(labels, teacher.predict_proba(rows)[:, 0])
+        expected = roc_auc_score(labels, teacher.predict_proba(scaler.transform(rows))[:, 0])
         assert summary["teacher"][part] == pytest.approx(expected)
     assert "teacher" not in fit_job(job_of(fit_of("otr", seed=4, hidden=[2], epochs=2)))
 
@@ -121,6 +124,15 @@ def test_a_teacher_is_for_labels_and_has_no_class_weights(fit_of):
         check_learner(method, load_dataset("diabetes"))
     with pytest.raises(ConfigError, match="its rows have weights of their own"):
         check_learner(dataclasses.replace(method, class_weight="balanced"), load_dataset("breast_cancer"))
+
+
+def test_each_combination_is_checked_before_any_is_fitted(fit_of):
+    taught = fit_of("linear", grid=[{"C": [1.0]}, {"teacher": [{"n_estimators": 5}]}], tuned_for="data").method
+    check_learner(taught, load_dataset("breast_cancer"))
+    with pytest.raises(ConfigError, match="its rows have weights of their own"):
+        check_learner(dataclasses.replace(taught, class_weight="balanced"), load_dataset("breast_cancer"))
+    with pytest.raises(ConfigError, match=r"LinearTreeRegressor, which diabetes takes, has no C; leave it out"):
+        check_learner(fit_of("linear", grid=[{"C": [1.0]}]).method, load_dataset("diabetes"))
 
 
 @pytest.mark.parametrize("tuned_on", ["valid", "folds"])

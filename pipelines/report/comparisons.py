@@ -88,7 +88,8 @@ def _compared(
     if len(shared):
         difference, over_starts = paired_difference(our_starts[shared], their_starts[shared])
     if both and len(both) == len(theirs):
-        gains = (ours[_of(ours, both)].set_index("run")["return_mean"] - theirs.set_index("run")["return_mean"]).astype(float)
+        after, before = (group.set_index("run")["return_mean"] for group in (ours[_of(ours, both)], theirs))
+        gains = (after - before).astype(float)
         over_runs, probability = mean_interval(gains), float(((gains > 0) + (gains == 0) / 2).mean())
     else:
         over_runs, probability = difference_interval(means, rivals), probability_of_improvement(means, rivals)

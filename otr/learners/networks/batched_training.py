@@ -132,8 +132,8 @@ def train_models(
     `sample_weight` (n, L), divided by the mean weight of all rows with that label. Labels whose validation rows are of
     one class do not take part in choosing a common epoch, where others do. The score is the area under the ROC curve
     for the logistic loss, or minus the loss where the validation rows of a label are of one class and for the other
-    losses. The last epoch is kept without validation rows, and of a label that is missing in all of them. Raise DivergedError if a model's parameters are not finite
-    at its best epoch.
+    losses. The last epoch is kept without validation rows, and of a label that is missing in all of them. Raise
+    DivergedError if a model's parameters are not finite at its best epoch.
     """
     targets = torch.from_numpy(np.nan_to_num(Y.T).astype(np.float32))
     present = torch.from_numpy((~np.isnan(Y.T)).astype(np.float32))

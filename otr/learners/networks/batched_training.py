@@ -224,9 +224,7 @@ class _NesterovSgd:
 class _Kept:
     """Every model's parameters at its best epoch so far."""
 
-    def __init__(
-        self, models: BatchedModels[Any], n_seeds: int, is_told: BoolArray, voters: BoolArray | None
-    ) -> None:
+    def __init__(self, models: BatchedModels[Any], n_seeds: int, is_told: BoolArray, voters: BoolArray | None) -> None:
         """Choose by the mean score of `voters` (L,), or label by label; `is_told` (L,) is where there is a score."""
         self._parameters, self._is_told, self._voters = models.parameters, is_told, voters
         n_labels = len(is_told)

@@ -43,7 +43,8 @@ class Domain:
                 "a domain needs an inside"
             )
         finite = np.isfinite(self.low) & np.isfinite(self.high)
-        wide = np.flatnonzero(finite & (np.maximum(np.abs(self.low), np.abs(self.high)) > _WIDEST))
+        limits = np.abs(np.stack((self.low, self.high)))
+        wide = np.flatnonzero((np.isfinite(limits) & (limits > _WIDEST)).any(axis=0))
         if wide.size:
             i = int(wide[0])
             raise ValueError(
@@ -109,6 +110,7 @@ class Domain:
         sizes = np.abs(forms) if sizes is None else sizes
         # By powers of two, so that no square overflows and none is lost.
         exponents = np.frexp(np.maximum(sizes[..., :-1] * self._scale, np.finfo(np.float64).tiny).max(axis=-1))[1]
+        exponents = np.where(sizes[..., :-1].any(axis=-1), exponents, 0)
         unit = np.ldexp(1.0, -np.clip(exponents, -1000, 1000))[..., None]
         scaled, sizes = self.scaled(forms * unit), sizes * unit
         a, b = scaled[..., :-1], scaled[..., -1]

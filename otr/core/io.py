@@ -26,6 +26,7 @@ from otr.core.zip_members import read_members
 from otr.errors import ArtefactError
 
 SCHEMA = "otr/tree/1"
+SCHEMA_OF_BASIS = "otr/tree/2"  # with P and M as they are held, those of `basis @ x`
 
 Arrays = dict[str, NDArray[Any]]
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
@@ -56,7 +57,7 @@ def save(tree: ObliqueTree | PatternTree, path: str | os.PathLike[str]) -> Path:
         description, arrays = _describe_pattern_tree(tree)
     else:
         description, arrays = _describe_tree(tree)
-    description["schema"] = SCHEMA
+    description["schema"] = SCHEMA_OF_BASIS if "basis" in arrays else SCHEMA
     description["shapes"] = {name: list(array.shape) for name, array in sorted(arrays.items())}
     description["sha256"] = _digest(description, arrays)
     text = json.dumps(description, indent=2, sort_keys=True) + "\n"
@@ -98,6 +99,8 @@ def load(path: str | os.PathLike[str]) -> ObliqueTree | PatternTree:
 
 def _describe_tree(tree: ObliqueTree) -> tuple[dict[str, Any], Arrays]:
     arrays: Arrays = {name: getattr(tree, name) for name in _TREE_ARRAYS}
+    if tree.basis is not None:
+        arrays |= {"P": tree.P_of_basis, "M": tree.M_of_basis, "basis": tree.basis}
     if tree.labels is not None:
         arrays["labels"] = tree.labels
     names = {name: list(getattr(tree, name)) for name in _TREE_NAMES if getattr(tree, name) is not None}
@@ -108,7 +111,7 @@ def _restore_tree(description: dict[str, Any], arrays: Arrays) -> ObliqueTree:
     core = (arrays[name] for name in _TREE_ARRAYS)
     names = {name: _field(description, name, list) for name in _TREE_NAMES if name in description}
     head = head_from_dict(_field(description, "head", dict))
-    return ObliqueTree(*core, labels=arrays.get("labels"), head=head, **names)
+    return ObliqueTree(*core, labels=arrays.get("labels"), head=head, basis=arrays.get("basis"), **names)
 
 
 def _describe_pattern_tree(tree: PatternTree) -> tuple[dict[str, Any], Arrays]:
@@ -186,9 +189,10 @@ def _read_description(path: Path) -> dict[str, Any]:
     except (OSError, ValueError, RecursionError) as error:
         raise ArtefactError(f"{path} cannot be read as JSON ({error}); restore it or save the tree again") from error
     schema = description.get("schema") if isinstance(description, dict) else None
-    if not isinstance(description, dict) or schema != SCHEMA:
+    if not isinstance(description, dict) or schema not in (SCHEMA, SCHEMA_OF_BASIS):
         raise ArtefactError(
-            f"{path} has the schema {shortened(schema)}, expected {SCHEMA!r}; save the tree with this version"
+            f"{path} has the schema {shortened(schema)}, expected {SCHEMA!r} or {SCHEMA_OF_BASIS!r}; "
+            "save the tree with this version"
         )
     return description
 

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from otr.core.arrays import BoolArray, FloatArray, as_states, read_only
+from otr.core.arrays import BoolArray, FloatArray, as_states, read_only, with_read_only_arrays
 from otr.core.domain import Box, Domain, as_domain
 from otr.core.head import Head
 from otr.core.heads import Identity
@@ -96,6 +96,9 @@ class ReluNetwork:
         self.weights, self.biases = _checked_layers(weights, biases, self.dense)
         self.head.check(self.n_outputs)
         self.domain = None if domain is None else as_domain(domain, self.n_inputs)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(with_read_only_arrays(state))
 
     @property
     def n_inputs(self) -> int:

@@ -128,11 +128,16 @@ class PatternTree:
             counts: (n,) how often each row was taken; None for once each.
 
         Raises:
-            ValueError: the tree is restricted.
+            ValueError: the tree is restricted, the shapes do not fit it or each other, or a count is negative.
         """
         if self.is_restricted:
             raise ValueError("the tree is restricted to some paths; count paths in PatternTree(network)")
         weights = np.ones(len(paths), dtype=np.int64) if counts is None else counts
+        if paths.shape != (len(weights), self.n_bits) or (weights < 0).any():
+            raise ValueError(
+                f"paths have shape {paths.shape} and there are {len(weights)} counts, expected (n, {self.n_bits}) and "
+                "n of at least 0"
+            )
         seen, n_seen = count_rows(pack_rows(paths), weights)
         merged = np.concatenate((self._paths, seen)), np.concatenate((self._counts, n_seen))
         self._paths, self._counts = count_rows(*merged)
@@ -207,7 +212,7 @@ def tree_of_paths(
 
     Test node i asks for bit `bits[i]`, in the form that it has on the path `paths[i]`: (k - 1,) each.
     """
-    units, basis = _units_and_basis(network)
+    units, basis = units_and_basis(network)
     k, d, o = len(patterns), units.inputs.shape[1], network.n_outputs
     P, v = np.empty((k - 1, d)), np.empty(k - 1)
     M, c = np.empty((k, o, d)), np.empty((k, o))
@@ -224,7 +229,7 @@ def tree_of_paths(
     return ObliqueTree(left, right, P, v, M, c, labels=labels, head=network.head, basis=basis)
 
 
-def _units_and_basis(network: ReluNetwork) -> tuple[UnitForm, FloatArray | None]:
+def units_and_basis(network: ReluNetwork) -> tuple[UnitForm, FloatArray | None]:
     """Return a network unit by unit, and the rows (r, d) of which its inputs are products, None for x itself.
 
     Of many inputs a few units read, all tests and maps are sums of these units' weights.

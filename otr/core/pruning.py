@@ -158,6 +158,6 @@ def _tree_of_reached_paths(tree: PatternTree, X: FloatArray) -> ObliqueTree:
 
 def _states(tree: ObliqueTree | PatternTree, X: ArrayLike) -> FloatArray:
     states = as_batch(X, tree.n_inputs)
-    if not len(states):
-        raise ValueError("X holds no states; pruning needs at least one to know which paths are reached")
+    if not len(states) or np.isnan(states).any():
+        raise ValueError("X holds no states, or a NaN; pruning needs at least one to know which paths are reached")
     return states

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from otr.core.arrays import FloatArray, IntArray, as_states, read_only
+from otr.core.arrays import FloatArray, IntArray, as_states, read_only, with_read_only_arrays
 from otr.core.head import Head
 from otr.core.heads import Identity
 from otr.core.leaf_maps import LeafMaps
@@ -85,6 +85,9 @@ class ObliqueTree:
         self.feature_names = None if feature_names is None else tuple(feature_names)
         self.output_names = None if output_names is None else tuple(output_names)
         self.check()
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(with_read_only_arrays(state))
 
     @cached_property
     def P(self) -> FloatArray:
@@ -264,6 +267,9 @@ class ObliqueTree:
         for name, array in numbers.items():
             if array is not None and not np.isfinite(array).all():
                 raise InvalidTreeError(f"{name} holds a number that is not finite (NaN or infinite)")
+        n_labels = self.head.n_labels(self.n_outputs)
+        if self.labels is not None and self.head.gives_labels and not np.isin(self.labels, np.arange(n_labels)).all():
+            raise InvalidTreeError(f"labels hold {shortened(self.labels.tolist())}, expected numbers below {n_labels}")
         n_nodes = self.n_nodes
         children = np.stack((self.children_left, self.children_right), axis=1)
         if n_nodes and (children.max() >= n_nodes or children.min() < -self.n_leaves):
@@ -327,4 +333,7 @@ class ObliqueTree:
 
 
 def _array(values: ArrayLike, dtype: type) -> NDArray[Any]:
-    return read_only(np.ascontiguousarray(values, dtype=dtype))
+    array: NDArray[Any] = np.ascontiguousarray(values, dtype=dtype)
+    if dtype is np.int64 and not np.array_equal(array, np.asarray(values)):
+        raise InvalidTreeError(f"{shortened(np.asarray(values).tolist())} holds a number that is not whole")
+    return read_only(array)

@@ -232,8 +232,8 @@ class Walk:
         self.n_tests += len(block.group)
         of_group = rows.of(block.group)
         values = np.einsum("nd,nd->n", block.centres, rows.a[of_group, test]) + rows.b[of_group, test]
-        near = values > 0
         constant = self.domain.reach(rows.a[of_group, test]) < np.abs(rows.b[of_group, test])
+        near = np.where(constant, rows.b[of_group, test], values) > 0  # a region without an inner point has no centre
         unclear = np.maximum(_CLEAR_SHARE * block.radii, rounding_at(block.centres))
         is_clear = constant | ((block.radii > 0) & (np.abs(values) > unclear))
         asked = np.concatenate((np.flatnonzero(~constant), np.flatnonzero(~is_clear)))

@@ -41,6 +41,7 @@ def largest_values(rows: HalfSpaces, group: IntArray, signs: NDArray[np.int8], o
     )
     found = LargestValues(np.full(n, -np.inf), np.zeros((n, d)), np.zeros((n, d), np.int16), np.zeros((n, d)))
     problems, absent, signed = np.arange(n), np.where(signs == 0, np.inf, 0.0), signs.astype(np.float64)
+    whole, undecided = (rows.of(group), signed, f), list[int]()
     for _ in range(MAX_PIVOTS):
         margins = rows.values(group, bases.solution) * signed + absent
         tightest = margins.argmin(axis=1)
@@ -55,21 +56,27 @@ def largest_values(rows: HalfSpaces, group: IntArray, signs: NDArray[np.int8], o
         problems, group, signed, absent = problems[left], group[left], signed[left], absent[left]
         f, f0 = f[left], f0[left]
         if not left.size:
-            return found
-        bases, tightest = bases.take(left), tightest[left]
+            break
+        bases, tightest, margin = bases.take(left), tightest[left], margin[left]
         column = -signed[np.arange(len(left)), tightest][:, None] * rows.a[rows.of(group), tightest]
-        stuck = pivot(bases, column, margin[left], tightest, multipliers[left])
+        stuck, direction = pivot(bases, column, margin, tightest, multipliers[left])
+        ended = np.flatnonzero(stuck)
+        if ended.size:  # a place that is too small to be left still counts, by as much as its row may be above 0
+            at = (rows.of(group)[ended, None], bases.rows[ended].astype(np.int64))
+            spans = np.abs(rows.a[at]).sum(axis=2) + np.abs(rows.b[at])
+            most = margin[ended] + np.einsum("nd,nd->n", np.maximum(direction[ended], 0.0), spans)
+            undecided += problems[ended[most >= 0]].tolist()
         go_on = np.flatnonzero(~stuck)
         problems, group, signed, absent = problems[go_on], group[go_on], signed[go_on], absent[go_on]
         f, f0, bases = f[go_on], f0[go_on], bases.take(go_on)
         if not go_on.size:
-            return found
-    for at, problem in enumerate(problems.tolist()):
-        g = rows.of(group)[at]
-        optimum = _largest_value_alone(rows.a[g], rows.b[g], signed[at], f[at])
+            break
+    for problem in (*undecided, *problems.tolist()):
+        of_group, signed, f = (each[problem] for each in whole)
+        optimum = _largest_value_alone(rows.a[of_group], rows.b[of_group], signed, f)
         if optimum is not None:
             found.states[problem], found.rows[problem], found.multipliers[problem] = optimum
-            found.values[problem] = f[at] @ found.states[problem] + f0[at]
+            found.values[problem] = f @ found.states[problem] + objectives[problem, d]
     return found
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -9,16 +10,17 @@ from numpy.typing import ArrayLike
 
 from otr.core.arrays import BoolArray, FloatArray, IntArray, as_batch
 from otr.core.domain import Box, Domain, as_domain
-from otr.core.network import ReluNetwork
+from otr.core.network import ReluNetwork, UnitForm
 from otr.core.packed_bits import count_rows, pack_rows, unpack_rows
-from otr.core.pattern_tree import PatternTree
+from otr.core.pattern_tree import PatternTree, units_and_basis
 from otr.core.pruning import keep_leaves
 from otr.core.tree import ObliqueTree
 from otr.geometry.arrangement import find_regions
 from otr.geometry.test_order import balanced_tree
 
 Order = Literal["layers", "balanced", "visits"]
-_SAME_MAP = 1e-12  # of the largest coefficient: leaves that differ by less are the same
+_SAME_MAP = 1e-12  # of the size of the terms that a number is the sum of: leaves that differ by less are the same
+_CHUNK = 2**12  # leaves whose terms are sized at once
 _UNSEEN = 1e-3  # visits that all regions together count for beside those of X
 
 
@@ -39,8 +41,9 @@ def minimal_tree(
     have it: so a neuron that is parallel to another, equal to it or at the domain's edge adds no path. What floating
     point cannot decide is kept, so that a path may be empty after all: among regions of the width of rounding and, on a
     domain without limits, where a proof takes next to nothing of the test. `otr.certify` decides in rational
-    arithmetic. Two leaves that are each other's siblings and hold the same map (or label) are one. Where their maps
-    differ, a leaf of several regions with one label has ``M = 0`` and the scores ``c`` that its label alone has.
+    arithmetic. Two leaves that are each other's siblings and hold the same label, or map to within the rounding of its
+    terms, are one. Where their maps differ, a leaf of several regions with one label has ``M = 0`` and the scores ``c``
+    that its label alone has.
 
     n hyperplanes in general position in R^d make sum_{i <= d} C(n, i) leaves (Zaslavsky 1975).
 
@@ -66,7 +69,8 @@ def minimal_tree(
     network = network.without_dead_neurons()
     regions = find_regions(network, box, max_regions=max_leaves, max_seconds=max_seconds)
     if order == "layers":
-        return merge_equal_leaves(PatternTree(network, regions.patterns).to_tree())
+        paths = PatternTree(network, regions.patterns)
+        return merge_equal_leaves(paths.to_tree(), _sizes_of_terms(network, paths.patterns))
     packed, _ = count_rows(pack_rows(regions.patterns), np.ones(len(regions.patterns), dtype=np.int64))
     patterns = unpack_rows(packed, regions.patterns.shape[1])
     weights = np.full(len(patterns), 1 / len(patterns))
@@ -74,14 +78,18 @@ def minimal_tree(
         in_order = PatternTree(network, patterns).to_tree()
         states = as_batch(X, network.n_inputs)
         weights = _UNSEEN * weights + np.bincount(in_order.apply(states), minlength=len(patterns)) / max(len(states), 1)
-    return merge_equal_leaves(balanced_tree(network, patterns, weights))
+    return merge_equal_leaves(balanced_tree(network, patterns, weights), _sizes_of_terms(network, patterns))
 
 
-def merge_equal_leaves(tree: ObliqueTree) -> ObliqueTree:
-    """Return the tree in which every subtree whose leaves all hold the same map, or label, is one leaf."""
+def merge_equal_leaves(tree: ObliqueTree, sizes_of: Callable[[IntArray], FloatArray]) -> ObliqueTree:
+    """Return the tree in which every subtree whose leaves all hold the same map, or label, is one leaf.
+
+    `sizes_of` leaves (n,) are those of the terms of which the numbers of their maps [M | c] (n, o, d + 1) are sums:
+    maps are the same to within the rounding of these.
+    """
     n_nodes = tree.n_nodes
     on_leaves = (tree.children_left < 0) & (tree.children_right < 0)
-    if not _same_answers(tree, ~tree.children_left[on_leaves], ~tree.children_right[on_leaves]).any():
+    if not _same_answers(tree, ~tree.children_left[on_leaves], ~tree.children_right[on_leaves], sizes_of).any():
         return tree
     # What stands for each node, then each leaf: a leaf that it is equal to throughout, or -1.
     stands_for = np.concatenate((np.full(n_nodes, -1), np.arange(tree.n_leaves)))
@@ -89,7 +97,7 @@ def merge_equal_leaves(tree: ObliqueTree) -> ObliqueTree:
     for level in reversed(tree.levels):
         on_left, on_right = stands_for[left[level]], stands_for[right[level]]
         equal = (on_left >= 0) & (on_right >= 0)
-        equal[equal] = _same_answers(tree, on_left[equal], on_right[equal])
+        equal[equal] = _same_answers(tree, on_left[equal], on_right[equal], sizes_of)
         stands_for[level[equal]] = on_left[equal]
     merged = _pass_down(tree, np.where(stands_for < 0, np.arange(-1, -1 - len(stands_for), -1), stands_for))
     members = np.bincount(merged, minlength=tree.n_leaves)
@@ -109,16 +117,35 @@ def _pass_down(tree: ObliqueTree, stands_for: IntArray) -> IntArray:
     return result[n_nodes:]
 
 
-def _same_answers(tree: ObliqueTree, leaves: IntArray, others: IntArray) -> BoolArray:
+def _sizes_of_terms(network: ReluNetwork, patterns: BoolArray) -> Callable[[IntArray], FloatArray]:
+    """Return what `merge_equal_leaves` asks of a tree whose leaves are the paths `patterns` (k, n_bits), in order."""
+    units, _ = units_and_basis(network)
+    units = UnitForm(np.abs(units.links), np.abs(units.inputs), np.abs(units.offsets), units.layer_starts)
+    n = network.n_hidden
+    return lambda leaves: units.forms(patterns[leaves, :n], network.negative_slope)[:, n:]
+
+
+def _same_answers(
+    tree: ObliqueTree, leaves: IntArray, others: IntArray, sizes_of: Callable[[IntArray], FloatArray]
+) -> BoolArray:
     """Return whether pairs of leaves, (n,) each, hold the same label or, to within rounding, the same map."""
     if tree.labels is not None:
         equal: BoolArray = tree.labels[leaves] == tree.labels[others]
         return equal
     M = tree.M_of_basis
+    # Most pairs differ by more than this; of the others the terms are sized.
     size = max(np.abs(M).max(initial=0.0), np.abs(tree.c).max(initial=0.0))
     slopes = np.abs(M[leaves] - M[others]).max(axis=(1, 2), initial=0.0)
     offsets = np.abs(tree.c[leaves] - tree.c[others]).max(axis=1, initial=0.0)
     same: BoolArray = np.maximum(slopes, offsets) <= _SAME_MAP * size
+    close = np.flatnonzero(same)
+    for start in range(0, len(close), _CHUNK):
+        at = close[start : start + _CHUNK]
+        allowed = _SAME_MAP * np.minimum(sizes_of(leaves[at]), sizes_of(others[at]))
+        between = np.concatenate(
+            (M[leaves[at]] - M[others[at]], (tree.c[leaves[at]] - tree.c[others[at]])[..., None]), 2
+        )
+        same[at] = (np.abs(between) <= allowed).all(axis=(1, 2))
     return same
 
 

@@ -62,12 +62,13 @@ class Bases:
 
 def pivot(
     bases: Bases, column: FloatArray, value: FloatArray, entering: IntArray, multipliers: FloatArray
-) -> BoolArray:
+) -> tuple[BoolArray, FloatArray]:
     """Let the rows `entering` (n,) into the n bases, in place.
 
     A row's normal, turned outwards, is `column` (n, q), its value at the present solution, below 0, `value` (n,); the
-    multipliers (n, q) are of the rows in the basis. Return (n,) whether no place can be left, which shows that the
-    polytope is empty; such a basis is of no use any more.
+    multipliers (n, q) are of the rows in the basis. Return (n,) whether no place can be left, as the polytope is empty
+    or next to it: such a basis keeps its rows and is of no more use. Beside it, (n, q), the normals as sums of those in
+    the basis.
     """
     basis, inverse, solution = bases.rows, bases.inverse, bases.solution
     each = np.arange(len(basis))
@@ -87,5 +88,5 @@ def pivot(
     inverse -= direction[:, :, None] * row[:, None, :]
     inverse[each, leaving] = row
     solution += value[:, None] * row
-    basis[each, leaving] = entering
-    return stuck
+    basis[each[~stuck], leaving[~stuck]] = entering[~stuck]
+    return stuck, direction

@@ -22,7 +22,8 @@ def largest_difference(tree: ObliqueTree, other: ObliqueTree, box: Box | Domain)
     For each pair of leaves whose regions meet, an action's difference is at most that of its ranges there and, under
     one and the same clip or tanh, at most the outputs' own difference times the head's steepest slope. Meetings that
     hold no ball of radius 1e-9, in the box's scale, may be left out: a test that is moved by rounding alone makes such
-    slivers. Of trees with labels the bound is 1 where a region exists in which they differ, else 0.
+    slivers. On a box so small beside its distance from 0 that rounding hides how wide they are, they count. Of trees
+    with labels the bound is 1 where a region exists in which they differ, else 0.
 
     Raises:
         ValueError: the box is unbounded, or the trees do not fit each other.
@@ -64,8 +65,10 @@ def _meetings(
     n_sides = domain.rows().n_rows
     rows = rows.followed_by(more.take(slice(None), slice(n_sides, None)))
     signs = np.concatenate((signs, more_signs[:, n_sides:]), axis=1)
-    start = Bases.start(n * m, tree.n_inputs)
-    at = np.flatnonzero(largest_balls(rows, np.arange(n * m), signs, start).radii > _THIN)
+    balls = largest_balls(rows, np.arange(n * m), signs, Bases.start(n * m, tree.n_inputs))
+    # Where rounding hides how wide a meeting is, it counts.
+    is_hidden = ~balls.is_empty & (balls.radii == 0) & (rows.rounding.sum(axis=2).max(axis=1) > _THIN)
+    at = np.flatnonzero((balls.radii > _THIN) | is_hidden)
     return rows.take(at), signs[at], leaves[at], others[at]
 
 
@@ -73,7 +76,9 @@ def _largest(rows: HalfSpaces, signs: np.ndarray, domain: Domain, forms: FloatAr
     """Return the largest values of forms (n, o, d + 1), each over its own polytope: (n, o)."""
     n, o, _ = forms.shape
     each = np.repeat(np.arange(n), o)
-    best = largest_values(rows, each, np.repeat(signs, o, axis=0), domain.scaled(forms).reshape(n * o, -1))
+    best = largest_values(
+        rows, each, np.repeat(signs, o, axis=0), domain.scaled(forms).reshape(n * o, domain.n_inputs + 1)
+    )
     return best.values.reshape(n, o)
 
 

@@ -51,8 +51,7 @@ class Search:
     def run(self, max_pieces: int) -> Verdict:
         """Return the answer; raise OtrError if more than `max_pieces` pieces would have to be looked at."""
         waiting, pieces = self._first_pieces(max_pieces), list[Piece]()
-        largest: Fraction | None = None
-        where = 0
+        bounds = dict[int, Fraction]()  # of pieces that states may be in, by their place
         while len(waiting.leaves):
             if len(pieces) + len(waiting.leaves) > max_pieces:
                 raise OtrError(f"the question needs more than {max_pieces:,} pieces; ask about a smaller box")
@@ -79,14 +78,26 @@ class Search:
                     states[i] = [float(value) for value in proved]
                     to_cut.append(i)
                     continue
-                pieces.append(proved)
                 highest = self.question.highest(proved)
-                if highest is not None and (largest is None or highest > largest):
-                    largest, where = highest, leaf
+                if highest is not None:
+                    bounds[len(pieces)] = highest
+                pieces.append(proved)
             at = np.array(to_cut, dtype=np.int64)
             waiting = self._cut(_Open(waiting.leaves[at], waiting.low[at], waiting.high[at]), states[at])
-        value = -math.inf if largest is None else float(largest)  # of no state where nothing is given
+        value, where = -math.inf, 0  # of no state, where nothing is given
+        for place in sorted(bounds, key=bounds.__getitem__, reverse=True):
+            pieces[place] = self._empty_or_same(pieces[place])
+            if not pieces[place].is_empty:
+                value, where = float(bounds[place]), pieces[place].leaf
+                break
         return Verdict(True, value, where, None, None, None, tuple(pieces), self.tolerance)
+
+    def _empty_or_same(self, piece: Piece) -> Piece:
+        """Return the piece, with the proof that no state is in it where there is one."""
+        found = decide(self.question.rows(piece.leaf, piece.low, piece.high), self.tree.n_inputs)
+        if isinstance(found, tuple):
+            return piece
+        return replace(piece, proof=Sum(tuple(found), tuple(found.values())), is_empty=True)
 
     def _settled(self, piece: Piece) -> Piece | Point:
         """Return the piece with a proof that holds, or a point of it where its lines allow more than they may."""

@@ -105,6 +105,8 @@ class _Certification:
         self, rows: HalfSpaces, signs: NDArray[np.int8], balls: Balls, names: list[list[str]]
     ) -> dict[int, list[Cell]]:
         """Return the cells, by leaf, that a walk in floating point finds in those that have an inner point."""
+        if not (balls.radii > 0).any():
+            return {}
         network, domain = self.pair.network, self.pair.domain
         walk = Walk(network, network.unit_form(), domain, self.max_regions, self.max_seconds)
         by_leaf: dict[int, list[Cell]] = {}

@@ -24,7 +24,8 @@ def find_difference(
     """Return a proof that two trees differ by no more than `max_difference` on a box, or a state where they do.
 
     Both are asked at once, as one tree whose leaves are the pairs of theirs; `find_violation` says what is proved. What
-    is compared are the actions or, under one and the same tanh, the outputs before it, as in `otr.certify`.
+    is compared are the actions or, under one and the same tanh, the outputs before it, as in `otr.certify`. A tree with
+    a basis counts as its P and M are in float64, multiplied out.
 
     Args:
         tree, other: with equal numbers of inputs and outputs and heads of one kind, or both with labels.

@@ -172,6 +172,11 @@ class _ExpAction(Action):
 
     def line_above(self, weight: float, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the chord where the share is convex, for a positive weight, and the tangent in the middle else."""
+        if (high > _MOST).any():
+            raise OtrError(
+                f"over the box an output may reach {high.max():.6g}, and no float64 is the exp of more than 709; ask "
+                "about a smaller box"
+            )
         middle, at_low, at_high = (low + high) / 2, np.exp(low), np.exp(high)
         chord = (at_high - at_low) / np.maximum(high - low, 1e-300)
         slope = weight * (chord if weight > 0 else np.exp(middle))

@@ -39,7 +39,8 @@ class HalfSpace:
 class Condition:
     """A linear condition on state and action: ``state @ x + action @ u <= bound``, in all half spaces of `given`.
 
-    In a tree with labels, u is 1 at the label and 0 elsewhere; of a sign head it is the label, 0 or 1.
+    In a tree with labels, u is 1 at the label and 0 elsewhere; of a sign head it is the label, 0 or 1. Where half
+    spaces are given, a tree with a basis counts as its P and M are in float64, multiplied out.
     """
 
     state: ArrayLike

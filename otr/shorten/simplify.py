@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 
 from otr.core.arrays import FloatArray, as_batch
 from otr.core.domain import Box, Domain, as_domain
+from otr.core.merging import merge_equal_leaves
 from otr.core.tree import ObliqueTree
-from otr.geometry.minimal_tree import merge_equal_leaves
 from otr.proof.action_difference import largest_difference
 from otr.shorten import edits as shorter
 from otr.shorten.edits import n_numbers
@@ -54,7 +54,8 @@ def simplify(
         judge: says whether a tree still does what it should.
         X: (n, d) states that the policy visits: their spread says which coefficients matter least, their mean actions
             what a leaf may be as a constant, and tests are refitted on them.
-        refit: whether tests are refitted by sparse linear discriminant analysis (`otr.refit_tests`), or which.
+        refit: whether tests are refitted by sparse linear discriminant analysis (`otr.refit_tests`), or which of those
+            that are left once tests have been taken out, by number.
         digits: significant digits to try, from the fewest.
 
     Raises:

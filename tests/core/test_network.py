@@ -137,6 +137,12 @@ def test_a_domain_goes_with_the_network() -> None:
         otr.ReluNetwork(net.weights, net.biases, domain=([0.0], [1.0]))
 
 
+@pytest.mark.parametrize("side", [([1e200], [np.inf]), ([-np.inf], [-1e200]), ([0.0], [1e200])])
+def test_limits_that_are_too_far_are_refused(side: tuple) -> None:
+    with pytest.raises(ValueError, match=r"wider than 1e\+100; leave such a side open"):
+        otr.Domain(*side)
+
+
 def test_a_domain_tells_which_states_it_holds() -> None:
     domain = otr.Domain([0.0, -np.inf], [2.0, 5.0])
     states = [[0, 5], [2, -1e300], [2.0000001, 0], [1, 5.1], [-0.1, 0], [np.nan, 0], [1, -np.inf]]

@@ -117,6 +117,10 @@ def test_bad_arguments_are_refused() -> None:
         otr.PatternTree(net, counts=[1])
     with pytest.raises(ValueError, match="k > 0"):
         otr.PatternTree(net, np.zeros((0, 3), dtype=bool))
+    with pytest.raises(ValueError, match=r"paths have shape \(1, 4\).*expected \(n, 3\)"):
+        otr.PatternTree(net).observe_paths(np.ones((1, 4), dtype=bool))
+    with pytest.raises(ValueError, match="of at least 0"):
+        otr.PatternTree(net).observe_paths(np.ones((1, 3), dtype=bool), np.array([-1]))
     with pytest.raises(ValueError, match="call observe"):
         otr.PatternTree(net).keep(1)
     with pytest.raises(ValueError, match="at least 1"):

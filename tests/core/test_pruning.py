@@ -100,6 +100,8 @@ def test_bad_arguments_are_refused() -> None:
     for subject in (tree, otr.PatternTree(worked_network())):
         with pytest.raises(ValueError, match="holds no states"):
             otr.prune_unreached(subject, np.empty((0, 2)))
+        with pytest.raises(ValueError, match="or a NaN"):
+            otr.prune_unreached(subject, np.array([[0.0, np.nan]]))
         with pytest.raises(ValueError, match="k is 0, expected at least 1"):
             otr.prune_to_k(subject, np.ones((1, 2)), 0)
     with pytest.raises(ValueError, match="one True"):

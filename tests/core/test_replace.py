@@ -33,6 +33,8 @@ def other_field(tree: otr.ObliqueTree, name: str, rng: np.random.Generator) -> A
         return None if tree.basis is None else rng.normal(size=(len(tree.basis), 4))
     if name.startswith("children"):
         return {"children_left": [1, ~1], "children_right": [~0, ~2]}[name]
+    if name == "labels":
+        return (tree.labels + 1) % 3
     return getattr(tree, name) + 1
 
 

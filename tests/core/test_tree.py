@@ -1,3 +1,6 @@
+import copy
+import pickle
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -154,6 +157,8 @@ def test_float32_and_lists_are_accepted() -> None:
         ({"P": np.zeros((2, 3))}, r"P has shape \(2, 3\), expected \(2, 2\)"),
         ({"P": np.zeros(2)}, "1, 1, 3 axes"),
         ({"labels": [1]}, r"labels has shape \(1,\)"),
+        ({"labels": [0, 1, -1], "head": otr.Sign()}, r"labels hold \[0, 1, -1\], expected numbers below 2"),
+        ({"labels": [0.0, 1.5, 1.0]}, r"\[0.0, 1.5, 1.0\] holds a number that is not whole"),
         ({"M": np.zeros((0, 1, 2))}, "expected"),
         ({"M": np.zeros((3, 0, 2)), "c": np.zeros((3, 0))}, "at least one"),
     ],
@@ -166,6 +171,14 @@ def test_broken_trees_are_refused(changes: dict, message: str) -> None:
 def test_the_arrays_are_read_only() -> None:
     with pytest.raises(ValueError, match="read-only"):
         small_tree().P[0, 0] = 2.0
+
+
+def test_copies_are_read_only_too() -> None:
+    network = otr.ReluNetwork([[[1.0]], [[1.0]]], [[0.0], [0.0]])
+    for copied in (copy.deepcopy, lambda policy: pickle.loads(pickle.dumps(policy))):
+        tree = copied(small_tree())
+        assert not tree.v.flags.writeable and not copied(network).weights[0].flags.writeable
+        np.testing.assert_array_equal(tree.predict([[1, 2]]), small_tree().predict([[1, 2]]))
 
 
 def test_scikit_learns_names_for_depth_and_leaves() -> None:

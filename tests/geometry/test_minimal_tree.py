@@ -1,6 +1,7 @@
 """Minimal trees against counting formulas, brute force and the network itself."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -225,16 +226,44 @@ def test_a_merged_leaf_of_one_label_holds_scores_that_have_it() -> None:
     assert (tree.n_leaves, tree.M.any(), tree.c.tolist(), tree.labels.tolist()) == (1, False, [[0.0, 1.0]], [1])
 
 
+def own_sizes(tree: otr.ObliqueTree) -> Callable[[np.ndarray], np.ndarray]:
+    return lambda leaves: np.abs(tree.leaf_forms[leaves])
+
+
+def test_leaves_are_merged_by_the_size_of_each_number() -> None:
+    # Beside 1e6 times the second input, 1e-7 times the first seems nothing; but the first is up to 1e7.
+    network = otr.ReluNetwork([[[1.0, 0], [0, 1.0], [0, -1.0]], [[1e-7, 1e6, -1e6]]], [[0.0] * 3, [0.0]])
+    for order in ("layers", "balanced"):
+        tree = otr.minimal_tree(network, ([-1e7, -1e-6], [1e7, 1e-6]), order=order)
+        assert (tree.n_leaves, tree.predict([1e7, 0.0]).tolist()) == (2, [1.0])
+    # What a leaky unit adds on one side and a second takes away leaves rounding in the place of 0.
+    W = np.array([[0.1, 0.3], [0.1, 0.3]])
+    cancelling = otr.ReluNetwork([W, [[0.3, -0.1 - 0.2]]], [[0.7, 0.7], [1.0]], negative_slope=0.1)
+    tree = otr.map_network(cancelling)
+    assert np.abs(tree.M[0] - tree.M[-1]).max() > 0
+    assert otr.minimal_tree(cancelling).n_leaves == 1
+
+
+def test_a_constant_test_in_a_region_without_an_inner_point_goes_its_way() -> None:
+    W = [[-1.025, 0.677, -0.508, 0.543], [0.44, 0.213, 1.271, -0.065], [0.339, 0.171, -0.462, 1.98],
+         [-0.853, -1.504, 0.965, -0.341], [0.853, 1.504, -0.965, 0.341]]  # fmt: skip
+    biases = [[0.132, -0.072, -0.192, -0.373, 0.373], [-4.4], [0.0]]
+    network = otr.ReluNetwork([W, [[-1.2, 0.2, -0.3, -0.6, -1.4]], [[1.0]]], biases)
+    tree = otr.minimal_tree(network, (-np.ones(4), np.ones(4)))
+    assert (tree.n_leaves, tree.predict(np.zeros(4)).tolist()) == (1, [0.0])
+    assert otr.certify(tree, network, (-np.ones(4), np.ones(4))).max_error == 0.0
+
+
 def test_merging_reaches_up_the_tree() -> None:
     full = otr.map_network(worked_network())
     same = otr.ObliqueTree(
         full.children_left, full.children_right, full.P, full.v, np.ones_like(full.M), np.ones_like(full.c)
     )
-    assert merge_equal_leaves(same).n_leaves == 1
+    assert merge_equal_leaves(same, own_sizes(same)).n_leaves == 1
     c = np.ones_like(full.c)
     c[0] = 2.0
     uneven = otr.ObliqueTree(full.children_left, full.children_right, full.P, full.v, np.ones_like(full.M), c)
-    merged = merge_equal_leaves(uneven)
+    merged = merge_equal_leaves(uneven, own_sizes(uneven))
     X = np.random.default_rng(0).normal(size=(500, 2))
     np.testing.assert_array_equal(merged.predict(X), uneven.predict(X))
     assert merged.n_leaves == 4  # leaf 0 and the three subtrees that hang beside its path

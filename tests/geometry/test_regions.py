@@ -14,7 +14,7 @@ BOX = (-2.0, 2.0)
 
 def numbered(tree: otr.ObliqueTree) -> otr.ObliqueTree:
     """Return the tree whose leaves answer with their own numbers."""
-    return tree.replace(labels=np.arange(tree.n_leaves), head=otr.Argmax())
+    return tree.replace(labels=np.arange(tree.n_leaves), head=otr.Identity())
 
 
 def bounds(tree: otr.ObliqueTree, leaf: int, form: np.ndarray, box: tuple) -> tuple[float, float]:

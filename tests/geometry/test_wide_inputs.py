@@ -40,7 +40,9 @@ def test_a_tree_in_a_basis_is_a_tree_like_any_other(tmp_path) -> None:
     plain = keep_leaves(again, np.arange(tree.n_leaves) % 2 == 0)
     np.testing.assert_allclose(kept.forward(X), plain.forward(X), atol=1e-9)
     assert kept.decision_path(X).nnz == plain.decision_path(X).nnz
-    assert otr.certify(tree, network).max_error < 1e-11
+    certificate = otr.certify(tree, network)
+    assert certificate.max_error < 1e-11
+    assert otr.verify(certificate, again, network) == certificate.max_error
     with pytest.raises(otr.InvalidTreeError, match=r"basis has shape \(3, 70\), expected \(4, n_inputs\)"):
         otr.ObliqueTree(
             tree.children_left,

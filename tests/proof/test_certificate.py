@@ -325,6 +325,12 @@ def test_a_leaf_beyond_all_floats_counts() -> None:
     assert otr.certify(tree, network, (-1e100, 1e100)).n_empty == 1
 
 
+@pytest.mark.parametrize("box", [(1e12, 1e12 + 1e-3), (1e9, 1e9 + 2e-6), (1e15, np.inf)])
+def test_where_no_leaf_has_an_inner_point_cells_are_exact(box: tuple[float, float]) -> None:
+    network = otr.ReluNetwork([[[1.0]], [[1.0]]], [[0.0], [0.0]])
+    assert otr.certify(otr.minimal_tree(network, box), network, box).max_error == 0.0
+
+
 def test_thin_leaves_that_are_right_are_covered() -> None:
     """The network is cut along y inside the leaf x == 0, which has no inside."""
     network = otr.ReluNetwork([[[1.0, 0.0], [0.0, 1.0]], [[1.0, 1.0]]], [[0.0, 0.0], [0.0]])

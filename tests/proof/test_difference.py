@@ -56,6 +56,11 @@ def test_labels_that_differ_in_a_corner_are_found():
     assert otr.find_difference(same, corner, (np.array([-2.0, -2.0]), np.array([2.0, 1.5]))).holds
 
 
+def test_a_clip_does_not_hide_that_trees_are_equal():
+    tree = otr.map_network(otr.ReluNetwork([[[5.0]]], [[0.0]], head=otr.ClipBox(-1.0, 1.0)))
+    assert otr.find_difference(tree, tree, (-1.0, 1.0), max_difference=3.0).value == 0.0
+
+
 def test_what_cannot_be_compared_is_refused():
     tree = otr.parse_program("if a > 0: 1 else: b", ["a", "b"])
     with pytest.raises(ValueError, match="the heads are"):

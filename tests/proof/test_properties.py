@@ -47,6 +47,15 @@ def test_a_worked_range() -> None:
     assert otr.output_range(tree, (0.5, 1.0)).low.tolist() == [1.5]
 
 
+def test_the_range_of_a_thin_leaf_counts() -> None:
+    e = 1e-9
+    M = np.zeros((3, 1, 2))
+    M[1, 0] = [1.0, -1.0]
+    tree = otr.ObliqueTree([~0, ~1], [1, ~2], [[1.0, 0.0], [1.0, -e]], [0.0, -e / 2], M, [[0.0], [1000.0], [0.0]])
+    found = otr.output_range(tree, (-1.0, 1.0))
+    assert tree.predict([0.1 * e, 0.0]) == 1000.0 and found.high.tolist() == pytest.approx([1001.0])
+
+
 def test_labels_that_a_box_can_bring() -> None:
     network = otr.ReluNetwork([[[1.0], [-1.0], [0.0]]], [[0.0, 0.0, 0.5]], head=otr.Argmax())
     tree = otr.map_network(network)
@@ -104,6 +113,20 @@ def test_the_value_is_of_the_answer_beside_it() -> None:
     check_verdict(verdict, tree, Condition(w, u, 0.0), box)
     assert verdict.point == tuple(map(Fraction, verdict.state))
     assert w @ verdict.state + verdict.action @ u == pytest.approx(verdict.value, abs=1e-9)
+
+
+def test_no_bound_of_a_piece_without_states_is_told() -> None:
+    tree = otr.ObliqueTree([~0], [~1], [[1.0]], [0.0], np.zeros((2, 1, 1)), [[1.0], [50.0]])
+    condition = Condition([0.0], [1.0], 100.0, (otr.HalfSpace([1.0], 0.0, False),))
+    verdict = otr.find_violation(tree, condition, (-1.0, 1.0))
+    check_verdict(verdict, tree, condition, (-1.0, 1.0))
+    assert (verdict.holds, verdict.value, verdict.leaf) == (True, 1.0, 0)
+
+
+def test_an_exp_beyond_all_floats_is_told() -> None:
+    tree = otr.ObliqueTree([~0], [~1], [[1.0]], [-0.1], [[[1000.0]], [[0.0]]], [[0.0], [0.0]], head=otr.Exp())
+    with pytest.raises(otr.OtrError, match=r"an output may reach 1000, .* ask about a smaller box"):
+        otr.find_violation(tree, Condition([0.0], [1.0], 1e50), (-1.0, 1.0))
 
 
 def test_the_largest_value_is_found_to_the_tolerance() -> None:

@@ -46,6 +46,28 @@ def test_a_worked_difference() -> None:
     assert largest_difference(*saturated, BOX) == pytest.approx(np.tanh(9) - np.tanh(8))
 
 
+def test_slivers_that_a_linear_program_cannot_leave_count() -> None:
+    d, e = 20, 0.9e-9
+    P = np.zeros((2, d))
+    P[:, 0], P[1, 1:] = 1.0, -e
+    M = np.zeros((3, 1, d))
+    M[1, 0] = -1.0
+    tree = otr.ObliqueTree([~0, ~1], [1, ~2], P, [0.0, -0.5 * e * d], M, [[0.0], [1000.0], [0.0]])
+    zero = otr.ObliqueTree([], [], np.zeros((0, d)), [], np.zeros((1, 1, d)), [[0.0]])
+    x = np.ones(d)
+    x[0] = 0.7 * e * d
+    assert largest_difference(tree, zero, (-1.0, 1.0)) >= tree.predict(x)[0] > 980
+
+
+def test_where_rounding_hides_how_wide_a_meeting_is_it_counts() -> None:
+    box = (1e9, 1e9 + 2e-6)
+    tree = otr.ObliqueTree([~0], [~1], [[1.0]], [0.0], np.zeros((2, 1, 1)), [[1.0], [2.0]])
+    other = tree.replace(c=[[1.0], [5.0]])
+    assert largest_difference(tree, other, box) >= 3.0 and largest_difference(tree, other, (-2.0, -1.0)) == 0.0
+    none, one = (tree.replace(labels=[label] * 2, head=otr.Sign()) for label in (0, 1))
+    assert largest_difference(none, one, box) == 1.0
+
+
 def test_labels_differ_somewhere_or_nowhere() -> None:
     network = otr.ReluNetwork([[[1.0], [-1.0]]], [[0.0, 0.0]], head=otr.Argmax())
     tree = otr.map_network(network)
@@ -97,6 +119,15 @@ def test_nothing_is_changed_that_the_judge_refuses() -> None:
     np.testing.assert_allclose(kept.tree.predict(X), tree.predict(X), atol=1e-12)
     least = otr.simplify(tree, lambda candidate: True, X)
     assert (least.tree.n_leaves, least.n_numbers) == (1, 0)
+
+
+def test_leaves_that_differ_beside_a_large_output_stay_two() -> None:
+    M = np.zeros((2, 2, 1))
+    M[:, 0], M[1, 1] = 1e13, 1.0
+    tree = otr.ObliqueTree([~0], [~1], [[1.0]], [0.0], M, np.zeros((2, 2)))
+    judge = otr.within(tree, (-1.0, 1.0), 0.0)
+    kept = otr.simplify(tree, judge, np.linspace(-1, 1, 100)[:, None], refit=False).tree
+    assert judge(kept) and kept.predict([0.5]).tolist() == [5e12, 0.5]
 
 
 def test_labels_are_kept_where_the_judge_compares_them() -> None:

@@ -145,9 +145,10 @@ def train_models(
     flats = [parameter.flat for parameter in models.parameters]
     averages = [flat.clone() for flat in flats] if schedule.averaging else flats
     scored = [parameter.view(flat) for parameter, flat in zip(models.parameters, averages, strict=True)]
-    voters, is_told = None, np.ones(Y.shape[1], dtype=np.bool_)
+    voters = None
+    is_told: BoolArray = np.ones(Y.shape[1], dtype=np.bool_)
     if validation is not None:
-        is_told = ~np.isnan(validation[1]).all(axis=0)
+        is_told = np.asarray(~np.isnan(validation[1]).all(axis=0))
         if schedule.common_epoch or models.shares_labels:
             voters = _voters(models.loss, validation[1])
     kept = _Kept(models, len(streams), is_told, voters)

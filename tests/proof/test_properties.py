@@ -53,7 +53,7 @@ def test_the_range_of_a_thin_leaf_counts() -> None:
     M[1, 0] = [1.0, -1.0]
     tree = otr.ObliqueTree([~0, ~1], [1, ~2], [[1.0, 0.0], [1.0, -e]], [0.0, -e / 2], M, [[0.0], [1000.0], [0.0]])
     found = otr.output_range(tree, (-1.0, 1.0))
-    assert tree.predict([0.1 * e, 0.0]) == 1000.0 and found.high.tolist() == pytest.approx([1001.0])
+    assert tree.predict([0.1 * e, 0.0])[0] >= 1000.0 and found.high.tolist() == pytest.approx([1001.0])
 
 
 def test_labels_that_a_box_can_bring() -> None:

@@ -51,7 +51,7 @@ def parse_program(
         text: the program.
         feature_names: names of the d inputs, in order.
         output_names: names of the outputs, or with `labels` of the labels, as in `to_text`. Without them the outputs
-            are y0, y1, ..., as many as the program answers with, and labels are numbers only.
+            are y0, y1, ... without a gap, as many as the program answers with, and labels are numbers only.
         labels: the program answers labels: a number, a name, or ``argmax(...)``, where a tie goes to the first. The
             tree's outputs are then 1 for the leaf's label, else 0.
         max_leaves: refuse a program that needs more; paths multiply with every `if` that is not the last.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -85,8 +86,17 @@ class Lowering:
             return []
         if self._output_names is not None:
             return self._output_names
-        numbered = (f"y{i}" for i in range(len(self._scope.variables)))
-        return [name for name in numbered if name in self._scope.variables]
+        numbered = [name for name in self._scope.variables if re.fullmatch("y[0-9]+", name)]
+        expected = [f"y{i}" for i in range(len(numbered))]
+        beyond = next((name for name in numbered if name not in expected), None)
+        if beyond is not None:
+            missing = next(name for name in expected if name not in numbered)
+            raise self._source.error(
+                f"the output {beyond!r} has a value and {missing!r} has none; number the outputs y0, y1, ... without "
+                "a gap, or give output_names",
+                self._scope.variables[beyond],
+            )
+        return expected
 
     def _outputs_hint(self) -> str:
         """Return which names a program may give values to, as the end of a message."""

@@ -11,12 +11,12 @@ from scipy.special import logsumexp
 
 from otr.control.dagger.row_sampling import draw_rows
 from otr.control.search.small_networks import NetworkShape
+from otr.control.search.state_moments import scale_of
 from otr.core.arrays import BoolArray, FloatArray
 from otr.core.head import Head
 from otr.core.pattern_tree import PatternTree
 
 _SHARE_OF_A_START = 0.25  # of the updates: what every start is given before the best of them goes on
-_LEAST_SPREAD = 1e-8
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class StudentFit:
 
     with the cross-entropy of the oracle's label, or half the squared difference of the actions in units of half their
     box. There, an answer at the box's edge asks for the edge or anything beyond, as the head clips it. States are
-    standardised for the fit, and the network that comes out reads them as they are. L-BFGS goes on from the best of a
+    standardised for the fit, constants only centred, and the network that comes out reads them as they are. L-BFGS goes on from the best of a
     few starts; a start's neurons turn at states of the data and add nothing to the answer yet.
 
     Attributes:
@@ -62,7 +62,8 @@ class StudentFit:
         """
         rows, _ = draw_rows(len(X), None, self.max_samples, generator)
         states = np.asarray(X[rows])
-        mean, scale = states.mean(axis=0), np.maximum(states.std(axis=0), _LEAST_SPREAD)
+        mean = states.mean(axis=0)
+        scale = scale_of(mean, states.std(axis=0))
         box = None if self.head.gives_labels else self.head.limits(answers.shape[1])
         if not self.head.gives_labels and (box is None or not np.isfinite(box).all()):
             raise ValueError(f"the head is {self.head!r}, expected Argmax or a ClipBox with finite limits")

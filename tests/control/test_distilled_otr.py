@@ -55,6 +55,17 @@ def test_a_linear_oracle_is_found_again():
     np.testing.assert_allclose(student.weights[0], oracle.weights[0], rtol=0.02, atol=0.02)
 
 
+@pytest.mark.parametrize("size", [0.0, 0.1, 1e9 / 3])
+def test_a_constant_input_gets_no_large_weight(size):
+    """The mean of 0.1 or of a third of 1e9 is rounded, so that the standard deviation need not be zero."""
+    oracle, X = teacher(CLIP), states(700)
+    X = np.column_stack((X, np.full(len(X), size)))
+    answers = oracle.predict(X[:, :3])
+    student = StudentFit(CLIP, (2,), n_updates=20)(X, answers, None, np.random.default_rng(3)).network
+    assert np.abs(student.weights[0][:, 3]).max() < 10.0
+    assert np.abs(student.weights[1][:, 2 + 3]).max() < 10.0
+
+
 @pytest.mark.parametrize("head", [CLIP, otr.Argmax()], ids=["box", "labels"])
 def test_a_network_of_as_many_neurons_is_imitated_where_a_linear_policy_cannot(head):
     oracle, X, fresh = teacher(head), states(4000), states(1000, seed=9)

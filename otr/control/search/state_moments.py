@@ -11,6 +11,11 @@ from otr.core.arrays import FloatArray
 CONSTANT = 1e-8  # a component that varies less than that, relative to its size, is a constant
 
 
+def scale_of(mean: FloatArray, std: FloatArray) -> FloatArray:
+    """Return what components of this mean and standard deviation (d,) are divided by: 1 for constants, else `std`."""
+    return np.where(std > CONSTANT * np.maximum(1.0, np.abs(mean)), std, 1.0)
+
+
 class StateMoments:
     """Running mean and variance of d components (Chan, Golub & LeVeque 1983).
 
@@ -37,8 +42,7 @@ class StateMoments:
     @property
     def scale(self) -> FloatArray:
         """The standard deviation (d,); 1 for constants, and for all before two states were seen."""
-        std = np.sqrt(self.squares / max(self.n, 1))
-        return np.where(std > CONSTANT * np.maximum(1.0, np.abs(self.mean)), std, 1.0)
+        return scale_of(self.mean, np.sqrt(self.squares / max(self.n, 1)))
 
     def state(self) -> dict[str, FloatArray]:
         """Return n, mean and squares as arrays by name."""

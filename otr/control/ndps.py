@@ -14,6 +14,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from otr.control.dagger.row_sampling import draw_rows
+from otr.control.search.state_moments import scale_of
 from otr.control.soft_tree import SoftTree
 from otr.core.arrays import BoolArray, FloatArray, IntArray
 from otr.core.head import Head
@@ -21,6 +22,8 @@ from otr.core.tree import ObliqueTree
 
 _MAX_ACTIVE_SETS = 20
 _MAX_LBFGS_STEPS = 25
+_LARGE_MEAN = 10.0  # in standard deviations: Adam's updates do not reach a larger one in time
+_LEAST_SPREAD = 1e-8
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,9 @@ def fit_ndps(
 
     Labels are fitted by cross-entropy, actions by squared error. With a `ClipBox` head an answer at the box's edge asks
     for a value at the edge or beyond, as that is what the head makes of it. Inputs are standardised for the fit and
-    the tests written in the states' own units afterwards.
+    the tests written in the states' own units afterwards. Each action component is divided by its standard deviation
+    for the fit. Where its mean is more than 10 standard deviations, the mean is subtracted before the fit and added to
+    the leaves' offsets afterwards; a constant other than zero is centred in this way and not divided.
 
     Args:
         X: (n, d) states.
@@ -106,11 +111,13 @@ def fit_ndps(
     else:
         module = copy.deepcopy(start)
         module.substitute(centre, spread)
+        _shift_leaves(module, -problem.centre)
         _scale_leaves(module, 1.0 / problem.scale)
     _fit_softly(module.float(), problem, settings, torch_generator)
     module.double()
     _refit_leaves(module, problem, settings.ridge)
     _scale_leaves(module, problem.scale)
+    _shift_leaves(module, problem.centre)
     module.substitute(-centre / spread, 1.0 / spread)
     return NdpsFit(module.harden(head), module)
 
@@ -167,13 +174,14 @@ class NdpsImitator:
 
 @dataclass(frozen=True)
 class _StandardisedRows:
-    """Standardised states, and answers in units of their own spread."""
+    """Standardised states, and answers in units of their own spread, centred where their mean is large beside it."""
 
     X: FloatArray
     answers: FloatArray | IntArray
     weights: FloatArray
     low: FloatArray  # (o,), -inf where values are not clipped
     high: FloatArray
+    centre: FloatArray  # (o,), subtracted from the answers
     scale: FloatArray  # (o,), of the answers
 
     @property
@@ -186,10 +194,15 @@ class _StandardisedRows:
     ) -> _StandardisedRows:
         unlimited = np.full(n_outputs, np.inf)
         if head.gives_labels:
-            return cls(X, np.asarray(answers, dtype=np.int64), weights, -unlimited, unlimited, np.ones(n_outputs))
-        scale = np.maximum(answers.std(axis=0), 1e-8)
+            labels = np.asarray(answers, dtype=np.int64)
+            return cls(X, labels, weights, -unlimited, unlimited, np.zeros(n_outputs), np.ones(n_outputs))
+        mean, std = answers.mean(axis=0), answers.std(axis=0)
+        is_far = np.abs(mean) > _LARGE_MEAN * std
+        centre = np.where(is_far, mean, 0.0)
+        scale = np.where(is_far, scale_of(mean, std), np.maximum(std, _LEAST_SPREAD))
         low, high = (head.limits(n_outputs) if head.is_projection else None) or (-unlimited, unlimited)
-        return cls(X, answers / scale, weights, low / scale, high / scale, scale)
+        rows, low, high = ((values - centre) / scale for values in (answers, low, high))
+        return cls(X, rows, weights, low, high, centre, scale)
 
 
 def _fit_softly(
@@ -298,3 +311,9 @@ def _as_maps(leaves: Tensor) -> Tensor:
 def _scale_leaves(module: SoftTree, factors: FloatArray) -> None:
     """Multiply output k of every leaf by factors[k]."""
     _as_maps(module.leaves).mul_(torch.tensor(factors, dtype=module.leaves.dtype)[:, None])
+
+
+@torch.no_grad()
+def _shift_leaves(module: SoftTree, shifts: FloatArray) -> None:
+    """Add shifts[k] to output k of every leaf."""
+    _as_maps(module.leaves)[..., -1].add_(torch.tensor(shifts, dtype=module.leaves.dtype))

@@ -55,6 +55,27 @@ def test_actions_at_the_edge_may_be_overshot():
     assert np.abs(fitted.forward(X)).max() > 2.0
 
 
+@pytest.mark.parametrize("leaves", ["linear", "constant"])
+@pytest.mark.parametrize("has_box", [False, True])
+@pytest.mark.parametrize("spread", [0.0, 1e-3, 1.0])
+def test_a_component_that_varies_little_beside_its_mean_is_learnt(spread, has_box, leaves):
+    """In its own units its error is about that of a component without a mean, or far below where it is constant."""
+    X = np.random.default_rng(0).normal(size=(2_000, 3))
+    wave, unit = np.clip(X[:, 0], -1.0, 1.0), spread or 1.0
+    actions = np.stack([wave, 100.0 + spread * wave], axis=1)
+    head = otr.ClipBox([-1.0, 100.0 - unit], [1.0, 100.0 + unit]) if has_box else otr.Identity()
+    settings, start = NdpsSettings(depth=4, n_updates=300, leaves=leaves), None
+    for _ in range(2):
+        fitted = fit_ndps(
+            X, actions, np.ones(len(X)), np.random.default_rng(0),
+            head=head, n_outputs=2, settings=settings, start=start,
+        )  # fmt: skip
+        error, error_beside_mean = np.sqrt(np.square(fitted.tree.predict(X) - actions).mean(axis=0)) / [1.0, unit]
+        assert error < (0.1 if leaves == "linear" else 0.3)
+        assert error_beside_mean < (1.5 * error if spread else 0.01)
+        start = fitted.module
+
+
 def test_labels_are_recovered_and_rounds_go_on():
     X, tree = planted(2)
     labels = tree.forward(X).argmax(axis=1)

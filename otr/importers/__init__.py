@@ -140,7 +140,8 @@ def read_policy(path: str | os.PathLike[str], *, vec_normalize: str | os.PathLik
 
     Raises:
         InvalidNetworkError: as the functions above; a classifier whose classes are not 0, 1, ..., the actions; a saved
-            tree, which stands for no network; statistics beside another file than a zip.
+            tree other than a whole `PatternTree`, which stands for no network; statistics beside another file than a
+            zip.
         ArtefactError: as the functions above; or the suffix is another one.
         MissingExtraError: a package that the kind of file needs is not installed.
     """
@@ -179,9 +180,10 @@ def _of_skops(path: Path) -> Oracle:
 
 def _of_saved(path: Path) -> Oracle:
     tree = load(path)
-    if isinstance(tree, PatternTree):
+    if isinstance(tree, PatternTree) and not tree.is_restricted:
         return tree.network
-    raise InvalidNetworkError(f"it holds a tree of {tree.n_leaves} leaves, which stands for no network")
+    n_leaves = tree.n_paths if isinstance(tree, PatternTree) else tree.n_leaves
+    raise InvalidNetworkError(f"it holds a tree of {n_leaves} leaves, which stands for no network")
 
 
 _READERS: dict[str, Callable[[Path], Oracle]] = {

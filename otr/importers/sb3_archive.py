@@ -135,15 +135,19 @@ def _refuse_other_policies(tensors: Tensors, data: dict[str, Any], parts: tuple[
             f"the policy has the tensor {others[0]!r}; only PPO, A2C, TRPO, DQN, SAC, TD3 and DDPG with "
             "'MlpPolicy' and ARS with 'LinearPolicy', and no feature extractor with weights, can be mapped"
         )
-    module = _readable(data, "policy_class").get("__module__", "")
+    policy_class = _readable(data, "policy_class")
+    module = policy_class.get("__module__", "")
     is_linear = tensors.keys() <= {"action_net.0.weight", "action_net.0.bias"}
     expected = r"sb3_contrib\.ars\.policies" if is_linear else r"stable_baselines3\.(common|dqn|sac|td3)\.policies"
-    if is_linear and _readable(data, "policy_kwargs").get("squash_output"):
-        raise InvalidNetworkError("the policy squashes its outputs; train with squash_output=False")
     if not re.fullmatch(expected, str(module)):
         raise InvalidNetworkError(
             f"the policy's class is from {module!r}; train with 'MlpPolicy', or ARS with 'LinearPolicy'"
         )
+    # ARS's MlpPolicy without hidden layers has the same tensors, but squashes its outputs where nothing is said.
+    if is_linear and "ARSLinearPolicy.__init__" not in str(policy_class.get("__init__")):
+        raise InvalidNetworkError("the policy is a ARSPolicy; train with 'LinearPolicy'")
+    if is_linear and _readable(data, "policy_kwargs").get("squash_output"):
+        raise InvalidNetworkError("the policy squashes its outputs; train with squash_output=False")
     extractor = str(_readable(data, "policy_kwargs").get("features_extractor_class", "FlattenExtractor"))
     if "stable_baselines3.common.torch_layers.FlattenExtractor" not in extractor and extractor != "FlattenExtractor":
         raise InvalidNetworkError(f"the policy has the feature extractor {extractor}; leave it at FlattenExtractor")

@@ -16,6 +16,7 @@ from stable_baselines3 import A2C, DDPG, DQN, PPO, SAC, TD3
 from torch import nn
 
 import otr
+from otr.importers import read_policy
 
 torch.set_num_threads(1)
 
@@ -355,9 +356,29 @@ def test_random_search_is_a_linear_policy(tmp_path: Path, env: object, with_bias
 
 def test_other_policies_of_random_search_are_refused(tmp_path: Path) -> None:
     squashed = ARS("LinearPolicy", "Pendulum-v1", policy_kwargs={"squash_output": True}, seed=0)
-    for model, message in ((squashed, "squash"), (ARS("MlpPolicy", "Pendulum-v1", seed=0), "LinearPolicy")):
+    # It has the tensors of a LinearPolicy, and squashes its outputs by default.
+    flat = ARS("MlpPolicy", "Pendulum-v1", policy_kwargs={"net_arch": []}, seed=0)
+    for model, message in (
+        (squashed, "squash"),
+        (ARS("MlpPolicy", "Pendulum-v1", seed=0), "LinearPolicy"),
+        (flat, "the policy is a ARSPolicy; train with 'LinearPolicy'"),
+    ):
         with pytest.raises(otr.InvalidNetworkError, match=message):
             otr.from_sb3(model)
         model.save(tmp_path / "model")
         with pytest.raises(otr.InvalidNetworkError, match=message):
             otr.from_sb3(tmp_path / "model")
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".json"])
+def test_of_saved_trees_those_that_are_a_whole_network_are_read(tmp_path: Path, suffix: str) -> None:
+    rng = np.random.default_rng(0)
+    network = otr.ReluNetwork([rng.normal(size=(3, 2)), rng.normal(size=(1, 3))], [rng.normal(size=3), [0.5]])
+    tree = otr.PatternTree(network)
+    otr.save(tree, tmp_path / "whole")
+    np.testing.assert_array_equal(read_policy((tmp_path / "whole").with_suffix(suffix)).weights[0], network.weights[0])
+    otr.save(tree.observe(rng.normal(size=(50, 2))).keep(1), tmp_path / "pruned")
+    otr.save(otr.map_network(network), tmp_path / "mapped")
+    for name, n_leaves in (("pruned", 1), ("mapped", 8)):
+        with pytest.raises(otr.InvalidNetworkError, match=f"a tree of {n_leaves} leaves, which stands for no network"):
+            read_policy((tmp_path / name).with_suffix(suffix))

@@ -63,6 +63,7 @@ class Chain:
     middle: FloatArray | float = 0.0
     low: FloatArray | float = -math.inf
     high: FloatArray | float = math.inf
+    is_batch: bool = True  # whether an axis of states stands before `shape`
 
     @property
     def width(self) -> int:
@@ -217,7 +218,9 @@ class Chain:
         """Return a constant that is added to, or multiplies, every row: (width,)."""
         self._require_vector()
         row = np.asarray(value, dtype=np.float64)
-        if math.prod(row.shape[:-1]) != 1 or (row.ndim and row.shape[-1] not in (1, self.width)):
+        # A constant with more axes than the value adds axes to the result, so that an argmax goes over another axis.
+        fits = row.ndim <= 1 + self.is_batch and math.prod(row.shape[:-1]) == 1
+        if not fits or (row.ndim and row.shape[-1] not in (1, self.width)):
             raise InvalidNetworkError(f"has a constant of shape {row.shape}, expected ({self.width},)")
         return np.broadcast_to(row.ravel(), self.width)
 

@@ -45,7 +45,8 @@ class _Reader:
         shape = export.input_shape
         self.is_batch = len(shape) > 1
         self.n_states = shape[0] if self.is_batch else 1
-        self.values: dict[Name, Any] = {**export.tensors, export.input_name: Chain(shape[self.is_batch :])}
+        states = Chain(shape[self.is_batch :], is_batch=self.is_batch)
+        self.values: dict[Name, Any] = {**export.tensors, export.input_name: states}
         for node in export.nodes:
             with naming(str(node)):
                 try:

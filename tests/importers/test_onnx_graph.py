@@ -24,7 +24,7 @@ CONSTANTS = {
     "scale": RNG.uniform(0.5, 2, size=3), "half": np.array([2.0, 0.5]), "middle": np.array([1.0, -3.0]),
     "low": np.array(-0.5), "high": np.array(0.75), "lows": np.array([-0.5, -1.0]), "highs": np.array([0.75, 0.25]),
     "two": np.array([2.0]), "axes": np.array([1]), "vector": np.array([-1, 3]), "minus": np.array(-1.0),
-    "all": np.array([0, -1]),
+    "all": np.array([0, -1]), "three axes": np.ones((1, 1, 2)),
 }  # fmt: skip
 HIDDEN = [("Gemm", ["x", "W1", "b1"], "z", {"transB": 1}), ("Relu", ["z"], "a")]
 LAST = ("Gemm", ["a", "W2", "b2"], "y", {"transB": 1})
@@ -219,6 +219,11 @@ def one_more(*nodes: tuple) -> list[tuple]:
         (one_more(("Div", ["two", "u"], "y")), {}, "divides by the states"),
         (one_more(("Mul", ["u", "u"], "y")), {}, "joins two values that depend on the states"),
         (one_more(("Add", ["u", "b1"], "y")), {}, r"has a constant of shape \(4,\), expected \(2,\)"),
+        (
+            one_more(("Add", ["u", "three axes"], "v"), ("ArgMax", ["v"], "y", {"axis": 1})),
+            {},
+            r"has a constant of shape \(1, 1, 2\), expected \(2,\)",
+        ),
         (one_more(("ArgMax", ["u"], "y", {"axis": 0})), {}, "goes over the states"),
         (one_more(("ArgMax", ["u"], "y", {"axis": 1, "select_last_index": 1})), {}, "first largest output"),
         ([("Relu", ["x"], "a"), ("MatMul", ["a", "W1t"], "y")], {}, "follows no layer with weights"),

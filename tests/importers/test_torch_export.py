@@ -165,6 +165,18 @@ def test_what_is_refused(forward: Callable, message: str) -> None:
         otr.from_torch(exported(Policy(forward)))
 
 
+@pytest.mark.parametrize(("states", "shape"), [(STATES[:1], (1, 1, 2)), (STATES[0], (1, 2))], ids=["batch", "state"])
+def test_a_constant_that_adds_an_axis_is_refused(states: torch.Tensor, shape: tuple[int, ...]) -> None:
+    """The module's argmax then goes over another axis than that of the outputs."""
+    module = Policy(lambda m, x: (m.two(torch.relu(m.one(x))) + m.row).argmax(dim=states.ndim - 1))
+    module.register_buffer("row", torch.ones(shape))
+    assert module(states).tolist() != module.two(torch.relu(module.one(states))).argmax(dim=-1).tolist()
+    with pytest.raises(
+        otr.InvalidNetworkError, match=rf"has a constant of shape \({str(shape)[1:-1]}\), expected \(2,\)"
+    ):
+        otr.from_torch(exported(module, states=states))
+
+
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return written(exported(sequential(nn.ReLU())), tmp_path_factory.mktemp("saved") / "policy.pt2")

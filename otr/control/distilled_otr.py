@@ -29,8 +29,8 @@ class StudentFit:
 
     with the cross-entropy of the oracle's label, or half the squared difference of the actions in units of half their
     box. There, an answer at the box's edge asks for the edge or anything beyond, as the head clips it. States are
-    standardised for the fit, constants only centred, and the network that comes out reads them as they are. L-BFGS goes on from the best of a
-    few starts; a start's neurons turn at states of the data and add nothing to the answer yet.
+    standardised for the fit, constants only centred, and the network that comes out reads them as they are. L-BFGS goes
+    on from the best of a few starts; a start's neurons turn at states of the data and add nothing to the answer yet.
 
     Attributes:
         head: `Argmax` for labels, else the box of the actions (`ClipBox`).

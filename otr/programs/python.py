@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import keyword
+import math
+import sys
 import unicodedata
 from collections.abc import Sequence
 from functools import singledispatch
@@ -29,7 +31,8 @@ from otr.programs.walk import (
 
 # A sum is parsed and compiled by recursion over its terms.
 MAX_TERMS = 200
-_CALLED = ("exp", "tanh", "min", "max")
+_LARGEST_EXPONENT = math.log(sys.float_info.max)  # math.exp raises OverflowError above it, where numpy's is inf
+_CALLED = ("exp", "tanh", "min", "max", "map", "float")
 _RESERVED = (*keyword.kwlist, *_CALLED, "state", "outputs")
 _INDENT = "    "
 
@@ -44,8 +47,9 @@ def to_python(
     """Return a Python module with the one function ``name(state)`` that answers as ``tree.predict(state)`` does.
 
     The function takes d numbers and returns the list of the answer's numbers or, where the answers are labels, an int.
-    It is written as nested ifs. A tree that is deeper than Python's parser bears, or that reads hundreds of inputs at
-    once, is written as tables and a loop. Numbers are written in their shortest exact form.
+    It computes with Python's floats, of 64 bits, also where it is given numbers of numpy's float32. It is written as
+    nested ifs. A tree that is deeper than Python's parser bears, or that reads hundreds of inputs at once, is written
+    as tables and a loop. Numbers are written in their shortest exact form.
 
     Args:
         tree: any tree.
@@ -98,7 +102,7 @@ def _original(name: str, identifier: str) -> str:
 def _nested(tree: ObliqueTree, names: Names) -> list[str]:
     """Return nested ifs that assign the outputs, or return the label."""
     features = names.feature_ids
-    lines = _statement("", f"{', '.join(features)}{',' * (len(features) == 1)}", " = state", "")
+    lines = _statement("", f"{', '.join(features)}{',' * (len(features) == 1)}", " = map(float, state)", "")
     for what, index, depth in walk(tree):
         indent = _INDENT * depth
         if what == "if":
@@ -133,7 +137,7 @@ def _label_comment(label: int, names: Names) -> str:
 
 def _tables(tree: ObliqueTree) -> list[str]:
     """Return tables, a loop that finds the leaf, and what assigns `outputs` or returns the label."""
-    lines = []
+    lines = ["state = [*map(float, state)]"]
     if tree.n_nodes:
         tests, test_of_node = distinct_rows(tree.test_forms)
         lines += [
@@ -193,7 +197,7 @@ def _(head: Identity, outputs: Sequence[str], names: Names) -> list[str]:
 
 @answer_lines.register
 def _(head: Exp, outputs: Sequence[str], names: Names) -> list[str]:
-    return [_returned([f"exp({value})" for value in outputs])]
+    return [_returned([f'float("inf") if {value} > {_LARGEST_EXPONENT!r} else exp({value})' for value in outputs])]
 
 
 @answer_lines.register

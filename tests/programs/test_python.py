@@ -67,7 +67,7 @@ def test_the_text_of_a_small_policy() -> None:
         "\n"
         "\n"
         "def policy(state):\n"
-        "    x, the_speed = state\n"
+        "    x, the_speed = map(float, state)\n"
         "    if -2.2 - 3.8 * x + 114.3 * the_speed <= 0:\n"
         "        if_2 = -6.1\n"
         "    else:\n"
@@ -83,9 +83,30 @@ def test_labels_carry_their_names() -> None:
 
 def test_names_that_mean_something_to_the_program() -> None:
     tree = POLICIES["wide_tanh"]
-    for name in ("tanh", "state", "max", "policy", "lambda", "outputs"):
+    for name in ("tanh", "state", "max", "policy", "lambda", "outputs", "map", "float"):
         answer = function(otr.to_python(tree, feature_names=[name], output_names=[name]))
         np.testing.assert_allclose(answer([0.001]), tree.predict([0.001]), rtol=1e-12)
+
+
+@pytest.mark.parametrize("max_nested_depth", [64, 0], ids=["nested", "tables"])
+def test_numbers_of_float32_are_computed_with_in_float64(monkeypatch, max_nested_depth: int) -> None:
+    """In float32 the input is 0.1 and goes left; it is a little more."""
+    monkeypatch.setattr("otr.programs.python.MAX_NESTED_DEPTH", max_nested_depth)
+    tree = otr.ObliqueTree([~0], [~1], [[1.0, 0.0]], [-0.1], [[[0.0, 0.0]], [[0.3, 1.0]]], [[0.0], [1.0]])
+    state = np.array([0.1, 0.7], np.float32)
+    (answer,) = function(otr.to_python(tree))(state)
+    assert type(answer) is float and answer == pytest.approx(tree.predict(state)[0], rel=1e-15)
+
+
+@pytest.mark.parametrize("max_nested_depth", [64, 0], ids=["nested", "tables"])
+def test_a_count_that_no_float_holds_is_infinite(monkeypatch, max_nested_depth: int) -> None:
+    monkeypatch.setattr("otr.programs.python.MAX_NESTED_DEPTH", max_nested_depth)
+    tree = otr.ObliqueTree([~0], [~1], [[1.0]], [0.0], [[[0.0]], [[1.0]]], [[2.0], [0.0]], head=otr.Exp())
+    answer = function(otr.to_python(tree))
+    largest = np.log(np.finfo(np.float64).max)
+    states = np.array([[-1.0], [1.0], [largest], [np.nextafter(largest, np.inf)], [800.0]])
+    np.testing.assert_allclose([answer(state) for state in states.tolist()], tree.predict(states), rtol=1e-12)
+    assert answer([800.0]) == [np.inf]
 
 
 @pytest.mark.parametrize(("depth", "nested"), [(64, True), (65, False), (3000, False)])
@@ -104,7 +125,7 @@ def test_thousands_of_inputs() -> None:
     assert_answers(tree, states, list(map(function(otr.to_python(tree)), states.tolist())))
 
 
-@pytest.mark.parametrize("name", ["9lives", "class", "max", "a b", ""])
+@pytest.mark.parametrize("name", ["9lives", "class", "max", "float", "a b", ""])
 def test_a_bad_name_is_refused(name: str) -> None:
     with pytest.raises(ValueError, match="cannot be the name"):
         otr.to_python(POLICIES["worked"], name=name)

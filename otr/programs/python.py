@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import keyword
-import math
-import sys
 import unicodedata
 from collections.abc import Sequence
 from functools import singledispatch
@@ -31,7 +29,7 @@ from otr.programs.walk import (
 
 # A sum is parsed and compiled by recursion over its terms.
 MAX_TERMS = 200
-_LARGEST_EXPONENT = math.log(sys.float_info.max)  # math.exp raises OverflowError above it, where numpy's is inf
+_LARGEST_EXPONENT = 709.782712893384  # math.exp raises OverflowError above it, where numpy's is inf
 _CALLED = ("exp", "tanh", "min", "max", "map", "float")
 _RESERVED = (*keyword.kwlist, *_CALLED, "state", "outputs")
 _INDENT = "    "

@@ -5,6 +5,7 @@ Episode i starts from `reset(seed=seeds[i])` and depends on nothing else.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -82,10 +83,10 @@ def rollout(
             actions (n, a) or labels (n,). Actions are rounded to the action space's own type, and not clipped.
         n_episodes: at least 1.
         seed: of all of it.
-        max_steps: of an episode, which is truncated there; None for the environment's own limit alone.
+        max_steps: of an episode, which is truncated there, at least 1; None for the environment's own limit alone.
 
     Raises:
-        ValueError: spaces of other kinds, or answers that are no actions of the environment.
+        ValueError: spaces of other kinds, or answers that are not one action of the environment for each state.
         MissingExtraError: gymnasium is not installed.
     """
     if n_episodes < 1:
@@ -125,6 +126,8 @@ def play_episodes(
     n = len(seeds)
     if n == 0:
         raise ValueError("there are no seeds; give one for each episode")
+    if max_steps is not None and max_steps < 1:
+        raise ValueError(f"max_steps is {max_steps}, expected 1 or more")
     envs = [make_env() for _ in range(min(_SIDE_BY_SIDE, n))]
     returns, lengths = np.zeros(n), np.zeros(n, dtype=np.int64)
     terminated, truncated = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
@@ -145,12 +148,12 @@ def play_episodes(
                     f"the observation of the episode of seed {seeds[i]} at step {lengths[i]} is not finite: "
                     f"{batch[slot].tolist()}"
                 )
-            actions = to_env(policy(batch))
+            actions = to_env(policy(batch), len(batch))
             for slot in range(len(envs) - 1, -1, -1):  # backwards, so that a finished slot can be removed
                 env, i = envs[slot], episode[slot]
                 if keep_steps:
                     visited[i].append(states[slot])
-                    done[i].append(actions[slot])
+                    done[i].append(copy.copy(actions[slot]))  # the environment may change it in place
                 observation, reward, terminal, timeout, _ = env.step(actions[slot])
                 returns[i] += float(reward)
                 lengths[i] += 1
@@ -199,8 +202,8 @@ def _state(observation: Any) -> FloatArray:
     return np.array(observation, dtype=np.float64).ravel()  # a copy, as an environment may go on writing into its own
 
 
-def _spaces(envs: Sequence[gym.Env[Any, Any]]) -> tuple[int, Callable[[Any], Sequence[Any]], NDArray[Any]]:
-    """Return the length of a state, the function from a batch of answers to actions, and an array of no actions.
+def _spaces(envs: Sequence[gym.Env[Any, Any]]) -> tuple[int, Callable[[Any, int], Sequence[Any]], NDArray[Any]]:
+    """Return the length of a state, the function from the answers to n states to actions, and an array of no actions.
 
     Continuous actions are rounded to the action space's own type (float32), as a trained policy's are: policies that
     are equal up to the last bits of float64 then play the same episode.
@@ -218,24 +221,28 @@ def _spaces(envs: Sequence[gym.Env[Any, Any]]) -> tuple[int, Callable[[Any], Seq
     n_inputs = math.prod(seen.shape)
     if isinstance(space, spaces.Discrete) and space.start == 0:
         n_labels = int(space.n)
-        return n_inputs, lambda answers: _labels(answers, n_labels), np.zeros(0, dtype=np.int64)
+        return n_inputs, lambda answers, n: _labels(answers, n, n_labels), np.zeros(0, dtype=np.int64)
     if not isinstance(space, spaces.Box):
         raise ValueError(f"the actions are {space}, expected a Box, or Discrete from 0 on; wrap the environment")
     shape, dtype = space.shape, space.dtype
-    return n_inputs, lambda answers: _actions(answers, shape, dtype), np.zeros((0, *shape), dtype=dtype)
+    return n_inputs, lambda answers, n: _actions(answers, n, shape, dtype), np.zeros((0, *shape), dtype=dtype)
 
 
-def _labels(answers: Any, n_labels: int) -> list[int]:
+def _labels(answers: Any, n: int, n_labels: int) -> list[int]:
     labels = _array(answers)
-    if labels.ndim != 1 or labels.dtype.kind not in "iu" or labels.min() < 0 or labels.max() >= n_labels:
-        raise ValueError(f"the policy answers {_shown(answers)}, expected labels (n,) from 0 to {n_labels - 1}")
+    if labels.shape != (n,) or labels.dtype.kind not in "iu" or labels.min() < 0 or labels.max() >= n_labels:
+        raise ValueError(
+            f"the policy answers {_shown(answers)}, expected labels (n,) from 0 to {n_labels - 1} for n = {n} states"
+        )
     return labels.tolist()  # type: ignore[no-any-return]
 
 
-def _actions(answers: Any, shape: tuple[int, ...], dtype: Any) -> list[NDArray[Any]]:
-    actions = _array(answers)
-    if actions.size != len(actions) * math.prod(shape) or not np.isfinite(actions).all():
-        raise ValueError(f"the policy answers {_shown(answers)}, expected finite actions (n, {math.prod(shape)})")
+def _actions(answers: Any, n: int, shape: tuple[int, ...], dtype: Any) -> list[NDArray[Any]]:
+    actions, size = _array(answers), math.prod(shape)
+    if actions.shape[:1] != (n,) or actions.size != n * size or not np.isfinite(actions).all():
+        raise ValueError(
+            f"the policy answers {_shown(answers)}, expected finite actions (n, {size}) for n = {n} states"
+        )
     rounded = np.rint(actions) if np.issubdtype(dtype, np.integer) else actions
     return list(rounded.astype(dtype).reshape(-1, *shape))
 

@@ -126,9 +126,32 @@ def test_it_is_shown_in_one_line():
     [
         (Walk, lambda X: np.zeros((len(X), 2)), r"an array of shape \(5, 2\).*expected finite actions \(n, 1\)"),
         (Walk, lambda X: np.full((len(X), 1), np.nan), r"first \[nan\], expected finite actions \(n, 1\)"),
+        (
+            Walk,
+            lambda X: np.ones((2 * len(X), 1)),
+            r"of shape \(10, 1\).*expected finite actions \(n, 1\) for n = 5 sta",
+        ),
+        (Walk, lambda X: np.ones((1, 1)), r"of shape \(1, 1\).*expected finite actions \(n, 1\) for n = 5 states"),
+        (Walk, lambda X: 0.5, r"of shape \(\).*first \[0.5\], expected finite actions \(n, 1\) for n = 5 states"),
+        (
+            Walk,
+            lambda X: np.zeros((0, 1)),
+            r"of shape \(0, 1\).*first \[\], expected finite actions \(n, 1\) for n = 5",
+        ),
         (Walk, lambda X: (np.zeros((len(X), 1)), None), r"a tuple of 2.*deterministic=True\)\[0\]"),
         (Labels, lambda X: np.zeros(len(X)), r"type float64.*expected labels \(n,\) from 0 to 2"),
         (Labels, lambda X: np.full(len(X), 3), r"first \[3\], expected labels \(n,\) from 0 to 2"),
+        (
+            Labels,
+            lambda X: np.ones(2 * len(X), int),
+            r"of shape \(10,\).*expected labels \(n,\) from 0 to 2 for n = 5 st",
+        ),
+        (Labels, lambda X: np.ones(1, int), r"of shape \(1,\).*expected labels \(n,\) from 0 to 2 for n = 5 states"),
+        (
+            Labels,
+            lambda X: np.zeros(0, int),
+            r"of shape \(0,\).*first \[\], expected labels \(n,\) from 0 to 2 for n = 5",
+        ),
         (LabelsFromOne, right, r"the actions are Discrete\(3, start=1\), expected a Box, or Discrete from 0 on"),
         (Words, right, r"the observations are Text\(.*FlattenObservation"),
     ],
@@ -150,6 +173,8 @@ def test_what_is_no_environment_or_policy():
         otr.evaluate(Walk, 3)
     with pytest.raises(ValueError, match="n_episodes is 0"):
         otr.rollout(Walk, right, 0)
+    with pytest.raises(ValueError, match="max_steps is 0, expected 1 or more"):
+        otr.evaluate(Walk, right, max_steps=0)
     with pytest.raises(ValueError, match="there are no seeds"):
         otr.evaluate(Walk, right, [])
 
@@ -191,6 +216,16 @@ def test_states_are_kept_where_an_environment_writes_into_its_own():
 
     states = otr.rollout(Reusing, lambda X: np.zeros(len(X), dtype=int), 1, max_steps=4).states
     np.testing.assert_array_equal(states, [[0.0, 0.0], [1.0, 1.0], [2.0, 2.0], [3.0, 3.0]])
+
+
+def test_actions_are_kept_where_an_environment_changes_them_in_place():
+    class Doubling(Walk):
+        def step(self, action: np.ndarray) -> tuple:
+            action *= 2.0
+            return super().step(action)
+
+    played = otr.rollout(Doubling, right, 2, max_steps=3)
+    np.testing.assert_array_equal(played.actions, np.full((6, 1), 1 / 3, np.float32))
 
 
 def test_observations_and_rewards_that_are_no_numbers_are_told():

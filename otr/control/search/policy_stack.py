@@ -35,8 +35,8 @@ class NetworkStack:
         for network in networks:
             alike = (network.hidden_widths, network.n_inputs, network.n_outputs, network.dense, network.negative_slope)
             expected = (first.hidden_widths, first.n_inputs, first.n_outputs, first.dense, first.negative_slope)
-            if alike != expected:
-                raise ValueError(f"networks of different shapes: {first} and {network}")
+            if alike != expected or network.head != first.head:
+                raise ValueError(f"networks of different shapes or heads: {first} and {network}")
         self._head, self._dense, self._slope = first.head, first.dense, first.negative_slope
         layers = range(len(first.weights))
         # Transposed, so that states are rows: (k, columns read, n_l).
@@ -82,8 +82,10 @@ class TreeStack:
                 np.array_equal(tree.children_left, first.children_left)
                 and np.array_equal(tree.children_right, first.children_right)
                 and tree.M.shape == first.M.shape
+                and _same_labels(tree, first)
+                and tree.head == first.head
             ):
-                raise ValueError(f"trees of different structure: {first} and {tree}")
+                raise ValueError(f"trees of different structure, labels or heads: {first} and {tree}")
         self._head, self._labels, self._depth = first.head, first.labels, first.depth
         self._left, self._right = first.children_left, first.children_right
         self._P = np.stack([tree.P.T for tree in trees])  # (k, d, n_nodes)
@@ -119,6 +121,12 @@ class TreeStack:
         taken._P, taken._v, taken._M, taken._c = self._P[rows], self._v[rows], self._M[rows], self._c[rows]
         taken._rows = self._rows[: len(taken._P)]
         return taken
+
+
+def _same_labels(one: ObliqueTree, other: ObliqueTree) -> bool:
+    if one.labels is None or other.labels is None:
+        return one.labels is other.labels
+    return np.array_equal(one.labels, other.labels)
 
 
 def _answers(head: Head, outputs: FloatArray) -> NDArray[Any]:

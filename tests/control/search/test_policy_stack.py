@@ -59,6 +59,21 @@ def test_labels_of_a_tree():
     assert np.array_equal(stack_policies([tree, moved]).predict(X), expected)
 
 
+def test_other_heads_and_labels_are_refused():
+    wide, narrow = otr.ClipBox(-9.0, 9.0), otr.ClipBox(-1.0, 1.0)
+    mixed = [*networks(0, 1, [2], False, 0.0, wide), *networks(0, 1, [2], False, 0.0, narrow)]
+    with pytest.raises(ValueError, match="networks of different shapes or heads"):
+        stack_policies(mixed)
+    with pytest.raises(ValueError, match="trees of different structure, labels or heads"):
+        stack_policies([otr.map_network(network) for network in mixed])
+    labelled = otr.ObliqueTree(
+        [~0], [~1], [[1.0]], [0.0], np.zeros((2, 2, 1)), np.zeros((2, 2)), labels=[0, 1], head=otr.Argmax()
+    )
+    for other in (labelled.replace(labels=[1, 0]), labelled.replace(labels=None)):
+        with pytest.raises(ValueError, match="trees of different structure, labels or heads"):
+            stack_policies([labelled, other])
+
+
 def test_other_shapes_are_refused():
     with pytest.raises(ValueError, match="different shapes"):
         stack_policies([*networks(0, 1, [2], False, 0.0, otr.Argmax()), *networks(0, 1, [3], False, 0.0, otr.Argmax())])

@@ -18,6 +18,7 @@ from otr.extras import lazy_exports
 # The alias says to type checkers that the name is public.
 # isort: off
 if TYPE_CHECKING:
+    from otr import control as control, importers as importers, learners as learners
     from otr.control.rollout import Rollout as Rollout, evaluate as evaluate, rollout as rollout
     from otr.control.search.direct_search import SearchSettings as SearchSettings
     from otr.control.search.polish import polish as polish
@@ -124,6 +125,7 @@ _NAMES_OF_MODULES = {
     "shorten.simplify": "simplify within",
 }
 _MODULES = {name: module for module, names in _NAMES_OF_MODULES.items() for name in names.split()}
+_SUBPACKAGES = ("control", "importers", "learners")  # those with names of their own, as otr.learners.OTRClassifier
 
 __all__ = sorted(_MODULES)
-__getattr__, __dir__ = lazy_exports(__name__, _MODULES)
+__getattr__, __dir__ = lazy_exports(__name__, _MODULES, _SUBPACKAGES)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from importlib import import_module
@@ -40,12 +40,19 @@ def naming_the_extra(feature: str) -> Iterator[None]:
         raise MissingExtraError(message, name=error.name) from error
 
 
-def lazy_exports(package: str, modules: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """Return `__getattr__` and `__dir__` of a package whose names' `modules` are loaded when they are first used."""
+def lazy_exports(
+    package: str, modules: Mapping[str, str], subpackages: Sequence[str] = ()
+) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """Return `__getattr__` and `__dir__` of a package.
+
+    Its `subpackages`, and the `modules` of its names, are loaded when they are first used.
+    """
 
     def load(name: str) -> Any:
+        if name in subpackages:
+            return import_module(f"{package}.{name}")  # which makes it an attribute of the package
         if name not in modules:
-            near = get_close_matches(name, modules, n=1)
+            near = get_close_matches(name, [*modules, *subpackages], n=1)
             instead = f"; did you mean {near[0]}?" if near else ""
             raise AttributeError(f"module {package!r} has no attribute {name!r}{instead}")
         with naming_the_extra(f"{package}.{name}"):
@@ -54,6 +61,6 @@ def lazy_exports(package: str, modules: Mapping[str, str]) -> tuple[Callable[[st
         return value
 
     def names() -> list[str]:
-        return sorted({*vars(sys.modules[package]), *modules})
+        return sorted({*vars(sys.modules[package]), *modules, *subpackages})
 
     return load, names

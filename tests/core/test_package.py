@@ -21,6 +21,14 @@ def test_a_module_is_imported_when_one_of_its_names_is_first_used() -> None:
     assert not heavy & modules_after("from otr import *; certify, simplify, to_onnx, from_sb3")
 
 
+@pytest.mark.parametrize("name", ["learners.from_sklearn_tree", "importers.read_policy", "control.pid_observation"])
+def test_subpackages_that_the_documents_name_are_there_after_import_otr_alone(name: str) -> None:
+    subpackage, attribute = name.split(".")
+    code = f"import otr; assert {subpackage!r} in dir(otr); assert otr.{name}.__name__ == {attribute!r}"
+    assert f"otr.{subpackage}" in modules_after(code)
+    assert f"otr.{subpackage}" not in modules_after("import otr; dir(otr)")
+
+
 def test_everything_exported_exists() -> None:
     for name in otr.__all__:
         assert getattr(otr, name).__doc__
@@ -37,7 +45,8 @@ def test_type_checkers_know_every_exported_name_from_the_module_that_it_is_loade
         for alias in node.names:
             assert alias.asname == alias.name  # else mypy calls it private
             told[alias.name] = node.module
-    assert told == {name: f"otr.{module}" for name, module in otr._MODULES.items()}
+    subpackages = dict.fromkeys(otr._SUBPACKAGES, "otr")
+    assert told == {name: f"otr.{module}" for name, module in otr._MODULES.items()} | subpackages
 
 
 def test_no_module_of_the_package_has_the_name_of_something_exported() -> None:

@@ -50,8 +50,9 @@ class _Box(Head):
         Raises:
             InvalidNetworkError: a limit is not finite, low is not below high, or the shapes differ.
         """
-        self.low: FloatArray = read_only(np.array(low, dtype=np.float64))
-        self.high: FloatArray = read_only(np.array(high, dtype=np.float64))
+        # Added to zero, -0.0 becomes 0.0: equal heads then have the same description and the same hash.
+        self.low: FloatArray = read_only(np.asarray(np.array(low, dtype=np.float64) + 0.0))
+        self.high: FloatArray = read_only(np.asarray(np.array(high, dtype=np.float64) + 0.0))
         if self.low.shape != self.high.shape or self.low.ndim > 1:
             raise InvalidNetworkError(
                 f"{type(self).__name__}: low has shape {self.low.shape} and high {self.high.shape}; "
@@ -84,8 +85,19 @@ class _TanhHead(_Box):
     """A head whose answers are low + (tanh(u) + 1) / 2 * (high - low), for controls u."""
 
     def __init__(self, low: ArrayLike, high: ArrayLike) -> None:
+        """Keep the limits, each a number or of shape (o,).
+
+        Raises:
+            InvalidNetworkError: as for the other boxes, or high - low is larger than a float64 can hold.
+        """
         super().__init__(low, high)
-        self._half = (self.high - self.low) / 2
+        with np.errstate(over="ignore"):
+            self._half = (self.high - self.low) / 2
+        if not np.isfinite(self._half).all():
+            raise InvalidNetworkError(
+                f"{type(self).__name__}: high - low is larger than a float64 can hold, got low={self.low.tolist()}, "
+                f"high={self.high.tolist()}; give a narrower box"
+            )
         self._middle = self.low + self._half
 
     def __call__(self, Y: FloatArray) -> NDArray[Any]:

@@ -70,6 +70,21 @@ def test_boxes_that_are_none_are_refused(low: object, high: object) -> None:
             box(low, high)
 
 
+@pytest.mark.parametrize("box", [otr.TanhBox, otr.PidBox])
+def test_boxes_whose_width_no_float_holds_are_refused(box: type[otr.Head]) -> None:
+    with pytest.raises(otr.InvalidNetworkError, match="high - low is larger than a float64 can hold"):
+        box([0.0, -1e308], [1.0, 1e308])
+    assert otr.ClipBox(-1e308, 1e308)(np.array([2.0])) == 2.0  # which works with the limits alone
+
+
+def test_boxes_that_differ_in_the_sign_of_zero_are_equal_and_hash_alike() -> None:
+    for head, other in (
+        (otr.ClipBox(-0.0, 1.0), otr.ClipBox(0.0, 1.0)),
+        (otr.TanhBox([-1.0, -2.0], [-0.0, 0.0]), otr.TanhBox([-1.0, -2.0], [0.0, -0.0])),
+    ):
+        assert head == other and hash(head) == hash(other) and repr(head) == repr(other)
+
+
 def test_heads_that_do_not_fit_are_refused() -> None:
     with pytest.raises(otr.InvalidNetworkError, match="Sign needs 1 output, the network has 2"):
         otr.ReluNetwork([np.ones((2, 3))], [np.ones(2)], head=otr.Sign())

@@ -23,7 +23,9 @@ def from_sklearn_tree(model: BaseDecisionTree) -> ObliqueTree:
     `predict_proba`), and its label is a position in ``model.classes_``; a regressor's holds the values of its outputs.
     scikit-learn rounds inputs to float32 before it tests them and the tree does not: the two answer alike wherever
     that rounding crosses no threshold, so on everything that float32 can hold. Rules for missing values (NaN), which
-    no `ObliqueTree` takes, are left out. The names of columns and classes go with the tree.
+    no `ObliqueTree` takes, are left out; a test that only tells these apart, whose threshold is infinite, has no inputs
+    and sends every state where scikit-learn sends the values that are there. The names of columns and classes go with
+    the tree.
 
     Args:
         model: the fitted tree; an `ExtraTree` is one, too.
@@ -45,12 +47,14 @@ def from_sklearn_tree(model: BaseDecisionTree) -> ObliqueTree:
     reference = np.empty(source.node_count, dtype=np.int64)
     reference[nodes] = np.arange(len(nodes))
     reference[leaves] = ~np.arange(len(leaves))
-    P = np.zeros((len(nodes), n_inputs))
-    P[np.arange(len(nodes)), source.feature[nodes]] = 1.0
+    threshold, P = source.threshold[nodes], np.zeros((len(nodes), n_inputs))
+    is_finite = np.isfinite(threshold)
+    P[np.arange(len(nodes)), source.feature[nodes]] = is_finite
+    v = np.where(is_finite, -threshold, -np.sign(threshold))
     values = source.value[leaves]  # (n_leaves, n_outputs, n_classes), the last being 1 in a regression tree
     values = values[:, 0, :] if is_classifier else values[:, :, 0]
     left, right = reference[source.children_left[nodes]], reference[source.children_right[nodes]]
-    tree = ObliqueTree(left, right, P, -source.threshold[nodes], np.zeros((*values.shape, n_inputs)), values)
+    tree = ObliqueTree(left, right, P, v, np.zeros((*values.shape, n_inputs)), values)
     return with_names_of(model, class_tree(tree, values) if is_classifier else tree)
 
 

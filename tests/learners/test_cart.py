@@ -43,6 +43,18 @@ def test_a_state_on_a_threshold_goes_left_in_both():
     assert model.predict(on_both_sides).tolist() == [10.0, 20.0]
 
 
+def test_a_test_for_missing_values_alone_sends_every_state_one_way():
+    rng = np.random.default_rng(0)
+    X, fresh = rng.normal(size=(2, 200, 3)).astype(np.float32)
+    X[rng.random(200) < 0.3, 1] = np.nan
+    y = X[:, 0] + 3.0 * np.isnan(X[:, 1])
+    model = DecisionTreeRegressor(max_depth=4, random_state=0).fit(X, y)
+    assert np.isinf(model.tree_.threshold[0])
+    tree = from_sklearn_tree(model)
+    assert (tree.n_leaves, tree.depth) == (model.get_n_leaves(), model.get_depth())
+    assert np.array_equal(tree.predict(fresh)[:, 0], model.predict(fresh))
+
+
 def test_other_trees_and_errors():
     X, y = np.random.default_rng(0).normal(size=(2, 50, 2))
     extra = ExtraTreeRegressor(random_state=0).fit(X, y)

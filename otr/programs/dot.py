@@ -37,7 +37,7 @@ def to_dot(
 
     Raises:
         TypeError: `tree` is no ObliqueTree.
-        ValueError: the wrong number of names, or a number out of its range.
+        ValueError: the wrong number of names, names that are not distinct, or a number out of its range.
     """
     require_tree(tree)
     tree = merge_equal_leaves(tree)

@@ -39,7 +39,7 @@ def to_json(
 
     Raises:
         TypeError: `tree` is no ObliqueTree.
-        ValueError: the wrong number of names.
+        ValueError: the wrong number of names, or names that are not distinct.
     """
     require_tree(tree)
     features, answers = names_of(tree, feature_names, output_names)

@@ -44,7 +44,8 @@ def to_latex(
 
     Raises:
         TypeError: `tree` is no ObliqueTree.
-        ValueError: the wrong number of names, precision < 1, or a PID policy whose terms differ between leaves.
+        ValueError: the wrong number of names, names that are not distinct, precision < 1, or a PID policy whose terms
+            differ between leaves.
     """
     require_tree(tree)
     tree = merge_equal_leaves(tree)

@@ -55,12 +55,37 @@ def names_of(
     """Return the names of a policy's inputs and of its outputs or, where it decides labels, of these.
 
     These are the names given, else the tree's own, else the usual ones, each of them as it stands.
-    Raise TypeError for a name that is no text, ValueError for a wrong number of names.
+    Raise TypeError for a name that is no text, ValueError for a wrong number of names and as `check_names` does.
     """
-    features, answers = _usual_names(policy)
+    features, usual_answers = _usual_names(policy)
+    answers = usual_answers
     if isinstance(policy, ObliqueTree):
         features, answers = list(policy.feature_names or features), list(policy.output_names or answers)
-    return _names(feature_names, features, "feature_names"), _names(output_names, answers, "output_names")
+    features, answers = _names(feature_names, features, "feature_names"), _names(output_names, answers, "output_names")
+    # The number of a label without a name may be an input's name: no program gives it a value.
+    are_numbers = answers == usual_answers == [str(label) for label in range(len(answers))]
+    check_names(features, [] if are_numbers else answers)
+    return features, answers
+
+
+def check_names(features: Sequence[str], answers: Sequence[str]) -> None:
+    """Raise ValueError for a text in place of a list, a name that stands twice, and an answer with an input's name."""
+    for argument, names in (("feature_names", features), ("output_names", answers)):
+        _require_list(names, argument)
+        seen: set[str] = set()
+        for name in names:
+            if name in seen:
+                raise ValueError(f"{argument} has {name!r} twice; give one of them another name")
+            seen.add(name)
+    inputs = set(features)
+    for name in answers:
+        if name in inputs:
+            raise ValueError(f"output_names has {name!r}, which is an input's name, too; give it another one")
+
+
+def _require_list(names: Sequence[str], argument: str) -> None:
+    if isinstance(names, str):
+        raise ValueError(f"{argument} is the text {names!r}, expected a list of names")
 
 
 def _usual_names(policy: ObliqueTree | ReluNetwork) -> tuple[list[str], list[str]]:
@@ -85,6 +110,7 @@ def shown_names(
 def _names(given: Sequence[str] | None, without: list[str], argument: str) -> list[str]:
     if given is None:
         return without
+    _require_list(given, argument)
     if len(given) != len(without):
         raise ValueError(f"{argument} has {len(given)} names, expected {len(without)}")
     for i, name in enumerate(given):

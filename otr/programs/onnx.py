@@ -48,8 +48,8 @@ def to_onnx(
     Raises:
         MissingExtraError: onnx is not installed.
         TypeError: `tree` is no ObliqueTree.
-        ValueError: the wrong number of names, a `name` that is no line of text, another `dtype`, or a number that is
-            too large for a float.
+        ValueError: the wrong number of names, names that are not distinct, a `name` that is no line of text, another
+            `dtype`, or a number that is too large for a float.
     """
     require_tree(tree)
     features, answers = names_of(tree, feature_names, output_names)

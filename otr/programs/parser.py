@@ -10,6 +10,7 @@ from otr.programs.language.lowering import Lowering
 from otr.programs.language.scope import FUNCTIONS, Scope
 from otr.programs.language.statements import read_program
 from otr.programs.language.tokens import Source, tokenize
+from otr.programs.names import check_names
 
 
 def parse_program(
@@ -66,23 +67,10 @@ def parse_program(
     """
     if max_leaves < 1:
         raise ValueError(f"max_leaves is {max_leaves}, expected at least 1")
-    _check_names(feature_names, output_names or ())
+    check_names(feature_names, output_names or ())
     source = Source(text)
     tokens = tokenize(source, [*feature_names, *(output_names or ())], FUNCTIONS)
     label_names = {name: label for label, name in enumerate(output_names or ())} if labels else {}
     scope = Scope(source, feature_names, label_names)
     block = read_program(Cursor(source, tokens), scope)
     return Lowering(source, scope, len(feature_names), output_names, labels, max_leaves).tree(block)
-
-
-def _check_names(features: Sequence[str], outputs: Sequence[str]) -> None:
-    for argument, names in (("feature_names", features), ("output_names", outputs)):
-        if isinstance(names, str):
-            raise ValueError(f"{argument} is the text {names!r}, expected a list of names")
-        seen: set[str] = set()
-        for name in names:
-            if name in seen:
-                raise ValueError(f"{argument} has {name!r} twice; give one of them another name")
-            seen.add(name)
-    for name in set(features) & set(outputs):
-        raise ValueError(f"output_names has {name!r}, which is an input's name, too; give it another one")

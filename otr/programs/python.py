@@ -56,7 +56,8 @@ def to_python(
 
     Raises:
         TypeError: `tree` is no ObliqueTree.
-        ValueError: the wrong number of names, or `name` is no identifier or one of the functions that are called.
+        ValueError: the wrong number of names, names that are not distinct, or `name` is no identifier or one of the
+            functions that are called.
     """
     read = unicodedata.normalize("NFKC", name)  # as Python reads an identifier
     if not name.isidentifier() or keyword.iskeyword(read) or read in (*_CALLED, "__debug__"):

@@ -62,7 +62,7 @@ def to_structured_text(
 
     Raises:
         TypeError: `tree` is no ObliqueTree.
-        ValueError: the wrong number of names, or `name` is no identifier.
+        ValueError: the wrong number of names, names that are not distinct, or `name` is no identifier.
     """
     if not re.fullmatch(r"[A-Za-z](_?[A-Za-z0-9])*", name) or name.lower() in _RESERVED:
         raise ValueError(f"name is {name!r}, which cannot be the name of a function block")

@@ -33,13 +33,15 @@ def to_text(
 
     Args:
         tree: any tree.
-        feature_names: d names; the tree's own if None, or x0, x1, ... where it has none.
+        feature_names: d names, no two the same, and none that an output has, too; the tree's own if None, or x0, x1,
+            ... where it has none.
         output_names: names of the outputs, likewise, or y0, y1, ...; in a tree with labels, names of the labels.
         precision: significant digits, at least 1; 17 loses nothing.
 
     Raises:
         TypeError: `tree` is no ObliqueTree.
-        ValueError: the wrong number of names, precision < 1, or a PID policy whose terms differ between leaves.
+        ValueError: the wrong number of names, names that are not distinct, precision < 1, or a PID policy whose terms
+            differ between leaves.
     """
     if not isinstance(tree, ObliqueTree):
         raise TypeError(f"tree is a {type(tree).__name__}, expected an ObliqueTree; a PatternTree has to_tree()")

@@ -36,10 +36,11 @@ def names() -> st.SearchStrategy[str]:
 
 @st.composite
 def named_trees(draw: st.DrawFn) -> tuple[otr.ObliqueTree, list[str], list[str]]:
-    """A tree, names of its inputs and names of its answers; some may be equal, or so when they are made identifiers."""
+    """A tree, distinct names of its inputs and its answers; some may be equal in one line, or as identifiers."""
     tree = draw(st.sampled_from(list(TREES.values())))
     n = tree.n_inputs + 2
-    given = draw(st.one_of(st.lists(names(), min_size=n, max_size=n), names().map(lambda name: [name] * n)))
+    alike = names().map(lambda name: [name + " " * i for i in range(n)])
+    given = draw(st.one_of(st.lists(names(), min_size=n, max_size=n, unique=True), alike))
     return tree, given[: tree.n_inputs], given[tree.n_inputs :]
 
 

@@ -84,8 +84,9 @@ def test_labels_carry_their_names() -> None:
 def test_names_that_mean_something_to_the_program() -> None:
     tree = POLICIES["wide_tanh"]
     for name in ("tanh", "state", "max", "policy", "lambda", "outputs", "map", "float"):
-        answer = function(otr.to_python(tree, feature_names=[name], output_names=[name]))
-        np.testing.assert_allclose(answer([0.001]), tree.predict([0.001]), rtol=1e-12)
+        for names in ({"feature_names": [name]}, {"output_names": [name]}):
+            answer = function(otr.to_python(tree, **names))
+            np.testing.assert_allclose(answer([0.001]), tree.predict([0.001]), rtol=1e-12)
 
 
 @pytest.mark.parametrize("max_nested_depth", [64, 0], ids=["nested", "tables"])

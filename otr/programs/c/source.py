@@ -49,8 +49,8 @@ def to_c(
 
     Raises:
         TypeError: `policy` is something else.
-        ValueError: the wrong number of names, a `name` that C does not take, another `dtype`, or a number that is too
-            large for a float.
+        ValueError: the wrong number of names, names that are not distinct, a `name` that C does not take, another
+            `dtype`, or a number that is too large for a float.
     """
     if not isinstance(policy, ObliqueTree | PatternTree | ReluNetwork):
         raise TypeError(f"policy is a {type(policy).__name__}, expected an ObliqueTree, a PatternTree or a ReluNetwork")

@@ -54,7 +54,8 @@ def draw_tree(
 
     Raises:
         TypeError: `tree` is no ObliqueTree.
-        ValueError: the wrong number of names, states of another width, or precision, max_terms, max_depth too low.
+        ValueError: the wrong number of names, names that are not distinct, states of another width, or precision,
+            max_terms, max_depth too low.
         MissingExtraError: matplotlib is not installed.
     """
     from matplotlib.figure import Figure

@@ -150,7 +150,7 @@ def check_environment(env: EnvConfig) -> None:
     """Raise ConfigError unless an own environment's arguments can be recorded, and its names fit what it has.
 
     Arguments are recorded as JSON, which has no infinite numbers; names are as many as the inputs and actions, no two
-    the same.
+    the same, not even of an input and an action.
     """
     for name, value in env.kwargs.items():
         try:
@@ -158,8 +158,9 @@ def check_environment(env: EnvConfig) -> None:
         except ValueError as error:
             raise ConfigError(f"env.kwargs.{name}={value}: expected finite numbers") from error
     space, plain = spaces(env), dataclasses.replace(env, pid=None)
-    feature_names(plain, space.n_inputs)
-    action_names(plain, space.n_actions)
+    shared = set(feature_names(plain, space.n_inputs)) & set(action_names(plain, space.n_actions))
+    if shared:
+        raise ConfigError(f"env.action_names has {min(shared)!r}, which is a feature's name, too: give it another one")
 
 
 def _with_pid_terms(env: gym.Env, env_id: str, terms: PidTerms) -> gym.Env:

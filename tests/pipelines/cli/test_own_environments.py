@@ -123,7 +123,7 @@ def test_arguments_decide_the_kind_of_actions():
         ((f"env={MODULE}:Endless-v0",), "episodes have no limit, so one may never end; give one as"),
         (("env=CartPole-v1", "env.feature_names=[a,b]"), "env.feature_names has 2 names, the policy has 4"),
         (("env=CartPole-v1", "env.feature_names=[a,b,c,a]"), "env.feature_names has 'a' twice"),
-        (("env=CartPole-v1", "env.feature_names=[a,b,c,d]", "env.action_names=[e,a]"), "which is a feature's name, too"),
+        (("env=CartPole-v1", "env.feature_names=[a,b,c,d]", "env.action_names=[e,a]"), "is a feature's name, too"),
         (("env=CartPole-v1", "env.feature_names=[a]"), "env.feature_names has 1 name, the policy has 4: a"),
         (("env=Pendulum-v1", "+env.kwargs.g=inf"), "env.kwargs.g=inf: expected finite numbers"),
         (("env=pendulum", "env.action_names=[a,b]"), "env.action_names has 2 names, the policy has 1"),

@@ -5,6 +5,7 @@ import dataclasses
 import functools
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -222,7 +223,10 @@ class RunWorkflow(Workflow):
             made = self.composed([*overrides, f"{'oracle' if config.method.imitates else 'depth'}={widths}"])
             config = dataclasses.replace(made.config, imported=imported)
         oracle = self.job(_of_oracle(config, overrides)) if config.method.imitates else None
-        baseline = config if all(map(self.is_plain, overrides)) else self._baseline(config, overrides)
+        is_usual = all(map(self.is_plain, overrides))
+        if isinstance(config.trainer, FleetConfig) and not config.fleet:  # which trains SAC alone: named in vain
+            is_usual, config = False, dataclasses.replace(config, trainer=TrainerConfig("sb3"))
+        baseline = config if is_usual else self._baseline(config, overrides)
         folder = run_folder(config, baseline)
         config = dataclasses.replace(
             config,
@@ -233,18 +237,28 @@ class RunWorkflow(Workflow):
         return RunJob(config, folder, made.yaml, tuple(overrides), oracle)
 
     def _baseline(self, config: RunConfig, overrides: Sequence[str]) -> RunConfig:
-        """Return what the same env, method, depth, budget, trainer and seed give without any other override."""
+        """Return what the same env, method, depth, budget, trainer and seed give without any other override.
+
+        Of an algorithm that a road of the budget names it is the run of that road. A run that is no other than this
+        is compared with the one whose folder has no digest: that of no override, or of the trainer's alone.
+        """
         env = [override for override in overrides if override.startswith("env=") or is_search(override)]
+        place = [*env, f"method={config.method.name}", f"budget={config.budget.name}", f"depth={config.depth}",
+                 f"seed={config.seed}"]  # fmt: skip
+        trainer, way = f"trainer={config.trainer.name}", list[str]()
         if isinstance(config.algo, ArsConfig):
             way = ["algo=ars"]
             if config.method.imitates:
                 way.append(f"oracle=[{WIDEST_LAYER}]")  # as the roads have it: no larger network is searched
-        else:
+        elif not all(map(self.is_plain, overrides)):
             way = _way(config)
-        baseline: RunConfig = self.composed([
-            *env, f"method={config.method.name}", f"budget={config.budget.name}",
-            f"trainer={config.trainer.name}", *way, f"depth={config.depth}", f"seed={config.seed}",
-        ]).config  # fmt: skip
+        baseline: RunConfig = self.composed([*place, trainer, *way]).config
+        if config.settings() == baseline.settings():
+            for plain in (place, [*place, trainer]):
+                with suppress(ConfigError):  # of a budget's road that does not train this network
+                    usual: RunConfig = self.composed(plain).config
+                    if usual.budget_level == config.budget_level:
+                        return usual
         return baseline
 
 
@@ -384,7 +398,7 @@ def _of_oracle(config: RunConfig, overrides: Sequence[str]) -> list[str]:
         return [*own, "method=model", *files, "stages=[import]", f"seed={config.seed}"]
     if not any(key_of(override) == "trainer" for override in own):
         own.append(f"trainer={config.trainer.name}")
-        own += [override for override in RUN.implied(overrides) if key_of(override) == "algo"]
+    own += [override for override in RUN.implied(overrides) if key_of(override) == "algo"]
     depth = f"depth={config.oracle}".replace(" ", "")
     return [*own, depth, "method=otr", "stages=[train]", f"seed={config.seed}"]
 

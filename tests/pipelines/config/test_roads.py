@@ -76,6 +76,43 @@ def test_who_names_another_algorithm_or_trainer_leaves_the_road_with_all_that_it
     assert soft_tree.algo.normalise and soft_tree.folder == "runs/bipedalwalker/pi_prl/depth-6/standard/seed-0"
 
 
+def test_an_oracle_is_the_same_where_the_trainer_of_the_road_is_spelt_out():
+    """So it is below one folder, as the imitating run's settings are the same."""
+    words = ["env=bipedalwalker", "method=viper"]
+    road, spelt_out = RUN.jobs([words, [*words, "trainer=fleet"]])
+    assert road.folder == spelt_out.folder and road.oracle.folder == spelt_out.oracle.folder
+    assert road.oracle.config.settings() == spelt_out.oracle.config.settings()
+
+
+@pytest.mark.parametrize(
+    ("road", "others"),
+    [
+        (["env=bipedalwalker"], ["trainer=fleet"]),
+        (["env=bipedalwalker", "evaluate.n_episodes=5"], ["trainer=fleet"]),
+        (["env=bipedalwalker", "method=pi_prl"], ["algo=ppo_normalised"]),
+        (
+            ["env=bipedalwalker", "method=viper", "trainer=sb3"],
+            ["algo=ppo_normalised", "train.steps=1_000_000", "train.eval_interval_steps=50_000"],
+        ),
+    ],
+)
+def test_other_settings_have_another_folder(road, others):
+    one, other = made(*road), made(*road, *others)
+    assert one.settings() != other.settings() and one.folder != other.folder
+    assert one.changes != other.changes
+
+
+@pytest.mark.parametrize("words", [["env=swimmer"], ["env=bipedalwalker", "method=sdt"]])
+def test_a_fleet_that_trains_no_such_run_changes_nothing(words):
+    sb3, fleet = made(*words, "trainer=sb3"), made(*words, "trainer=fleet")
+    assert sb3.settings() == fleet.settings() and sb3.folder == fleet.folder and "~" not in sb3.folder
+
+
+def test_another_algorithm_beside_a_fleet_in_vain_tells_what_differs():
+    config = made("env=hopper", "algo=ppo", "trainer=fleet")
+    assert config.folder == made("env=hopper", "algo=ppo").folder and "algo.name=ppo" in config.changes
+
+
 @pytest.mark.parametrize("env", ["env=ant", "env=halfcheetah"])
 def test_small_actors_of_these_tasks_are_dense_and_nothing_else_of_them_is(env):
     on_the_road = made(env)

@@ -65,6 +65,12 @@ def jobs(*words):
     return RUN.jobs(RUN.expand([with_path_quoted(word) for word in words if word != "-m"], multirun))
 
 
+def test_an_oracle_from_a_file_takes_the_place_of_one_that_a_fleet_trains(models):
+    (job,) = jobs("env=pendulum", "method=viper", f"oracle={models / 'pendulum.zip'}")  # the standard road's trainer
+    assert job.folder.startswith("runs/pendulum/viper/depth-6/standard/seed-0~") and "trainer" not in job.config.changes
+    assert job.config.trainer_name == "none"
+
+
 def test_a_zip_is_a_run_like_others(models):
     names = ("env.feature_names=[x,v,angle,rate]", "env.action_names=[left,right]")
     words = (*SMOKE, "model=relu.zip", "certify=true", "polish=true", *names)

@@ -46,7 +46,7 @@ def imitate_settings(config: RunConfig) -> dict[str, Any]:
     """Return what decides the tree, given the oracle."""
     everything = config.settings()
     return {
-        "env": {"id": config.env.id, "kwargs": config.env.kwargs},
+        "env": config.env.settings(),
         "method": everything["method"],
         "depth": config.depth,
         "imitate": everything["imitate"],

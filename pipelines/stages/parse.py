@@ -22,7 +22,7 @@ DIGITS = 17  # that tell one float64 from another
 def parse_settings(config: RunConfig) -> dict[str, Any]:
     """Return what decides the tree: the program's text, and what the environment makes of its answers."""
     return {
-        "env": {"id": config.env.id, "kwargs": config.env.kwargs},
+        "env": config.env.settings(),
         "program_sha256": config.settings()["program_sha256"],
         "feature_names": config.env.feature_names,
         "action_names": config.env.action_names,

@@ -13,9 +13,12 @@ from pipelines.cli.runs import RUN
 from pipelines.config.env import EnvConfig, _code_sha256
 from pipelines.errors import ConfigError
 from pipelines.stages.certify import CERTIFY
+from pipelines.stages.imitate import IMITATE
+from pipelines.stages.parse import PARSE
 from pipelines.stages.polish import POLISH
 from pipelines.stages.prune import PRUNE
 from pipelines.stages.simplify import SIMPLIFY
+from pipelines.stages.train import TRAIN
 from tests.pipelines.conftest import otr_command
 
 MODULE = "tests.pipelines.own_envs"
@@ -78,6 +81,14 @@ def test_the_code_of_an_own_environment_is_in_the_keys(tmp_path, monkeypatch):
     assert key("reward = 1.0", "maze_of_test/rewards.py") != package
     assert EnvConfig("gone", "discrete", "no_such_module:Maze-v0").settings()["code_sha256"] is None
     assert "code_sha256" not in EnvConfig("CartPole-v1", "discrete", "CartPole-v1").settings()
+
+
+def test_the_code_is_in_the_keys_of_every_stage_that_plays_or_reads_the_spaces():
+    config = dataclasses.replace(job(CART, "method=viper").config, program_text="force = 0.0")
+    for stage in (TRAIN, IMITATE, PARSE, PRUNE):
+        assert stage.settings(config)["env"]["code_sha256"] == config.env.settings()["code_sha256"]
+    committed = job("env=hopper", "method=viper").config
+    assert IMITATE.settings(committed)["env"] == {"id": "Hopper-v4", "kwargs": {}}
 
 
 def test_names_of_ones_own_are_in_the_keys_of_what_prints_them():

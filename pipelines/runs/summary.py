@@ -6,7 +6,9 @@ from typing import Any
 from pipelines.config.methods import EXTRA_STAGES
 from pipelines.config.run import RunConfig
 from pipelines.engine.archive import MANIFEST, read_manifest
+from pipelines.engine.stage import Stage, stage_key, stage_status
 from pipelines.engine.store import exists, read_csv, read_json
+from pipelines.stages.table import stages_of
 
 
 def summarise(config: RunConfig, run_dir: Path) -> dict[str, Any]:
@@ -15,7 +17,7 @@ def summarise(config: RunConfig, run_dir: Path) -> dict[str, Any]:
     made, pruned, evaluated = (
         read_json(run_dir / name / "report.json") for name in (config.method.tree_stage, "prune", "evaluate")
     )
-    extras = tuple(extra for extra in EXTRA_STAGES if exists(run_dir / extra / MANIFEST))
+    extras = _extras(config, run_dir)
     manifests = {name: read_manifest(run_dir / name) for name in (*names, *extras)}
     seconds = {name: manifest["seconds"] for name, manifest in manifests.items()}
     if "train" in seconds:
@@ -59,3 +61,21 @@ def summarise(config: RunConfig, run_dir: Path) -> dict[str, Any]:
     if not config.is_trained:
         summary |= {"algorithm": "none", "steps": 0}
     return summary | {extra: read_json(run_dir / extra / "report.json") for extra in extras}
+
+
+def _extras(config: RunConfig, run_dir: Path) -> list[str]:
+    """Return the further stages that are done, of the policy or of the polished one; others are of an earlier run."""
+    plain, polished = stages_of(config.method.name), stages_of(config.method.name, polished=True)
+    done: list[str] = []
+    for extra in EXTRA_STAGES:
+        stages = [plain[extra], *([polished[extra]] if "polish" in done else [])]
+        if any(_is_done(stage, config, run_dir) for stage in stages):
+            done.append(extra)
+    return done
+
+
+def _is_done(stage: Stage, config: RunConfig, run_dir: Path) -> bool:
+    inputs = {name: run_dir / name for name in stage.inputs}
+    if not all(exists(folder / MANIFEST) for folder in (run_dir / stage.name, *inputs.values())):
+        return False
+    return stage_status(stage, run_dir / stage.name, config, stage_key(stage, config, inputs)) == "done"

@@ -10,6 +10,7 @@ from concurrent.futures.process import BrokenProcessPool
 import pytest
 
 from pipelines.engine.job import is_done, write_config
+from pipelines.engine.store import read_json, write_json
 from pipelines.engine.sweep import GroupTask, Outcome, check_launcher, run_sweep
 from pipelines.errors import ConfigError
 from pipelines.runs.run_job import RunJob, run_job, run_jobs
@@ -89,6 +90,17 @@ def test_a_job_is_done_when_every_file_is_as_it_was_written(tiny):
     assert is_done(job)
     (job.run_dir / "summary.json").unlink()
     assert not is_done(job)
+
+
+def test_a_summary_has_the_further_stages_that_are_done_and_no_others(tiny):
+    certified = RunJob(tiny(certify=True), "runs/one", "")
+    run_job(RunJob(tiny(), "runs/one", ""))
+    run_job(RunJob(tiny(stages=["certify"]), "runs/one", ""))  # which makes no summary
+    assert not is_done(certified)
+    assert run_job(certified)["certify"]["certified"] and is_done(certified)
+    path = certified.run_dir / "certify" / "manifest.json"
+    write_json(path, read_json(path) | {"key": "of another actor"})
+    assert "certify" not in run_job(RunJob(tiny(), "runs/one", ""))
 
 
 @pytest.mark.parametrize(("launcher", "extra"), [("slurm", "slurm"), ("submitit_local", "slurm"), ("ray", "ray")])

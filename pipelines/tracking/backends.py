@@ -54,8 +54,8 @@ class TensorBoard:
         write_json(self._note, {"steps": step, "result": None})
 
     def complete(self, step: int, numbers: Mapping[str, float], run_dir: Path, result: str) -> None:
-        program = (run_dir / "prune" / "program.txt").read_text(encoding="utf-8")
-        texts = {"program": program, "config.yaml": (run_dir / "config.yaml").read_text(encoding="utf-8")}
+        files = {"program": run_dir / "prune" / "program.txt", "config.yaml": run_dir / "config.yaml"}
+        texts = {name: path.read_text(encoding="utf-8") for name, path in files.items() if path.is_file()}
         self._write(step, numbers, {name: f"```\n{text}```" for name, text in texts.items()})
         self._writer.close()
         write_json(self._note, {"steps": step, "result": result})

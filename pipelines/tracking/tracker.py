@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from pipelines.config.run import RunConfig
-from pipelines.engine.digests import flat
-from pipelines.engine.store import read_csv, read_json
+from pipelines.engine.digests import digest, flat
+from pipelines.engine.store import read_csv
 from pipelines.errors import ConfigError
 from pipelines.tracking.backends import Mlflow, TensorBoard
 
@@ -65,7 +65,7 @@ class Tracker:
 
     def _complete(self, summary: Mapping[str, Any], run_dir: Path) -> None:
         backend = _open_backend(self._config)
-        result: str = read_json(run_dir / "evaluate" / "manifest.json")["key"]
+        result = digest(summary)  # a stage that is added later changes it
         if backend.result() == result:
             return
         if backend.result() is not None:

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from pipelines.config.run import run_folder
-from pipelines.engine.store import read_csv
+from pipelines.engine.store import read_csv, read_json
 from pipelines.errors import ConfigError
 from pipelines.runs.run_job import RunJob, run_job
 from pipelines.tracking import tracker as tracking
@@ -91,6 +91,16 @@ def test_finished_run_is_logged_from_its_files(backend, tracked):
     assert [step for step, _ in backend.rows] == [100, 200, 300]
     assert set(backend.rows[1][1]) >= {"train/steps", "train/steps_per_s", "selection/return_mean", "selection/best"}
     assert len(backend.final) == 1
+
+
+def test_a_stage_that_is_added_later_is_logged(backend, tracked):
+    run_job(tracked)
+    certified = dataclasses.replace(tracked, config=dataclasses.replace(tracked.config, certify=True))
+    run_job(certified)
+    assert [step for step, _ in backend.rows] == [100, 200, 300] and len(backend.final) == 2
+    assert backend.final[1][1]["final/certify.certified"] == 1.0
+    run_job(certified)
+    assert len(backend.final) == 2
 
 
 def test_rows_that_were_logged_are_passed_over(backend, tracked):
@@ -177,6 +187,16 @@ def test_tensorboard_reads_the_curves(tracked):
     before = sorted(path.name for path in folder.iterdir())
     run_job(tracked)
     assert sorted(path.name for path in folder.iterdir()) == before
+
+
+def test_a_run_without_a_printed_program_is_logged(tracked, capsys):
+    run_job(dataclasses.replace(tracked, config=dataclasses.replace(tracked.config, tracking="none")))
+    (tracked.run_dir / "prune" / "program.txt").unlink()  # as of a tree that is too large to be printed
+    summary = read_json(tracked.run_dir / "summary.json")
+    Tracker(tracked.config).finish(summary, tracked.run_dir)
+    assert "does not work" not in capsys.readouterr().out
+    note = Path(tracked.config.results_dir) / "tensorboard" / FOLDER.removeprefix("runs/") / "logged.json"
+    assert read_json(note)["result"] is not None
 
 
 @pytest.fixture

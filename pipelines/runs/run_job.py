@@ -74,7 +74,9 @@ def run_jobs(jobs: Sequence[RunJob]) -> list[Exception | None]:
     errors: dict[str, Exception | None] = {}
     try:
         if len(trained) > 1:
-            errors = dict(zip(trained, _train_together(list(trained.values())), strict=True))
+            fleet = list(trained.values())
+            with disk_errors_explained(fleet[0]):
+                errors = dict(zip(trained, _train_together(fleet), strict=True))
     except Exception as error:  # of the whole fleet, such as a full disk
         return [error] * len(jobs)
     return [errors.get(job.trained.folder) or failure(run_job, job) for job in jobs]

@@ -86,7 +86,7 @@ def announce_training(configs: Sequence[RunConfig]) -> None:
     config = configs[0]
     left = [max(0, each.train.steps - trained_steps(each)) for each in configs]
     seconds = sum(seconds_left(each) for each in configs)
-    n_bytes = sum(estimated_bytes(each) * n // each.train.steps for each, n in zip(configs, left, strict=True))
+    n_bytes = sum(map(_bytes_left, configs, left))
     folder = Path(config.results_dir)
     free = shutil.disk_usage(folder).free
     if n_bytes > free:
@@ -102,6 +102,12 @@ def announce_training(configs: Sequence[RunConfig]) -> None:
             "command goes on",
             flush=True,
         )
+
+
+def _bytes_left(config: RunConfig, n_steps: int) -> int:
+    """Return the likely size of the checkpoints of the steps that are left; a fleet's is reserved when it starts."""
+    is_reserved = config.fleet is not None and n_steps < config.train.steps
+    return 0 if is_reserved else estimated_bytes(config) * n_steps // config.train.steps
 
 
 def group_key(config: RunConfig) -> str:

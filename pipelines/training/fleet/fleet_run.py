@@ -44,7 +44,7 @@ class FleetRun:
         self.tracker = Tracker(config)
         for rows in zip(self.history.progress, self.history.evaluations, strict=True):
             self.tracker.segment_done(*rows)  # a kill may have come between a checkpoint and its log
-        self.rows = open_rows(self.folder / "replay.bin", self._capacity, layout, self.n_steps)
+        self.rows = open_rows(self.folder / "replay.bin", self._capacity, layout, config.train.steps, self.n_steps)
 
     @property
     def algo(self) -> SacConfig:

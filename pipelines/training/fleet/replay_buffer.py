@@ -5,6 +5,7 @@ row i % capacity. The capacity is the buffer's size and a segment more, so that 
 checkpoint before it could sample: after a kill the run goes on from that checkpoint and writes the same rows again.
 """
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,10 +37,11 @@ class RowLayout:
         return Minibatch(states, actions, rewards[..., 0], next_states, continues[..., 0])
 
 
-def open_rows(path: Path, capacity: int, layout: RowLayout, n_written: int = 0) -> np.memmap:
-    """Return a run's rows, (capacity, width) float32; a new file takes disk as rows are written.
+def open_rows(path: Path, capacity: int, layout: RowLayout, n_steps: int, n_written: int = 0) -> np.memmap:
+    """Return a run's rows, (capacity, width) float32; the file takes the disk of all `n_steps` steps at once.
 
     Raises:
+        OSError: the disk has no room for them. Where it filled up later, a signal would end the process.
         PipelineError: the run has transitions (`n_written`), and the file is gone or of another size.
     """
     shape = (capacity, layout.width)
@@ -49,7 +51,11 @@ def open_rows(path: Path, capacity: int, layout: RowLayout, n_written: int = 0) 
             f"{path}: the transitions of {n_written:,} steps are gone; bring the file back, or delete {path.parent} to "
             "train from the beginning"
         )
-    return np.memmap(path, dtype=np.float32, mode="r+" if fits else "w+", shape=shape)
+    with path.open("r+b" if fits else "wb") as file:
+        file.truncate(4 * capacity * layout.width)
+        if hasattr(os, "posix_fallocate"):  # not on macOS
+            os.posix_fallocate(file.fileno(), 0, 4 * min(capacity, n_steps) * layout.width)
+    return np.memmap(path, dtype=np.float32, mode="r+", shape=shape)
 
 
 class FleetReplay:

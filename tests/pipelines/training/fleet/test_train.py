@@ -1,8 +1,11 @@
 """Fleet training: runs that do not touch each other, what lies in the replay buffer, kills, divergence, groups."""
 
 import dataclasses
+import errno
 import os
+import shutil
 import signal
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -17,6 +20,7 @@ from pipelines.engine.store import read_csv
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import make_env
+from pipelines.runs.run_job import RunJob, run_jobs
 from pipelines.stages.train import checkpoint_folder, fleets, group_key, train_settings, trained_steps
 from pipelines.training.fleet import trainer as trainer_module
 from pipelines.training.fleet.fleet_run import FleetRun
@@ -93,6 +97,23 @@ def test_a_replay_buffer_that_is_gone_is_told(fleet_run, tmp_path):
     (checkpoint_folder(config) / "replay.bin").unlink()
     with pytest.raises(PipelineError, match=r"replay\.bin: the transitions of \d+ steps are gone; bring the file back"):
         train_all([config], outs)
+
+
+def test_the_disk_of_all_steps_is_reserved_when_a_run_starts(fleet_run, monkeypatch):
+    config = fleet_run(env=HOPPER, algo=SAC, train=TrainConfig(5_000, 5_000, 2, 100))
+    task = Task.of(config)
+    rows = fresh(config, task).rows
+    taken = Path(rows.filename).stat().st_blocks * 512
+    assert rows.shape == (10_000, 2 * 11 + 3 + 2) and 5_000 <= taken / (4 * rows.shape[1]) <= 5_300
+    shutil.rmtree(checkpoint_folder(config))
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    jobs = [RunJob(dataclasses.replace(config, seed=seed), f"runs/seed-{seed}", "") for seed in (0, 1)]
+    for error in run_jobs(jobs):
+        assert isinstance(error, PipelineError) and "Make room there or choose another place" in str(error)
 
 
 def test_result_has_the_artefacts_of_the_other_trainer(fleet_run, tiny, tmp_path):

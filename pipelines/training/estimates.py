@@ -8,7 +8,7 @@ from pipelines.config.algo import OffPolicyConfig
 from pipelines.config.run import RunConfig
 from pipelines.play.environments import make_env
 
-FLEET_STEPS_PER_S = 400.0
+FLEET_STEPS_PER_S = 290.0
 RANDOM_STEPS_PER_S = 5_000.0  # off-policy steps before learning starts
 
 

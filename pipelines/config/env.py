@@ -48,6 +48,11 @@ class EnvConfig:
         code = {"code_sha256": _code_sha256(module)} if module else {}
         return {"id": self.id, "kwargs": self.kwargs, **pid, **code}
 
+    @property
+    def has_file(self) -> bool:
+        """Whether the environment is one of conf/env."""
+        return _names_in_conf(self.name) is not None
+
     def own_names(self) -> dict[str, Any]:
         """Return the names of features and actions for the keys of stages that print them; none if conf's."""
         names = {"feature_names": list(self.feature_names), "action_names": list(self.action_names)}

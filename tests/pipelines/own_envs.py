@@ -48,6 +48,14 @@ class PushOrPull(Cart):
         return 2.0 * int(action) - 1.0
 
 
+class Insistent(Cart):
+    """The cart that takes no action but of its space."""
+
+    def step(self, action: Any) -> Any:
+        assert self.action_space.contains(action)
+        return super().step(action)
+
+
 class Unsuitable(Cart):
     """The cart with another space."""
 
@@ -123,7 +131,7 @@ SPACES: dict[str, dict[str, gym.Space]] = {
 gym.register("Cart-v0", entry_point=Cart, max_episode_steps=50)
 gym.register("PushOrPull-v0", entry_point=PushOrPull, max_episode_steps=50)
 gym.register("Endless-v0", entry_point=Cart)
-for mistaken in (OfOldGym, ReturnsFour, LongerThanItsSpace, NotFinite, FailsLater, NoReward, NeedsAFile):
-    gym.register(f"{mistaken.__name__}-v0", entry_point=mistaken, max_episode_steps=50)
+for kind in (Insistent, OfOldGym, ReturnsFour, LongerThanItsSpace, NotFinite, FailsLater, NoReward, NeedsAFile):
+    gym.register(f"{kind.__name__}-v0", entry_point=kind, max_episode_steps=50)
 for name, spaces in SPACES.items():
     gym.register(f"{name}-v0", entry_point=Unsuitable, kwargs=spaces, max_episode_steps=50)

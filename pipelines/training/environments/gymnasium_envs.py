@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import gymnasium as gym
 import numpy as np
 
 from pipelines.config.env import EnvConfig
@@ -26,6 +27,10 @@ class GymnasiumVectorEnv:
         self._envs = [make_training_env(env, rescale_inputs=rescale_inputs) for _ in range(n_envs)]
         self._n_inputs, self._dtype = flat_state_size(self._envs[0]), self._envs[0].observation_space.dtype
         self._discrete = is_discrete(self._envs[0])
+        # The environments of conf/env take actions as they are, in float64 from searches: committed searches stay as
+        # they are bit for bit. All others, which may insist on it, get actions of their own space.
+        space = self._envs[0].action_space
+        self._box = space if isinstance(space, gym.spaces.Box) and not env.has_file else None
 
     def reset(self, seeds: Sequence[int]) -> np.ndarray:
         states = self._empty_states(self.n_envs)
@@ -44,6 +49,9 @@ class GymnasiumVectorEnv:
         n = len(stepped)
         states, rewards = self._empty_states(n), np.empty(n)
         terminated, truncated = np.empty(n, dtype=bool), np.empty(n, dtype=bool)
+        if self._box is not None:
+            rounded = np.rint(actions) if np.issubdtype(self._box.dtype, np.integer) else actions
+            actions = rounded.astype(self._box.dtype).reshape(n, *self._box.shape)
         each = actions.tolist() if self._discrete else actions
         for j, (env, action) in enumerate(zip(stepped, each, strict=True)):
             states[j], rewards[j], terminated[j], truncated[j], _ = env.step(action)

@@ -144,6 +144,18 @@ def test_refusals_name_what_is_wrong():
     envs.close()
 
 
+def test_an_environment_of_ones_own_gets_actions_of_its_space_and_others_as_they_are():
+    own = GymnasiumVectorEnv(EnvConfig("own", "continuous", "tests.pipelines.own_envs:Insistent-v0"), 2)
+    own.reset([0, 1])
+    own.step(np.array([[0.1], [0.2]]))
+    hoppers = GymnasiumVectorEnv(HOPPER, 2)
+    taken = []
+    for env in hoppers._envs:
+        env.step = lambda action: taken.append(action) or (np.zeros(11), 0.0, False, False, {})
+    hoppers.step(np.full((2, 3), 0.1))
+    assert [action.dtype for action in taken] == [np.float64, np.float64]
+
+
 def test_envpool_knows_what_it_can_do():
     """The refusal comes before EnvPool is looked for, so that it is the same where it is not installed."""
     ids = [yaml.safe_load(path.read_text())["env"]["id"] for path in sorted((CONF_DIR / "env").glob("*.yaml"))]

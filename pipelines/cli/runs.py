@@ -197,13 +197,21 @@ class RunWorkflow(Workflow):
                 spelt_out.append(f"method.{override}")
             elif override.startswith("oracle=") and isinstance(parse(override).value(), str):
                 if not any(map(_imitates, methods)):
-                    imitating = [f"method={name}" for name, method in METHODS.items() if method.imitates]
-                    raise ConfigError(f"{override}: who is to imitate it? Add {' or '.join(imitating)}")
+                    raise ConfigError(f"{override}: who is to imitate it? Add {_imitating()}")
                 spelt_out.append(f"method.model={override.removeprefix('oracle=')}")
             else:
                 spelt_out.append(override)
         _check_stages(spelt_out)
         return spelt_out
+
+    def expand(self, overrides: Sequence[str], multirun: bool) -> list[list[str]]:
+        """Return the overrides of every job; refuse settings of imitation where no job imitates."""
+        jobs = super().expand(overrides, multirun)
+        words = [override for own in jobs for override in own]
+        vain = [override for override in words if key_of(override) == "oracle" or override.startswith("imitate.")]
+        if vain and not any(_imitates(override) or key_of(override) == "experiment" for override in words):
+            raise ConfigError(f"{vain[0]}: nothing is imitated. Add {_imitating()}, or leave {vain[0]} out")
+        return jobs
 
     def job(self, overrides: Sequence[str]) -> RunJob:
         """Return the run with these overrides, and the run that trains its oracle."""
@@ -354,6 +362,11 @@ def _of_its_kind(override: str) -> str:
 def _imitates(override: str) -> bool:
     """Return whether an override chooses a method that imitates."""
     return METHODS.get(override.removeprefix("method="), MethodConfig).imitates
+
+
+def _imitating() -> str:
+    """Return the overrides of the methods that imitate, in words."""
+    return " or ".join(f"method={name}" for name, method in METHODS.items() if method.imitates)
 
 
 def _model(config: RunConfig, overrides: Sequence[str]) -> tuple[ImportedModel, str]:

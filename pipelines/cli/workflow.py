@@ -90,7 +90,12 @@ class Workflow(Composer, ABC):
             raise ConfigError(f"{', '.join(swept)}: several values make a sweep; add -m{one}")
         if any(key.lstrip("+") == "experiment" for key in swept):
             raise ConfigError("experiment: one at a time; start a command for each")
-        return multirun or self._experiment(tuple(overrides))[0]
+        if multirun or self._experiment(tuple(overrides))[0]:
+            return True
+        for override in overrides:
+            if key_of(override) == "launcher" and override != "launcher=basic":
+                raise ConfigError(f"{override} launches a sweep's jobs, and this is one job; add -m, or leave it out")
+        return False
 
     @functools.cache  # noqa: B019 - there are two workflows, which live as long as the process
     def _experiment(self, overrides: tuple[str, ...]) -> tuple[bool, list[str]]:

@@ -110,7 +110,9 @@ class RunConfig:
             self.fleet.check(self.algo)
 
     def _check_stages(self) -> None:
-        """Refuse stages that the method does not have."""
+        """Refuse stages that the method does not have, and none at all."""
+        if self.stages == []:
+            raise ConfigError("stages=[] does nothing; name stages, as stages=[map,prune], or leave it out for all")
         name, is_mapped = self.method.name, self.method.is_mapped
         known = (*self.method.stages, *(extra for extra in EXTRA_STAGES if extra != "certify" or is_mapped))
         for stage in self.stages or ():
@@ -134,7 +136,7 @@ class RunConfig:
             raise ConfigError(
                 f"polishing.numbers=network: a tree of method={self.method.name} stands for no network; leave it out"
             )
-        if self.polish and self.certify and not self.polishes_network:
+        if self.is_polished and "certify" in self.selected_stages and not self.polishes_network:
             raise ConfigError(
                 "polishing.numbers=tree with certify=true: a tree with other numbers stands for no network that it "
                 "could be proved equal to; leave one of them out"
@@ -144,6 +146,11 @@ class RunConfig:
     def polishes_network(self) -> bool:
         """Whether a polish searches the numbers of the network that the tree is mapped from, not the tree's."""
         return self.method.is_mapped and self.polishing.numbers != "tree"
+
+    @property
+    def is_polished(self) -> bool:
+        """Whether the stages after a polish are of the polished policy."""
+        return self.polish or "polish" in self.selected_stages
 
     @property
     def hidden_widths(self) -> tuple[int, ...]:

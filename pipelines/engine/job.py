@@ -40,7 +40,8 @@ class Job(ABC):
     @property
     def command(self) -> str:
         """The command that does this job and all its stages."""
-        own = (override for override in self.overrides if override.split("=")[0] not in ("stages", "hydra.mode"))
+        left_out = ("stages=", "launcher=", "hydra.launcher.", "hydra.mode=")  # of a part of the job, or of its sweep
+        own = (override for override in self.overrides if not override.startswith(left_out))
         return shlex.join([self.program, *own])
 
     @property

@@ -42,7 +42,7 @@ class RunJob(Job):
 
     @property
     def stages(self) -> tuple[Stage, ...]:
-        stages = stages_of(self.config.method.name, polished=self.config.polish)
+        stages = stages_of(self.config.method.name, polished=self.config.is_polished)
         return tuple(stages[name] for name in self.config.selected_stages)
 
     @property

@@ -207,6 +207,8 @@ class FitConfig:
 
     def __post_init__(self) -> None:
         check_settings(self)
+        if self.stages == []:
+            raise ConfigError("stages=[] does nothing; name stages, as stages=[tune,fit], or leave it out for all")
         for stage in self.stages or ():
             if stage not in self.all_stages:
                 own = ", ".join(self.all_stages)

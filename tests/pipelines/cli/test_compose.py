@@ -53,6 +53,8 @@ def test_a_single_value_is_a_list_of_one_where_a_list_is_to_be():
         [64],
         [8, 8],
     ]
+    mixed = RUN.expand(["env=lunarlander", "method=otr,viper", "oracle=64"], multirun=True)  # of one of the two
+    assert len(mixed) == 2
     assert FIT.jobs([["data=breast_cancer", "method=otr", "method.hidden=2"]])[0].config.method.hidden == [2]
 
 

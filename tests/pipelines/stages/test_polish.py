@@ -19,6 +19,7 @@ from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import spaces
 from pipelines.runs.replay import replay
 from pipelines.runs.result import _loss
+from pipelines.runs.run_job import RunJob
 from pipelines.stages import simplify as simplify_module
 from pipelines.stages.polish import announce_polish, environments, estimated_seconds, polish
 from pipelines.stages.table import stages_of
@@ -137,6 +138,17 @@ def test_keys_of_certify_and_simplify_without_polish_are_as_they_were():
         assert list(plain)[-6:] == ["polish", "certify", "simplify", "leaves", "video", "mp4"]
         for name in ("certify", "simplify"):
             assert (plain[name].settings, plain[name].version) == (polished[name].settings, polished[name].version)
+
+
+def test_what_is_listed_beside_polish_is_of_the_polished_policy(tiny):
+    for asked in ({"polish": True, "certify": True}, {"stages": ["polish", "certify"]}):
+        *_, certify = RunJob(tiny(**asked), "runs/one", "").stages
+        assert certify.inputs == ("polish",)
+        with pytest.raises(ConfigError, match=r"polishing\.numbers=tree with certify=true"):
+            tiny(**asked, polishing=dataclasses.replace(SHORT, numbers="tree"))
+    for by_road, inputs in ((True, ("polish",)), (False, ("train", "map"))):  # a budget's road may have polish=true
+        (certify,) = RunJob(tiny(stages=["certify"], polish=by_road), "runs/one", "").stages
+        assert certify.inputs == inputs
 
 
 def test_a_program_is_polished_shortened_and_polished_again(command, tmp_path):

@@ -40,6 +40,8 @@ def test_stages_depend_on_whether_something_is_tuned(fit_of):
     assert fit_of("cart", grid=[{"max_depth": [1]}]).all_stages == ("tune", "fit", "score")
     with pytest.raises(ConfigError, match="has no stage 'tune'"):
         dataclasses.replace(fit_of("cart"), stages=["tune"])
+    with pytest.raises(ConfigError, match=r"stages=\[\] does nothing"):
+        dataclasses.replace(fit_of("cart"), stages=[])
 
 
 def test_folder_names_the_fit_and_digests_other_settings(fit_of):

@@ -198,7 +198,9 @@ class ContinuousConfig(OffPolicyConfig):
 class SacConfig(ContinuousConfig):
     """Soft actor-critic. `ent_coef` is `auto`, or a number as a string for a fixed temperature."""
 
-    ent_coef: Annotated[str, Text(r"auto|[0-9.]+(e-?[0-9]+)?", "use auto, or a number for a fixed temperature")]
+    ent_coef: Annotated[
+        str, Text(r"auto|([0-9]+\.?[0-9]*|\.[0-9]+)(e-?[0-9]+)?", "use auto, or a number for a fixed temperature")
+    ]
 
     steps_per_s = 145.0
 

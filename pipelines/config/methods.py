@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
 
-from pipelines.config.algo import AlgoConfig, DdpgConfig, OnPolicyConfig
+from pipelines.config.algo import AlgoConfig, DdpgConfig, OnPolicyConfig, PpoConfig
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import PidTerms
 from pipelines.config.setting import DERIVED, AsBefore, Count, FreeText, NotNegative, OneOf, Positive, Range, Share
@@ -67,6 +67,11 @@ class MethodConfig:
 
     def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
         """Raise ConfigError if the method cannot be used with this algorithm, this actor or this oracle."""
+        if isinstance(algo, PpoConfig) and algo.use_sde:
+            soft = ", ".join(name for name, method in METHODS.items() if issubclass(method, SoftConfig))
+            raise ConfigError(
+                f"algo.use_sde=true: actors of method={self.name} cannot be read after it; leave it out, or use {soft}"
+            )
 
 
 @dataclass(frozen=True)
@@ -183,6 +188,7 @@ class ImitatingConfig(TakesModel, MethodConfig):
 
     def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
         """Refuse an oracle that is no network."""
+        super().check(algo, actor, oracle)
         if not oracle:
             raise ConfigError(f"oracle={oracle}: give the hidden layers of the network to imitate, as oracle=[256,256]")
 

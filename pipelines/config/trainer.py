@@ -35,6 +35,11 @@ class FleetConfig(TrainerConfig):
                 f"algo.train_freq={algo.train_freq} and algo.gradient_steps={algo.gradient_steps}; leave both at 1, or "
                 "use trainer=sb3"
             )
+        if algo.ent_coef != "auto" and float(algo.ent_coef) == 0:
+            raise ConfigError(
+                f"algo.ent_coef={algo.ent_coef}: trainer={self.name} keeps the temperature's logarithm; give auto or a "
+                "number above 0, or use trainer=sb3"
+            )
         if algo.action_noise == "ornstein_uhlenbeck":
             raise ConfigError(f"trainer={self.name} has no ornstein_uhlenbeck noise; use algo.action_noise=normal")
 

@@ -70,6 +70,8 @@ def test_depth_zero_is_the_linear_policy(tiny):
         ({"algo": dataclasses.replace(SAC, tau=5.0)}, "algo.tau=5.0"),
         ({"algo": dataclasses.replace(SAC, critic=[0])}, "algo.critic"),
         ({"algo": dataclasses.replace(SAC, ent_coef="foo")}, "algo.ent_coef=foo"),
+        ({"algo": dataclasses.replace(SAC, ent_coef="1.2.3")}, "algo.ent_coef=1.2.3: use auto, or a number"),
+        ({"algo": dataclasses.replace(PPO, use_sde=True)}, "algo.use_sde=true: actors of method=otr cannot be read"),
         ({"algo": dataclasses.replace(SAC, action_noise="foo")}, "algo.action_noise=foo"),
         ({"algo": dataclasses.replace(PPO, n_steps=1)}, "algo.n_steps=1"),
         ({"actor": ActorConfig(1.0)}, "actor.negative_slope=1.0"),

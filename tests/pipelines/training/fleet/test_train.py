@@ -309,6 +309,7 @@ def test_trainer_is_part_of_the_key_and_of_the_folder(fleet_run, tiny):
     ("changes", "message"),
     [
         ({"algo": dataclasses.replace(SAC, train_freq=4)}, "leave both at 1"),
+        ({"algo": dataclasses.replace(SAC, ent_coef="0")}, "give auto or a number above 0"),
         ({"algo": dataclasses.replace(SAC, action_noise="ornstein_uhlenbeck")}, "use algo.action_noise=normal"),
         ({"trainer": dataclasses.replace(FLEET, precision="fp16")}, "use one of fp32, bf16"),
         ({"trainer": dataclasses.replace(FLEET, n_envs=0)}, "trainer.n_envs=0"),

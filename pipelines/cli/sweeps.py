@@ -8,6 +8,7 @@ from pathlib import Path
 
 from pipelines.cli.overrides import quoted
 from pipelines.cli.workflow import Workflow
+from pipelines.engine.job import disk_errors_explained
 from pipelines.engine.sweep import GroupTask, Outcome, run_sweep
 from pipelines.errors import ConfigError
 
@@ -33,9 +34,11 @@ def do_sweep(workflow: Workflow, overrides: Sequence[str]) -> bool:
             GroupTask([chosen[i] for i in group], workflow.do_group, name, str(Path.cwd()), carried) for group in groups
         ]
         # Absolute, because Hydra makes this folder in whatever folder a launcher starts the job.
-        sweep_dir = quoted(str(Path(chosen[0].config.results_dir).absolute() / "sweeps"))
+        folder = Path(chosen[0].config.results_dir).absolute() / "sweeps"
+        with disk_errors_explained(chosen[0]):
+            folder.mkdir(parents=True, exist_ok=True)
         # The launcher's settings are any job's: the first one's, for there are no defaults for what is swept.
-        returned = workflow.launch(tasks, [*chosen[0].overrides, f"hydra.sweep.dir={sweep_dir}"])
+        returned = workflow.launch(tasks, [*chosen[0].overrides, f"hydra.sweep.dir={quoted(str(folder))}"])
         outcomes = dict(zip(itertools.chain(*groups), itertools.chain(*returned), strict=True))
         return [outcomes[i] for i in range(len(chosen))]
 

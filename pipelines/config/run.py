@@ -37,6 +37,7 @@ from pipelines.config.stages import (
 )
 from pipelines.config.trainer import FleetConfig, TrainerConfig
 from pipelines.engine.digests import differences_suffix, setting_differences
+from pipelines.engine.seeding import FIRST_STREAM_SEED
 from pipelines.errors import ConfigError
 
 OracleWidth = Annotated[int, Range(1, remedy="give the hidden layers of the network to imitate, as oracle=[256,256]")]
@@ -96,6 +97,12 @@ class RunConfig:
         _check_depth(self.depth)
         check_settings(self)
         self._check_stages()
+        first, n = self.evaluate.first_seed, self.evaluate.n_episodes
+        if first + n > FIRST_STREAM_SEED:
+            raise ConfigError(
+                f"evaluate.first_seed={first} with evaluate.n_episodes={n}: the last episode has seed {first + n - 1}, "
+                f"and policies are selected on episodes from {FIRST_STREAM_SEED} on; give less"
+            )
         self.method.check_depth(self.depth)
         self.method.check(self.algo, self.actor, self.oracle)
         if self.method.is_trained and not getattr(self.method, "model", ""):
@@ -143,14 +150,14 @@ class RunConfig:
             )
 
     @property
-    def polishes_network(self) -> bool:
-        """Whether a polish searches the numbers of the network that the tree is mapped from, not the tree's."""
-        return self.method.is_mapped and self.polishing.numbers != "tree"
-
-    @property
     def is_polished(self) -> bool:
         """Whether the stages after a polish are of the polished policy."""
         return self.polish or "polish" in self.selected_stages
+
+    @property
+    def polishes_network(self) -> bool:
+        """Whether a polish searches the numbers of the network that the tree is mapped from, not the tree's."""
+        return self.method.is_mapped and self.polishing.numbers != "tree"
 
     @property
     def hidden_widths(self) -> tuple[int, ...]:

@@ -212,9 +212,11 @@ def test_corrupt_actor_is_refused(finished, tmp_path):
 
 def test_results_folder_that_cannot_be_written(tmp_path):
     (tmp_path / "results").write_text("a file where a folder should be")
-    done = otr_command("otr-run", *SMOKE, cwd=tmp_path)
-    assert done.returncode == 1
-    assert "results_dir=PATH" in done.stderr and "Traceback" not in done.stderr
+    for words in (SMOKE, ("-m", *SMOKE)):
+        done = otr_command("otr-run", *words, cwd=tmp_path)
+        assert done.returncode == 1
+        assert "Not a directory" in done.stderr and "results_dir=PATH" in done.stderr
+        assert "NotADirectoryError" not in done.stderr and "Traceback" not in done.stderr
 
 
 def test_full_disk_is_told_and_the_same_command_goes_on(tmp_path):

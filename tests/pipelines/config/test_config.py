@@ -75,6 +75,7 @@ def test_depth_zero_is_the_linear_policy(tiny):
         ({"algo": dataclasses.replace(SAC, action_noise="foo")}, "algo.action_noise=foo"),
         ({"algo": dataclasses.replace(PPO, n_steps=1)}, "algo.n_steps=1"),
         ({"actor": ActorConfig(1.0)}, "actor.negative_slope=1.0"),
+        ({"evaluate": EvaluateConfig(3, 2**20 - 2)}, "the last episode has seed 1048576, and"),
     ],
 )
 def test_values_out_of_range_are_named(tiny, changes, words):

@@ -103,7 +103,7 @@ def _compared(
 
 
 def _of(group: pd.DataFrame, runs: set[str]) -> np.ndarray:
-    return group["run"].isin(runs).to_numpy()
+    return np.asarray(group["run"].isin(runs))
 
 
 def _returns(results_dir: Path, group: pd.DataFrame) -> pd.DataFrame:

@@ -35,7 +35,7 @@ def minimal_tree(
 ) -> ObliqueTree:
     """Return the tree that computes the same function as `network` on `domain` and has no empty path.
 
-    At every state the tree equals the network to 1e-9 of the size of the terms that its outputs are sums of, rounding
+    At every state the tree equals the network to 1e-8 of the size of the terms that its outputs are sums of, rounding
     included, however thin the region. A side of a test is left out only where no state has it, the rounding of all rows
     reckoned with, or where nothing but rounding, and that by less than 1e-10 in units of its slope, can make the test
     have it: so a neuron that is parallel to another, equal to it or at the domain's edge adds no path. What floating

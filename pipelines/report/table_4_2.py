@@ -117,7 +117,8 @@ def _with_spread(mean: float, std: float) -> str:
 def _seeds(cells: pd.DataFrame) -> str:
     """Return how many seeds were run in how many cells."""
     counts = Counter(cells["seeds"]).most_common()
-    return "; ".join(f"{len(seeds)} ({seeds[0]} to {seeds[-1]}) in {n} cell{'s' * (n > 1)}" for seeds, n in counts) or "none yet"
+    told = (f"{len(seeds)} ({seeds[0]} to {seeds[-1]}) in {n} cell{'s' * (n > 1)}" for seeds, n in counts)
+    return "; ".join(told) or "none yet"
 
 
 def _left_out(cells: pd.DataFrame) -> str:

@@ -39,8 +39,8 @@ def with_read_only_arrays(state: dict[str, Any]) -> dict[str, Any]:
     """Return attributes, as a copy or a pickle has them, whose arrays, also those in tuples, refuse assignment."""
 
     def locked(value: Any) -> Any:
-        if isinstance(value, tuple):
-            return tuple(map(locked, value)) if type(value) is tuple else value
+        if type(value) is tuple:
+            return tuple(map(locked, value))
         return read_only(value) if isinstance(value, np.ndarray) else value
 
     return {name: locked(value) for name, value in state.items()}

@@ -1,6 +1,6 @@
 """Stage teacher: the score of the forest itself, no tree, whose probabilities a fit's networks learn."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -30,28 +30,33 @@ def score_teacher(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> N
     settings = chosen[0]["settings"].get("teacher", getattr(config.method, "teacher", None))
     rows: list[dict[str, Any]] = []
     if settings is not None:
-        mean, scale = _standardising(dataset) if config.method.learner in BATCHED else (0.0, 1.0)
-        rows_seen = (dataset.train.X - mean) / scale
-        fitted = fit_teacher(rows_seen, dataset.train.Y[:, labels], teacher_of(settings), seed=config.seed)
+        seen = _standardising(dataset) if config.method.learner in BATCHED else _as_it_is
+        fitted = fit_teacher(seen(dataset.train.X), dataset.train.Y[:, labels], teacher_of(settings), seed=config.seed)
         for i, label in enumerate(labels):
             row: dict[str, Any] = {"label": dataset.label_names[label]}
             for part in PARTS:
                 X, y = dataset.labelled(part, label)
-                row[part] = score(metric_of(dataset), fitted.predict_proba((X - mean) / scale)[:, i], y)
+                row[part] = score(metric_of(dataset), fitted.predict_proba(seen(X))[:, i], y)
             rows.append(row)
     told = {part: [row[part] for row in rows if not np.isnan(row[part])] for part in PARTS}
     write_csv(out / "scores.csv", rows, COLUMNS)
     write_json(out / "report.json", {part: float(np.mean(values)) if values else None for part, values in told.items()})
 
 
-def _standardising(dataset: Dataset) -> tuple[np.ndarray, np.ndarray]:
-    """Return by which networks shift and scale inputs: not at all those that are all 0 and 1."""
+def _standardising(dataset: Dataset) -> Callable[[np.ndarray], np.ndarray]:
+    """Return how networks see inputs: shifted and scaled, but for inputs that are all 0 and 1."""
     from otr.learners.base.problem import Problem
 
-    problem = Problem(dataset.train.X.astype(np.float64), dataset.train.Y, "logistic")
-    if not ((problem.X == 0) | (problem.X == 1)).all():
-        problem.standardise_inputs()
-    return problem.mean, problem.scale
+    X = dataset.train.X
+    if ((X == 0) | (X == 1)).all():
+        return _as_it_is
+    problem = Problem(X.astype(np.float64), dataset.train.Y, "logistic")
+    problem.standardise_inputs()
+    return lambda rows: np.asarray((rows - problem.mean) / problem.scale)
+
+
+def _as_it_is(X: np.ndarray) -> np.ndarray:
+    return X
 
 
 # It reads stage tune where the method has a grid, as stage fit does.

@@ -130,14 +130,6 @@ def beside_the_thesis(cells: pd.DataFrame, keys: Iterable[tuple[str, str, str, s
     return cells.assign(n_runs=cells["n_runs"].fillna(0).astype(int), **columns, thesis=[str(each) for each in found])
 
 
-def best(cells: pd.DataFrame, by: str, scores: pd.Series) -> pd.Series:
-    """Return whether a cell is the best of its group, ties included: of two or more with a score."""
-    ran = cells.assign(score=scores)[scores.notna()]
-    groups = ran.groupby(by)["score"]
-    is_best = (ran["score"] == groups.transform("max")) & (groups.transform("size") > 1)
-    return is_best.reindex(cells.index, fill_value=False)
-
-
 def runs_text(cell: Any) -> str:
     """Return `3 runs, quick`, with the trainer where it is not the usual one and the budget does not name it."""
     if not cell.n_runs:

@@ -20,10 +20,10 @@ NO_INTERVAL: Interval = (np.nan, np.nan)
 def mean_interval(values: ArrayLike) -> Interval:
     """Return Student's 95 % interval of the mean of values (n,); NaN for fewer than five, NaN among them left out.
 
-    It assumes values that are roughly normal; of values that are all alike it is a point.
+    It assumes values that are roughly normal. Values that are all alike have none: what made them used no chance.
     """
     known = _known(values)
-    if len(known) < MIN_RUNS_FOR_INTERVAL:
+    if len(known) < MIN_RUNS_FOR_INTERVAL or not np.ptp(known):
         return NO_INTERVAL
     return _students(known.mean(), known.std(ddof=1) / np.sqrt(len(known)), len(known) - 1)
 

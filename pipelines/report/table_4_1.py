@@ -85,7 +85,7 @@ def make_cells(runs: pd.DataFrame) -> pd.DataFrame:
         also[cell.task, cell.method, cell.depth].append(f"also run: {runs_text(cell)}")
     cells["note"] = ["; ".join(_notes(cell, also[cell.task, cell.method, cell.depth])) for cell in cells.itertuples()]
     cells["ours"], cells["runs"] = ([text(cell) for cell in cells.itertuples()] for text in (_ours, runs_text))
-    return cells.assign(bold=False)  # rows hold several budgets and trainers
+    return cells
 
 
 def _notes(cell: Any, also: list[str]) -> Iterable[str]:
@@ -174,7 +174,7 @@ def _variants(changed: pd.DataFrame, usual: pd.DataFrame) -> list[list[str]]:
     ]
     both = in_order(cells[0], KEY).merge(cells[1], "left", [*KEY, *SOURCE], suffixes=("", "_usual"))
     for cell in both.fillna({"n_runs_usual": 0}).astype({"n_runs_usual": int}).itertuples():
-        same = cell._replace(mean=cell.mean_usual, std=cell.std_usual, n_runs=cell.n_runs_usual)
+        same = cell._replace(**{name: getattr(cell, f"{name}_usual") for name in ("mean", "std", "n_runs", "pruned_depth")})
         lines.append([TASK_NAMES.get(cell.task, cell.task), METHOD_NAMES.get(cell.method, cell.method), cell.depth,
                       f"`{cell.changes}`", *(f"{_ours(each)} ({runs_text(each)})" if each.n_runs else _ours(each)
                                              for each in (cell, same))])  # fmt: skip

@@ -15,13 +15,7 @@ import pandas as pd
 import otr
 from pipelines.engine.archive import MANIFEST
 from pipelines.engine.store import exists, read_bytes, read_json
-from pipelines.report.cells import (
-    CSV_COLUMNS,
-    DECIMALS,
-    beside_the_thesis,
-    best,
-    summarise,
-)
+from pipelines.report.cells import CSV_COLUMNS, DECIMALS, beside_the_thesis, summarise
 from pipelines.report.figures import auc_against_leaves
 from pipelines.report.frames import load_fits
 from pipelines.report.statistics import MIN_RUNS_FOR_INTERVAL, ResampledAreas, resplit_interval
@@ -94,8 +88,7 @@ def make_cells(fits: pd.DataFrame) -> pd.DataFrame:
     cells = pd.DataFrame(CELLS, columns=["table", *KEY]).merge(found, "left", KEY)
     cells = beside_the_thesis(cells, (("4.2", task, method, "") for _, task, method in CELLS))
     cells["note"], cells["ours"] = ([text(cell) for cell in cells.itertuples()] for text in (_not_run, _ours))
-    scores = cells["mean"].where(cells["metric"] != "rmse", -cells["mean"]).where(cells["table"] == "4.2")
-    return cells.assign(runs="", bold=best(cells, "task", scores))
+    return cells.assign(runs="")
 
 
 def _not_run(cell: Any) -> str:
@@ -111,7 +104,7 @@ def _ours(cell: Any) -> str:
 
 
 def _with_spread(mean: float, std: float) -> str:
-    return f"{mean:.3f}" if math.isnan(std) else f"{mean:.3f} ± {std:.3f}"
+    return f"{mean:.3f} ± {std:.3f}" if std > 0 else f"{mean:.3f}"
 
 
 def _seeds(cells: pd.DataFrame) -> str:

@@ -46,8 +46,8 @@ def markdown_table(lines: Sequence[Sequence[str]], empty: str = "") -> str:
 
 
 def markdown_cell(cell: Any) -> str:
-    """Return what is ours of a cell, bold where it is the best, and its runs."""
-    return (f"**{cell.ours}**" if cell.bold else cell.ours) + (f" ({cell.runs})" if cell.runs else "")
+    """Return what is ours of a cell and its runs."""
+    return cell.ours + (f" ({cell.runs})" if cell.runs else "")
 
 
 def markdown_grid(head: Sequence[str], rows: Mapping[str, pd.DataFrame]) -> str:
@@ -67,7 +67,7 @@ def latex_grid(advice: str, markdown: str, head: Sequence[str], rows: Mapping[st
     lines.append(_latex_row([tex(name) for name in head]))
     for i, (name, cells) in enumerate(rows.items()):
         lines.append(r"\addlinespace" if i else r"\midrule")
-        lines.append(_latex_row([tex(name), "ours", *(tex(cell.ours, cell.bold) for cell in cells.itertuples())]))
+        lines.append(_latex_row([tex(name), "ours", *map(tex, cells["ours"])]))
         if cells["runs"].any():
             lines.append(
                 _latex_row(["", "", *(rf"{{\scriptsize {tex(runs)}}}" if runs else "" for runs in cells["runs"])])
@@ -77,11 +77,10 @@ def latex_grid(advice: str, markdown: str, head: Sequence[str], rows: Mapping[st
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"]) + "\n"
 
 
-def tex(text: str, bold: bool = False) -> str:
+def tex(text: str) -> str:
     """Return plain text as LaTeX: special characters escaped, a minus sign before a number, ± and π as mathematics."""
     text = re.sub(r"([&%$#_{}])", r"\\\1", text)
-    text = re.sub(r"(?<!\w)-(?=\d)", "$-$", text).replace("±", r"$\pm$").replace("π", r"$\pi$")
-    return rf"\textbf{{{text}}}" if bold else text
+    return re.sub(r"(?<!\w)-(?=\d)", "$-$", text).replace("±", r"$\pm$").replace("π", r"$\pi$")
 
 
 def _latex_row(texts: Iterable[str]) -> str:

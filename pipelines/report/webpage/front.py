@@ -110,8 +110,7 @@ def _td(cell: Any, scale: tuple[float, float], policies: Mapping[Any, str]) -> s
     runs = f"<span class=note>{escape(cell.runs)}</span>" if getattr(cell, "runs", "") else ""
     thesis = f"<span class=thesis>thesis {escape(str(cell.thesis))}</span>" if str(cell.thesis) != "-" else ""
     value = "" if math.isnan(cell.mean) else f"{cell.mean:.6g}"
-    best = " class=best" if cell.bold else ""
-    return f'<td data-value="{value}"{best}><span class=ours>{ours}</span>{runs}{thesis}{_bar(cell, scale)}</td>'
+    return f'<td data-value="{value}"><span class=ours>{ours}</span>{runs}{thesis}{_bar(cell, scale)}</td>'
 
 
 def _bar(cell: Any, scale: tuple[float, float]) -> str:

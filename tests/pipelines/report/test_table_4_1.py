@@ -389,3 +389,11 @@ def test_runs_with_other_settings_stand_beside_those_without(tmp_path: Path) -> 
         "130.0 ± 30.0 (3 runs, quick) |"
     ]
     assert "0123abcd" not in text and "oracle=[32]" not in text
+
+
+def test_each_side_has_its_own_pruned_depth(tmp_path: Path) -> None:
+    write_run(tmp_path, "ant/otr/depth-32/standard/seed-0", 5.0, pruned_depth=8.0)
+    write_run(tmp_path, "ant/otr/depth-32/standard/seed-0~0123abcd", 4.0, pruned_depth=9.0, changes="actor.dense=none")
+    text = write_table_4_1(tmp_path)[0].read_text(encoding="utf-8")
+    (line,) = [line for line in text.splitlines() if "actor.dense" in line]
+    assert "4.0 [9.0] (1 run" in line and "5.0 [8.0] (1 run" in line

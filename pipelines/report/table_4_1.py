@@ -174,7 +174,8 @@ def _variants(changed: pd.DataFrame, usual: pd.DataFrame) -> list[list[str]]:
     ]
     both = in_order(cells[0], KEY).merge(cells[1], "left", [*KEY, *SOURCE], suffixes=("", "_usual"))
     for cell in both.fillna({"n_runs_usual": 0}).astype({"n_runs_usual": int}).itertuples():
-        same = cell._replace(**{name: getattr(cell, f"{name}_usual") for name in ("mean", "std", "n_runs", "pruned_depth")})
+        usual_values = {name: getattr(cell, f"{name}_usual") for name in ("mean", "std", "n_runs", "pruned_depth")}
+        same = cell._replace(**usual_values)
         lines.append([TASK_NAMES.get(cell.task, cell.task), METHOD_NAMES.get(cell.method, cell.method), cell.depth,
                       f"`{cell.changes}`", *(f"{_ours(each)} ({runs_text(each)})" if each.n_runs else _ours(each)
                                              for each in (cell, same))])  # fmt: skip

@@ -47,7 +47,7 @@ def markdown_table(lines: Sequence[Sequence[str]], empty: str = "") -> str:
 
 def markdown_cell(cell: Any) -> str:
     """Return what is ours of a cell and its runs."""
-    return cell.ours + (f" ({cell.runs})" if cell.runs else "")
+    return f"{cell.ours} ({cell.runs})" if cell.runs else str(cell.ours)
 
 
 def markdown_grid(head: Sequence[str], rows: Mapping[str, pd.DataFrame]) -> str:

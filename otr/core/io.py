@@ -48,8 +48,14 @@ def save(tree: ObliqueTree | PatternTree, path: str | os.PathLike[str]) -> Path:
         The path of the JSON file.
 
     Raises:
+        TypeError: `tree` is something else.
         ArtefactError: there is no such folder.
     """
+    if not isinstance(tree, ObliqueTree | PatternTree):
+        raise TypeError(
+            f"tree is a {type(tree).__name__}, expected an ObliqueTree or a PatternTree; "
+            "otr.PatternTree(network) holds a network"
+        )
     npz_path, json_path = _paths_of(path)
     if not npz_path.parent.is_dir():
         raise ArtefactError(f"there is no folder {npz_path.parent} to save {npz_path.name} in; make it first")

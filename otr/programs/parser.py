@@ -63,8 +63,11 @@ def parse_program(
     Raises:
         ProgramError: the text is no program; has the line and the column.
         TreeTooLargeError: names the line at which there were too many paths.
+        TypeError: `text` is no text.
         ValueError: a name is given twice.
     """
+    if not isinstance(text, str):
+        raise TypeError(f"text is a {type(text).__name__}, expected the program as a str")
     if max_leaves < 1:
         raise ValueError(f"max_leaves is {max_leaves}, expected at least 1")
     check_names(feature_names, output_names or ())

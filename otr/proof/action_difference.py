@@ -12,6 +12,7 @@ from otr.geometry.largest_balls import largest_balls
 from otr.geometry.largest_values import largest_values
 from otr.geometry.regions import leaf_rows
 from otr.geometry.simplex import Bases
+from otr.proof.head_bounds import require_decided
 
 _THIN = 1e-10  # radius; `largest_balls` finds a fifth of the largest, at least
 
@@ -26,8 +27,10 @@ def largest_difference(tree: ObliqueTree, other: ObliqueTree, box: Box | Domain)
     with labels the bound is 1 where a region exists in which they differ, else 0.
 
     Raises:
-        ValueError: the box is unbounded, or the trees do not fit each other.
+        ValueError: the box is unbounded, the trees do not fit each other, or no test of a tree decides its labels.
     """
+    require_decided(tree)
+    require_decided(other)
     domain = as_domain(box, tree.n_inputs)
     domain.require_bounded()
     ours, theirs = (

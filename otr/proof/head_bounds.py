@@ -18,6 +18,7 @@ import numpy as np
 from otr.core.arrays import FloatArray
 from otr.core.head import Head, no_entry
 from otr.core.heads import Argmax, ClipBox, Exp, Identity, Sign, TanhBox
+from otr.core.tree import ObliqueTree
 from otr.errors import OtrError
 
 _TANH = Fraction(1, 10**12)  # of an action's range: up to where float64 knows a tanh
@@ -224,9 +225,19 @@ def _(head: TanhBox, n_outputs: int, output: int) -> Action:
 @action_of.register(Sign)
 @action_of.register(Argmax)
 def _(head: Head, n_outputs: int, output: int) -> Action:
-    raise ValueError(
+    raise _undecided(head)
+
+
+def require_decided(tree: ObliqueTree) -> None:
+    """Raise ValueError if a tree answers labels that none of its tests decide."""
+    if tree.head.gives_labels and tree.labels is None:
+        raise _undecided(tree.head)
+
+
+def _undecided(head: Head) -> ValueError:
+    return ValueError(
         f"the head is {head!r}, and no test of the tree decides the label; otr.map_network(network) makes a tree whose "
-        "leaves have labels"
+        "leaves have labels, and otr.control.argmax_leaves(tree) one of a tree with the head Argmax"
     )
 
 

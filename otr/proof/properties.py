@@ -22,6 +22,7 @@ from otr.geometry.simplex import Bases
 from otr.proof.branch_and_bound import Search
 from otr.proof.exact_cells import decide, largest_over, stacked
 from otr.proof.exact_rows import TreeOnDomain
+from otr.proof.head_bounds import require_decided
 from otr.proof.verdict import Condition, Question, Verdict
 
 _MAX_PIECES = 2**17
@@ -48,10 +49,11 @@ def output_range(tree: ObliqueTree, box: Box | Domain) -> OutputRange:
     Regions are closed: where the tree jumps at a test, the value on either side counts.
 
     Raises:
-        ValueError: the box is unbounded, the head multiplies outputs, or the tree has labels (then `reachable_labels`
-            tells).
+        ValueError: the box is unbounded, the head multiplies outputs, or the tree answers with labels (then
+            `reachable_labels` tells).
     """
     _require_known_head(tree)
+    require_decided(tree)
     if tree.labels is not None:
         raise ValueError("the tree answers with labels, which have no range; use reachable_labels(tree, box)")
     domain = _bounded(tree, box)
@@ -75,6 +77,7 @@ def reachable_labels(tree: ObliqueTree, box: Box | Domain | None = None) -> IntA
     Raises:
         ValueError: the tree has no labels.
     """
+    require_decided(tree)
     if tree.labels is None:
         raise ValueError("the tree has no labels; use output_range(tree, box)")
     return np.unique(tree.labels[np.concatenate(_reached(tree, as_domain(box, tree.n_inputs)))])

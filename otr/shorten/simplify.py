@@ -19,6 +19,7 @@ from otr.core.domain import Box, Domain, as_domain
 from otr.core.merging import merge_equal_leaves
 from otr.core.tree import ObliqueTree
 from otr.proof.action_difference import largest_difference
+from otr.proof.head_bounds import require_decided
 from otr.shorten import edits as shorter
 from otr.shorten.edits import n_numbers
 from otr.shorten.refit_tests import rounded
@@ -96,10 +97,12 @@ def within(tree: ObliqueTree, box: Box | Domain, bound: float) -> Judge:
     under tanh.
 
     Raises:
-        ValueError: the box is unbounded or does not fit the tree, or the bound is negative or no number.
+        ValueError: the box is unbounded or does not fit the tree, the bound is negative or no number, or no test of the
+            tree decides its labels.
     """
     if not 0 <= bound < np.inf:
         raise ValueError(f"bound is {bound}, expected a number of at least 0")
+    require_decided(tree)
     as_domain(box, tree.n_inputs).require_bounded()
     return lambda candidate: largest_difference(tree, candidate, box) <= bound
 

@@ -379,7 +379,8 @@ def _model(config: RunConfig, overrides: Sequence[str]) -> tuple[ImportedModel, 
     assert isinstance(method, TakesModel)
     if not method.model:
         raise ConfigError(f"method={method.name}: which model? Add model=FILE")
-    imported = read_model(method.model, method.vec_normalize, config.env)
+    name = "oracle" if method.imitates else "model"
+    imported = read_model(method.model, method.vec_normalize, config.env, name)
     key, given = ("oracle", "oracle=[") if method.imitates else ("depth", "depth=")
     for override in overrides:
         if override.startswith(given):

@@ -152,7 +152,8 @@ class PidConfig(MappedConfig):
             "polishing.n_episodes=4",
             "polishing.n_selection_episodes=100",
         ]
-        return [*super().implied(given), "depth=1", evaluation, *budget, *polishing, *algo]
+        units = "actor.rescale_inputs=false"  # states and errors are read in their own
+        return [*super().implied(given), "depth=1", units, evaluation, *budget, *polishing, *algo]
 
     @property
     def pid_terms(self) -> PidTerms:

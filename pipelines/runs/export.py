@@ -214,8 +214,11 @@ def write_program(config: ExportConfig, program: str | bytes) -> Path:
     path = Path(config.out)
     if path.is_dir():
         path /= f"{config.name or 'policy'}{FORMATS[config.format].suffix}"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(program.encode() if isinstance(program, str) else program)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(program.encode() if isinstance(program, str) else program)
+    except OSError as error:
+        raise PipelineError(f"out={config.out}: cannot be written ({error.strerror})") from error
     return path
 
 

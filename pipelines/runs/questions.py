@@ -84,6 +84,8 @@ def _read(condition: str, features: list[str], actions: list[str], label: int | 
 
     With a label, which the condition knows by the name `action`, over states alone.
     """
+    if not condition.strip():
+        raise ConfigError("always=: which condition? Such as always='torque >= 0', in the names of the environment")
     given = "" if label is None else f"{ACTION} = {label}\n"
     names = features if label is not None else [*features, *actions]
     try:

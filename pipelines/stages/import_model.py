@@ -33,13 +33,14 @@ def import_policy(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> N
     write_json(out / "report.json", {"model": config.imported.name, "hidden_widths": widths})
 
 
-def read_model(model: str, vec_normalize: str | None, env: EnvConfig) -> ImportedModel:
+def read_model(model: str, vec_normalize: str | None, env: EnvConfig, key: str = "model") -> ImportedModel:
     """Return the policy in a file of one of the kinds that `otr.importers.read_policy` reads.
 
     Args:
         model: path of the file; a zip's suffix may be left out.
         vec_normalize: path of the file that VecNormalize.save wrote, for a zip whose policy was trained under one.
         env: its observations and actions are compared with the policy's.
+        key: the setting that named the file, for what an error says.
 
     Raises:
         ConfigError: there is no such file, it is of another kind, no policy can be read from it, or not for this
@@ -52,12 +53,12 @@ def read_model(model: str, vec_normalize: str | None, env: EnvConfig) -> Importe
     for file in files:
         if not file.is_file():
             what = "that is a folder, expected a file" if file.is_dir() else "there is no such file"
-            raise ConfigError(f"{'model' if file is path else 'vec_normalize'}={file}: {what}")
+            raise ConfigError(f"{key if file is path else 'vec_normalize'}={file}: {what}")
     try:
         network = read_policy(path, vec_normalize=files[1] if vec_normalize else None)
         policy = _fitted(network, spaces(env), env)
     except (otr.OtrError, ValueError) as error:
-        raise ConfigError(f"model={model}: {error}") from error
+        raise ConfigError(f"{key}={model}: {error}") from error
     if path.suffix == ".npz":  # the arrays of a policy whose JSON beside them has all else, and their digest
         files[0] = path.with_suffix(".json")
     sha256 = hashlib.sha256(b"".join(hashlib.sha256(file.read_bytes()).digest() for file in files)).hexdigest()

@@ -148,6 +148,8 @@ def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(otr.ArtefactError, match=f"there is no folder {tmp_path / 'missing'} to save x.npz in; make it"):
         otr.save(otr.map_network(worked_network()), tmp_path / "missing" / "x")
     assert list(tmp_path.iterdir()) == []
+    with pytest.raises(TypeError, match=r"tree is a ReluNetwork, .* otr.PatternTree\(network\) holds a network"):
+        otr.save(worked_network(), tmp_path / "x")
 
 
 def test_the_domain_of_a_network_is_kept(tmp_path: Path) -> None:

@@ -211,3 +211,8 @@ def test_a_program_without_an_answer_is_told_the_names_of_the_outputs() -> None:
         otr.parse_program("action = 1", ["v"], output_names=["force"])
     with pytest.raises(otr.ProgramError, match=r"or give values to y0, y1, \.\.\."):
         otr.parse_program("action = 1", ["v"])
+
+
+def test_what_is_no_text_is_told() -> None:
+    with pytest.raises(TypeError, match="text is a int, expected the program as a str"):
+        otr.parse_program(3, ["v"])  # type: ignore[arg-type]

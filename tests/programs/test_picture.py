@@ -261,6 +261,8 @@ def test_a_saved_picture_is_the_same_every_time(tmp_path: Path) -> None:
         assert b"CreationDate" not in first and b"<dc:date>" not in first
     with pytest.raises(ValueError, match=r"ends in '\.jpg', expected \.png, \.svg, \.pdf"):
         otr.save_picture(otr.draw_tree(small_tree()), tmp_path / "a.jpg")
+    with pytest.raises(ValueError, match=r"there is no folder .*missing to save a.png in"):
+        otr.save_picture(otr.draw_tree(small_tree()), tmp_path / "missing" / "a.png")
 
 
 def test_a_notebook_shows_the_picture() -> None:

@@ -158,3 +158,17 @@ def test_bad_requests_are_told() -> None:
             otr.within(tree, BOX, bound)
     with pytest.raises(ValueError, match="expected a bounded box"):
         otr.within(tree, None, 0.1)
+
+
+@pytest.mark.parametrize("head", [otr.Argmax(), otr.Sign()])
+def test_no_bound_is_promised_of_labels_that_no_test_decides(head: otr.Argmax | otr.Sign) -> None:
+    undecided = otr.ObliqueTree([], [], np.zeros((0, 2)), [], [[[1.0, 0.0]]], [[0.0]], head=head)
+    decided = otr.map_network(otr.ReluNetwork([[[1.0, 0.0]]], [[0.0]], head=head))
+    for ask in (
+        lambda: otr.within(undecided, BOX, 0.1),
+        lambda: otr.within(decided, BOX, 0.1)(undecided),
+        lambda: otr.output_range(undecided, BOX),
+        lambda: otr.reachable_labels(undecided, BOX),
+    ):
+        with pytest.raises(ValueError, match="no test of the tree decides the label"):
+            ask()

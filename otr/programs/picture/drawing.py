@@ -85,11 +85,14 @@ def save_picture(figure: Figure, path: str | Path) -> None:
     """Write a figure as PNG, SVG or PDF, as the name ends; the same figure gives the same bytes, without a date.
 
     Raises:
-        ValueError: the name ends otherwise.
+        ValueError: the name ends otherwise, or there is no such folder.
         MissingExtraError: matplotlib is not installed.
     """
     import matplotlib
 
+    folder = Path(path).parent
+    if not folder.is_dir():
+        raise ValueError(f"there is no folder {folder} to save {Path(path).name} in; make it first")
     suffix = Path(path).suffix.lower()
     if suffix not in FORMATS:
         raise ValueError(f"the picture's name {str(path)!r} ends in {suffix!r}, expected {', '.join(FORMATS)}")

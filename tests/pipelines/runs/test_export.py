@@ -113,6 +113,11 @@ def test_a_program_without_a_run(export, tmp_path):
         (("run=lunarlander/viper/depth-6/quick/seed-0", "format=c", "tree=compact"), 2, "stands for no network"),
         (("run=pendulum/otr/depth-32/quick/seed-0", "format=json", "tree=full"), 2, "4,294,967,296 leaves"),
         (("run=hopper/otr/depth-6/quick/seed-77", "format=c"), 2, "otr-run env=hopper depth=6 budget=quick seed=77"),
+        (
+            (f"run={HOPPER}", "format=c", "out=/dev/null/x.c"),
+            1,
+            "out=/dev/null/x.c: cannot be written (",
+        ),
         (("run=hoper/otr/depth-6/quick/seed-0", "format=c"), 2, f"Did you mean {HOPPER}"),
     ],
 )

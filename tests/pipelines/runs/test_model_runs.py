@@ -210,6 +210,7 @@ def test_a_network_distilled_from_an_oracle_is_mapped_proved_and_polished(models
         (("model={}/relu.zip", "method=otr"), "is imported by method=model, not by method=otr"),
         (("model={}/relu.zip", "depth=3"), "depth is the model's own; leave depth=3 out"),
         (("model={}/relu.zip", "stages=[train]"), "no stage 'train'; it has import, map"),
+        (("oracle=nosuch.zip", "method=viper"), "oracle=nosuch.zip: there is no such file"),
         (("oracle={}/tanh.zip",), "who is to imitate it. Add method=viper or"),
         (("oracle={}/tanh.zip", "method=sdt"), "who is to imitate it"),
         (("model={}/tanh.zip", "method=viper", "oracle=[8]"), "leave oracle=.8. out"),

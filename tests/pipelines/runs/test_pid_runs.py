@@ -226,6 +226,8 @@ def test_words_that_a_pid_policy_implies():
     own = run_config(["env=pendulum", "method=pid", "depth=2", "algo=ddpg", "train.steps=7"])
     assert (own.depth, own.algo.learning_rate, own.train.steps) == (2, 1e-3, 7)
     assert run_config(["env=pendulum"]).env.pid is None
+    assert run_config(["env=mountaincar", "budget=quick"]).actor.rescale_inputs
+    assert not run_config(["env=mountaincar", "method=pid", "budget=quick"]).actor.rescale_inputs
 
 
 @pytest.mark.parametrize(

@@ -111,6 +111,7 @@ def test_a_program_is_compared_with_network_and_tree(verify, command, tmp_path):
             (PENDULUM_RUN, "always=torqu <= 1"),
             "always: unknown name 'torqu'. Did you mean torque?\n    torqu <= 1\n    ^",
         ),
+        ((PENDULUM_RUN, "always="), "always=: which condition? Such as"),
         ((PENDULUM_RUN, "always=torque"), "this is a number where a condition was expected"),
         ((PENDULUM_RUN, "range=perhaps"), "range=perhaps: give true or false"),
         (("env=mountaincar", "program=mountaincar"), "what is asked? Add run=FOLDER or tree=FILE"),

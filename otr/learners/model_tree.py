@@ -179,23 +179,25 @@ def _best_split(
         return _split_objectives(rows[order], cuts, d, options.alpha, None if weights is None else weights[order])
 
     n_most = options.max_bins - 1
+    counts = np.ones(n) if weights is None else weights
     best: tuple[float, int, int] | None = None
     for column in columns.tolist():
         order = features[:, column].argsort(kind="stable")
         values = features[order, column]
         cuts = np.flatnonzero(values[1:] > values[:-1]) + 1
         cuts = cuts[(cuts >= m) & (cuts <= n - m)]
-        tried = _spread(cuts, 0, n, n_most)
+        before = np.concatenate(((0.0,), counts[order].cumsum()))
+        tried = _spread(cuts, before, 0, n, n_most)
         if not len(tried):
             continue
         objectives = objectives_of(order, tried)
         at = int(objectives.argmin())
         if best is None or objectives[at] < best[0]:
             best = float(objectives[at]), column, int(tried[at])
-            finer = order, cuts, tried
+            finer = order, before, cuts, tried
     if best is None:
         return None
-    order, cuts, tried = finer
+    order, before, cuts, tried = finer
     objective, column, n_left = best
     low, high = 0, n
     while True:
@@ -203,19 +205,22 @@ def _best_split(
         between = cuts[(cuts > low) & (cuts < high) & (cuts != n_left)]
         if not len(between):
             return _ModelSplit(column, n_left, parent - objective)
-        tried = _spread(between, low, high, n_most)
+        tried = _spread(between, before, low, high, n_most)
         objectives = objectives_of(order, tried)
         if objectives.min() < objective:
             tried = np.append(tried, n_left)
             objective, n_left = float(objectives.min()), int(tried[objectives.argmin()])
 
 
-def _spread(cuts: IntArray, low: int, high: int, n_most: int) -> IntArray:
-    """Return at most `n_most` of the ascending `cuts`: all, or those next to evenly spaced positions."""
+def _spread(cuts: IntArray, before: FloatArray, low: int, high: int, n_most: int) -> IntArray:
+    """Return at most `n_most` of the ascending `cuts`: all, or those next to evenly spaced shares of the rows.
+
+    `before` (n + 1,) is how many rows, as they are weighted, come before each position.
+    """
     if len(cuts) <= n_most:
         return cuts
-    wanted = np.linspace(low, high, n_most + 2)[1:-1]
-    return np.unique(cuts[np.searchsorted(cuts, wanted).clip(0, len(cuts) - 1)])
+    wanted = np.linspace(before[low], before[high], n_most + 2)[1:-1]
+    return np.unique(cuts[np.searchsorted(before[cuts], wanted).clip(0, len(cuts) - 1)])
 
 
 def _moments(rows: FloatArray, weights: FloatArray | None) -> tuple[FloatArray, FloatArray, float]:

@@ -101,7 +101,7 @@ def draw_regions(
         axis.set_ylabel(feature_names[up], fontsize=SMALL, parse_math=False)
         axis.tick_params(labelsize=SMALL)
     figure.suptitle(title, fontsize=NORMAL)
-    figure.supxlabel(_note(tree, states, leaves), fontsize=SMALL - 1, color="#5b6570")
+    figure.supxlabel(_note(tree, states, len(shown), leaves), fontsize=SMALL - 1, color="#5b6570")
     return figure
 
 
@@ -161,12 +161,12 @@ def _draw_borders(axis: Axes, x: np.ndarray, y: np.ndarray, leaves: np.ndarray) 
     axis.imshow(pixels, extent=(x[0], x[-1], y[0], y[-1]), origin="lower", aspect="auto", interpolation="nearest")
 
 
-def _note(tree: otr.ObliqueTree, states: np.ndarray, leaves: np.ndarray) -> str:
+def _note(tree: otr.ObliqueTree, states: np.ndarray, n_dots: int, leaves: np.ndarray) -> str:
     n_shown = len(np.unique(leaves))
     here = f"{n_shown} of {tree.n_leaves:,} leaves" if tree.n_leaves > 1 else "one leaf"
     if tree.n_inputs == 2:
-        return f"{here}, parted by dark lines; dots: {len(states):,} visited states"
+        return f"{here}, parted by dark lines; dots: {n_dots:,} visited states"
     return (
-        f"all other inputs at their medians over {len(states):,} visited states, which are the dots;\n"
+        f"all other inputs at their medians over {len(states):,} visited states, of which {n_dots:,} are the dots;\n"
         f"{here} in this section, parted by dark lines"
     )

@@ -76,6 +76,12 @@ def _check_settings(settings: dict[str, Any], dataset: Dataset) -> None:
     teacher = settings.get("teacher")
     if teacher is not None and dataset.task != "classification":
         raise ConfigError(f"method.teacher is for binary labels, and {dataset.name} is a {dataset.task}; leave it out")
+    if dataset.task == "classification" and np.nanmax(dataset.train.Y) > 1:
+        for setting in ("teacher", "shared"):  # of labels that are 0 or 1
+            if settings.get(setting):
+                raise ConfigError(
+                    f"method.{setting} is for binary labels, and {dataset.name} has more than two classes"
+                )
     if teacher is not None and settings.get("class_weight"):
         raise ConfigError("method.teacher: its rows have weights of their own; leave out the teacher, or class_weight")
     if dataset.task != "classification" and settings.get("class_weight"):

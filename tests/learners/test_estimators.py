@@ -175,3 +175,25 @@ def test_seeds():
     assert seed_of(5) == 5
     assert seed_of(np.random.RandomState(0)) == seed_of(np.random.RandomState(0))
     assert seed_of(None) >= 0
+
+
+def test_fit_seeds_leaves_the_estimator_as_it_is() -> None:
+    X = np.random.default_rng(0).normal(size=(60, 3))
+    words, others = np.where(X[:, 0] > 0, "a", "b"), np.where(X[:, 1] > 0, "c", "d")
+    model = OTRClassifier((2,), epochs=2, random_state=0).fit(X, words)
+    before = model.predict(X)
+    (other,) = model.fit_seeds(X, others, [1])
+    assert set(other.classes_) == {"c", "d"}
+    np.testing.assert_array_equal(model.predict(X), before)
+    new = OTRClassifier((2,), epochs=2)
+    new.fit_seeds(X, words, [1])
+    with pytest.raises(NotFittedError):
+        new.predict(X)
+
+
+def test_targets_of_validation_rows_have_as_many_columns() -> None:
+    X = np.random.default_rng(0).normal(size=(60, 3))
+    with pytest.raises(ValueError, match="y of validation has 1 columns, and y has 2"):
+        OTRRegressor((2,), epochs=2).fit(X, X[:, :2], validation=(X, X[:, :1]))
+    with pytest.raises(ValueError, match="y of validation has 3 columns, and y has 2"):
+        LinearTreeRegressor().fit(X, X[:, :2], validation=(X, X))

@@ -53,6 +53,12 @@ def test_several_counts_seeds_and_weights() -> None:
     np.testing.assert_allclose(weighted.predict(X), alone.predict(X), rtol=1e-4)
 
 
+def test_counts_that_are_words_are_refused_as_elsewhere() -> None:
+    X, _ = counts(10)
+    with pytest.raises(ValueError, match="could not convert string to float"):
+        OTRRegressor(loss="poisson").fit(X, np.array(["one"] * 10))
+
+
 def test_the_gradient_is_that_of_the_loss() -> None:
     rng = np.random.default_rng(0)
     outputs, targets = torch.tensor(rng.normal(size=(2, 1, 5, 1))), torch.tensor(rng.poisson(2, (2, 1, 5)) * 1.0)

@@ -120,6 +120,16 @@ def test_taos_weighted_error_never_rises():
     assert model.loss_path_[-1] == pytest.approx(weights[model.predict(X) != y].sum() / weights.sum())
 
 
+def test_thresholds_of_model_trees_lie_at_quantiles_of_weighted_rows():
+    rng = np.random.default_rng(0)
+    rows, weights = rng.normal(size=(300, 2)), rng.integers(0, 4, 300)
+    y = np.where(rows[:, 0] > 1.2, 5 * rows[:, 1], rows[:, 1]) + 0.1 * rng.normal(size=300)
+    model = LinearModelTreeRegressor(max_depth=3, min_samples_leaf=1, max_bins=6)
+    weighted = model.fit(rows, y, weights).predict(rows)
+    repeated = model.fit(np.repeat(rows, weights, axis=0), np.repeat(y, weights)).predict(rows)
+    np.testing.assert_allclose(weighted, repeated, atol=1e-9)
+
+
 def test_ones_change_nothing():
     for model in (OTRClassifier((4,), epochs=3, random_state=0), LinearTreeClassifier(), HHCARTClassifier(max_depth=2)):
         plain, ones = (model.fit(X, SCORE > 0, w).predict_proba(X) for w in (None, np.ones(30)))

@@ -103,6 +103,9 @@ class TreeLearner(TreeAnswers, ABC):
             problem.Y_valid = encoded_valid
             if encoded_valid is not None and len(encoded_valid) != len(problem.X_valid):
                 raise ValueError(f"validation has {len(problem.X_valid)} rows of X and {len(encoded_valid)} of y")
+            if encoded_valid is not None and encoded_valid.shape[1] != problem.Y.shape[1]:
+                given, wanted = encoded_valid.shape[1], problem.Y.shape[1]
+                raise ValueError(f"y of validation has {given} columns, and y has {wanted}")
         are_bits = ((problem.X == 0) | (problem.X == 1)).all()
         if not are_bits if self.standardize == "auto" else self.standardize:
             problem.standardise_inputs()
@@ -133,13 +136,15 @@ class NetworkLearner(TreeLearner):
     ) -> list[Self]:
         """Return an estimator fitted with each seed as its `random_state`, all of them trained as one batched model.
 
-        Each comes out as `fit` alone would make it, up to rounding. Arguments and errors are those of `fit`.
+        Each comes out as `fit` alone would make it, up to rounding; this one stays as it is. Arguments and errors are
+        those of `fit`.
         """
-        problem = self._problem(X, y, sample_weight, validation)
-        trained = self._train(problem, seeds)
+        first = copy.copy(self)  # which is told of the data, and not this estimator
+        problem = first._problem(X, y, sample_weight, validation)
+        trained = first._train(problem, seeds)
         fitted = []
         for position, seed in enumerate(seeds):
-            one = copy.copy(self)
+            one = copy.copy(first)
             one.random_state = seed
             one._take(trained, position, problem)
             fitted.append(one)
@@ -276,6 +281,7 @@ class TreeRegressor(RegressorMixin, TreeLearner):  # type: ignore[misc]
     def _problem(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None, validation: Validation) -> Problem:
         self._validate_params()
         rows, targets = validate_data(self, X, y, dtype=np.float64, multi_output=True, y_numeric=True)
+        targets = np.asarray(targets, dtype=np.float64)
         if targets.ndim == 2 and targets.shape[1] == 1:
             targets = column_or_1d(targets, warn=True)
         self.one_target_ = targets.ndim == 1

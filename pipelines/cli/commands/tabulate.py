@@ -61,8 +61,10 @@ def do(arguments: argparse.Namespace) -> int:
     results_dir = Path(cfg.results_dir)
     of_runs = RunFigure(cfg.run, cfg.tree, cfg.inputs, cfg.out)
     for setting, value in dataclasses.asdict(of_runs).items():
-        if value != getattr(RunFigure([]), setting) and not RUN_FIGURES.keys() & set(reports):
-            raise ConfigError(f"{setting}={value}: only figure={', figure='.join(RUN_FIGURES)} take it")
+        takers = ["regions"] if setting in ("tree", "inputs") else list(RUN_FIGURES)
+        if value != getattr(RunFigure([]), setting) and not set(takers) & set(reports):
+            take = "takes" if len(takers) == 1 else "take"
+            raise ConfigError(f"{setting}={value}: only figure={', figure='.join(takers)} {take} it")
     if not (results_dir / "runs").is_dir() and not RUN_FIGURES.keys() >= set(reports):
         raise ConfigError(f"results_dir={cfg.results_dir}: there is no folder {results_dir / 'runs'} with runs")
     different = 0

@@ -67,14 +67,28 @@ def figures_data(
         pass
     runs = runs[runs["form"].isin(("tree", "polished"))]
     runs = runs.assign(label=runs["method"].map(METHOD_NAMES) + ", " + runs["budget"], trained=_seconds(runs))
-    for name, x, x_name in (("leaves", "pruned_leaves", "leaves"), ("seconds", "trained", "seconds")):
+    of_trees, of_policies = ("leaves_pruned", "return_pruned"), ("trained", "return_mean")
+    for name, (x, y) in (("leaves", of_trees), ("seconds", of_policies)):
         known = runs[runs[x] > 0]
-        of_depth = known.groupby(["task", "label", "depth"], sort=False)[[x, "return_mean"]].mean().reset_index()
+        of_depth = known.groupby(["task", "label", "depth"], sort=False)[[x, y]].mean().reset_index()
         figures[name] = {
-            TASK_NAMES.get(task, task): _lines(group, "label", x, "return_mean", x_name, "return", log=True)
+            TASK_NAMES.get(task, task): _lines(group, "label", x, y, name, "return", log=True)
             for task, group in of_depth.groupby("task", sort=False)
         }
     return {name: figure for name, figure in figures.items() if figure}
+
+
+def with_pruned_trees(runs: pd.DataFrame, every: pd.DataFrame) -> pd.DataFrame:
+    """Return rows of `table_runs` with the return and the leaves of their pruned tree, which a page shows.
+
+    `every` are all rows of `load_runs`. A polished policy has been pruned anew.
+    """
+    is_polished = runs["form"] == "polished"
+    pruned = every[every["form"] == "pruned_tree"].set_index("run")["return_mean"]
+    polished = runs.reindex(columns=["polish.return_mean_pruned", "polish.n_leaves"]).astype(float)
+    returns = runs["run"].map(pruned).where(~is_polished, polished["polish.return_mean_pruned"])
+    leaves = runs["pruned_leaves"].astype(float).where(~is_polished, polished["polish.n_leaves"])
+    return runs.assign(return_pruned=returns.fillna(runs["return_mean"]), leaves_pruned=leaves)
 
 
 def _seconds(runs: pd.DataFrame) -> pd.Series:

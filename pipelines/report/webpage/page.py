@@ -6,6 +6,7 @@ import base64
 import gzip
 import json
 import os
+import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -25,15 +26,15 @@ from pipelines.report.cells import KEY, SOURCE, TASK_NAMES, oracle_runs, table_r
 from pipelines.report.certificates import certificate_lines
 from pipelines.report.frames import load_fits, load_runs
 from pipelines.report.text import write_file
-from pipelines.report.webpage.front import cell_table, figures_data, name_of_cell, plain_table
+from pipelines.report.webpage.front import cell_table, figures_data, name_of_cell, plain_table, with_pruned_trees
 from pipelines.report.webpage.policy import policy_data
 
 SCRIPTS = ("vendor/d3-hierarchy.min.js", "vendor/uPlot.iife.min.js", "tree.js", "drawing.js", "view.js", "page.js")
 STYLES = ("vendor/uPlot.min.css", "page.css")
 FORMS = {"tree": "pruned", "polished": "polished"}  # of a policy in the tables: the tree that the page shows
 FIGURES = {
-    "curves": "Learning curves, mean over runs",
-    "leaves": "Return against the number of leaves, mean over runs",
+    "curves": "Learning curves, of the run nearest to each cell's mean",
+    "leaves": "Return of the pruned tree against the number of its leaves, mean over runs",
     "seconds": "Return against seconds of training, an imitator's oracle apart, mean over runs",
 }
 PARTS = {"table-4-1": "Control", "table-4-2": "Molecules", "proofs": "What is proved", "figures": "Figures"}
@@ -90,7 +91,7 @@ def write_results_page(results_dir: Path, out: Path, load_config: Callable[[Path
     runs = load_runs(results_dir)
     if runs.empty:
         raise MissingInputError(f"{results_dir}/runs: there is no finished run\nRun: otr-run env=pendulum depth=6")
-    own = table_runs(runs)
+    own = with_pruned_trees(table_runs(runs), runs)
     cells = table_4_1.make_cells(pd.concat([own, oracle_runs(runs)]))
     shown, policies = _a_policy_a_cell(cells, own, results_dir)
     tables = [_table_4_1(cells, policies)]
@@ -131,7 +132,9 @@ def _a_policy_a_cell(cells: pd.DataFrame, runs: pd.DataFrame, results_dir: Path)
         nearest = of_cell.loc[(of_cell["return_mean"] - cell.mean).abs().idxmin()]
         policies[cell.task, cell.method, cell.depth] = f"policy-{len(shown)}"
         name = name_of_cell(cell.task, cell.method, cell.depth).partition(": ")[2]
-        told = f"{name}, {nearest['budget']}, seed {nearest['seed']}: {nearest['return_mean']:z.1f}"
+        told = f"{name}, {nearest['budget']}, seed {nearest['seed']}: {nearest['return_pruned']:z.1f}"
+        if nearest["return_pruned"] != nearest["return_mean"]:
+            told += f" (the whole tree {nearest['return_mean']:z.1f})"
         shown.append(Shown(told, TASK_NAMES.get(cell.task, cell.task), results_dir / "runs" / nearest["run"],
                            FORMS[nearest["form"]]))  # fmt: skip
     return shown, policies
@@ -190,8 +193,9 @@ def _write(
             why.append(f"{each.group}, {each.name}: {error}")
             continue
         folder = Path(os.path.relpath(each.folder.absolute(), out.absolute().parent)).as_posix()
-        run = each.folder.as_posix().rpartition("runs/")[2]
-        command = f"otr-export run={run} tree={each.form} format=c"
+        results, _, run = f"/{each.folder.as_posix()}".rpartition("/runs/")
+        place = "" if results == "/results" else f" results_dir={shlex.quote(results[1:] or '.')}"
+        command = f"otr-export run={run} tree={each.form} format=NAME{place}"
         data |= {"about": f"{each.group}, {each.name}, {each.form} tree", "folder": folder, "export_command": command}
         blocks.append(_stored(f"policy-{i}", data, "policy"))
         choices.append((f"policy-{i}", each.group, each.name))

@@ -121,7 +121,8 @@ def test_labels_have_the_colours_of_the_tree_and_equal_leaves_no_border() -> Non
     assert (border[:, :, 3] > 0).any(axis=0).sum() == 1  # one upright line
     dots = figure.axes[0].lines[0]
     np.testing.assert_array_equal(np.column_stack(dots.get_data()), states)
-    assert "visited states" in figure.get_supxlabel() and "medians" not in figure.get_supxlabel()
+    assert f"dots: {len(states):,} visited states" in figure.get_supxlabel()
+    assert "medians" not in figure.get_supxlabel()
 
 
 def test_the_commands(command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]
@@ -134,3 +135,4 @@ def test_the_commands(command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     refused = command("tabulate", "curves", car, f"out={tmp_path / 'a.gif'}")
     assert refused.returncode == 2 and "expected .png, .svg, .pdf" in refused.stderr
     assert "only figure=curves, figure=leaves, figure=regions take it" in command("tabulate", "4.1", car).stderr
+    assert "tree=full: only figure=regions takes it" in command("tabulate", "curves", car, "tree=full").stderr

@@ -180,6 +180,24 @@ def test_the_page_of_all_results_has_the_tables_and_a_policy_a_cell(tmp_path: Pa
                                pytest.approx(summary["return_mean"], rel=1e-4)]]  # fmt: skip
 
 
+def test_a_return_beside_a_pruned_tree_is_its_own(tmp_path: Path) -> None:
+    run = tmp_path / "results/runs/mountaincar/otr/depth-1/quick/seed-0"
+    run.mkdir(parents=True)
+    for file in CAR.iterdir():
+        (run / file.name).symlink_to(file)
+    (run / "summary.json").unlink()
+    summary = json.loads((CAR / "summary.json").read_text())
+    summary["policies"]["pruned_tree"]["return_mean"] = 12.34
+    (run / "summary.json").write_text(json.dumps(summary))
+    page = write_results_page(tmp_path / "results", tmp_path / "page.html", config_of).read_text(encoding="utf-8")
+    (policy,) = stored(page)
+    assert f"seed 0: 12.3 (the whole tree {summary['return_mean']:.1f}), pruned tree" in policy["about"]
+    assert policy["export_command"].endswith(f"tree=pruned format=NAME results_dir={tmp_path}/results")
+    (figures,) = stored(page, "figures")
+    (line,) = figures["leaves"]["MountainCar"]["series"]
+    assert line["points"] == [[summary["pruned_leaves"], 12.34]]
+
+
 def test_what_cannot_be_shown_is_named_and_the_rest_is_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

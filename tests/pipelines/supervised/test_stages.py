@@ -122,6 +122,13 @@ def test_a_teacher_is_for_labels_and_has_no_class_weights(fit_of):
     method = fit_of("cart", teacher={"n_estimators": 5}).method
     with pytest.raises(ConfigError, match=r"method\.teacher is for binary labels, and diabetes is a regression"):
         check_learner(method, load_dataset("diabetes"))
+    with pytest.raises(
+        ConfigError, match=r"method\.teacher is for binary labels, and digits has more than two classes"
+    ):
+        check_learner(method, load_dataset("digits"))
+    shared = fit_of("otr", hidden=[4], shared=True).method
+    with pytest.raises(ConfigError, match=r"method\.shared is for binary labels, and digits has more than two classes"):
+        check_learner(shared, load_dataset("digits"))
     with pytest.raises(ConfigError, match="its rows have weights of their own"):
         check_learner(dataclasses.replace(method, class_weight="balanced"), load_dataset("breast_cancer"))
 

@@ -117,7 +117,7 @@ function drawIcicle(svg, root, tree, features, leafText) {
       cell.setAttribute("fill", tree.colours[~d.data.ref]);
       cell.dataset.leaf = ~d.data.ref;
     }
-    const text = isLeaf ? `leaf ${~d.data.ref + 1}: ${leafText(~d.data.ref)}` : testText(tree, d.data.ref, features, 4);
+    const text = isLeaf ? `leaf ${~d.data.ref + 1}: ${leafText(~d.data.ref)}` : testText(tree, d.data.ref, features);
     cell.append(svgElement("title", {}, `${text}\n${(100 * share).toFixed(2)} % of visited states`));
     svg.append(cell);
     marks.set(d.data.ref, [cell]);

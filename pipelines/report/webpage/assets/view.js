@@ -301,7 +301,7 @@ class PolicyView {
     for (const [language, text] of Object.entries(this.data.exports)) {
       parts.push(element("details", {}, element("summary", {}, `In ${language}`), element("pre", { class: "program", tabindex: 0, "aria-label": language }, text), copied(text)));
     }
-    if (this.data.left_out.length) parts.push(element("p", { class: "quiet" }, `${this.data.left_out.join(", ")}: too long for this page; `, element("code", {}, this.data.export_command), " writes it."));
+    if (this.data.left_out.length) parts.push(element("p", { class: "quiet" }, `${this.data.left_out.join(", ")}: too long for this page; `, element("code", {}, this.data.export_command), " writes it, with NAME one of c, python, structured_text."));
     parts.push(element("p", { class: "quiet" }, "The run's files: ", element("a", { href: this.data.folder }, this.data.folder)));
     return parts;
   }

@@ -13,11 +13,13 @@ from otr.core.half_spaces import HalfSpaces, rounding_of_terms
 
 Box = tuple[ArrayLike, ArrayLike]  # low (d,), high (d,)
 _WIDEST = 1e100
-_FARTHEST = 1e150  # a hyperplane beyond meets nothing
+_FARTHEST = 1e150  # a hyperplane beyond meets nothing: of a box truly, of an open side by definition
 
 
 class Domain:
     """A box [low, high] in R^d, any side of which may be infinite; in scaled coordinates a finite one is [-1, 1].
+
+    An infinite side counts as far as 1e150: a test beyond meets nothing.
 
     Attributes:
         low, high: (d,) float64.
@@ -27,7 +29,8 @@ class Domain:
         """Keep the limits.
 
         Raises:
-            ValueError: a limit is NaN, low is not below high, a finite side is too wide, or the shapes differ.
+            ValueError: a limit is NaN, low is not below high, a finite side is too wide or too narrow, or the shapes
+                differ.
         """
         self.low: FloatArray = read_only(np.array(low, dtype=np.float64))
         self.high: FloatArray = read_only(np.array(high, dtype=np.float64))
@@ -50,6 +53,12 @@ class Domain:
             raise ValueError(
                 f"input {i} has the limits {self.low[i]:g} and {self.high[i]:g}, wider than {_WIDEST:g}; "
                 "leave such a side open: -inf, inf"
+            )
+        narrow = np.flatnonzero(finite & (self.high - self.low < 2 * np.finfo(np.float64).tiny))
+        if narrow.size:
+            i = int(narrow[0])
+            raise ValueError(
+                f"input {i} has the limits {self.low[i]:g} and {self.high[i]:g}, nearer than float64 resolves"
             )
         with np.errstate(invalid="ignore"):
             self._scale = np.where(finite, (self.high - self.low) / 2, 1.0)

@@ -128,7 +128,11 @@ class Search:
             proved = replace(piece, proof=Sum(tuple(shown), tuple(shown.values())))
             if self._is_shown(proved, self.question.allowed(self.tolerance)):
                 return proved
-        assert point is not None
+        if point is None:
+            raise OtrError(
+                f"leaf {piece.leaf}: the bound is so near to what the actions come to that rounding hides "
+                "which is larger; ask for another bound, or allow a larger tolerance"
+            )
         return point
 
     def _is_shown(self, piece: Piece, allowed: Fraction) -> bool:

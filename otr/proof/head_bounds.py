@@ -149,9 +149,11 @@ class _TanhAction(Action):
     def turns(self, weight: float, slope: float, low: float, high: float) -> set[float]:
         half = (Fraction(self.top) - Fraction(self.bottom)) / 2
         share = slope / (weight * float(half))
-        root = math.sqrt(1 - share) if 0 < share < 1 else 1.0
-        # Where the line is parallel to the curve.
-        return {y for y in (-math.atanh(root), math.atanh(root)) if low < y < high} if root < 1 else set()
+        if not 0 < share < 1:
+            return set()
+        # Where the line is parallel to the curve: atanh(sqrt(1 - share)), without the difference that rounds to 1.
+        turn = math.log((1 + math.sqrt(1 - share)) / math.sqrt(share))
+        return {y for y in (-turn, turn) if low < y < high}
 
     def stays_above(self, weight: float, slope: float, low: float, high: float) -> bool:
         return math.isfinite(low) and math.isfinite(high)
@@ -166,7 +168,7 @@ class _ExpAction(Action):
         if y > _MOST:
             raise OtrError(f"an output reaches {float(y):.6g}, and no float64 is the exp of more than 709")
         count = Fraction(math.exp(max(y, Fraction(-_MOST))))
-        return count, _EXP * count
+        return count, _EXP * count if y >= -_MOST else count
 
     def near(self, y: FloatArray) -> FloatArray:
         return np.asarray(np.exp(y))

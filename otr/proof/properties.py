@@ -53,20 +53,21 @@ def output_range(tree: ObliqueTree, box: Box | Domain) -> OutputRange:
             `reachable_labels` tells).
     """
     _require_known_head(tree)
-    require_decided(tree)
     if tree.labels is not None:
         raise ValueError("the tree answers with labels, which have no range; use reachable_labels(tree, box)")
     domain = _bounded(tree, box)
     wide, thin = _reached(tree, domain)
     o = tree.n_outputs
-    rows, signs = leaf_rows(tree, domain, wide)
-    forms = domain.scaled(tree.leaf_forms[wide])
-    objectives = np.concatenate((-forms, forms), axis=1).reshape(len(wide) * 2 * o, -1)
-    best = largest_values(rows, np.repeat(np.arange(len(wide)), 2 * o), np.repeat(signs, 2 * o, axis=0), objectives)
-    of_wide = np.clip(domain.unscaled(best.states), domain.low, domain.high).reshape(len(wide), 2 * o, -1)
-    of_thin = _largest_outputs(TreeOnDomain(tree, domain), thin)
-    values = np.concatenate((best.values.reshape(len(wide), 2 * o), of_thin[0]))
-    states = np.concatenate((of_wide, of_thin[1]))[values.argmax(axis=0), np.arange(2 * o)]
+    values, every = _largest_outputs(TreeOnDomain(tree, domain), thin)
+    if len(wide):
+        rows, signs = leaf_rows(tree, domain, wide)
+        forms = domain.scaled(tree.leaf_forms[wide])
+        objectives = np.concatenate((-forms, forms), axis=1).reshape(len(wide) * 2 * o, -1)
+        best = largest_values(rows, np.repeat(np.arange(len(wide)), 2 * o), np.repeat(signs, 2 * o, axis=0), objectives)
+        of_wide = np.clip(domain.unscaled(best.states), domain.low, domain.high).reshape(len(wide), 2 * o, -1)
+        values = np.concatenate((best.values.reshape(len(wide), 2 * o), values))
+        every = np.concatenate((of_wide, every))
+    states = every[values.argmax(axis=0), np.arange(2 * o)]
     low, high = (np.asarray(tree.head(y)) for y in (-values.max(axis=0)[:o], values.max(axis=0)[o:]))
     return OutputRange(low, high, states[:o], states[o:])
 
@@ -125,6 +126,7 @@ def check_verdict(verdict: Verdict, tree: ObliqueTree, condition: Condition, box
 def _require_known_head(tree: ObliqueTree) -> None:
     if not isinstance(tree, ObliqueTree):
         raise TypeError(f"tree is a {type(tree).__name__}, expected an ObliqueTree; otr.map_network makes one")
+    require_decided(tree)
     if not tree.head.acts_by_output:
         raise ValueError(
             f"the head {type(tree.head).__name__} multiplies outputs, which no linear program bounds; "

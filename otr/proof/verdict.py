@@ -73,8 +73,8 @@ class Verdict:
 
     Attributes:
         holds: whether it does.
-        value: where it holds, a bound on ``state @ x + action @ u`` over the box, to within the tolerance the largest
-            value; else the value at the state found.
+        value: where it holds, a bound on ``state @ x + action @ u`` over the box: the largest value or, under tanh and
+            exp, a number between it and what is allowed; else the value at the state found.
         leaf: the leaf where that is.
         state, action: (d,), (o,) a state where the condition fails, and the tree's own answer there, of which `value`
             is the left side to 1e-9; None where it holds. Where float64 is too coarse for such a state, the nearest to
@@ -164,8 +164,12 @@ class Question(TreeOnDomain):
         if not verdict.holds:
             self._check_failure(verdict)
             return
+        if not 0 <= verdict.tolerance < math.inf:
+            raise CertificateError(f"the tolerance is {verdict.tolerance}, expected a number of at least 0")
         by_leaf: dict[int, list[Piece]] = {}
         for piece in verdict.pieces:
+            if {len(piece.low), len(piece.high)} != {len(self.weighed)}:
+                raise CertificateError(f"leaf {piece.leaf}: a piece has limits of other outputs than are weighed")
             by_leaf.setdefault(piece.leaf, []).append(piece)
         for leaf in range(self.n_leaves):
             pieces = by_leaf.get(leaf, [])
@@ -173,6 +177,10 @@ class Question(TreeOnDomain):
                 raise CertificateError(f"leaf {leaf}: the pieces of the proof do not cover it", leaf)
             for piece in pieces:
                 highest = self.highest(piece)
+                if highest is not None and not verdict.value >= float(highest):
+                    raise CertificateError(
+                        f"leaf {leaf}: a piece allows {float(highest):.6g}, more than the value {verdict.value}", leaf
+                    )
                 if highest is not None and highest > self.allowed(verdict.tolerance):
                     raise CertificateError(
                         f"leaf {leaf}: a piece allows {float(highest):.6g}, more than "
@@ -199,7 +207,9 @@ class Question(TreeOnDomain):
         leaf, proof = piece.leaf, piece.proof
         m = len(self.weighed)
         sizes = {len(piece.low), len(piece.high), *([] if piece.is_empty else [len(piece.lines)])}
-        rows = self.rows(leaf, piece.low, piece.high) if sizes == {m} else {}
+        if sizes != {m}:
+            raise CertificateError(f"leaf {leaf}: a piece has lines of other outputs than are weighed", leaf)
+        rows = self.rows(leaf, piece.low, piece.high)
         numbers = zip(proof.rows, proof.multipliers, strict=False)
         if len(proof.rows) != len(proof.multipliers) or not all(
             name in rows and 0 <= multiplier < math.inf for name, multiplier in numbers
@@ -252,6 +262,17 @@ class Question(TreeOnDomain):
             )
         if self.leaf(verdict.point) != verdict.leaf:
             raise CertificateError(f"leaf {verdict.leaf}: the state is not in it", verdict.leaf)
+        state = np.array([float(value) for value in verdict.point])
+        told = [verdict.action, verdict.value]
+        own = [self.own_action(state), float(self.value(verdict.point)[1])]
+        if not np.array_equal(verdict.state, state) or not all(
+            one is not None and np.allclose(one, other, rtol=1e-9, atol=1e-9)
+            for one, other in zip(told, own, strict=True)
+        ):
+            raise CertificateError(
+                f"leaf {verdict.leaf}: the verdict tells of another state, action or value than those of its point",
+                verdict.leaf,
+            )
 
     def fails(self, point: Point) -> bool:
         """Return whether the condition fails at a point of the box, beyond what a tanh may be off."""

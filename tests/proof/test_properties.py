@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import otr
+from otr.core.domain import Box
 from otr.proof.certificate import Sum
 from otr.proof.head_bounds import tanh_line
 from otr.proof.properties import check_verdict
@@ -313,3 +314,68 @@ def test_expected_counts_are_bounded(case, seed: int) -> None:
     found = otr.find_violation(tree, below, BOX)
     assert not found.holds and found.state is not None
     assert network.predict(found.state) @ weights > below.bound
+
+
+def one_leaf(head: otr.Head | None = None, w: float = 1.0) -> otr.ObliqueTree:
+    return otr.ObliqueTree([], [], np.zeros((0, 1)), [], [[[w]]], [[0.0]], head=head)
+
+
+@pytest.mark.parametrize(
+    ("tree", "box", "low", "high"),
+    [
+        (one_leaf(), ([1e16], [1e16 + 20]), 1e16, 1e16 + 20),
+        (otr.parse_program("if x <= 1: 5 else: 7", ["x"]), ([1.0], [np.nextafter(1, 2)]), 5, 7),
+    ],
+)
+def test_the_range_on_a_box_in_which_floats_find_no_ball(tree: otr.ObliqueTree, box: Box, low: float, high: float):
+    found = otr.output_range(tree, box)
+    assert (found.low.tolist(), found.high.tolist()) == ([low], [high])
+
+
+def test_a_verdict_is_checked_to_its_last_number() -> None:
+    tree, box = otr.parse_program("if x <= 0: -1 else: 2 * x", ["x"]), ([-1.0], [1.0])
+    kept, failing = otr.Condition([0.0], [1.0], 3.0), otr.Condition([0.0], [1.0], 1.0)
+    verdict = otr.find_violation(tree, kept, box)
+    check_verdict(verdict, tree, kept, box)
+    piece, *others = verdict.pieces
+    for changes in (
+        {"value": verdict.value - 1},
+        {"value": np.nan},
+        {"tolerance": np.nan},
+        {"pieces": (replace(piece, low=()), *others)},
+        {"pieces": (replace(piece, lines=()), *others)},
+    ):
+        with pytest.raises(otr.CertificateError):
+            check_verdict(replace(verdict, **changes), tree, kept, box)
+    found = otr.find_violation(tree, failing, box)
+    check_verdict(found, tree, failing, box)
+    for changes in ({"state": np.array([-0.5])}, {"action": np.array([3.0])}, {"value": 1.5}, {"action": None}):
+        with pytest.raises(otr.CertificateError, match="another state, action or value"):
+            check_verdict(replace(found, **changes), tree, failing, box)
+
+
+def test_a_line_that_is_below_tanh_between_its_ends_is_refused() -> None:
+    tree, condition, box = one_leaf(otr.TanhBox(-1.0, 1.0), 1e17), otr.Condition([-1.0], [1.0], 0.1), ([0.0], [1.0])
+    verdict = otr.find_violation(tree, condition, box)
+    assert not verdict.holds
+    flat = Piece(0, (-5e-324,), (1.0000000000000002e17,), ((1.0000001e-17, 0.0),), Sum((), ()), is_empty=False)
+    forged = replace(verdict, holds=True, value=0.05, state=None, action=None, point=None, pieces=(flat,))
+    with pytest.raises(otr.CertificateError, match="a line of a piece is below"):
+        check_verdict(forged, tree, condition, box)
+
+
+@pytest.mark.parametrize(
+    ("head", "condition", "tolerance"),
+    [
+        (otr.TanhBox(1e6, 1e6 + 1), otr.Condition([0.0], [1.0], 1e6 + 0.9), 1e-6),
+        (otr.TanhBox(-1.0, 1.0), otr.Condition([0.0], [1.0], float(np.tanh(1))), 0.0),
+    ],
+)
+def test_what_rounding_hides_is_told(head: otr.Head, condition: otr.Condition, tolerance: float) -> None:
+    with pytest.raises(otr.OtrError, match="rounding hides which is larger"):
+        otr.find_violation(one_leaf(head), condition, (-1.0, 1.0), tolerance=tolerance)
+
+
+def test_a_box_of_no_width_is_refused() -> None:
+    with pytest.raises(ValueError, match="nearer than float64 resolves"):
+        otr.output_range(one_leaf(), ([0.0], [5e-324]))

@@ -38,7 +38,8 @@ def minimal_tree(
     At every state the tree equals the network to 1e-8 of the size of the terms that its outputs are sums of, rounding
     included, however thin the region. A side of a test is left out only where no state has it, the rounding of all rows
     reckoned with, or where nothing but rounding, and that by less than 1e-10 in units of its slope, can make the test
-    have it: so a neuron that is parallel to another, equal to it or at the domain's edge adds no path. What floating
+    have it: so a neuron that is parallel to another, equal to it or at the domain's edge adds no path, and none beyond
+    1e150 of an open domain. What floating
     point cannot decide is kept, so that a path may be empty after all: among regions of the width of rounding and, on a
     domain without limits, where a proof takes next to nothing of the test. `otr.certify` decides in rational
     arithmetic. Two leaves that are each other's siblings and hold the same label, or map to within the rounding of its

@@ -73,7 +73,7 @@ def output_range(tree: ObliqueTree, box: Box | Domain) -> OutputRange:
 
 
 def reachable_labels(tree: ObliqueTree, box: Box | Domain | None = None) -> IntArray:
-    """Return the labels of the leaves that some real point of a box reaches, ascending.
+    """Return the labels of the leaves that some real point of a box reaches, ascending; to 1e150 on an open side.
 
     Raises:
         ValueError: the tree has no labels.

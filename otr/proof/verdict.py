@@ -263,11 +263,10 @@ class Question(TreeOnDomain):
         if self.leaf(verdict.point) != verdict.leaf:
             raise CertificateError(f"leaf {verdict.leaf}: the state is not in it", verdict.leaf)
         state = np.array([float(value) for value in verdict.point])
-        told = [verdict.action, verdict.value]
-        own = [self.own_action(state), float(self.value(verdict.point)[1])]
-        if not np.array_equal(verdict.state, state) or not all(
-            one is not None and np.allclose(one, other, rtol=1e-9, atol=1e-9)
-            for one, other in zip(told, own, strict=True)
+        if verdict.action is None or not (
+            np.array_equal(verdict.state, state)
+            and np.allclose(verdict.action, self.own_action(state), rtol=1e-9, atol=1e-9)
+            and np.isclose(verdict.value, float(self.value(verdict.point)[1]), rtol=1e-9, atol=1e-9)
         ):
             raise CertificateError(
                 f"leaf {verdict.leaf}: the verdict tells of another state, action or value than those of its point",

@@ -79,7 +79,13 @@ class Head(ABC):
         return None
 
     def weights_of_label(self, label: int, n_outputs: int) -> FloatArray:
-        """Return a label as the vector (n_outputs,) that a linear condition weighs: 1 at the label, else 0."""
+        """Return a label as the vector (n_outputs,) that a linear condition weighs: 1 at the label, else 0.
+
+        Raises:
+            ValueError: the label is none of the outputs.
+        """
+        if not 0 <= label < n_outputs:
+            raise ValueError(f"the label {label} is none of the {n_outputs} outputs that a condition weighs")
         return np.asarray(np.eye(n_outputs)[label])
 
     def clipped_to(self, low: FloatArray, high: FloatArray) -> Head:

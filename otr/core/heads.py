@@ -12,7 +12,7 @@ from otr.core.arrays import BoolArray, FloatArray, IntArray, read_only
 from otr.core.head import Head
 from otr.errors import ArtefactError, InvalidNetworkError
 
-_ROUNDING = 1e-9  # by which a squashed answer may be beyond a box that it is to be clipped to
+_ROUNDING = 1e-9  # of its range, by which a squashed answer may be beyond a box that it is to be clipped to
 
 
 class Identity(Head):
@@ -112,7 +112,8 @@ class _TanhHead(_Box):
         return np.broadcast_to(self._half, shape), np.broadcast_to(self._middle, shape)
 
     def clipped_to(self, low: FloatArray, high: FloatArray) -> Head:
-        if (self.low < low - _ROUNDING).any() or (self.high > high + _ROUNDING).any():
+        slack = _ROUNDING * (self.high - self.low)
+        if (self.low < low - slack).any() or (self.high > high + slack).any():
             raise ValueError(
                 f"the answers go through tanh to {self.low.tolist()} .. {self.high.tolist()}, the "
                 f"actions are {low.tolist()} .. {high.tolist()}; scale the tanh to these"

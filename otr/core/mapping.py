@@ -6,7 +6,7 @@ import numpy as np
 
 from otr.core.arrays import BoolArray, FloatArray, IntArray
 from otr.core.head import Head
-from otr.core.network import ReluNetwork
+from otr.core.network import ReluNetwork, require_relu_network
 from otr.core.tree import ObliqueTree
 from otr.errors import TreeTooLargeError
 
@@ -30,8 +30,10 @@ def map_network(network: ReluNetwork, *, max_leaves: int = 2**16) -> ObliqueTree
         ``P`` is (2**depth - 1, d), ``M`` is (2**depth, o, d).
 
     Raises:
+        TypeError: `network` is no ReluNetwork.
         TreeTooLargeError: names the depth, the limit, and `PatternTree` as the way to hold the tree.
     """
+    require_relu_network(network)
     n, d, o = network.n_hidden, network.n_inputs, network.n_outputs
     depth = n + network.head.n_tests(o)
     if 2**depth > max_leaves:

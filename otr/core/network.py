@@ -306,3 +306,12 @@ def _columns_read(widths: Sequence[int], n_inputs: int, dense: Dense) -> int:
     if dense == "all":
         return sum(widths) + n_inputs
     return widths[-1] + (n_inputs if dense == "input" else 0)
+
+
+def require_relu_network(network: object) -> None:
+    """Raise TypeError for anything but a ReluNetwork."""
+    if not isinstance(network, ReluNetwork):
+        raise TypeError(
+            f"network is a {type(network).__name__}, expected a ReluNetwork; a PatternTree has .network, and no tree "
+            "equals a network of smooth units"
+        )

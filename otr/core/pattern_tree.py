@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from otr.core.arrays import BoolArray, FloatArray, IntArray, as_batch
 from otr.core.mapping import map_network
-from otr.core.network import ReluNetwork, UnitForm
+from otr.core.network import ReluNetwork, UnitForm, require_relu_network
 from otr.core.packed_bits import PackedRows, count_rows, pack_rows, unpack_rows
 from otr.core.tree import ObliqueTree
 
@@ -45,8 +45,10 @@ class PatternTree:
             counts: (k,) how often each path was taken; None for zeros.
 
         Raises:
+            TypeError: `network` is no ReluNetwork.
             ValueError: a shape is wrong, rows repeat, there are no rows, or counts come without patterns.
         """
+        require_relu_network(network)
         self.network = network
         self.is_restricted = patterns is not None
         self._paths: PackedRows = pack_rows(np.zeros((0, self.n_bits), dtype=np.bool_))

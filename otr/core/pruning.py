@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import operator
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from otr.core.arrays import BoolArray, FloatArray, IntArray, as_batch
 from otr.core.pattern_tree import PatternTree
-from otr.core.tree import ObliqueTree
+from otr.core.tree import ObliqueTree, require_tree
 
 
 def prune_unreached(tree: ObliqueTree | PatternTree, X: ArrayLike) -> ObliqueTree:
@@ -45,7 +47,7 @@ def prune_to_k(tree: ObliqueTree | PatternTree, X: ArrayLike, k: int) -> Oblique
     Raises:
         ValueError: X is empty or of the wrong width, or k < 1.
     """
-    if k < 1:
+    if operator.index(k) < 1:
         raise ValueError(f"k is {k}, expected at least 1 path to keep")
     states = _states(tree, X)
     if isinstance(tree, PatternTree):
@@ -157,6 +159,8 @@ def _tree_of_reached_paths(tree: PatternTree, X: FloatArray) -> ObliqueTree:
 
 
 def _states(tree: ObliqueTree | PatternTree, X: ArrayLike) -> FloatArray:
+    if not isinstance(tree, PatternTree):
+        require_tree(tree)
     states = as_batch(X, tree.n_inputs)
     if not len(states) or np.isnan(states).any():
         raise ValueError("X holds no states, or a NaN; pruning needs at least one to know which paths are reached")

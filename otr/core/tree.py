@@ -337,3 +337,12 @@ def _array(values: ArrayLike, dtype: type) -> NDArray[Any]:
     if dtype is np.int64 and not np.array_equal(array, np.asarray(values)):
         raise InvalidTreeError(f"{shortened(np.asarray(values).tolist())} holds a number that is not whole")
     return read_only(array)
+
+
+def require_tree(tree: object) -> None:
+    """Raise TypeError for anything but an ObliqueTree."""
+    if not isinstance(tree, ObliqueTree):
+        raise TypeError(
+            f"tree is a {type(tree).__name__}, expected an ObliqueTree; otr.map_network makes one of a network, and a "
+            "PatternTree has to_tree()"
+        )

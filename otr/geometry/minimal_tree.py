@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from otr.core.arrays import BoolArray, FloatArray, IntArray, as_batch
 from otr.core.domain import Box, Domain, as_domain
-from otr.core.network import ReluNetwork, UnitForm
+from otr.core.network import ReluNetwork, UnitForm, require_relu_network
 from otr.core.packed_bits import count_rows, pack_rows, unpack_rows
 from otr.core.pattern_tree import PatternTree, units_and_basis
 from otr.core.pruning import keep_leaves
@@ -64,8 +64,7 @@ def minimal_tree(
         raise ValueError(f"order is {order!r}, expected 'layers', 'balanced' or 'visits'")
     if (X is None) is (order == "visits"):
         raise ValueError("order='visits' needs states X, and no other order does")
-    if not isinstance(network, ReluNetwork):
-        raise TypeError(f"network is a {type(network).__name__}, expected a ReluNetwork; a PatternTree has .network")
+    require_relu_network(network)
     box = as_domain(network.domain if domain is None else domain, network.n_inputs)
     network = network.without_dead_neurons()
     regions = find_regions(network, box, max_regions=max_leaves, max_seconds=max_seconds)

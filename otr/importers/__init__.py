@@ -97,8 +97,8 @@ def from_sb3(
     network does not: it is the policy inside the box ``mean +- clip_obs * sqrt(variance + epsilon)`` and not outside.
     That box is the network's `domain`; `network.domain.contains(X)` tells which states lie in it.
 
-    From the path of a saved model, only tensors (torch's ``weights_only`` loading) and plain text are read, and no
-    code in the file is run, nor in the file of statistics. That text prints the action box to eight decimals.
+    From the path of a saved model, only tensors (torch's ``weights_only`` loading), plain text and the action box's
+    numbers are read, and no code in the file is run, nor in the file of statistics.
 
     Args:
         model: a live model, or the path of the zip file that `model.save` wrote, with or without ".zip".
@@ -158,7 +158,7 @@ def read_policy(path: str | os.PathLike[str], *, vec_normalize: str | os.PathLik
     if path.suffix != ".zip":
         raise InvalidNetworkError(f"statistics of VecNormalize belong to a Stable-Baselines3 zip, not to {path}")
     policy = reader(path)
-    if isinstance(policy, ReluNetwork):
+    if isinstance(policy, ReluNetwork):  # a call for each type, so that the type checker knows what comes back
         return fold_observation_statistics(policy, vec_normalize)
     return fold_observation_statistics(policy, vec_normalize)
 

@@ -22,7 +22,7 @@ RELU_REMEDY = (
     "policy_kwargs=dict(activation_fn=torch.nn.ReLU)), or imitate the policy, as otr-run method=augtree does"
 )
 _LIMIT_ENTRIES = 2**24  # of a matrix: a product of thin ones can be far larger than the file
-_DECIDED_BY: dict[str, Head] = {"Sigmoid": Sign(), "Softmax": Argmax(), "LogSoftmax": Argmax()}
+DECIDED_BY: dict[str, Head] = {"Sigmoid": Sign(), "Softmax": Argmax(), "LogSoftmax": Argmax()}
 _UNITS_OF_ENDS = {"Tanh": "tanh", "Sigmoid": "sigmoid"}  # what an end is where another layer follows
 
 
@@ -73,7 +73,7 @@ class Chain:
     @property
     def deciding_head(self) -> Head | None:
         """The head that decides as the probabilities do in which the chain ends; None where it ends in none."""
-        return _DECIDED_BY.get(self.end)
+        return DECIDED_BY.get(self.end)
 
     def linear(self, W: FloatArray, b: ArrayLike | None = None) -> Chain:
         """W @ value + b, W (n_out, n_in), multiplied with the layer before where no activation lies between."""
@@ -170,7 +170,7 @@ class Chain:
         if not self.layers:
             raise InvalidNetworkError("no layer with weights lies between the states and the answer")
         found = self._head()
-        if self.end in _DECIDED_BY:
+        if self.end in DECIDED_BY:
             if head != found:
                 raise InvalidNetworkError(
                     f"the model ends in {self.end}; it needs head=otr.{type(found).__name__}(), "
@@ -227,8 +227,8 @@ class Chain:
     def _head(self) -> Head:
         if self.end == "ArgMax":
             return Argmax()
-        if self.end in _DECIDED_BY:
-            return _DECIDED_BY[self.end]
+        if self.end in DECIDED_BY:
+            return DECIDED_BY[self.end]
         low, high = (np.broadcast_to(limit, self.width) for limit in (self.low, self.high))
         if self.end == "Clip" and not (np.isfinite(low).all() and np.isfinite(high).all()):
             raise InvalidNetworkError(

@@ -81,18 +81,20 @@ def attributes(node: NodeProto) -> dict[str, Any]:
 
 
 def array_of(tensor: TensorProto) -> NDArray[Any]:
-    """Return a constant: real numbers as float64, integers as int64."""
+    """Return a constant: real numbers as float64, integers as int64, truth values as bool."""
     from onnx import TensorProto, numpy_helper
 
     reals = (TensorProto.FLOAT, TensorProto.DOUBLE, TensorProto.FLOAT16, TensorProto.BFLOAT16)
-    if tensor.data_type not in (*reals, TensorProto.INT32, TensorProto.INT64):
+    kinds: dict[int, Any] = dict.fromkeys(reals, np.float64) | {TensorProto.BOOL: np.bool_}
+    kinds |= dict.fromkeys((TensorProto.INT32, TensorProto.INT64), np.int64)
+    if tensor.data_type not in kinds:
         kind = TensorProto.DataType.Name(tensor.data_type)
-        raise InvalidNetworkError(f"the constant {tensor.name!r} is of type {kind}, expected real numbers")
+        raise InvalidNetworkError(f"reads the constant {tensor.name!r} of type {kind}, expected real numbers")
     try:
         values = numpy_helper.to_array(tensor)
     except Exception as error:  # a foreign tensor's shape need not fit its numbers
         raise ArtefactError(f"the constant {tensor.name!r} cannot be read ({error}); {_REMEDY}") from error
-    return values.astype(np.float64 if tensor.data_type in reals else np.int64)
+    return values.astype(kinds[tensor.data_type])
 
 
 def numbers(value: Any) -> FloatArray:

@@ -29,14 +29,14 @@ def chain_of_onnx(given: Any, output: str | None) -> Chain:
     graph = read_graph(given, output)
     values: dict[str, Chain | NDArray[Any]] = {graph.input_name: Chain(_input_shape(graph)[1:])}
     for node in graph.nodes:
-        operands: list[Any] = []
-        for name in node.input:
-            if name and name not in values:
-                if name not in graph.tensors:
-                    raise InvalidNetworkError(f"{describe(node)} reads {name!r}, which is no value; {_ACCEPTED}")
-                values[name] = array_of(graph.tensors[name])
-            operands.append(values[name] if name else None)
         with naming(describe(node)):
+            operands: list[Any] = []
+            for name in node.input:
+                if name and name not in values:
+                    if name not in graph.tensors:
+                        raise InvalidNetworkError(f"reads {name!r}, which is no value; {_ACCEPTED}")
+                    values[name] = array_of(graph.tensors[name])
+                operands.append(values[name] if name else None)
             values[node.output[0]] = _result(node, operands, graph)
     answer = values.get(graph.output_name)
     if not isinstance(answer, Chain):
@@ -104,7 +104,7 @@ def _passed_on(node: NodeProto, chain: Chain, operands: list[Any], n_states: int
     elif node.op_type == "Cast":
         is_same = given["to"] in ((_INT32, _INT64) if chain.end == "ArgMax" else (_FLOAT, _DOUBLE))
     elif node.op_type == "Dropout":
-        is_same = len(operands) < 3 or operands[2] is None
+        is_same = len(operands) < 3 or operands[2] is None or np.array_equal(operands[2], False)  # not training
     if not is_same:
         raise InvalidNetworkError(f"changes more than the shape of each state; {_ACCEPTED}")
     return chain.reshaped(shape)

@@ -1,11 +1,13 @@
 """The actor in a Stable-Baselines3 zip file, read without running anything that the file contains.
 
 Such a file holds `policy.pth`, tensors that torch can load with ``weights_only=True``, and `data`, JSON in which Python
-objects appear as a pickle (":serialized:", never touched here) beside a readable account of themselves.
+objects appear as a pickle (":serialized:") beside a readable account of themselves. That account rounds the action box,
+as numpy printed it when the file was written; the box's numbers are taken from the pickle, of which nothing is run.
 """
 
 from __future__ import annotations
 
+import base64
 import io
 import json
 import math
@@ -26,6 +28,7 @@ from otr.core.smooth_network import SmoothNetwork
 from otr.core.zip_members import read_members
 from otr.errors import ArtefactError, InvalidNetworkError
 from otr.importers.chain import RELU_REMEDY
+from otr.importers.pickle_record import numbers, record_of_pickle
 from otr.importers.sb3_model import require_widths
 from otr.importers.torch_modules import real_values
 
@@ -224,8 +227,8 @@ def _head(data: dict[str, Any], on_policy: bool, n_outputs: int, low: ArrayLike 
         return Argmax()
     if "spaces.box.Box" not in kind:
         raise InvalidNetworkError(f"the actions are {kind}; only Box and Discrete (start=0) can be mapped")
-    low = _limits(space, "low", n_outputs) if low is None else low
-    high = _limits(space, "high", n_outputs) if high is None else high
+    low = _limits(data, "low", n_outputs) if low is None else low
+    high = _limits(data, "high", n_outputs) if high is None else high
     return ClipBox(low, high) if on_policy else TanhBox(low, high)
 
 
@@ -242,18 +245,20 @@ def _count(data: dict[str, Any], name: str) -> int:
         ) from error
 
 
-def _limits(space: dict[str, Any], name: str, n_outputs: int) -> FloatArray:
-    """Return the action limits printed in the file, (n_outputs,)."""
-    text = str(space.get(name))
+def _limits(data: dict[str, Any], name: str, n_outputs: int) -> FloatArray:
+    """Return the action limits in the pickle of the action space, (n_outputs,)."""
     try:
-        limits = np.array(text.replace("[", " ").replace("]", " ").split(), dtype=str(space.get("dtype", "float32")))
-    except (TypeError, ValueError):
-        limits = np.zeros(0)
+        box = record_of_pickle(base64.b64decode(data["action_space"][":serialized:"]))
+        limits = numbers(box.state[name]).ravel()
+    except Exception as error:  # a foreign pickle can hold anything
+        raise InvalidNetworkError(
+            f"the file does not tell the actions' {name} ({error!r}); give action_{name}="
+        ) from error
     if limits.shape != (n_outputs,):
         raise InvalidNetworkError(
-            f"the action space's {name} reads {text!r}, expected {n_outputs} numbers; give action_{name}="
+            f"the action space's {name} has {len(limits)} numbers, expected {n_outputs}; give action_{name}="
         )
-    return limits.astype(np.float64)
+    return limits
 
 
 def _readable(data: dict[str, Any], name: str) -> dict[str, Any]:

@@ -34,9 +34,9 @@ def policy_of_estimator(estimator: Any) -> Oracle:
 
     steps = [step for _, step in estimator.steps] if isinstance(estimator, Pipeline) else [estimator]
     *scalers, last = [step for step in steps if step not in (None, "passthrough")] or [None]
-    n_inputs = getattr(estimator, "n_features_in_", None)
+    n_inputs = getattr((scalers or [last])[0], "n_features_in_", None)
     if n_inputs is None:
-        raise InvalidNetworkError(f"expected a fitted {_ACCEPTED}, got {estimator!r}; call fit first")
+        raise InvalidNetworkError(f"expected a fitted {_ACCEPTED}, got {estimator!r}; {_remedy(last)}")
     chain = Chain((int(n_inputs),))
     for scaler in scalers:
         chain = _scaled(chain, scaler)
@@ -101,8 +101,7 @@ def _answer(chain: Chain, estimator: Any) -> tuple[Chain, Head]:
     if isinstance(estimator, MLPClassifier | MLPRegressor) and hasattr(estimator, "coefs_"):
         return _mlp(chain, estimator), _mlp_head(estimator)
     if not (hasattr(estimator, "coef_") and hasattr(estimator, "intercept_")):
-        remedy = _TREE_REMEDY if hasattr(estimator, "tree_") else "call fit first"
-        raise InvalidNetworkError(f"expected a fitted {_ACCEPTED}, got {estimator!r}; {remedy}")
+        raise InvalidNetworkError(f"expected a fitted {_ACCEPTED}, got {estimator!r}; {_remedy(estimator)}")
     try:
         W = np.atleast_2d(np.asarray(estimator.coef_, dtype=np.float64))
         chain = chain.linear(W, np.asarray(estimator.intercept_, dtype=np.float64))
@@ -113,10 +112,29 @@ def _answer(chain: Chain, estimator: Any) -> tuple[Chain, Head]:
     return chain, Sign() if len(W) == 1 else Argmax()
 
 
+def _remedy(estimator: Any) -> str:
+    """Return what to do with an estimator that has no layers to be read."""
+    from sklearn.exceptions import NotFittedError
+    from sklearn.utils.validation import check_is_fitted
+
+    if hasattr(estimator, "tree_"):
+        return _TREE_REMEDY
+    try:
+        check_is_fitted(estimator)
+    except NotFittedError:
+        return "call fit first"
+    except TypeError:
+        return "it is no estimator"
+    return "one of another kind cannot be read"
+
+
 def _mlp(chain: Chain, mlp: Any) -> Chain:
     if mlp.activation != "identity" and mlp.activation not in _UNITS:
         raise InvalidNetworkError(f"the activation is {mlp.activation!r}; fit with activation='relu'")
-    for layer, (W, b) in enumerate(zip(mlp.coefs_, mlp.intercepts_, strict=True)):
+    layers = list(zip(mlp.coefs_, mlp.intercepts_, strict=True))
+    if len(getattr(mlp, "classes_", ())) == 1:  # which it predicts whatever its outputs are
+        layers[-1] = (np.zeros_like(mlp.coefs_[-1]), np.full_like(mlp.intercepts_[-1], -1.0))
+    for layer, (W, b) in enumerate(layers):
         if layer and mlp.activation != "identity":
             chain = chain.activation(_UNITS[mlp.activation])
         chain = chain.linear(np.asarray(W, dtype=np.float64).T, b)
@@ -150,8 +168,11 @@ def _require_same_answers(estimator: Any, policy: Oracle) -> None:
     rounding = _ROUNDING * reach(zip(policy.weights, policy.biases, strict=True), states).max(axis=1)
     if policy.head.gives_labels:
         gaps = np.abs(outputs[:, 0]) if outputs.shape[1] == 1 else np.ptp(np.sort(outputs, axis=1)[:, -2:], axis=1)
-        classes = np.asarray(estimator.classes_)
-        answers = classes[np.minimum(policy.predict(states), len(classes) - 1)]
+        if np.ndim(expected) != 1:
+            raise InvalidNetworkError(
+                f"{estimator!r} predicts several labels at once; fit one classifier for each label"
+            )
+        answers = np.asarray(estimator.classes_)[policy.predict(states)]
         differs = (answers != expected) & (gaps > rounding)
     else:
         expected = np.asarray(expected, dtype=np.float64).reshape(len(states), -1)

@@ -124,8 +124,9 @@ def _export(model: Any, members: dict[str, bytes], label: str) -> Export:
     (answer,) = graph["outputs"]
     nodes = [_node(node) for node in graph["nodes"]]
     input_name, output_name = Name(inputs[0]["as_tensor"]["name"]), Name(answer["as_tensor"]["name"])
-    tensors = _tensors(signature["input_specs"], members, label)
     _require_a_chain(nodes, input_name, output_name)
+    read = {value for node in nodes for value in node.arguments.values() if isinstance(value, Name)}
+    tensors = _tensors(signature["input_specs"], read, members, label)
     sizes = graph["tensor_values"][input_name]["sizes"]
     shape = tuple(int(size.get("as_int", 0)) for size in sizes)
     return Export(input_name, shape, output_name, nodes, tensors)
@@ -178,8 +179,8 @@ def _require_a_chain(nodes: list[Node], given: Name, answer: Name) -> None:
         raise InvalidNetworkError(f"the value {twice[0]!r} is read in two places; only a chain of layers can be read")
 
 
-def _tensors(specs: list[Any], members: dict[str, bytes], label: str) -> dict[Name, FloatArray]:
-    """Return the tensors that the graph reads by their names in it."""
+def _tensors(specs: list[Any], read: set[Name], members: dict[str, bytes], label: str) -> dict[Name, FloatArray]:
+    """Return the tensors whose names in the graph are among those `read`."""
     kept: dict[str, Any] = {}
     for folder, config in (("weights", "model_weights_config"), ("constants", "model_constants_config")):
         payloads = _json(members, f"data/{folder}/{config}.json", label)["config"]
@@ -189,8 +190,12 @@ def _tensors(specs: list[Any], members: dict[str, bytes], label: str) -> dict[Na
         ((kind, about),) = spec.items()
         if kind == "user_input":
             continue
-        path, payload = kept[about[f"{kind}_name"]]
-        tensors[Name(about["arg"]["name"])] = _tensor(about[f"{kind}_name"], members[path], payload)
+        if kind not in ("parameter", "buffer", "tensor_constant"):
+            raise InvalidNetworkError(f"the program has a {kind} beside the states; export the module with these alone")
+        name = Name(about["arg"]["name"])
+        if name in read:
+            path, payload = kept[about[f"{kind}_name"]]
+            tensors[name] = _tensor(about[f"{kind}_name"], members[path], payload)
     return tensors
 
 

@@ -11,10 +11,10 @@ import numpy as np
 
 from otr.core.arrays import FloatArray
 from otr.core.head import Head
-from otr.core.heads import Argmax, Sign, TanhBox
+from otr.core.heads import TanhBox
 from otr.core.network import ReluNetwork
 from otr.errors import InvalidNetworkError
-from otr.importers.chain import RELU_REMEDY, Chain, mappable, naming
+from otr.importers.chain import DECIDED_BY, RELU_REMEDY, Chain, mappable, naming
 
 if TYPE_CHECKING:
     import torch
@@ -34,7 +34,9 @@ def network_of_module(module: torch.nn.Module, head: Head | None) -> ReluNetwork
     copied = _float64_copy(module)
     layers = list(flat_layers(copied, "module"))
     last = _kind(layers[-1][1]) if layers else ""
-    if last == "Tanh" and head is None:
+    if last == "Tanh":
+        if head not in (None, TanhBox(-1.0, 1.0)):
+            raise InvalidNetworkError(f"head is {head!r}, the module ends in Tanh: TanhBox(-1, 1); leave head out")
         head = TanhBox(-1.0, 1.0)
     elif not _is_decided_by(last, head):
         last = ""
@@ -48,7 +50,7 @@ def flat_layers(module: Any, name: str) -> Iterable[tuple[str, Any]]:
     import torch
 
     if isinstance(module, torch.nn.Sequential):
-        for position, child in module.named_children():
+        for position, child in enumerate(module):  # named_children() leaves out a layer that stands there twice
             yield from flat_layers(child, f"{name}[{position}]")
     elif _kind(module) not in _NOTHING:
         if not _kind(module):
@@ -110,12 +112,9 @@ def _kind(layer: Any) -> str:
     return ""
 
 
-_DECIDED_BY: dict[str, Head] = {"Sigmoid": Sign(), "Softmax": Argmax(), "LogSoftmax": Argmax()}
-
-
 def _is_decided_by(kind: str, head: Head | None) -> bool:
     """Return whether `head` answers the same before a last layer of this kind as after it."""
-    return head is not None and head == _DECIDED_BY.get(kind)
+    return head is not None and head == DECIDED_BY.get(kind)
 
 
 def _remedy(kind: str) -> str:

@@ -146,7 +146,7 @@ class _ModelSplit:
 def _standard(values: FloatArray, weights: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """Return mean and standard deviation of the columns, 1 where a column is constant."""
     mean, scale = mean_and_deviation(values, weights)
-    return mean, np.where(scale > 1e-12 * np.abs(values).max(axis=0), scale, 1.0)
+    return mean, np.where(scale > 0, scale, 1.0)
 
 
 def _midpoint(column: FloatArray, n_left: int) -> float:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from otr.core.merging import merge_equal_leaves
 from otr.core.tree import ObliqueTree
-from otr.programs.names import names_for, require_tree
+from otr.programs.names import check_tree, names_for
 from otr.programs.picture.boxes import NodeBox, tree_boxes
 from otr.programs.picture.branches import look
 from otr.programs.picture.formulas import Style
@@ -39,7 +39,7 @@ def to_dot(
         TypeError: `tree` is no ObliqueTree.
         ValueError: the wrong number of names, names that are not distinct, or a number out of its range.
     """
-    require_tree(tree)
+    check_tree(tree)
     tree = merge_equal_leaves(tree)
     names = names_for(tree, feature_names, output_names)
     for argument, value in (("precision", precision), ("max_terms", max_terms)):

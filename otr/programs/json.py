@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 
 from otr.core.tree import ObliqueTree
-from otr.programs.names import give_labels, names_of, require_tree
+from otr.programs.names import check_tree, give_labels, names_of
 
 PROGRAM_SCHEMA = "otr/program/1"
 
@@ -41,7 +41,7 @@ def to_json(
         TypeError: `tree` is no ObliqueTree.
         ValueError: the wrong number of names, or names that are not distinct.
     """
-    require_tree(tree)
+    check_tree(tree)
     features, answers = names_of(tree, feature_names, output_names)
     about = {
         "schema": PROGRAM_SCHEMA,

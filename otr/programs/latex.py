@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from otr.core.merging import merge_equal_leaves
 from otr.core.tree import ObliqueTree
-from otr.programs.names import names_for, require_tree
+from otr.programs.names import check_tree, names_for
 from otr.programs.notation import Notation, Program
 from otr.programs.walk import summary_of
 
@@ -47,7 +47,7 @@ def to_latex(
         ValueError: the wrong number of names, names that are not distinct, precision < 1, or a PID policy whose terms
             differ between leaves.
     """
-    require_tree(tree)
+    check_tree(tree)
     tree = merge_equal_leaves(tree)
     names = names_for(tree, feature_names, output_names)
     features, answers = ([math_name(name) for name in given] for given in (names.features, names.answers))

@@ -8,7 +8,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from otr.core.network import ReluNetwork
-from otr.core.tree import ObliqueTree
+from otr.core.tree import ObliqueTree, require_tree
 
 # What ends a comment in C or structured text, opens one there, or begins a trigraph: a space goes between.
 _MARKS = re.compile(r"(?<=\*)(?=[/)])|(?<=[/(])(?=\*)|(?<=\?)(?=\?)")
@@ -39,7 +39,7 @@ def names_for(
     name labels; the terms and gains of a PID policy are P0, ..., theta_P0, ... No two identifiers are the same.
     Raise TypeError for what is no tree or no text, ValueError for a wrong number of names or a tree without inputs.
     """
-    require_tree(tree)
+    check_tree(tree)
     features, answers = shown_names(tree, feature_names, output_names)
     outputs = [f"y{i}" for i in range(tree.n_outputs)] if give_labels(tree) else answers
     joined = tree.head.output_names(tree.n_outputs, answers)
@@ -119,10 +119,9 @@ def _names(given: Sequence[str] | None, without: list[str], argument: str) -> li
     return list(given)
 
 
-def require_tree(tree: ObliqueTree) -> None:
+def check_tree(tree: ObliqueTree) -> None:
     """Raise TypeError for what is no tree, and as `check_policy` does."""
-    if not isinstance(tree, ObliqueTree):
-        raise TypeError(f"tree is a {type(tree).__name__}, expected an ObliqueTree; a PatternTree has to_tree()")
+    require_tree(tree)
     check_policy(tree)
 
 

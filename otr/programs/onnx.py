@@ -14,7 +14,7 @@ from otr.core.head import Head, no_entry
 from otr.core.heads import Argmax, ClipBox, Exp, Identity, PidBox, Sign, TanhBox
 from otr.core.tree import ObliqueTree
 from otr.extras import naming_the_extra
-from otr.programs.names import give_labels, names_of, one_line, require_tree
+from otr.programs.names import check_tree, give_labels, names_of, one_line
 from otr.programs.walk import child, distinct_rows, summary_of
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def to_onnx(
         ValueError: the wrong number of names, names that are not distinct, a `name` that is no line of text, another
             `dtype`, or a number that is too large for a float.
     """
-    require_tree(tree)
+    check_tree(tree)
     features, answers = names_of(tree, feature_names, output_names)
     if not name or name != one_line(name):
         raise ValueError(f"name is {name!r}, expected one line of characters that print, as the name of the graph")

@@ -13,7 +13,7 @@ from otr.core.head import Head, no_entry
 from otr.core.heads import Argmax, ClipBox, Exp, Identity, PidBox, Sign, TanhBox
 from otr.core.merging import merge_equal_leaves
 from otr.core.tree import ObliqueTree
-from otr.programs.names import Names, give_labels, label_name, names_for, require_tree
+from otr.programs.names import Names, check_tree, give_labels, label_name, names_for
 from otr.programs.pid_gains import joined
 from otr.programs.walk import (
     MAX_NESTED_DEPTH,
@@ -62,7 +62,7 @@ def to_python(
     read = unicodedata.normalize("NFKC", name)  # as Python reads an identifier
     if not name.isidentifier() or keyword.iskeyword(read) or read in (*_CALLED, "__debug__"):
         raise ValueError(f"name is {name!r}, which cannot be the name of the Python function")
-    require_tree(tree)
+    check_tree(tree)
     tree = merge_equal_leaves(tree)
     names = names_for(tree, feature_names, output_names, reserved=(*_RESERVED, name))
     n_terms = max(np.count_nonzero(tree.P, axis=1).max(initial=0), np.count_nonzero(tree.M, axis=2).max())

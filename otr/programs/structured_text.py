@@ -12,7 +12,7 @@ from otr.core.head import Head, no_entry
 from otr.core.heads import Argmax, ClipBox, Exp, Identity, PidBox, Sign, TanhBox
 from otr.core.merging import merge_equal_leaves
 from otr.core.tree import ObliqueTree
-from otr.programs.names import Names, give_labels, in_comment, label_name, names_for, require_tree
+from otr.programs.names import Names, check_tree, give_labels, in_comment, label_name, names_for
 from otr.programs.pid_gains import joined
 from otr.programs.walk import MAX_NESTED_DEPTH, affine_expression, child, distinct_rows, summary_of, walk, wrapped
 
@@ -66,7 +66,7 @@ def to_structured_text(
     """
     if not re.fullmatch(r"[A-Za-z](_?[A-Za-z0-9])*", name) or name.lower() in _RESERVED:
         raise ValueError(f"name is {name!r}, which cannot be the name of a function block")
-    require_tree(tree)
+    check_tree(tree)
     tree = merge_equal_leaves(tree)
     names = names_for(tree, feature_names, output_names, reserved=(*_RESERVED, name.lower()), ignore_case=True)
     nested = tree.depth <= MAX_NESTED_DEPTH

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from otr.core.merging import merge_equal_leaves
-from otr.core.tree import ObliqueTree
+from otr.core.tree import ObliqueTree, require_tree
 from otr.programs.language.tokens import written
 from otr.programs.names import names_of
 from otr.programs.notation import Notation, Program
@@ -43,8 +43,7 @@ def to_text(
         ValueError: the wrong number of names, names that are not distinct, precision < 1, or a PID policy whose terms
             differ between leaves.
     """
-    if not isinstance(tree, ObliqueTree):
-        raise TypeError(f"tree is a {type(tree).__name__}, expected an ObliqueTree; a PatternTree has to_tree()")
+    require_tree(tree)
     return text_of_every_leaf(
         merge_equal_leaves(tree), feature_names=feature_names, output_names=output_names, precision=precision
     )

@@ -88,7 +88,7 @@ class Search:
         for place in sorted(bounds, key=bounds.__getitem__, reverse=True):
             pieces[place] = self._empty_or_same(pieces[place])
             if not pieces[place].is_empty:
-                value, where = float(bounds[place]), pieces[place].leaf
+                value, where = rounded_up(bounds[place]), pieces[place].leaf
                 break
         return Verdict(True, value, where, None, None, None, tuple(pieces), self.tolerance)
 

@@ -18,7 +18,7 @@ import numpy as np
 from otr.core.arrays import FloatArray
 from otr.core.head import Head, no_entry
 from otr.core.heads import Argmax, ClipBox, Exp, Identity, Sign, TanhBox
-from otr.core.tree import ObliqueTree
+from otr.core.tree import ObliqueTree, require_tree
 from otr.errors import OtrError
 
 _TANH = Fraction(1, 10**12)  # of an action's range: up to where float64 knows a tanh
@@ -166,7 +166,7 @@ class _ExpAction(Action):
 
     def value(self, y: Fraction) -> tuple[Fraction, Fraction]:
         if y > _MOST:
-            raise OtrError(f"an output reaches {float(y):.6g}, and no float64 is the exp of more than 709")
+            raise OtrError(f"an output reaches {float(y):.6g}, and the exp of more than {_MOST} is not reckoned with")
         count = Fraction(math.exp(max(y, Fraction(-_MOST))))
         return count, _EXP * count if y >= -_MOST else count
 
@@ -177,8 +177,8 @@ class _ExpAction(Action):
         """Return the chord where the share is convex, for a positive weight, and the tangent in the middle else."""
         if (high > _MOST).any():
             raise OtrError(
-                f"over the box an output may reach {high.max():.6g}, and no float64 is the exp of more than 709; ask "
-                "about a smaller box"
+                f"over the box an output may reach {high.max():.6g}, and the exp of more than {_MOST} is not reckoned "
+                "with; ask about a smaller box"
             )
         middle, at_low, at_high = (low + high) / 2, np.exp(low), np.exp(high)
         chord = (at_high - at_low) / np.maximum(high - low, 1e-300)
@@ -231,7 +231,8 @@ def _(head: Head, n_outputs: int, output: int) -> Action:
 
 
 def require_decided(tree: ObliqueTree) -> None:
-    """Raise ValueError if a tree answers labels that none of its tests decide."""
+    """Raise ValueError if a tree answers labels that none of its tests decide, TypeError if it is no tree."""
+    require_tree(tree)
     if tree.head.gives_labels and tree.labels is None:
         raise _undecided(tree.head)
 

@@ -105,10 +105,13 @@ def find_violation(
         max_pieces: refuse to look at more.
 
     Raises:
-        ValueError: the box is unbounded, the head multiplies outputs, or the condition does not fit the tree.
+        ValueError: the box is unbounded, the head multiplies outputs, the condition does not fit the tree, or the
+            tolerance is no number of at least 0.
         OtrError: more than `max_pieces` regions would have to be looked at.
     """
     _require_known_head(tree)
+    if not 0 <= tolerance < np.inf:
+        raise ValueError(f"tolerance is {tolerance}, expected a number of at least 0")
     return Search(Question(tree, condition, _bounded(tree, box)), tolerance).run(max_pieces)
 
 
@@ -124,8 +127,6 @@ def check_verdict(verdict: Verdict, tree: ObliqueTree, condition: Condition, box
 
 
 def _require_known_head(tree: ObliqueTree) -> None:
-    if not isinstance(tree, ObliqueTree):
-        raise TypeError(f"tree is a {type(tree).__name__}, expected an ObliqueTree; otr.map_network makes one")
     require_decided(tree)
     if not tree.head.acts_by_output:
         raise ValueError(

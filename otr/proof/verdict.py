@@ -2,8 +2,8 @@
 
 The proof cuts every leaf's region into pieces by the outputs that the condition weighs. On a piece, lines above the
 head's answers make the condition's left side an affine function of the state at most, and a sum of the piece's rows
-bounds that function over the box. All but tanh is exact: the numbers are taken as they are stored, and a state is in a
-leaf where all tests on its path hold, at most 0 on the left and above 0 on the right.
+bounds that function over the box. All but tanh and exp is exact: the numbers are taken as they are stored, and a state
+is in a leaf where all tests on its path hold, at most 0 on the left and above 0 on the right.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class Verdict:
             `point`, whose action may be of another leaf than `value`.
         point: the state as fractions, at which the condition fails in exact arithmetic; None where it holds.
         pieces: the proof that it holds, which `otr.check_verdict` checks.
-        tolerance: what the condition may fail by all the same, under tanh.
+        tolerance: what the condition may fail by all the same, under tanh and exp.
     """
 
     holds: bool
@@ -147,7 +147,7 @@ class Question(TreeOnDomain):
         return float(self.tree.head.weights_of_label(int(self.tree.labels[leaf]), self.tree.n_outputs) @ self.action)
 
     def value(self, point: Point) -> tuple[int, Fraction, Fraction]:
-        """Return a point's leaf, the condition's left side there, and how far that may be off: 0 without tanh."""
+        """Return a point's leaf, the condition's left side there, and how far tanh and exp make that be off at most."""
         leaf = self.leaf(point)
         value = Fraction(self.of_label(leaf))
         value += sum((Fraction(a) * x for a, x in zip(self.state.tolist(), point, strict=True)), Fraction(0))
@@ -177,7 +177,7 @@ class Question(TreeOnDomain):
                 raise CertificateError(f"leaf {leaf}: the pieces of the proof do not cover it", leaf)
             for piece in pieces:
                 highest = self.highest(piece)
-                if highest is not None and not verdict.value >= float(highest):
+                if highest is not None and not verdict.value >= highest:
                     raise CertificateError(
                         f"leaf {leaf}: a piece allows {float(highest):.6g}, more than the value {verdict.value}", leaf
                     )
@@ -304,7 +304,9 @@ def _behind(given: Sequence[HalfSpace], tree: ObliqueTree) -> ObliqueTree:
     if not given:
         return tree
     k, n = len(given), tree.n_leaves
-    P = np.array([half_space.P for half_space in given], dtype=np.float64).reshape(k, tree.n_inputs)
+    P = np.array([half_space.P for half_space in given], dtype=np.float64)
+    if P.shape != (k, tree.n_inputs):
+        raise ValueError(f"the half spaces have P of shape {P.shape[1:]}, expected ({tree.n_inputs},)")
     inside = np.append(np.arange(1, k), k if tree.n_nodes else ~0)
     outside = ~(n + np.arange(k))
     is_above = np.array([half_space.is_above for half_space in given])

@@ -90,11 +90,14 @@ def turned(tree: ObliqueTree, node: int) -> Iterator[ObliqueTree]:
         yield tree.replace(P=P + 0.0, v=v + 0.0, children_left=left, children_right=right)
 
 
-def with_unit_tests(tree: ObliqueTree) -> ObliqueTree:
-    """Return the tree with every test scaled so that its largest coefficient is 1 or -1; it does the same."""
+def with_unit_tests(tree: ObliqueTree) -> Iterator[ObliqueTree]:
+    """Yield the tree with every test scaled so that its largest coefficient is 1 or -1, the same but for rounding."""
     size = np.abs(tree.P).max(axis=1, initial=0.0)
-    scale = np.where(size > 0, size, 1.0)
-    return tree.replace(P=tree.P / scale[:, None], v=tree.v / scale)
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        can_be = (size > 0) & np.isfinite(tree.v / size)
+    scale = np.where(can_be, size, 1.0)
+    if (scale != 1.0).any():
+        yield tree.replace(P=tree.P / scale[:, None], v=tree.v / scale)
 
 
 def without_idle_head(tree: ObliqueTree) -> ObliqueTree:

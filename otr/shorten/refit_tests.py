@@ -8,6 +8,7 @@ reach it, weighted alike. Orfanos 2023, Figure 4.7, simplifies a policy in this 
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from otr.core.arrays import BoolArray, FloatArray, as_batch
-from otr.core.tree import ObliqueTree
+from otr.core.tree import ObliqueTree, require_tree
 
 N_PENALTIES, SMALLEST_PENALTY = 60, 1e-3  # of the largest, which leaves no coefficient
 MAX_SWEEPS, TOLERANCE = 1000, 1e-9  # of coordinate descent
@@ -69,16 +70,20 @@ def refit_tests(
         nodes: the test nodes to refit, all if None; the others are rounded alone.
 
     Raises:
-        ValueError: `agreement` or `digits` is out of its range, or a node is not the tree's.
+        TypeError: `tree` is no ObliqueTree, or `digits` no integer.
+        ValueError: `agreement` or `digits` is out of its range, a node is not the tree's, or X is not finite.
     """
     if not 0 < agreement <= 1:
         raise ValueError(f"agreement is {agreement}, expected a share above 0 and up to 1")
-    if digits < 1:
+    if operator.index(digits) < 1:
         raise ValueError(f"digits is {digits}, expected at least 1")
+    require_tree(tree)
     chosen = set(range(tree.n_nodes) if nodes is None else nodes)
     if not chosen <= set(range(tree.n_nodes)):
         raise ValueError(f"nodes are {sorted(chosen)}, expected some of 0 to {tree.n_nodes - 1}")
     states = as_batch(X, tree.n_inputs)
+    if not np.isfinite(states).all():
+        raise ValueError("X holds numbers that are not finite; tests are refitted on states that the policy visits")
     paths = tree.decision_path(states).tocsc()
     P, v, tests = tree.P.copy(), tree.v.copy(), []
     for node in range(tree.n_nodes):

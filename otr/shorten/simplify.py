@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from otr.core.arrays import FloatArray, as_batch
 from otr.core.domain import Box, Domain, as_domain
 from otr.core.merging import merge_equal_leaves
-from otr.core.tree import ObliqueTree
+from otr.core.tree import ObliqueTree, require_tree
 from otr.proof.action_difference import largest_difference
 from otr.proof.head_bounds import require_decided
 from otr.shorten import edits as shorter
@@ -63,8 +63,7 @@ def simplify(
         TypeError: `tree` is no ObliqueTree.
         ValueError: X is empty, not finite or of the wrong shape; or a number of digits is below 1.
     """
-    if not isinstance(tree, ObliqueTree):
-        raise TypeError(f"tree is a {type(tree).__name__}, expected an ObliqueTree; otr.map_network makes one")
+    require_tree(tree)
     states, digits = as_batch(X, tree.n_inputs), tuple(digits)
     if not len(states) or not np.isfinite(states).all():
         raise ValueError(
@@ -82,7 +81,7 @@ def simplify(
             search.take(partial(shorter.refitted, node=node, X=states))
     search.drop_numbers()
     search.take(shorter.without_a_test, repeat=True)
-    search.tree = shorter.with_unit_tests(search.tree)
+    search.take(shorter.with_unit_tests, must_save=False)
     for node in range(search.tree.n_nodes):
         search.take(partial(shorter.turned, node=node), must_save=False)
     search.round_numbers(digits)
@@ -94,7 +93,8 @@ def within(tree: ObliqueTree, box: Box | Domain, bound: float) -> Judge:
     """Return the judge that allows no action to change by more than `bound` anywhere in a box.
 
     The bound is `otr.proof.action_difference.largest_difference`: proved, and a little larger than the change itself
-    under tanh.
+    under tanh. States are left out whose side of a test is for rounding to say: tests whose numbers are the same to
+    four units in the last place count as one, and so does a test turned round, on whose boundary states change sides.
 
     Raises:
         ValueError: the box is unbounded or does not fit the tree, the bound is negative or no number, or no test of the

@@ -2,6 +2,7 @@
 
 import difflib
 import re
+import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -159,7 +160,16 @@ def run_command(folder: Path) -> str | None:
     overrides += [f"budget={name}", *(f"algo={other}" if other == "ars" else f"trainer={other}" for other in others)]
     number, _, digest = seed.removeprefix("seed-").partition("~")
     overrides.append(f"seed={number}")
-    return f"otr-run {' '.join(overrides)}{' and the settings that made the digest ~' + digest if digest else ''}"
+    settings = " and the settings that made the digest ~" + digest if digest else ""
+    return f"otr-run {' '.join(overrides)}{place_of(folder)}{settings}"
+
+
+def place_of(folder: Path) -> str:
+    """Return the words that name the results that a run's folder lies in; nothing for `results`, the default."""
+    place, here = folder.parents[5].absolute(), Path.cwd()
+    if place == here / "results":
+        return ""
+    return f" results_dir={shlex.quote(str(place.relative_to(here) if place.is_relative_to(here) else place))}"
 
 
 def command_of(folder: Path, stage: str) -> str:
@@ -171,7 +181,9 @@ def command_of(folder: Path, stage: str) -> str:
     recorded = read_manifest(folder / stage)["command"] if exists(folder / stage / MANIFEST) else ""
     if command and "~" not in folder.name and (CONF_DIR / "env" / f"{folder.parts[-5]}.yaml").is_file():
         return command
-    return recorded if recorded.startswith("otr-run ") else command or "the command that made the run"
+    if recorded.startswith("otr-run "):
+        return re.sub(r" results_dir=\S+", "", recorded) + place_of(folder)
+    return command or "the command that made the run"
 
 
 def program_of(config: ExportConfig, run: RunConfig, policy: Any) -> str | bytes:
@@ -282,6 +294,6 @@ def _no_such_run(run: str, runs: Path) -> str:
     near = difflib.get_close_matches(wanted, there, n=3, cutoff=0.6)
     lines = [f"run={run}: there is no such folder, here or below {runs}."]
     lines += [f"Did you mean {' or '.join(near)}?"] if near else []
-    command = run_command(Path("runs") / wanted)
+    command = run_command(runs / wanted)
     lines.append(f"To make it: {command}" if command else "A run's folder is runs/ENV/METHOD/depth-D/BUDGET/seed-S.")
     return "\n".join(lines)

@@ -36,7 +36,7 @@ def show_result(summary: dict[str, Any], run_dir: Path, whole: Path) -> None:
     if "polish" in summary:
         lines.append(_polished(summary["polish"]))
     if "certify" in summary:
-        lines.append(_proof(summary["certify"]))
+        lines.append(proof_line(summary["certify"]))
     if "simplify" in summary:
         lines += _simplified(summary["simplify"], whole)
     if "leaves" in summary:
@@ -74,7 +74,7 @@ def _likeness(oracle: dict[str, Any]) -> str:
     return f"oracle {oracle['hidden_widths']}: the tree {like}"
 
 
-def _proof(report: dict[str, Any]) -> str:
+def proof_line(report: dict[str, Any]) -> str:
     """Return what the certificate says, in words."""
     if not report["certified"]:
         return f"no certificate on {report['domain']}: {report['reason']}"

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 
 import otr
+from otr.core.smooth_network import SmoothNetwork
 from tests.core.strategies import Case, assert_same_answers, cases, make_network, worked_network
 
 X = np.array([0.5, -0.5])
@@ -82,3 +83,19 @@ def test_memory_is_at_most_twice_what_is_returned() -> None:
     tracemalloc.stop()
     returned = sum(array.nbytes for array in (tree.P, tree.v, tree.M, tree.c, tree.children_left, tree.children_right))
     assert peak <= 2 * returned
+
+
+def test_only_a_network_of_relu_units_has_a_tree() -> None:
+    smooth = SmoothNetwork([[[1.0, 2.0]], [[1.0]]], [[0.0], [0.0]], activation="tanh")
+    for what in (otr.map_network, otr.PatternTree, otr.minimal_tree):
+        with pytest.raises(TypeError, match="SmoothNetwork, expected a ReluNetwork"):
+            what(smooth)
+    network = otr.ReluNetwork([[[1.0, 2.0]]], [[0.0]])
+    for ask in (
+        lambda: otr.prune_unreached(network, [[0.0, 0.0]]),
+        lambda: otr.refit_tests(network, [[0.0, 0.0]]),
+        lambda: otr.within(otr.PatternTree(network), (-1.0, 1.0), 0.1),
+        lambda: otr.output_range(network, (-1.0, 1.0)),
+    ):
+        with pytest.raises(TypeError, match="expected an ObliqueTree"):
+            ask()

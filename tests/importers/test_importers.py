@@ -207,7 +207,10 @@ def test_code_in_a_model_file_is_not_run(tmp_path: Path) -> None:
             value[":serialized:"] = base64.b64encode(bomb).decode()
     members = {"data": json.dumps(data).encode(), "pytorch_variables.pth": bomb, "actor.optimizer.pth": bomb}
     rewrite(tmp_path / "model.zip", tmp_path / "crafted.zip", members)
-    assert_predicts_as(model, otr.from_sb3(tmp_path / "crafted"))
+    with pytest.raises(otr.InvalidNetworkError, match="give action_low="):
+        otr.from_sb3(tmp_path / "crafted")
+    box = model.action_space
+    assert_predicts_as(model, otr.from_sb3(tmp_path / "crafted", action_low=box.low, action_high=box.high))
     assert not sentinel.exists()
 
     saved = io.BytesIO()
@@ -225,8 +228,8 @@ def test_what_a_file_does_not_tell_is_asked_for(tmp_path: Path) -> None:
         data = json.loads(archive.read("data"))
     space, kwargs = data["action_space"], data["policy_kwargs"]
     changes = [
-        ({"action_space": {**space, "low": "[-2. ... -2.]"}}, "give action_low="),
-        ({"action_space": {**space, "high": None}}, "give action_high="),
+        ({"action_space": {**space, ":serialized:": data["policy_kwargs"][":serialized:"]}}, "give action_low="),
+        ({"action_space": {**space, ":serialized:": "AAAA"}}, "give action_low="),
         ({"policy_kwargs": {**kwargs, "activation_fn": "functools.partial(LeakyReLU, 0.2)"}}, "give negative_slope="),
         ({"policy_class": {"__module__": "__main__"}}, "from '__main__'"),
     ]

@@ -24,7 +24,7 @@ CONSTANTS = {
     "scale": RNG.uniform(0.5, 2, size=3), "half": np.array([2.0, 0.5]), "middle": np.array([1.0, -3.0]),
     "low": np.array(-0.5), "high": np.array(0.75), "lows": np.array([-0.5, -1.0]), "highs": np.array([0.75, 0.25]),
     "two": np.array([2.0]), "axes": np.array([1]), "vector": np.array([-1, 3]), "minus": np.array(-1.0),
-    "all": np.array([0, -1]), "three axes": np.ones((1, 1, 2)),
+    "all": np.array([0, -1]), "three axes": np.ones((1, 1, 2)), "yes": np.array(True), "no": np.array(False),
 }  # fmt: skip
 HIDDEN = [("Gemm", ["x", "W1", "b1"], "z", {"transB": 1}), ("Relu", ["z"], "a")]
 LAST = ("Gemm", ["a", "W2", "b2"], "y", {"transB": 1})
@@ -87,7 +87,8 @@ READ = {
     "argmax": [*HIDDEN, (*LAST[:2], "u", LAST[3]), ("ArgMax", ["u"], "y", {"axis": 1, "keepdims": 0})],
     "nothing done": [("Flatten", ["x"], "f"), ("Reshape", ["f", "vector"], "g"), ("Identity", ["g"], "h"),
                      ("Reshape", ["h", "all"], "i"), ("Cast", ["i"], "j", {"to": TensorProto.DOUBLE}),
-                     ("Dropout", ["j"], "k"), ("Gemm", ["k", "W1", "b1"], "z", {"transB": 1}), HIDDEN[1], LAST],
+                     ("Dropout", ["j", "", "no"], "k"), ("Gemm", ["k", "W1", "b1"], "z", {"transB": 1}), HIDDEN[1],
+                     LAST],
     "constants as nodes": [("Transpose", ["W1"], "t"), ("Constant", [], "b", {"value": numpy_helper.from_array(B1)}),
                            ("MatMul", ["x", "t"], "u"), ("Add", ["u", "b"], "z"), HIDDEN[1], LAST],
 }  # fmt: skip

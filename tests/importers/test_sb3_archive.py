@@ -202,3 +202,18 @@ def test_text_that_is_no_description(tmp_path: Path, data: bytes) -> None:
     rewrite(tmp_path / "model.zip", tmp_path / "odd.zip", {"data": data})
     with pytest.raises((otr.ArtefactError, otr.InvalidNetworkError)):
         otr.from_sb3(tmp_path / "odd")
+
+
+@pytest.mark.parametrize("algorithm", [PPO, SAC])
+def test_the_action_box_is_exact_however_numpy_prints(tmp_path: Path, algorithm: type) -> None:
+    """Stable-Baselines3 writes the box as text, by numpy's options of the moment, beside the pickle."""
+    env = WideBox()
+    model = build(algorithm, env, {"vf": [8]} if algorithm is PPO else {"qf": [8]}, [3])
+    with np.printoptions(precision=1, suppress=True, threshold=2):
+        model.save(tmp_path / "model")
+    with zipfile.ZipFile(tmp_path / "model.zip") as archive:
+        assert "0.3333" not in json.loads(archive.read("data"))["action_space"]["high"]
+    network = otr.from_sb3(tmp_path / "model")
+    np.testing.assert_array_equal(network.head.low, env.action_space.low)
+    np.testing.assert_array_equal(network.head.high, env.action_space.high)
+    assert_predicts_as(model, network)

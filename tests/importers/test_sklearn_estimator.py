@@ -10,9 +10,10 @@ import skops.io
 from sklearn.base import BaseEstimator
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 from sklearn.ensemble import RandomForestClassifier
-from sklearn.linear_model import LogisticRegression, PoissonRegressor, Ridge, SGDClassifier
+from sklearn.linear_model import LogisticRegression, PoissonRegressor, Ridge, RidgeClassifier, SGDClassifier
+from sklearn.model_selection import GridSearchCV
 from sklearn.neural_network import MLPClassifier, MLPRegressor
-from sklearn.pipeline import make_pipeline
+from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, PolynomialFeatures, RobustScaler, StandardScaler
 from sklearn.svm import SVC, LinearSVC
 from sklearn.tree import DecisionTreeClassifier
@@ -99,7 +100,9 @@ class Reversed(LogisticRegression):
         (Reversed(), TWO, "predicts otherwise than its coefficients"),
         (make_pipeline(MinMaxScaler(clip=True), Ridge()), TARGETS, "clips the states, which no layer does"),
         (make_pipeline(PolynomialFeatures(), Ridge()), TARGETS, r"has the step PolynomialFeatures\(\); StandardScaler"),
-        (make_pipeline(StandardScaler()), None, r"expected a fitted MLPClassifier.* got StandardScaler\(\); call fit"),
+        (make_pipeline(StandardScaler()), None, r"expected a fitted .* got StandardScaler\(\); one of another kind"),
+        (GridSearchCV(Ridge(), {"alpha": [1.0, 2.0]}), TARGETS, r"got GridSearchCV\(.*; one of another kind cannot"),
+        (RidgeClassifier(), np.column_stack((TWO, TWO)) == TWO[0], "predicts several labels at once"),
         (DecisionTreeClassifier(), TWO, r"DecisionTreeClassifier\(\); .*otr.learners.from_sklearn_tree"),
     ],
 )
@@ -108,10 +111,21 @@ def test_what_is_refused(estimator: Any, targets: np.ndarray | None, message: st
         otr.from_sklearn(estimator.fit(X, targets))
 
 
-@pytest.mark.parametrize("given", [Ridge(), make_pipeline(StandardScaler(), mlp()), None])
+@pytest.mark.parametrize("given", [Ridge(), make_pipeline(StandardScaler(), mlp())])
 def test_what_is_not_fitted(given: Any) -> None:
     with pytest.raises(otr.InvalidNetworkError, match="call fit first"):
         otr.from_sklearn(given)
+    with pytest.raises(otr.InvalidNetworkError, match="got None; it is no estimator"):
+        otr.from_sklearn(None)
+
+
+@pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")
+def test_one_class_is_always_predicted() -> None:
+    estimator = mlp().fit(X, np.full(len(X), 3))
+    network = otr.from_sklearn(estimator)
+    states = 100 * np.random.default_rng(1).normal(size=(200, X.shape[1]))
+    assert not network.predict(states).any()
+    np.testing.assert_array_equal(network.weights[0], estimator.coefs_[0].T)
 
 
 class Foreign(BaseEstimator):
@@ -165,3 +179,9 @@ def test_what_is_no_skops_file(tmp_path: Path) -> None:
         archive.writestr("schema.json", bytes(2**26 + 1))
     with pytest.raises(otr.ArtefactError, match="nothing was unpacked"):
         otr.from_sklearn(path)
+
+
+@pytest.mark.parametrize("nothing", ["passthrough", None])
+def test_a_first_step_that_does_nothing(nothing: str | None) -> None:
+    estimator = Pipeline([("nothing", nothing), ("model", Ridge())]).fit(X, TARGETS)
+    np.testing.assert_allclose(otr.from_sklearn(estimator).predict(X), estimator.predict(X).reshape(len(X), -1))

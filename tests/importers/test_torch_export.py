@@ -278,3 +278,13 @@ def test_numbers_of_other_types() -> None:
     tied = nn.Sequential(nn.Linear(4, 4), nn.ReLU(), nn.Linear(4, 4))
     tied[2].weight = tied[0].weight
     assert_answers(otr.from_torch(exported(tied)), tied)
+
+
+def test_a_constant_argument_and_a_layer_that_cannot_be_read_are_named() -> None:
+    module = Policy(lambda m, x: m.two(torch.relu(m.one(x))))
+    module.forward = lambda x, factor: factor * module.two(torch.relu(module.one(x)))  # type: ignore[method-assign]
+    with pytest.raises(otr.InvalidNetworkError, match="beside the states; export the module with these alone"):
+        otr.from_torch(torch.export.export(module, (STATES[:1], 2.0)))
+    normed = nn.Sequential(nn.Linear(4, 5), nn.BatchNorm1d(5), nn.ReLU(), nn.Linear(5, 2))
+    with pytest.raises(otr.InvalidNetworkError, match=r"\(batch_norm\) cannot be read"):
+        otr.from_torch(exported(normed))

@@ -163,3 +163,23 @@ def with_weight(weight: torch.Tensor) -> nn.Module:
 def test_tensors_that_are_no_matrices_of_numbers_are_refused(make: Callable, message: str) -> None:
     with pytest.raises(otr.InvalidNetworkError, match=message):
         otr.from_torch(make())
+
+
+def test_a_layer_that_stands_twice_is_read_twice() -> None:
+    torch.manual_seed(0)
+    relu, linear = nn.ReLU(), nn.Linear(4, 4)
+    block = nn.Sequential(linear, relu)
+    X = np.random.default_rng(0).normal(size=(50, 4))
+    for module in (nn.Sequential(nn.Linear(4, 5), relu, nn.Linear(5, 4), relu, linear), nn.Sequential(block, block)):
+        with torch.no_grad():
+            expected = module.double()(torch.from_numpy(X)).numpy()
+        network = otr.from_torch(module)
+        assert network.n_hidden == (9 if len(module) == 5 else 8)
+        np.testing.assert_allclose(network.predict(X), expected, atol=1e-12)
+
+
+def test_the_head_of_a_module_that_ends_in_tanh() -> None:
+    module = nn.Sequential(nn.Linear(3, 2), nn.Tanh())
+    assert otr.from_torch(module, head=otr.TanhBox(-1.0, 1.0)).head == otr.TanhBox(-1.0, 1.0)
+    with pytest.raises(otr.InvalidNetworkError, match=r"the module ends in Tanh: TanhBox\(-1, 1\); leave head out"):
+        otr.from_torch(module, head=otr.TanhBox(-2.0, 2.0))

@@ -157,6 +157,11 @@ def test_validation_is_checked(fingerprints):
         OTRClassifier().fit(X, y, validation=(X[:1], ["perhaps"]))
     with pytest.raises(ValueError, match="validation has 2 rows of X and 1 of y"):
         OTRClassifier().fit(X, y, validation=(X[:2], y[:1]))
+    for validation in ((X[:2], y[:2], [1.0, 0.0]), X[:2]):
+        with pytest.raises(ValueError, match="validation is no pair"):
+            OTRClassifier().fit(X, y, validation=validation)
+    with pytest.raises(ValueError, match="seeds is empty"):
+        OTRClassifier().fit_seeds(X, y, [])
     with pytest.raises(NotFittedError):
         OTRClassifier().prune(X)
     with pytest.raises(ValueError, match="a tree of 2\\*\\*13 leaves; the limit max_leaves is 4096"):
@@ -197,3 +202,32 @@ def test_targets_of_validation_rows_have_as_many_columns() -> None:
         OTRRegressor((2,), epochs=2).fit(X, X[:, :2], validation=(X, X[:, :1]))
     with pytest.raises(ValueError, match="y of validation has 3 columns, and y has 2"):
         LinearTreeRegressor().fit(X, X[:, :2], validation=(X, X))
+
+
+@pytest.mark.parametrize("scale", [1e-13, 1e-11, 1e11])
+def test_units_do_not_matter(scale: float) -> None:
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(100, 3))
+    y = X[:, 0] * 2 + np.abs(X[:, 1])
+    for model in (OTRRegressor(random_state=0, epochs=20), LCNRegressor(3, random_state=0, epochs=20)):
+        assert model.fit(X, y * scale).score(X, y * scale) == pytest.approx(model.fit(X, y).score(X, y), abs=1e-6)
+    for model in (OTRRegressor(random_state=0, epochs=20), LinearTreeRegressor(standardize=True)):
+        assert model.fit(X * scale, y).score(X * scale, y) == pytest.approx(model.fit(X, y).score(X, y), abs=1e-6)
+
+
+def test_a_constant_target_is_learnt_exactly() -> None:
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(100, 3))
+    Y = np.column_stack((X[:, 0], np.full(100, 1e-6)))
+    for model in (OTRRegressor(random_state=0, epochs=5), LCNRegressor(3, random_state=0, epochs=5)):
+        np.testing.assert_allclose(model.fit(X, Y).predict(X)[:, 1], 1e-6, rtol=1e-12)
+
+
+@pytest.mark.parametrize("hidden", [0, 4])
+def test_lcn_of_one_neuron(hidden: int) -> None:
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(200, 3))
+    y = np.sign(X[:, 0])
+    model = LCNRegressor(1, hidden=hidden, epochs=20, random_state=0).fit(X, y)
+    assert model.tree_.n_leaves == 2 and model.score(X, y) > 0.2
+    assert LCNClassifier(1, epochs=200, random_state=0).fit(X, y).score(X, y) > 0.8

@@ -379,3 +379,26 @@ def test_what_rounding_hides_is_told(head: otr.Head, condition: otr.Condition, t
 def test_a_box_of_no_width_is_refused() -> None:
     with pytest.raises(ValueError, match="nearer than float64 resolves"):
         otr.output_range(one_leaf(), ([0.0], [5e-324]))
+
+
+def test_a_bound_that_is_told_is_itself_kept() -> None:
+    tree = otr.ObliqueTree([], [], np.zeros((0, 1)), [], [[[1.0]]], [[0.0]])
+    for high in np.random.default_rng(0).uniform(0.1, 1.0, 50):
+        told = otr.find_violation(tree, Condition([0.1], [0.0], 1.0), (-high, high))
+        assert otr.find_violation(tree, Condition([0.1], [0.0], told.value), (-high, high)).holds
+        assert Fraction(told.value) >= Fraction(0.1) * Fraction(high)
+
+
+def test_labels_that_no_output_stands_for_and_other_bad_numbers_are_told() -> None:
+    box = ([-1.0, -1.0], [1.0, 1.0])
+    for labels in ([0, 7], [0, -1]):
+        tree = otr.ObliqueTree([~0], [~1], [[1.0, 0.0]], [0.0], np.zeros((2, 1, 2)), [[0.0], [1.0]], labels=labels)
+        with pytest.raises(ValueError, match="is none of the 1 outputs"):
+            otr.find_violation(tree, Condition([0.0, 0.0], [1.0], 0.5), box)
+    tree = otr.map_network(make_network(np.random.default_rng(0), (3,), n_inputs=2, n_outputs=1))
+    for tolerance in (-1.0, np.nan, np.inf):
+        with pytest.raises(ValueError, match="tolerance is"):
+            otr.find_violation(tree, Condition([0.0, 0.0], [1.0], 0.5), box, tolerance=tolerance)
+    with pytest.raises(ValueError, match=r"half spaces have P of shape \(1,\), expected \(2,\)"):
+        given = (otr.HalfSpace([1.0], 0.0, is_above=True),)
+        otr.find_violation(tree, Condition([0.0, 0.0], [1.0], 0.5, given), box)

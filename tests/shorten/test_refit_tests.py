@@ -114,3 +114,6 @@ def test_threshold_is_in_the_widest_of_the_best_gaps():
 def test_what_makes_no_sense_is_refused(words, message):
     with pytest.raises(ValueError, match=message):
         refit_tests(TREE, X, **words)
+    for number in (np.nan, np.inf):
+        with pytest.raises(ValueError, match="not finite"):
+            refit_tests(TREE, np.full_like(X, number))

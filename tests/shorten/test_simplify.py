@@ -172,3 +172,38 @@ def test_no_bound_is_promised_of_labels_that_no_test_decides(head: otr.Argmax | 
     ):
         with pytest.raises(ValueError, match="no test of the tree decides the label"):
             ask()
+
+
+@pytest.mark.parametrize("high", [1e9, 1e11, 3.4e38])
+def test_the_bound_holds_in_a_box_much_wider_than_what_is_visited(high: float) -> None:
+    """What is visited may be thinner than any width that float64 knows beside the box's."""
+    tree = otr.parse_program("if v <= 0: 0\nelif v <= 5: x\nelse: 0", ["x", "v"])
+    box = ([-4.8, -high], [4.8, high])
+    X = np.random.default_rng(0).uniform([-4.8, -3], [4.8, 8], (200, 2))
+    none = tree.replace(M=0 * tree.M)
+    assert largest_difference(tree, none, box) == pytest.approx(4.8)
+    simpler = otr.simplify(tree, otr.within(tree, box, 0.1), X).tree
+    assert np.abs(simpler.predict(X) - tree.predict(X)).max() <= 0.1 and simpler.n_leaves == 3
+
+
+def test_tests_that_only_rounding_tells_apart_are_one() -> None:
+    tree = otr.parse_program("if 2.9 * x <= 1.68: 0\nelif 3 * x + 7 * y <= 4.9: 500\nelse: 1000", ["x", "y"])
+    scaled = tree.replace(P=tree.P / 2.9, v=tree.v / 2.9)
+    turned = scaled.replace(
+        P=-scaled.P, v=-scaled.v, children_left=tree.children_right, children_right=tree.children_left
+    )
+    for other in (scaled, turned):
+        assert largest_difference(tree, other, (0.0, 60.0)) == 0.0
+    moved = tree.v.copy()
+    moved[0] *= 1 + 1e-12
+    assert largest_difference(tree, tree.replace(v=moved), (0.0, 60.0)) >= 500.0
+
+
+def test_no_change_is_made_that_the_judge_was_not_asked_about() -> None:
+    tree = otr.ObliqueTree([~0], [~1], [[2.9]], [-1.68], np.zeros((2, 1, 1)), [[0.0], [1000.0]])
+    kept = otr.simplify(tree, lambda candidate: False, [[0.5], [1.58]]).tree
+    assert kept.P.tolist() == [[2.9]] and kept.v.tolist() == [-1.68]
+    scaled = otr.simplify(tree, otr.within(tree, (0.0, 60.0), 0.0), [[0.5], [1.58]], refit=False, digits=()).tree
+    assert scaled.P.tolist() == [[1.0]]
+    far = otr.ObliqueTree([~0], [~1], [[1e-300]], [1e10], np.zeros((2, 1, 1)), [[0.0], [1000.0]])
+    assert otr.simplify(far, lambda candidate: candidate.c.max() == 1000.0, [[0.5]], digits=()).tree.c.max() == 1000.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -35,10 +36,10 @@ class SearchSettings:
 
     def __post_init__(self) -> None:
         """Raise ValueError for a number that makes no search."""
-        if not 1 <= self.n_top <= self.n_directions:
+        if not 1 <= operator.index(self.n_top) <= operator.index(self.n_directions):
             raise ValueError(f"n_top={self.n_top} of n_directions={self.n_directions}: give 1 <= n_top <= n_directions")
         for name in ("step_size", "noise"):
-            if not getattr(self, name) > 0:
+            if not 0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name}={getattr(self, name)}: give a number above 0")
         for name in ("step_size_end", "noise_end"):
             if not 0 <= getattr(self, name) <= 1:

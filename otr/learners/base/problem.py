@@ -30,12 +30,13 @@ class Problem:
         self.X_valid: FloatArray | None = None  # the same for the rows that choose the epoch
         self.Y_valid: FloatArray | None = None
         self.mean, self.scale = np.zeros(X.shape[1]), np.ones(X.shape[1])  # (d,)
-        # (L,): y_mean + y_scale * output are the outputs for the targets as they were given
+        # (L,): y_mean + y_scale * output are the outputs for the targets as they were given; 0 for a constant target
         self.y_mean, self.y_scale = np.zeros(Y.shape[1]), np.ones(Y.shape[1])
 
     def standardise_inputs(self) -> None:
         """Shift and scale X to mean 0 and standard deviation 1 on the training rows, as they are weighted."""
-        self.mean, self.scale = self._moments(self.X)
+        self.mean, deviation = mean_and_deviation(self.X, self.weights)
+        self.scale = _divisor(deviation)
         self.X = (self.X - self.mean) / self.scale
         if self.X_valid is not None:
             self.X_valid = (self.X_valid - self.mean) / self.scale
@@ -48,13 +49,11 @@ class Problem:
             if self.Y_valid is not None:
                 self.Y_valid = self.Y_valid / means
             return
-        self.y_mean, self.y_scale = self._moments(self.Y)
-        self.Y = (self.Y - self.y_mean) / self.y_scale
+        self.y_mean, self.y_scale = mean_and_deviation(self.Y, self.weights)
+        self.Y = (self.Y - self.y_mean) / _divisor(self.y_scale)
         if self.Y_valid is not None:
-            self.Y_valid = (self.Y_valid - self.y_mean) / self.y_scale
+            self.Y_valid = (self.Y_valid - self.y_mean) / _divisor(self.y_scale)
 
-    def _moments(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return mean and standard deviation of each column; 1 for the deviation of what is constant up to rounding."""
-        mean, deviation = mean_and_deviation(values, self.weights)
-        deviation[deviation <= 1e-12 * np.maximum(1.0, np.abs(mean))] = 1.0
-        return mean, deviation
+
+def _divisor(deviation: FloatArray) -> FloatArray:
+    return np.where(deviation > 0, deviation, 1.0)

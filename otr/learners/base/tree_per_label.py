@@ -60,6 +60,7 @@ class TreeLearner(TreeAnswers, ABC):
             ValueError: a parameter that is not what it may be, y of one class only, a label that all rows lack, shapes
                 that do not agree, weights that are negative or all 0, or those of classes that are none.
         """
+        _require_pair(validation)
         self._fit_problem(self._problem(X, y, sample_weight, validation))
         return self
 
@@ -114,6 +115,11 @@ class TreeLearner(TreeAnswers, ABC):
         return problem
 
 
+def _require_pair(validation: Validation) -> None:
+    if validation is not None and (not isinstance(validation, tuple | list) or len(validation) != 2):
+        raise ValueError("validation is no pair (X, y); its rows all count alike, so that it takes no weights")
+
+
 class NetworkLearner(TreeLearner):
     """Base of the learners of networks, which many labels and seeds train together."""
 
@@ -139,6 +145,9 @@ class NetworkLearner(TreeLearner):
         Each comes out as `fit` alone would make it, up to rounding; this one stays as it is. Arguments and errors are
         those of `fit`.
         """
+        _require_pair(validation)
+        if not len(seeds):
+            raise ValueError("seeds is empty; give one at least")
         first = copy.copy(self)  # which is told of the data, and not this estimator
         problem = first._problem(X, y, sample_weight, validation)
         trained = first._train(problem, seeds)

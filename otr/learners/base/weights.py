@@ -11,6 +11,8 @@ from sklearn.utils.validation import _check_sample_weight
 
 from otr.core.arrays import FloatArray
 
+_CONSTANT = 1e-12  # deviation, beside the largest number of a column, that rounding alone may make
+
 ClassWeight = Mapping[Any, float] | Literal["balanced"] | None
 
 
@@ -69,8 +71,11 @@ def _named_weights(class_weight: Mapping[Any, float], classes: list[Any]) -> Flo
 
 
 def mean_and_deviation(values: FloatArray, weights: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    """Return mean and standard deviation (d,) of the columns of values (n, d), whose rows may be weighted."""
-    if weights is None:
-        return values.mean(axis=0), values.std(axis=0)
+    """Return mean and standard deviation (d,) of the columns of values (n, d), whose rows may be weighted.
+
+    The deviation of a column that is constant, but for rounding, is 0.
+    """
     mean = np.average(values, axis=0, weights=weights)
-    return mean, np.sqrt(np.average((values - mean) ** 2, axis=0, weights=weights))
+    deviation = np.sqrt(np.average((values - mean) ** 2, axis=0, weights=weights))
+    deviation[deviation <= _CONSTANT * np.abs(values).max(axis=0)] = 0.0
+    return mean, deviation

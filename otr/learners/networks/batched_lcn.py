@@ -196,7 +196,9 @@ class BatchedLcns(BatchedModels[LcnNetwork]):
         else:
             derivatives = loss_derivatives(self.loss, outputs.detach(), targets, weights, smoothing)
         wanted = [A, products, *small.values()] + ([] if seen is products else [seen])
-        d_A, d_products, *others = torch.autograd.grad(outputs, wanted, derivatives)
+        # A network of one neuron has no links; their gradient is 0.
+        made = torch.autograd.grad(outputs, wanted, derivatives, allow_unused=True, materialize_grads=True)
+        d_A, d_products, *others = made
         by_rows = d_products.transpose(1, 2).reshape(S, -1, L * M)
         table_gradient = batch.transposed_times(by_rows)
         if input_masks is not None:

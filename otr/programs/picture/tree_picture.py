@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from otr.core.merging import merge_equal_leaves
 from otr.core.tree import ObliqueTree
-from otr.programs.names import one_line, require_tree, shown_names
+from otr.programs.names import check_tree, one_line, shown_names
 from otr.programs.picture.boxes import NodeBox, tree_boxes, visits_of
 from otr.programs.picture.branches import branches
 from otr.programs.picture.formulas import Style
@@ -33,7 +33,7 @@ def tree_scene(
     title: str | None,
 ) -> Scene:
     """Return the picture of a tree; arguments and errors are those of `draw_tree`."""
-    require_tree(tree)
+    check_tree(tree)
     for name, value, least in (("precision", precision, 1), ("max_terms", max_terms, 1), ("max_depth", max_depth, 0)):
         if value is not None and value < least:
             raise ValueError(f"{name} is {value}, expected at least {least}")

@@ -24,8 +24,10 @@ COLUMNS = 10  # of frames in a sprite
 QUALITY = 30  # of a sprite (WebP), of 100
 
 
-def record(tree: otr.ObliqueTree, env: EnvConfig, seed: int, *, n_frames: int, width: int) -> dict[str, Any]:
-    """Play the episode that starts from `reset(seed)` and return it as JSON-able data.
+def record(
+    tree: otr.ObliqueTree, env: EnvConfig, seed: int, *, n_frames: int, width: int
+) -> tuple[dict[str, Any], NDArray[Any]]:
+    """Play the episode that starts from `reset(seed)` and return it as JSON-able data, and its states (k, d).
 
     Args:
         tree: the policy; leaves are numbered as in it.
@@ -69,7 +71,7 @@ def record(tree: otr.ObliqueTree, env: EnvConfig, seed: int, *, n_frames: int, w
     X = np.array(states)
     low, high = X.min(axis=0), X.max(axis=0)
     answers = np.asarray(tree.predict(X))
-    return {
+    episode = {
         "seed": seed,
         "return": float(played.returns[0]),
         "n_steps": length,
@@ -82,6 +84,7 @@ def record(tree: otr.ObliqueTree, env: EnvConfig, seed: int, *, n_frames: int, w
         "answers": packed(answers.astype("<f4")),
         **({"frame_stride": frame_stride, **_sprite(frames, width)} if frames else {"no_frames": _first_line(why_not)}),
     }
+    return episode, X
 
 
 def packed(values: NDArray[Any]) -> dict[str, Any]:

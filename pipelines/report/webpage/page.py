@@ -6,7 +6,6 @@ import base64
 import gzip
 import json
 import os
-import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -28,6 +27,7 @@ from pipelines.report.frames import load_fits, load_runs
 from pipelines.report.text import write_file
 from pipelines.report.webpage.front import cell_table, figures_data, name_of_cell, plain_table, with_pruned_trees
 from pipelines.report.webpage.policy import policy_data
+from pipelines.runs.export import place_of
 
 SCRIPTS = ("vendor/d3-hierarchy.min.js", "vendor/uPlot.iife.min.js", "tree.js", "drawing.js", "view.js", "page.js")
 STYLES = ("vendor/uPlot.min.css", "page.css")
@@ -193,9 +193,8 @@ def _write(
             why.append(f"{each.group}, {each.name}: {error}")
             continue
         folder = Path(os.path.relpath(each.folder.absolute(), out.absolute().parent)).as_posix()
-        results, _, run = f"/{each.folder.as_posix()}".rpartition("/runs/")
-        place = "" if results == "/results" else f" results_dir={shlex.quote(results[1:] or '.')}"
-        command = f"otr-export run={run} tree={each.form} format=NAME{place}"
+        run = Path(*each.folder.parts[-5:]).as_posix()
+        command = f"otr-export run={run} tree={each.form} format=NAME{place_of(each.folder)}"
         data |= {"about": f"{each.group}, {each.name}, {each.form} tree", "folder": folder, "export_command": command}
         blocks.append(_stored(f"policy-{i}", data, "policy"))
         choices.append((f"policy-{i}", each.group, each.name))

@@ -15,11 +15,13 @@ from otr.programs.picture.colours import LABELS, level_colour
 from otr.programs.walk import in_printed_order
 from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import evaluation_seeds
+from pipelines.engine.store import read_json
 from pipelines.errors import PipelineError
 from pipelines.play.environments import action_names, feature_names, spaces, state_limits
 from pipelines.report.webpage.episode import packed, record
 from pipelines.report.webpage.units import unit_of
 from pipelines.runs.export import title_of, tree_of, visited_states
+from pipelines.runs.result import proof_line
 
 EXPORTS: dict[str, Callable[..., str]] = {
     "C": otr.to_c,
@@ -49,9 +51,10 @@ def policy_data(
     """
     tree = page_tree(run, folder, form)
     env, space = run.env, spaces(run.env)
-    visited = visited_states(run, tree, n_episodes=2)
     names, answers = feature_names(env, tree.n_inputs), action_names(env, tree.n_answers)
     (seed,) = evaluation_seeds(run.evaluate.first_seed, 1)
+    episode, states = record(tree, env, seed, n_frames=n_frames, width=frame_width)
+    visited = np.concatenate((visited_states(run, tree, n_episodes=2), states))
     programs = {
         language: written
         for language, write in EXPORTS.items()
@@ -65,13 +68,23 @@ def policy_data(
         "answers": answers,
         "limits": None if space.box is None else [limits.tolist() for limits in space.box],
         "tree": tree_data(tree, visited),
-        "episode": record(tree, env, seed, n_frames=n_frames, width=frame_width),
+        "episode": episode,
         "program": otr.to_text(tree, feature_names=names, output_names=answers)
         if tree.n_leaves <= LONGEST_PROGRAM
         else "",
         "exports": programs,
         "left_out": [language for language in EXPORTS if language not in programs],
+        "proof": _proof(folder, form),
     }
+
+
+def _proof(folder: Path, form: str) -> str:
+    """Return what the run's certificate says, and that it is of the minimal tree; nothing where there is none."""
+    summary = read_json(folder / "summary.json") if (folder / "summary.json").is_file() else {}
+    if "certify" not in summary:
+        return ""
+    told = proof_line(summary["certify"])
+    return told if form == "minimal" else f"{told}. The tree above is the {form} one."
 
 
 def page_tree(run: RunConfig, folder: Path, form: str) -> otr.ObliqueTree:

@@ -102,6 +102,14 @@ def test_the_page_needs_no_network_and_its_scripts_are_whole(car: str) -> None:
     assert "$" + "title" not in car and "<title>mountaincar: otr, depth 1, seed 0</title>" in car
 
 
+def test_what_acts_in_the_episode_is_visited_and_proofs_are_told(car: str) -> None:
+    (data,) = stored(car)
+    shares = unpacked(data["tree"]["shares"])
+    assert (shares[unpacked(data["episode"]["leaves"])] > 0).all()
+    assert data["proof"].startswith("certificate: the minimal tree, of ")
+    assert data["proof"].endswith("otr-verify checks it again. The tree above is the pruned one.")
+
+
 def test_names_are_names_whatever_is_in_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     evil = "</script><img src=x onerror=alert(1)>"
     monkeypatch.setattr("pipelines.report.webpage.policy.feature_names", lambda env, n: [evil, "$style"])
@@ -134,7 +142,8 @@ def test_a_long_episode_is_thinned_and_one_without_pictures_says_why(monkeypatch
         raise PipelineError("video: it cannot be rendered here (no screen). MuJoCo needs a screen")
 
     monkeypatch.setattr("pipelines.report.webpage.episode.renderable", no_screen)
-    episode = record(tree, config_of(LANDER).env, 1000, n_frames=5, width=32)
+    episode, states = record(tree, config_of(LANDER).env, 1000, n_frames=5, width=32)
+    assert len(states) == len(unpacked(episode["leaves"]))
     assert episode["stride"] == -(-episode["n_steps"] // 50) > 1
     assert unpacked(episode["leaves"]).shape == (-(-episode["n_steps"] // episode["stride"]),)
     assert episode["no_frames"] == "video: it cannot be rendered here (no screen)." and "sprite" not in episode

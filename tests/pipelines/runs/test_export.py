@@ -153,18 +153,23 @@ def test_a_run_with_a_digest_is_told_the_command_that_made_it(export, tmp_path):
     path.write_text(json.dumps(json.loads(path.read_text()) | {"command": "otr-run env=lunarlander model=a.zip"}))
     done = export(f"run={run}", "format=c", "tree=simplified")
     assert done.returncode == 1
-    assert "not finished there\nRun: otr-run env=lunarlander model=a.zip simplify=true" in done.stderr
+    place = f"results_dir={tmp_path}"
+    assert f"not finished there\nRun: otr-run env=lunarlander model=a.zip {place} simplify=true" in done.stderr
 
 
 @pytest.mark.parametrize(
     ("folder", "command"),
     [
-        ("runs/ant/cdt/depth-3-3/quick/seed-2", 'otr-run env=ant "depth=[3,3]" method=cdt budget=quick seed=2'),
-        ("runs/ant/otr/depth-6/thesis-fleet/seed-0", "otr-run env=ant depth=6 budget=thesis trainer=fleet seed=0"),
-        ("runs/ant/linear/depth-0/quick-ars/seed-1",
+        ("results/runs/ant/cdt/depth-3-3/quick/seed-2", 'otr-run env=ant "depth=[3,3]" method=cdt budget=quick seed=2'),
+        ("results/runs/ant/otr/depth-6/thesis-fleet/seed-0",
+         "otr-run env=ant depth=6 budget=thesis trainer=fleet seed=0"),
+        ("results/runs/ant/linear/depth-0/quick-ars/seed-1",
          "otr-run env=ant depth=0 method=linear budget=quick algo=ars seed=1"),
-        ("runs/ant/otr/depth-6/quick/seed-0~5636a33a",
+        ("results/runs/ant/otr/depth-6/quick/seed-0~5636a33a",
          "otr-run env=ant depth=6 budget=quick seed=0 and the settings that made the digest ~5636a33a"),
+        ("mine/runs/ant/otr/depth-6/quick/seed-0", "otr-run env=ant depth=6 budget=quick seed=0 results_dir=mine"),
+        ("/other/runs/ant/otr/depth-6/quick/seed-0",
+         "otr-run env=ant depth=6 budget=quick seed=0 results_dir=/other"),
         ("results/tables", None),
         ("runs/bace/otr/seed-0/fit/x", None),
     ],

@@ -270,7 +270,7 @@ class PolicyView {
     const axis = { stroke: ink, grid: { stroke: "#8884", width: 1 }, ticks: { stroke: "#8884" } };
     const chart = new uPlot({
       title, width: Math.max(280, this.chartBox.clientWidth || 800), height: 180,
-      cursor: { y: false }, scales: { x: { time: false } },
+      cursor: { y: false }, scales: { x: { time: false }, y: { range: (_, low, high) => (low === high ? [low - 1, high + 1] : uPlot.rangeNum(low, high, 0.1, true)) } },
       axes: [{ ...axis, label: "step", labelSize: 16 }, { ...axis, size: words ? 110 : 56, ...(words ? { splits: () => words.map((_, k) => k), values: (_, at) => at.map((k) => words[k] ?? "") } : {}) }],
       series: [{ label: "step" }, ...names.map((label, i) => ({ label, stroke: colour(i), width: 1.2, show: i < shown }))],
     }, data, this.chartBox);
@@ -302,7 +302,9 @@ class PolicyView {
       parts.push(element("details", {}, element("summary", {}, `In ${language}`), element("pre", { class: "program", tabindex: 0, "aria-label": language }, text), copied(text)));
     }
     if (this.data.left_out.length) parts.push(element("p", { class: "quiet" }, `${this.data.left_out.join(", ")}: too long for this page; `, element("code", {}, this.data.export_command), " writes it, with NAME one of c, python, structured_text."));
-    parts.push(element("p", { class: "quiet" }, "The run's files: ", element("a", { href: this.data.folder }, this.data.folder)));
+    if (this.data.proof) parts.push(element("p", { class: "proof" }, this.data.proof));
+    const folder = this.data.folder === "." ? "this page's folder" : this.data.folder;
+    parts.push(element("p", { class: "quiet" }, "The run's files: ", element("a", { href: this.data.folder }, folder)));
     return parts;
   }
 

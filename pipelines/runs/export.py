@@ -166,7 +166,7 @@ def run_command(folder: Path) -> str | None:
 
 def place_of(folder: Path) -> str:
     """Return the words that name the results that a run's folder lies in; nothing for `results`, the default."""
-    place, here = folder.parents[5].absolute(), Path.cwd()
+    place, here = folder.absolute().parents[4].parent, Path.cwd()
     if place == here / "results":
         return ""
     return f" results_dir={shlex.quote(str(place.relative_to(here) if place.is_relative_to(here) else place))}"

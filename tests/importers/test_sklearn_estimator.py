@@ -124,7 +124,7 @@ def test_one_class_is_always_predicted() -> None:
     estimator = mlp().fit(X, np.full(len(X), 3))
     network = otr.from_sklearn(estimator)
     states = 100 * np.random.default_rng(1).normal(size=(200, X.shape[1]))
-    assert not network.predict(states).any()
+    assert not network.predict(states).any() and (network.forward(states) == -1.0).all()
     np.testing.assert_array_equal(network.weights[0], estimator.coefs_[0].T)
 
 

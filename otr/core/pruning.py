@@ -23,6 +23,7 @@ def prune_unreached(tree: ObliqueTree | PatternTree, X: ArrayLike) -> ObliqueTre
         X: (n, d) states, at least one.
 
     Raises:
+        TypeError: `tree` is neither.
         ValueError: X is empty or of the wrong width.
     """
     states = _states(tree, X)
@@ -45,6 +46,7 @@ def prune_to_k(tree: ObliqueTree | PatternTree, X: ArrayLike, k: int) -> Oblique
         k: number of leaves to keep, at least 1.
 
     Raises:
+        TypeError: `tree` is neither, or k no integer.
         ValueError: X is empty or of the wrong width, or k < 1.
     """
     if operator.index(k) < 1:

@@ -19,7 +19,7 @@ from otr.core.network import ReluNetwork
 from otr.importers import from_sklearn
 from otr.learners.base.parameters import AT_LEAST_1, CLASS_WEIGHT, Constraints, Widths, some_of
 from otr.learners.base.single_tree import GrownClassifier, GrownRegressor
-from otr.learners.base.weights import ClassWeight, mean_and_deviation
+from otr.learners.base.weights import ClassWeight, mean_and_divisor
 from otr.learners.cart import from_sklearn_tree
 from otr.learners.model_tree import LinearModelTreeRegressor
 
@@ -196,8 +196,8 @@ class AugTreeRegressor(_AugTree, GrownRegressor):
         """
         X, targets, weights = self._checked_fit(X, y, sample_weight)
         random_state = check_random_state(self.random_state)
-        mean, scale = mean_and_deviation(targets, weights)
-        Y = (targets - mean) / np.where(scale > 0, scale, 1.0)
+        mean, scale = mean_and_divisor(targets, weights)
+        Y = (targets - mean) / scale
         A, a = self._augmentation(MLPRegressor, X, Y if Y.shape[1] > 1 else Y[:, 0], weights, random_state)
         options = {"max_depth": self.max_depth, "random_state": random_state}
         if self.min_samples_leaf is not None:

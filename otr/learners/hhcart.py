@@ -14,7 +14,7 @@ from otr.core.arrays import BoolArray, FloatArray, IntArray
 from otr.core.tree import ObliqueTree
 from otr.learners.base.parameters import AT_LEAST_0, AT_LEAST_1, CLASS_WEIGHT, Constraints
 from otr.learners.base.single_tree import GrownClassifier, GrownRegressor, class_tree
-from otr.learners.base.weights import ClassWeight, mean_and_deviation
+from otr.learners.base.weights import ClassWeight, mean_and_divisor
 from otr.learners.growing.eigenvector import dominant_direction
 from otr.learners.growing.greedy import Test, grow
 from otr.learners.growing.splits import TIE, AxisSplit, best_bit_split, best_split
@@ -223,8 +223,8 @@ class HHCARTRegressor(_Hhcart, GrownRegressor):
     def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> HHCARTRegressor:
         """Fit on X (n, d) and targets y, (n,) or (n, o); `sample_weight` (n,) counts a row as that many."""
         X, targets, weights = self._checked_fit(X, y, sample_weight)
-        mean, scale = mean_and_deviation(targets, weights)
-        Y = (targets - mean) / np.where(scale > 0, scale, 1.0)
+        mean, scale = mean_and_divisor(targets, weights)
+        Y = (targets - mean) / scale
         everyone = [np.ones(len(X), dtype=np.bool_)]
         self.tree_ = self._named(_Grower(X, Y, weights, everyone, self).tree(targets))
         return self

@@ -16,7 +16,7 @@ from sklearn.utils.validation import check_random_state
 from otr.core.arrays import FloatArray, IntArray
 from otr.learners.base.parameters import AT_LEAST_0, AT_LEAST_1, NOT_NEGATIVE, Constraints
 from otr.learners.base.single_tree import GrownRegressor
-from otr.learners.base.weights import mean_and_deviation
+from otr.learners.base.weights import mean_and_divisor
 from otr.learners.growing.greedy import Skeleton, Test, grow
 
 # A split has to lower the objective by this share of the targets' total sum of squares.
@@ -110,8 +110,8 @@ def grow_models(
     `options` holds depth, leaf size, penalty and bins. `searched` maps a node's rows, and their standardised inputs and
     targets, to the columns of `features` that are searched there. `weights` (n,) are above 0, None for one each.
     """
-    x_mean, x_scale = _standard(X, weights)
-    y_mean, y_scale = _standard(targets, weights)
+    x_mean, x_scale = mean_and_divisor(X, weights)
+    y_mean, y_scale = mean_and_divisor(targets, weights)
     Z, Y = (X - x_mean) / x_scale, (targets - y_mean) / y_scale
     min_gain = _MIN_GAIN * float(np.square(Y if weights is None else Y * np.sqrt(weights)[:, None]).sum())
 
@@ -141,12 +141,6 @@ class _ModelSplit:
     column: int
     n_left: int
     gain: float
-
-
-def _standard(values: FloatArray, weights: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    """Return mean and standard deviation of the columns, 1 where a column is constant."""
-    mean, scale = mean_and_deviation(values, weights)
-    return mean, np.where(scale > 0, scale, 1.0)
 
 
 def _midpoint(column: FloatArray, n_left: int) -> float:

@@ -182,7 +182,7 @@ def command_of(folder: Path, stage: str) -> str:
     if command and "~" not in folder.name and (CONF_DIR / "env" / f"{folder.parts[-5]}.yaml").is_file():
         return command
     if recorded.startswith("otr-run "):
-        return re.sub(r" results_dir=\S+", "", recorded) + place_of(folder)
+        return recorded + place_of(folder)  # which names no results_dir itself
     return command or "the command that made the run"
 
 

@@ -157,3 +157,11 @@ def test_a_head_clipped_to_a_box() -> None:
         KNOWN["tanh_box"][0].clipped_to(low, high)
     with pytest.raises(ValueError, match=r"a clip to 5.0 .. 6.0 leaves none of the actions \[-0.5, -1.0\] .. \[2.0"):
         otr.ClipBox(5.0, 6.0).clipped_to(low, high)
+
+
+@pytest.mark.parametrize("size", [1e-9, 1.0, 1e9])
+def test_a_narrower_clip_after_tanh_is_refused_in_any_units(size: float) -> None:
+    head = otr.TanhBox(-size, size)
+    assert head.clipped_to(np.array([-size]), np.array([size * (1 - 1e-12)])) == head
+    with pytest.raises(ValueError, match="scale the tanh to these"):
+        head.clipped_to(np.array([-0.1 * size]), np.array([0.1 * size]))

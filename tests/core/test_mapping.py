@@ -99,3 +99,5 @@ def test_only_a_network_of_relu_units_has_a_tree() -> None:
     ):
         with pytest.raises(TypeError, match="expected an ObliqueTree"):
             ask()
+    with pytest.raises(TypeError, match="integer"):
+        otr.prune_to_k(otr.map_network(network), [[0.0, 0.0]], 1.5)

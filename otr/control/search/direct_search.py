@@ -35,7 +35,7 @@ class SearchSettings:
     momentum: float = 0.0
 
     def __post_init__(self) -> None:
-        """Raise ValueError for a number that makes no search."""
+        """Raise ValueError for a number that makes no search, TypeError for a count that is no integer."""
         if not 1 <= operator.index(self.n_top) <= operator.index(self.n_directions):
             raise ValueError(f"n_top={self.n_top} of n_directions={self.n_directions}: give 1 <= n_top <= n_directions")
         for name in ("step_size", "noise"):

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from otr.core.arrays import FloatArray
-from otr.learners.base.weights import mean_and_deviation
+from otr.learners.base.weights import mean_and_deviation, mean_and_divisor
 
 
 class Problem:
@@ -35,8 +35,7 @@ class Problem:
 
     def standardise_inputs(self) -> None:
         """Shift and scale X to mean 0 and standard deviation 1 on the training rows, as they are weighted."""
-        self.mean, deviation = mean_and_deviation(self.X, self.weights)
-        self.scale = _divisor(deviation)
+        self.mean, self.scale = mean_and_divisor(self.X, self.weights)
         self.X = (self.X - self.mean) / self.scale
         if self.X_valid is not None:
             self.X_valid = (self.X_valid - self.mean) / self.scale
@@ -49,11 +48,8 @@ class Problem:
             if self.Y_valid is not None:
                 self.Y_valid = self.Y_valid / means
             return
-        self.y_mean, self.y_scale = mean_and_deviation(self.Y, self.weights)
-        self.Y = (self.Y - self.y_mean) / _divisor(self.y_scale)
+        _, self.y_scale = mean_and_deviation(self.Y, self.weights)
+        self.y_mean, divisor = mean_and_divisor(self.Y, self.weights)
+        self.Y = (self.Y - self.y_mean) / divisor
         if self.Y_valid is not None:
-            self.Y_valid = (self.Y_valid - self.y_mean) / _divisor(self.y_scale)
-
-
-def _divisor(deviation: FloatArray) -> FloatArray:
-    return np.where(deviation > 0, deviation, 1.0)
+            self.Y_valid = (self.Y_valid - self.y_mean) / divisor

@@ -79,3 +79,9 @@ def mean_and_deviation(values: FloatArray, weights: FloatArray | None) -> tuple[
     deviation = np.sqrt(np.average((values - mean) ** 2, axis=0, weights=weights))
     deviation[deviation <= _CONSTANT * np.abs(values).max(axis=0)] = 0.0
     return mean, deviation
+
+
+def mean_and_divisor(values: FloatArray, weights: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """Return what standardises the columns of values (n, d): their means, and their deviations or, of constants, 1."""
+    mean, deviation = mean_and_deviation(values, weights)
+    return mean, np.where(deviation > 0, deviation, 1.0)

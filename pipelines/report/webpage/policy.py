@@ -81,7 +81,7 @@ def policy_data(
 def _proof(folder: Path, form: str) -> str:
     """Return what the run's certificate says, and that it is of the minimal tree; nothing where there is none."""
     summary = read_json(folder / "summary.json") if (folder / "summary.json").is_file() else {}
-    if "certify" not in summary:
+    if not summary.get("certify", {}).get("certified"):
         return ""
     told = proof_line(summary["certify"])
     return told if form == "minimal" else f"{told}. The tree above is the {form} one."

@@ -83,7 +83,7 @@ class _Certification:
         self.pair, self.checker = pair, Checker(pair)
         self.max_error, self.max_regions, self.max_seconds = Fraction(max_error), max_regions, max_seconds
         self.n_programs = 0
-        self.worst = Fraction(0)
+        self.errors: dict[int, Fraction] = {}  # by leaf, of the cells that are kept
         self.began = time.monotonic()
 
     def run(self) -> Certificate:
@@ -99,7 +99,13 @@ class _Certification:
         for leaf, found in self._walked(rows, signs, balls, names).items():
             cells += self._proved(leaf, found)
         cells.sort(key=lambda cell: (cell.leaf, cell.outcomes))
-        return Certificate(domain, rounded_up(self.worst), tree.n_leaves, self.n_programs, tuple(cells))
+        return Certificate(
+            domain,
+            rounded_up(max(self.errors.values(), default=Fraction(0))),
+            tree.n_leaves,
+            self.n_programs,
+            tuple(cells),
+        )
 
     def _walked(
         self, rows: HalfSpaces, signs: NDArray[np.int8], balls: Balls, names: list[list[str]]
@@ -187,7 +193,7 @@ class _Certification:
         error = self.checker.error(cell)
         if error > self.max_error:
             return False
-        self.worst = max(self.worst, error)
+        self.errors[cell.leaf] = max(self.errors.get(cell.leaf, error), error)
         return True
 
     def _bounded(self, cell: Cell, exact: ExactCell) -> Cell:
@@ -199,6 +205,7 @@ class _Certification:
     def _exact_cells(self, leaf: int, rows: dict[str, ExactRow], point: Point) -> list[Cell]:
         """Return the cells of a leaf's region, in exact arithmetic; raise CertificateError if one differs."""
         cells: list[Cell] = []
+        self.errors.pop(leaf, None)  # of cells that these stand in for
         for exact in find_cells(self.pair, leaf, rows, point):
             self.n_programs += len(exact.outcomes)
             self._check_limits(len(cells))

@@ -74,6 +74,6 @@ def parse_program(
     source = Source(text)
     tokens = tokenize(source, [*feature_names, *(output_names or ())], FUNCTIONS)
     label_names = {name: label for label, name in enumerate(output_names or ())} if labels else {}
-    scope = Scope(source, feature_names, label_names)
+    scope = Scope(source, feature_names, label_names, () if labels else output_names or ())
     block = read_program(Cursor(source, tokens), scope)
     return Lowering(source, scope, len(feature_names), output_names, labels, max_leaves).tree(block)

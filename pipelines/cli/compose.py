@@ -12,7 +12,7 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import AnyNode, DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException, ValidationError
 
 from pipelines.cli.overrides import is_search, key_of, parse, quoted, searched_folders
@@ -237,11 +237,19 @@ def to_object(cfg: Any) -> Any:
 
 
 def schema_of(kind: type) -> DictConfig:
-    """Return a dataclass as a schema to merge into: OmegaConf makes frozen ones read-only, which is undone here."""
+    """Return a dataclass as a schema to merge into.
+
+    OmegaConf makes frozen ones read-only, which is undone here, and puts no mapping where a mapping is null, so that
+    such a setting is of any type, which its dataclass checks.
+    """
     schema: DictConfig = OmegaConf.structured(kind)
-    for node in (schema, *(schema._get_node(key) for key in schema)):
+    OmegaConf.set_readonly(schema, None)
+    for key in schema:
+        node = schema._get_node(key)
         if isinstance(node, DictConfig):
             OmegaConf.set_readonly(node, None)
+            if node._is_none():
+                schema.__dict__["_content"][key] = AnyNode(None, key=key, parent=schema)
     return schema
 
 

@@ -43,8 +43,8 @@ def how_to_use(path: Path, n_jobs: int) -> str:
     file = shlex.quote(str(path))
     wrapped = shlex.quote(f'sh -c "$(sed -n ${{SLURM_ARRAY_TASK_ID}}p {file})"')
     return (
-        f"{path}: {n_jobs} commands. Eight at a time on this machine:\n"
-        f"  tr '\\n' '\\0' < {file} | xargs -0 -P 8 -n 1 sh -c\n"
+        f"{path}: {n_jobs} commands. One a core on this machine:\n"
+        f"  tr '\\n' '\\0' < {file} | xargs -0 -P $(nproc) -n 1 sh -c\n"
         "or on Slurm:\n"
         f"  sbatch --array=1-{n_jobs} --cpus-per-task=1 --mem=4G --time=1-0 --wrap {wrapped}"
     )

@@ -15,6 +15,9 @@ def pack_results(results_dir: Path) -> int:
 
     The trees of a fit stay in their folder where they are kept: they are not committed.
     """
+    if not (results_dir / "runs").is_dir():
+        print(f"{results_dir}/runs: there is no such folder", file=sys.stderr)
+        return 1
     runs = sorted({path.parents[1] for path in (results_dir / "runs").rglob(f"[!.]*/{MANIFEST}")})
     n_failed = 0
     for run_dir in runs:
@@ -25,7 +28,7 @@ def pack_results(results_dir: Path) -> int:
         except PipelineError as error:
             n_failed += 1
             print(f"{run_dir} stays as it is: {error}", file=sys.stderr)
-    print(f"{results_dir}: {len(runs) - n_failed} runs and fits were packed, {n_failed} could not be")
+    print(f"{results_dir}: runs and fits packed: {len(runs) - n_failed}; left as they are: {n_failed}")
     return n_failed
 
 

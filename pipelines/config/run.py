@@ -125,12 +125,12 @@ class RunConfig:
         for stage in self.stages or ():
             if stage not in known:
                 raise ConfigError(f"stages: method={name} has no stage {stage!r}; it has {', '.join(known)}")
-        self._check_polishing()
         if self.certify and not is_mapped:
             raise ConfigError(
                 f"certify=true: a tree of method={name} stands for no network that it could be proved equal to; these "
                 f"do: {', '.join(name for name, method in METHODS.items() if method.is_mapped)}"
             )
+        self._check_polishing()
 
     def _check_polishing(self) -> None:
         """Refuse settings of polishing that do not go together, or not with the method."""

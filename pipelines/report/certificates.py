@@ -28,7 +28,7 @@ def write_certificates(results_dir: Path) -> list[Path]:
     Smoke budgets and runs with other settings (`seed-<s>~<digest>`) are left out.
     """
     rows = _rows(load_runs(results_dir))
-    table = markdown_table(_lines(rows), empty="No run has a certificate yet.")
+    table = markdown_table(_lines(rows), empty="No run under a budget's own settings has a certificate yet.")
     return write_tables(results_dir, "certificates", rows, page("certificates.md", table=table))
 
 

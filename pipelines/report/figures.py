@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
+
+from pipelines.engine.store import read_json
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -229,10 +232,19 @@ def set_leaf_ticks(panel: Axes, most_leaves: float) -> None:
     panel.xaxis.set_minor_locator(NullLocator())
 
 
-def panel_and_label(run_dir: Path) -> dict[str, str]:
-    """Return where a run stands in a figure of runs: its environment, and its method, depth and budget in words."""
-    env, method, depth, budget, _ = run_dir.parts[-5:]
-    return {"panel": env, "label": f"{method}, {depth.replace('-', ' ', 1)}, {budget}"}
+def panel_and_label(run_dir: Path, but: Collection[str] = ()) -> dict[str, str]:
+    """Return where a run stands in a figure of runs: its environment, and its method, depth and budget in words.
+
+    Settings other than the budget's are in the label, `but` these, or its folder's digest where no summary names them.
+    """
+    env, method, depth, budget, seed = run_dir.parts[-5:]
+    label = f"{method}, {depth.replace('-', ' ', 1)}, {budget}"
+    _, _, digest = seed.partition("~")
+    if digest:
+        summary = read_json(run_dir / "summary.json") if (run_dir / "summary.json").is_file() else {}
+        changes = re.split(r", (?=[\w.]+=)", summary.get("changes", f"settings {digest}"))
+        label = ", ".join([label, *(change for change in changes if change.partition("=")[0] not in but)])
+    return {"panel": env, "label": label}
 
 
 def legend_line(label: str, **style: Any) -> Line2D:

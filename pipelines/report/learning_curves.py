@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
+from os.path import commonpath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,7 +46,8 @@ SOURCES = (
 def load_curves(run_dirs: Sequence[Path], load_config: Callable[[Path], RunConfig]) -> pd.DataFrame:
     """Return a row for each judged policy of stages train and imitate, finished or under way.
 
-    Columns: `panel` (the environment), `label` (method, depth and budget), `run` (the folder), `spent` in units of
+    Columns: `panel` (the environment), `label` (method, depth, budget and what else is set, the steps apart, which a
+    curve shows), `run` (the folder), `spent` in units of
     `unit`, `mean` and `std` (of the return; NaN where no deviation is kept), `chosen`, `final`, the return of the tree
     over the evaluation episodes (NaN of an unfinished run), and `under_way`, `done` and `whole`: what is counted of a
     stage under way (steps or rounds; empty of a finished one), how many of it are done, and how many there will be.
@@ -59,6 +61,7 @@ def load_curves(run_dirs: Sequence[Path], load_config: Callable[[Path], RunConfi
     """
     rows: list[dict[str, Any]] = []
     for run_dir in run_dirs:
+        place = panel_and_label(run_dir, but=["train.steps"])
         final = read_json(run_dir / "summary.json")["return_mean"] if (run_dir / "summary.json").is_file() else None
         for stage, file, unit, spent, mean, std, chosen in SOURCES:
             judged: Sequence[Mapping[str, Any]]
@@ -70,13 +73,14 @@ def load_curves(run_dirs: Sequence[Path], load_config: Callable[[Path], RunConfi
             last_best = max((i for i, best in enumerate(is_chosen) if best), default=-1)
             for i, row in enumerate(judged):
                 rows.append({
-                    **panel_and_label(run_dir), "run": str(run_dir), "unit": unit, "spent": float(row[spent]),
+                    **place, "run": str(run_dir), "unit": unit, "spent": float(row[spent]),
                     "mean": float(row[mean]), "std": float(row[std]) if std else float("nan"), "chosen": i == last_best,
                     "final": float("nan") if final is None else float(final), **done,
                 })  # fmt: skip
     if not rows:
+        where = f"{commonpath(run_dirs)}: " if run_dirs else ""
         raise MissingInputError(
-            f"{run_dirs[0] if len(run_dirs) == 1 else run_dirs[0].parent}: no learning curve is kept there; one "
+            f"{where}no learning curve is kept there; one "
             "under way begins with its first evaluation, and programs (method=program) are not trained"
         )
     return pd.DataFrame(rows)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from pipelines.engine.store import exists, read_csv
+from pipelines.engine.store import exists, read_csv, read_json
 from pipelines.errors import MissingInputError
 from pipelines.report.figures import (
     NORMAL,
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 def load_leaves(run_dirs: Sequence[Path]) -> pd.DataFrame:
     """Return a row for each run and number of leaves kept, of the runs that have the stage leaves.
 
-    Columns: `panel` (the environment), `label` (method, depth and budget), `run` (the folder), and those of the stage's
-    `returns.csv`.
+    Columns: `panel` (the environment), `label` (method, depth, budget, what else is set, and "polished"), `run` (the
+    folder), and those of the stage's `returns.csv`.
 
     Raises:
         MissingInputError: none of the runs has it; names the command.
@@ -40,9 +40,11 @@ def load_leaves(run_dirs: Sequence[Path]) -> pd.DataFrame:
     for run_dir in run_dirs:
         if not exists(run_dir / "leaves" / "returns.csv"):
             continue
+        place = panel_and_label(run_dir)
+        if read_json(run_dir / "leaves" / "report.json").get("policy") == "polished":
+            place["label"] += ", polished"
         for row in read_csv(run_dir / "leaves" / "returns.csv"):
-            numbers = {name: float(row[name]) for name in COLUMNS}
-            rows.append({**panel_and_label(run_dir), "run": str(run_dir), **numbers})
+            rows.append({**place, "run": str(run_dir), **{name: float(row[name]) for name in COLUMNS}})
     if not rows:
         command = command_of(run_dirs[0].absolute(), "evaluate")
         raise MissingInputError(

@@ -37,7 +37,8 @@ def leaves(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
         rows.append({"n_leaves": k, "share_of_states": float(visits[:k].sum() / len(states)), **played})
         print(f"leaves: {k:,} of {n_reached:,} kept, return {played['return_mean']:.1f}", flush=True)
     write_csv(out / "returns.csv", rows, COLUMNS)
-    write_json(out / "report.json", {"n_reached": n_reached, "n_states": len(states)})
+    polished = {"policy": "polished"} if "polish" in inputs else {}
+    write_json(out / "report.json", {"n_reached": n_reached, "n_states": len(states)} | polished)
 
 
 def numbers_of_leaves(n_reached: int) -> Iterator[int]:

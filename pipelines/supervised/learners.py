@@ -74,6 +74,8 @@ def check_learner(method: LearnerConfig, dataset: Dataset) -> None:
 
 def _check_settings(settings: dict[str, Any], dataset: Dataset) -> None:
     teacher = settings.get("teacher")
+    if not isinstance(teacher, dict | None):
+        raise ConfigError(f"method.teacher={teacher}: give values by name, as {{forest: random_forest}}, or null")
     if teacher is not None and dataset.task != "classification":
         raise ConfigError(f"method.teacher is for binary labels, and {dataset.name} is a {dataset.task}; leave it out")
     if dataset.task == "classification" and np.nanmax(dataset.train.Y) > 1:

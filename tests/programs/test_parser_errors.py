@@ -113,6 +113,11 @@ def test_labels_that_are_none(text: str, column: int, words: str) -> None:
     assert caught.value.column == column
 
 
+def test_a_label_without_labels_says_what_to_give() -> None:
+    with pytest.raises(otr.ProgramError, match=r"unknown name 'fire'. It is an output's.*for labels, give labels=True"):
+        otr.parse_program("return fire", NAMES, output_names=["coast", "fire"])
+
+
 def test_an_error_shows_the_line_and_a_caret_below_the_place() -> None:
     with pytest.raises(otr.ProgramError) as caught:
         otr.parse_program("u = 1\nif u > 0:\n\treturn u * velocty # a slip\n", ["velocity"])

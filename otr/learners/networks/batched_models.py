@@ -30,6 +30,7 @@ Network = TypeVar("Network")
 class SeedStreams:
     """The random streams of one seed, each its own."""
 
+    seed: int
     weights: np.random.Generator
     order: np.random.Generator
     dropout: np.random.Generator
@@ -37,7 +38,7 @@ class SeedStreams:
     @classmethod
     def of(cls, seed: int) -> SeedStreams:
         """Return the streams of `seed`."""
-        return cls(*(np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(3)))
+        return cls(seed, *(np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(3)))
 
 
 def streams_of(seeds: Sequence[int], n_labels: int) -> list[SeedStreams]:

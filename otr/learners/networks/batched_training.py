@@ -170,7 +170,7 @@ def train_models(
         elif epoch == schedule.epochs:
             kept.offer(epoch, scored, np.zeros((len(streams), Y.shape[1])))
     fitted = kept.fitted(validation is not None)
-    _check_finite(models, fitted)
+    _check_finite(models, fitted, streams)
     return fitted
 
 
@@ -272,12 +272,15 @@ def _voters(loss: Loss, Y: FloatArray) -> BoolArray:
     return np.asarray(is_told if is_told.any() else ~is_told)
 
 
-def _check_finite(models: BatchedModels[Any], fitted: Fitted) -> None:
+def _check_finite(models: BatchedModels[Any], fitted: Fitted, streams: Sequence[SeedStreams]) -> None:
     for parameter, values in zip(models.parameters, fitted.values, strict=True):
         finite = parameter.of_models(values).flatten(2).isfinite().all(2)
         if not finite.all():
-            seed, label = (int(i) for i in torch.nonzero(~finite)[0])
+            # A single model stands there twice (see `streams_of`).
+            found = dict.fromkeys((streams[i].seed, label) for i, label in torch.nonzero(~finite).tolist())
+            n_models = len({stream.seed for stream in streams}) * finite.shape[1]
+            seed, label = next(iter(found))
             raise DivergedError(
-                f"training diverged: {int((~finite).sum())} of {finite.numel()} models have weights that are not "
-                f"finite, the first is label {label} of seed number {seed}; lower learning_rate or scale the inputs"
+                f"training diverged: {len(found)} of {n_models} models have weights that are not finite, the first is "
+                f"label {label} of seed {seed}; lower learning_rate or scale the inputs"
             )

@@ -36,15 +36,15 @@ def negative_losses(loss: str, outputs: FloatArray, labels: FloatArray) -> Float
     labels = np.broadcast_to(labels, outputs.shape[:-1])
     missing = np.isnan(labels)
     targets = np.where(missing, 0.0, labels)
-    if loss == "softmax":
-        chosen = np.take_along_axis(outputs, targets.astype(np.int64)[..., None], axis=-1)[..., 0]
-        losses = np.logaddexp.reduce(outputs, axis=-1) - chosen
-    elif loss == "logistic":
-        losses = np.logaddexp(0.0, outputs[..., 0]) - targets * outputs[..., 0]
-    elif loss == "poisson":
-        losses = np.exp(outputs[..., 0]) - targets * outputs[..., 0]
-    else:
-        losses = (outputs[..., 0] - targets) ** 2
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):  # of models that diverged, and of no label
+        if loss == "softmax":
+            chosen = np.take_along_axis(outputs, targets.astype(np.int64)[..., None], axis=-1)[..., 0]
+            losses = np.logaddexp.reduce(outputs, axis=-1) - chosen
+        elif loss == "logistic":
+            losses = np.logaddexp(0.0, outputs[..., 0]) - targets * outputs[..., 0]
+        elif loss == "poisson":
+            losses = np.exp(outputs[..., 0]) - targets * outputs[..., 0]
+        else:
+            losses = (outputs[..., 0] - targets) ** 2
         means: FloatArray = -np.where(missing, 0.0, losses).sum(axis=-1) / (~missing).sum(axis=-1)
     return means

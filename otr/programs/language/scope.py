@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 from otr.programs.language.tokens import Place, Source, written
@@ -22,9 +22,12 @@ FUNCTIONS = {
 class Scope:
     """Names in the order of the text: there are no loops, so what is not named above is not known."""
 
-    def __init__(self, source: Source, features: Sequence[str], labels: Mapping[str, int]) -> None:
-        """Know the inputs and, where a program answers labels, their names."""
+    def __init__(
+        self, source: Source, features: Sequence[str], labels: Mapping[str, int], outputs: Collection[str] = ()
+    ) -> None:
+        """Know the inputs and, where a program answers labels, their names; else those of its outputs."""
         self._source = source
+        self._outputs = outputs
         self.features = {name: index for index, name in enumerate(features)}
         self.labels = dict(labels)
         self.variables: dict[str, Place] = {}
@@ -33,7 +36,10 @@ class Scope:
     def use(self, name: str, at: Place) -> None:
         """Note that a name is used; raise ProgramError, with similar names, if nothing has that name."""
         if name not in self.features and name not in self.variables and name not in self.labels:
-            raise self._source.error(f"unknown name {name!r}.{self._like(name)}", at)
+            label = f" It is an output's, which has no value here; for labels, give labels=True.{self._like(name)}"
+            raise self._source.error(
+                f"unknown name {name!r}.{label if name in self._outputs else self._like(name)}", at
+            )
         for block in self._unread:
             block.pop(name, None)
 

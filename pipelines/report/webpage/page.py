@@ -87,7 +87,10 @@ def write_run_page(
 
 
 def write_results_page(results_dir: Path, out: Path, load_config: Callable[[Path], RunConfig]) -> Path:
-    """Write the page of all finished runs and fits: the tables, the figures, what is proved, and a policy a cell."""
+    """Write the page of all finished runs and fits: the tables, the figures, what is proved, and a policy a cell.
+
+    Where no run and no fit is one of those that tables are made of, it is a page of every run's policy.
+    """
     runs = load_runs(results_dir)
     if runs.empty:
         raise MissingInputError(f"{results_dir}/runs: there is no finished run\nRun: otr-run env=pendulum depth=6")
@@ -96,6 +99,9 @@ def write_results_page(results_dir: Path, out: Path, load_config: Callable[[Path
     shown, policies = _a_policy_a_cell(cells, own, results_dir)
     tables = [_table_4_1(cells, policies)]
     fits = load_fits(results_dir)
+    if not shown and fits.empty:
+        folders = [results_dir / "runs" / run for run in dict.fromkeys(runs["run"])]
+        return write_run_page(folders, None, out, load_config)
     if len(fits):
         tables.append(_table_4_2(fits))
     if lines := certificate_lines(runs):

@@ -269,8 +269,10 @@ def test_the_last_epoch_is_kept_of_a_label_without_validation_rows(fingerprints,
 def test_divergence_is_told():
     X = np.random.default_rng(0).normal(size=(100, 4)) * 1e3
     settings = MlpSettings(loss="squared", schedule=Schedule(epochs=5, learning_rate=10.0))
-    with pytest.raises(DivergedError, match=r"2 of 2 models.*label 0 of seed number 0; lower learning_rate"):
-        train_many(X, X[:, :2], [0], settings)
+    with pytest.raises(DivergedError, match=r"2 of 2 models.*label 0 of seed 7; lower learning_rate"):
+        train_many(X, X[:, :2], [7], settings)
+    with pytest.raises(DivergedError, match=r"1 of 1 models"):
+        train_many(X, X[:, :1], [7], settings)
 
 
 def test_shapes_are_checked(fingerprints):

@@ -58,6 +58,14 @@ def test_a_single_value_is_a_list_of_one_where_a_list_is_to_be():
     assert FIT.jobs([["data=breast_cancer", "method=otr", "method.hidden=2"]])[0].config.method.hidden == [2]
 
 
+@pytest.mark.parametrize(("method", "before"), [("otr", {}), ("cart_taught", {"forest": "random_forest"})])
+def test_settings_by_name_are_put_where_none_are(method, before):
+    (job,) = FIT.jobs([["data=breast_cancer", f"method={method}", "method.teacher={n_estimators: 5}"]])
+    assert job.config.method.teacher.items() >= (before | {"n_estimators": 5}).items()
+    (job,) = FIT.jobs([["data=breast_cancer", f"method={method}", "method.teacher=null"]])
+    assert job.config.method.teacher is None
+
+
 def test_the_linear_policy_has_depth_0():
     linear, given = RUN.jobs([["env=hopper", "method=linear"], ["env=hopper", "method=linear", "depth=0"]])
     assert linear.config == given.config and linear.folder == given.folder

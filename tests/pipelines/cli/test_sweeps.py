@@ -104,7 +104,7 @@ def test_jobs_file_does_the_jobs_that_are_left(tmp_path):
     words = (*PROGRAMS, "launcher=joblib")
     planned = otr_command("otr-plan", *words, "--jobs", "jobs.txt", cwd=tmp_path, OTR_RESULTS_DIR=str(results))
     assert planned.returncode == 0, planned.stderr
-    assert "xargs -0 -P 8" in planned.stdout and "sbatch --array=1-2 " in planned.stdout
+    assert "xargs -0 -P $(nproc)" in planned.stdout and "sbatch --array=1-2 " in planned.stdout
     lines = (tmp_path / "jobs.txt").read_text().splitlines()
     assert [shlex.split(line)[:5] for line in lines] == [
         ["otr-run", "env=mountaincar", "method=program", f"method.program={name}", "budget=smoke"]

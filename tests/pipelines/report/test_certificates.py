@@ -60,4 +60,6 @@ def test_no_bound_is_rounded_down(bound, printed, tmp_path):
 def test_without_certificates_the_table_says_so(tmp_path):
     add(tmp_path, "pendulum/otr/depth-6/quick/seed-0")
     write_certificates(tmp_path)
-    assert "No run has a certificate yet." in (tmp_path / "tables/certificates.md").read_text(encoding="utf-8")
+    assert "No run under a budget's own settings has a certificate yet." in (
+        tmp_path / "tables/certificates.md"
+    ).read_text(encoding="utf-8")

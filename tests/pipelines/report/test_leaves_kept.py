@@ -6,7 +6,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from pipelines.engine.store import write_csv
+from pipelines.engine.store import write_csv, write_json
 from pipelines.errors import MissingInputError
 from pipelines.report.leaves_kept import load_leaves, mean_return, return_against_leaves
 from pipelines.stages.leaves import COLUMNS
@@ -18,6 +18,7 @@ def leave(run_dir: Path, *returns: tuple[int, float]) -> None:
     (run_dir / "leaves").mkdir(parents=True)
     write_csv(run_dir / "leaves/returns.csv", [dict(zip(COLUMNS, (k, 1.0, mean, 0.5, 7), strict=True))
                                                for k, mean in returns], COLUMNS)  # fmt: skip
+    write_json(run_dir / "leaves/report.json", {"n_reached": returns[-1][0]})
     (run_dir / "config.yaml").write_text("env: {}\n")
 
 
@@ -43,6 +44,19 @@ def test_several_runs_have_a_mean_and_the_legend_has_the_whole_return(tmp_path: 
     assert figure.get_suptitle() == "mean over 7 episodes; 2 runs, thick: their mean"
 
 
+def test_other_settings_and_a_polished_tree_have_labels_of_their_own(tmp_path: Path) -> None:
+    plain, polished, changed = (
+        tmp_path / f"pendulum/otr/depth-6/quick/seed-{seed}" for seed in ("0", "1", "0~0a1b2c3d")
+    )
+    for run in (plain, polished, changed):
+        leave(run, (1, -9.0))
+    write_json(polished / "leaves/report.json", {"n_reached": 1, "policy": "polished"})
+    write_json(changed / "summary.json", {"changes": "algo.gamma=0.5, oracle=[8, 8]"})
+    labels = load_leaves([plain, polished, changed])["label"].tolist()
+    usual = "otr, depth 6, quick"
+    assert labels == [usual, f"{usual}, polished", f"{usual}, algo.gamma=0.5, oracle=[8, 8]"]
+
+
 def test_a_run_that_was_not_measured_names_the_command(tmp_path: Path) -> None:
     command = f"Run: otr-run env=pendulum depth=6 budget=quick seed=0 results_dir={tmp_path} leaves=true"
     with pytest.raises(MissingInputError, match=re.escape(command)):
@@ -58,7 +72,7 @@ def test_the_command_takes_several_runs_and_writes_the_numbers(command, tmp_path
         assert (done.returncode, done.stdout) == (0, f"{tmp_path / 'a.svg'}\n{tmp_path / 'a.csv'}\n"), done.stderr
         written = pd.read_csv(tmp_path / "a.csv")
         assert written.groupby("label")["n_leaves"].max().to_dict() == {
-            "otr, depth 6, quick": 2, "otr, depth 32, quick": 4,
+            "otr, depth 6, quick": 2, "otr, depth 32, quick, settings 0a1b2c3d": 4,
         }  # fmt: skip
     done = command("tabulate", "leaves", f"run={SMALL}", f"run={LARGE}", there)
     assert done.stdout.split() == [f"{tmp_path}/figures/leaves-pendulum-otr.{kind}" for kind in ("png", "csv")]

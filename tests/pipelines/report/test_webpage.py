@@ -189,6 +189,15 @@ def test_the_page_of_all_results_has_the_tables_and_a_policy_a_cell(tmp_path: Pa
                                pytest.approx(summary["return_mean"], rel=1e-4)]]  # fmt: skip
 
 
+def test_where_no_run_is_in_the_tables_all_are_shown(tmp_path: Path) -> None:
+    run = tmp_path / "results/runs/mountaincar/otr/depth-1/quick/seed-0~0a1b2c3d"
+    run.parent.mkdir(parents=True)
+    run.symlink_to(CAR)
+    page = write_results_page(tmp_path / "results", tmp_path / "page.html", config_of).read_text(encoding="utf-8")
+    (policy,) = stored(page)
+    assert policy["env"] == "mountaincar" and 'id="table-4-1"' not in page
+
+
 def test_a_return_beside_a_pruned_tree_is_its_own(tmp_path: Path) -> None:
     run = tmp_path / "results/runs/mountaincar/otr/depth-1/quick/seed-0"
     run.mkdir(parents=True)

@@ -289,6 +289,7 @@ def test_settings_that_do_not_go_together_are_refused(tiny):
             {"polish": True, "certify": True, "polishing": PolishingConfig(numbers="tree")},
             "stands for no network that it",
         ),
+        ({"method": viper, "polish": True, "certify": True}, "certify=true: a tree of method=viper stands for no"),
         ({"polishing": PolishingConfig(n_top=30)}, "polishing.n_top=30 is more than polishing.n_directions=24"),
         ({"polishing": PolishingConfig(numbers="both")}, "polishing.numbers=both: use one of network, tree"),
         ({"polishing": PolishingConfig(momentum=1.0)}, "polishing.momentum=1.0: give a number from 0 to below 1"),

@@ -131,6 +131,8 @@ def test_a_teacher_is_for_labels_and_has_no_class_weights(fit_of):
         check_learner(shared, load_dataset("digits"))
     with pytest.raises(ConfigError, match="its rows have weights of their own"):
         check_learner(dataclasses.replace(method, class_weight="balanced"), load_dataset("breast_cancer"))
+    with pytest.raises(ConfigError, match=r"method\.teacher=5: give values by name, as {forest: random_forest}"):
+        check_learner(dataclasses.replace(method, teacher=5), load_dataset("breast_cancer"))
 
 
 def test_each_combination_is_checked_before_any_is_fitted(fit_of):

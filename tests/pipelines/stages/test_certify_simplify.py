@@ -132,14 +132,14 @@ def test_the_mountain_car_s_program_becomes_one_line(command, results):
 
 
 def test_a_bound_on_actions_decides_in_the_return_s_place(command, results):
-    words = ("env=pendulum", "depth=6", "budget=quick", "stages=[simplify]", "simplification.action_bound=0.05",
+    words = ("env=mountaincar", "depth=1", "budget=quick", "stages=[simplify]", "simplification.action_bound=0.05",
              f"results_dir={results}", "n_workers=1")  # fmt: skip
     # Another setting of the extra stage alone: the run before it is found, not done again.
     missing = command("run", *words)
     assert missing.returncode == 1 and "prune" in missing.stderr
     done = command("run", *words[:3], "simplify=true", *words[4:])
     assert done.returncode == 0, done.stderr
-    (folder,) = results.glob("runs/pendulum/otr/depth-6/quick/seed-0~*/simplify")
+    (folder,) = results.glob("runs/mountaincar/otr/depth-1/quick/seed-0~*/simplify")
     report = json.loads((folder / "report.json").read_text())
     assert report["mean_difference"] <= 0.05 and report["n_numbers"] < report["n_numbers_before"]
     assert abs(report["return_mean"] - report["return_mean_before"]) < 5

@@ -68,7 +68,7 @@ def test_committed_artefacts_are_whole_and_of_clean_revisions(summary):
         assert "+" not in verified_manifest(summary.parent / stage)["git_revision"]
     if METHODS[told["method"]].imitates:
         load_oracle(summary.parent / "oracle", RESULTS)
-    cheap = {"pendulum": 5000, "mountaincar": 1000}
+    cheap = {"pendulum": 5000, "mountaincar": 1000, "reacher": 1000}
     assert told["n_episodes"] == (1000 if told["method"] == "pid" else cheap.get(told["task"], 100))
 
 

@@ -202,11 +202,11 @@ def from_onnx(
 ) -> ReluNetwork:
     """Return the network of an ONNX model whose graph is a chain of layers.
 
-    Read are Gemm and MatMul, Add, Sub, Mul and Div with constants (so input normalisation, too), Relu, and LeakyRelu of
-    one slope. A last Tanh becomes the head `TanhBox`, with the scale and shift that follow it; a last Clip, or Max and
-    Min, the head `ClipBox`; a last ArgMax the head `Argmax`. A last Sigmoid needs ``head=otr.Sign()`` and a last
-    Softmax ``head=otr.Argmax()``. Flatten, Reshape, Identity, Cast and Dropout are skipped where they leave each
-    state's numbers as they are. A model computes in its own type, mostly float32, so its answers differ from the
+    Read are Gemm and MatMul, Add, Sub, Mul and Div with constants (so input normalisation, too), Neg, Relu, and
+    LeakyRelu of one slope. A last Tanh becomes the head `TanhBox`, with the scale and shift that follow it; a last
+    Clip, or Max and Min, the head `ClipBox`; a last ArgMax the head `Argmax`. A last Sigmoid needs ``head=otr.Sign()``
+    and a last Softmax ``head=otr.Argmax()``. Flatten, Reshape, Identity, Cast and Dropout are skipped where they leave
+    each state's numbers as they are. A model computes in its own type, mostly float32, so its answers differ from the
     network's by about 1e-7 of the size of the terms that are summed.
 
     The file is data alone: at most 16 MiB are read, and of no other file.

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from onnx import NodeProto
 
 _ACCEPTED = (
-    "accepted are Gemm, MatMul, Add, Sub, Mul and Div with constants, Relu, LeakyRelu, at the end Tanh, Clip, Max and "
-    "Min with constants or ArgMax, and Flatten, Reshape, Identity, Cast and Dropout that change no number"
+    "accepted are Gemm, MatMul, Add, Sub, Mul and Div with constants, Neg, Relu, LeakyRelu, at the end Tanh, Clip, Max "
+    "and Min with constants or ArgMax, and Flatten, Reshape, Identity, Cast and Dropout that change no number"
 )
 _FLOAT, _INT32, _INT64, _DOUBLE = 1, 6, 7, 11  # of onnx.TensorProto.DataType
 
@@ -175,6 +175,7 @@ _HANDLERS: dict[str, Callable[[NodeProto, Chain, list[Any], int], Chain]] = {
     "Gemm": _gemm,
     "MatMul": _matmul,
     **dict.fromkeys(("Add", "Sub", "Mul", "Div"), _arithmetic),
+    "Neg": lambda node, chain, operands, opset: chain.affine(-1.0, 0.0),
     "Relu": lambda node, chain, operands, opset: chain.activation(0.0),
     "LeakyRelu": _leaky_relu,
     **dict.fromkeys(("Tanh", "Sigmoid", "Elu", "Gelu"), _smooth),

@@ -71,6 +71,7 @@ READ = {
                            {"transB": 1}), HIDDEN[1], LAST],
     "scaled activations": [HIDDEN[0], ("Relu", ["z"], "r"), ("Mul", ["r", "two"], "s"), ("Add", ["s", "b1"], "a"),
                            LAST],
+    "turned": [HIDDEN[0], ("Neg", ["z"], "n"), ("Relu", ["n"], "a"), (*LAST[:2], "u", LAST[3]), ("Neg", ["u"], "y")],
     "leaky": [HIDDEN[0], ("LeakyRelu", ["z"], "a", {"alpha": 0.25}), LAST],
     "two layers without activation": [HIDDEN[0], ("Gemm", ["z", "W2", "b2"], "y", {"transB": 1})],
     "ends in relu": [HIDDEN[0], ("Relu", ["z"], "r"), ("Sub", ["r", "two"], "y")],

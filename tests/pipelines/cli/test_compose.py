@@ -58,6 +58,12 @@ def test_a_single_value_is_a_list_of_one_where_a_list_is_to_be():
     assert FIT.jobs([["data=breast_cancer", "method=otr", "method.hidden=2"]])[0].config.method.hidden == [2]
 
 
+@pytest.mark.parametrize(("env", "n_episodes"), [("reacher", 1000), ("hopper", 100)])
+def test_a_task_s_own_evaluation_episodes_stand_before_the_budget_s(env, n_episodes):
+    (job,) = RUN.jobs([[f"env={env}", "depth=6", "budget=quick"]])
+    assert job.config.evaluate.n_episodes == n_episodes
+
+
 @pytest.mark.parametrize(("method", "before"), [("otr", {}), ("cart_taught", {"forest": "random_forest"})])
 def test_settings_by_name_are_put_where_none_are(method, before):
     (job,) = FIT.jobs([["data=breast_cancer", f"method={method}", "method.teacher={n_estimators: 5}"]])

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
 
-from pipelines.config.algo import AlgoConfig, DdpgConfig, OnPolicyConfig, PpoConfig
+from pipelines.config.algo import AlgoConfig, DdpgConfig, OnPolicyConfig, PpoConfig, SacConfig
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import PidTerms
 from pipelines.config.setting import DERIVED, AsBefore, Count, FreeText, NotNegative, OneOf, Positive, Range, Share
@@ -301,6 +301,8 @@ class SoftConfig(GrownConfig):
     @classmethod
     def implied(cls, given: Mapping[str, str]) -> list[str]:
         """Return the steps of soft trees, and the algorithm that the environment has for them, where none is given."""
+        if given.get("algo") == "sac":  # whose steps are the budget's own
+            return []
         implied = list(ON_POLICY_STEPS)
         if "algo" not in given:
             own = (f"ppo_{given['method']}_{given.get('env', '')}", f"ppo_tree_{given.get('env', '')}")
@@ -313,9 +315,11 @@ class SoftConfig(GrownConfig):
         raise NotImplementedError
 
     def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
-        """Refuse algorithms that are not on-policy."""
-        if not isinstance(algo, OnPolicyConfig):
-            raise ConfigError(f"method={self.name} is trained by algo=ppo_tree or algo=trpo_tree, not {algo.name}")
+        """Refuse algorithms that train no soft trees."""
+        if not isinstance(algo, OnPolicyConfig | SacConfig):
+            raise ConfigError(
+                f"method={self.name} is trained by algo=ppo_tree, algo=trpo_tree or algo=sac, not {algo.name}"
+            )
 
 
 @dataclass(frozen=True)

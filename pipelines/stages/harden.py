@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import otr
+from pipelines.config.algo import SacConfig
 from pipelines.config.run import RunConfig
 from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import write_json
@@ -22,12 +23,14 @@ def harden_actor(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> No
     module = load_soft(inputs["train"])
     env = make_env(config.env)
     env.close()
-    tree = harden(module, env.action_space)
+    is_squashed = isinstance(config.algo, SacConfig)
+    tree = harden(module, env.action_space, is_squashed=is_squashed)
     report: dict[str, Any] = {"n_leaves": tree.n_leaves, "depth": tree.depth}
     otr.save(tree, out / "tree")
     write_program(tree, config.env, out)
     if "discretised" in config.method.forms:
-        otr.save(harden(module, env.action_space, axis_aligned=True), out / "discretised")
+        discretised = harden(module, env.action_space, is_squashed=is_squashed, axis_aligned=True)
+        otr.save(discretised, out / "discretised")
     write_json(out / "report.json", report)
 
 

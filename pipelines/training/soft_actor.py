@@ -1,4 +1,4 @@
-"""An actor that is a soft tree, under PPO and TRPO of Stable-Baselines3.
+"""An actor that is a soft tree, under PPO, TRPO and SAC of Stable-Baselines3.
 
 The tree gives the logits, or the means of the Gaussian, itself; the critic is the usual MLP. What changes in the course
 of training (how hard the tests are, which of pi-PRL's parameters learn, when its structure is chosen) is decided at the
@@ -14,11 +14,14 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.distributions import StateDependentNoiseDistribution
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
-from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
+from stable_baselines3.common.preprocessing import get_action_dim
+from stable_baselines3.sac.policies import Actor, SACPolicy
 from torch import nn
 
 import otr
 from otr.control.pi_prl import RelaxedProgram
+from pipelines.config.algo import SacConfig
 from pipelines.config.methods import PiPrlConfig, SoftConfig
 from pipelines.play.rollout import Rollout
 from pipelines.play.selection import InputUnits, diverged, play_episodes
@@ -26,12 +29,19 @@ from pipelines.training.normalisation import input_units
 from pipelines.training.relu_actor import ReluActor
 from pipelines.training.soft_trees import Shape, SoftModule, build_module, harden, shape_of, soft_files
 
+SAC_TURN = 2_048  # steps of the program, then as many of the architecture
+
 
 class SoftActor(ReluActor):
     """A soft tree as the actor; its files are the module's, and the hard tree plays the selection episodes."""
 
-    def policy_class(self) -> type[ActorCriticPolicy]:
-        return SoftActorCriticPolicy
+    @property
+    def is_squashed(self) -> bool:
+        """Whether tanh leads the actions into their box."""
+        return isinstance(self.config.algo, SacConfig)
+
+    def policy_class(self) -> type[BasePolicy]:
+        return SoftSacPolicy if self.is_squashed else SoftActorCriticPolicy
 
     def net_arch(self) -> list[int]:
         return []  # the states go into the tree as they are
@@ -45,10 +55,9 @@ class SoftActor(ReluActor):
 
     def evaluate(self, model: BaseAlgorithm) -> tuple[dict[str, bytes], Rollout]:
         """Return the soft tree's files, and what came of the hard tree's selection episodes."""
-        assert isinstance(model, OnPolicyAlgorithm)
         module = exported_module(model, input_units(model, self.config))
         try:
-            tree = harden(module, model.action_space)
+            tree = harden(module, model.action_space, is_squashed=self.is_squashed)
         except otr.InvalidTreeError as error:
             raise diverged(model.num_timesteps, error) from error
         return soft_files(module, shape_of(self.config)), play_episodes(tree.predict, self.config)
@@ -56,8 +65,6 @@ class SoftActor(ReluActor):
 
 class SoftSchedule(BaseCallback):
     """What changes in the course of a training of `n_steps`, set at the start of every rollout."""
-
-    model: OnPolicyAlgorithm
 
     def __init__(self, method: SoftConfig, n_steps: int) -> None:
         super().__init__()
@@ -73,8 +80,11 @@ class SoftSchedule(BaseCallback):
             assert isinstance(method, PiPrlConfig)
             if done >= method.discretise_at:
                 module.discretise()
-            # Until its structure is chosen, rollouts update its program and its architecture in turns.
-            in_turn = (self.model.num_timesteps // (self.model.n_steps * self.model.n_envs)) % 2 == 0
+            # Until its structure is chosen, its program and its architecture are updated in turns: a rollout each, or
+            # so many steps of SAC, whose rollouts are one step.
+            model = self.model
+            turn = model.n_steps * model.n_envs if isinstance(model, OnPolicyAlgorithm) else SAC_TURN
+            in_turn = (self.model.num_timesteps // turn) % 2 == 0
             module.learns = "program" if module.is_discrete or in_turn else "architecture"
         rate = cast(float, self.model.learning_rate) * (1.0 + min(1.0, done) * (method.learning_rate_end - 1.0))
         # By the steps done: Stable-Baselines3's own measure of progress begins anew with each segment.
@@ -106,12 +116,37 @@ class SoftActorCriticPolicy(ActorCriticPolicy):
         self.optimizer = optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
 
 
-def soft_module(model: OnPolicyAlgorithm) -> SoftModule:
-    """Return the actor of a model whose policy is a `SoftActorCriticPolicy`."""
-    return cast(SoftModule, model.policy.action_net)
+class SoftSacActor(Actor):
+    """SAC's actor with a soft tree for the means; the logarithms of the deviations are linear in the state."""
+
+    def __init__(self, *args: Any, shape: Shape, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.mu = build_module(shape, self.features_dim, get_action_dim(self.action_space))
 
 
-def exported_module(model: OnPolicyAlgorithm, units: InputUnits | None) -> SoftModule:
+class SoftSacPolicy(SACPolicy):
+    """SAC's policy with a `SoftSacActor`.
+
+    Use with ``policy_kwargs={"actor": Shape(...), "net_arch": {"pi": [], "qf": [256, 256]}}``.
+    """
+
+    def __init__(self, *args: Any, actor: Shape, **kwargs: Any) -> None:
+        self._shape = actor
+        super().__init__(*args, **kwargs)
+
+    def make_actor(self, features_extractor: Any = None) -> SoftSacActor:
+        """Return the actor; a method of Stable-Baselines3's."""
+        kwargs = self._update_features_extractor(self.actor_kwargs, features_extractor)
+        return SoftSacActor(**kwargs, shape=self._shape).to(self.device)
+
+
+def soft_module(model: BaseAlgorithm) -> SoftModule:
+    """Return the actor of a model whose policy is a `SoftActorCriticPolicy` or a `SoftSacPolicy`."""
+    policy = model.policy
+    return cast(SoftModule, policy.actor.mu if isinstance(policy, SoftSacPolicy) else policy.action_net)
+
+
+def exported_module(model: BaseAlgorithm, units: InputUnits | None) -> SoftModule:
     """Return a copy of a model's actor that reads the environment's own states, whatever units it was trained in."""
     module = copy.deepcopy(soft_module(model))
     if units is not None:

@@ -49,9 +49,14 @@ def build_module(shape: Shape, n_inputs: int, n_outputs: int) -> SoftModule:
     return _MODULES[shape.kind](n_inputs, n_outputs, **shape.options)
 
 
-def harden(module: SoftModule, action_space: "gym.Space[Any]", *, axis_aligned: bool = False) -> otr.ObliqueTree:
-    """Return the hard tree as a policy: labels for discrete actions, values clipped to the box for continuous ones."""
-    head = _head(action_space)
+def harden(
+    module: SoftModule, action_space: "gym.Space[Any]", *, is_squashed: bool = False, axis_aligned: bool = False
+) -> otr.ObliqueTree:
+    """Return the hard tree as a policy: labels for discrete actions; continuous ones are clipped to their box.
+
+    `is_squashed`: tanh leads them into the box instead, as it does those of SAC's actors.
+    """
+    head = _head(action_space, is_squashed)
     if not isinstance(module, RelaxedProgram):
         return module.harden(head, axis_aligned=axis_aligned)
     if axis_aligned:
@@ -101,9 +106,10 @@ class SoftPolicy:
         return self.head(outputs)
 
 
-def _head(action_space: "gym.Space[Any]") -> otr.Head:
+def _head(action_space: "gym.Space[Any]", is_squashed: bool) -> otr.Head:
     if isinstance(action_space, gym.spaces.Discrete) and action_space.start == 0:
         return otr.Argmax()
     if isinstance(action_space, gym.spaces.Box):
-        return otr.ClipBox(action_space.low.ravel(), action_space.high.ravel())
+        box = otr.TanhBox if is_squashed else otr.ClipBox
+        return box(action_space.low.ravel(), action_space.high.ravel())
     raise ConfigError(f"the actions are {action_space}; only Box and Discrete (start=0) can be trees")

@@ -34,6 +34,7 @@ def test_seeds_depths_and_methods_are_put_in_as_they_are_composed(method):
         assert f"/{method}/" in job.folder and f"/seed-{made.seed}" in job.folder
 
 
+@pytest.mark.slow  # `make smoke` does runs of all of them
 def test_every_environment_takes_a_method_in():
     names = sorted(path.stem for path in (CONF_DIR / "env").glob("*.yaml"))
     methods = itertools.cycle(name for name in METHOD_DEPTHS if name != "pid")

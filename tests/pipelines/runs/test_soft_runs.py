@@ -18,9 +18,10 @@ SDT = SdtConfig("sdt", 1.0, 20.0, 0.8, 0.05, "constant")
         (("env=lunarlander", "method=sdt", "depth=2"), ["soft", "tree", "pruned_tree", "discretised"]),
         (("env=pendulum", "method=cdt", "depth=[1,2]"), ["soft", "tree", "pruned_tree", "discretised"]),
         (("env=pendulum", "method=pi_prl", "depth=2", "algo=trpo_tree"), ["soft", "tree", "pruned_tree"]),
+        (("env=pendulum", "method=pi_prl", "depth=2", "algo=sac"), ["soft", "tree", "pruned_tree"]),
         (("env=pendulum", "method=linear", "depth=0", "algo=ars"), ["network", "tree", "pruned_tree"]),
     ],
-    ids=["sdt", "cdt", "pi_prl", "ars"],
+    ids=["sdt", "cdt", "pi_prl", "pi_prl-sac", "ars"],
 )
 def test_every_form_is_played(tmp_path, words, forms):
     done = otr_command("otr-run", *words, "budget=smoke", "n_workers=1", cwd=tmp_path)
@@ -49,7 +50,6 @@ def test_other_settings_of_a_method_are_another_training(tiny):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({}, "method=sdt is trained by algo=ppo_tree or algo=trpo_tree, not sac"),
         ({"algo": PPO, "depth": 0}, "depth=0: method=sdt grows a tree"),
         ({"algo": PPO, "method": SdtConfig("sdt", 0.0, 20.0, 0.8, 0.05, "constant")}, "method.beta_first=0"),
         ({"algo": PPO, "method": PiPrlConfig("pi_prl", 1.0, 20.0, 0.8, 0.05, 0.25, 1.5)}, "method.discretise_at=1.5"),
@@ -72,6 +72,7 @@ def test_cascading_trees_have_two_depths(tmp_path):
         (("env=hopper_v5", "method=pi_prl", "depth=6"), "ppo", 0.99, 500_000, 25_000),
         (("env=pendulum", "method=pi_prl", "depth=6", "algo=trpo_tree"), "trpo", 0.95, 300_000, 25_000),
         (("env=pendulum", "method=cdt", "depth=[3,3]", "train.steps=7"), "ppo", 0.9, 7, 25_000),
+        (("env=pendulum", "method=sdt", "depth=3", "algo=sac", "trainer=fleet"), "sac", 0.99, 30_000, 5_000),
         (("env=pendulum", "method=otr"), "sac", 0.99, 30_000, 5_000),
     ],
 )
@@ -79,6 +80,13 @@ def test_soft_trees_bring_their_algorithm_and_steps(words, algo, gamma, steps, i
     config = run_config([*words, "budget=quick"])
     assert (config.algo.name, config.algo.gamma) == (algo, gamma)
     assert (config.train.steps, config.train.eval_interval_steps) == (steps, interval)
+    assert config.trainer_name == "sb3"  # a fleet trains networks alone
+
+
+def test_algorithms_that_train_no_soft_trees_are_refused():
+    words = "method=sdt is trained by algo=ppo_tree, algo=trpo_tree or algo=sac, not td3"
+    with pytest.raises(ConfigError, match=words):
+        run_config(["env=pendulum", "method=sdt", "depth=2", "algo=td3"])
 
 
 def test_an_algorithm_may_be_one_methods_and_one_environments():

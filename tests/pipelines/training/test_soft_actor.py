@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 from sb3_contrib import TRPO
-from stable_baselines3 import PPO
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import otr
@@ -22,7 +22,9 @@ from pipelines.training.normalisation import input_units, normalised
 from pipelines.training.sb3_checkpoints import load_checkpoint, save_checkpoint
 from pipelines.training.sb3_models import build_model
 from pipelines.training.soft_actor import (
+    SAC_TURN,
     SoftActorCriticPolicy,
+    SoftSacPolicy,
     SoftSchedule,
     exported_module,
     soft_module,
@@ -56,7 +58,11 @@ def make_env(env_id: str, n_envs: int = N_ENVS) -> DummyVecEnv:
     return DummyVecEnv([lambda: Monitor(gym.make(env_id))] * n_envs)
 
 
-def make_model(actor: Shape, env_id: str = "CartPole-v1", algorithm: type = PPO, **options: Any) -> OnPolicyAlgorithm:
+def make_model(actor: Shape, env_id: str = "CartPole-v1", algorithm: type = PPO, **options: Any) -> BaseAlgorithm:
+    if algorithm is SAC:
+        kwargs = {"actor": actor, "net_arch": {"pi": [], "qf": [8]}}
+        options = {"buffer_size": 1_000, "learning_starts": 20, "batch_size": 32, **options}
+        return SAC(SoftSacPolicy, make_env(env_id, 1), policy_kwargs=kwargs, seed=0, device="cpu", **options)
     kwargs = {"actor": actor, "net_arch": {"pi": [], "vf": [8]}}
     return algorithm(
         SoftActorCriticPolicy,
@@ -70,33 +76,33 @@ def make_model(actor: Shape, env_id: str = "CartPole-v1", algorithm: type = PPO,
     )
 
 
-def learn_segment(model: OnPolicyAlgorithm, env_id: str, segment: int, n_rollouts: int = 1) -> None:
+def learn_segment(model: BaseAlgorithm, env_id: str, segment: int, n_rollouts: int = 1) -> None:
     """Train as the stage train does: new environments and a seed for each segment."""
     model.set_logger(Logger(folder=None, output_formats=[]))
-    model.set_env(make_env(env_id), force_reset=True)
+    model.set_env(make_env(env_id, model.n_envs), force_reset=True)
     model.set_random_seed(segment)
     model.learn(n_rollouts * ROLLOUT, SoftSchedule(METHOD, 4 * ROLLOUT), log_interval=None, reset_num_timesteps=False)
 
 
-def start_rollout(model: OnPolicyAlgorithm, n_steps_done: int, **changes: float) -> None:
+def start_rollout(model: BaseAlgorithm, n_steps_done: int, **changes: float) -> None:
     schedule = SoftSchedule(dataclasses.replace(METHOD, **changes), 4 * ROLLOUT)
     schedule.init_callback(model)
     model.num_timesteps = n_steps_done
     schedule.on_rollout_start()
 
 
-def parameters(model: OnPolicyAlgorithm) -> dict[str, torch.Tensor]:
+def parameters(model: BaseAlgorithm) -> dict[str, torch.Tensor]:
     return {name: tensor.clone() for name, tensor in model.policy.state_dict().items()}
 
 
-@pytest.mark.parametrize("env_id", ["CartPole-v1", "Pendulum-v1"])
+@pytest.mark.parametrize(("env_id", "algorithm"), [("CartPole-v1", PPO), ("Pendulum-v1", PPO), ("Pendulum-v1", SAC)])
 @ids
-def test_a_resumed_run_is_the_run(tmp_path: Path, actor: Shape, env_id: str) -> None:
-    whole = make_model(actor, env_id)
+def test_a_resumed_run_is_the_run(tmp_path: Path, actor: Shape, env_id: str, algorithm: type) -> None:
+    whole = make_model(actor, env_id, algorithm)
     for segment in range(4):
         learn_segment(whole, env_id, segment)
     for segment in range(4):  # a new process a segment, as it were
-        model = make_model(actor, env_id)
+        model = make_model(actor, env_id, algorithm)
         history = load_checkpoint(tmp_path, model)
         learn_segment(model, env_id, segment)
         history.n_segments += 1
@@ -124,6 +130,18 @@ def test_the_phases_of_pi_prl(algorithm: type) -> None:
     np.testing.assert_array_equal(module.structure, module.architecture[:, 1] > module.architecture[:, 0])
 
 
+def test_the_phases_of_pi_prl_under_sac(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pipelines.training.soft_actor.SAC_TURN", ROLLOUT)
+    model = make_model(ACTORS[2], "Pendulum-v1", SAC)
+    module = soft_module(model)
+    for segment, moving in enumerate([{"tests", "maps"}, {"architecture"}, {"tests", "maps"}, {"tests", "maps"}]):
+        before = {name: tensor.clone() for name, tensor in module.named_parameters()}
+        learn_segment(model, "Pendulum-v1", segment)
+        assert {name for name, tensor in module.named_parameters() if not torch.equal(before[name], tensor)} == moving
+        assert module.is_discrete == (segment == 3)
+    assert SAC_TURN > 1_000  # a turn of one step would leave Adam's moments of the other's gradients
+
+
 def test_beta_grows_geometrically_up_to_its_end() -> None:
     model = make_model(ACTORS[1])
     module = soft_module(model)
@@ -145,8 +163,10 @@ def test_the_learning_rate_falls_linearly_over_all_segments() -> None:
     assert model.lr_schedule(1.0) == pytest.approx(0.6e-4)
 
 
-@pytest.mark.parametrize("env_id", ["CartPole-v1", "Pendulum-v1"])
-@pytest.mark.parametrize("algorithm", [PPO, TRPO])
+@pytest.mark.parametrize(
+    ("algorithm", "env_id"),
+    [(PPO, "CartPole-v1"), (PPO, "Pendulum-v1"), (TRPO, "CartPole-v1"), (TRPO, "Pendulum-v1"), (SAC, "Pendulum-v1")],
+)
 @ids
 def test_the_hard_tree_is_the_policy_of_hard_tests(actor: Shape, algorithm: type, env_id: str) -> None:
     model = make_model(actor, env_id, algorithm)
@@ -155,7 +175,7 @@ def test_the_hard_tree_is_the_policy_of_hard_tests(actor: Shape, algorithm: type
     module.set_beta(1e6)
     if actor.kind == "pi_prl":
         module.discretise()
-    tree = harden(module, model.action_space)
+    tree = harden(module, model.action_space, is_squashed=algorithm is SAC)
     X = clear_states(tree, 100, margin=1e-4).astype(np.float32)
     assert len(X) > 50
     expected = model.predict(X, deterministic=True)[0]

@@ -32,9 +32,10 @@ from benchmarks.training import plain_trainer
 from pipelines.cli import runs
 from pipelines.config.run import RunConfig
 from pipelines.stages.train import fleets
+from pipelines.training.fleet.adam import RunSettings
 from pipelines.training.fleet.fleet_run import FleetRun
 from pipelines.training.fleet.progress import FleetProgress
-from pipelines.training.fleet.sac import FleetSac, Minibatch, RunSettings, Shapes
+from pipelines.training.fleet.sac import FleetSac, Minibatch, Shapes
 from pipelines.training.fleet.stacked_tensors import multiply, new_stack
 from pipelines.training.fleet.trainer import FleetTrainer, Task
 

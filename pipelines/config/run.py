@@ -173,7 +173,7 @@ class RunConfig:
     @property
     def fleet(self) -> FleetConfig | None:
         """The fleet's settings where a fleet trains this run; None where Stable-Baselines3 does."""
-        trains_sac = isinstance(self.algo, SacConfig) and self.is_trained and not self.method.decides_training
+        trains_sac = isinstance(self.algo, SacConfig) and self.is_trained
         return self.trainer if isinstance(self.trainer, FleetConfig) and trains_sac else None
 
     @property

@@ -6,7 +6,6 @@ start of each rollout by the steps done so far alone, so that a resumed run is b
 interrupted, on one type of processor with the same package versions.
 """
 
-import copy
 from collections.abc import Callable
 from typing import Any, cast
 
@@ -20,28 +19,29 @@ from stable_baselines3.sac.policies import Actor, SACPolicy
 from torch import nn
 
 import otr
-from otr.control.pi_prl import RelaxedProgram
 from pipelines.config.algo import SacConfig
-from pipelines.config.methods import PiPrlConfig, SoftConfig
+from pipelines.config.methods import SoftConfig
 from pipelines.play.rollout import Rollout
-from pipelines.play.selection import InputUnits, diverged, play_episodes
+from pipelines.play.selection import diverged
 from pipelines.training.normalisation import input_units
 from pipelines.training.relu_actor import ReluActor
-from pipelines.training.soft_trees import Shape, SoftModule, build_module, harden, shape_of, soft_files
-
-SAC_TURN = 2_048  # steps of the program, then as many of the architecture
+from pipelines.training.soft_trees import (
+    SAC_TURN,
+    Shape,
+    SoftModule,
+    build_module,
+    play_selection,
+    rate_share,
+    set_phase,
+    shape_of,
+)
 
 
 class SoftActor(ReluActor):
     """A soft tree as the actor; its files are the module's, and the hard tree plays the selection episodes."""
 
-    @property
-    def is_squashed(self) -> bool:
-        """Whether tanh leads the actions into their box."""
-        return isinstance(self.config.algo, SacConfig)
-
     def policy_class(self) -> type[BasePolicy]:
-        return SoftSacPolicy if self.is_squashed else SoftActorCriticPolicy
+        return SoftSacPolicy if isinstance(self.config.algo, SacConfig) else SoftActorCriticPolicy
 
     def net_arch(self) -> list[int]:
         return []  # the states go into the tree as they are
@@ -55,12 +55,11 @@ class SoftActor(ReluActor):
 
     def evaluate(self, model: BaseAlgorithm) -> tuple[dict[str, bytes], Rollout]:
         """Return the soft tree's files, and what came of the hard tree's selection episodes."""
-        module = exported_module(model, input_units(model, self.config))
         try:
-            tree = harden(module, model.action_space, is_squashed=self.is_squashed)
+            units = input_units(model, self.config)
+            return play_selection(soft_module(model), self.config, model.action_space, units)
         except otr.InvalidTreeError as error:
             raise diverged(model.num_timesteps, error) from error
-        return soft_files(module, shape_of(self.config)), play_episodes(tree.predict, self.config)
 
 
 class SoftSchedule(BaseCallback):
@@ -72,21 +71,10 @@ class SoftSchedule(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         """Set how hard the tests are, what of pi-PRL's program learns, and the learning rate, by the steps done."""
-        method, module = self._method, soft_module(self.model)
-        done = self.model.num_timesteps / self._n_steps
-        progress = min(1.0, done / method.anneal_until) if method.anneal_until > 0.0 else 1.0
-        module.set_beta(method.beta_first * (method.beta_last / method.beta_first) ** progress)
-        if isinstance(module, RelaxedProgram):
-            assert isinstance(method, PiPrlConfig)
-            if done >= method.discretise_at:
-                module.discretise()
-            # Until its structure is chosen, its program and its architecture are updated in turns: a rollout each, or
-            # so many steps of SAC, whose rollouts are one step.
-            model = self.model
-            turn = model.n_steps * model.n_envs if isinstance(model, OnPolicyAlgorithm) else SAC_TURN
-            in_turn = (self.model.num_timesteps // turn) % 2 == 0
-            module.learns = "program" if module.is_discrete or in_turn else "architecture"
-        rate = cast(float, self.model.learning_rate) * (1.0 + min(1.0, done) * (method.learning_rate_end - 1.0))
+        model, n_steps = self.model, self.model.num_timesteps
+        turn = model.n_steps * model.n_envs if isinstance(model, OnPolicyAlgorithm) else SAC_TURN
+        set_phase(soft_module(model), self._method, n_steps, self._n_steps, turn)
+        rate = cast(float, model.learning_rate) * rate_share(self._method, n_steps, self._n_steps)
         # By the steps done: Stable-Baselines3's own measure of progress begins anew with each segment.
         self.model.lr_schedule = lambda _progress_remaining: rate
 
@@ -144,11 +132,3 @@ def soft_module(model: BaseAlgorithm) -> SoftModule:
     """Return the actor of a model whose policy is a `SoftActorCriticPolicy` or a `SoftSacPolicy`."""
     policy = model.policy
     return cast(SoftModule, policy.actor.mu if isinstance(policy, SoftSacPolicy) else policy.action_net)
-
-
-def exported_module(model: BaseAlgorithm, units: InputUnits | None) -> SoftModule:
-    """Return a copy of a model's actor that reads the environment's own states, whatever units it was trained in."""
-    module = copy.deepcopy(soft_module(model))
-    if units is not None:
-        module.substitute(-units.middle / units.scale, 1.0 / units.scale)
-    return module.float()

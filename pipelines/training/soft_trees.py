@@ -1,4 +1,4 @@
-"""Soft trees as modules of torch: which one a run trains, their files, the hard trees that they become."""
+"""Soft trees as modules of torch: which one a run trains, what changes as it learns, its files, its hard tree."""
 
 import copy
 import json
@@ -17,12 +17,16 @@ import otr
 from otr.control.cdt import CascadingTree
 from otr.control.pi_prl import RelaxedProgram
 from otr.control.soft_tree import SoftTree
-from pipelines.config.methods import SoftConfig
+from pipelines.config.algo import SacConfig
+from pipelines.config.methods import PiPrlConfig, SoftConfig
 from pipelines.config.run import RunConfig
 from pipelines.engine.store import corrupt, json_text, read_json
 from pipelines.errors import ConfigError
+from pipelines.play.rollout import Rollout
+from pipelines.play.selection import InputUnits, play_episodes
 
 SCHEMA = "otr/soft/1"
+SAC_TURN = 2_048  # steps of pi-PRL's program, then as many of its architecture, where rollouts are one step
 
 SoftModule = SoftTree | CascadingTree | RelaxedProgram
 
@@ -44,9 +48,51 @@ def shape_of(config: RunConfig) -> Shape:
     return Shape(config.method.name, config.method.tree_options(config.depth))
 
 
-def build_module(shape: Shape, n_inputs: int, n_outputs: int) -> SoftModule:
-    """Return a fresh module, drawn from torch's own generator as all of a Stable-Baselines3 policy is."""
-    return _MODULES[shape.kind](n_inputs, n_outputs, **shape.options)
+def build_module(shape: Shape, n_inputs: int, n_outputs: int, generator: torch.Generator | None = None) -> SoftModule:
+    """Return a fresh module; without a generator drawn from torch's own, as all of a Stable-Baselines3 policy is."""
+    return _MODULES[shape.kind](n_inputs, n_outputs, generator=generator, **shape.options)
+
+
+def set_phase(module: SoftModule, method: SoftConfig, n_steps: int, of_steps: int, turn: int = SAC_TURN) -> None:
+    """Set how hard the tests are, and what of pi-PRL's program learns, after so many steps of all.
+
+    Until its structure is chosen, its program and its architecture learn in turns of `turn` steps.
+    """
+    done = n_steps / of_steps
+    progress = min(1.0, done / method.anneal_until) if method.anneal_until > 0.0 else 1.0
+    module.set_beta(method.beta_first * (method.beta_last / method.beta_first) ** progress)
+    if isinstance(module, RelaxedProgram):
+        assert isinstance(method, PiPrlConfig)
+        if done >= method.discretise_at:
+            module.discretise()
+        is_programs_turn = n_steps // turn % 2 == 0
+        module.learns = "program" if module.is_discrete or is_programs_turn else "architecture"
+
+
+def rate_share(method: SoftConfig, n_steps: int, of_steps: int) -> float:
+    """Return the share of the algorithm's learning rate that is left after so many steps of all."""
+    return 1.0 + min(1.0, n_steps / of_steps) * (method.learning_rate_end - 1.0)
+
+
+def play_selection(
+    module: SoftModule, config: RunConfig, action_space: "gym.Space[Any]", units: InputUnits | None
+) -> tuple[dict[str, bytes], Rollout]:
+    """Return a module's files, as it reads the environment's own states, and its hard tree's selection episodes.
+
+    Raises:
+        InvalidTreeError: its numbers are not finite.
+    """
+    module = own_units(module, units)
+    tree = harden(module, action_space, is_squashed=isinstance(config.algo, SacConfig))
+    return soft_files(module, shape_of(config)), play_episodes(tree.predict, config)
+
+
+def own_units(module: SoftModule, units: InputUnits | None) -> SoftModule:
+    """Return a copy of a module that reads the environment's own states, whatever units it was trained in."""
+    module = copy.deepcopy(module)
+    if units is not None:
+        module.substitute(-units.middle / units.scale, 1.0 / units.scale)
+    return module.float()
 
 
 def harden(

@@ -13,8 +13,8 @@ from pipelines.engine.seeding import stream_seed, stream_seeds
 from pipelines.tracking.tracker import Tracker
 from pipelines.training.checkpoints import History, last_segment, read_segment, write_segment
 from pipelines.training.estimates import segment_steps
+from pipelines.training.fleet.adam import RunSettings
 from pipelines.training.fleet.replay_buffer import RowLayout, open_rows
-from pipelines.training.fleet.sac import RunSettings
 
 STATE_FILE = "learner.safetensors"
 

@@ -12,6 +12,7 @@ in float32; parameters, first and last layers and everything elementwise stay fl
 """
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -39,6 +40,18 @@ class Layers:
         one = slice(network, network + 1)
         parts = ([tensor[one] for tensor in tensors] for tensors in (self.weights, self.biases, self.factors))
         return Layers(self.flat[one], *parts)
+
+    def named(self, networks: slice) -> dict[str, Tensor]:
+        """Return views of the weights and biases of some networks, by name."""
+        kinds = (("weight", self.weights), ("bias", self.biases))
+        return {f"{kind}{layer}": each[networks] for kind, tensors in kinds for layer, each in enumerate(tensors)}
+
+    def initialise(self, networks: slice, generator: torch.Generator) -> None:
+        """Draw networks as torch's Linear does."""
+        for weight, bias in zip(self.weights, self.biases, strict=True):
+            limit = 1 / math.sqrt(weight.shape[1])
+            for view in (weight[networks], bias[networks]):
+                view.copy_((2 * torch.rand(view.shape, generator=generator) - 1) * limit)
 
     def refresh(self) -> None:
         """Bring the bfloat16 copies up to date; to be called after every change of the weights."""

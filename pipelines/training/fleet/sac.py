@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pipelines.training.fleet.adam import AdamGroup
+from pipelines.training.fleet.actors import FleetActors, MlpActors, SoftActors, SoftTraining
+from pipelines.training.fleet.adam import RunSettings, adam_groups
 from pipelines.training.fleet.mlp import Layers, StackedMlp, new_layers
 from pipelines.training.fleet.squashed_gaussian import SquashedActions
 from pipelines.training.fleet.stacked_tensors import ROW_MULTIPLE, new_stack
@@ -34,16 +35,7 @@ class Shapes:
     tau: float = 0.005  # share of the online critics that goes into their targets at each update
     precision: str = "fp32"  # fp32 or bf16 (see `mlp`)
     dense: bool = False  # whether the actor's layers after the first read the state, too
-
-
-@dataclass(frozen=True)
-class RunSettings:
-    """What runs of a fleet may differ in. `temperature` None is the automatic one, a number keeps it fixed."""
-
-    learning_rate: float
-    gamma: float
-    weight_decay: float = 0.0
-    temperature: float | None = None
+    soft: SoftTraining | None = None  # actors that are soft trees, in place of the layers
 
 
 @dataclass
@@ -63,16 +55,18 @@ class FleetSac:
     def __init__(self, shapes: Shapes, runs: Sequence[RunSettings], n_updates: int = 0) -> None:
         self.shapes, self.runs = shapes, tuple(runs)
         n, rows = len(runs), shapes.batch_size
-        actor_widths = (shapes.n_inputs, *shapes.actor, 2 * shapes.n_actions)  # means, then log standard deviations
         critic_widths = (shapes.n_inputs + shapes.n_actions, *shapes.critic, 1)
-
-        def actors() -> Layers:
-            return new_layers(n, actor_widths, dense=shapes.dense)
 
         def critics(precision: str = "fp32") -> Layers:
             return new_layers(N_CRITICS * n, critic_widths, precision)
 
-        self.actor = actors()
+        self.actor: FleetActors
+        if shapes.soft is None:
+            widths = (shapes.n_inputs, *shapes.actor, 2 * shapes.n_actions)
+            slope, dense = shapes.negative_slope, shapes.dense
+            self.actor = MlpActors(runs, widths, rows, negative_slope=slope, dense=dense, n_updates=n_updates)
+        else:
+            self.actor = SoftActors(runs, shapes.soft, shapes.n_inputs, shapes.n_actions, rows)
         self.critics, self.targets = critics(shapes.precision), critics(shapes.precision)
         # A run's temperature, its gradient and its moments begin rows of their own, as its parameters do.
         temperature_rows = [torch.zeros(n, ROW_MULTIPLE) for _ in range(4)]
@@ -81,15 +75,15 @@ class FleetSac:
         )
         self._temperature_rows = temperature_rows
         # Gradients and Adam's two moments have the layout of the parameters.
-        self.actor_gradients, *self.actor_moments = (actors() for _ in range(3))
         self.critic_gradients, *self.critic_moments = (critics() for _ in range(3))
-        self._n_updates_before = n_updates
-        self._groups: tuple[list[AdamGroup], list[AdamGroup]] | None = None
+        self._rate_share = 1.0
+        critic_stacks = [self.critics, self.critic_gradients, *self.critic_moments]
+        self._critic_adam = adam_groups(runs, [layers.flat for layers in critic_stacks], n_updates, n_each=N_CRITICS)
+        self._temperature_adam = adam_groups(runs, temperature_rows, n_updates, decays=False)
 
-        self._actor_pass = StackedMlp(self.actor, 2 * rows, shapes.negative_slope, rows, shapes.dense)
         self._critic_pass = StackedMlp(self.critics, rows, shapes.negative_slope)
         self._actions = SquashedActions(n, 2 * rows, shapes.n_actions)
-        self._acting: tuple[StackedMlp, Tensor, SquashedActions] | None = None
+        self._acting: SquashedActions | None = None
 
         def column(values: Sequence[float]) -> Tensor:
             return torch.tensor(values).view(n, 1)
@@ -108,40 +102,26 @@ class FleetSac:
         """Return views of everything that run `run` has learnt, by name; writing into them changes the run."""
         critics = slice(N_CRITICS * run, N_CRITICS * (run + 1))
         stacks = {
-            "actor": (self.actor, slice(run, run + 1)),
-            "actor.moment1": (self.actor_moments[0], slice(run, run + 1)),
-            "actor.moment2": (self.actor_moments[1], slice(run, run + 1)),
-            "critics": (self.critics, critics),
-            "critics.moment1": (self.critic_moments[0], critics),
-            "critics.moment2": (self.critic_moments[1], critics),
-            "targets": (self.targets, critics),
+            "critics": self.critics,
+            "critics.moment1": self.critic_moments[0],
+            "critics.moment2": self.critic_moments[1],
+            "targets": self.targets,
         }
-        views = {
-            f"{name}.{kind}{layer}": tensor[rows]
-            for name, (stacked, rows) in stacks.items()
-            for kind, tensors in (("weight", stacked.weights), ("bias", stacked.biases))
-            for layer, tensor in enumerate(tensors)
-        }
+        views = self.actor.tensors(run)
+        views |= {f"{name}.{key}": view for name, each in stacks.items() for key, view in each.named(critics).items()}
         views["log_temperature"] = self.log_temperature[run : run + 1]
         for i, moment in enumerate(self.temperature_moments, start=1):
             views[f"log_temperature.moment{i}"] = moment[run : run + 1]
         return views
 
     def initialise(self, run: int, generator: torch.Generator) -> None:
-        """Draw the run's networks as torch's Linear does."""
-        tensors = self.tensors(run)
-        for name in ("actor", "critics"):
-            layers = self.actor if name == "actor" else self.critics
-            for layer, weight in enumerate(layers.weights):
-                limit = 1 / math.sqrt(weight.shape[1])
-                for kind in ("weight", "bias"):
-                    view = tensors[f"{name}.{kind}{layer}"]
-                    view.copy_((2 * torch.rand(view.shape, generator=generator) - 1) * limit)
+        """Draw the run's actor and critics."""
+        critics = slice(N_CRITICS * run, N_CRITICS * (run + 1))
+        self.actor.initialise(run, generator)
+        self.critics.initialise(critics, generator)
         temperature = self.runs[run].temperature
         self.log_temperature[run] = 0.0 if temperature is None else math.log(temperature)
-        for layer in range(len(self.critics.weights)):
-            for kind in ("weight", "bias"):
-                tensors[f"targets.{kind}{layer}"].copy_(tensors[f"critics.{kind}{layer}"])
+        self.targets.flat[critics] = self.critics.flat[critics]
         self.refresh()
 
     def load(self, run: int, saved: dict[str, Tensor]) -> None:
@@ -153,7 +133,7 @@ class FleetSac:
     @property
     def n_updates(self) -> int:
         """Updates done, those of earlier learners included."""
-        return self._n_updates_before if self._groups is None else int(self._groups[0][0].steps[0])
+        return int(self._critic_adam[0].steps[0])
 
     def refresh(self) -> None:
         """Take over parameters that were written from outside."""
@@ -169,25 +149,20 @@ class FleetSac:
             states: (R, E, n_inputs).
             noise: (R, E, n_actions), standard normal; None for the deterministic action.
         """
-        n, n_envs, n_inputs = states.shape
-        if self._acting is None or self._acting[0].n_rows != n_envs:
-            self._acting = (
-                StackedMlp(self.actor, n_envs, self.shapes.negative_slope, dense=self.shapes.dense),
-                new_stack(n, n_envs, n_inputs),
-                SquashedActions(n, n_envs, self.shapes.n_actions),
-            )
-        network, inputs, actions = self._acting
-        return actions.sample(network.forward(self.actor, inputs.copy_(states)), noise).clone()
+        n, n_envs, _ = states.shape
+        if self._acting is None or self._acting.actions.shape[1] != n_envs:
+            self._acting = SquashedActions(n, n_envs, self.shapes.n_actions)
+        return self._acting.sample(self.actor.act(states), noise).clone()
 
     def answers(self, run: int, states: Tensor) -> Tensor:
         """Return one run's deterministic actions in [-1, 1], (n, n_actions), in states (n, n_inputs)."""
-        actor = self.actor.only(run)
-        inputs = new_stack(1, *states.shape).copy_(states)
-        network = StackedMlp(actor, len(states), self.shapes.negative_slope, dense=self.shapes.dense)
-        outputs = network.forward(actor, inputs)
-        return torch.tanh(outputs[0, :, : self.shapes.n_actions])
+        return torch.tanh(self.actor.answers(run, states)[:, : self.shapes.n_actions])
 
     # -- learning -------------------------------------------------------------------------------------------------
+
+    def at_step(self, n_steps: int) -> None:
+        """Make ready for the updates after so many steps of the environment."""
+        self._rate_share = self.actor.at_step(n_steps)
 
     @torch.no_grad()
     def update(self, batch: Minibatch, noise: Tensor) -> None:
@@ -201,7 +176,7 @@ class FleetSac:
         d = shapes.n_inputs
         self._actor_inputs[:, :rows] = batch.states
         self._actor_inputs[:, rows:] = batch.next_states
-        answers = self._actor_pass.forward(self.actor, self._actor_inputs)
+        answers = self.actor.forward(self._actor_inputs)
         actions = self._actions.sample(answers, noise)
         log_probability = self._actions.log_probability(answers, noise)
         temperature = self._temperature_rows[0].exp()[:, :1]
@@ -219,9 +194,8 @@ class FleetSac:
         torch.sub(self._values(self.critics, self._critic_inputs), goal.unsqueeze(1), out=d_critics[..., 0])
         self._d_critics.div_(rows)
         self._critic_pass.backward(self.critics, self._critic_inputs, self._d_critics, self.critic_gradients)
-        critic_adam, actor_adam = self._adam()
-        for group in critic_adam:
-            group.step()
+        for group in self._critic_adam:
+            group.step(self._rate_share)
         self.critics.refresh()
 
         # Actor and temperature, against the critics just updated.
@@ -233,35 +207,16 @@ class FleetSac:
         assert d_actions is not None
         d_actions = d_actions.view(n, N_CRITICS, rows, -1).sum(1)
         self._actions.gradient(answers, noise, temperature, d_actions, self._d_actor)
-        self._actor_pass.backward(self.actor, self._actor_inputs, self._d_actor, self.actor_gradients)
+        self.actor.backward(self._actor_inputs, self._d_actor)
         target_entropy = -float(shapes.n_actions)
         mean_log_probability = log_probability[:, :rows].mean(1)
         torch.mul(mean_log_probability + target_entropy, -self._automatic, out=self._temperature_gradient)
-        for group in actor_adam:
-            group.step()
+        self.actor.step(self._rate_share)
+        for group in self._temperature_adam:
+            group.step(self._rate_share)
         self.targets.flat.lerp_(self.critics.flat, shapes.tau)
         self.targets.refresh()
 
     def _values(self, layers: Layers, inputs: Tensor) -> Tensor:
         """Return the critics' values, (R, 2, B)."""
         return self._critic_pass.forward(layers, inputs).view(len(self.runs), N_CRITICS, -1)
-
-    def _adam(self) -> tuple[list[AdamGroup], list[AdamGroup]]:
-        """Return Adam's groups of the critics, and those of actors and temperatures, made at the first update.
-
-        Runs that share learning rate and weight decay share a group.
-        """
-        if self._groups is None:
-            alike = len({(run.learning_rate, run.weight_decay) for run in self.runs}) == 1
-            critics = [self.critics, self.critic_gradients, *self.critic_moments]
-            actors = [self.actor, self.actor_gradients, *self.actor_moments]
-            self._groups = [], []
-            for run, settings in enumerate(self.runs[:1] if alike else self.runs):
-                one = slice(None) if alike else slice(run, run + 1)
-                two = slice(None) if alike else slice(N_CRITICS * run, N_CRITICS * (run + 1))
-                rate, decay, n_updates = settings.learning_rate, settings.weight_decay, self._n_updates_before
-                of_temperatures = [rows[one] for rows in self._temperature_rows]
-                self._groups[0].append(AdamGroup.of(rate, decay, [layers.flat[two] for layers in critics], n_updates))
-                self._groups[1].append(AdamGroup.of(rate, decay, [layers.flat[one] for layers in actors], n_updates))
-                self._groups[1].append(AdamGroup.of(rate, 0.0, of_temperatures, n_updates))
-        return self._groups

@@ -6,7 +6,6 @@ uninterrupted one, and a run equals itself whatever runs it was trained with, bi
 the same package versions (between two types float32 rounds differently, and training multiplies the difference).
 """
 
-import functools
 import time
 from collections.abc import Sequence
 from contextlib import closing
@@ -17,8 +16,7 @@ import torch
 
 from pipelines.config.run import RunConfig
 from pipelines.errors import PipelineError
-from pipelines.play.actor_files import actor_files
-from pipelines.play.selection import compare_with_trained, diverged, play_selection_episodes, units_of_box
+from pipelines.play.selection import diverged
 from pipelines.training.checkpoints import progress_row
 from pipelines.training.fleet.fleet_run import FleetRun
 from pipelines.training.fleet.progress import FleetProgress
@@ -67,9 +65,7 @@ def _segment(trainer: FleetTrainer, progress: FleetProgress) -> None:
         try:
             if not all(bool(torch.isfinite(tensor).all()) for tensor in run.tensors.values()):
                 raise diverged(run.n_steps, "its parameters are not finite")
-            units = units_of_box(run.config)
-            network, episodes = play_selection_episodes(trainer.network(r), run.config, units)
-            compare_with_trained(network, functools.partial(trainer.answers, r), episodes.states, units)
+            files, episodes = trainer.evaluate(r)
         except PipelineError as error:
             run.error = error
             progress.given_up(run)
@@ -77,7 +73,7 @@ def _segment(trainer: FleetTrainer, progress: FleetProgress) -> None:
         # A run's seconds are its share of the fleet's, so that the runs' sum is what was spent.
         share = trained_s / len(trainer.runs)
         row = progress_row(end, start, share, np.array(returns[r]), np.array(lengths[r]))
-        run.history.segment_done(row, actor_files(network), episodes)
+        run.history.segment_done(row, files, episodes)
         run.save()
         run.tracker.segment_done(row, run.history.evaluations[-1])
     progress.segment_done(trainer.runs, start, trained_s)

@@ -1,9 +1,11 @@
 """A cohort of runs at the same step, stacked: collects transitions and updates, a segment at a time."""
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import torch
 from torch import Tensor
@@ -11,18 +13,24 @@ from torch import Tensor
 import otr
 from otr.learners.networks.denormals import denormals_as_zero
 from pipelines.config.env import EnvConfig
+from pipelines.config.methods import SoftConfig
 from pipelines.config.run import RunConfig
 from pipelines.config.trainer import FleetConfig
 from pipelines.errors import ConfigError
+from pipelines.play.actor_files import actor_files
 from pipelines.play.environments import flat_state_size, is_discrete, make_env
+from pipelines.play.rollout import Rollout
+from pipelines.play.selection import compare_with_trained, play_selection_episodes, units_of_box
 from pipelines.training.environments.backends import EQUAL_IDS, make_vector_env
 from pipelines.training.environments.vector_envs import Autoreset, Step
 from pipelines.training.estimates import learning_starts, segment_steps
+from pipelines.training.fleet.actors import SoftActors, SoftTraining
 from pipelines.training.fleet.fleet_run import FleetRun
 from pipelines.training.fleet.progress import FleetProgress
 from pipelines.training.fleet.random_streams import Draws, Streams
 from pipelines.training.fleet.replay_buffer import FleetReplay, RowLayout
 from pipelines.training.fleet.sac import FleetSac, Shapes
+from pipelines.training.soft_trees import play_selection, shape_of
 
 torch.set_num_threads(1)  # two threads make these small networks a hundred times slower
 
@@ -67,6 +75,7 @@ class FleetTrainer:
             algo.tau,
             config.fleet.precision,
             bool(config.actor.links),
+            _soft_training(config),
         )
         self._learner = FleetSac(shapes, [run.settings for run in runs], runs[0].n_updates)
         for r, run in enumerate(runs):
@@ -91,6 +100,20 @@ class FleetTrainer:
     def tensors(self, r: int) -> dict[str, Tensor]:
         """Return a copy of what a run has learnt."""
         return {name: tensor.clone() for name, tensor in self._learner.tensors(r).items()}
+
+    def evaluate(self, r: int) -> tuple[dict[str, bytes], Rollout]:
+        """Return the files of what a run's actor becomes, and what came of its selection episodes.
+
+        Raises:
+            PolicyMismatchError: the exported network and the trained actor disagree on a visited state.
+        """
+        config, task = self.runs[r].config, self._task
+        units = units_of_box(config)
+        if isinstance(self._learner.actor, SoftActors):
+            return play_selection(self._learner.actor.trees[r], config, gym.spaces.Box(task.low, task.high), units)
+        network, episodes = play_selection_episodes(self.network(r), config, units)
+        compare_with_trained(network, functools.partial(self.answers, r), episodes.states, units)
+        return actor_files(network), episodes
 
     def network(self, r: int) -> otr.ReluNetwork:
         """Return a run's actor."""
@@ -134,6 +157,7 @@ class FleetTrainer:
                 step = self._env.step(self._env_actions(scaled))
                 self._replay.add(done, torch.cat([states, scaled, *self._outcome(step)], dim=2))
                 if done + n_envs > first_update:
+                    self._learner.at_step(done)
                     for e in range(n_envs):
                         self._learner.update(self._replay.gather(positions[:, ahead, e]), draws.updates[:, ahead, e])
                 states = self._by_run(step.states)
@@ -188,6 +212,13 @@ class _EpisodeSums:
             self.returns[i // self._n_envs].append(float(self._return[i]))
             self.lengths[i // self._n_envs].append(int(self._length[i]))
             self._return[i], self._length[i] = 0.0, 0
+
+
+def _soft_training(config: RunConfig) -> SoftTraining | None:
+    """Return what a run's actor is trained as where it is a soft tree."""
+    if not isinstance(config.method, SoftConfig):
+        return None
+    return SoftTraining(shape_of(config), config.method, config.train.steps)
 
 
 def uses_envpool(env: EnvConfig, fleet: FleetConfig) -> bool:

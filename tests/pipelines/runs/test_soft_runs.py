@@ -80,7 +80,7 @@ def test_soft_trees_bring_their_algorithm_and_steps(words, algo, gamma, steps, i
     config = run_config([*words, "budget=quick"])
     assert (config.algo.name, config.algo.gamma) == (algo, gamma)
     assert (config.train.steps, config.train.eval_interval_steps) == (steps, interval)
-    assert config.trainer_name == "sb3"  # a fleet trains networks alone
+    assert config.trainer_name == ("fleet" if "trainer=fleet" in words else "sb3")
 
 
 def test_algorithms_that_train_no_soft_trees_are_refused():

@@ -22,14 +22,21 @@ from pipelines.training.normalisation import input_units, normalised
 from pipelines.training.sb3_checkpoints import load_checkpoint, save_checkpoint
 from pipelines.training.sb3_models import build_model
 from pipelines.training.soft_actor import (
-    SAC_TURN,
     SoftActorCriticPolicy,
     SoftSacPolicy,
     SoftSchedule,
-    exported_module,
     soft_module,
 )
-from pipelines.training.soft_trees import Shape, SoftPolicy, build_module, harden, load_soft, soft_files
+from pipelines.training.soft_trees import (
+    SAC_TURN,
+    Shape,
+    SoftPolicy,
+    build_module,
+    harden,
+    load_soft,
+    own_units,
+    soft_files,
+)
 from tests.control.test_soft_tree import clear_states
 
 torch.set_num_threads(1)
@@ -212,10 +219,10 @@ def test_modules_trained_on_rescaled_states_read_the_environments_own(actor: Sha
     own = np.random.default_rng(0).uniform(low, high, (50, 2)).astype(np.float32)
     rescaled = (own - (low + high) / 2) / ((high - low) / 2)
     expected = model.predict(rescaled, deterministic=True)[0]
-    exported = exported_module(model, input_units(model, config))
+    exported = own_units(soft_module(model), input_units(model, config))
     head = harden(exported, model.action_space).head
     np.testing.assert_allclose(SoftPolicy(exported, head).predict(own), expected, atol=1e-4)
-    as_is = SoftPolicy(exported_module(model, None), head).predict(rescaled)
+    as_is = SoftPolicy(own_units(soft_module(model), None), head).predict(rescaled)
     np.testing.assert_allclose(as_is, expected, atol=1e-6)  # of float32
 
 
@@ -230,9 +237,9 @@ def test_modules_trained_on_normalised_states_read_the_environments_own(actor: S
     seen = (own - statistics.mean) / np.sqrt(statistics.var)
     expected = model.predict(seen, deterministic=True)[0]
     units = input_units(model, config)
-    head = harden(exported_module(model, units), model.action_space).head
-    np.testing.assert_allclose(SoftPolicy(exported_module(model, units), head).predict(own), expected, atol=1e-5)
-    assert np.abs(SoftPolicy(exported_module(model, None), head).predict(own) - expected).max() > 1e-3
+    head = harden(own_units(soft_module(model), units), model.action_space).head
+    np.testing.assert_allclose(SoftPolicy(own_units(soft_module(model), units), head).predict(own), expected, atol=1e-5)
+    assert np.abs(SoftPolicy(own_units(soft_module(model), None), head).predict(own) - expected).max() > 1e-3
 
 
 def test_states_are_not_rescaled_and_normalised() -> None:

@@ -17,12 +17,28 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from torch import Tensor
 
+from pipelines.config.methods import PiPrlConfig
+from pipelines.training.fleet.actors import SoftTraining
+from pipelines.training.fleet.adam import RunSettings
 from pipelines.training.fleet.mlp import Layers
-from pipelines.training.fleet.sac import FleetSac, Minibatch, RunSettings, Shapes
+from pipelines.training.fleet.sac import FleetSac, Minibatch, Shapes
 from pipelines.training.fleet.stacked_tensors import multiply, new_stack
+from pipelines.training.soft_actor import SoftSacPolicy, soft_module
+from pipelines.training.soft_trees import Shape, rate_share, set_phase
 from tests.pipelines.training.fleet.autograd_sac import AutogradSac
 
 N_INPUTS, N_ACTIONS, BATCH = 11, 3, 100
+# 50 updates, 200 steps after each: two turns of the program, two of the architecture, the structure chosen
+PI_PRL = PiPrlConfig(
+    "pi_prl",
+    beta_first=1.0,
+    beta_last=16.0,
+    anneal_until=0.5,
+    learning_rate_end=0.2,
+    structure_penalty=0.25,
+    discretise_at=0.75,
+)
+SOFT = SoftTraining(Shape("pi_prl", {"depth": 2, "structure_penalty": 0.25}), PI_PRL, 10_000)
 
 
 def draw_batch(generator: torch.Generator) -> tuple[Minibatch, Tensor]:
@@ -51,7 +67,8 @@ def stacked(drawn: list[tuple[Minibatch, Tensor]]) -> tuple[Minibatch, Tensor]:
 def learn(fleet: FleetSac, seeds: list[int], n_updates: int) -> None:
     """Update every run of a fleet on batches of its own stream."""
     generators = [torch.Generator().manual_seed(1000 + seed) for seed in seeds]
-    for _ in range(30):
+    for n_done in range(n_updates):
+        fleet.at_step(200 * n_done)
         fleet.update(*stacked([draw_batch(generator) for generator in generators]))
 
 
@@ -77,12 +94,17 @@ class Box11x3(gym.Env):
 def sb3_parameters(model: SAC) -> dict[str, Tensor]:
     """Return Stable-Baselines3's parameters under our names."""
     policy = model.policy
-    hidden = [layer for layer in policy.actor.latent_pi if isinstance(layer, torch.nn.Linear)]
     heads = [policy.actor.mu, policy.actor.log_std]
-    found = {f"actor.weight{i}": layer.weight.T for i, layer in enumerate(hidden)}
-    found |= {f"actor.bias{i}": layer.bias for i, layer in enumerate(hidden)}
-    found[f"actor.weight{len(hidden)}"] = torch.cat([head.weight for head in heads]).T
-    found[f"actor.bias{len(hidden)}"] = torch.cat([head.bias for head in heads])
+    if isinstance(policy, SoftSacPolicy):
+        names = ("mean", "log_std")
+        found = {f"actor.{part}.{name}": tensor for part, head in zip(names, heads, strict=True)
+                 for name, tensor in head.named_parameters()}  # fmt: skip
+    else:
+        hidden = [layer for layer in policy.actor.latent_pi if isinstance(layer, torch.nn.Linear)]
+        found = {f"actor.weight{i}": layer.weight.T for i, layer in enumerate(hidden)}
+        found |= {f"actor.bias{i}": layer.bias for i, layer in enumerate(hidden)}
+        found[f"actor.weight{len(hidden)}"] = torch.cat([head.weight for head in heads]).T
+        found[f"actor.bias{len(hidden)}"] = torch.cat([head.bias for head in heads])
     for name, critic in (("critics", policy.critic), ("targets", policy.critic_target)):
         nets = [[layer for layer in net if isinstance(layer, torch.nn.Linear)] for net in critic.q_networks]
         for i in range(len(nets[0])):
@@ -138,7 +160,7 @@ def test_gradients_are_those_of_autograd(
             batch, noise = stacked([draw_batch(generator)])
             fleet.update(batch, noise)
             oracle.update(batch, noise)
-            assert_gradients(fleet.actor_gradients, [oracle.actor])
+            assert_gradients(fleet.actor.gradients, [oracle.actor])
             assert_gradients(fleet.critic_gradients, list(oracle.critics))
             if temperature is None:
                 assert_equal_numbers(fleet._temperature_gradient, oracle.log_temperature.grad)
@@ -166,10 +188,14 @@ def assert_equal_numbers(ours: Tensor, theirs: Tensor) -> None:
 
 
 @pytest.mark.usefixtures("in_float64")
-def test_fifty_updates_are_those_of_stable_baselines3(queued_noise: list[Tensor]) -> None:
+@pytest.mark.parametrize("soft", [None, SOFT], ids=["network", "soft tree"])
+def test_fifty_updates_are_those_of_stable_baselines3(queued_noise: list[Tensor], soft: SoftTraining | None) -> None:
     actor, slope, decay = (8, 8), 0.05, 1e-2
+    own = {"net_arch": {"pi": list(actor), "qf": [64, 64]}}
+    if soft:
+        actor, own = (), {"net_arch": {"pi": [], "qf": [64, 64]}, "actor": soft.shape}
     model = SAC(
-        "MlpPolicy",
+        SoftSacPolicy if soft else "MlpPolicy",
         Box11x3(),
         learning_rate=1e-3,
         batch_size=BATCH,
@@ -179,22 +205,27 @@ def test_fifty_updates_are_those_of_stable_baselines3(queued_noise: list[Tensor]
         seed=0,
         device="cpu",
         policy_kwargs={
-            "net_arch": {"pi": list(actor), "qf": [64, 64]},
+            **own,
             "activation_fn": lambda: torch.nn.LeakyReLU(slope),
             "optimizer_kwargs": {"weight_decay": decay},
         },
     )
     model.learn(0)  # sets the logger up
-    shapes = Shapes(N_INPUTS, N_ACTIONS, actor, (64, 64), BATCH, negative_slope=slope, tau=0.01)
+    shapes = Shapes(N_INPUTS, N_ACTIONS, actor, (64, 64), BATCH, negative_slope=slope, tau=0.01, soft=soft)
     fleet = new_fleet(shapes, [0], [RunSettings(1e-3, 0.98, decay)])
     for name, tensor in sb3_parameters(model).items():
         fleet.tensors(0)[name].copy_(tensor)
     start = sb3_parameters(model)
 
     generator = torch.Generator().manual_seed(4)
-    for _ in range(50):
+    for n_done in range(50):
         batch, noise = draw_batch(generator)
+        fleet.at_step(200 * n_done)
         fleet.update(*stacked([(batch, noise)]))
+        if soft:
+            set_phase(soft_module(model), soft.method, 200 * n_done, soft.n_steps)
+            share = rate_share(soft.method, 200 * n_done, soft.n_steps)
+            model.lr_schedule = lambda _, share=share: 1e-3 * share  # type: ignore[misc]
         samples = ReplayBufferSamples(
             batch.states, batch.actions, batch.next_states, 1 - batch.continues[:, None], batch.rewards[:, None]
         )
@@ -218,6 +249,23 @@ def assert_same(alone: FleetSac, fleet: FleetSac, run: int) -> None:
     """Check that a run of a fleet has learnt the bits that it learnt alone."""
     for name, tensor in alone.tensors(0).items():
         assert torch.equal(tensor, fleet.tensors(run)[name]), name
+
+
+def test_a_run_of_soft_trees_is_the_run_alone_and_goes_on_from_what_it_had_learnt() -> None:
+    shapes = Shapes(N_INPUTS, N_ACTIONS, (), (64, 64), BATCH, soft=SOFT)
+    together, alone = new_fleet(shapes, [0, 1]), new_fleet(shapes, [1])
+    learn(together, [0, 1], 45)
+    learn(alone, [1], 45)
+    assert_same(alone, together, 1)
+    assert alone.tensors(0)["actor.mean.structure"].min() >= 0
+    steps = {name: int(tensor) for name, tensor in alone.tensors(0).items() if name.endswith(".step")}
+    assert 0 < steps["actor.mean.architecture.step"] < steps["actor.mean.tests.step"] < 45
+    assert steps["actor.log_std.weight.step"] == 45
+    again = FleetSac(shapes, alone.runs, alone.n_updates)
+    again.load(0, {name: tensor.clone() for name, tensor in alone.tensors(0).items()})
+    for fleet in (alone, again):
+        learn(fleet, [7], 10)
+    assert_same(again, alone, 0)
 
 
 @pytest.mark.parametrize(

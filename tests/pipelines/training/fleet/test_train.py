@@ -14,6 +14,7 @@ import torch
 
 import otr
 from pipelines.config.env import EnvConfig
+from pipelines.config.methods import PiPrlConfig
 from pipelines.config.stages import ActorConfig, TrainConfig
 from pipelines.config.trainer import FleetConfig
 from pipelines.engine.store import read_csv
@@ -27,6 +28,7 @@ from pipelines.training.fleet.fleet_run import FleetRun
 from pipelines.training.fleet.progress import FleetProgress
 from pipelines.training.fleet.train import _segment, train_fleet
 from pipelines.training.fleet.trainer import FleetTrainer, Task, uses_envpool
+from pipelines.training.soft_trees import harden, load_soft
 from tests.pipelines.conftest import HOPPER, LANDER, PPO, SAC
 from tests.pipelines.sweeps import run_until_killed
 
@@ -77,6 +79,25 @@ def test_a_run_in_company_is_the_run_alone(fleet_run, tmp_path, n_envs):
     alone = trained([dataclasses.replace(configs[1], results_dir=str(tmp_path / "r2"))], tmp_path / "alone")
     assert same(together[1], alone[0])
     assert not same(together[0], together[1])
+
+
+def test_soft_trees_are_trained_killed_and_resumed(fleet_run, tmp_path):
+    method = PiPrlConfig("pi_prl", 1.0, 20.0, 0.8, 0.05, 0.25, 0.5)
+    results = [str(tmp_path / name) for name in ("alone", "killed")]
+    alone, killed = (
+        [fleet_run(seed=seed, method=method, depth=2, results_dir=folder) for seed in (0, 1)] for folder in results
+    )
+    expected = trained(alone, tmp_path / "expected")
+    outs = [tmp_path / "a", tmp_path / "b"]
+    for out in outs:
+        out.mkdir()
+    run_until_killed(train_until_killed, killed, outs, "in a segment")
+    assert train_all(killed, outs) == [None, None]
+    for one, other in zip(expected, outs, strict=True):
+        assert (one / "soft.safetensors").read_bytes() == (other / "soft.safetensors").read_bytes()
+        assert (one / "evaluations.csv").read_bytes() == (other / "evaluations.csv").read_bytes()
+    module = load_soft(expected[0])
+    assert harden(module, make_env(alone[0].env).action_space, is_squashed=True).head == otr.TanhBox([-2.0], [2.0])
 
 
 @pytest.mark.parametrize("depth", [0, 4, [4, 3]], ids=str)
@@ -191,7 +212,7 @@ def test_run_that_diverges_is_named_and_the_others_go_on(fleet_run, tmp_path, mo
     def initialise_badly(learner, run, generator):
         initialise(learner, run, generator)
         if len(learner.runs) == 2 and run == 0:
-            learner.actor.weights[0][0] = float("nan")
+            learner.actor.layers.weights[0][0] = float("nan")
 
     monkeypatch.setattr(trainer_module.FleetSac, "initialise", initialise_badly)
     others = [dataclasses.replace(config, results_dir=str(tmp_path / "r2")) for config in configs]

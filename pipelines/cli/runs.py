@@ -116,6 +116,8 @@ class RunWorkflow(Workflow):
         leaves_it = any(f"{key}={given[key]}" not in road for key in TRAINED_BY & given.keys())
         taken = {*given, *OF_A_WAY} if leaves_it else given.keys()
         road = [override for override in road if key_of(override) not in taken]
+        if leaves_it:  # what is said of an algorithm is said of the road's
+            road = [override for override in road if not override.startswith("algo.")]
         given |= dict(override.split("=", 1) for override in road)
         return [*road, *METHODS.get(given.get("method", "otr"), MethodConfig).implied(given)]
 

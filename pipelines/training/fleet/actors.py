@@ -133,7 +133,7 @@ class SoftActors:
     def __init__(
         self, runs: Sequence[RunSettings], training: SoftTraining, n_inputs: int, n_actions: int, batch_size: int
     ) -> None:
-        self._training, self._n_rows = training, batch_size
+        self._training = training
         self.trees: list[SoftModule] = [build_module(training.shape, n_inputs, n_actions) for _ in runs]
         self._log_stds = [nn.Linear(n_inputs, n_actions) for _ in runs]
         self._optimizers = [
@@ -150,18 +150,18 @@ class SoftActors:
         return rate_share(method, n_steps, of_steps)
 
     def forward(self, inputs: Tensor) -> Tensor:
-        n = self._n_rows
         with torch.enable_grad():
-            self._graphs = [self._of(run, states) for run, states in enumerate(inputs[:, :n])]
-        for run, (answers, graph) in enumerate(zip(self._answers, self._graphs, strict=True)):
-            answers[:n] = graph.detach()
-            answers[n:] = self._of(run, inputs[run, n:])
+            self._graphs = [self._of(run, states) for run, states in enumerate(inputs)]
+        for answers, graph in zip(self._answers, self._graphs, strict=True):
+            answers.copy_(graph.detach())
         return self._answers
 
     def backward(self, inputs: Tensor, d_answers: Tensor) -> None:
         for graph, derivative, optimizer in zip(self._graphs, d_answers, self._optimizers, strict=True):
             optimizer.zero_grad()
-            graph.backward(derivative)  # type: ignore[no-untyped-call]
+            with torch.enable_grad():
+                of_states = graph[: len(derivative)]
+            of_states.backward(derivative)  # type: ignore[no-untyped-call]
 
     def step(self, rate_share: float) -> None:
         for optimizer in self._optimizers:

@@ -170,7 +170,8 @@ class SoftActors:
             optimizer.step()
 
     def act(self, states: Tensor) -> Tensor:
-        return torch.stack([self._of(run, own) for run, own in enumerate(states)])
+        with torch.no_grad():  # of copies: rounding may depend on where factors begin (`stacked_tensors`)
+            return torch.stack([self._of(run, own.clone()) for run, own in enumerate(states)])
 
     def answers(self, run: int, states: Tensor) -> Tensor:
         with torch.no_grad():

@@ -257,6 +257,8 @@ def test_a_run_of_soft_trees_is_the_run_alone_and_goes_on_from_what_it_had_learn
     learn(together, [0, 1], 45)
     learn(alone, [1], 45)
     assert_same(alone, together, 1)
+    states, noise = torch.randn(2, 1, N_INPUTS), torch.randn(2, 1, N_ACTIONS)
+    assert torch.equal(alone.act(states[1:], noise[1:])[0], together.act(states, noise)[1])
     assert alone.tensors(0)["actor.mean.structure"].min() >= 0
     steps = {name: int(tensor) for name, tensor in alone.tensors(0).items() if name.endswith(".step")}
     assert 0 < steps["actor.mean.architecture.step"] < steps["actor.mean.tests.step"] < 45

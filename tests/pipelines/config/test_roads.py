@@ -34,6 +34,14 @@ def made(*overrides):
         (["env=hopper", "algo=sac"], "sac", "sb3", None),
         (["env=reacher", "method=viper"], "sac", "fleet", None),
         (["env=hopper", "method=viper"], "ars", "ars", "runs/hopper/viper/depth-6/standard-ars/seed-0"),
+        (["env=reacher", "method=pi_prl"], "sac", "fleet", "runs/reacher/pi_prl/depth-6/standard-fleet/seed-0"),
+        (
+            ["env=pendulum", "method=pi_prl", "algo=ppo_tree_pendulum"],
+            "ppo",
+            "sb3",
+            "runs/pendulum/pi_prl/depth-6/standard/seed-0",
+        ),
+        (["env=bipedalwalker", "method=pi_prl", "algo=sac"], "sac", "sb3", None),
     ],
 )
 def test_the_cheapest_road_is_the_default(overrides, algo, trainer, folder):

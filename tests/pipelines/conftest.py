@@ -17,7 +17,7 @@ from pipelines import cli
 from pipelines.config.algo import PpoConfig, SacConfig
 from pipelines.config.budget import BudgetConfig
 from pipelines.config.env import EnvConfig
-from pipelines.config.methods import MappedConfig
+from pipelines.config.methods import MappedConfig, PiPrlConfig
 from pipelines.config.run import RunConfig
 from pipelines.config.stages import ActorConfig, EvaluateConfig, MapConfig, PruneConfig, TrainConfig
 
@@ -25,6 +25,15 @@ PENDULUM = EnvConfig("pendulum", "pendulum", "Pendulum-v1", {}, ["cos_angle", "s
 LANDER = EnvConfig("lunarlander", "lunarlander", "LunarLander-v3")
 HOPPER = EnvConfig("hopper", "hopper", "Hopper-v4")
 SAC = SacConfig("sac", 1e-3, 32, 0.99, [16], 0.0, 1_000_000, 100, 0.005, 1, 1, "normal", 0.1, 0.01, "auto")
+PI_PRL = PiPrlConfig(
+    "pi_prl",
+    beta_first=1.0,
+    beta_last=16.0,
+    anneal_until=0.5,
+    learning_rate_end=0.2,
+    structure_penalty=0.25,
+    discretise_at=0.75,
+)
 PPO = PpoConfig("ppo", 3e-4, 32, 0.99, [16], 0.0, 2, 64, 0.95, 2, 0.2, 0.0, 0.5, 0.5)
 
 

@@ -15,7 +15,6 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 import otr
 from pipelines.cli.runs import run_config
-from pipelines.config.methods import PiPrlConfig
 from pipelines.engine.store import write_files
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.training.normalisation import input_units, normalised
@@ -38,6 +37,7 @@ from pipelines.training.soft_trees import (
     soft_files,
 )
 from tests.control.test_soft_tree import clear_states
+from tests.pipelines.conftest import PI_PRL
 
 torch.set_num_threads(1)
 
@@ -48,15 +48,6 @@ ACTORS = [
 ]
 N_STEPS, N_ENVS = 32, 2
 ROLLOUT = N_STEPS * N_ENVS
-METHOD = PiPrlConfig(
-    "pi_prl",
-    beta_first=1.0,
-    beta_last=16.0,
-    anneal_until=0.5,
-    learning_rate_end=0.2,
-    structure_penalty=0.25,
-    discretise_at=0.75,
-)
 
 ids = pytest.mark.parametrize("actor", ACTORS, ids=lambda actor: actor.kind)
 
@@ -88,11 +79,11 @@ def learn_segment(model: BaseAlgorithm, env_id: str, segment: int, n_rollouts: i
     model.set_logger(Logger(folder=None, output_formats=[]))
     model.set_env(make_env(env_id, model.n_envs), force_reset=True)
     model.set_random_seed(segment)
-    model.learn(n_rollouts * ROLLOUT, SoftSchedule(METHOD, 4 * ROLLOUT), log_interval=None, reset_num_timesteps=False)
+    model.learn(n_rollouts * ROLLOUT, SoftSchedule(PI_PRL, 4 * ROLLOUT), log_interval=None, reset_num_timesteps=False)
 
 
 def start_rollout(model: BaseAlgorithm, n_steps_done: int, **changes: float) -> None:
-    schedule = SoftSchedule(dataclasses.replace(METHOD, **changes), 4 * ROLLOUT)
+    schedule = SoftSchedule(dataclasses.replace(PI_PRL, **changes), 4 * ROLLOUT)
     schedule.init_callback(model)
     model.num_timesteps = n_steps_done
     schedule.on_rollout_start()

@@ -17,7 +17,6 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from torch import Tensor
 
-from pipelines.config.methods import PiPrlConfig
 from pipelines.training.fleet.actors import SoftTraining
 from pipelines.training.fleet.adam import RunSettings
 from pipelines.training.fleet.mlp import Layers
@@ -25,19 +24,11 @@ from pipelines.training.fleet.sac import FleetSac, Minibatch, Shapes
 from pipelines.training.fleet.stacked_tensors import multiply, new_stack
 from pipelines.training.soft_actor import SoftSacPolicy, soft_module
 from pipelines.training.soft_trees import Shape, rate_share, set_phase
+from tests.pipelines.conftest import PI_PRL
 from tests.pipelines.training.fleet.autograd_sac import AutogradSac
 
 N_INPUTS, N_ACTIONS, BATCH = 11, 3, 100
 # 50 updates, 200 steps after each: two turns of the program, two of the architecture, the structure chosen
-PI_PRL = PiPrlConfig(
-    "pi_prl",
-    beta_first=1.0,
-    beta_last=16.0,
-    anneal_until=0.5,
-    learning_rate_end=0.2,
-    structure_penalty=0.25,
-    discretise_at=0.75,
-)
 SOFT = SoftTraining(Shape("pi_prl", {"depth": 2, "structure_penalty": 0.25}), PI_PRL, 10_000)
 
 

@@ -14,7 +14,6 @@ import torch
 
 import otr
 from pipelines.config.env import EnvConfig
-from pipelines.config.methods import PiPrlConfig
 from pipelines.config.stages import ActorConfig, TrainConfig
 from pipelines.config.trainer import FleetConfig
 from pipelines.engine.store import read_csv
@@ -29,7 +28,7 @@ from pipelines.training.fleet.progress import FleetProgress
 from pipelines.training.fleet.train import _segment, train_fleet
 from pipelines.training.fleet.trainer import FleetTrainer, Task, uses_envpool
 from pipelines.training.soft_trees import harden, load_soft
-from tests.pipelines.conftest import HOPPER, LANDER, PPO, SAC
+from tests.pipelines.conftest import HOPPER, LANDER, PI_PRL, PPO, SAC
 from tests.pipelines.sweeps import run_until_killed
 
 FLEET = FleetConfig("fleet", 1, "fp32", "gymnasium", 5)
@@ -82,10 +81,9 @@ def test_a_run_in_company_is_the_run_alone(fleet_run, tmp_path, n_envs):
 
 
 def test_soft_trees_are_trained_killed_and_resumed(fleet_run, tmp_path):
-    method = PiPrlConfig("pi_prl", 1.0, 20.0, 0.8, 0.05, 0.25, 0.5)
     results = [str(tmp_path / name) for name in ("alone", "killed")]
     alone, killed = (
-        [fleet_run(seed=seed, method=method, depth=2, results_dir=folder) for seed in (0, 1)] for folder in results
+        [fleet_run(seed=seed, method=PI_PRL, depth=2, results_dir=folder) for seed in (0, 1)] for folder in results
     )
     expected = trained(alone, tmp_path / "expected")
     outs = [tmp_path / "a", tmp_path / "b"]

@@ -24,6 +24,7 @@ from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import EnvConfig
 from pipelines.config.methods import EXTRA_STAGES, METHODS, AugTreeConfig, MethodConfig, ProgramConfig, TakesModel
 from pipelines.config.model import ImportedModel
+from pipelines.config.roads import road, roads
 from pipelines.config.run import RunConfig, changes_text, run_folder
 from pipelines.config.setting import not_keyed
 from pipelines.config.trainer import TRAINERS, FleetConfig, TrainerConfig
@@ -68,6 +69,8 @@ def load_config(run_dir: Path, n_workers: int | None) -> RunConfig:
         schema = schema_of(RunConfig)
         schema.algo = schema_of(ALGORITHMS[cfg.algo.name])
         schema.method = schema_of(METHODS[cfg.method.name])
+        for key in ("roads", "expected"):  # a budget's roads, which were once among a run's settings
+            cfg.budget.pop(key, None)
         if "trainer" in cfg:  # there was one trainer only before
             schema.trainer = schema_of(FleetConfig if "n_envs" in cfg.trainer else TrainerConfig)
         loaded = to_object(OmegaConf.merge(schema, cfg, {"n_workers": n_workers}))
@@ -112,14 +115,14 @@ class RunWorkflow(Workflow):
     def implied(self, overrides: Sequence[str]) -> list[str]:
         """Return the overrides that the choice of budget, method, environment and algorithm implies."""
         given = dict(override.split("=", 1) for override in overrides if "=" in override)
-        road = _road(given)
-        leaves_it = any(f"{key}={given[key]}" not in road for key in TRAINED_BY & given.keys())
+        words = _road(given)
+        leaves_it = any(f"{key}={given[key]}" not in words for key in TRAINED_BY & given.keys())
         taken = {*given, *OF_A_WAY} if leaves_it else given.keys()
-        road = [override for override in road if key_of(override) not in taken]
+        words = [override for override in words if key_of(override) not in taken]
         if leaves_it:  # what is said of an algorithm is said of the road's
-            road = [override for override in road if not override.startswith("algo.")]
-        given |= dict(override.split("=", 1) for override in road)
-        return [*road, *METHODS.get(given.get("method", "otr"), MethodConfig).implied(given)]
+            words = [override for override in words if not override.startswith("algo.")]
+        given |= dict(override.split("=", 1) for override in words)
+        return [*words, *METHODS.get(given.get("method", "otr"), MethodConfig).implied(given)]
 
     def _compose(self, overrides: Sequence[str]) -> DictConfig:
         """Compose what differs in the method alone once, and put the method in: its file fills `method` and no more."""
@@ -315,29 +318,18 @@ def _way(config: RunConfig) -> list[str]:
     The method's own road stands before those of others, as an oracle is trained by its imitator's. As a rule nothing
     is said of the environment's own algorithm.
     """
-    named = {"env": config.env.name, "budget": config.budget.name}
-    for method in (config.method.name, *_roads(config.budget.name)):
-        road = _road({**named, "method": method})
-        given = dict(override.split("=", 1) for override in road)
+    for method in (config.method.name, *roads(config.budget.name).overrides):
+        words = road(config.budget.name, method, config.env.name)
+        given = dict(override.split("=", 1) for override in words)
         algorithm = given.get("algo", "").partition("_")[0]  # ppo_normalised is PPO
         if (algorithm, given.get("trainer")) == (config.algo.name, config.trainer.name):
-            return [override for override in road if key_of(override) in OF_A_WAY - {"trainer"}]
+            return [override for override in words if key_of(override) in OF_A_WAY - {"trainer"}]
     return []
 
 
 def _road(given: Mapping[str, str]) -> Sequence[str]:
-    """Return the overrides with which a budget does a method in an environment (conf/budget: roads)."""
-    budget, method, env = given.get("budget", _default_budget()), given.get("method", "otr"), given.get("env", "")
-    roads = _roads(budget).get(method, {})
-    return roads.get(env) or roads.get(env.rsplit("_v", 1)[0], [])
-
-
-@functools.cache
-def _roads(budget: str) -> dict[str, dict[str, list[str]]]:
-    path = CONF_DIR / "budget" / f"{budget}.yaml"
-    roads = OmegaConf.select(OmegaConf.load(path), "roads") if path.is_file() else None
-    found: Any = OmegaConf.to_container(roads) if roads else {}
-    return dict(found)
+    """Return the overrides with which the budget that is given does the method in the environment."""
+    return road(given.get("budget", _default_budget()), given.get("method", "otr"), given.get("env", ""))
 
 
 @functools.cache

@@ -34,7 +34,3 @@ class BudgetConfig:
     pid: dict[str, Count] = field(default_factory=dict)
     # What is spent on direct search in place of the above, per task: steps, eval_interval_steps, n_selection_episodes
     search: dict[str, dict[str, Count]] = field(default_factory=dict)
-    # The cheapest measured road to the published return: overrides by method and task, which stand before those given
-    roads: dict[str, dict[str, list[FreeText]]] = field(default_factory=dict)
-    # What a run comes to, by method and task: as measured
-    expected: dict[str, dict[str, FreeText]] = field(default_factory=dict)

@@ -7,6 +7,7 @@ from functools import partial
 from typing import Any, Self
 
 from pipelines.config.methods import EXTRA_STAGES
+from pipelines.config.roads import road, roads
 from pipelines.config.run import RunConfig
 from pipelines.engine.job import (
     Job,
@@ -101,16 +102,16 @@ def _train_together(jobs: Sequence[RunJob]) -> list[Exception | None]:
 
 
 def announce_return(config: RunConfig) -> None:
-    """Print what runs as this one returned, where they were measured (conf/budget: expected)."""
-    expected = config.budget.expected.get(config.method.name, {}).get(config.env.task)
+    """Print what runs as this one returned, where they were measured (conf/roads)."""
+    expected = roads(config.budget.name).expected.get(config.method.name, {}).get(config.env.task)
     if expected and _is_as_measured(config):
         print(f"expect {expected} (budget={config.budget.name}, as measured)", flush=True)
 
 
 def _is_as_measured(config: RunConfig) -> bool:
     """Return whether a run goes the road of its budget and changes no setting."""
-    road = config.budget.roads.get(config.method.name, {}).get(config.env.task, [])
-    trainer = next((name for name in ("ars", "fleet") if f"algo={name}" in road or f"trainer={name}" in road), "sb3")
+    words = road(config.budget.name, config.method.name, config.env.task)
+    trainer = next((name for name in ("ars", "fleet") if f"algo={name}" in words or f"trainer={name}" in words), "sb3")
     is_small = len(config.hidden_widths) <= 1  # larger ones are trained to be imitated
     return config.trainer_name == trainer and is_small and not config.changes
 

@@ -1,11 +1,11 @@
 """The roads of a budget: overrides that stand before those given, as long as nobody goes a way of their own."""
 
 import pytest
-from omegaconf import OmegaConf
 
 from pipelines.cli.runs import RUN
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.methods import METHODS
+from pipelines.config.roads import roads
 from pipelines.errors import ConfigError
 from pipelines.runs.run_job import announce_return
 
@@ -153,13 +153,16 @@ def test_an_oracle_of_ones_own_is_not_searched():
 
 
 def test_roads_lead_somewhere():
-    """Every road of every budget is of a method and a task that there is, and composes."""
+    """Every road is of a budget, a method and a task that there are."""
     tasks = {path.stem for path in (CONF_DIR / "env").glob("*.yaml")}
-    for path in (CONF_DIR / "budget").glob("*.yaml"):
-        budget = OmegaConf.to_container(OmegaConf.load(path))
-        for part in ("roads", "expected"):
-            for method, roads in budget.get(part, {}).items():
-                assert method in METHODS and roads.keys() <= tasks, path
+    budgets = [path.stem for path in (CONF_DIR / "roads").glob("*.yaml")]
+    assert "standard" in budgets
+    for budget in budgets:
+        assert (CONF_DIR / "budget" / f"{budget}.yaml").is_file()
+        for by_method in (roads(budget).overrides, roads(budget).expected):
+            assert by_method
+            for method, by_task in by_method.items():
+                assert method in METHODS and by_task.keys() <= tasks, (budget, method)
 
 
 def test_the_search_has_an_environments_own_settings():

@@ -26,7 +26,7 @@ from otr.learners.networks.batched_mlp import MlpSettings
 from otr.learners.networks.batched_training import Schedule
 from otr.learners.networks.labels_and_seeds import train_many
 
-QUICK_LCN = {"epochs": 30, "learning_rate": 0.1}
+QUICK_LCN = {"depth": 3, "epochs": 20, "learning_rate": 0.2}
 CLASSIFIERS = [OTRClassifier(epochs=30), LCNClassifier(**QUICK_LCN), LinearTreeClassifier()]
 REGRESSORS = [OTRRegressor(epochs=30), LCNRegressor(**QUICK_LCN), LinearTreeRegressor()]
 

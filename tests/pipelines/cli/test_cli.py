@@ -221,8 +221,8 @@ def test_results_folder_that_cannot_be_written(tmp_path):
 
 def test_full_disk_is_told_and_the_same_command_goes_on(tmp_path):
     program = Path(sys.executable).with_name("otr-run")
-    words = (*SMOKE, "algo.critic=[16]")
-    limited = f"ulimit -f 8; exec {program} {' '.join(words)}"  # no file above 8 KiB: the replay log does not fit
+    words = ("env=pendulum", "depth=32", "algo=ars", "budget=smoke", "n_workers=1")
+    limited = f"ulimit -f 4; exec {program} {' '.join(words)}"  # no file above 4 KiB: the checkpoint does not fit
     done = subprocess.run(["bash", "-c", limited], cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert done.returncode == 1
     assert "Make room there or choose another place" in done.stderr and "Traceback" not in done.stderr
@@ -322,7 +322,8 @@ def test_experiment_brings_its_own_sweep(tmp_path):
 
 
 def test_ctrl_c_stops_cleanly_and_goes_on(tmp_path):
-    words = ("env=pendulum", "depth=2", "budget=smoke", "train.steps=800", "algo.critic=[16]")
+    search = ("algo=ars", "budget=smoke", "train.steps=3_000_000", "train.eval_interval_steps=300_000")
+    words = ("env=pendulum", "depth=2", *search)
     command = [str(Path(sys.executable).with_name("otr-run")), *words]
     with in_foreground(command, tmp_path) as process:
         wait_for(lambda: list((tmp_path / "results/checkpoints").glob("*/segment-*")))

@@ -64,9 +64,16 @@ def test_sweep_may_change_what_its_budget_implies(tmp_path):
 
 @LINUX
 def test_sweep_goes_on_where_a_worker_is_killed(tmp_path):
-    words = ("-m", "env=pendulum", "depth=1,2", "budget=smoke", "train.steps=400", "train.eval_interval_steps=100")
+    search = (
+        "algo=ars",
+        "budget=smoke",
+        "train.steps=3_000_000",
+        "train.eval_interval_steps=300_000",
+    )  # no torch to import
     results = tmp_path / "results"
-    with start(*words, "launcher=joblib", "hydra.launcher.n_jobs=2", cwd=tmp_path) as sweep:
+    with start(
+        "-m", "env=pendulum", "depth=1,2", *search, "launcher=joblib", "hydra.launcher.n_jobs=2", cwd=tmp_path
+    ) as sweep:
         wait_for(lambda: list(results.glob("checkpoints/*/segment-*")))
         finished = {path: path.stat().st_mtime_ns for path in results.glob("runs/**/manifest.json")}
         os.kill(children(sweep.pid, "LokyProcess")[0], signal.SIGKILL)
@@ -79,7 +86,7 @@ def test_sweep_goes_on_where_a_worker_is_killed(tmp_path):
     assert len(list(results.glob("runs/**/summary.json"))) == 2
     assert {path: path.stat().st_mtime_ns for path in finished} == finished
     assert max(times_made(printed).values()) <= 2
-    assert printed.count("step 400/400") == 2  # each training came to its end once
+    assert len(re.findall(r"step ([\d,]+)/\1 ", printed)) == 2  # each training came to its end once
     assert not any((results / "checkpoints").iterdir())
 
 

@@ -13,7 +13,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 from omegaconf import AnyNode, DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException, ValidationError
+from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException, ValidationError
 
 from pipelines.cli.overrides import is_search, key_of, parse, quoted, searched_folders
 from pipelines.config.conf_dir import CONF_DIR
@@ -38,8 +38,8 @@ class Composer:
     needs: tuple[str, str] | None = None  # the group of which an option must be named, and what such an option is
     besides = ""  # what else may be named, in words
     short: tuple[str, ...] = ()  # keys of overrides that stand for others (`Workflow.spelt_out`)
-    # Keys of single values. Overrides that differ in these alone are composed once, and the values put in.
-    varied: tuple[str, ...] = ()
+    # Beginnings of keys of values that decide what is composed, as the options of a group do.
+    decisive: tuple[str, ...] = ()
 
     def __init__(
         self, name: str, schemas: Mapping[tuple[str | None, str], type], checked: tuple[str, ...] = ()
@@ -87,17 +87,35 @@ class Composer:
         return []
 
     def compose(self, overrides: Sequence[str]) -> DictConfig:
-        """Return the composed configuration; ConfigError names the override that is wrong or missing."""
+        """Return the composed configuration; ConfigError names the override that is wrong or missing.
+
+        Hydra composes what the options of groups make of it, once; values are put in as Hydra does it.
+        """
         overrides = [self.with_list(override) for override in overrides]
-        values = [override for override in overrides if override.partition("=")[0] in self.varied]
+        values = [override for override in overrides if self._is_value(override)]
         others = [override for override in overrides if override not in values]
         found = tuple(sorted(others))
         if found not in self._composed:
             self._composed[found] = self._compose(others)
         cfg = copy.deepcopy(self._composed[found])
-        for override in values:
-            OmegaConf.update(cfg, key_of(override), parse(override).value(), merge=True)
+        try:
+            for override in values:
+                OmegaConf.update(cfg, key_of(override), parse(override).value(), merge=True)
+        except (ConfigAttributeError, ConfigKeyError):
+            return self._compose(overrides)  # which explains that there is no such key
         return cfg
+
+    def _is_value(self, override: str) -> bool:
+        """Return whether an override sets a value, and decides nothing of what else there is."""
+        key, equals, _ = override.partition("=")
+        top = key.partition(".")[0]
+        is_setting = top in self._settings and key not in self.checked and not key.startswith(self.decisive)
+        return bool(equals) and is_setting and not parse(override).is_sweep_override()
+
+    @functools.cached_property
+    def _settings(self) -> frozenset[str]:
+        """The keys at the top of the main configuration."""
+        return frozenset(declared(self.schemas[None, f"{self.name}_schema"]))
 
     def _compose(self, overrides: Sequence[str]) -> DictConfig:
         return self._compose_exactly([*self.implied(overrides), *overrides])
@@ -185,12 +203,6 @@ class Composer:
             known = [*keys, *self.short]
             return f"there is no key {key!r}.{did_you_mean(key, known)}"
         return _one_line(lines)
-
-
-class PolicyComposer(Composer):
-    """A command about one policy, for which `env` and `program` are single values and no groups of conf/."""
-
-    varied = ("env", "program")
 
 
 def message_of(error: Exception) -> str:

@@ -16,6 +16,7 @@ class FitWorkflow(Workflow):
     folder = "fit"
     needs = ("data", "data set")
     anything = "bace"
+    decisive = ("data.split",)
     naming = ("data", "data.split", "method", "seed")
     harmless = not_keyed(FitConfig)
     do = staticmethod(fit_job)

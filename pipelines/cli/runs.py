@@ -100,7 +100,7 @@ class RunWorkflow(Workflow):
     besides = "; besides, any registered id, as CartPole-v1 or my_module:Maze-v0"
     anything = "pendulum"
     short = (*GIVEN_POLICIES, "vec_normalize", "column")
-    varied = ("seed", "depth", "oracle", "stages")
+    decisive = ("env.",)  # an environment without a file is made, to be asked
     naming = ("env", "method", "budget", "trainer", "depth", "seed")
     harmless = not_keyed(RunConfig)
     do = staticmethod(run_job)

@@ -37,7 +37,6 @@ class Workflow(Composer, ABC):
     anything: str  # an option of the group that is needed, for where it does not matter which
     naming: tuple[str, ...]  # keys of overrides that the folder of a job names
     harmless: tuple[str, ...]  # keys of overrides that do not decide what comes out of a job
-    varied: tuple[str, ...] = ("seed",)
     _made: dict[tuple[str, ...], Composed]  # of the jobs that are asked for
 
     @abstractmethod

@@ -3,12 +3,12 @@
 import argparse
 import sys
 
-from pipelines.cli.compose import PolicyComposer, to_object
+from pipelines.cli.compose import Composer, to_object
 from pipelines.cli.overrides import path_quoted
 from pipelines.cli.runs import load_config, written_policy
 from pipelines.runs.export import ExportConfig, check_export, find_run, policy_of, program_of, write_program
 
-EXPORT = PolicyComposer("export", {(None, "export_schema"): ExportConfig})
+EXPORT = Composer("export", {(None, "export_schema"): ExportConfig})
 
 
 def do(arguments: argparse.Namespace) -> int:

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 import otr
-from pipelines.cli.compose import PolicyComposer, to_object
+from pipelines.cli.compose import Composer, to_object
 from pipelines.cli.overrides import path_quoted
 from pipelines.cli.runs import load_config, written_policy
 from pipelines.engine.wrapping import columns, fitted
@@ -14,7 +14,7 @@ from pipelines.runs.questions import Answer, always, ranges
 from pipelines.runs.verify import VerifyConfig, compared, question_domain, verify_run
 from pipelines.stages.parse import policy_tree, read_program
 
-VERIFY = PolicyComposer("verify", {(None, "verify_schema"): VerifyConfig})
+VERIFY = Composer("verify", {(None, "verify_schema"): VerifyConfig})
 
 
 def do(arguments: argparse.Namespace) -> int:

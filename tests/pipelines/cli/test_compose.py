@@ -34,6 +34,24 @@ def test_seeds_depths_and_methods_are_put_in_as_they_are_composed(method):
         assert f"/{method}/" in job.folder and f"/seed-{made.seed}" in job.folder
 
 
+@pytest.mark.parametrize(
+    ("workflow", "own", "values"),
+    [
+        (RUN, ["env=hopper", "algo=sac"], ["algo.gamma=0.9", "algo.critic=[8,8]", "train.steps='${budget.steps.ant}'"]),
+        (RUN, ["env=bipedalwalker"], ["train.steps=7", "algo.normalise=false", "n_workers=2"]),
+        (RUN, ["env=halfcheetah"], ["depth=[4,4]", "budget.search.ant.steps=9", "results_dir='a, b'", "polish=true"]),
+        (RUN, ["env=pendulum", "method=pid", "+env.kwargs.g=9.0"], ["method.goal=[1,0]", "polishing.n_episodes=3"]),
+        (FIT, ["data=bace", "method=cart_taught"], ["method.teacher={n_estimators: 5}", "method.grid=[]", "seed=2"]),
+        (FIT, ["data=bace", "method=otr", "data.split=1"], ["method.hidden=[3]", "keep_trees=false"]),
+    ],
+)
+def test_values_are_put_in_as_hydra_does(workflow, own, values):
+    (job,) = workflow.jobs([[*values, *own]])
+    config, yaml = alone(workflow, [*values, *own])
+    assert job.config_yaml == yaml
+    assert job.config.settings() == config.settings()
+
+
 @pytest.mark.slow  # `make smoke` does runs of all of them
 def test_every_environment_takes_a_method_in():
     names = sorted(path.stem for path in (CONF_DIR / "env").glob("*.yaml"))

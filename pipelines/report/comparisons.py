@@ -1,6 +1,7 @@
 """Every control policy beside the linear row and beside OTR (6) of its task: paired on the starts that they share."""
 
 import functools
+import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pipelines.engine.store import read_csv
+from pipelines.engine.store import corrupt, read_bytes
 from pipelines.report.cells import DECIMALS, KEY, METHOD_NAMES, SOURCE, TASK_NAMES, in_order, runs_text, table_runs
 from pipelines.report.frames import load_runs
 from pipelines.report.statistics import (
@@ -108,11 +109,20 @@ def _of(group: pd.DataFrame, runs: set[str]) -> np.ndarray:
 
 def _returns(results_dir: Path, group: pd.DataFrame) -> pd.DataFrame:
     """Return the evaluated returns of runs, a row a run and a column a start's seed; starts that all of them have."""
-    played = []
-    for run, form in zip(group["run"], group["form"], strict=True):
-        episodes = read_csv(results_dir / "runs" / run / EPISODES[form])
-        played.append({int(row["seed"]): float(row["return"]) for row in episodes})
-    return pd.DataFrame(played).dropna(axis=1)
+    files = (results_dir / "runs" / run / EPISODES[form] for run, form in zip(group["run"], group["form"], strict=True))
+    return pd.concat([_played(path) for path in files], axis=1, join="inner").T
+
+
+def _played(path: Path) -> pd.Series:
+    """Return the return of each start's seed."""
+    try:
+        text = read_bytes(path).decode()
+        names = text.partition("\n")[0].split(",")
+        columns = [names.index(name) for name in ("seed", "return")]
+        seeds, returns = np.loadtxt(io.StringIO(text), delimiter=",", skiprows=1, usecols=columns, ndmin=2).T
+        return pd.Series(returns, index=seeds.astype(int))
+    except (OSError, ValueError) as error:
+        raise corrupt(path, error) from error
 
 
 def _table(rows: pd.DataFrame) -> str:

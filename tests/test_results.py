@@ -120,11 +120,11 @@ def test_committed_runs_have_learnt(run, least):
 
 
 def certified():
-    """Return the runs with a certificate; of those that take a second to check, only seed 0's is checked every time."""
+    """Return the runs with a certificate; those that take a second to check are slow."""
     for summary in SUMMARIES:
         report = json.loads(summary.read_text()).get("certify", {"certified": False})
         if report["certified"]:
-            is_slow = report["seconds"]["verify"] > 1 and summary.parent.name != "seed-0"
+            is_slow = report["seconds"]["verify"] > 1
             yield pytest.param(summary.parent, marks=pytest.mark.slow if is_slow else (), id=id_of(summary.parent))
 
 

@@ -42,7 +42,7 @@ def test_a_region_holds_the_states_that_take_its_path(case: Case) -> None:
         np.testing.assert_array_equal(inside[clear], (leaves == leaf)[clear])
 
 
-@settings(max_examples=50)
+@settings(max_examples=25)
 @given(cases(max_layers=2))
 def test_reached_leaves_and_bounds_on_them(case: Case) -> None:
     tree = otr.map_network(case.network)

@@ -255,9 +255,9 @@ def test_a_chain_of_thousands_takes_memory_by_its_length() -> None:
         assert (tree.depth, tree.predict([n - 0.5, 0, 0]).item()) == (n, n)
         return n_bytes
 
-    assert peak(4000) < 2.3 * peak(2000)
-    with pytest.raises(otr.TreeTooLargeError, match="more than 3000 leaves"):
-        otr.parse_program(elif_chain(4000), NAMES, max_leaves=3000)
+    assert peak(2000) < 2.3 * peak(1000)
+    with pytest.raises(otr.TreeTooLargeError, match="more than 1500 leaves"):
+        otr.parse_program(elif_chain(2000), NAMES, max_leaves=1500)
 
 
 def test_what_a_path_has_decided_is_found_however_far_above() -> None:

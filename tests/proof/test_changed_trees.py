@@ -100,7 +100,7 @@ def check_changes(k: int, n_changes: int) -> tuple[int, int]:
 
 
 def test_changes_that_are_accepted_are_true() -> None:
-    counts = np.array([check_changes(k, 3) for k in range(8)])
+    counts = np.array([check_changes(k, 3) for k in (0, 1, 2, 3, 5, 6, 7)])  # 4 alone takes as long as these
     assert (counts.sum(axis=0) > 3).all()
 
 

@@ -69,7 +69,7 @@ def test_labels_that_a_box_can_bring() -> None:
         otr.reachable_labels(otr.map_network(otr.ReluNetwork([[[1.0]]], [[0.0]])))
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(cases(max_layers=2), st.integers(0, 2**32 - 1), st.floats(-2.0, 2.0, allow_subnormal=False))
 def test_a_verdict_agrees_with_every_state(case, seed: int, slack: float) -> None:
     network, rng = case.network, np.random.default_rng(seed)

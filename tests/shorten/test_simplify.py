@@ -80,7 +80,7 @@ def test_labels_differ_somewhere_or_nowhere() -> None:
         largest_difference(tree, otr.map_network(make_network(np.random.default_rng(0), (2,), n_inputs=1)), BOX)
 
 
-@settings(max_examples=12)
+@settings(max_examples=6)
 @given(
     st.integers(0, 2**32 - 1),
     st.sampled_from(("identity", "clip_box", "tanh_box")),

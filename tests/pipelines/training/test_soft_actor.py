@@ -93,7 +93,10 @@ def parameters(model: BaseAlgorithm) -> dict[str, torch.Tensor]:
     return {name: tensor.clone() for name, tensor in model.policy.state_dict().items()}
 
 
-@pytest.mark.parametrize(("env_id", "algorithm"), [("CartPole-v1", PPO), ("Pendulum-v1", PPO), ("Pendulum-v1", SAC)])
+@pytest.mark.parametrize(
+    ("env_id", "algorithm"),
+    [("CartPole-v1", PPO), ("Pendulum-v1", PPO), pytest.param("Pendulum-v1", SAC, marks=pytest.mark.slow)],
+)  # SAC's schedule is one, of which test_the_phases_of_pi_prl_under_sac plays every turn
 @ids
 def test_a_resumed_run_is_the_run(tmp_path: Path, actor: Shape, env_id: str, algorithm: type) -> None:
     whole = make_model(actor, env_id, algorithm)

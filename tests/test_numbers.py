@@ -4,8 +4,8 @@ import re
 
 import pandas as pd
 import pytest
-import yaml
 
+from pipelines.config.roads import roads
 from pipelines.report import load_fits, load_runs
 from tests.committed import RESULTS
 
@@ -15,7 +15,7 @@ SPREAD = re.compile(rf"({NUMBER}) ± ({NUMBER})")
 RETURN = re.compile(rf"\bof ({NUMBER})(?: at depth (\d+))?")
 RANGE = re.compile(rf"\(({NUMBER}) to ({NUMBER})\)")
 TASKS = ("reacher", "walker2d", "hopper", "halfcheetah", "ant", "swimmer", "bipedalwalker", "pendulum")
-EXPECTED = yaml.safe_load((ROOT / "conf/budget/standard.yaml").read_text())["expected"]
+EXPECTED = roads("standard").expected
 
 
 @pytest.fixture(scope="module")

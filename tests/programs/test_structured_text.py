@@ -38,7 +38,7 @@ def answers_of(tree: otr.ObliqueTree, states: np.ndarray) -> list:
 @pytest.mark.parametrize("name", POLICIES)
 def test_every_policy(name: str) -> None:
     tree = POLICIES[name]
-    states = states_for(tree, 200)
+    states = states_for(tree, 60)
     assert_answers(tree, states, answers_of(tree, states))
 
 
@@ -47,7 +47,7 @@ def test_every_policy_as_tables(name: str, monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(structured_text, "MAX_NESTED_DEPTH", 0)
     tree = POLICIES[name]
     assert "WHILE" in otr.to_structured_text(tree)
-    states = states_for(tree, 200)
+    states = states_for(tree, 60)
     assert_answers(tree, states, answers_of(tree, states))
 
 

@@ -17,12 +17,13 @@ import otr
 from pipelines.cli.compose import schema_of, to_object
 from pipelines.cli.env_files import check_env_file
 from pipelines.cli.overrides import is_search, key_of, parse, quoted, searched_folders
-from pipelines.cli.workflow import Workflow, columns_spelt_out
+from pipelines.cli.short_forms import SHORT, imitates, imitating, spelt_out
+from pipelines.cli.workflow import Workflow
 from pipelines.config.algo import ALGORITHMS, WIDEST_LAYER, ArsConfig, is_small
 from pipelines.config.budget import BudgetConfig
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import EnvConfig
-from pipelines.config.methods import EXTRA_STAGES, METHODS, AugTreeConfig, MethodConfig, ProgramConfig, TakesModel
+from pipelines.config.methods import METHODS, AugTreeConfig, MethodConfig, ProgramConfig, TakesModel
 from pipelines.config.model import ImportedModel
 from pipelines.config.roads import road, roads
 from pipelines.config.run import RunConfig, changes_text, run_folder
@@ -35,16 +36,13 @@ from pipelines.play.video import check_video
 from pipelines.runs.imitation import OTHERS, imitating_command
 from pipelines.runs.run_job import RunJob, run_job, run_jobs
 from pipelines.stages.import_model import read_model
-from pipelines.stages.parse import holds_tree, policy_tree, read_program
+from pipelines.stages.parse import policy_tree, read_program
 from pipelines.stages.train import fleets
 from pipelines.tracking.tracker import check_tracking
 
 # The groups and keys that decide how an oracle is trained, and where and how that is done.
 OF_TRAINING = ("env", "algo", "actor", "trainer", "budget", "train", "experiment", "results_dir", "n_workers",
                "side_by_side", "debug", "tracking")  # fmt: skip
-
-# What stands for a method and its policy, and what is done with that.
-GIVEN_POLICIES = {"program": "evaluated", "model": "imported"}
 
 # Who trains: whoever names another than a budget's road goes a way of their own, for as long as the budget says, and
 # trains an oracle of the usual size.
@@ -99,7 +97,7 @@ class RunWorkflow(Workflow):
     needs = ("env", "environment")
     besides = "; besides, any registered id, as CartPole-v1 or my_module:Maze-v0"
     anything = "pendulum"
-    short = (*GIVEN_POLICIES, "vec_normalize", "column")
+    short = SHORT
     decisive = ("env.",)  # an environment without a file is made, to be asked
     naming = ("env", "method", "budget", "trainer", "depth", "seed")
     harmless = not_keyed(RunConfig)
@@ -171,51 +169,16 @@ class RunWorkflow(Workflow):
         return method
 
     def spelt_out(self, overrides: Sequence[str]) -> list[str]:
-        """Return overrides with those replaced that are short for others.
-
-        `program=FILE` and `model=FILE` are a method and its policy; under a method that imitates, the model is the
-        oracle, as is `oracle=FILE`. Hydra would take a program for a choice of the group conf/program, where the
-        shipped ones lie. `column=NAME` is a method and its depth, and `polish.free=true` is `polishing.free=true`,
-        because `polish` itself is the switch. An id for which conf/env has a file stands for that file's name.
-        """
-        overrides = [_of_its_kind(override) for override in columns_spelt_out(overrides)]
-        named = [override for override in overrides if key_of(override) in GIVEN_POLICIES]
-        methods = [override for override in overrides if override.startswith("method=")]
-        for override in named:
-            key = key_of(override)
-            others = [each for each in methods if each != f"method={key}" and not (key == "model" and _imitates(each))]
-            if others:
-                does = GIVEN_POLICIES[key]
-                raise ConfigError(f"{override} is {does} by method={key}, not by {others[0]}; leave one of them out")
-        spelt_out = []
-        for override in overrides:
-            if override.startswith("env="):
-                env = str(parse(override).value())  # a sweep escapes the colon of module:Id
-                spelt_out.append(f"env={_named_ids().get(env, env)}")
-            elif override.startswith("polish."):
-                spelt_out.append(f"polishing.{override.removeprefix('polish.')}")
-            elif override in named:
-                spelt_out += [*([] if methods else [f"method={key_of(override)}"]), f"method.{override}"]
-            elif override.startswith("vec_normalize="):
-                if not any(key_of(each) in ("model", "oracle", "method.model") for each in overrides):
-                    raise ConfigError(f"{override}: of which model? Add model=FILE or oracle=FILE")
-                spelt_out.append(f"method.{override}")
-            elif override.startswith("oracle=") and isinstance(parse(override).value(), str):
-                if not any(map(_imitates, methods)):
-                    raise ConfigError(f"{override}: who is to imitate it? Add {_imitating()}")
-                spelt_out.append(f"method.model={override.removeprefix('oracle=')}")
-            else:
-                spelt_out.append(override)
-        _check_stages(spelt_out)
-        return spelt_out
+        """Return overrides with those replaced that are short for others."""
+        return spelt_out(overrides)
 
     def expand(self, overrides: Sequence[str], multirun: bool) -> list[list[str]]:
         """Return the overrides of every job; refuse settings of imitation where no job imitates."""
         jobs = super().expand(overrides, multirun)
         words = [override for own in jobs for override in own]
         vain = [override for override in words if key_of(override) == "oracle" or override.startswith("imitate.")]
-        if vain and not any(_imitates(override) or key_of(override) == "experiment" for override in words):
-            raise ConfigError(f"{vain[0]}: nothing is imitated. Add {_imitating()}, or leave {vain[0]} out")
+        if vain and not any(imitates(override) or key_of(override) == "experiment" for override in words):
+            raise ConfigError(f"{vain[0]}: nothing is imitated. Add {imitating()}, or leave {vain[0]} out")
         return jobs
 
     def job(self, overrides: Sequence[str]) -> RunJob:
@@ -275,20 +238,6 @@ class RunWorkflow(Workflow):
         return baseline
 
 
-def _check_stages(overrides: Sequence[str]) -> None:
-    """Refuse a switch that a user gave beside a list of stages without its stage: it would do nothing."""
-    words = {"stages", *EXTRA_STAGES}
-    given = {key_of(override): parse(override).value() for override in overrides if key_of(override) in words}
-    chosen = given.pop("stages", None)
-    stages = [chosen] if isinstance(chosen, str) else chosen
-    for switch, value in given.items():
-        if value is True and isinstance(stages, list) and switch not in stages:
-            raise ConfigError(
-                f"{switch}=true and stages=[{','.join(map(str, stages))}], which has no {switch}; "
-                f"add {switch} to the stages, or leave one of the two out"
-            )
-
-
 def _offer(env: EnvConfig) -> None:
     """Make an environment that has no file an option of Hydra's group env: PPO for labels, SAC for other actions."""
     *folders, option = f"env/{env.id}".split("/")
@@ -304,12 +253,6 @@ def _env_kwargs(overrides: Sequence[str]) -> dict[str, Any]:
     """Return the arguments of the environment among overrides."""
     given = (override for override in overrides if key_of(override).startswith("env.kwargs."))
     return {key_of(override).removeprefix("env.kwargs."): parse(override).value() for override in given}
-
-
-@functools.cache
-def _named_ids() -> dict[str, str]:
-    """Return the names of the environments that have a file in conf/env, by id."""
-    return {str(OmegaConf.load(path).env.id): path.stem for path in (CONF_DIR / "env").glob("*.yaml")}
 
 
 def _way(config: RunConfig) -> list[str]:
@@ -345,22 +288,6 @@ def _program(config: RunConfig, program: str, overrides: Sequence[str]) -> tuple
     if given:
         raise ConfigError(f"{given[0]}: the depth of a program's tree is its own; leave {given[0]} out")
     return text, policy_tree(text, config.env, program).depth
-
-
-def _of_its_kind(override: str) -> str:
-    """Return an override with `model=FILE` as `program=FILE` where the file holds a tree, which is a program."""
-    is_model = key_of(override) == "model" and not parse(override).is_sweep_override()
-    return f"program={override[6:]}" if is_model and holds_tree(Path(str(parse(override).value()))) else override
-
-
-def _imitates(override: str) -> bool:
-    """Return whether an override chooses a method that imitates."""
-    return METHODS.get(override.removeprefix("method="), MethodConfig).imitates
-
-
-def _imitating() -> str:
-    """Return the overrides of the methods that imitate, in words."""
-    return " or ".join(f"method={name}" for name, method in METHODS.items() if method.imitates)
 
 
 def _model(config: RunConfig, overrides: Sequence[str]) -> tuple[ImportedModel, str]:

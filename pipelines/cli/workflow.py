@@ -15,7 +15,7 @@ from pipelines.cli.overrides import combinations, is_of_launching, is_search, ke
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.engine.console import counted
 from pipelines.engine.job import Job
-from pipelines.errors import ConfigError, did_you_mean
+from pipelines.errors import ConfigError
 
 
 @dataclass(frozen=True)
@@ -141,19 +141,3 @@ def _uses_seed(overrides: tuple[str, ...]) -> bool:
     """Return whether a setting may depend on the seed, so that another seed has to be composed anew."""
     files = (path.read_text(encoding="utf-8") for path in CONF_DIR.rglob("*.yaml"))
     return any(re.search(r"\$[^}\n]*seed", text) for text in (*overrides, *files))
-
-
-@functools.cache
-def _columns() -> dict[str, list[str]]:
-    return {str(name): stands_for.split() for name, stands_for in OmegaConf.load(CONF_DIR / "column.yaml").items()}
-
-
-def columns_spelt_out(overrides: Sequence[str]) -> list[str]:
-    """Return overrides with `column=NAME` replaced by those that it stands for (conf/column.yaml)."""
-    columns, spelt_out = _columns(), []
-    for override in overrides:
-        name = override.removeprefix("column=")
-        if name != override and name not in columns:
-            raise ConfigError(f"{override}: there is no such column.{did_you_mean(name, list(columns))}")
-        spelt_out += [override] if name == override else columns[name]
-    return spelt_out

@@ -73,6 +73,13 @@ def test_a_classifier_equals_its_tree(cls, n_classes):
     assert np.array_equal(model.tree_.c[model.apply(fresh)], shares)
 
 
+@pytest.mark.parametrize("cls", [*CLASSIFIERS, learners.OTRClassifier, learners.LinearTreeClassifier])
+@pytest.mark.parametrize(("label", "kinds"), [(None, "NoneType, str"), (2.5, "float, str")])
+def test_labels_of_several_kinds_are_named(cls, label, kinds):
+    with pytest.raises(TypeError, match=f"y has labels of several kinds: {kinds}; give all as one kind"):
+        cls().fit(np.arange(6.0)[:, None], np.array(["a", "b", label] * 2, dtype=object))
+
+
 @pytest.mark.parametrize("cls", CLASSIFIERS)
 def test_leaf_shares_are_those_of_the_training_rows(cls):
     model = cls(random_state=0)

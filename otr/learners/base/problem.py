@@ -48,8 +48,8 @@ class Problem:
             if self.Y_valid is not None:
                 self.Y_valid = self.Y_valid / means
             return
-        _, self.y_scale = mean_and_deviation(self.Y, self.weights)
-        self.y_mean, divisor = mean_and_divisor(self.Y, self.weights)
+        self.y_mean, self.y_scale = mean_and_deviation(self.Y, self.weights)
+        divisor = np.where(self.y_scale > 0, self.y_scale, 1.0)
         self.Y = (self.Y - self.y_mean) / divisor
         if self.Y_valid is not None:
             self.Y_valid = (self.Y_valid - self.y_mean) / divisor

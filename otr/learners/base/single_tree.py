@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from sklearn.base import ClassifierMixin, MultiOutputMixin, RegressorMixin
-from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import validate_data
 
 from otr.core.arrays import FloatArray, IntArray
 from otr.core.heads import Argmax
 from otr.core.tree import ObliqueTree
+from otr.learners.base.classes import check_labels
 from otr.learners.base.tree_answers import FLOATS, TreeAnswers
 from otr.learners.base.weights import ClassWeight, class_weighted, counted_rows
 
@@ -48,7 +48,7 @@ class GrownClassifier(ClassifierMixin, _GrownEstimator):  # type: ignore[misc]
         """Return the rows that count, each one's position of its class in `classes_`, which is set here, and weight."""
         self._validate_params()
         checked, classes = validate_data(self, X, y, dtype=FLOATS)
-        check_classification_targets(classes)
+        check_labels(classes)
         checked, classes, weights = counted_rows(checked, classes, sample_weight)
         self.classes_, labels = np.unique(classes, return_inverse=True)
         return checked, labels, class_weighted(weights, self.class_weight, classes)

@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from sklearn.base import ClassifierMixin, RegressorMixin
 from sklearn.utils import check_array, check_random_state
-from sklearn.utils.multiclass import check_classification_targets, type_of_target
+from sklearn.utils.multiclass import type_of_target
 from sklearn.utils.validation import check_is_fitted, column_or_1d, validate_data
 
 from otr.core.arrays import FloatArray
 from otr.core.pattern_tree import PatternTree
 from otr.core.pruning import prune_unreached
 from otr.core.tree import ObliqueTree
+from otr.learners.base.classes import check_labels
 from otr.learners.base.problem import Problem
 from otr.learners.base.tree_answers import TreeAnswers
 from otr.learners.base.weights import ClassWeight, class_weighted, counted_rows
@@ -210,7 +211,7 @@ class TreeClassifier(ClassifierMixin, TreeLearner):  # type: ignore[misc]
         else:
             rows, labels = validate_data(self, X, y, dtype=np.float64)
             labels = column_or_1d(labels, warn=True)
-            check_classification_targets(labels)
+            check_labels(labels)
             rows, labels, weights = counted_rows(rows, labels, sample_weight)
             self.classes_ = np.unique(labels)
             if len(self.classes_) < 2:

@@ -123,7 +123,8 @@ class Composer:
     def _compose_exactly(self, overrides: Sequence[str]) -> DictConfig:
         """Compose these overrides without what they imply."""
         for override in overrides:
-            self.parsed(override)
+            if self.parsed(override).is_sweep_override():
+                raise ConfigError(f"{override}: give one value; a list stands in brackets, as [a,b]")
             key, _, value = override.lstrip("+").partition("=")
             if override.startswith("+") and not key.startswith(NEW_KEYS):
                 raise ConfigError(f"{override}: new keys cannot be added; leave out the +")

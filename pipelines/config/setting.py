@@ -144,6 +144,10 @@ def check_settings(config: Any, prefix: str = "") -> None:
 
 def check_setting(kind: Any, name: str, value: Any, key: str) -> None:
     """Raise ConfigError if the field `name` of `kind` cannot have this value; `key` is what the message calls it."""
+    if isinstance(value, dict):
+        for part in value:
+            check_setting(kind, name, value[part], f"{key}.{part}")
+        return
     for marker in declared(kind)[name]:
         for leaf in _leaves(value) if hasattr(marker, "problem") else ():
             problem = marker.problem(leaf)
@@ -215,9 +219,9 @@ _EXAMPLES = {int: "8,8", float: "0.5,1"}
 
 
 def _leaves(value: Any) -> Iterator[Any]:
-    """Yield what is in a list or a dict, at any depth; of anything else itself, and of None nothing."""
-    if isinstance(value, list | tuple | dict):
-        for part in value.values() if isinstance(value, dict) else value:
+    """Yield what is in a list, at any depth; of anything else itself, and of None nothing."""
+    if isinstance(value, list | tuple):
+        for part in value:
             yield from _leaves(part)
     elif value is not None:
         yield value

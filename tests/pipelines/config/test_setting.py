@@ -170,7 +170,7 @@ class Outer:
     ("changes", "message"),
     [
         ({"widths": [3, 0]}, "widths=[3, 0]: 0 is not at least 1"),
-        ({"table": {"x": 0}}, "table={'x': 0}: 0 is not at least 1"),
+        ({"table": {"x": 0}}, "table.x=0 is not at least 1"),
         ({"kind": "c"}, "kind=c: use one of a, b"),
         ({"folder": ""}, "folder is empty: give one"),
         ({"n_workers": 0}, "n_workers=0 is not at least 1"),

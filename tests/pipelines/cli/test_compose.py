@@ -40,6 +40,7 @@ def test_seeds_depths_and_methods_are_put_in_as_they_are_composed(method):
         (RUN, ["env=hopper", "algo=sac"], ["algo.gamma=0.9", "algo.critic=[8,8]", "train.steps='${budget.steps.ant}'"]),
         (RUN, ["env=bipedalwalker"], ["train.steps=7", "algo.normalise=false", "n_workers=2"]),
         (RUN, ["env=halfcheetah"], ["depth=[4,4]", "budget.search.ant.steps=9", "results_dir='a, b'", "polish=true"]),
+        (RUN, ["env=hopper", "method=viper"], ["method.criterion=entropy", "imitate.n_rounds=3", "oracle=[8]"]),
         (RUN, ["env=pendulum", "method=pid", "+env.kwargs.g=9.0"], ["method.goal=[1,0]", "polishing.n_episodes=3"]),
         (FIT, ["data=bace", "method=cart_taught"], ["method.teacher={n_estimators: 5}", "method.grid=[]", "seed=2"]),
         (FIT, ["data=bace", "method=otr", "data.split=1"], ["method.hidden=[3]", "keep_trees=false"]),

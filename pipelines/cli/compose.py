@@ -89,7 +89,7 @@ class Composer:
     def compose(self, overrides: Sequence[str]) -> DictConfig:
         """Return the composed configuration; ConfigError names the override that is wrong or missing.
 
-        Hydra composes what the options of groups make of it, once; values are put in as Hydra does it.
+        Hydra composes each choice of options once. Values are put into a copy, as Hydra puts them.
         """
         overrides = [self.with_list(override) for override in overrides]
         values = [override for override in overrides if self._is_value(override)]

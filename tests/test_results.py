@@ -40,7 +40,8 @@ def commands_of_the_page():
 
 
 @pytest.mark.parametrize("table", ["4.1", "4.2", "certificates", "comparisons"])
-def test_committed_tables_are_those_of_the_committed_runs(table, tmp_path):
+def test_committed_tables_are_those_of_the_committed_runs(table, tmp_path, monkeypatch):
+    monkeypatch.setattr("pipelines.report.table_4_2._write_figure", lambda *_: [])
     (tmp_path / "runs").symlink_to(RESULTS / "runs")
     for path in TABLES[table](tmp_path)[:3]:  # figures differ with fonts
         assert path.read_bytes() == (RESULTS / "tables" / path.name).read_bytes(), f"run otr-tabulate: {path.name}"

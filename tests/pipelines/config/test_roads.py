@@ -121,8 +121,9 @@ def test_another_algorithm_beside_a_fleet_in_vain_tells_what_differs():
     assert config.folder == made("env=hopper", "algo=ppo").folder and "algo.name=ppo" in config.changes
 
 
-@pytest.mark.parametrize("env", ["env=ant", "env=halfcheetah"])
-def test_small_actors_of_these_tasks_are_dense_and_nothing_else_of_them_is(env):
+def test_small_actors_of_these_tasks_are_dense_and_nothing_else_of_them_is():
+    env, otr = "env=halfcheetah", roads("standard").overrides["otr"]
+    assert otr["ant"] == otr["halfcheetah"]
     on_the_road = made(env)
     assert on_the_road.actor.dense == "input"
     assert on_the_road.folder == f"runs/{on_the_road.env.name}/otr/depth-6/standard-fleet/seed-0"
@@ -136,7 +137,7 @@ def test_small_actors_of_these_tasks_are_dense_and_nothing_else_of_them_is(env):
         assert not job.config.changes
 
 
-@pytest.mark.parametrize("env", ["env=hopper", "env=pendulum"])
+@pytest.mark.parametrize("env", ["env=hopper", pytest.param("env=pendulum", marks=pytest.mark.slow)])
 def test_imitating_a_searched_oracle_takes_settings(env):
     plain = made(env, "method=viper", "algo=ars", "oracle=[32]")
     assert "~" not in plain.folder

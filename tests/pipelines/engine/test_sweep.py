@@ -9,11 +9,13 @@ from concurrent.futures.process import BrokenProcessPool
 
 import pytest
 
+from pipelines.config.stages import ActorConfig
 from pipelines.engine.job import is_done, write_config
 from pipelines.engine.store import read_json, write_json
 from pipelines.engine.sweep import GroupTask, Outcome, check_launcher, run_sweep
 from pipelines.errors import ConfigError
 from pipelines.runs.run_job import RunJob, run_job, run_jobs
+from tests.pipelines.training.search.test_train import ARS
 
 
 @pytest.fixture
@@ -122,7 +124,8 @@ print(task(True))
 
 
 def test_a_group_is_done_in_another_process_that_composes_nothing(tiny, tmp_path):
-    job = RunJob(tiny(seed=1, n_workers=None, results_dir="results"), "runs/seed-1", "seed: 1\n")
+    search = {"algo": ARS, "actor": ActorConfig(0.0, dense="input")}  # which imports no torch
+    job = RunJob(tiny(seed=1, n_workers=None, results_dir="results", **search), "runs/seed-1", "seed: 1\n")
     task = GroupTask([job], run_jobs, "today", str(tmp_path), {"OTR_RESULTS_DIR": None})
     (tmp_path / "task").write_bytes(pickle.dumps(task))
     command = [sys.executable, "-c", CALLED, str(tmp_path / "task")]

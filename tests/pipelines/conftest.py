@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from pipelines import cli
-from pipelines.config.algo import PpoConfig, SacConfig
+from pipelines.config.algo import ArsConfig, PpoConfig, SacConfig
 from pipelines.config.budget import BudgetConfig
 from pipelines.config.env import EnvConfig
 from pipelines.config.methods import MappedConfig, PiPrlConfig
@@ -34,6 +34,7 @@ PI_PRL = PiPrlConfig(
     structure_penalty=0.25,
     discretise_at=0.75,
 )
+ARS = ArsConfig("ars", 4, 2, 0.1, 0.1, 0.5, 0.5, 0.0, 1, "pair", True, 0.0, 0, 1.0, 1, 1, "gymnasium", 8_000.0)
 PPO = PpoConfig("ppo", 3e-4, 32, 0.99, [16], 0.0, 2, 64, 0.95, 2, 0.2, 0.0, 0.5, 0.5)
 
 

@@ -15,7 +15,7 @@ from pipelines.engine.store import read_json, write_json
 from pipelines.engine.sweep import GroupTask, Outcome, check_launcher, run_sweep
 from pipelines.errors import ConfigError
 from pipelines.runs.run_job import RunJob, run_job, run_jobs
-from tests.pipelines.training.search.test_train import ARS
+from tests.pipelines.conftest import ARS
 
 
 @pytest.fixture

@@ -7,7 +7,6 @@ import signal
 import numpy as np
 import pytest
 
-from pipelines.config.algo import ArsConfig
 from pipelines.config.env import EnvConfig
 from pipelines.config.stages import ActorConfig, TrainConfig
 from pipelines.engine.store import read_csv
@@ -17,10 +16,10 @@ from pipelines.play.rollout import rollout
 from pipelines.stages.train import checkpoint_folder, trained_steps
 from pipelines.training.search import train as train_module
 from pipelines.training.search.train import SearchRun, train_by_search
+from tests.pipelines.conftest import ARS
 from tests.pipelines.sweeps import run_until_killed
 
 CARTPOLE = EnvConfig("cartpole", "cartpole", "CartPole-v1")
-ARS = ArsConfig("ars", 4, 2, 0.1, 0.1, 0.5, 0.5, 0.0, 1, "pair", True, 0.0, 0, 1.0, 1, 1, "gymnasium", 8_000.0)
 RESULTS = ("actor.safetensors", "actor.json", "evaluations.csv")
 
 

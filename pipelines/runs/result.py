@@ -99,10 +99,10 @@ def _polished(report: dict[str, Any]) -> str:
     else:
         confirming = f"{report['n_selection_episodes']:,} other episodes"
         outcome = f"nothing better was confirmed on {confirming}; it stays as it was"
-    n, spent = report["n_iterations"], duration(report["cpu_seconds"])
+    spent = duration(report["cpu_seconds"])
     return (
-        f"polished: {report['n_numbers']} numbers of the {report['numbers']} searched in {n} "
-        f"{'iteration' if n == 1 else 'iterations'}, {report['n_steps']:,} steps ({spent}); {outcome}"
+        f"polished: {report['n_numbers']} numbers of the {report['numbers']} searched in "
+        f"{_count(report['n_iterations'], 'iteration')}, {report['n_steps']:,} steps ({spent}); {outcome}"
     )
 
 

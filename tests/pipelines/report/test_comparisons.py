@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from pipelines.engine.store import read_csv
+from pipelines.errors import PipelineError
 from pipelines.report.comparisons import write_comparisons
 from tests.pipelines.report.conftest import write_run
 
@@ -121,3 +122,12 @@ def test_a_polished_policy_has_its_own_episodes(tmp_path):
 
 def test_nothing_to_compare_says_so(tmp_path):
     assert "Nothing has been run yet that could be compared." in rows(tmp_path)[0]
+
+
+@pytest.mark.parametrize("text", ["episode,seed\n0,1000\n", "episode,seed,return\n0,1000,much\n"])
+def test_episodes_that_cannot_be_read_are_named(tmp_path, text):
+    for run in ("hopper/linear/depth-0/quick/seed-0", "hopper/otr/depth-6/quick/seed-0"):
+        played(tmp_path, run, 0.0)
+    (tmp_path / "runs" / run / "evaluate/episodes.csv").write_text(text)
+    with pytest.raises(PipelineError, match=r"seed-0/evaluate/episodes\.csv cannot be read"):
+        write_comparisons(tmp_path)

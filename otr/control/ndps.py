@@ -100,6 +100,7 @@ def fit_ndps(
     """
     if len(X) == 0 or len(answers) != len(X) or len(weights) != len(X):
         raise ValueError(f"{len(X)} states, {len(answers)} answers and {len(weights)} weights; give as many of each")
+    X = np.asarray(X, dtype=np.float64)  # the leaves' refit counts in this type
     centre, spread = X.mean(axis=0), X.std(axis=0)
     spread[spread < 1e-8] = 1.0
     problem = _StandardisedRows.of((X - centre) / spread, answers, weights / weights.mean(), head, n_outputs)

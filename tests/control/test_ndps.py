@@ -121,6 +121,13 @@ def test_weights_count():
     assert fitted.predict(X).mean() > 0.95
 
 
+def test_states_in_single_precision_are_taken_as_they_are():
+    X, tree = planted(2, n=300)
+    actions, single = tree.forward(X), X.astype(np.float32)
+    fits = [fit(states, actions, otr.Identity(), settings=FEW) for states in (single, single.astype(np.float64))]
+    np.testing.assert_array_equal(*(each.tree.forward(X) for each in fits))
+
+
 def test_the_same_generator_gives_the_same_tree():
     X, tree = planted(3, 300)
     one, two, other = (fit(X, tree.forward(X), otr.Identity(), seed=seed, settings=FEW).tree for seed in (0, 0, 1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -9,16 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from otr.control.label_leaves import decided_leaves
-from otr.control.path_probabilities import path_probabilities
-from otr.control.soft_tree import (
-    LEAF_SCALE,
-    as_numpy,
-    initial_tests,
-    left_probabilities,
-    mixed_maps,
-    substitute_inputs,
-    with_ones,
-)
+from otr.control.soft_tree import LEAF_SCALE, affine_leaves, as_numpy, initial_tests, substitute_inputs
 from otr.core.arrays import FloatArray
 from otr.core.head import Head
 from otr.core.tree import ObliqueTree
@@ -34,8 +26,8 @@ class RelaxedProgram(nn.Module):
         w_C C(x) + w_if (s E_left(x) + (1 - s) E_right(x)),   (w_C, w_if) = softmax(architecture[i]),
 
     with C(x) affine in x and s = sigmoid(-beta (P_i . x + v_i)), so that ``P . x + v <= 0`` is the branch `then`. Holes
-    at the full depth are C. Unrolled, this is a weighted mean of the affine maps of all holes: the weight of hole i is
-    how likely x reaches it, times what the architecture leaves for it.
+    at the full depth are C. Unrolled, this is a soft tree with affine leaves: x reaches a hole where it reaches a leaf
+    below it, so leaf k adds up the maps of the holes on its path, each times what the architecture leaves for it.
 
     After `discretise` the weights of each hole are 0 and 1, and the same parameters are tuned on.
 
@@ -83,7 +75,7 @@ class RelaxedProgram(nn.Module):
         self.maps = nn.Parameter(
             LEAF_SCALE * torch.randn(2 * n_tests + 1, n_outputs, n_inputs + 1, generator=generator)
         )
-        levels = torch.tensor([float((hole + 1).bit_length() - 1) for hole in range(n_tests)])
+        levels = torch.tensor([float(_level(hole)) for hole in range(n_tests)])
         for_if = torch.log(depth - levels) - structure_penalty * levels
         self.architecture = nn.Parameter(torch.stack((torch.zeros(n_tests), for_if), dim=1))
         self.register_buffer("structure", torch.full((n_tests,), -1, dtype=torch.int64))
@@ -109,19 +101,26 @@ class RelaxedProgram(nn.Module):
         """Return the outputs (n, o) for states X (n, d)."""
         fixed = self.learns == "architecture"
         tests, maps = (self.tests.detach(), self.maps.detach()) if fixed else (self.tests, self.maps)
-        X1 = with_ones(X)
-        reach = torch.cat(path_probabilities(left_probabilities(tests, X1, self.beta)))
-        return mixed_maps(reach * self.hole_weights()[:, None], maps, X1)
+        weights, above = self.hole_weights(), tests_above(self.depth).to(maps.dtype)
+        n_tests = len(tests)
+        if self.is_discrete:
+            is_derived = above.t() @ weights > 0
+            n_tests = 2 ** _level(int(weights.nonzero()[-1])) - 1  # of the levels that the program has
+            tests = tests[:n_tests] * is_derived[:n_tests, None]
+        weighted = weights[: 2 * n_tests + 1, None] * maps[: 2 * n_tests + 1].flatten(1)
+        on_paths = above[n_tests : 2 * n_tests + 1, :n_tests]
+        leaves = torch.addmm(weighted[n_tests:], on_paths, weighted[:n_tests])
+        return affine_leaves(tests, leaves.view(n_tests + 1, *maps.shape[1:]), X, self.beta)
 
     def hole_weights(self) -> Tensor:
         """Return what the architecture gives to each hole's C, (2**(depth + 1) - 1,); it sums to 1 on every path."""
-        choices = self._choices()
-        weights, reach = [], choices.new_ones(1)
-        for level in range(self.depth):
-            here = choices[2**level - 1 : 2 ** (level + 1) - 1]
-            weights.append(reach * here[:, 0])
-            reach = (reach * here[:, 1]).repeat_interleave(2)
-        return torch.cat((*weights, reach))
+        above, last = tests_above(self.depth).to(self.maps.dtype), self.maps.new_zeros(2**self.depth)
+        if self.is_discrete:
+            stops = (1 - self.structure).to(above.dtype)
+            return torch.cat((stops, 1 - last)) * (above @ stops == 0)
+        logits = self.architecture.detach() if self.learns == "program" else self.architecture
+        to_map, to_test = torch.log_softmax(logits, dim=1).unbind(1)
+        return torch.exp(torch.cat((to_map, last)) + above @ to_test)
 
     def discretise(self) -> None:
         """Choose C or `if` in every hole by the larger architecture weight, C where they tie; once only."""
@@ -155,15 +154,24 @@ class RelaxedProgram(nn.Module):
         )
         return tree if head is None else decided_leaves(tree, head)
 
-    def _choices(self) -> Tensor:
-        """Return the weights of C and `if` in every hole, (2**depth - 1, 2)."""
-        if self.is_discrete:
-            return torch.stack((1 - self.structure, self.structure), dim=1).to(self.maps.dtype)
-        logits = self.architecture.detach() if self.learns == "program" else self.architecture
-        return torch.softmax(logits, dim=1)
-
     def _larger(self) -> Tensor:
         return (self.architecture[:, 1] > self.architecture[:, 0]).long()
+
+
+def _level(hole: int) -> int:
+    """Return how many tests are above a hole."""
+    return (hole + 1).bit_length() - 1
+
+
+@lru_cache
+def tests_above(depth: int) -> Tensor:
+    """Return which tests are above each hole, (2**(depth + 1) - 1, 2**depth - 1), 1 or 0."""
+    above = torch.zeros(2 ** (depth + 1) - 1, 2**depth - 1)
+    for hole in range(1, len(above)):
+        parent = (hole - 1) // 2
+        above[hole] = above[parent]
+        above[hole, parent] = 1.0
+    return above
 
 
 def _reached(is_test: np.ndarray) -> np.ndarray:

@@ -81,11 +81,9 @@ class SoftTree(nn.Module):
 
     def forward(self, X: Tensor) -> Tensor:
         """Return the outputs (n, o) for states X (n, d)."""
-        X1 = with_ones(X)
         if self.affine_leaves:
-            outputs: Tensor = _AffineLeaves.apply(self.tests, self.leaves, X1, self.beta)  # type: ignore[no-untyped-call]
-            return outputs
-        _, reached = path_probabilities(left_probabilities(self.tests, X1, self.beta))
+            return affine_leaves(self.tests, self.leaves, X, self.beta)
+        _, reached = path_probabilities(_left_probabilities(self.tests, _with_ones(X), self.beta))
         return reached.t() @ self.leaves
 
     def harden(self, head: Head | None = None, *, axis_aligned: bool = False) -> ObliqueTree:
@@ -118,8 +116,14 @@ class SoftTree(nn.Module):
         return decided_leaves(tree, head) if self.affine_leaves else tree
 
 
+def affine_leaves(tests: Tensor, leaves: Tensor, X: Tensor, beta: Tensor) -> Tensor:
+    """Return the outputs (n, o) of a soft tree with affine leaves for states X (n, d), arguments as in `SoftTree`."""
+    outputs: Tensor = _AffineLeaves.apply(tests, leaves, _with_ones(X), beta)  # type: ignore[no-untyped-call]
+    return outputs
+
+
 class _AffineLeaves(torch.autograd.Function):
-    """The output of a soft tree with affine leaves: `_affine_leaves` with its derivative written out, for speed.
+    """The output of a soft tree with affine leaves: `_by_autograd` with its derivative written out, for speed.
 
     Autograd's bookkeeping costs as much as the arithmetic at the sizes of policies. A derivative that is to be
     differentiated again (TRPO) is left to autograd.
@@ -140,22 +144,25 @@ class _AffineLeaves(torch.autograd.Function):
         if torch.is_grad_enabled():
             inputs = [each for each, wanted in zip((tests, leaves, X1), ctx.needs_input_grad, strict=False) if wanted]
             found = iter(
-                torch.autograd.grad(_affine_leaves(tests, leaves, X1, beta), inputs, at_outputs, create_graph=True)
+                torch.autograd.grad(_by_autograd(tests, leaves, X1, beta), inputs, at_outputs, create_graph=True)
             )
             return *(next(found) if wanted else None for wanted in ctx.needs_input_grad[:3]), None
+        of_tests, of_leaves, of_X1, _ = ctx.needs_input_grad
         at_maps = (at_outputs[:, :, None] * X1[:, None, :]).flatten(1)  # (n, o (d + 1))
+        at_leaves = torch.mm(reached, at_maps).view_as(leaves) if of_leaves else None
+        if not of_tests and not of_X1:
+            return None, at_leaves, None, None
         at_left = reach_gradient(left, nodes, None, torch.mm(leaves.flatten(1), at_maps.t()))
-        at_tests = torch.ops.aten.sigmoid_backward(at_left, left).mul_(-beta)  # (2**depth - 1, n)
-        at_X1 = None
-        if ctx.needs_input_grad[2]:
-            at_X1 = torch.mm(at_tests.t(), tests) + (at_outputs[:, :, None] * maps).sum(1)
-        return torch.mm(at_tests, X1), torch.mm(reached, at_maps).view_as(leaves), at_X1, None
+        at_values = torch.ops.aten.sigmoid_backward(at_left, left).mul_(-beta)  # (2**depth - 1, n)
+        at_X1 = torch.mm(at_values.t(), tests) + (at_outputs[:, :, None] * maps).sum(1) if of_X1 else None
+        return torch.mm(at_values, X1), at_leaves, at_X1, None
 
 
-def _affine_leaves(tests: Tensor, leaves: Tensor, X1: Tensor, beta: Tensor) -> Tensor:
+def _by_autograd(tests: Tensor, leaves: Tensor, X1: Tensor, beta: Tensor) -> Tensor:
     """Return the outputs (n, o) of a soft tree with affine leaves for states with a column of ones (n, d + 1)."""
-    _, reached = path_probabilities(left_probabilities(tests, X1, beta))
-    return mixed_maps(reached, leaves, X1)
+    _, reached = path_probabilities(_left_probabilities(tests, X1, beta))
+    mean_maps = reached.t() @ leaves.flatten(1)  # a mean map of each state is less work than the value of each leaf
+    return (mean_maps.view(len(X1), -1, X1.shape[1]) * X1[:, None, :]).sum(-1)
 
 
 def initial_tests(n_tests: int, n_inputs: int, generator: torch.Generator | None) -> Tensor:
@@ -164,23 +171,14 @@ def initial_tests(n_tests: int, n_inputs: int, generator: torch.Generator | None
     return torch.empty(n_tests, n_inputs + 1).uniform_(-bound, bound, generator=generator)
 
 
-def with_ones(X: Tensor) -> Tensor:
+def _with_ones(X: Tensor) -> Tensor:
     """Return states X (n, d) with a last column of ones (n, d + 1), which the offsets multiply."""
     return torch.cat((X, X.new_ones(len(X), 1)), dim=1)
 
 
-def left_probabilities(tests: Tensor, X1: Tensor, beta: Tensor) -> Tensor:
+def _left_probabilities(tests: Tensor, X1: Tensor, beta: Tensor) -> Tensor:
     """Return sigmoid(-beta (P . x + v)), (n_tests, n), for states with a column of ones."""
     return torch.sigmoid((tests * -beta) @ X1.t())
-
-
-def mixed_maps(weights: Tensor, maps: Tensor, X1: Tensor) -> Tensor:
-    """Return the mean (n, o), with weights (k, n), of the values at X1 (n, d + 1) of affine maps (k, o, d + 1).
-
-    It is computed by the mean map of each state, which is less work than each map's value.
-    """
-    mean_maps = weights.t() @ maps.flatten(1)
-    return (mean_maps.view(len(X1), -1, X1.shape[1]) * X1[:, None, :]).sum(-1)
 
 
 def axis_aligned_tests(tests: FloatArray) -> FloatArray:

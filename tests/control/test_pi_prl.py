@@ -1,6 +1,8 @@
 import numpy as np
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import otr
 from otr.control.pi_prl import RelaxedProgram
@@ -24,6 +26,8 @@ def naive_value(program: RelaxedProgram, x: np.ndarray, hole: int = 0) -> np.nda
     if hole >= len(program.tests):
         return here
     odds = np.exp(program.architecture.detach().numpy()[hole])
+    if program.is_discrete:
+        odds = np.array([1 - program.structure[hole], program.structure[hole]])
     left = 1 / (1 + np.exp(float(program.beta) * program.tests.detach().numpy()[hole] @ x1))
     below = left * naive_value(program, x, 2 * hole + 1) + (1 - left) * naive_value(program, x, 2 * hole + 2)
     return (odds[0] * here + odds[1] * below) / odds.sum()
@@ -35,6 +39,33 @@ def test_the_value_is_the_recursion(depth):
     X = np.random.default_rng(0).normal(size=(10, 2))
     expected = [naive_value(program, x) for x in X]
     np.testing.assert_allclose(program(torch.tensor(X)).detach().numpy(), expected, rtol=1e-6, atol=1e-9)
+
+
+@given(seed=st.integers(0, 2**31), depth=st.integers(1, 4), beta=st.sampled_from([0.5, 1.0, 8.0]))
+@settings(max_examples=30)
+def test_a_chosen_program_has_the_value_of_the_recursion(seed, depth, beta):
+    program = relaxed(seed, depth)
+    program.set_beta(beta)
+    program.discretise()
+    X = np.random.default_rng(seed).normal(size=(5, 2))
+    expected = [naive_value(program, x) for x in X]
+    np.testing.assert_allclose(program(torch.tensor(X)).detach().numpy(), expected, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("is_discrete", [False, True])
+@pytest.mark.parametrize("depth", [0, 1, 3])
+def test_derivatives(depth, is_discrete):
+    program = relaxed(6, depth)
+    if is_discrete:
+        program.discretise()
+    names, parameters = zip(*program.named_parameters(), strict=True)
+    X = torch.randn(3, 2, dtype=torch.float64)
+
+    def outputs(*values: torch.Tensor) -> torch.Tensor:
+        return torch.func.functional_call(program, dict(zip(names, values, strict=True)), (X,))
+
+    assert torch.autograd.gradcheck(outputs, parameters)
+    assert torch.autograd.gradgradcheck(outputs, parameters)
 
 
 def test_every_level_starts_with_the_same_weight():

@@ -4,7 +4,7 @@ Both give means and log standard deviations, (R, n_rows, 2 n_actions), and learn
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -12,9 +12,10 @@ import torch
 from torch import Tensor, nn
 
 from pipelines.config.methods import SoftConfig
-from pipelines.training.fleet.adam import BETA1, BETA2, EPSILON, RunSettings, adam_groups
+from pipelines.training.fleet.adam import AdamGroup, RunSettings, adam_groups
 from pipelines.training.fleet.mlp import Layers, StackedMlp, new_layers
-from pipelines.training.fleet.stacked_tensors import new_stack
+from pipelines.training.fleet.soft_trees import StackedTrees, stacked_trees
+from pipelines.training.fleet.stacked_tensors import multiply, new_flat, new_stack
 from pipelines.training.soft_trees import Shape, SoftModule, build_module, rate_share, set_phase
 
 
@@ -125,9 +126,13 @@ class SoftTraining:
 
 
 class SoftActors:
-    """Soft trees that give the means, beside log standard deviations linear in the state; one by one, by autograd.
+    """Soft trees that give the means, beside log standard deviations linear in the state: stacked, gradients by hand.
 
-    As under Stable-Baselines3 (`pipelines/training/soft_actor.py`), what gets no gradient is not moved.
+    As under Stable-Baselines3 (`pipelines/training/soft_actor.py`), what gets no gradient is not moved: pi-PRL's
+    program and its architecture, which learn in turns, have an optimiser each.
+
+    Attributes:
+        trees: the modules, whose parameters lie in the stacks.
     """
 
     def __init__(
@@ -135,12 +140,17 @@ class SoftActors:
     ) -> None:
         self._training = training
         self.trees: list[SoftModule] = [build_module(training.shape, n_inputs, n_actions) for _ in runs]
-        self._log_stds = [nn.Linear(n_inputs, n_actions) for _ in runs]
-        self._optimizers = [
-            _adam(nn.ModuleList(parts), run) for *parts, run in zip(self.trees, self._log_stds, runs, strict=True)
-        ]
-        self._answers = new_stack(len(runs), 2 * batch_size, 2 * n_actions)
-        self._graphs: list[Tensor] = []
+        shapes = {name: tuple(parameter.shape) for name, parameter in self.trees[0].named_parameters()}
+        of_architecture = {name: shapes.pop(name) for name in ("architecture",) if name in shapes}
+        self._program, self._architecture = _Learning.of(runs, shapes), _Learning.of(runs, of_architecture)
+        self._log_std = _Learning.of(runs, {"weight": (n_actions, n_inputs), "bias": (n_actions,)})
+        self._parameters = self._program.parameters | self._architecture.parameters
+        self._gradients = self._program.gradients | self._architecture.gradients
+        for run, tree in enumerate(self.trees):
+            for name, parameter in tree.named_parameters():
+                parameter.data = self._parameters[name][run]
+        self._updating = self._pass(2 * batch_size, batch_size)
+        self._acting: _SoftPass | None = None
 
     def at_step(self, n_steps: int) -> float:
         """Make the tests as hard as they are to be, and choose what learns."""
@@ -150,39 +160,38 @@ class SoftActors:
         return rate_share(method, n_steps, of_steps)
 
     def forward(self, inputs: Tensor) -> Tensor:
-        with torch.enable_grad():
-            self._graphs = [self._of(run, states) for run, states in enumerate(inputs)]
-        for answers, graph in zip(self._answers, self._graphs, strict=True):
-            answers.copy_(graph.detach())
-        return self._answers
+        return self._answer(self._updating, inputs)
 
     def backward(self, inputs: Tensor, d_answers: Tensor) -> None:
-        for graph, derivative, optimizer in zip(self._graphs, d_answers, self._optimizers, strict=True):
-            optimizer.zero_grad()
-            with torch.enable_grad():
-                of_states = graph[: len(derivative)]
-            of_states.backward(derivative)  # type: ignore[no-untyped-call]
+        d_means, d_log_stds = d_answers.chunk(2, dim=2)
+        X1, of_log_std = self._updating.X1, self._log_std.gradients
+        self._updating.trees.backward(self._parameters, X1, self._hardness, d_means, self._gradients)
+        multiply(d_log_stds.transpose(1, 2), X1[:, : d_answers.shape[1], :-1], of_log_std["weight"])
+        torch.sum(d_log_stds, 1, out=of_log_std["bias"])
 
     def step(self, rate_share: float) -> None:
-        for optimizer in self._optimizers:
-            (group,) = optimizer.param_groups
-            group["lr"] = optimizer.defaults["lr"] * rate_share
-            optimizer.step()
+        is_architectures = getattr(self.trees[0], "learns", "program") == "architecture"
+        for learning in (self._architecture if is_architectures else self._program, self._log_std):
+            for group in learning.groups:
+                group.step(rate_share)
 
     def act(self, states: Tensor) -> Tensor:
-        with torch.no_grad():  # of copies: rounding may depend on where factors begin (`stacked_tensors`)
-            return torch.stack([self._of(run, own.clone()) for run, own in enumerate(states)])
+        n_envs = states.shape[1]
+        if self._acting is None or self._acting.X1.shape[1] != n_envs:
+            self._acting = self._pass(n_envs, n_envs)
+        return self._answer(self._acting, states)
 
+    @torch.no_grad()
     def answers(self, run: int, states: Tensor) -> Tensor:
-        with torch.no_grad():
-            return self._of(run, states)
+        weight, bias = (self._log_std.parameters[name][run] for name in ("weight", "bias"))
+        return torch.cat((self.trees[run](states), nn.functional.linear(states, weight, bias)), dim=1)
 
     def tensors(self, run: int) -> dict[str, Tensor]:
-        parts = nn.ModuleDict({"mean": self.trees[run], "log_std": self._log_stds[run]})
-        views = {f"actor.{name}": tensor for name, tensor in parts.state_dict().items()}
-        for name, parameter in parts.named_parameters():
-            state = self._optimizers[run].state[parameter]
-            views |= {f"actor.{name}.{key}": tensor for key, tensor in state.items()}
+        parts = {"mean": (self._program, self._architecture), "log_std": (self._log_std,)}
+        views = {f"actor.mean.{name}": buffer for name, buffer in self.trees[run].named_buffers()}
+        for part, learnt in parts.items():
+            for learning in learnt:
+                views |= {f"actor.{part}.{name}": view for name, view in learning.tensors(run).items()}
         return views
 
     def initialise(self, run: int, generator: torch.Generator) -> None:
@@ -191,23 +200,60 @@ class SoftActors:
         fresh = build_module(shape, tree.n_inputs, tree.n_outputs, generator)
         tree.load_state_dict(fresh.state_dict())
         limit = 1 / math.sqrt(tree.n_inputs)
-        with torch.no_grad():
-            for parameter in self._log_stds[run].parameters():
-                parameter.uniform_(-limit, limit, generator=generator)
+        for stack in self._log_std.parameters.values():
+            stack[run].uniform_(-limit, limit, generator=generator)
 
-    def _of(self, run: int, states: Tensor) -> Tensor:
-        return torch.cat((self.trees[run](states), self._log_stds[run](states)), dim=1)
+    @property
+    def _hardness(self) -> float:
+        """How hard the tests of all trees are."""
+        return float(next(buffer for name, buffer in self.trees[0].named_buffers() if name.endswith("beta")))
+
+    def _pass(self, n_rows: int, n_back_rows: int) -> "_SoftPass":
+        n, tree = len(self.trees), self.trees[0]
+        X1 = new_stack(n, n_rows, tree.n_inputs + 1)
+        X1[..., -1] = 1.0
+        answers = new_stack(n, n_rows, 2 * tree.n_outputs)
+        return _SoftPass(stacked_trees(self.trees, n_rows, n_back_rows), X1, answers)
+
+    def _answer(self, workspace: "_SoftPass", states: Tensor) -> Tensor:
+        X1, answers = workspace.X1, workspace.answers
+        X1[..., :-1] = states
+        means, log_stds = answers.chunk(2, dim=2)
+        workspace.trees.forward(self._parameters, X1, self._hardness, means)
+        weight, bias = self._log_std.parameters["weight"], self._log_std.parameters["bias"]
+        multiply(X1[..., :-1], weight.transpose(1, 2), log_stds).add_(bias.unsqueeze(1))
+        return answers
 
 
-def _adam(parts: nn.Module, run: RunSettings) -> torch.optim.Adam:
-    """Return Adam with its state made, so that a checkpoint can be written into it."""
-    adam = torch.optim.Adam(
-        parts.parameters(), lr=run.learning_rate, betas=(BETA1, BETA2), eps=EPSILON, weight_decay=run.weight_decay
-    )
-    for parameter in parts.parameters():
-        adam.state[parameter] = {
-            "step": torch.zeros(()),
-            "exp_avg": torch.zeros_like(parameter),
-            "exp_avg_sq": torch.zeros_like(parameter),
-        }
-    return adam
+@dataclass(frozen=True)
+class _SoftPass:
+    """The workspace of a pass: states with a column of ones, and what is made of them."""
+
+    trees: StackedTrees
+    X1: Tensor  # (R, n_rows, d + 1)
+    answers: Tensor  # (R, n_rows, 2 n_actions)
+
+
+@dataclass(frozen=True)
+class _Learning:
+    """Parameters of all runs that learn at the same time: stacks by name, and their optimisers."""
+
+    parameters: dict[str, Tensor]
+    gradients: dict[str, Tensor]
+    moments: dict[str, dict[str, Tensor]]  # Adam's, by torch's names for them
+    groups: list[AdamGroup]  # one, or one a run
+
+    @classmethod
+    def of(cls, runs: Sequence[RunSettings], shapes: Mapping[str, tuple[int, ...]]) -> "_Learning":
+        flats, stacks = zip(*(new_flat(len(runs), list(shapes.values())) for _ in range(4)), strict=True)
+        parameters, gradients, first, second = (dict(zip(shapes, each, strict=True)) for each in stacks)
+        groups = adam_groups(runs, flats, 0) if shapes else []
+        return cls(parameters, gradients, {"exp_avg": first, "exp_avg_sq": second}, groups)
+
+    def tensors(self, run: int) -> dict[str, Tensor]:
+        """Return views of a run's parameters and of Adam's state, by torch's names."""
+        views = {name: stack[run] for name, stack in self.parameters.items()}
+        for name in self.parameters:
+            views[f"{name}.step"] = self.groups[run if len(self.groups) > 1 else 0].steps[0]
+            views |= {f"{name}.{moment}": stacks[name][run] for moment, stacks in self.moments.items()}
+        return views

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pipelines.training.fleet.stacked_tensors import multiply, new_stack, padded
+from pipelines.training.fleet.stacked_tensors import multiply, new_flat, new_stack
 
 WIDE = 64  # layers at least this wide on both sides take part in precision="bf16"
 
@@ -63,11 +63,7 @@ class Layers:
 def new_layers(n: int, widths: Sequence[int], precision: str = "fp32", dense: bool = False) -> Layers:
     """Return a stack of n networks, all zeros, of torch's default type (float32 unless a test sets another)."""
     shapes = [(w_in + dense * (i > 0) * widths[0], w_out) for i, (w_in, w_out) in enumerate(itertools.pairwise(widths))]
-    parts = [*shapes, *((1, w_out) for w_out in widths[1:])]
-    sizes = [w_in * w_out for w_in, w_out in parts]
-    flat = torch.zeros(n, sum(map(padded, sizes)))
-    rows = torch.split(flat, [padded(size) for size in sizes], dim=1)
-    tensors = [row[:, :size].view(n, *part) for row, size, part in zip(rows, sizes, parts, strict=True)]
+    flat, tensors = new_flat(n, [*shapes, *((1, w_out) for w_out in widths[1:])])
     weights, biases = tensors[: len(shapes)], tensors[len(shapes) :]
     factors = [
         new_stack(n, *weight.shape[1:], dtype=torch.bfloat16)

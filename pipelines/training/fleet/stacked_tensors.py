@@ -9,6 +9,7 @@ Three things would make its rounding depend on the others, and are avoided here:
 """
 
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -25,6 +26,14 @@ def new_stack(n: int, *shape: int, dtype: torch.dtype | None = None) -> Tensor:
     """Return zeros (n, *shape) with a gap behind each of the n; of torch's default type where none is given."""
     size = math.prod(shape)
     return torch.zeros(n, padded(size), dtype=dtype)[:, :size].view(n, *shape)
+
+
+def new_flat(n: int, shapes: Sequence[Sequence[int]]) -> tuple[Tensor, list[Tensor]]:
+    """Return zeros (n, padded), and stacks (n, *shape) in them one after another, with gaps as in `new_stack`."""
+    sizes = [math.prod(shape) for shape in shapes]
+    flat = torch.zeros(n, sum(map(padded, sizes)))
+    rows = torch.split(flat, [padded(size) for size in sizes], dim=1)
+    return flat, [row[:, :size].view(n, *shape) for row, size, shape in zip(rows, sizes, shapes, strict=True)]
 
 
 def multiply(left: Tensor, right: Tensor, out: Tensor) -> Tensor:

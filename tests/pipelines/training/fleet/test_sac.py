@@ -29,7 +29,15 @@ from tests.pipelines.training.fleet.autograd_sac import AutogradSac
 
 N_INPUTS, N_ACTIONS, BATCH = 11, 3, 100
 # 50 updates, 200 steps after each: two turns of the program, two of the architecture, the structure chosen
-SOFT = SoftTraining(Shape("pi_prl", {"depth": 2, "structure_penalty": 0.25}), PI_PRL, 10_000)
+KINDS = {
+    "pi_prl": {"depth": 2, "structure_penalty": 0.25},
+    "pi_prl deeper": {"depth": 4, "structure_penalty": -0.5},
+    "pi_prl without tests": {"depth": 0},
+    "sdt": {"depth": 3, "affine_leaves": False},
+    "sdt with affine leaves": {"depth": 3, "affine_leaves": True},
+    "cdt": {"feature_depth": 2, "n_features": 4, "decision_depth": 2},
+}
+SOFT = {kind: SoftTraining(Shape(kind.split()[0], options), PI_PRL, 10_000) for kind, options in KINDS.items()}
 
 
 def draw_batch(generator: torch.Generator) -> tuple[Minibatch, Tensor]:
@@ -179,7 +187,7 @@ def assert_equal_numbers(ours: Tensor, theirs: Tensor) -> None:
 
 
 @pytest.mark.usefixtures("in_float64")
-@pytest.mark.parametrize("soft", [None, SOFT], ids=["network", "soft tree"])
+@pytest.mark.parametrize("soft", [None, *SOFT.values()], ids=["network", *SOFT])
 def test_fifty_updates_are_those_of_stable_baselines3(queued_noise: list[Tensor], soft: SoftTraining | None) -> None:
     actor, slope, decay = (8, 8), 0.05, 1e-2
     own = {"net_arch": {"pi": list(actor), "qf": [64, 64]}}
@@ -227,10 +235,10 @@ def test_fifty_updates_are_those_of_stable_baselines3(queued_noise: list[Tensor]
     ours = fleet.tensors(0)
     for name, theirs in sb3_parameters(model).items():
         moved = float((theirs - start[name]).norm())
-        assert moved > 1e-4, f"{name} did not learn"
+        assert moved > 1e-4 or not theirs.numel(), f"{name} did not learn"
         difference = float((ours[name].reshape(theirs.shape) - theirs).norm())
         assert theirs.dtype == ours[name].dtype == torch.float64
-        assert difference < 1e-8 * moved, f"{name}: {difference} after moving by {moved}"
+        assert difference <= 1e-8 * moved, f"{name}: {difference} after moving by {moved}"
 
 
 WIDTHS = (((), (64, 64)), ((6,), (256, 256)), ((7, 5), (100, 65)))
@@ -242,18 +250,20 @@ def assert_same(alone: FleetSac, fleet: FleetSac, run: int) -> None:
         assert torch.equal(tensor, fleet.tensors(run)[name]), name
 
 
-def test_a_run_of_soft_trees_is_the_run_alone_and_goes_on_from_what_it_had_learnt() -> None:
-    shapes = Shapes(N_INPUTS, N_ACTIONS, (), (64, 64), BATCH, soft=SOFT)
+@pytest.mark.parametrize("kind", SOFT)
+def test_a_run_of_soft_trees_is_the_run_alone_and_goes_on_from_what_it_had_learnt(kind: str) -> None:
+    shapes = Shapes(N_INPUTS, N_ACTIONS, (), (64, 64), BATCH, soft=SOFT[kind])
     together, alone = new_fleet(shapes, [0, 1]), new_fleet(shapes, [1])
     learn(together, [0, 1], 45)
     learn(alone, [1], 45)
     assert_same(alone, together, 1)
     states, noise = torch.randn(2, 1, N_INPUTS), torch.randn(2, 1, N_ACTIONS)
     assert torch.equal(alone.act(states[1:], noise[1:])[0], together.act(states, noise)[1])
-    assert alone.tensors(0)["actor.mean.structure"].min() >= 0
     steps = {name: int(tensor) for name, tensor in alone.tensors(0).items() if name.endswith(".step")}
-    assert 0 < steps["actor.mean.architecture.step"] < steps["actor.mean.tests.step"] < 45
     assert steps["actor.log_std.weight.step"] == 45
+    if kind == "pi_prl":
+        assert alone.tensors(0)["actor.mean.structure"].min() >= 0
+        assert 0 < steps["actor.mean.architecture.step"] < steps["actor.mean.tests.step"] < 45
     again = FleetSac(shapes, alone.runs, alone.n_updates)
     again.load(0, {name: tensor.clone() for name, tensor in alone.tensors(0).items()})
     for fleet in (alone, again):

@@ -8,7 +8,11 @@ each the fastest round counts.
 The floor is the time of the float32 matrix products alone that an update needs, of five runs in the shapes that occur
 and in stacks like theirs, without a single addition, activation, transition or environment step.
 
-Targets: 2.2 times the peer and 0.6 of the floor in float32, 3 times the peer with bfloat16 products, ahead of SBX.
+So do fleets whose actors are pi-PRL's relaxed programs of depth 6, against one run of such a program under
+Stable-Baselines3, as `trainer=sb3` trains it, and against the networks' fleets.
+
+Targets: 2.2 times the peer and 0.6 of the floor in float32, 3 times the peer with bfloat16 products, ahead of SBX;
+programs 2.2 times their peer and 0.7 of the networks.
 
 SBX (Stable-Baselines3 in JAX) needs packages of its own: it is measured where OTR_SBX_PYTHON names the python of an
 environment that has `sbx-rl`, `gymnasium[mujoco]` and nothing of ours; `benchmarks/sbx_peer.py` runs there.
@@ -22,25 +26,32 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
 
 from benchmarks.measure import Entry, alternate
 from benchmarks.training import plain_trainer
 from pipelines.cli import runs
 from pipelines.config.run import RunConfig
 from pipelines.stages.train import fleets
+from pipelines.training.actors import actor_of
 from pipelines.training.fleet.adam import RunSettings
 from pipelines.training.fleet.fleet_run import FleetRun
 from pipelines.training.fleet.progress import FleetProgress
 from pipelines.training.fleet.sac import FleetSac, Minibatch, Shapes
 from pipelines.training.fleet.stacked_tensors import multiply, new_stack
 from pipelines.training.fleet.trainer import FleetTrainer, Task
+from pipelines.training.progress import TrainingProgress
+from pipelines.training.sb3_models import build_model
+from pipelines.training.sb3_training import train_segment
 
 N_RUNS = 10
 N_RANDOM = 100
+PROGRAMS = ("method=pi_prl", "algo=sac")
 PEER_STEPS_AHEAD = 300  # SBX compiles in its first steps
 
 
@@ -49,9 +60,11 @@ def measure(quick: bool) -> list[Entry]:
     rounds, n_steps = (2, 150) if quick else (12, 250)
     sbx = os.environ.get("OTR_SBX_PYTHON")
     sides: dict[str, Callable[[], float]] = {
-        "sb3": peer_rate("sb3", n_steps),
-        "fp32": fleet_rate("fp32", n_steps),
-        "bf16": fleet_rate("bf16", n_steps),
+        "sb3": peer_rate(n_steps),
+        "fp32": fleet_rate(n_steps),
+        "bf16": fleet_rate(n_steps, "trainer.precision=bf16"),
+        "programs": fleet_rate(n_steps, *PROGRAMS),
+        "sb3 program": program_peer_rate(n_steps),
     }
     if sbx:
         sides["sbx"] = lambda: sbx_rate(sbx, 5 * n_steps)
@@ -76,25 +89,29 @@ def measure(quick: bool) -> list[Entry]:
             "ratio >= 0.6",
         ),
         Entry(f"{ours}, bf16", best["bf16"], unit, sb3, best["sb3"], "ratio >= 3"),
+        Entry(
+            f"{ours}, fp32, programs", best["programs"], unit, f"{sb3}, program", best["sb3 program"], "ratio >= 2.2"
+        ),
+        Entry(f"{ours}, fp32, programs", best["programs"], unit, "networks", best["fp32"], "ratio >= 0.7"),
     ]
     if sbx:
         entries.insert(1, Entry(f"{ours}, fp32", best["fp32"], unit, "SBX SAC, one run", best["sbx"], "ratio >= 1"))
     return entries + learner_entries(quick)
 
 
-def run_config(precision: str, seed: int, n_steps: int) -> RunConfig:
+def run_config(n_steps: int, *overrides: str) -> RunConfig:
     """Return the configuration of `otr-run env=hopper depth=6 budget=thesis trainer=fleet` and segments so long."""
-    overrides = ["env=hopper", "depth=6", "budget=thesis", "trainer=fleet", f"seed={seed}"]
-    overrides += [f"trainer.precision={precision}"]
-    overrides += [f"train.max_learning_starts={N_RANDOM}", f"train.eval_interval_steps={n_steps}"]
-    return runs.run_config(overrides)
+    own = ["env=hopper", "depth=6", "budget=thesis", "trainer=fleet"]
+    own += [f"train.max_learning_starts={N_RANDOM}", f"train.eval_interval_steps={n_steps}"]
+    return runs.run_config([*own, *overrides])
 
 
-def fleet_rate(precision: str, n_steps: int) -> Callable[[], float]:
+def fleet_rate(n_steps: int, *overrides: str) -> Callable[[], float]:
     """Return a function that trains all runs for a segment more and returns environment steps per CPU-second."""
     folder = tempfile.TemporaryDirectory()
     configs = [
-        dataclasses.replace(run_config(precision, seed, n_steps), results_dir=folder.name) for seed in range(N_RUNS)
+        dataclasses.replace(run_config(n_steps, f"seed={seed}", *overrides), results_dir=folder.name)
+        for seed in range(N_RUNS)
     ]
     task = Task.of(configs[0])
     runs = [FleetRun(each, Path(folder.name) / str(each.seed), task.layout) for each in configs]
@@ -117,15 +134,24 @@ def fleet_rate(precision: str, n_steps: int) -> Callable[[], float]:
     return rate
 
 
-def peer_rate(name: str, n_steps: int) -> Callable[[], float]:
+def peer_rate(n_steps: int) -> Callable[[], float]:
     """Return the same for a plain Stable-Baselines3 script."""
-    assert name == "sb3"
-    config = run_config("fp32", 0, n_steps)
-    model, train_segment = plain_trainer(config)
+    return model_rate(*plain_trainer(run_config(n_steps)))
+
+
+def program_peer_rate(n_steps: int) -> Callable[[], float]:
+    """Return the same for a relaxed program as our trainer by Stable-Baselines3 trains it."""
+    config = run_config(n_steps, *PROGRAMS, "trainer=sb3")
+    model, actor, progress, segments = build_model(config, 0), actor_of(config), TrainingProgress(config, 0), count()
+    return model_rate(model, lambda: train_segment(model, actor, next(segments), progress))
+
+
+def model_rate(model: BaseAlgorithm, train_on: Callable[[], object]) -> Callable[[], float]:
+    """Return the function that trains a model for a segment more and returns environment steps per CPU-second."""
 
     def rate() -> float:
         start, began = model.num_timesteps, time.process_time()
-        train_segment()
+        train_on()
         return (model.num_timesteps - start) / (time.process_time() - began)
 
     rate()
@@ -134,7 +160,7 @@ def peer_rate(name: str, n_steps: int) -> Callable[[], float]:
 
 def sbx_rate(python: str, n_steps: int) -> float:
     """Return SBX's environment steps per CPU-second in a process of its own."""
-    algo: Any = run_config("fp32", 0, n_steps).algo
+    algo: Any = run_config(n_steps).algo
     settings = {name: getattr(algo, name) for name in ("learning_rate", "batch_size", "gamma", "tau", "critic")}
     settings |= {"n_steps": n_steps, "n_random": N_RANDOM, "n_ahead": PEER_STEPS_AHEAD}
     script = Path(__file__).with_name("sbx_peer.py")

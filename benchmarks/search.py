@@ -208,8 +208,8 @@ def rates_in_turns(warm_up_steps: int, n_turns: int) -> dict[str, float]:
     turn = search_turn(config, "gymnasium", 1_000, warmed_up(config, warm_up_steps))
     sides: dict[str, Rate] = {
         "ars": lambda: _rate(turn),
-        "sb3": peer_rate("sb3", 150),
-        "fleet": fleet_rate("fp32", 150),
+        "sb3": peer_rate(150),
+        "fleet": fleet_rate(150),
     }
     measured: dict[str, list[float]] = {name: [] for name in sides}
     for i in range(n_turns):

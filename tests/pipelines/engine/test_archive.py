@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipelines.cli.pack import pack_results
 from pipelines.cli.runs import load_config
 from pipelines.engine.archive import file_digest, opened, pack, read_manifest, verified_manifest
 from pipelines.engine.store import ARCHIVE, archive_files, exists, read_csv, read_json
@@ -85,6 +86,22 @@ def test_the_same_run_gives_the_same_archive_and_new_stages_join_it(run, tmp_pat
     assert (run / ARCHIVE).read_bytes() == (tmp_path / "copy" / ARCHIVE).read_bytes()
 
 
+def test_all_runs_of_a_folder_are_packed_but_those_that_were_changed(run, tmp_path, capsys):
+    changed = tmp_path / "runs" / PENDULUM.replace("seed-0", "seed-1")
+    shutil.copytree(run, changed)
+    with (changed / "evaluate" / "episodes.csv").open("a") as file:
+        file.write("1,2,3\n")
+    before = files_of(changed)
+    assert pack_results(tmp_path) == 1
+    assert (run / ARCHIVE).is_file()
+    assert files_of(changed) == before
+    out, err = capsys.readouterr()
+    assert "packed: 1; left as they are: 1" in out
+    assert f"{changed} stays as it is: {changed / 'evaluate' / 'episodes.csv'} is not what was written" in err
+    assert pack_results(tmp_path / "elsewhere") == 1
+    assert f"{tmp_path / 'elsewhere' / 'runs'}: there is no such folder" in capsys.readouterr().err
+
+
 def test_the_pruned_tree_of_a_wide_network_is_kept_as_its_paths(command, tmp_path):
     run = tmp_path / "runs" / WIDE
     copy_run(WIDE, run, "prune", "evaluate")
@@ -141,6 +158,7 @@ def test_trees_that_another_processor_rounds_otherwise_are_said_and_used(packed,
 OPEN = """
 import shutil, sys
 from pathlib import Path
+from pipelines.cli.pack import pack_results
 from pipelines.cli.runs import load_config
 from pipelines.stages.derived import opened_run
 

@@ -27,7 +27,7 @@ def reach(left: Tensor) -> tuple[Tensor, Tensor]:
     """Return what `path_probabilities` returns, out of autograd's sight."""
     n_tests, n = left.shape
     nodes, leaves = torch.empty_like(left), left.new_empty(n_tests + 1, n)
-    widths = _level_widths(n_tests)
+    widths = level_widths(n_tests)
     levels = [*torch.split(nodes, widths), leaves]
     levels[0].fill_(1.0)
     for here, go_left, below in zip(levels, torch.split(left, widths), levels[1:], strict=False):
@@ -40,7 +40,7 @@ def reach(left: Tensor) -> tuple[Tensor, Tensor]:
 def reach_gradient(left: Tensor, nodes: Tensor, at_nodes: Tensor | None, at_leaves: Tensor) -> Tensor:
     """Return the gradient for `left`, given those of the nodes (None for zero) and leaves; differentiable itself."""
     n_tests, n = left.shape
-    widths = _level_widths(n_tests)
+    widths = level_widths(n_tests)
     own = [None] * len(widths) if at_nodes is None else list(torch.split(at_nodes, widths))
     levels: list[Tensor] = []
     below = at_leaves
@@ -74,6 +74,6 @@ class _PathProbabilities(torch.autograd.Function):
         return reach_gradient(left, nodes, at_nodes, at_leaves)
 
 
-def _level_widths(n_tests: int) -> list[int]:
-    """Return the number of test nodes of each level, the root's first."""
-    return [2**level for level in range(n_tests.bit_length())]
+def level_widths(n: int) -> list[int]:
+    """Return how many of n nodes of a complete tree are in each level, the root's first; n is 2**depth - 1."""
+    return [2**level for level in range(n.bit_length())]

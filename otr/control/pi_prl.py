@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -10,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from otr.control.label_leaves import decided_leaves
+from otr.control.path_probabilities import level_widths
 from otr.control.soft_tree import LEAF_SCALE, affine_leaves, as_numpy, initial_tests, substitute_inputs
 from otr.core.arrays import FloatArray
 from otr.core.head import Head
@@ -101,26 +101,29 @@ class RelaxedProgram(nn.Module):
         """Return the outputs (n, o) for states X (n, d)."""
         fixed = self.learns == "architecture"
         tests, maps = (self.tests.detach(), self.maps.detach()) if fixed else (self.tests, self.maps)
-        weights, above = self.hole_weights(), tests_above(self.depth).to(maps.dtype)
-        n_tests = len(tests)
+        weights, going_on = self.shares()
+        depth = self.depth
         if self.is_discrete:
-            is_derived = above.t() @ weights > 0
-            n_tests = 2 ** _level(int(weights.nonzero()[-1])) - 1  # of the levels that the program has
-            tests = tests[:n_tests] * is_derived[:n_tests, None]
-        weighted = weights[: 2 * n_tests + 1, None] * maps[: 2 * n_tests + 1].flatten(1)
-        on_paths = above[n_tests : 2 * n_tests + 1, :n_tests]
-        leaves = torch.addmm(weighted[n_tests:], on_paths, weighted[:n_tests])
-        return affine_leaves(tests, leaves.view(n_tests + 1, *maps.shape[1:]), X, self.beta)
+            depth = _level(int(weights.nonzero()[-1]))  # of the program, which may reach less deep
+            tests = tests[: 2**depth - 1] * (going_on[: 2**depth - 1, None] > 0)
+        leaves, *below = torch.split(weights[:, None, None] * maps, level_widths(len(maps)))
+        for level in below[:depth]:
+            leaves = (leaves[:, None] + level.view(-1, 2, *level.shape[1:])).flatten(0, 1)
+        return affine_leaves(tests, leaves, X, self.beta)
 
-    def hole_weights(self) -> Tensor:
-        """Return what the architecture gives to each hole's C, (2**(depth + 1) - 1,); it sums to 1 on every path."""
-        above, last = tests_above(self.depth).to(self.maps.dtype), self.maps.new_zeros(2**self.depth)
-        if self.is_discrete:
-            stops = (1 - self.structure).to(above.dtype)
-            return torch.cat((stops, 1 - last)) * (above @ stops == 0)
-        logits = self.architecture.detach() if self.learns == "program" else self.architecture
-        to_map, to_test = torch.log_softmax(logits, dim=1).unbind(1)
-        return torch.exp(torch.cat((to_map, last)) + above @ to_test)
+    def shares(self) -> tuple[Tensor, Tensor]:
+        """Return what the architecture leaves for C in each hole, and for `if` in those that may be one.
+
+        Returns:
+            (2**(depth + 1) - 1,), which sums to 1 on every path, and (2**depth - 1,).
+        """
+        reach, for_map, for_test = self.maps.new_ones(1, 1), [], []
+        for choices in torch.split(self._choices(), level_widths(len(self.tests))):
+            here = reach * choices
+            for_map.append(here[:, 0])
+            for_test.append(here[:, 1])
+            reach = here[:, 1:].expand(-1, 2).reshape(-1, 1)
+        return torch.cat((*for_map, reach[:, 0])), torch.cat((*for_test, reach[:0, 0]))
 
     def discretise(self) -> None:
         """Choose C or `if` in every hole by the larger architecture weight, C where they tie; once only."""
@@ -154,6 +157,13 @@ class RelaxedProgram(nn.Module):
         )
         return tree if head is None else decided_leaves(tree, head)
 
+    def _choices(self) -> Tensor:
+        """Return the weights of C and `if` in every hole, (2**depth - 1, 2)."""
+        if self.is_discrete:
+            return torch.stack((1 - self.structure, self.structure), dim=1).to(self.maps.dtype)
+        logits = self.architecture.detach() if self.learns == "program" else self.architecture
+        return torch.softmax(logits, dim=1)
+
     def _larger(self) -> Tensor:
         return (self.architecture[:, 1] > self.architecture[:, 0]).long()
 
@@ -161,17 +171,6 @@ class RelaxedProgram(nn.Module):
 def _level(hole: int) -> int:
     """Return how many tests are above a hole."""
     return (hole + 1).bit_length() - 1
-
-
-@lru_cache
-def tests_above(depth: int) -> Tensor:
-    """Return which tests are above each hole, (2**(depth + 1) - 1, 2**depth - 1), 1 or 0."""
-    above = torch.zeros(2 ** (depth + 1) - 1, 2**depth - 1)
-    for hole in range(1, len(above)):
-        parent = (hole - 1) // 2
-        above[hole] = above[parent]
-        above[hole, parent] = 1.0
-    return above
 
 
 def _reached(is_test: np.ndarray) -> np.ndarray:

@@ -70,9 +70,9 @@ def test_derivatives(depth, is_discrete):
 
 def test_every_level_starts_with_the_same_weight():
     program = RelaxedProgram(2, 1, 3, structure_penalty=0.0)
-    per_level = [weights.sum().item() for weights in program.hole_weights().split([1, 2, 4, 8])]
+    per_level = [weights.sum().item() for weights in program.shares()[0].split([1, 2, 4, 8])]
     np.testing.assert_allclose(np.array(per_level) / [1, 2, 4, 8], 0.25, rtol=1e-5)
-    deep = RelaxedProgram(2, 1, 3, structure_penalty=0.25).hole_weights()[-1]
+    deep = RelaxedProgram(2, 1, 3, structure_penalty=0.25).shares()[0][-1]
     assert deep < 0.25  # a penalty takes weight from the deepest level
 
 

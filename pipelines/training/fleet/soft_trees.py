@@ -6,13 +6,14 @@ part in `backward`.
 """
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from otr.control.cdt import CascadingTree
-from otr.control.pi_prl import RelaxedProgram, tests_above
+from otr.control.pi_prl import RelaxedProgram
 from pipelines.training.fleet.stacked_tensors import multiply, new_stack
 from pipelines.training.soft_trees import SoftModule
 
@@ -127,70 +128,82 @@ class StackedCascades:
 
 
 class StackedPrograms:
-    """Relaxed programs: `tests`, `maps` and `architecture`, whose weights are left to the modules and autograd.
+    """Relaxed programs: `tests`, `maps` and `architecture`, whose shares are left to the modules and autograd.
 
     These are few numbers, which change while the architecture learns alone.
     """
 
     def __init__(self, modules: Sequence[RelaxedProgram], n_rows: int, n_back_rows: int) -> None:
         self._modules, one = modules, modules[0]
-        n, (n_holes, *leaf) = len(modules), one.maps.shape
-        self._n_tests = len(one.tests)
-        self._trees = StackedSoftTrees(n, one.tests.shape, (self._n_tests + 1, *leaf), n_rows, n_back_rows)
-        self._above = tests_above(one.depth).to(one.maps.dtype)
-        self._tests, self._leaves = new_stack(n, *one.tests.shape), new_stack(n, self._n_tests + 1, *leaf)
-        self._d_leaves = new_stack(n, self._n_tests + 1, *leaf)
-        self._weighted, self._d_weighted = new_stack(n, n_holes, *leaf), new_stack(n, n_holes, *leaf)
-        self._weights, self._is_derived = new_stack(n, n_holes), new_stack(n, self._n_tests)
-        self._graphs: list[Tensor] = []
-        self._of: tuple[str, Tensor, Tensor] | None = None  # what the weights are of
+        n, (n_tests, n_columns), (n_holes, *leaf) = len(modules), one.tests.shape, one.maps.shape
+        n_leaves = n_holes - n_tests
+        self._trees = StackedSoftTrees(n, (n_tests, n_columns), (n_leaves, *leaf), n_rows, n_back_rows)
+        self._tests, self._weighted = new_stack(n, n_tests, n_columns), new_stack(n, n_holes, *leaf)
+        # Sums of the weighted maps from the root to each hole, and the derivatives by them, which the maps have, too.
+        self._sums, self._at_sums = new_stack(n, n_holes, leaf[0] * leaf[1]), new_stack(n, n_holes, leaf[0] * leaf[1])
+        leaves, self._at_leaves = (sums[:, n_tests:].view(n, n_leaves, *leaf) for sums in (self._sums, self._at_sums))
+        self._mixed = {"tests": self._tests, "leaves": leaves}
+        self._levels = [
+            [_level(stack, level) for stack in (self._sums, self._at_sums, self._weighted.flatten(2))]
+            for level in range(one.depth + 1)
+        ]
+        self._weights, self._is_derived = new_stack(n, n_holes), new_stack(n, n_tests)
+        self._shares: list[Tensor] = []
+        self._shares_of: tuple[str, Tensor, Tensor] | None = None
 
     def forward(self, parameters: Stacks, X1: Tensor, beta: float, outputs: Tensor) -> None:
-        self._weigh(parameters["architecture"])
-        n_tests = self._n_tests
+        self._take_shares(parameters["architecture"])
         torch.mul(parameters["tests"], self._is_derived.unsqueeze(2), out=self._tests)
         torch.mul(parameters["maps"], self._weights[..., None, None], out=self._weighted)
-        weighted, leaves = self._weighted.flatten(2), self._leaves.flatten(2)
-        on_paths = self._above[n_tests:]
-        for one, of_leaves in zip(weighted, leaves, strict=True):
-            torch.addmm(one[n_tests:], on_paths, one[:n_tests], out=of_leaves)
-        self._trees.forward({"tests": self._tests, "leaves": self._leaves}, X1, beta, outputs)
+        (above, _, root), *below = self._levels
+        above.copy_(root)
+        for sums, _, weighted in below:
+            torch.add(_pairs(weighted), above.unsqueeze(2), out=_pairs(sums))
+            above = sums
+        self._trees.forward(self._mixed, X1, beta, outputs)
 
     def backward(
         self, parameters: Stacks, X1: Tensor, beta: float, d_outputs: Tensor, gradients: Mapping[str, Tensor]
     ) -> None:
-        n_tests = self._n_tests
-        trees = {"tests": self._tests, "leaves": self._leaves}
-        d_leaves, d_weighted = self._d_weighted[:, n_tests:], self._d_weighted
-        self._trees.backward(trees, X1, beta, d_outputs, {"tests": gradients["tests"], "leaves": self._d_leaves})
-        d_leaves.copy_(self._d_leaves)
-        for own, of_leaves in zip(d_weighted.flatten(2), self._d_leaves.flatten(2), strict=True):
-            torch.mm(self._above[n_tests:].t(), of_leaves, out=own[:n_tests])
-        torch.mul(d_weighted, self._weights[..., None, None], out=gradients["maps"])
+        of_trees = {"tests": gradients["tests"], "leaves": self._at_leaves}
+        self._trees.backward(self._mixed, X1, beta, d_outputs, of_trees)
+        for (_, at_above, _), (_, at_below, _) in reversed(list(pairwise(self._levels))):
+            torch.sum(_pairs(at_below), 2, out=at_above)
+        torch.mul(self._at_sums, self._weights.unsqueeze(2), out=gradients["maps"].flatten(2))
         gradients["tests"].mul_(self._is_derived.unsqueeze(2))
-        if not self._graphs[0].requires_grad:
+        if not self._shares[0].requires_grad:
             return
-        d_weights = (d_weighted * parameters["maps"]).sum((2, 3))
-        for module, graph, derivative, gradient in zip(
-            self._modules, self._graphs, d_weights, gradients["architecture"], strict=True
+        at_weights = (self._at_sums * parameters["maps"].flatten(2)).sum(2)
+        for module, shares, derivative, gradient in zip(
+            self._modules, self._shares, at_weights, gradients["architecture"], strict=True
         ):
             with torch.enable_grad():
-                (found,) = torch.autograd.grad(graph, module.architecture, derivative, retain_graph=True)
+                (found,) = torch.autograd.grad(shares, module.architecture, derivative, retain_graph=True)
             gradient.copy_(found)
 
-    def _weigh(self, architecture: Tensor) -> None:
-        """Bring the holes' weights up to date."""
+    def _take_shares(self, architecture: Tensor) -> None:
+        """Bring the shares of the architecture up to date."""
         learns, structure = self._modules[0].learns, torch.stack([module.structure for module in self._modules])
-        if self._of and learns == self._of[0] and structure.equal(self._of[1]) and architecture.equal(self._of[2]):
+        of = self._shares_of
+        if of and learns == of[0] and structure.equal(of[1]) and architecture.equal(of[2]):
             return
-        self._of = learns, structure, architecture.clone()
-        with torch.enable_grad():
-            self._graphs = [module.hole_weights() for module in self._modules]
-        for module, graph, weights, is_derived in zip(
-            self._modules, self._graphs, self._weights, self._is_derived, strict=True
-        ):
-            weights.copy_(graph.detach())
-            is_derived.copy_(self._above.t() @ weights > 0 if module.is_discrete else torch.ones(()))
+        self._shares_of, self._shares = (learns, structure, architecture.clone()), []
+        for module, weights, is_derived in zip(self._modules, self._weights, self._is_derived, strict=True):
+            with torch.enable_grad():
+                for_map, for_test = module.shares()
+            self._shares.append(for_map)
+            weights.copy_(for_map.detach())
+            is_derived.copy_(for_test > 0)
+
+
+def _level(holes: Tensor, level: int) -> Tensor:
+    """Return the holes of a level of (R, n_holes, .)."""
+    return holes[:, 2**level - 1 : 2 ** (level + 1) - 1]
+
+
+def _pairs(children: Tensor) -> Tensor:
+    """Return the children of a level (R, 2 n, .) as (R, n, 2, .): of the same parent beside each other."""
+    return children.view(len(children), -1, 2, children.shape[2])
 
 
 def _below(prefix: str, stacks: Stacks) -> dict[str, Tensor]:
@@ -205,10 +218,8 @@ def _levels(nodes: Tensor, leaves: Tensor, *of_tests: Tensor) -> list[tuple[Tens
         nodes, leaves: (R, n_tests, n) and (R, n_tests + 1, n), which have the children.
         of_tests: (R, n_tests, n) each.
     """
-    n_tests, found = nodes.shape[1], []
-    children = torch.split(nodes, [2**level for level in range(n_tests.bit_length())], dim=1)[1:]
-    for level, below in enumerate((*children, leaves) if n_tests else ()):
-        own = slice(2**level - 1, 2 ** (level + 1) - 1)
-        pairs = below.view(len(below), -1, 2, below.shape[2])
-        found.append((*pairs.unbind(2), *(stack[:, own] for stack in of_tests)))
-    return found
+    depth = nodes.shape[1].bit_length()
+    children = [_level(nodes, level) for level in range(1, depth)] + [leaves]
+    return [
+        (*_pairs(children[level]).unbind(2), *(_level(stack, level) for stack in of_tests)) for level in range(depth)
+    ]

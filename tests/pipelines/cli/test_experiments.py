@@ -14,7 +14,7 @@ def jobs(*words):
 
 def test_figure_4_6_is_swept_by_its_budget():
     thesis, quick, smoke = (jobs("+experiment=figure_4_6", f"budget={name}") for name in ("thesis", "quick", "smoke"))
-    assert [len(thesis), len(quick), len(smoke)] == [4 * 9 * 3 * 15, 3 * 6 * 3 * 3, 3]
+    assert [len(thesis), len(quick), len(smoke)] == [4 * 9 * 3 * 15, 4 * 6 * 3 * 3, 3]
     assert [sorted(own.items()) for own in jobs("+experiment=figure_4_6")] == [sorted(own.items()) for own in thesis]
     assert list(dict.fromkeys(own["oracle"] for own in thesis)) == ["[32]", "[256]", "[64,64]", "[256,256]"]
     assert list(dict.fromkeys(own["depth"] for own in quick)) == ["2", "3", "4", "6", "8", "10"]
@@ -74,6 +74,6 @@ def test_unknown_columns_and_budgets_are_refused():
 def test_plan_of_the_figure(tmp_path):
     words = ("+experiment=figure_4_6", "budget=quick", "method=augtree,viper", "depth=2")
     done = otr_command("otr-plan", *words, cwd=tmp_path, COLUMNS="300")
-    assert "18 jobs: 0 to skip, 18 left" in done.stdout, done.stderr
-    for widths in ("32", "256", "256-256"):
+    assert "24 jobs: 0 to skip, 24 left" in done.stdout, done.stderr
+    for widths in ("32", "256", "64-64", "256-256"):
         assert done.stdout.count(f"train oracle lunarlander/otr/depth-{widths}/quick/seed-") == 3

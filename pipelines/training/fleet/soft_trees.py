@@ -52,6 +52,7 @@ class StackedSoftTrees:
     def __init__(self, n: int, tests: Sequence[int], leaves: Sequence[int], n_rows: int, n_back_rows: int) -> None:
         """Take the shapes of one tree's tests and leaves."""
         (n_tests, n_columns), (n_leaves, *leaf) = tests, leaves
+        # How likely each test sends a state left, and each test node and leaf is reached, as in `path_probabilities`.
         self._left, self._nodes = new_stack(n, n_tests, n_rows), new_stack(n, n_tests, n_rows)
         self._leaves = new_stack(n, n_leaves, n_rows)
         self._maps, self._products = new_stack(n, n_rows, *leaf), new_stack(n, n_rows, *leaf)
@@ -59,7 +60,7 @@ class StackedSoftTrees:
         self._at_left, self._at_nodes = new_stack(n, n_tests, n_back_rows), new_stack(n, n_tests, n_back_rows)
         self._at_leaves = new_stack(n, n_leaves, n_back_rows)
         self._n_back_rows, self._is_affine = n_back_rows, len(leaf) == 2
-        self.d_inputs = new_stack(n, n_back_rows, n_columns)
+        self._d_inputs = new_stack(n, n_back_rows, n_columns)
         (self._leaves if n_tests == 0 else self._nodes)[:, 0] = 1.0
         self._forward_levels = _levels(self._nodes, self._leaves, self._nodes, self._left)
         back = self._nodes[..., :n_back_rows], self._left[..., :n_back_rows], self._at_left, self._at_nodes
@@ -99,7 +100,7 @@ class StackedSoftTrees:
 
     def inputs_gradient(self, parameters: Stacks) -> Tensor:
         """Return the derivative (R, n_back_rows, d + 1) by the states after `backward`, of constant leaves alone."""
-        return multiply(self._at_left.transpose(1, 2), parameters["tests"], self.d_inputs)
+        return multiply(self._at_left.transpose(1, 2), parameters["tests"], self._d_inputs)
 
 
 class StackedCascades:

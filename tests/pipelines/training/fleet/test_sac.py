@@ -38,6 +38,8 @@ KINDS = {
     "cdt": {"feature_depth": 2, "n_features": 4, "decision_depth": 2},
 }
 SOFT = {kind: SoftTraining(Shape(kind.split()[0], options), PI_PRL, 10_000) for kind, options in KINDS.items()}
+# The structure is chosen in a turn of the program and not of the architecture.
+SOFT["pi_prl deeper"] = dataclasses.replace(SOFT["pi_prl deeper"], n_steps=6_400)
 
 
 def draw_batch(generator: torch.Generator) -> tuple[Minibatch, Tensor]:

@@ -1,5 +1,6 @@
 """The environment of a run: a file of conf/env, or one that is registered with gymnasium."""
 
+import ast
 import functools
 import hashlib
 import importlib.util
@@ -68,17 +69,44 @@ def search_here() -> None:
 
 @functools.cache
 def _code_sha256(module: str) -> str | None:
-    """Return the digest of a module's file, of a package's Python files; None where there is no such module or file."""
+    """Return the digest of a module's own code (`_code_files`); None where there is no such module or file."""
     search_here()
-    try:
-        spec = importlib.util.find_spec(module)
-    except ModuleNotFoundError:
-        spec = None
+    spec = importlib.util.find_spec(module.partition(".")[0])
     if spec is None or not spec.has_location or spec.origin is None:
         return None
-    file = Path(spec.origin)
-    files = sorted(file.parent.rglob("*.py")) if file.name == "__init__.py" else [file]
+    files = _code_files(Path(spec.origin))
     return hashlib.sha256(b"".join(hashlib.sha256(each.read_bytes()).digest() for each in files)).hexdigest()
+
+
+def _code_files(file: Path) -> list[Path]:
+    """Return a module's file, or its package's Python files, and those of what lies beside it and is imported.
+
+    Of what is installed, where everything lies beside everything, these are its own files alone. This library's code
+    is told by the versions of stages.
+    """
+    folder = file.parents[1] if file.name == "__init__.py" else file.parent
+    found, left = dict[Path, None](), [file]
+    while left:
+        first = left.pop()
+        own = sorted(first.parent.rglob("*.py")) if first.name == "__init__.py" else [first]
+        found |= dict.fromkeys(own)
+        if folder.name in ("site-packages", "dist-packages"):
+            break
+        for name in sorted({name for each in own for name in _imported(each)} - {"otr", "pipelines"}):
+            beside = [path for path in (folder / name / "__init__.py", folder / f"{name}.py") if path.is_file()]
+            left += [path for path in beside[:1] if path not in found]
+    return list(found)
+
+
+def _imported(file: Path) -> set[str]:
+    """Return the first parts of the names of modules that a file imports, but for those relative to it."""
+    try:
+        nodes = list(ast.walk(ast.parse(file.read_bytes())))
+    except (SyntaxError, ValueError):  # making the environment tells it
+        return set()
+    names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    names |= {node.module for node in nodes if isinstance(node, ast.ImportFrom) and node.module and not node.level}
+    return {name.partition(".")[0] for name in names}
 
 
 @functools.cache

@@ -19,14 +19,15 @@ from pipelines.config.run import RunConfig
 from pipelines.config.setting import Folder, FreeText, OneOf, Range, check_settings
 from pipelines.engine.archive import MANIFEST, read_manifest, verified_manifest
 from pipelines.engine.seeding import episode_seeds
-from pipelines.engine.store import exists
+from pipelines.engine.store import exists, read_json
 from pipelines.errors import ConfigError, MissingInputError, PipelineError, did_you_mean
 from pipelines.play.actor_files import load_actor
 from pipelines.play.rollout import rollout
 from pipelines.stages.derived import opened_run
 from pipelines.stages.printed_programs import names_of_env
 
-TREES = ("pruned", "full", "minimal", "polished", "simplified", "constant_gains", "compact")
+TREES = ("pruned", "full", "minimal", "polished", "simplified", "constant_gains", "compact", "polished_compact")
+COMPACT = ("compact", "polished_compact")  # networks, which C alone can hold
 
 
 @dataclass(frozen=True)
@@ -95,8 +96,8 @@ def check_export(config: ExportConfig) -> None:
         raise ConfigError(f"which format? Add format=NAME with one of: {', '.join(FORMATS)}")
     _check_name("format", config.format, list(FORMATS))
     _check_name("tree", config.tree, TREES)
-    if config.tree == "compact" and config.format != "c":
-        raise ConfigError(f"tree=compact: only format=c writes the network itself, not format={config.format}")
+    if config.tree in COMPACT and config.format != "c":
+        raise ConfigError(f"tree={config.tree}: only format=c writes the network itself, not format={config.format}")
     if not FORMATS[config.format].is_text and config.out is None:
         raise ConfigError(
             f"format={config.format} is no text for a terminal; add out=policy{FORMATS[config.format].suffix}"
@@ -235,7 +236,7 @@ def write_program(config: ExportConfig, program: str | bytes) -> Path:
 
 
 def tree_of(form: str, run: RunConfig, folder: Path) -> Any:
-    """Return one of a run's trees by its name in TREES; one that is held as patterns so, and `compact` as the network.
+    """Return one of a run's trees by its name in TREES; held as patterns where it is, those of COMPACT as networks.
 
     Raises:
         ConfigError: the run's method has no such tree.
@@ -244,8 +245,8 @@ def tree_of(form: str, run: RunConfig, folder: Path) -> Any:
     """
     _check_name("tree", form, TREES)
     method = run.method.name
-    if form == "compact" and not run.method.is_mapped:
-        raise ConfigError(f"tree=compact: a tree of method={method} stands for no network; use tree=full")
+    if form in COMPACT and not run.method.is_mapped:
+        raise ConfigError(f"tree={form}: a tree of method={method} stands for no network; use tree=full")
     if form == "constant_gains" and form not in run.method.forms:
         raise ConfigError(f"tree=constant_gains: gains are of method=pid, not of method={method}; use tree=pruned")
     stages = {
@@ -254,6 +255,7 @@ def tree_of(form: str, run: RunConfig, folder: Path) -> Any:
         "full": run.method.tree_stage,
         "minimal": "certify",
         "polished": "polish",
+        "polished_compact": "polish",
         "simplified": "simplify",
     }
     stage = stages.get(form, run.method.actor_stage)
@@ -264,8 +266,13 @@ def tree_of(form: str, run: RunConfig, folder: Path) -> Any:
             f"{command_of(folder.absolute(), run.method.actor_stage)}{extra}"
         )
     verified_manifest(folder / stage)
-    if form == "compact":
+    if form in COMPACT:
+        if not exists(folder / stage / "actor.json"):
+            raise ConfigError(f"tree={form}: the polish moved the tree's numbers, not a network's; use tree=polished")
         return load_actor(folder / stage)
+    if form == "minimal" and not exists(folder / stage / "tree.json"):
+        reason = read_json(folder / stage / "report.json").get("reason")
+        raise PipelineError(f"{folder}: there is no minimal tree, as stage certify gave up: {reason}")
     with opened_run(run, folder, stage) as whole:
         return otr.load(whole / stage / ("constant_gains" if form == "constant_gains" else "tree"))
 

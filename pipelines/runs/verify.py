@@ -47,10 +47,13 @@ def verify_run(config: VerifyConfig, run: RunConfig, folder: Path) -> str:
     """
     path = Path(config.certificate or folder / "certify" / "certificate.json")
     if not exists(path):
+        report = folder / "certify" / "report.json"
+        reason = read_json(report).get("reason") if exists(report) else None
         raise MissingInputError(
-            f"{path} is not there: the run has no certificate\nAdd certify=true to the command that made the run; "
-            "nothing is trained anew. A tree that was too large for one says so in certify/report.json."
-        )
+            f"{path} is not there: the run has no certificate"
+            + (f", as stage certify gave up: {reason}" if reason else
+               "\nAdd certify=true to the command that made the run; nothing is trained anew.")
+        )  # fmt: skip
     with opened(folder, ["certify"]) as whole:
         certificate = otr.load_certificate(config.certificate or whole / "certify" / "certificate.json")
         tree = otr.load(config.tree or whole / "certify" / "tree")
@@ -73,9 +76,16 @@ def verify_run(config: VerifyConfig, run: RunConfig, folder: Path) -> str:
 
 
 def certified_stage(run: RunConfig, folder: Path) -> str:
-    """Return the stage of a run whose actor its certificate is of: polish after polish=true, else train or import."""
-    report = read_json(folder / "certify" / "report.json")
-    return "polish" if report.get("policy") == "polished" else run.method.actor_stage
+    """Return the stage whose actor is a run's network: polish after polish=true, else train or import.
+
+    A certificate says whose it is; without one the actor of a polish counts, where there is one.
+    """
+    report = folder / "certify" / "report.json"
+    if exists(report):
+        is_polished = read_json(report).get("policy") == "polished"
+    else:
+        is_polished = exists(folder / "polish" / "actor.json")
+    return "polish" if is_polished else run.method.actor_stage
 
 
 def _alike(bound: float) -> str:
@@ -109,14 +119,19 @@ def question_domain(env: EnvConfig, folder: Path | None) -> tuple[otr.Domain, st
 
 
 def compared(
-    tree: otr.ObliqueTree, other: otr.ObliqueTree | otr.ReluNetwork, env: EnvConfig, domain: otr.Domain, bound: float
+    tree: otr.ObliqueTree,
+    other: otr.ObliqueTree | otr.ReluNetwork,
+    env: EnvConfig,
+    domain: otr.Domain,
+    bound: float,
+    *,
+    what: str,
 ) -> Answer:
-    """Return whether a program's tree differs from a tree, or from a network, by no more than a bound on a box.
+    """Return whether a program's tree differs from `what`, a tree or network, by no more than a bound on a box.
 
     Raises:
         ConfigError: they cannot be compared.
     """
-    what = "the network" if isinstance(other, otr.ReluNetwork) else "the tree"
     before = " before the tanh" if isinstance(tree.head, otr.TanhBox) else ""
     try:
         if isinstance(other, otr.ReluNetwork):

@@ -2,16 +2,19 @@
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 import otr
 from pipelines.cli.compose import Composer, to_object
 from pipelines.cli.overrides import path_quoted
 from pipelines.cli.runs import load_config, written_policy
+from pipelines.config.run import RunConfig
+from pipelines.engine.store import exists
 from pipelines.engine.wrapping import columns, fitted
 from pipelines.errors import ConfigError
 from pipelines.runs.export import TREES, check_policy, find_run, tree_of
 from pipelines.runs.questions import Answer, always, ranges
-from pipelines.runs.verify import VerifyConfig, compared, question_domain, verify_run
+from pipelines.runs.verify import VerifyConfig, certified_stage, compared, question_domain, verify_run
 from pipelines.stages.parse import policy_tree, read_program
 
 VERIFY = Composer("verify", {(None, "verify_schema"): VerifyConfig})
@@ -31,6 +34,15 @@ def do(arguments: argparse.Namespace) -> int:
     return 0 if all(answer.holds for answer in answers) else 1
 
 
+def _own(form: str | None, run: RunConfig, folder: Path) -> tuple[Any, str]:
+    """Return a run's policy that a program is compared with, its network where it has one, and what it is called."""
+    if form is None and run.method.is_mapped:
+        form = "polished_compact" if certified_stage(run, folder) == "polish" else "compact"
+    own = tree_of(form or "pruned", run, folder)
+    kind = "tree" if isinstance(own, otr.ObliqueTree) else "network"
+    return own, f"the polished {kind}" if form in ("polished", "polished_compact") else f"the {kind}"
+
+
 def _answers(cfg: VerifyConfig) -> list[Answer]:
     """Print the answers to what is asked of a run's policy, or of a program, and return them."""
     folder = find_run(cfg.run, cfg.results_dir) if cfg.run else None
@@ -46,10 +58,9 @@ def _answers(cfg: VerifyConfig) -> list[Answer]:
     answers, whose = list[Answer](), ""
     if cfg.always is None and not cfg.range:
         if folder is not None and (cfg.tree is None or cfg.tree in TREES):
-            own = "compact" if run.method.is_mapped else "pruned"
-            other = tree_of(cfg.tree or own, run, folder)
+            other, what = _own(cfg.tree, run, folder)
         elif cfg.tree is not None:
-            other = otr.load(Path(cfg.tree))
+            other, what = otr.load(Path(cfg.tree)), "the tree"
         else:
             raise ConfigError(
                 f"program={cfg.program}: what is asked? Add run=FOLDER or tree=FILE to compare it, always=CONDITION or "
@@ -57,13 +68,15 @@ def _answers(cfg: VerifyConfig) -> list[Answer]:
             )
         assert program is not None
         other = other.network if isinstance(other, otr.PatternTree) else other
-        answers.append(compared(program, other, run.env, domain, cfg.max_difference))
+        answers.append(compared(program, other, run.env, domain, cfg.max_difference, what=what))
     elif program is None:
         assert folder is not None
         program = tree_of(cfg.tree or "pruned", run, folder)
         if not isinstance(program, otr.ObliqueTree):
             raise ConfigError(f"tree={cfg.tree}: it is not held as leaves, each of which is asked; use tree=pruned")
         whose = f"of the {(cfg.tree or 'pruned').replace('_', ' ')} tree, "
+        if cfg.tree is None and exists(folder / "polish" / "report.json"):
+            whose += "not of the polished one (tree=polished), "
     if cfg.range:
         print("\n".join(ranges(program, run.env, domain)))
     if cfg.always is not None:

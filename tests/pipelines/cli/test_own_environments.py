@@ -79,6 +79,12 @@ def test_the_code_of_an_own_environment_is_in_the_keys(tmp_path, monkeypatch):
     (tmp_path / "maze_of_test.py").unlink()
     package = key("", "maze_of_test/__init__.py")
     assert key("reward = 1.0", "maze_of_test/rewards.py") != package
+    inner = EnvConfig("maze", "discrete", "maze_of_test.rewards:Maze-v0")
+    assert inner.settings() | {"id": made.id} == made.settings()  # what else the package has may be imported by it
+    helped = key("import numpy as np\nfrom helper_of_test import f", "maze_of_test/rewards.py")
+    beside = key("import maze_of_test", "helper_of_test.py")  # in a circle
+    assert helped != beside != key("import maze_of_test, os", "helper_of_test.py")
+    assert key("def broken(:", "helper_of_test.py") is not None
     assert EnvConfig("gone", "discrete", "no_such_module:Maze-v0").settings()["code_sha256"] is None
     assert "code_sha256" not in EnvConfig("CartPole-v1", "discrete", "CartPole-v1").settings()
 

@@ -74,6 +74,10 @@ def test_full_and_compact(export, tmp_path):
     assert compact.stdout == f"{tmp_path}/new/pilot.c\n"
     expected = otr.to_c(network, dtype="float", feature_names=names["features"], output_names=names["outputs"])
     assert (tmp_path / "new/pilot.c").read_text() == expected
+    polished = load_actor(RESULTS / "runs" / LANDER / "polish")
+    names = json.loads(export(f"run={LANDER}", "format=json", "tree=polished").stdout)
+    expected = otr.to_c(polished, feature_names=names["features"], output_names=names["outputs"])
+    assert export(f"run={LANDER}", "format=c", "tree=polished_compact").stdout == expected
     deep = "pendulum/otr/depth-32/quick/seed-0"
     assert "A network of 32 hidden neurons" in export(f"run={deep}", "format=c", "tree=full").stdout
 

@@ -104,6 +104,23 @@ def test_a_program_is_compared_with_network_and_tree(verify, command, tmp_path):
     assert done.returncode == 2 and "cannot be compared: the tree has (inputs, outputs, head)" in done.stderr
 
 
+def test_after_a_polish_the_polished_network_is_the_runs(verify, command, tmp_path):
+    run, paths = "run=lunarlander/otr/depth-2/thesis/seed-0", {}  # its certificate is of the polished network
+    for tree in ("minimal", "pruned"):
+        paths[tree] = tmp_path / f"{tree}.txt"
+        command("export", run, "format=text", f"tree={tree}", "precision=17", f"out={paths[tree]}")
+    done = verify(run, f"program={paths['minimal']}")
+    assert done.stdout.startswith("proved: the program and the polished network"), done.stdout + done.stderr
+    done = verify(run, f"program={paths['pruned']}")
+    assert done.returncode == 1 and "the polished network action = " in done.stdout
+    assert verify(run, f"program={paths['pruned']}", "tree=compact").stdout.count("the polished") == 0
+    assert "of the pruned tree, not of the polished one (tree=polished), at" in verify(run, "range=true").stdout
+    run = "run=pendulum/otr/depth-6/standard-fleet/seed-0"  # which has no certificate
+    command("export", run, "format=text", "precision=17", f"out={paths['pruned']}")
+    done = verify(run, f"program={paths['pruned']}", "max_difference=20")
+    assert done.stdout.startswith("proved: the program and the polished network differ by at most "), done.stdout
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [

@@ -71,7 +71,7 @@ def to_onnx(
             name,
             [helper.make_tensor_value_info("x", kind, ["n", tree.n_inputs])],
             [helper.make_tensor_value_info(output, *(_label_info() if is_label else (kind, ["n", len(answers)])))],
-            graph.constants,
+            graph.constants_read(),
         ),
         opset_imports=[helper.make_opsetid("", OPSET)],
         ir_version=IR_VERSION,
@@ -122,6 +122,12 @@ class _Graph:
                 )
         self.constants.append(numpy_helper.from_array(array, name))
         return name
+
+    def constants_read(self) -> list[Any]:
+        """Return the constants that some node reads, in a loop's body or outside; a runtime warns of others."""
+        bodies = [attribute.g.node for node in self.nodes for attribute in node.attribute]
+        read = {name for nodes in (self.nodes, *bodies) for node in nodes for name in node.input}
+        return [constant for constant in self.constants if constant.name in read]
 
 
 def _find_leaf(graph: _Graph, tree: ObliqueTree) -> str:

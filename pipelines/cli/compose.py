@@ -3,6 +3,7 @@
 import copy
 import dataclasses
 import functools
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, get_type_hints
@@ -17,7 +18,7 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 
 from pipelines.cli.overrides import is_search, key_of, parse, quoted, searched_folders
 from pipelines.config.conf_dir import CONF_DIR
-from pipelines.config.setting import declared, expected, is_list
+from pipelines.config.setting import DERIVED, declared, expected, is_list
 from pipelines.engine.job import message_of as message_of_job
 from pipelines.engine.sweep import check_launcher
 from pipelines.errors import ConfigError, did_you_mean
@@ -114,8 +115,9 @@ class Composer:
 
     @functools.cached_property
     def _settings(self) -> frozenset[str]:
-        """The keys at the top of the main configuration."""
-        return frozenset(declared(self.schemas[None, f"{self.name}_schema"]))
+        """The keys at the top of the main configuration, without what is worked out from others."""
+        fields = declared(self.schemas[None, f"{self.name}_schema"])
+        return frozenset(key for key, markers in fields.items() if DERIVED not in markers)
 
     def _compose(self, overrides: Sequence[str]) -> DictConfig:
         return self._compose_exactly([*self.implied(overrides), *overrides])
@@ -133,6 +135,7 @@ class Composer:
             if key == "launcher":
                 check_launcher(value)
         if self.needs and self.needs[0] not in map(key_of, overrides):
+            self.check_keys(overrides)
             group, what = self.needs
             raise ConfigError(
                 f"which {what}? Add {group}=NAME with one of: {', '.join(self.options(group))}{self.besides}"
@@ -142,6 +145,14 @@ class Composer:
                 return compose(self.name, [*self._search_path(), *overrides])
             except HydraException as error:
                 raise ConfigError(self._explain(error, overrides)) from error
+
+    def check_keys(self, overrides: Sequence[str], others: Sequence[str] = ()) -> None:
+        """Raise ConfigError where an override's key begins as none of this command's, or of these others."""
+        known = [*others, *sorted({*self._settings, *self.checked, *self.short})]
+        for override in overrides:
+            top = re.split(r"[./]", key_of(override))[0]
+            if top not in (*known, "hydra"):
+                raise ConfigError(f"there is no key {key_of(override)!r}.{did_you_mean(top, known)}")
 
     def settings_of_hydra(self, overrides: Sequence[str]) -> DictConfig:
         """Return Hydra's own settings under these overrides."""

@@ -13,7 +13,7 @@ from hydra.errors import HydraException
 
 from pipelines.errors import ConfigError
 
-FILES = ("program", "model", "oracle", "vec_normalize")  # keys of otr-run
+FILES = ("program", "model", "oracle", "vec_normalize", "results_dir")  # keys of otr-run
 SEARCH = "hydra.searchpath="
 PATHS = (
     "run",
@@ -114,12 +114,12 @@ def quoted(value: str) -> str:
 
 
 def with_path_quoted(override: str) -> str:
-    """Return `program=PATH`, or several, quoted where Hydra would stumble over the ~ of a run's folder or a space.
+    """Return `program=PATH`, or several, quoted where Hydra would stumble: over a ~ of a run's folder, a space, an ü.
 
-    So are `model=PATH`, `oracle=PATH` and `vec_normalize=PATH`.
+    So are the values of the other keys of FILES.
     """
     key, _, value = override.partition("=")
-    if key not in FILES or re.fullmatch(r"[\w./,-]*", value) or value[:1] in ("'", '"', "[") or "(" in value:
+    if key not in FILES or re.fullmatch(r"[\w./,-]*", value, re.ASCII) or value[:1] in ("'", '"', "[") or "(" in value:
         return override
     return f"{key}={','.join(quoted(path) for path in value.split(','))}"
 

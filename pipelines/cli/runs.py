@@ -35,14 +35,18 @@ from pipelines.play.environments import check_environment, episode_limit, own_en
 from pipelines.play.video import check_video
 from pipelines.runs.imitation import OTHERS, imitating_command
 from pipelines.runs.run_job import RunJob, run_job, run_jobs
+from pipelines.stages import polish
 from pipelines.stages.import_model import read_model
 from pipelines.stages.parse import policy_tree, read_program
 from pipelines.stages.train import fleets
 from pipelines.tracking.tracker import check_tracking
+from pipelines.training.environments.backends import check_environments
 
 # The groups and keys that decide how an oracle is trained, and where and how that is done.
 OF_TRAINING = ("env", "algo", "actor", "trainer", "budget", "train", "experiment", "results_dir", "n_workers",
                "side_by_side", "debug", "tracking")  # fmt: skip
+
+OF_TRAINERS = ("train", "algo", "actor", "trainer")  # of a policy that is there already none is heard
 
 # Who trains: whoever names another than a budget's road goes a way of their own, for as long as the budget says, and
 # trains an oracle of the usual size.
@@ -85,10 +89,12 @@ def written_policy(env: str, program: str) -> tuple[RunConfig, otr.ObliqueTree]:
     return config, policy_tree(config.program_text, config.env, program)
 
 
-def _check_packages(config: RunConfig) -> None:
-    """Raise ConfigError where a package is missing that is needed after the training, or beside it."""
+def _check_later_stages(config: RunConfig) -> None:
+    """Raise ConfigError where what comes after the training, or beside it, lacks a package or cannot be done."""
     check_tracking(config)
     check_video(config)
+    if "polish" in config.selected_stages:
+        check_environments(config.env, polish.environments(config))
 
 
 class RunWorkflow(Workflow):
@@ -104,7 +110,7 @@ class RunWorkflow(Workflow):
     do = staticmethod(run_job)
     do_group = staticmethod(run_jobs)
     groups = staticmethod(fleets)
-    check = staticmethod(_check_packages)
+    check = staticmethod(_check_later_stages)
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
@@ -173,12 +179,18 @@ class RunWorkflow(Workflow):
         return spelt_out(overrides)
 
     def expand(self, overrides: Sequence[str], multirun: bool) -> list[list[str]]:
-        """Return the overrides of every job; refuse settings of imitation where no job imitates."""
+        """Return the overrides of every job; refuse settings of imitation or training where no job does that."""
         jobs = super().expand(overrides, multirun)
         words = [override for own in jobs for override in own]
         vain = [override for override in words if key_of(override) == "oracle" or override.startswith("imitate.")]
         if vain and not any(imitates(override) or key_of(override) == "experiment" for override in words):
             raise ConfigError(f"{vain[0]}: nothing is imitated. Add {imitating()}, or leave {vain[0]} out")
+        for own in jobs:
+            policies = [override for override in own if key_of(override) in ("method.model", "method.program")]
+            vain = [override for override in own if key_of(override).partition(".")[0] in OF_TRAINERS]
+            if policies and vain:
+                policy = policies[0].removeprefix("method.")
+                raise ConfigError(f"{vain[0]}: nothing is trained, as {policy} is there already; leave {vain[0]} out")
         return jobs
 
     def job(self, overrides: Sequence[str]) -> RunJob:

@@ -27,6 +27,8 @@ def spelt_out(overrides: Sequence[str]) -> list[str]:
     """
     overrides = [_of_its_kind(override) for override in _columns_spelt_out(overrides)]
     named = [override for override in overrides if key_of(override) in GIVEN_POLICIES]
+    if len({key_of(override) for override in named}) > 1:
+        raise ConfigError(f"{named[0]} and {named[-1]} are two policies; leave one of them out")
     methods = [override for override in overrides if override.startswith("method=")]
     for override in named:
         key = key_of(override)

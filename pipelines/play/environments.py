@@ -19,6 +19,8 @@ from pipelines.config.env import EnvConfig, PidTerms, search_here
 from pipelines.errors import ConfigError, did_you_mean
 from pipelines.play.pid_environment import PidObservation
 
+SAME_STATE = 1e-6  # by how much the state after a reset may differ, absolute and relative, where the seed is the same
+
 
 def make_env(env: EnvConfig) -> gym.Env:
     """Return a new environment with its time limit.
@@ -120,22 +122,38 @@ def own_environment(env_id: str, kwargs: Mapping[str, Any]) -> EnvConfig:
 
 
 def _try_out(env: gym.Env, env_id: str) -> None:
-    """Reset and step once; raise ConfigError where that fails or gives what spaces or interface do not allow."""
+    """Reset and step twice; raise ConfigError where that fails, or gives what spaces or interface do not allow.
+
+    The second time the same has to come out, unless the environment is registered as not deterministic: every method
+    is to play the same episodes.
+    """
     env.action_space.seed(0)
+    action, seen = env.action_space.sample(), []
     call = "reset(seed=0)"
     try:
-        state, _ = env.reset(seed=0)
-        _check_state(state, env)
-        call = "step(action)"
-        state, reward, *_ = env.step(env.action_space.sample())
-        _check_state(state, env)
-        float(reward)
+        for call in ("reset(seed=0)", "a second reset(seed=0)"):
+            state, _ = env.reset(seed=0)
+            _check_state(state, env)
+            seen.append(np.asarray(state, dtype=np.float64))
+            call = "step(action)"
+            state, reward, *_ = env.step(action)
+            _check_state(state, env)
+            seen.append(np.append(state, float(reward)))
     except Exception as error:  # foreign code can fail in any way
         raise ConfigError(
             f"environment {env_id}: {call} fails: {_told(error)}. In gymnasium, reset(seed=..., options=...) returns "
             "(observation, info), and step(action) returns (observation, reward, terminated, truncated, info); "
             "gymnasium.utils.env_checker.check_env checks all of that, and debug=true shows where it fails"
         ) from error
+    if env.spec is not None and env.spec.nondeterministic:
+        return
+    for call, first, second in (("reset(seed=0)", seen[0], seen[2]), ("the first step after it", seen[1], seen[3])):
+        if not np.allclose(first, second, rtol=SAME_STATE, atol=SAME_STATE, equal_nan=True):
+            raise ConfigError(
+                f"environment {env_id}: {call} gives {first} and, again, {second}. Methods are compared on the same "
+                "episodes, which a seed decides: let reset call super().reset(seed=seed) and draw from self.np_random, "
+                "or register the environment with nondeterministic=True, and no two policies play the same episodes"
+            )
 
 
 def _check_state(state: Any, env: gym.Env) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import pandas as pd
 
 from pipelines.engine.store import write_text
+from pipelines.errors import PipelineError
 
 
 def write_tables(results_dir: Path, name: str, frame: pd.DataFrame, markdown: str, latex: str = "") -> list[Path]:
@@ -18,9 +19,12 @@ def write_tables(results_dir: Path, name: str, frame: pd.DataFrame, markdown: st
 
 
 def write_file(path: Path, text: str) -> Path:
-    """Write a text, making its folder, and return its path."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, text)
+    """Write a text, making its folder, and return its path; PipelineError where it cannot be written."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_text(path, text)
+    except OSError as error:
+        raise PipelineError(f"{path}: cannot be written ({error.strerror})") from error
     return path
 
 

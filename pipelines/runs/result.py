@@ -82,9 +82,14 @@ def proof_line(report: dict[str, Any]) -> str:
     leaves, error = _count(report["n_leaves"], "leaf"), report["max_error"]
     network = "the polished network" if report.get("policy") == "polished" else "the network"
     like = f"{network} to {error:.1g}" if error else f"exactly {network}"
+    beyond = (
+        "; that box reaches beyond the one in which the network is the trained policy, whose observations are clipped"
+        if "network_domain" in report
+        else ""
+    )
     return (
         f"certificate: the minimal tree, of {leaves}, is {like} on {report['domain']}, by rational arithmetic "
-        f"({duration(spent)}); otr-verify checks it again"
+        f"({duration(spent)}); otr-verify checks it again{beyond}"
     )
 
 

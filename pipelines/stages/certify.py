@@ -25,14 +25,18 @@ def certify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
 
     The domain is the box of states that the environment declares (gymnasium's observation space, which not every
     environment keeps to) where that is bounded, else the box around the states of the pruning episodes and 5 % more on
-    either side. A tree or a proof that would be too large, or take too long, is told in the report. After polish=true
-    the actor is the polished one.
+    either side. Where that reaches beyond the network's own domain, in which it is the policy that was trained
+    (`from_sb3`), the report has that, too. A tree or a proof that would be too large, or take too long, is told in the
+    report. After polish=true the actor is the polished one.
     """
     network = load_actor(inputs.get("polish") or inputs[config.method.actor_stage])
     domain, whence = _domain(inputs, config)
     report: dict[str, Any] = (
         {"domain": whence} | domain.to_dict() | ({"policy": "polished"} if "polish" in inputs else {})
     )
+    own = network.domain if "polish" not in inputs else None
+    if own is not None and not own.contains([domain.low, domain.high]).all():
+        report["network_domain"] = own.to_dict()  # which the domain reaches beyond
     limits = config.certification
     began = time.monotonic()
     try:

@@ -112,6 +112,21 @@ class NoReward(Cart):
         return state, reward if abs(state[0]) > 0.3 else np.nan, *others
 
 
+class Unseeded(Cart):
+    """The cart that starts anywhere, whatever the seed."""
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
+        self.state = np.random.default_rng().uniform(-1, 1, 2)
+        return self.state.copy(), {}
+
+
+class Noisy(Cart):
+    """The cart that is pushed otherwise each time."""
+
+    def force(self, action: Any) -> float:
+        return float(np.random.default_rng().normal())
+
+
 class NeedsAFile(Cart):
     """The cart that cannot be made."""
 
@@ -131,7 +146,20 @@ SPACES: dict[str, dict[str, gym.Space]] = {
 gym.register("Cart-v0", entry_point=Cart, max_episode_steps=50)
 gym.register("PushOrPull-v0", entry_point=PushOrPull, max_episode_steps=50)
 gym.register("Endless-v0", entry_point=Cart)
-for kind in (Insistent, OfOldGym, ReturnsFour, LongerThanItsSpace, NotFinite, FailsLater, NoReward, NeedsAFile):
+gym.register("SaidToBeNoisy-v0", entry_point=Noisy, max_episode_steps=50, nondeterministic=True)
+KINDS = (
+    Insistent,
+    OfOldGym,
+    ReturnsFour,
+    LongerThanItsSpace,
+    NotFinite,
+    FailsLater,
+    NoReward,
+    Unseeded,
+    Noisy,
+    NeedsAFile,
+)
+for kind in KINDS:
     gym.register(f"{kind.__name__}-v0", entry_point=kind, max_episode_steps=50)
 for name, spaces in SPACES.items():
     gym.register(f"{name}-v0", entry_point=Unsuitable, kwargs=spaces, max_episode_steps=50)

@@ -41,6 +41,14 @@ def test_ten_thousand_states_of_committed_policies(name: str) -> None:
     assert_answers(tree, states, run(otr.to_onnx(tree), states))
 
 
+@pytest.mark.parametrize("name", POLICIES)
+def test_every_constant_is_read(name: str) -> None:
+    graph = otr.to_onnx(POLICIES[name]).graph
+    bodies = [attribute.g for node in graph.node for attribute in node.attribute]
+    read = {name for each in (graph, *bodies) for node in each.node for name in node.input}
+    assert {constant.name for constant in graph.initializer} <= read
+
+
 @pytest.mark.parametrize("n_states", [0, 1, 7])
 def test_any_number_of_states(n_states: int) -> None:
     states = np.random.default_rng(0).normal(size=(n_states, 11))

@@ -42,6 +42,7 @@ def do(arguments: argparse.Namespace) -> int:
     if cfg.tree is not None and cfg.tree not in TREES[:5]:
         raise ConfigError(f"tree={cfg.tree}: the page shows {', '.join(TREES[:5])}")
     results_dir = Path(cfg.results_dir)
+    RUN.check_keys(of_run, OWN)
     is_of_run = any(key_of(override) not in OWN for override in of_run)
     if is_of_run and cfg.run:
         raise ConfigError(

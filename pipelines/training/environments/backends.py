@@ -26,14 +26,19 @@ def make_vector_env(env: EnvConfig, n_envs: int, environments: str, *, rescale_i
         ConfigError: `environments` was not compared with gymnasium for this one; the message names those it was.
         PipelineError: a package is missing.
     """
-    if environments not in ENVIRONMENTS:
-        raise ConfigError(f"environments={environments}: use one of {', '.join(ENVIRONMENTS)}")
+    check_environments(env, environments)
     if environments == "gymnasium":
         return GymnasiumVectorEnv(env, n_envs, rescale_inputs=rescale_inputs)
-    if env.id not in EQUAL_IDS[environments]:
+    kind = EnvPoolVectorEnv if environments == "envpool" else ClassicControlVectorEnv
+    return kind(env, n_envs, rescale_inputs=rescale_inputs)
+
+
+def check_environments(env: EnvConfig, environments: str) -> None:
+    """Raise ConfigError unless `environments`, of ENVIRONMENTS, computes this one as gymnasium does."""
+    if environments not in ENVIRONMENTS:
+        raise ConfigError(f"environments={environments}: use one of {', '.join(ENVIRONMENTS)}")
+    if environments != "gymnasium" and env.id not in EQUAL_IDS[environments]:
         raise ConfigError(
             f"environments={environments}: {env.id} is not among those that were compared with gymnasium's "
             f"({', '.join(EQUAL_IDS[environments])}); use environments=gymnasium"
         )
-    kind = EnvPoolVectorEnv if environments == "envpool" else ClassicControlVectorEnv
-    return kind(env, n_envs, rescale_inputs=rescale_inputs)

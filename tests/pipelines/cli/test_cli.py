@@ -138,6 +138,8 @@ def test_replay_finds_an_episode_that_was_changed(finished, tmp_path):
     ("words", "code", "told"),
     [
         (("env=hoper",), 2, "Did you mean hopper"),
+        (("dpeth=6",), 2, "there is no key 'dpeth'. Did you mean depth"),
+        (("program=a.txt", "model=b.zip"), 2, "program=a.txt and model=b.zip are two policies; leave one of them out"),
         (("depth=6",), 2, "besides, any registered id, as CartPole-v1 or my_module:Maze-v0"),
         (("env=pendulum", "trainer=null"), 2, "trainer=null: there is no such trainer. There are: fleet, sb3"),
         (("env=pendulum", "budget=fast"), 2, "There are: quick, smoke, standard, thesis"),

@@ -54,5 +54,7 @@ def test_paths_are_quoted_and_nothing_else():
     for override in ("program=a,b.txt", "program='x y'", "program=[a]", "program=glob(*)", "env=a~b"):
         assert with_path_quoted(override) == override
     assert with_path_quoted("program=runs/s~1/p.txt,q r") == "program='runs/s~1/p.txt','q r'"
+    assert with_path_quoted("model=ü.zip") == "model='ü.zip'"  # a letter, but none of Hydra's
+    assert with_path_quoted("results_dir=my runs") == "results_dir='my runs'"
     assert path_quoted("run=runs/seed-0~1") == "run='runs/seed-0~1'"
     assert [path_quoted(override) for override in ("run=", "out=null", "format=c")] == ["run=", "out=null", "format=c"]

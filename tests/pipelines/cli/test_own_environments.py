@@ -114,6 +114,10 @@ def test_methods_and_budgets_know_own_environments(method):
         assert job("env=Acrobot-v1", f"method={method}", f"budget={budget}", *depth).config.train.steps > 0
 
 
+def test_an_environment_may_be_registered_as_not_deterministic():
+    assert job(f"env={MODULE}:SaidToBeNoisy-v0", "depth=2").config.env.action_names == ["force"]
+
+
 def test_arguments_decide_the_kind_of_actions():
     words = ("env=phys2d/CartPole-v1",)
     with pytest.raises(ConfigError, match="cannot be made"):
@@ -135,6 +139,11 @@ def test_arguments_decide_the_kind_of_actions():
         ((f"env={MODULE}:Parts-v0",), "observations .* are not a vector of numbers"),
         ((f"env={MODULE}:Cells-v0",), "observations .* are not a vector of numbers"),
         ((f"env={MODULE}:Keys-v0",), "the actions are MultiDiscrete"),
+        (
+            (f"env={MODULE}:Unseeded-v0",),
+            r"reset\(seed=0\) gives .* and, again, .* draw from self.np_random",
+        ),
+        ((f"env={MODULE}:Noisy-v0",), r"the first step after it gives .* and, again, .* with nondeterministic=True"),
         ((f"env={MODULE}:FromOne-v0",), r"Discrete\(n\) from 0 on"),
         ((f"env={MODULE}:Boundless-v0",), "with limits"),
         ((f"env={MODULE}:Endless-v0",), "episodes have no limit, so one may never end; give one as"),

@@ -209,6 +209,8 @@ def test_a_network_distilled_from_an_oracle_is_mapped_proved_and_polished(models
         (("model={}/relu.zip", "vec_normalize={}/statistics.pkl"), "3 means and 3 variances, the network has 4"),
         (("model={}/relu.zip", "method=otr"), "is imported by method=model, not by method=otr"),
         (("model={}/relu.zip", "depth=3"), "depth is the model's own; leave depth=3 out"),
+        (("model={}/relu.zip", "train.steps=9"), "train.steps=9: nothing is trained, as model=.*relu.zip is there"),
+        (("oracle={}/tanh.zip", "method=viper", "algo=ppo"), "algo=ppo: nothing is trained, as model=.*tanh.zip is"),
         (("model={}/relu.zip", "stages=[train]"), "no stage 'train'; it has import, map"),
         (("oracle=nosuch.zip", "method=viper"), "oracle=nosuch.zip: there is no such file"),
         (("oracle={}/tanh.zip",), "who is to imitate it. Add method=viper or"),

@@ -133,8 +133,6 @@ def test_a_run_is_named_by_what_its_program_says(tmp_path):
     assert one.folder.startswith("runs/mountaincar/program/depth-0/standard/seed-0~")
     assert other.folder.startswith("runs/mountaincar/program/depth-1/standard/seed-0~")
     assert other.config_yaml.count("depth: 1") == 1
-    # How others are trained is of no concern to a program.
-    assert jobs("env=mountaincar", f"program={tmp_path / 'one.txt'}", "algo.gamma=0.9")[0].folder == one.folder
     (trained,) = jobs("env=pendulum", "budget=quick", "seed=1", "depth=3")
     assert trained.folder == "runs/pendulum/otr/depth-3/quick/seed-1"
 
@@ -151,11 +149,12 @@ def test_a_sweep_over_programs_and_seeds():
     assert len({job.folder for job in swept}) == 4
 
 
-def test_nothing_is_trained_in_a_fleet(tmp_path):
-    (tmp_path / "still.txt").write_text("return 0")
-    (job,) = jobs("env=pendulum", f"program={tmp_path / 'still.txt'}", "trainer=fleet")
-    assert job.config.fleet is None
-    assert "/standard/" in job.folder
+@pytest.mark.parametrize(
+    "word", ["trainer=fleet", "algo=sac", "algo.gamma=0.9", "train.steps=100", "actor.dense=input"]
+)
+def test_settings_of_a_training_are_refused(word):
+    with pytest.raises(ConfigError, match=f"^{word}: nothing is trained, as program=pid.txt is there already; leave"):
+        jobs("env=pendulum", "program=pid.txt", word)
 
 
 def test_answers_are_clipped_to_the_actions():

@@ -7,8 +7,10 @@ import pytest
 
 import otr
 from pipelines.config.stages import PruneConfig
-from pipelines.play.actor_files import load_actor
+from pipelines.engine.store import write_files
+from pipelines.play.actor_files import actor_files, load_actor
 from pipelines.play.environments import state_limits
+from pipelines.runs.result import proof_line
 from pipelines.stages.certify import certify
 from tests.committed import RESULTS, copy_run
 from tests.pipelines.conftest import HOPPER, PENDULUM
@@ -94,8 +96,11 @@ def test_a_run_without_a_certificate_is_told(command, results):
 def test_a_tree_that_is_too_large_is_told_and_fails_nothing(command, results):
     done = certified(command, results, "certification.max_leaves=5")
     assert "no certificate on the environment's box of states: the limit of 5 regions was met" in done.stdout
-    report = json.loads(next(results.glob("runs/pendulum/otr/depth-6/quick/seed-0~*/certify/report.json")).read_text())
-    assert report["certified"] is False
+    path = next(results.glob("runs/pendulum/otr/depth-6/quick/seed-0~*/certify/report.json"))
+    assert json.loads(path.read_text())["certified"] is False
+    for words in (("verify",), ("export", "tree=minimal", "format=text")):
+        asked = command(*words, f"run={path.parents[1]}")
+        assert asked.returncode == 1 and "as stage certify gave up: the limit of 5 regions was met" in asked.stderr
 
 
 def test_unbounded_states_are_proved_on_the_box_of_those_visited(tiny, tmp_path):
@@ -110,6 +115,19 @@ def test_unbounded_states_are_proved_on_the_box_of_those_visited(tiny, tmp_path)
     certificate = otr.load_certificate(tmp_path / "certificate.json")
     network = load_actor(run / "train")
     assert otr.verify(certificate, otr.load(tmp_path / "tree"), network) < 1e-9
+
+
+@pytest.mark.parametrize("far", [1.5, 20.0])
+def test_a_box_beyond_the_trained_policy_s_is_told(tiny, tmp_path, far):
+    network = otr.ReluNetwork([[[1.0, 0.5, 0.2]], [[1.0]]], [[0.0], [0.0]], head=otr.ClipBox(-2, 2))
+    own = (np.array([-far, -np.inf, -np.inf]), np.full(3, far))
+    (tmp_path / "train").mkdir()
+    write_files(actor_files(network.replace(domain=own)), tmp_path / "train")
+    certify({"train": tmp_path / "train"}, tiny(env=PENDULUM), tmp_path)
+    report = json.loads((tmp_path / "report.json").read_text())
+    is_beyond = far < 8  # the largest rate
+    assert report["certified"] and ("network_domain" in report) == is_beyond
+    assert ("reaches beyond the one in which the network is the trained policy" in proof_line(report)) == is_beyond
 
 
 def test_the_mountain_car_s_program_becomes_one_line(command, results):

@@ -312,3 +312,6 @@ def test_environments_are_numpy_s_where_these_are_gymnasium_s(tiny):
     assert environments(tiny(env=PENDULUM, method=program)) == environments(tiny(env=MOUNTAIN_CAR)) == "numpy"
     assert environments(tiny(env=LANDER)) == environments(tiny(env=HOPPER)) == "gymnasium"
     assert environments(tiny(polishing=PolishingConfig(environments="gymnasium"))) == "gymnasium"
+    unfit = tiny(env=HOPPER, polish=True, polishing=PolishingConfig(environments="numpy"))
+    with pytest.raises(ConfigError, match="environments=numpy: Hopper-v4 is not among those"):
+        RUN.check(unfit)  # before anything is done

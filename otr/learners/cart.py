@@ -131,8 +131,8 @@ class CARTClassifier(_Cart, GrownClassifier):
 class CARTRegressor(_Cart, GrownRegressor):
     """CART regressor (Breiman et al. 1984) by scikit-learn, squared error, one or several targets.
 
-    scikit-learn compares inputs in float32, splits no values nearer than 1e-7 and no node whose impurity is below 2e-16:
-    scale columns and targets of other sizes first.
+    scikit-learn compares inputs in float32, splits no values nearer than 1e-7 and no node whose impurity is below
+    2e-16: scale columns and targets of other sizes first.
 
     Cost: O(d n log n) for each level of the tree.
 

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from pipelines.cli.overrides import key_of
 from pipelines.cli.workflow import Workflow
 from pipelines.config.setting import not_keyed
-from pipelines.supervised.config import LEARNERS, DataConfig, FitConfig, fit_folder
+from pipelines.errors import ConfigError
+from pipelines.supervised.config import LEARNERS, TUNING_ALONE, DataConfig, FitConfig, LearnerConfig, fit_folder
 from pipelines.supervised.fit_job import FitJob, fit_groups, fit_job, fit_jobs
 
 
@@ -32,6 +33,7 @@ class FitWorkflow(Workflow):
         """Return the fit with these overrides."""
         made = self.composed(overrides)
         config: FitConfig = made.config
+        _check_tuning(config.method, overrides)
         baseline = config
         if not all(map(self.is_plain, overrides)):
             split = [] if config.data.split is None else [f"data.split={config.data.split}"]
@@ -39,6 +41,21 @@ class FitWorkflow(Workflow):
             baseline = dataclasses.replace(named.config, seed=config.seed)
         folder = fit_folder(config, baseline)
         return FitJob(dataclasses.replace(config, folder=folder), folder, made.yaml, tuple(overrides))
+
+
+def _check_tuning(method: LearnerConfig, overrides: Sequence[str]) -> None:
+    """Raise ConfigError where an override sets what is tuned, or how to tune where nothing is."""
+    tuned = {key for values in method.grid for key in values}
+    for override in overrides:
+        group, _, key = key_of(override).partition(".")
+        name = key.partition(".")[0]
+        if group == "method" and name in tuned:
+            raise ConfigError(
+                f"{override}: method={method.name} tunes {name}, and what is given would be passed over; add "
+                f"method.grid=[], and nothing is tuned, or leave {override} out"
+            )
+        if group == "method" and not method.grid and name in TUNING_ALONE:
+            raise ConfigError(f"{override}: nothing is tuned; leave {override} out, or give method.grid")
 
 
 FIT = FitWorkflow(

@@ -241,7 +241,7 @@ class LmViperConfig(ImitatingTreeConfig):
     alpha: NotNegative
 
     label = "LM-VIPER"
-    fit_s = 1.5
+    fit_s = 4.0
 
 
 @dataclass(frozen=True)
@@ -257,7 +257,7 @@ class AugTreeConfig(ImitatingTreeConfig):
     min_samples_leaf: Count
 
     label = "AugTree"
-    fit_s = 1.0
+    fit_s = 0.7
 
     def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
         """Refuse deep features of an oracle with one layer."""
@@ -281,7 +281,7 @@ class NdpsConfig(ImitatingTreeConfig):
     leaves: Annotated[Leaves, AsBefore("linear")] = field(default="linear", kw_only=True)
 
     label = "NDPS"
-    fit_s = 5.0
+    fit_s = 0.7
 
 
 @dataclass(frozen=True)

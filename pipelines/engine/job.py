@@ -106,11 +106,23 @@ def failure(do: Callable[[J], Any], job: J) -> Exception | None:
     return None
 
 
+def has_summary(job: Job) -> bool:
+    """Return whether a job has its summary, whole, if it comes to the stage after which that is written."""
+    try:
+        return not _ends(job) or "seconds" in read_json(job.run_dir / "summary.json")
+    except PipelineError:
+        return False
+
+
+def _ends(job: Job) -> bool:
+    return any(stage.name == job.ends_with for stage in job.stages)
+
+
 def is_done(job: Job) -> bool:
     """Return whether nothing of a job is left to do, having compared every file with its recorded sha256."""
-    ends = any(stage.name == job.ends_with for stage in job.stages)
-    if ends and not (job.run_dir / "summary.json").is_file():
+    if not has_summary(job):
         return False
+    ends = _ends(job)
     gone = {stage.name for stage in job.stages if _is_gone(job, stage)}
     left = [stage for stage in job.stages if stage.name not in gone]
     try:

@@ -13,8 +13,8 @@ import numpy as np
 import pandas as pd
 
 import otr
-from pipelines.engine.archive import MANIFEST
-from pipelines.engine.store import exists, read_bytes, read_json
+from pipelines.engine.archive import MANIFEST, read_manifest
+from pipelines.engine.store import corrupt, exists, read_bytes, read_json
 from pipelines.report.cells import CSV_COLUMNS, DECIMALS, beside_the_thesis, summarise
 from pipelines.report.figures import auc_against_leaves
 from pipelines.report.frames import load_fits
@@ -181,9 +181,21 @@ def _less(differences: pd.Series) -> str:
 
 
 def _predictions(fits: pd.DataFrame, results_dir: Path) -> list[Mapping[str, np.ndarray]]:
-    """Return what the fits of a method answered on the test rows."""
-    paths = [results_dir / "runs" / run / "score" / "predictions.npz" for run in fits["run"]]
-    return [np.load(BytesIO(read_bytes(path))) for path in paths if exists(path)]
+    """Return what the fits of a method answered on the test rows, where that is among what is scored.
+
+    Raises:
+        PipelineError: they, or what is recorded of them, are gone.
+    """
+    predicted: list[Mapping[str, np.ndarray]] = []
+    for run in fits["run"]:
+        folder = results_dir / "runs" / run / "score"
+        if "predictions.npz" in read_manifest(folder)["outputs"]:
+            path = folder / "predictions.npz"
+            try:
+                predicted.append(np.load(BytesIO(read_bytes(path))))
+            except (OSError, ValueError) as error:
+                raise corrupt(path, error) from error
+    return predicted
 
 
 def _difference(found: Mapping[str, np.ndarray], method: str, rival: str) -> str:

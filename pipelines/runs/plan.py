@@ -5,6 +5,7 @@ from contextlib import suppress
 
 from pipelines.engine.archive import MANIFEST
 from pipelines.engine.console import counted, duration
+from pipelines.engine.job import has_summary
 from pipelines.engine.stage import Stage, stage_key, stage_status
 from pipelines.engine.store import exists
 from pipelines.engine.wrapping import columns, fitted
@@ -26,7 +27,7 @@ def job_plan(job: RunJob, planned: set[str]) -> tuple[str, float]:
         return f"refused: {', '.join(names)} there has other settings", 0.0
     left = [name for name, status in statuses.items() if status != "done"]
     if not left:
-        return "skip", 0.0
+        return ("skip" if has_summary(job) else "write the summary"), 0.0
     polish_s = polish.estimated_seconds(config) if "polish" in left else 0.0
     polished = f", polish for about {duration(polish_s)}" if "polish" in left else ""
     if "train" in left:

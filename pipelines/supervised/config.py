@@ -184,6 +184,7 @@ LEARNERS: dict[str, type[LearnerConfig]] = {
     "otr": OtrConfig,
 }
 TUNING = tuple(item.name for item in fields(LearnerConfig))
+TUNING_ALONE = ("tuned_on", "tuned_for", "tuning_seeds")  # which say how, where there is a grid
 
 
 @dataclass(frozen=True)

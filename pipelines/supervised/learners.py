@@ -35,6 +35,7 @@ ESTIMATORS: dict[str, tuple[str | None, str | None]] = {  # learner: its classif
     "otr": ("OTRClassifier", "OTRRegressor"),
 }
 BATCHED = ("lcn", "otr")  # labels and seeds train as one model
+EXPLAINED = ("teacher", "class_weight", "loss")  # settings that `_check_settings` refuses in words of their own
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ def _loaded(name: str, split: int | None) -> Dataset:
 def check_learner(method: LearnerConfig, dataset: Dataset) -> None:
     """Raise ConfigError where the learner has no estimator, or not what is asked of it, for the data set's task.
 
-    That is asked of it with each combination of its grid.
+    That is asked of it with each combination of its grid. A setting that the estimator lacks may have its usual value.
     """
     name = _estimator_name(method.learner, dataset)
     known = {"teacher", "keep", *_parameters_of(name)}
@@ -68,6 +69,10 @@ def check_learner(method: LearnerConfig, dataset: Dataset) -> None:
     for key in dict.fromkeys(key for values in method.grid for key in values):
         if key not in known:
             raise ConfigError(f"method.grid: {name}, which {dataset.name} takes, has no {key}; leave it out")
+    usual = learner_settings(type(method)(method.name, method.learner))
+    for key, value in learner_settings(method).items():
+        if key not in known and value != usual[key] and key not in EXPLAINED:
+            raise ConfigError(f"method.{key}={value}: {name}, which {dataset.name} takes, has no {key}; leave it out")
     for changes in combinations(method) or [{}]:
         _check_settings(learner_settings(with_settings(method, changes)), dataset)
 

@@ -102,6 +102,18 @@ def test_plan_says_skip_and_run(finished):
     assert "2 jobs: 1 to skip, 1 left" in done.stdout
 
 
+@pytest.mark.parametrize("text", [None, "{"])
+def test_plan_and_jobs_file_miss_a_summary(finished, tmp_path, text):
+    shutil.copytree(finished[0] / "results", tmp_path / "results")
+    summary = tmp_path / RUN / "summary.json"
+    summary.unlink() if text is None else summary.write_text(text)
+    done = otr_command("otr-plan", *SMOKE, "--jobs", "jobs.txt", cwd=tmp_path, COLUMNS="200")
+    assert "write the summary" in done.stdout and "1 job: 0 to skip, 1 left" in done.stdout, done.stdout
+    assert (tmp_path / "jobs.txt").read_text().count("otr-run") == 1
+    assert otr_command("otr-run", *SMOKE, cwd=tmp_path).returncode == 0
+    assert json.loads(summary.read_text())["schema"]
+
+
 def test_plan_says_what_was_made_from_another_result(finished, tmp_path):
     shutil.copytree(finished[0] / "results", tmp_path / "results")
     trained = tmp_path / RUN / "train"

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipelines.engine.archive import MANIFEST_FIELDS
 from pipelines.errors import PipelineError
 from pipelines.report.frames import load_fits
 from pipelines.report.table_4_2 import make_cells, write_table_4_2
@@ -28,6 +29,8 @@ def add_fit(results: Path, data: str, method: str, seed: int, test: float, **cha
     labels = np.tile([0.0, 1.0, np.nan], 20)[:, None]
     noise = np.random.default_rng(seed).normal(size=(60, 1)) * (method != "linear_tuned")
     np.savez(folder / "score" / "predictions.npz", test=np.nan_to_num(labels) + noise, labels=labels)
+    manifest = dict.fromkeys(MANIFEST_FIELDS) | {"outputs": {"predictions.npz": ""}}
+    (folder / "score" / "manifest.json").write_text(json.dumps(manifest))
     return folder
 
 
@@ -38,6 +41,13 @@ def results(tmp_path):
         add_fit(tmp_path, "bace", "linear_tuned", seed, 0.81)
     add_fit(tmp_path, "sider", "otr", 0, 0.66)
     return tmp_path
+
+
+@pytest.mark.parametrize("gone", ["predictions.npz", "manifest.json"])
+def test_predictions_that_are_gone_are_an_error(results, gone):
+    (results / "runs/bace/otr/seed-1/score" / gone).unlink()  # two of three would be another interval
+    with pytest.raises(PipelineError, match=f"otr/seed-1/score/{gone} is not there"):
+        write_table_4_2(results)
 
 
 def rows_of(path):

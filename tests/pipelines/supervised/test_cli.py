@@ -26,6 +26,13 @@ def test_fit_sweep_runs_and_is_found_done(tmp_path):
         (("data=bacee",), "Did you mean bace?"),
         (("data=bace", "method=otrr"), "Did you mean otr"),
         (("data=bace", "method.hiden=[3]"), "Did you mean method.hidden"),
+        (("data=bace", "method=cart", "method.max_depth=1"), "method=cart tunes max_depth, and what is given would be"),
+        (("data=bace", "method=linear_tuned", "method.C=0.003"), "method=linear_tuned tunes C"),
+        (("data=bace", "method=otr", "method.tuned_for=data"), "method.tuned_for=data: nothing is tuned"),
+        (
+            ("data=breast_cancer", "method=linear", "method.alpha=9"),
+            "LinearTreeClassifier, which breast_cancer takes, has",
+        ),
         (("data=bace,hiv",), "several values make a sweep; add -m"),
         (("data=bace", "+experiment=table_4_3"), "Did you mean table_4_2?"),
     ],

@@ -118,6 +118,12 @@ def test_other_trees_learn_from_the_same_teacher(fit_of, learner, estimator, set
     assert (other["train"], other["leaves"]) != (summary["train"], summary["leaves"])
 
 
+def test_a_setting_that_the_estimator_lacks_is_refused(fit_of):
+    with pytest.raises(ConfigError, match=r"method\.C=5: LinearTreeRegressor, which diabetes takes, has no C"):
+        check_learner(fit_of("linear", C=5).method, load_dataset("diabetes"))
+    check_learner(fit_of("linear").method, load_dataset("diabetes"))  # which has C of its own accord
+
+
 def test_a_teacher_is_for_labels_and_has_no_class_weights(fit_of):
     method = fit_of("cart", teacher={"n_estimators": 5}).method
     with pytest.raises(ConfigError, match=r"method\.teacher is for binary labels, and diabetes is a regression"):

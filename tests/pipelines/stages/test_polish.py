@@ -247,7 +247,7 @@ def test_a_long_polish_is_announced_and_planned(command, tiny, tmp_path, capsys)
     words = ("env=lunarlander", "method=augtree", "depth=2", "polish=true", f"results_dir={tmp_path}")
     assert "run polish  2 min" in command("plan", *words, "budget=quick").stdout
     planned = " ".join(command("plan", *words).stdout.split())
-    assert "polish for about 2 min" in planned and "24 min" in planned
+    assert "polish for about 2 min" in planned and "23 min" in planned
 
 
 def test_labels_are_polished(command, tmp_path):

@@ -53,6 +53,8 @@ def fit_job(job: FitJob) -> dict[str, Any] | None:
     print(f"{job.run_dir}", flush=True)
     if is_done(job):
         print("done before", flush=True)
+        if job.config.keep_trees and not (job.run_dir / "fit").is_dir():
+            print("its trees were not kept; stages=[fit] fits them again", flush=True)
     else:
         with disk_errors_explained(job):
             _run_stages(job)

@@ -42,6 +42,16 @@ def test_wrong_words_are_explained(tmp_path, words, message):
     assert done.returncode == 2 and message in done.stderr and "Traceback" not in done.stderr
 
 
+def test_trees_that_were_not_kept_are_told_and_fitted_again(tmp_path):
+    words = ("data=breast_cancer", "method=linear")
+    assert otr_command("otr-fit", *words, "keep_trees=false", cwd=tmp_path).returncode == 0
+    again = otr_command("otr-fit", *words, cwd=tmp_path)
+    assert "done before\nits trees were not kept; stages=[fit] fits them again\n" in again.stdout
+    assert otr_command("otr-fit", *words, "stages=[fit]", cwd=tmp_path).returncode == 0
+    assert (tmp_path / "results/runs/breast_cancer/linear/seed-0/fit/label-00.json").is_file()
+    assert "not kept" not in otr_command("otr-fit", *words, cwd=tmp_path).stdout
+
+
 def test_missing_data_is_told_once_for_all_seeds(tmp_path):
     words = ("data=bace", "method=otr")
     alone = otr_command("otr-fit", *words, "seed=0", cwd=tmp_path, OTR_DATA_DIR=str(tmp_path))

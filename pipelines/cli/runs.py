@@ -46,7 +46,7 @@ from pipelines.training.environments.backends import check_environments
 OF_TRAINING = ("env", "algo", "actor", "trainer", "budget", "train", "experiment", "results_dir", "n_workers",
                "side_by_side", "debug", "tracking")  # fmt: skip
 
-OF_TRAINERS = ("train", "algo", "actor", "trainer")  # of a policy that is there already none is heard
+NOT_TRAINED = ("train", "algo", "actor", "trainer")  # groups of which a policy that is there already hears nothing
 
 # Who trains: whoever names another than a budget's road goes a way of their own, for as long as the budget says, and
 # trains an oracle of the usual size.
@@ -187,7 +187,7 @@ class RunWorkflow(Workflow):
             raise ConfigError(f"{vain[0]}: nothing is imitated. Add {imitating()}, or leave {vain[0]} out")
         for own in jobs:
             policies = [override for override in own if key_of(override) in ("method.model", "method.program")]
-            vain = [override for override in own if key_of(override).partition(".")[0] in OF_TRAINERS]
+            vain = [override for override in own if key_of(override).partition(".")[0] in NOT_TRAINED]
             if policies and vain:
                 policy = policies[0].removeprefix("method.")
                 raise ConfigError(f"{vain[0]}: nothing is trained, as {policy} is there already; leave {vain[0]} out")

@@ -100,7 +100,7 @@ def played_run(run_dir: Path, name: str, n_episodes: int | None = None) -> Polis
     with opened_run(config, run_dir) as whole:
         after: Any = load_searched(whole / "polish")
         is_network = isinstance(after, otr.ReluNetwork)
-        before: Any = load_actor(whole / "train") if is_network else load_tree(whole / "prune")
+        before: Any = load_actor(whole / config.method.actor_stage) if is_network else load_tree(whole / "prune")
     return PolishedRun(name, *_returns([before, after], config, range(FIRST_SEED, FIRST_SEED + n_episodes)))
 
 

@@ -19,6 +19,7 @@ from benchmarks.measure import Entry, alternate, peak_bytes
 from pipelines.config.env import EnvConfig
 from pipelines.play.rollout import rollout
 from pipelines.training.search.policy_search import PolicySearch
+from tests.committed import RESULTS
 from tests.pipelines.conftest import otr_command
 
 ENTRY_KEYS = {"name", "value", "unit", "peer", "peer_value", "ratio", "target", "met", "clock"} | {
@@ -244,6 +245,12 @@ def test_a_polish_is_worth_its_paired_differences():
     assert other.group == "pendulum/otr/depth-6/quick~0123abcd"
     mean, gain = polish.group_entries(other.group, [other])
     assert mean.target is None and (gain.value, gain.peer_value) == (0.0, None)
+
+
+def test_a_distilled_network_is_played_before_its_polish():
+    name = "halfcheetah/distilled_otr/depth-6/standard-fleet/seed-0"  # its actor is not of a stage train
+    run = polish.played_run(RESULTS / "runs" / name, name, 1)
+    assert run.before.shape == run.after.shape == (1,) and run.before[0] > 1_000
 
 
 def test_polished_runs_are_found_and_played_on_other_episodes(tmp_path, monkeypatch, capsys):

@@ -48,7 +48,7 @@ def verify_run(config: VerifyConfig, run: RunConfig, folder: Path) -> str:
     path = Path(config.certificate or folder / "certify" / "certificate.json")
     if not exists(path):
         report = folder / "certify" / "report.json"
-        reason = read_json(report).get("reason") if exists(report) else None
+        reason = read_json(report).get("reason") if exists(report) and not config.certificate else None
         raise MissingInputError(
             f"{path} is not there: the run has no certificate"
             + (f", as stage certify gave up: {reason}" if reason else

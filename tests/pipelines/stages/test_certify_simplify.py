@@ -128,6 +128,8 @@ def test_a_box_beyond_the_trained_policy_s_is_told(tiny, tmp_path, far):
     is_beyond = far < 8  # the largest rate
     assert report["certified"] and ("network_domain" in report) == is_beyond
     assert ("reaches beyond the one in which the network is the trained policy" in proof_line(report)) == is_beyond
+    certify({"polish": tmp_path / "train"}, tiny(env=PENDULUM), tmp_path)  # which was trained on nothing else
+    assert "network_domain" not in json.loads((tmp_path / "report.json").read_text())
 
 
 def test_the_mountain_car_s_program_becomes_one_line(command, results):

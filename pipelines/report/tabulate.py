@@ -18,7 +18,8 @@ from pipelines.report.table_4_1 import write_table_4_1
 from pipelines.report.table_4_2 import write_table_4_2
 from pipelines.report.text import page, write_tables
 
-FIGURES = ("4.6", "4.7", "profile")
+FIGURES_OF_A_BUDGET = ("4.6", "4.7")
+FIGURES = (*FIGURES_OF_A_BUDGET, "profile")
 FIGURES_OF_RUNS = ("curves", "leaves", "regions")  # `pipelines.report.run_figures` writes them
 ALL = ("4.2", "4.6", "4.7", "certificates", "comparisons", "profile", "4.1")
 

@@ -51,7 +51,7 @@ TABULATE = Composer(
 def do(arguments: argparse.Namespace) -> int:
     """Write the reports that are named, print them, and return whether runs that were played again differed."""
     from pipelines.report.run_figures import RUN_FIGURES, RunFigure  # imports pandas, as the next
-    from pipelines.report.tabulate import reports_of, write_report
+    from pipelines.report.tabulate import FIGURES_OF_A_BUDGET, reports_of, write_report
 
     names = [argument for argument in arguments.overrides if "=" not in argument]
     overrides = runs_listed([argument for argument in arguments.overrides if argument not in names])
@@ -60,11 +60,14 @@ def do(arguments: argparse.Namespace) -> int:
     reports = [report for name in asked for report in reports_of(name)]
     results_dir = Path(cfg.results_dir)
     of_runs = RunFigure(cfg.run, cfg.tree, cfg.inputs, cfg.out)
-    for setting, value in dataclasses.asdict(of_runs).items():
-        takers = ["regions"] if setting in ("tree", "inputs") else list(RUN_FIGURES)
-        if value != getattr(RunFigure([]), setting) and not set(takers) & set(reports):
-            take = "takes" if len(takers) == 1 else "take"
-            raise ConfigError(f"{setting}={value}: only figure={', figure='.join(takers)} {take} it")
+    given = {"budget": cfg.budget and cfg.budget.name, **dataclasses.asdict(of_runs)}
+    unset = {"budget": None, **dataclasses.asdict(RunFigure([]))}
+    takers = dict.fromkeys(given, [*RUN_FIGURES]) | {"budget": [*FIGURES_OF_A_BUDGET]}
+    takers |= dict.fromkeys(("tree", "inputs"), ["regions"])
+    for setting, value in given.items():
+        if value != unset[setting] and not set(takers[setting]) & set(reports):
+            take = "takes" if len(takers[setting]) == 1 else "take"
+            raise ConfigError(f"{setting}={value}: only figure={', figure='.join(takers[setting])} {take} it")
     if not (results_dir / "runs").is_dir() and not RUN_FIGURES.keys() >= set(reports):
         raise ConfigError(f"results_dir={cfg.results_dir}: there is no folder {results_dir / 'runs'} with runs")
     different = 0

@@ -135,4 +135,5 @@ def test_the_commands(command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     refused = command("tabulate", "curves", car, f"out={tmp_path / 'a.gif'}")
     assert refused.returncode == 2 and "expected .png, .svg, .pdf" in refused.stderr
     assert "only figure=curves, figure=leaves, figure=regions take it" in command("tabulate", "4.1", car).stderr
+    assert "budget=quick: only figure=4.6, figure=4.7 take it" in command("tabulate", "4.1", "budget=quick").stderr
     assert "tree=full: only figure=regions takes it" in command("tabulate", "curves", car, "tree=full").stderr

@@ -36,15 +36,15 @@ def minimal_tree(
     """Return the tree that computes the same function as `network` on `domain` and has no empty path.
 
     At every state the tree equals the network to 1e-8 of the size of the terms that its outputs are sums of, rounding
-    included, however thin the region. A side of a test is left out only where no state has it, the rounding of all rows
-    reckoned with, or where nothing but rounding, and that by less than 1e-10 in units of its slope, can make the test
-    have it: so a neuron that is parallel to another, equal to it or at the domain's edge adds no path, and none beyond
-    1e150 of an open domain. What floating
-    point cannot decide is kept, so that a path may be empty after all: among regions of the width of rounding and, on a
-    domain without limits, where a proof takes next to nothing of the test. `otr.certify` decides in rational
-    arithmetic. Two leaves that are each other's siblings and hold the same label, or map to within the rounding of its
-    terms, are one. Where their maps differ, a leaf of several regions with one label has ``M = 0`` and the scores ``c``
-    that its label alone has.
+    included, however thin the region. Labels are equal, but perhaps on a boundary between two or by rounding beside it:
+    a label that the network has on such a boundary alone is left out. A side of a test is left out only where no state
+    has it, the rounding of all rows reckoned with, or where nothing but rounding, and that by less than 1e-10 in units
+    of its slope, can make the test have it: so a neuron that is parallel to another, equal to it or at the domain's
+    edge adds no path, and none beyond 1e150 of an open domain. What floating point cannot decide is kept, so that a
+    path may be empty after all: among regions of the width of rounding and, on a domain without limits, where a proof
+    takes next to nothing of the test. `otr.certify` decides in rational arithmetic. Two leaves that are each other's
+    siblings and hold the same label, or map to within the rounding of its terms, are one. Where their maps differ, a
+    leaf of several regions with one label has ``M = 0`` and the scores ``c`` that its label alone has.
 
     n hyperplanes in general position in R^d make sum_{i <= d} C(n, i) leaves (Zaslavsky 1975).
 

@@ -134,10 +134,14 @@ class ExactUnits:
 
     def outputs(self, point: Point) -> list[Fraction]:
         """Return the network's affine outputs at a point, in exact arithmetic."""
-        n, outcomes = self.network.n_hidden, list[bool]()
+        return at(self.forms(self.outcomes(point))[self.network.n_hidden :], self.power, point)
+
+    def outcomes(self, point: Point) -> list[bool]:
+        """Return whether each hidden neuron is above 0 at a point, in exact arithmetic."""
+        outcomes: list[bool] = []
         for start, stop in self._layers[:-1]:
             outcomes += [value > 0 for value in at(self.forms(outcomes)[start:stop], self.power, point)]
-        return at(self.forms(outcomes)[n:], self.power, point)
+        return outcomes
 
 
 class ExactTree:

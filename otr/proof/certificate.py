@@ -60,9 +60,11 @@ class Certificate:
 
     Attributes:
         domain: where.
-        max_error: bound on the difference of any output, before the head, at every real point of the domain. Of labels:
-            where they differ, no output of the network is above that of the tree's label by more. On a domain with open
-            sides all bounds are to be multiplied by 1 + the sum of |x_i| over the open inputs.
+        max_error: bound on the difference of any output, before the head, at every real point of the domain. Of labels
+            it is a distance: a state at which they differ is no farther from the boundary between the two, where the
+            network's outputs for them tie, each input counted in units of 1 or of its width in the domain if that is
+            smaller. It is 5e-324, the smallest float64, if they can differ on boundaries alone, and 0 if nowhere. On a
+            domain with open sides all bounds are to be multiplied by 1 + the sum of |x_i| over the open inputs.
         n_leaves, n_empty, n_regions: leaves; those that no state reaches; cells of the network in the others.
         n_linear_programs: solved to find the proof.
         cells: the proof.

@@ -41,14 +41,15 @@ def certify(
     max_regions: int = 2**16,
     max_seconds: float | None = None,
 ) -> Certificate:
-    """Return a proof that `tree` computes the same function as `network` at every real point of `domain`.
+    """Return a proof that `tree` computes the same function as `network`, to `max_error`, at every point of `domain`.
 
     Args:
         tree: any tree, with the network's numbers of inputs and outputs and its head.
         network: the network.
         domain: a box (low, high) of which any side may be infinite; None is the network's own domain, or all of R^d.
         exact: every certificate is found and checked in exact arithmetic; accepted for those who ask for it.
-        max_error: refuse a larger bound on the difference of outputs.
+        max_error: refuse a larger bound, as `Certificate.max_error` is defined, on the difference of outputs or, of
+            labels, on the distance from the boundary between them.
         max_regions, max_seconds: refuse a longer proof, or to look for longer.
 
     Raises:

@@ -24,13 +24,13 @@ def find_difference(
     """Return a proof that two trees differ by no more than `max_difference` on a box, or a state where they do.
 
     Both are asked at once, as one tree whose leaves are the pairs of theirs; `find_violation` says what is proved. What
-    is compared are the actions or, under one and the same tanh, the outputs before it, as in `otr.certify`. A tree with
-    a basis counts as its P and M are in float64, multiplied out.
+    is compared are the actions or, under one and the same tanh or exp, the outputs before it, as in `otr.certify`. Of a
+    tree with a basis P and M count as they are in float64, multiplied out.
 
     Args:
         tree, other: with equal numbers of inputs and outputs and heads of one kind, or both with labels.
         box: bounded.
-        max_difference: of labels any number below 1 asks for the same label.
+        max_difference: of labels, which are equal or not, 0.
         max_leaves: refuse more pairs of leaves.
 
     Returns:
@@ -38,7 +38,7 @@ def find_difference(
         is there what is compared of `tree`, then of `other`; of labels, [0, 1] says that they differ.
 
     Raises:
-        ValueError: the trees do not fit each other, or the box is unbounded.
+        ValueError: the trees do not fit each other, the box is unbounded, or labels are allowed to differ.
         TreeTooLargeError: there are more pairs of leaves.
     """
     n_pairs = tree.n_leaves * other.n_leaves
@@ -48,6 +48,8 @@ def find_difference(
             f"{max_leaves:,}; compare a smaller tree, or raise max_leaves"
         )
     both = _both(tree, other)
+    if both.labels is not None and max_difference:
+        raise ValueError(f"max_difference is {max_difference}; labels are equal or not, leave it out")
     o = 1 if both.labels is not None else tree.n_outputs
     none, worst = np.zeros(tree.n_inputs), None
     for k in range(o):

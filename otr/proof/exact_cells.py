@@ -173,9 +173,7 @@ def refused_at(pair: TreeAndNetwork, leaf: int, point: Point) -> CertificateErro
         ours: object = [_shown(value) for value in pair.outputs(leaf, point)]
         theirs: object = [_shown(value) for value in pair.units.outputs(point)]
     else:
-        outputs = pair.units.outputs(point)
-        ours = int(tree.labels[leaf])
-        theirs = int(outputs[0] > 0) if len(outputs) == 1 else max(range(len(outputs)), key=outputs.__getitem__)
+        ours, theirs = int(tree.labels[leaf]), pair.label_at(point)
     what = "answers" if tree.labels is not None or network.head == Identity() else "computes, before its head,"
     state = ", ".join(_shown(value) for value in point)
     text = f"leaf {leaf}: at the state [{state}] the tree {what} {_listed(ours)} and the network {_listed(theirs)}"

@@ -20,6 +20,9 @@ from otr.core.tree import ObliqueTree
 from otr.geometry.rational import ExactTree, ExactUnits, Integers, Point, at, common_integers, integers
 from otr.geometry.regions import leaf_paths
 
+ON_BOUNDARY = Fraction(5e-324)  # the smallest float64 above 0: labels that differ on a boundary between them alone
+INFINITE = Fraction(10) ** 999
+
 
 class ExactRow(NamedTuple):
     """A row: integers (d + 1,) over a power of two, and whether it must be above 0, not just at it."""
@@ -93,16 +96,34 @@ class TreeAndNetwork(TreeOnDomain):
     def differences(self, leaf: int, forms: Integers, outcomes: Sequence[bool]) -> Integers:
         """Return the forms (m, d + 1) whose largest absolute value is the difference of a leaf and the network.
 
-        Of a tree with labels these are the outputs by which the network prefers its own label to the leaf's: none where
+        Of a tree with labels it is the form by which the network prefers its own label to the leaf's, and none where
         it has the same.
         """
-        outputs, labels = forms[self.network.n_hidden :], self.tree.labels
-        if labels is None:
-            return np.asarray(outputs - self.maps[leaf])
-        ours, theirs = int(labels[leaf]), self.label(outcomes)
-        if ours == theirs:
-            return outputs[:0]
-        return outputs[:1] if len(outputs) == 1 else outputs[theirs : theirs + 1] - outputs[ours]
+        if self.tree.labels is None:
+            return np.asarray(forms[self.network.n_hidden :] - self.maps[leaf])
+        ours, theirs = int(self.tree.labels[leaf]), self.label(outcomes)
+        scores = self.scores(forms)
+        return scores[:0] if ours == theirs else scores[theirs : theirs + 1] - scores[ours]
+
+    def scores(self, forms: Integers) -> Integers:
+        """Return the forms (n_labels, d + 1) of which the largest has the network's label, of equals the first."""
+        outputs = forms[self.network.n_hidden :]
+        n_labels = self.network.head.n_labels(len(outputs))
+        return np.concatenate((0 * outputs[: n_labels - len(outputs)], outputs))  # of Sign: 0, and the output
+
+    def beyond_boundary(self, form: Integers, value: Fraction, *, is_reached: bool) -> Fraction:
+        """Return how far beyond the boundary between two labels, where a form (d + 1,) is 0, states can be.
+
+        These are the states at which the form is at most `value`; there are none if that is below 0, or 0 and not
+        reached. The distance is the largest change of an input that the form at least needs, in units of 1 or of the
+        input's width in the domain if that is smaller; infinite for a form that does not change. Of states that are on
+        the boundary it is `ON_BOUNDARY`.
+        """
+        if value < 0 or (value == 0 and not is_reached):
+            return Fraction(0)
+        slopes = zip(form[:-1].tolist(), np.minimum(self.domain.high - self.domain.low, 1.0).tolist(), strict=True)
+        reach = sum((abs(slope) * Fraction(width) for slope, width in slopes if slope), Fraction(0)) / 2**self.power
+        return max(value / reach, ON_BOUNDARY) if reach else INFINITE
 
     def label(self, outcomes: Sequence[bool]) -> int:
         """Return the label that the network's tests lead to."""
@@ -111,15 +132,25 @@ class TreeAndNetwork(TreeOnDomain):
         return int(labels[0])
 
     def gap(self, point: Point) -> tuple[int, Fraction]:
-        """Return the leaf that a point reaches, and the difference of tree and network there."""
-        leaf, outputs = self.leaf(point), self.units.outputs(point)
+        """Return the leaf that a point reaches, and the difference of tree and network there.
+
+        Of labels that differ it is how far the point is beyond the boundary between them: `beyond_boundary`.
+        """
+        leaf = self.leaf(point)
         if self.tree.labels is None:
-            theirs = self.outputs(leaf, point)
-            return leaf, max(abs(a - b) for a, b in zip(outputs, theirs, strict=True))
-        ours = int(self.tree.labels[leaf])
-        if len(outputs) == 1:
-            return leaf, abs(outputs[0]) if (outputs[0] > 0) != bool(ours) else Fraction(0)
-        return leaf, max(outputs) - outputs[ours]
+            both = zip(self.outputs(leaf, point), self.units.outputs(point), strict=True)
+            return leaf, max(abs(ours - theirs) for ours, theirs in both)
+        label, other = int(self.tree.labels[leaf]), self.label_at(point)
+        if label == other:
+            return leaf, Fraction(0)
+        scores = self.scores(self.forms(self.units.outcomes(point)))
+        form = scores[other] - scores[label]
+        return leaf, self.beyond_boundary(form, self.values(form[None], point)[0], is_reached=True)
+
+    def label_at(self, point: Point) -> int:
+        """Return the network's label at a point."""
+        values = self.values(self.scores(self.forms(self.units.outcomes(point))), point)
+        return max(range(len(values)), key=values.__getitem__)
 
     def unit_at(self, point: Point) -> Fraction:
         """Return what differences are counted in: 1, or 1 + the sum of |x_i| over the open inputs."""

@@ -8,9 +8,12 @@ s_j is its sign in A and e_j >= 0 the bound of the remainder. By induction over 
 
 with w_jk the weight from neuron k to unit j, as the activation is 1-Lipschitz and its two pieces differ by no more
 than ``(1 - negative_slope) |z|``. For an output the same sum bounds its distance from the affine map of A, and the
-leaf's map is compared with that map. A test that splits the leaf's region needs no proof: the cells on both its sides
-are there, which are told apart by the sign of z_j^A itself, and a cell may be left out only with a sum of its rows that
-cannot be what it would have to be at a point of the cell. So every real point of the domain is in a proved cell.
+leaf's map is compared with that map. Of labels what is compared are the affine maps of two outputs: the network can
+have another label than the leaf only where their difference is no larger than a bound, which is reckoned as a distance
+from where it is 0 (`TreeAndNetwork.beyond_boundary`). A test that splits the leaf's region needs no proof: the cells on
+both its sides are there, which are told apart by the sign of z_j^A itself, and a cell may be left out only with a sum
+of its rows that cannot be what it would have to be at a point of the cell. So every real point of the domain is in a
+proved cell.
 """
 
 from __future__ import annotations
@@ -29,7 +32,7 @@ from otr.core.tree import ObliqueTree
 from otr.errors import CertificateError
 from otr.geometry.rational import Integers, common_integers, integers
 from otr.proof.certificate import Cell, Certificate, Sum
-from otr.proof.exact_rows import ExactRow, TreeAndNetwork
+from otr.proof.exact_rows import INFINITE, ExactRow, TreeAndNetwork
 
 
 def verify(certificate: Certificate, tree: ObliqueTree, network: ReluNetwork) -> float:
@@ -123,19 +126,55 @@ class Checker:
             self._check_empty(cell, cell.empty, rows)
             return Fraction(0)
         shortfalls = [Fraction(0)] * len(tests)
+        is_strict = list(outcomes)  # whether every state is beyond a test's shortfall, not just at it
         fixed = [test for test in range(len(tests)) if test not in cell.splits]
         for test, proof in zip(fixed, cell.proofs, strict=True):
             total, scale = self._total(cell.leaf, proof, rows)
-            shortfall = self.bounds.highest(total - turned[test] * scale) / scale
-            shortfalls[test] = _few_digits(shortfall)
+            shortfalls[test] = self.bounds.highest(total - turned[test] * scale) / scale
+            is_strict[test] = _has_strict_row(proof, rows)
         differences = self.pair.differences(cell.leaf, forms, outcomes)
         bounds = [self._bound(cell, at, form, rows) for at, form in enumerate(differences)]
-        errors = self._output_errors(shortfalls[:n])
+        errors = self._output_errors([_few_digits(shortfall) for shortfall in shortfalls[:n]])
         if self.pair.tree.labels is None:
             return max(bound + error for bound, error in zip(bounds, errors, strict=True))
-        # Where the label is another, the winner passed every test to it within the shortfalls.
-        of_pairs = [errors[i] + (errors[j] if j >= 0 else 0) for i, j in self.pair.pairs(outcomes)]
-        return sum(shortfalls[n:], Fraction(0)) + sum(of_pairs, Fraction(0)) + sum(bounds, Fraction(0))
+        of_tests = list(zip(outcomes[n:], shortfalls[n:], is_strict[n:], strict=True))
+        return self._label_error(cell.leaf, forms, of_tests, bounds, errors)
+
+    def _label_error(
+        self,
+        leaf: int,
+        forms: Integers,
+        of_tests: list[tuple[bool, Fraction, bool]],
+        bounds: list[Fraction],
+        errors: list[Fraction],
+    ) -> Fraction:
+        """Return how far beyond the boundary of its label the states of a cell can be.
+
+        `of_tests` are, of every challenge to the champion so far, whether it is won, the shortfall of that, and whether
+        it is won or lost by more than this.
+        """
+        # How far the score of each label can be above the champion's, and whether it stays below that
+        above, is_below, champion = [Fraction(0)], [False], 0
+        for challenger, (is_won, shortfall, is_strict) in enumerate(of_tests, start=1):
+            if is_won:
+                above = [value + shortfall for value in above]
+                is_below = [value or is_strict for value in is_below]
+                champion = challenger
+            above.append(Fraction(0) if is_won else shortfall)
+            is_below.append(not is_won and is_strict)
+        assert self.pair.tree.labels is not None
+        label, scores = int(self.pair.tree.labels[leaf]), self.pair.scores(forms)
+        errors = [*[Fraction(0)] * (len(scores) - len(errors)), *errors]
+        beyond = (
+            self.pair.beyond_boundary(
+                scores[other] - scores[label],
+                above[other] + sum(bounds, Fraction(0)) + errors[other] + errors[label],
+                is_reached=other == champion or (other < label and not is_below[other]),
+            )
+            for other in range(len(scores))
+            if other != label
+        )
+        return max(beyond, default=Fraction(0))
 
     def _bound(self, cell: Cell, at: int, form: Integers, rows: dict[str, ExactRow]) -> Fraction:
         """Return the bound on the absolute value of difference number `at` in a cell."""
@@ -186,9 +225,8 @@ class Checker:
     def _check_empty(self, cell: Cell, proof: Sum, rows: dict[str, ExactRow]) -> None:
         """Check that at no point all rows of a cell hold."""
         total, _ = self._total(cell.leaf, proof, rows)
-        used = [rows[name] for name, multiplier in zip(proof.rows, proof.multipliers, strict=True) if multiplier > 0]
         highest = self.bounds.highest(total, is_relative=False)
-        if not (highest < 0 or (highest == 0 and any(row.is_strict for row in used))):
+        if not (highest < 0 or (highest == 0 and _has_strict_row(proof, rows))):
             raise CertificateError(
                 f"leaf {cell.leaf}: the cell {cell.outcomes!r} is said to be empty, but its rows do not exclude that "
                 "a state is in it",
@@ -250,8 +288,13 @@ class Bounds:
         highest = form[-1] * self._unit + (f * np.where(f > 0, self._high, self._low)).sum()
         open_slope = max((abs(slope) for slope in f[~self.is_closed]), default=0)
         if open_slope and not is_relative:
-            return Fraction(10) ** 999
+            return INFINITE
         return Fraction(int(max(highest, open_slope * self._unit) if open_slope else highest), self._scale)
+
+
+def _has_strict_row(terms: Sum, rows: dict[str, ExactRow]) -> bool:
+    """Return whether a sum is above 0, not just at it, where its rows hold."""
+    return any(rows[name].is_strict for name, weight in zip(terms.rows, terms.multipliers, strict=True) if weight > 0)
 
 
 def _few_digits(value: Fraction) -> Fraction:

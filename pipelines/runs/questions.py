@@ -157,3 +157,8 @@ def _comparison(row: Row, names: list[str]) -> str:
     weights = [*row.state.tolist(), *row.action.tolist()]
     terms = [f"{weight:+.6g} {name}" for weight, name in zip(weights, names, strict=False) if weight]
     return f"{' '.join([*terms, f'{row.offset:+.6g}'])} {'>' if row.is_above else '<='} 0"
+
+
+def labels_but(bound: float) -> str:
+    """Return where labels that are proved the same may still differ, of `otr.Certificate.max_error`, in words."""
+    return "on a boundary between two" if bound < np.finfo(float).tiny else f"within {bound:.1g} of a boundary"

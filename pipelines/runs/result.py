@@ -8,6 +8,7 @@ from rich.table import Table
 from pipelines.config.methods import METHODS
 from pipelines.engine.console import SHORT_PROGRAM, duration, show_finished
 from pipelines.engine.store import read_csv
+from pipelines.runs.questions import labels_but
 
 
 def show_result(summary: dict[str, Any], run_dir: Path, whole: Path) -> None:
@@ -81,7 +82,12 @@ def proof_line(report: dict[str, Any]) -> str:
     spent = sum(report["seconds"].values())
     leaves, error = _count(report["n_leaves"], "leaf"), report["max_error"]
     network = "the polished network" if report.get("policy") == "polished" else "the network"
-    like = f"{network} to {error:.1g}" if error else f"exactly {network}"
+    if not error:
+        like = f"exactly {network}"
+    elif report.get("labels"):
+        like = f"{network}, but perhaps {labels_but(error)},"
+    else:
+        like = f"{network} to {error:.1g}"
     beyond = (
         "; that box reaches beyond the one in which the network is the trained policy, whose observations are clipped"
         if "network_domain" in report

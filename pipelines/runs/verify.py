@@ -14,7 +14,9 @@ from pipelines.engine.store import exists, read_json
 from pipelines.errors import ConfigError, MissingInputError, PipelineError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import action_names, feature_names, state_limits
-from pipelines.runs.questions import Answer, answer_in_words, in_words
+from pipelines.runs.questions import Answer, answer_in_words, in_words, labels_but
+
+MAX_DIFFERENCE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,7 @@ class VerifyConfig:
     env: FreeText | None
     always: FreeText | None
     range: bool
-    max_difference: NotNegative
+    max_difference: NotNegative | None
     certificate: FreeText | None
     tree: FreeText | None
     actor: FreeText | None
@@ -70,8 +72,7 @@ def verify_run(config: VerifyConfig, run: RunConfig, folder: Path) -> str:
     whose = "the environment's box of states" if limits else "the box of the certificate"
     return (
         f"verified: {certificate.n_leaves:,} leaves, {certificate.n_regions:,} regions of the network; on {whose}, "
-        f"{_box(domain)}, tree and network {_alike(bound)} at every real point "
-        "(in rational arithmetic)"
+        f"{_box(domain)}, at every real point (in rational arithmetic), tree and network {_alike(bound, tree)}"
     )
 
 
@@ -88,9 +89,11 @@ def certified_stage(run: RunConfig, folder: Path) -> str:
     return "polish" if is_polished else run.method.actor_stage
 
 
-def _alike(bound: float) -> str:
-    """Return how far apart two policies may be, in words."""
-    return f"differ by at most {bound:.3g}" if bound else "are equal"
+def _alike(bound: float, tree: otr.ObliqueTree) -> str:
+    """Return how far apart a tree and a network may be, in words."""
+    if tree.labels is None or not bound:
+        return f"differ by at most {bound:.3g}" if bound else "are equal"
+    return f"have the same label, but perhaps {labels_but(bound)}"
 
 
 def _box(domain: otr.Domain) -> str:
@@ -123,22 +126,28 @@ def compared(
     other: otr.ObliqueTree | otr.ReluNetwork,
     env: EnvConfig,
     domain: otr.Domain,
-    bound: float,
+    bound: float | None,
     *,
     what: str,
 ) -> Answer:
     """Return whether a program's tree differs from `what`, a tree or network, by no more than a bound on a box.
 
+    Without a bound it is `MAX_DIFFERENCE`; labels are equal or not.
+
     Raises:
         ConfigError: they cannot be compared.
     """
-    before = " before the tanh" if isinstance(tree.head, otr.TanhBox) else ""
+    if tree.labels is not None and bound is not None:
+        raise ConfigError(f"max_difference={bound:g}: the answers are labels, which are equal or not; leave it out")
+    bound = MAX_DIFFERENCE if bound is None else bound
+    before = {otr.TanhBox: " before the tanh", otr.Exp: " before the exp"}.get(type(tree.head), "")
     try:
         if isinstance(other, otr.ReluNetwork):
             certificate = otr.certify(tree, other, domain, max_error=bound)
             otr.verify(certificate, tree, other)
-            return Answer(True, f"proved: the program and {what} {_alike(certificate.max_error)}{before}")
-        verdict = otr.find_difference(tree, other, domain, max_difference=bound)
+            return Answer(True, f"proved: the program and {what} {_alike(certificate.max_error, tree)}{before}")
+        allowed = bound if tree.labels is None else 0.0
+        verdict = otr.find_difference(tree, other, domain, max_difference=allowed)
     except otr.CertificateError as error:
         if error.state is None:
             return Answer(None, f"undecided: {error}")
@@ -147,7 +156,7 @@ def compared(
         raise ConfigError(f"the program and {what} cannot be compared: {error}") from error
     else:
         if verdict.state is None:
-            size = f"{_alike(verdict.value)}{before}"
+            size = f"{_alike(verdict.value, tree)}{before}"
             return Answer(True, f"proved: the program and {what} {size if tree.labels is None else 'answer alike'}")
         state = verdict.state
     place = in_words(feature_names(env, len(state)), state)

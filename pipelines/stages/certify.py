@@ -59,6 +59,7 @@ def certify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
         {
             "certified": True,
             "max_error": certificate.max_error,
+            **({} if tree.labels is None else {"labels": True}),
             "n_leaves": tree.n_leaves,
             "depth": tree.depth,
             "n_regions": certificate.n_regions,

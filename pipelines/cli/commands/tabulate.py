@@ -62,12 +62,12 @@ def do(arguments: argparse.Namespace) -> int:
     of_runs = RunFigure(cfg.run, cfg.tree, cfg.inputs, cfg.out)
     given = {"budget": cfg.budget and cfg.budget.name, **dataclasses.asdict(of_runs)}
     unset = {"budget": None, **dataclasses.asdict(RunFigure([]))}
-    takers = dict.fromkeys(given, [*RUN_FIGURES]) | {"budget": [*FIGURES_OF_A_BUDGET]}
-    takers |= dict.fromkeys(("tree", "inputs"), ["regions"])
+    takers = {"budget": FIGURES_OF_A_BUDGET, "tree": ("regions",), "inputs": ("regions",)}
     for setting, value in given.items():
-        if value != unset[setting] and not set(takers[setting]) & set(reports):
-            take = "takes" if len(takers[setting]) == 1 else "take"
-            raise ConfigError(f"{setting}={value}: only figure={', figure='.join(takers[setting])} {take} it")
+        known = takers.get(setting, tuple(RUN_FIGURES))
+        if value != unset[setting] and not set(known) & set(reports):
+            take = "takes" if len(known) == 1 else "take"
+            raise ConfigError(f"{setting}={value}: only figure={', figure='.join(known)} {take} it")
     if not (results_dir / "runs").is_dir() and not RUN_FIGURES.keys() >= set(reports):
         raise ConfigError(f"results_dir={cfg.results_dir}: there is no folder {results_dir / 'runs'} with runs")
     different = 0

@@ -84,6 +84,8 @@ def _proof(folder: Path, form: str) -> str:
     if not summary.get("certify", {}).get("certified"):
         return ""
     told = proof_line(summary["certify"])
+    if "polish" in summary and summary["certify"].get("policy") != "polished":
+        told += ". It is of the network before the polish"
     return told if form == "minimal" else f"{told}. The tree above is the {form} one."
 
 

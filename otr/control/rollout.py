@@ -80,7 +80,8 @@ def rollout(
         env: the id of a registered environment, ``"module:Id"`` too, or a function that makes a new one each time.
             Observations are a Box, read as vectors (d,); actions a Box or Discrete.
         policy: a tree, a network, or anything with ``predict(X)``, or a function, from states (n, d) float64 to
-            actions (n, a) or labels (n,). Actions are rounded to the action space's own type, and not clipped.
+            actions (n, a) or labels (n,). Actions are rounded to the action space's own type, and not clipped;
+            whole numbers that this type cannot hold are an error.
         n_episodes: at least 1.
         seed: of all of it.
         max_steps: of an episode, which is truncated there, at least 1; None for the environment's own limit alone.
@@ -243,7 +244,13 @@ def _actions(answers: Any, n: int, shape: tuple[int, ...], dtype: Any) -> list[N
         raise ValueError(
             f"the policy answers {_shown(answers)}, expected finite actions (n, {size}) for n = {n} states"
         )
-    rounded = np.rint(actions) if np.issubdtype(dtype, np.integer) else actions
+    rounded = actions
+    if np.issubdtype(dtype, np.integer):
+        rounded, held = np.rint(actions), np.iinfo(dtype)
+        if (rounded < held.min).any() or (rounded > held.max).any():
+            raise ValueError(
+                f"the policy answers {_shown(answers)}; the actions are of type {dtype}, from {held.min} to {held.max}"
+            )
     return list(rounded.astype(dtype).reshape(-1, *shape))
 
 

@@ -15,7 +15,7 @@ from otr.core.heads import Argmax, ClipBox, Exp, Identity, PidBox, Sign, TanhBox
 from otr.core.tree import ObliqueTree
 from otr.extras import naming_the_extra
 from otr.programs.names import check_tree, give_labels, names_of, one_line
-from otr.programs.walk import child, distinct_rows, summary_of
+from otr.programs.walk import child, distinct_rows, require_float_rows, summary_of
 
 if TYPE_CHECKING:
     from onnx import ModelProto, NodeProto
@@ -49,7 +49,7 @@ def to_onnx(
         MissingExtraError: onnx is not installed.
         TypeError: `tree` is no ObliqueTree.
         ValueError: the wrong number of names, names that are not distinct, a `name` that is no line of text, another
-            `dtype`, or a number that is too large for a float.
+            `dtype`, or a number that is too large for a float, or too small in a test.
     """
     check_tree(tree)
     features, answers = names_of(tree, feature_names, output_names)
@@ -57,6 +57,8 @@ def to_onnx(
         raise ValueError(f"name is {name!r}, expected one line of characters that print, as the name of the graph")
     if dtype not in ("double", "float"):
         raise ValueError(f"dtype is {dtype!r}, expected 'double' or 'float'")
+    if dtype == "float":
+        require_float_rows(tree.test_forms[:, :-1])
     from onnx import TensorProto, checker, helper
 
     graph = _Graph(np.float64 if dtype == "double" else np.float32)

@@ -67,6 +67,17 @@ def distinct_rows(rows: FloatArray) -> tuple[FloatArray, IntArray]:
     return unique[order], rank[index.reshape(-1)]
 
 
+def require_float_rows(rows: FloatArray) -> None:
+    """Raise ValueError if a row of weights (n, m), which decides by its sign, would be lost in single precision."""
+    largest = np.abs(rows).max(axis=1, initial=0.0)
+    lost = largest[(largest > 0) & (largest < np.finfo(np.float32).tiny)]
+    if len(lost):
+        raise ValueError(
+            f"the policy has a test, or a unit, whose largest weight is {lost[0]:.6g}, too small for a float; use "
+            "dtype='double'"
+        )
+
+
 def affine_expression(
     coefficients: FloatArray,
     offset: float,

@@ -9,9 +9,11 @@ from omegaconf import OmegaConf
 
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import EnvConfig
+from pipelines.engine.digests import flat
 from pipelines.errors import ConfigError, did_you_mean
 
 PACKAGE = "# @package _global_"
+ALGORITHM = "override /algo"  # the entry of its defaults that chooses one
 EXAMPLE = "docs/own.md has one to copy"
 
 
@@ -35,6 +37,12 @@ def check_env_file(path: Path) -> None:
     missing = [key for key in ("name", "task", "id") if key not in env]
     if missing:
         raise ConfigError(f"{path}: env.{missing[0]} is missing; {EXAMPLE}")
+    shipped = CONF_DIR / "env" / f"{env['name']}.yaml"
+    if shipped.is_file() and yaml.safe_load(shipped.read_text(encoding="utf-8")) != content:
+        raise ConfigError(
+            f"{path}: env.name={env['name']} is the name of an environment that ships with otr, whose results these "
+            f"would be taken for; give it a name of its own, such as {_own_name(path)}"
+        )
     tasks = _tasks()
     if env["task"] not in tasks:
         raise ConfigError(
@@ -46,3 +54,21 @@ def check_env_file(path: Path) -> None:
 @functools.cache
 def _tasks() -> list[str]:
     return [str(task) for task in OmegaConf.load(CONF_DIR / "budget" / "standard.yaml").steps]
+
+
+def _own_name(path: Path) -> str:
+    return path.stem if not (CONF_DIR / "env" / path.name).is_file() else f"own_{path.stem}"
+
+
+def settings_of_env_file(path: Path) -> dict[str, str]:
+    """Return what an environment's file says beside the environment: its algorithm, and settings by their keys.
+
+    Raises:
+        ConfigError: it cannot be the file of an environment.
+    """
+    check_env_file(path)
+    content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    others = flat({key: value for key, value in content.items() if key not in ("defaults", "env")})
+    said = {key: str(value) for key, value in others.items()}
+    algorithms = [str(entry[ALGORITHM]) for entry in content.get("defaults", []) if ALGORITHM in entry]
+    return said | ({"algo": algorithms[-1]} if algorithms else {})

@@ -9,13 +9,14 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import yaml  # type: ignore[import-untyped]
 from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 import otr
 from pipelines.cli.compose import schema_of, to_object
-from pipelines.cli.env_files import check_env_file
+from pipelines.cli.env_files import check_env_file, settings_of_env_file
 from pipelines.cli.overrides import is_search, key_of, parse, quoted, searched_folders
 from pipelines.cli.short_forms import SHORT, imitates, imitating, spelt_out
 from pipelines.cli.workflow import Workflow
@@ -76,7 +77,7 @@ def load_config(run_dir: Path, n_workers: int | None) -> RunConfig:
         if "trainer" in cfg:  # there was one trainer only before
             schema.trainer = schema_of(FleetConfig if "n_envs" in cfg.trainer else TrainerConfig)
         loaded = to_object(OmegaConf.merge(schema, cfg, {"n_workers": n_workers}))
-    except (OSError, KeyError, OmegaConfBaseException, ConfigError) as error:
+    except (OSError, KeyError, UnicodeDecodeError, yaml.YAMLError, OmegaConfBaseException, ConfigError) as error:
         raise corrupt(run_dir / "config.yaml", error) from error
     assert isinstance(loaded, RunConfig)
     return loaded
@@ -126,7 +127,10 @@ class RunWorkflow(Workflow):
         if leaves_it:  # what is said of an algorithm is said of the road's
             words = [override for override in words if not override.startswith("algo.")]
         given |= dict(override.split("=", 1) for override in words)
-        return [*words, *METHODS.get(given.get("method", "otr"), MethodConfig).implied(given)]
+        file = _own_env_file(given.get("env", ""), overrides)
+        of_file = settings_of_env_file(file) if file else {}
+        by_method = METHODS.get(given.get("method", "otr"), MethodConfig).implied(of_file | given)
+        return [*words, *(override for override in by_method if key_of(override) not in of_file)]
 
     def _compose(self, overrides: Sequence[str]) -> DictConfig:
         """Compose what differs in the method alone once, and put the method in: its file fills `method` and no more."""
@@ -146,9 +150,9 @@ class RunWorkflow(Workflow):
         known = self.options(group, overrides)
         if group != "env" or value in known:
             super().check_option(group, value, overrides)
-            for folder in searched_folders(overrides) if group == "env" else []:
-                if (folder / "env" / f"{value}.yaml").is_file():
-                    check_env_file(folder / "env" / f"{value}.yaml")
+            file = _own_env_file(value, overrides) if group == "env" else None
+            if file:
+                check_env_file(file)
         elif ":" not in value and value not in registered_ids():
             hint = did_you_mean(value, known, unlisted=registered_ids())
             more = "" if "?" in hint else "; besides, any registered id, as CartPole-v1"
@@ -248,6 +252,12 @@ class RunWorkflow(Workflow):
                     if usual.budget_level == config.budget_level:
                         return usual
         return baseline
+
+
+def _own_env_file(env: str, overrides: Sequence[str]) -> Path | None:
+    """Return the file of an environment in the folders that a command names; None where it is not there."""
+    files = (folder / "env" / f"{env}.yaml" for folder in searched_folders(overrides))
+    return next((file for file in files if file.is_file()), None)
 
 
 def _offer(env: EnvConfig) -> None:

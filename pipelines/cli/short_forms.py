@@ -14,6 +14,7 @@ from pipelines.stages.parse import holds_tree
 
 # What stands for a method and its policy, and what is done with that.
 GIVEN_POLICIES = {"program": "evaluated", "model": "imported"}
+TRUE = ("true", "1", "yes", "on", "y")  # as OmegaConf reads them
 SHORT = (*GIVEN_POLICIES, "vec_normalize", "column")  # their keys
 
 
@@ -82,7 +83,7 @@ def _check_stages(overrides: Sequence[str]) -> None:
     chosen = given.pop("stages", None)
     stages = [chosen] if isinstance(chosen, str) else chosen
     for switch, value in given.items():
-        if value is True and isinstance(stages, list) and switch not in stages:
+        if str(value).lower() in TRUE and isinstance(stages, list) and switch not in stages:
             raise ConfigError(
                 f"{switch}=true and stages=[{','.join(map(str, stages))}], which has no {switch}; "
                 f"add {switch} to the stages, or leave one of the two out"

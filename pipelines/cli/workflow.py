@@ -6,6 +6,7 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
@@ -71,7 +72,9 @@ class Workflow(Composer, ABC):
     def jobs(self, overrides_of_jobs: Sequence[Sequence[str]]) -> list[Job]:
         """Return the jobs with these overrides, in their order."""
         self._made = {}
-        return [self.job(own) for own in counted(overrides_of_jobs, "jobs composed")]
+        jobs = [self.job(own) for own in counted(overrides_of_jobs, "jobs composed")]
+        _check_shared_folders(jobs)
+        return jobs
 
     def expand(self, overrides: Sequence[str], multirun: bool) -> list[list[str]]:
         """Return the overrides of every job that a command's overrides ask for, in the order of Hydra's own sweeper."""
@@ -130,6 +133,21 @@ class Workflow(Composer, ABC):
             path = CONF_DIR / self.folder / "experiment" / f"{value}.yaml"
             return path.is_file() and OmegaConf.load(path).keys() <= {"hydra", *self.harmless}
         return key in (*self.naming, *self.harmless) or is_of_launching(override) or is_search(override)
+
+
+def _check_shared_folders(jobs: Sequence[Job]) -> None:
+    """Raise ConfigError where two jobs would make a stage of one folder of other stages before it, again and again."""
+    first: dict[Path, Job] = {}
+    for job in jobs:
+        other = first.setdefault(job.run_dir, job)
+        theirs, ours = ({stage.name: stage.inputs for stage in each.stages} for each in (other, job))
+        for name in sorted(theirs.keys() & ours.keys()):
+            if theirs[name] != ours[name]:
+                raise ConfigError(
+                    f"{job.run_dir}: two jobs of this sweep make the {name} there, one from {', '.join(theirs[name])} "
+                    f"and one from {', '.join(ours[name])}; start a command for each, with a results_dir each if both "
+                    "are wanted"
+                )
 
 
 def _composed(cfg: DictConfig) -> Composed:

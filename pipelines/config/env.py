@@ -4,7 +4,9 @@ import ast
 import functools
 import hashlib
 import importlib.util
+import re
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -72,40 +74,48 @@ def _code_sha256(module: str) -> str | None:
     """Return the digest of a module's own code (`_code_files`); None where there is no such module or file."""
     search_here()
     spec = importlib.util.find_spec(module.partition(".")[0])
-    if spec is None or not spec.has_location or spec.origin is None:
+    if spec is None:
         return None
-    files = _code_files(Path(spec.origin))
+    # The folders of a package, whether it has an __init__.py or not, or a module's file
+    places = [*(spec.submodule_search_locations or ([spec.origin] if spec.origin else []))]
+    files = _code_files([Path(place) for place in places if Path(place).exists()])
+    if not files:
+        return None
     return hashlib.sha256(b"".join(hashlib.sha256(each.read_bytes()).digest() for each in files)).hexdigest()
 
 
-def _code_files(file: Path) -> list[Path]:
-    """Return a module's file, or its package's Python files, and those of what lies beside it and is imported.
+def _code_files(places: Sequence[Path]) -> list[Path]:
+    """Return the Python files of a module, a file or a package's folders, and those of what it names that lies beside.
 
-    Of what is installed, where everything lies beside everything, these are its own files alone. This library's code
-    is told by the versions of stages.
+    It names what it imports, and what it registers as "module:Name". Of what is installed, where everything lies beside
+    everything, these are its own files alone. This library's code is told by the versions of stages.
     """
-    folder = file.parents[1] if file.name == "__init__.py" else file.parent
-    found, left = dict[Path, None](), [file]
+    found, left = dict[Path, None](), list(places)
     while left:
-        first = left.pop()
-        own = sorted(first.parent.rglob("*.py")) if first.name == "__init__.py" else [first]
+        place = left.pop()
+        own = sorted(place.rglob("*.py")) if place.is_dir() else [place]
         found |= dict.fromkeys(own)
-        if folder.name in ("site-packages", "dist-packages"):
-            break
-        for name in sorted({name for each in own for name in _imported(each)} - {"otr", "pipelines"}):
-            beside = [path for path in (folder / name / "__init__.py", folder / f"{name}.py") if path.is_file()]
-            left += [path for path in beside[:1] if path not in found]
+        if place.parent.name in ("site-packages", "dist-packages"):
+            continue
+        for name in sorted({name for each in own for name in _named(each)} - {"otr", "pipelines"}):
+            package, file = place.parent / name, place.parent / f"{name}.py"
+            if package.is_dir():
+                left += [package] if any(each not in found for each in package.rglob("*.py")) else []
+            elif file.is_file() and file not in found:
+                left.append(file)
     return list(found)
 
 
-def _imported(file: Path) -> set[str]:
-    """Return the first parts of the names of modules that a file imports, but for those relative to it."""
+def _named(file: Path) -> set[str]:
+    """Return the first parts of the names of modules that a file imports, or names in text as "module:Name"."""
     try:
         nodes = list(ast.walk(ast.parse(file.read_bytes())))
     except (SyntaxError, ValueError):  # making the environment tells it
         return set()
     names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
     names |= {node.module for node in nodes if isinstance(node, ast.ImportFrom) and node.module and not node.level}
+    texts = (node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str))
+    names |= {text.partition(":")[0] for text in texts if re.fullmatch(r"[^\W\d][\w.]*:[^\W\d]\w*", text)}
     return {name.partition(".")[0] for name in names}
 
 

@@ -159,6 +159,8 @@ def message_of(error: Exception) -> str:
     """Return the message alone where it was written for people, with the error's kind where it was not."""
     if isinstance(error, PipelineError | OtrError):
         return str(error)
+    if isinstance(error, OSError) and error.filename and error.strerror:
+        return f"{error.filename}: {error.strerror}{_place_of(error)}"
     return f"{type(error).__name__}: {error}{_place_of(error)}"
 
 

@@ -259,8 +259,17 @@ def _names(given: list[str], n: int, prefix: str, where: str) -> list[str]:
 
 
 def state_limits(env: EnvConfig) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the lowest and the highest state, (d,) each; None where one has no bounds, or is a PID policy's."""
-    return None if env.pid is not None else spaces(env).states
+    """Return the lowest and the highest state, (d,) each; None where one has no bounds, or is a PID policy's.
+
+    A number that the environment declares as constant has the least width that single precision tells from none, as a
+    domain needs an inside.
+    """
+    limits = None if env.pid is not None else spaces(env).states
+    if limits is None:
+        return None
+    low, high = limits
+    margin = np.where(low < high, 0.0, np.finfo(np.float32).eps * np.maximum(1.0, np.abs(high)))
+    return low - margin, high + margin
 
 
 def state_box(env: EnvConfig) -> tuple[np.ndarray, np.ndarray]:

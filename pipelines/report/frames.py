@@ -14,6 +14,7 @@ import pandas as pd
 from pipelines.config.run import RunConfig
 from pipelines.engine.digests import flat
 from pipelines.engine.store import corrupt, read_json
+from pipelines.errors import PipelineError
 from pipelines.supervised.config import FitConfig
 
 # Always there, in this order; pages/runs.md and pages/fits.md say what they are.
@@ -119,7 +120,10 @@ def _place(run_dir: Path, above: str, seed: int) -> dict[str, str]:
     run = "/".join(run_dir.parts[-above.count("/") - 2 :])
     described, _, settings = run.partition("~")
     if described != f"{above}/seed-{seed}":
-        raise ValueError(f"it describes the run {above}/seed-{seed}, not the one whose folder it is in")
+        raise PipelineError(
+            f"{run_dir}/summary.json describes the run {above}/seed-{seed}, not the one whose folder it is in: move "
+            "what is a copy out of the results, or delete a summary that was put there and do the run again"
+        )
     return {"run": run, "settings": settings}
 
 

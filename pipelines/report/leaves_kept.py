@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from pipelines.engine.store import exists, read_csv, read_json
+from pipelines.engine.store import corrupt, exists, read_csv, read_json
 from pipelines.errors import MissingInputError
 from pipelines.report.figures import (
     NORMAL,
@@ -44,7 +44,11 @@ def load_leaves(run_dirs: Sequence[Path]) -> pd.DataFrame:
         if read_json(run_dir / "leaves" / "report.json").get("policy") == "polished":
             place["label"] += ", polished"
         for row in read_csv(run_dir / "leaves" / "returns.csv"):
-            rows.append({**place, "run": str(run_dir), **{name: float(row[name]) for name in COLUMNS}})
+            try:
+                numbers = {name: float(row[name]) for name in COLUMNS}
+            except (KeyError, TypeError, ValueError) as error:
+                raise corrupt(run_dir / "leaves" / "returns.csv", ValueError(f"its row {row}")) from error
+            rows.append({**place, "run": str(run_dir), **numbers})
     if not rows:
         command = command_of(run_dirs[0].absolute(), "evaluate")
         raise MissingInputError(

@@ -139,7 +139,7 @@ def find_run(run: str, results_dir: str) -> Path:
         command = run_command(folder)
         how = f"the run there did not come to its end\nRun: {command}" if command else "it is not the folder of a run"
         raise PipelineError(f"{folder} holds no config.yaml: {how}")
-    if re.search(r"^data:", (folder / "config.yaml").read_text(encoding="utf-8"), re.M):
+    if re.search(r"^data:", (folder / "config.yaml").read_text(encoding="utf-8", errors="replace"), re.M):
         raise PipelineError(
             f"{folder} is a fit of otr-fit, not a run of otr-run; its trees are read and written in Python: "
             'otr.to_c(otr.load("PATH"))'

@@ -94,7 +94,10 @@ def _check_settings(settings: dict[str, Any], dataset: Dataset) -> None:
     if dataset.task != "classification" and settings.get("class_weight"):
         raise ConfigError(f"method.class_weight is for classes, and {dataset.name} has numbers; leave it out")
     if dataset.task != "counts" and settings.get("loss") == "poisson":
-        raise ConfigError(f"method.loss=poisson is for counts, and {dataset.name} is a {dataset.task}; leave it out")
+        raise ConfigError(
+            f"method.loss=poisson is for counts, and {dataset.name} is a {dataset.task}; take another method, or "
+            "method.loss=squared_error"
+        )
 
 
 def usable_labels(dataset: Dataset) -> list[int]:

@@ -5,7 +5,9 @@ is written beside the last one and renamed, then the last one is removed. What t
 (`pipelines/training/sb3_checkpoints.py`, `pipelines/training/fleet/fleet_run.py`).
 """
 
+import hashlib
 import math
+import os
 import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -83,7 +85,11 @@ def write_segment(folder: Path, history: History, counters: dict[str, int], stat
     temporary = folder / "next"
     shutil.rmtree(temporary, ignore_errors=True)
     temporary.mkdir(parents=True)
-    (temporary / state[0]).write_bytes(state[1])
+    files = {state[0]: state[1], **history.best}
+    for name, content in files.items():
+        with (temporary / name).open("wb") as file:
+            file.write(content)
+            os.fsync(file.fileno())  # the last checkpoint is removed once this one is in its place
     write_json(
         temporary / "history.json",
         {
@@ -92,9 +98,9 @@ def write_segment(folder: Path, history: History, counters: dict[str, int], stat
             "progress": history.progress,
             "evaluations": history.evaluations,
             "best": list(history.best),
+            "sha256": {name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
         },
     )
-    write_files(history.best, temporary)
     final = folder / f"segment-{history.n_segments:06d}"
     temporary.rename(final)
     for old in folder.glob("segment-*"):
@@ -124,7 +130,21 @@ def evaluations_so_far(folder: Path) -> tuple[list[dict[str, Any]], int]:
 
 
 def read_segment(segment: Path) -> tuple[History, dict[str, int]]:
-    """Return a checkpoint's history and counters."""
+    """Return a checkpoint's history and counters.
+
+    Raises:
+        PipelineError: a file of it is gone or was changed.
+    """
     about = read_json(segment / "history.json")
+    for name, wanted in about.get("sha256", {}).items():
+        path = segment / name
+        if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != wanted:
+            raise damaged_checkpoint(path, "was changed" if path.is_file() else "is gone")
     best = {name: (segment / name).read_bytes() for name in about["best"]}
     return History(about["n_segments"], about["progress"], about["evaluations"], best), about["counters"]
+
+
+def damaged_checkpoint(path: Path, what: str) -> PipelineError:
+    """Return the error for a file of a checkpoint, with the way out."""
+    folder = path.parent.parent if path.parent.name.startswith("segment-") else path.parent
+    return PipelineError(f"{path} {what}; bring it back, or delete the folder {folder} to train from the beginning")

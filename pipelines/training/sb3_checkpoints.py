@@ -6,6 +6,8 @@ collected and not what the buffer holds.
 """
 
 import io
+import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +16,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from pipelines.errors import PipelineError
-from pipelines.training.checkpoints import History, last_segment, read_segment, write_segment
+from pipelines.training.checkpoints import History, damaged_checkpoint, last_segment, read_segment, write_segment
 from pipelines.training.normalisation import set_statistics, statistics
 
 COUNTERS = ("num_timesteps", "_n_updates", "_episode_num", "_n_calls")
@@ -39,12 +41,12 @@ def load_checkpoint(folder: Path, model: BaseAlgorithm) -> History:
     segment = last_segment(folder)
     if segment is None:
         return History()
+    history, counters = read_segment(segment)
     saved = torch.load(segment / "model.pt", weights_only=True)
     model.set_parameters(saved["parameters"], exact_match=True)
     for name, tensor in saved["tensors"].items():
         getattr(model, name).data.copy_(tensor)
     set_statistics(model, saved.get("statistics", {}))
-    history, counters = read_segment(segment)
     for name, value in counters.items():
         setattr(model, name, value)
     if isinstance(model, OffPolicyAlgorithm):
@@ -83,13 +85,16 @@ def _read_replay(folder: Path, model: OffPolicyAlgorithm, n_segments: int) -> No
     for log in sorted(folder.glob("replay-*.npz")):
         if int(log.stem.split("-")[1]) > n_segments:
             continue  # written just before the kill, by a segment that has no checkpoint; it will be written again
-        with np.load(log, allow_pickle=False) as saved:
-            end = int(saved["end"])
-            steps = np.arange(end - len(saved["rewards"]), end)
-            rows = steps % buffer.buffer_size
-            for name in REPLAY_ARRAYS:
-                getattr(buffer, name)[rows] = saved[name]
-            is_there[steps[steps >= oldest] - oldest] = True
+        try:
+            with np.load(log, allow_pickle=False) as saved:
+                end = int(saved["end"])
+                steps = np.arange(end - len(saved["rewards"]), end)
+                rows = steps % buffer.buffer_size
+                for name in REPLAY_ARRAYS:
+                    getattr(buffer, name)[rows] = saved[name]
+        except (EOFError, KeyError, ValueError, zipfile.BadZipFile, zlib.error) as error:
+            raise damaged_checkpoint(log, f"cannot be read: {error}") from error
+        is_there[steps[steps >= oldest] - oldest] = True
     if not is_there.all():
         raise PipelineError(
             f"{folder}: {int((~is_there).sum()):,} of {len(is_there):,} transitions of the replay buffer are gone; "

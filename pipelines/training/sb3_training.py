@@ -18,6 +18,7 @@ from stable_baselines3.common.logger import Logger
 from otr.learners.networks.denormals import denormals_as_zero
 from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import stream_seed
+from pipelines.errors import PipelineError
 from pipelines.tracking.tracker import Tracker
 from pipelines.training.actors import actor_of
 from pipelines.training.checkpoints import progress_row
@@ -64,8 +65,12 @@ def train_segment(model: BaseAlgorithm, actor: ReluActor, segment: int, progress
         model.exploration_rate = model.exploration_schedule(1.0)
     began = time.monotonic()
     callbacks = CallbackList([_TellsTheStep(progress), *actor.callbacks()])
-    with denormals_as_zero():
-        model.learn(n_steps, callback=callbacks, log_interval=None, reset_num_timesteps=False)  # type: ignore[arg-type]
+    try:
+        with denormals_as_zero():
+            model.learn(n_steps, callback=callbacks, log_interval=None, reset_num_timesteps=False)  # type: ignore[arg-type]
+    except ValueError as error:  # torch's, of the parameters of a distribution
+        _check_experience(model)
+        raise error
     actor.segment_learnt(model)
     seconds = time.monotonic() - began
     assert model.env is not None
@@ -73,6 +78,15 @@ def train_segment(model: BaseAlgorithm, actor: ReluActor, segment: int, progress
     lengths = np.concatenate([*model.env.env_method("get_episode_lengths"), []])
     model.env.close()
     return progress_row(model.num_timesteps, start, seconds, returns, lengths)
+
+
+def _check_experience(model: BaseAlgorithm) -> None:
+    """Raise PipelineError where the environment gave numbers that are not finite, from which none are learnt."""
+    last, kept = model._last_obs, getattr(model, "replay_buffer", None) or getattr(model, "rollout_buffer", None)
+    observations = [each for each in (last, kept and kept.observations) if isinstance(each, np.ndarray)]
+    for what, arrays in (("observations", observations), ("rewards", [kept.rewards] if kept else [])):
+        if not all(np.isfinite(array).all() for array in arrays):
+            raise PipelineError(f"step {model.num_timesteps:,}: the environment's {what} are not finite")
 
 
 class _TellsTheStep(BaseCallback):

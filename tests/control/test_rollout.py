@@ -41,6 +41,14 @@ class Labels(Walk):
         return super().step(np.array([action / 4], np.float32))
 
 
+class Bytes(Walk):
+    action_space = gym.spaces.Box(0, 10, (1,), np.uint8)
+
+    def step(self, action: np.ndarray) -> tuple:
+        assert action.dtype == np.uint8
+        return super().step(action.astype(np.float32))
+
+
 class LabelsFromOne(Walk):
     action_space = gym.spaces.Discrete(3, start=1)
 
@@ -247,3 +255,11 @@ def test_observations_and_rewards_that_are_no_numbers_are_told():
     ):
         with pytest.raises(ValueError, match=told):
             otr.evaluate(lambda: Broken(state, reward), lambda X: np.zeros(len(X), dtype=int), [7], max_steps=5)  # noqa: B023
+
+
+def test_whole_actions_that_the_space_cannot_hold_are_refused() -> None:
+    played = otr.rollout(Bytes, lambda X: np.full((len(X), 1), 1.4), 1)
+    assert set(played.actions.ravel().tolist()) == {1}
+    for answer in (-3.0, 300.0):
+        with pytest.raises(ValueError, match="actions are of type uint8, from 0 to 255"):
+            otr.rollout(Bytes, lambda X, a=answer: np.full((len(X), 1), a), 1)

@@ -94,6 +94,19 @@ class NotFinite(Cart):
         return np.array([np.nan, 0.0]), 0.0, False, False, {}
 
 
+class NotFiniteLater(Cart):
+    """The cart that leads nowhere after a while."""
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
+        self.n_steps = 0
+        return super().reset(seed=seed)
+
+    def step(self, action: Any) -> Any:
+        self.n_steps += 1
+        state, *others = super().step(action)
+        return state if self.n_steps < 10 else np.full(2, np.nan), *others
+
+
 class FailsLater(Cart):
     """The cart with a mistake that the first steps do not show."""
 
@@ -140,6 +153,7 @@ SPACES: dict[str, dict[str, gym.Space]] = {
     "Cells": {"observations": gym.spaces.Discrete(4)},
     "Keys": {"actions": gym.spaces.MultiDiscrete([2, 2])},
     "FromOne": {"actions": gym.spaces.Discrete(2, start=1)},
+    "Fixed": {"observations": gym.spaces.Box(np.array([-5.0, 0.5]), np.array([5.0, 0.5]), dtype=np.float64)},
     "Boundless": {"actions": gym.spaces.Box(-np.inf, np.inf, (1,))},
 }
 
@@ -153,6 +167,7 @@ KINDS = (
     ReturnsFour,
     LongerThanItsSpace,
     NotFinite,
+    NotFiniteLater,
     FailsLater,
     NoReward,
     Unseeded,

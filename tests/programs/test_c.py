@@ -213,6 +213,11 @@ def test_a_bad_name_is_refused(name: str) -> None:
         otr.to_c(POLICIES["worked"], name=name)
 
 
+def tiny_test() -> otr.ObliqueTree:
+    """Return a tree that tells x > 0 by a number that single precision does not hold."""
+    return otr.ObliqueTree([-1], [-2], [[1e-50]], [0.0], np.zeros((2, 1, 1)), [[-1.0], [1.0]])
+
+
 def test_other_arguments_are_checked() -> None:
     with pytest.raises(ValueError, match="dtype is 'half', expected 'double' or 'float'"):
         otr.to_c(POLICIES["worked"], dtype="half")  # type: ignore[arg-type]
@@ -222,3 +227,8 @@ def test_other_arguments_are_checked() -> None:
         otr.to_c(otr.ObliqueTree([], [], np.zeros((0, 1)), [], [[[1e300]]], [[0.0]]), dtype="float")
     with pytest.raises(ValueError, match="feature_names has 1 names, expected 2"):
         otr.to_c(POLICIES["worked"], feature_names=["x"])
+    with pytest.raises(ValueError, match="largest weight is 1e-50, too small for a float"):
+        otr.to_c(tiny_test(), dtype="float")
+    with pytest.raises(ValueError, match="largest weight is 1e-50, too small for a float"):
+        otr.to_c(otr.ReluNetwork([[[1e-50]], [[1.0]]], [[0.0], [0.0]], head=otr.Sign()), dtype="float")
+    assert otr.to_c(tiny_test())

@@ -87,6 +87,9 @@ def test_bad_arguments_are_refused() -> None:
     huge = otr.ObliqueTree([], [], np.zeros((0, 1)), [], [[[1e300]]], [[0.0]])
     with pytest.raises(ValueError, match="1e\\+300, too large for a float"):
         otr.to_onnx(huge, dtype="float")
+    tiny = otr.ObliqueTree([-1], [-2], [[1e-50]], [0.0], np.zeros((2, 1, 1)), [[-1.0], [1.0]])
+    with pytest.raises(ValueError, match="largest weight is 1e-50, too small for a float"):
+        otr.to_onnx(tiny, dtype="float")
 
 
 def test_without_onnx_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -221,3 +222,12 @@ def test_a_program_without_an_answer_is_told_the_names_of_the_outputs() -> None:
 def test_what_is_no_text_is_told() -> None:
     with pytest.raises(TypeError, match="text is a int, expected the program as a str"):
         otr.parse_program(3, ["v"])  # type: ignore[arg-type]
+
+
+def test_a_number_that_may_be_another_label_s_name_is_refused() -> None:
+    classes = ["1", "2", "3"]
+    with pytest.raises(otr.ProgramError, match="1 is the name of a label; write it as `1`, as a name"):
+        otr.parse_program("if position <= 0: 1 else: 2", NAMES, labels=True, output_names=classes)
+    tree = otr.parse_program("if position <= 0: `1` else: 0", NAMES, labels=True, output_names=classes)
+    assert tree.predict(np.array([[-1.0] + [0.0] * (len(NAMES) - 1)])).tolist() == [0]
+    assert otr.parse_program("return 1", NAMES, labels=True, output_names=["0", "1"]).labels.tolist() == [1]

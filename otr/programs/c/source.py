@@ -17,7 +17,7 @@ from otr.programs.c.network import network_code
 from otr.programs.c.reserved_words import is_function_name
 from otr.programs.c.tables import CType, Table, integer_table, integer_type, row_table
 from otr.programs.names import check_policy, give_labels, in_comment, shown_names
-from otr.programs.walk import child, distinct_rows, summary_of
+from otr.programs.walk import child, distinct_rows, require_float_rows, summary_of
 
 _OF_STDINT = ("static const int", "static const uint")
 
@@ -50,7 +50,7 @@ def to_c(
     Raises:
         TypeError: `policy` is something else.
         ValueError: the wrong number of names, names that are not distinct, a `name` that C does not take, another
-            `dtype`, or a number that is too large for a float.
+            `dtype`, or a number that is too large for a float, or too small in a test.
     """
     if not isinstance(policy, ObliqueTree | PatternTree | ReluNetwork):
         raise TypeError(f"policy is a {type(policy).__name__}, expected an ObliqueTree, a PatternTree or a ReluNetwork")
@@ -70,6 +70,9 @@ def to_c(
         answer = Answer([], [])
     else:
         answer = answer_of(policy.head, policy.n_outputs, name, dtype)
+    if dtype == "float":
+        for rows in policy.weights if isinstance(policy, ReluNetwork) else (policy.test_forms[:, :-1],):
+            require_float_rows(rows)
     if isinstance(policy, ReluNetwork):
         tables, body = network_code(policy, answer, name, dtype)
     else:

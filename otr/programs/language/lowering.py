@@ -17,7 +17,7 @@ from otr.errors import ProgramError
 from otr.programs.language.evaluation import Evaluator, appended
 from otr.programs.language.paths import GrowingTree, Path
 from otr.programs.language.scope import Scope
-from otr.programs.language.syntax import Assign, Return, Statement, Statements
+from otr.programs.language.syntax import Assign, Number, Return, Statement, Statements
 from otr.programs.language.tokens import Place, Source
 from otr.programs.language.values import Affine, Clipped, Exponential, Squashed, Value
 
@@ -124,6 +124,9 @@ class Lowering:
         return after + self.run(statement.otherwise or [], undecided)
 
     def _return(self, statement: Return, path: Path) -> list[Path]:
+        for node in statement.values if self._answers_labels else ():
+            if isinstance(node, Number):
+                self._check_number(node)
         ends: list[tuple[Path, list[Value]]] = [(path, [])]
         for node in statement.values:
             ends = [end for own, values in ends for end in appended(values, self._evaluator.value(node, own))]
@@ -169,6 +172,12 @@ class Lowering:
             known = f"0 to {len(names) - 1}, or {', '.join(names)}" if names is not None else "0, 1, ..."
             raise self._source.error(f"{value.offset:g} is no label; labels are {known}", at)
         return int(value.offset)
+
+    def _check_number(self, node: Number) -> None:
+        """Raise ProgramError where a number might be a label's position, from 0 on, or its name, as classes 1, 2, 3."""
+        names, text = self._output_names or (), f"{node.value:g}"
+        if text in names and names.index(text) != node.value:
+            raise self._source.error(f"{text} is the name of a label; write it as `{text}`, as a name", node.at)
 
     def value_tree(self) -> ObliqueTree:
         """Return the tree whose leaves have affine values, under the head that the answers ask for."""

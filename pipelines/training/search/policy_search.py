@@ -11,6 +11,7 @@ from otr.control.search.state_moments import StateMoments
 from pipelines.config.algo import ArsConfig
 from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import FIRST_STREAM_SEED, LAST_STREAM_SEED, stream, stream_seed
+from pipelines.errors import PipelineError
 from pipelines.play.environments import episode_limit, spaces
 from pipelines.training.search.episodes import Played, SearchEpisodes
 
@@ -72,6 +73,9 @@ class PolicySearch:
         played = episodes.play(
             networks, self._episode_seeds(), horizon=self._horizon(done), keep_states=self._algo.normalise
         )
+        for what, numbers in (("observations", played.states), ("rewards", played.returns)):
+            if not np.isfinite(numbers).all():
+                raise PipelineError(f"step {self.n_steps:,}: the environment's {what} are not finite")
         self._search.tell(played.returns.mean(axis=1))
         if self._algo.normalise:
             self._moments.add(played.states)

@@ -161,6 +161,12 @@ def test_replay_finds_an_episode_that_was_changed(finished, tmp_path):
         (("env=pendulum", "seed=null"), 2, "seed=null: give a whole number from 0 to 4294967295"),
         (("env=pendulum", "seed=-1"), 2, "seed=-1 is not between 0 and 4294967295"),
         (("env=pendulum", "stages=[train]", "polish=true"), 2, "polish=true and stages=[train], which has no polish"),
+        (("env=pendulum", "stages=[train]", "certify=1"), 2, "certify=true and stages=[train], which has no certify"),
+        (
+            ("-m", "env=mountaincar", "depth=1", "polish=false,true", "certify=true"),
+            2,
+            "two jobs of this sweep make the certify there, one from train, map and one from polish;",
+        ),
         (("env=pendulum", "certify=maybe"), 2, "certify=maybe: give true or false"),
         (("env=pendulum", "algo.gamma=much"), 2, "algo.gamma=much: give a number from 0 to 1"),
         (

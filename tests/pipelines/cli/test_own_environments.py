@@ -85,6 +85,15 @@ def test_the_code_of_an_own_environment_is_in_the_keys(tmp_path, monkeypatch):
     beside = key("import maze_of_test", "helper_of_test.py")  # in a circle
     assert helped != beside != key("import maze_of_test, os", "helper_of_test.py")
     assert key("def broken(:", "helper_of_test.py") is not None
+    loose = EnvConfig("maze", "discrete", "loose_of_test.mazes:Maze-v0")  # a package without an __init__.py
+    key('gym.register("Maze-v0", entry_point="beside_of_test.deep:Maze")', "loose_of_test/mazes.py")
+    first = loose.settings()["code_sha256"]
+    key("reward = 1.0", "beside_of_test/deep.py")  # as the package beside it is, which is only named as text
+    second = loose.settings()["code_sha256"]
+    key("reward = 7.0", "beside_of_test/deep.py")
+    assert len({first, second, loose.settings()["code_sha256"], None}) == 4
+    key("", "loose_of_test/mazes.py")
+    assert loose.settings()["code_sha256"] not in (first, second, None)
     assert EnvConfig("gone", "discrete", "no_such_module:Maze-v0").settings()["code_sha256"] is None
     assert "code_sha256" not in EnvConfig("CartPole-v1", "discrete", "CartPole-v1").settings()
 
@@ -184,6 +193,20 @@ def test_a_file_of_ones_own_and_a_sweep(tmp_path):
     assert "nowhere: there is no such folder" in nowhere.stderr
 
 
+def test_a_file_of_ones_own_chooses_its_algorithm_with_all_that_goes_with_it(tmp_path):
+    (tmp_path / "env").mkdir()
+    place = f"hydra.searchpath=[file://{tmp_path}]"
+    (tmp_path / "env" / "heavy.yaml").write_text(HEAVY)
+    (tmp_path / "env" / "short.yaml").write_text(HEAVY + "train: {steps: 777}\n")
+    by_file = job("env=heavy", place, "depth=2", "budget=quick").config
+    by_command = job("env=heavy", place, "depth=2", "budget=quick", "algo=ars").config
+    assert by_file.algo.name == "ars" and by_file.actor.dense == "input"
+    assert (by_file.train, by_file.actor) == (by_command.train, by_command.actor)
+    for words in ((), ("algo=ars",)):
+        assert job("env=short", place, "depth=2", "budget=quick", *words).config.train.steps == 777
+    assert job("env=short", place, "depth=2", "budget=quick", "train.steps=888").config.train.steps == 888
+
+
 def test_a_mistake_in_an_environment_is_told_with_its_line(command, tmp_path):
     failed = command("run", f"env={MODULE}:FailsLater-v0", "depth=1", "budget=smoke", f"results_dir={tmp_path}")
     assert failed.returncode == 1
@@ -204,6 +227,7 @@ def test_a_mistake_in_an_environment_is_told_with_its_line(command, tmp_path):
         ),
         (("# @package _global_\n", ""), r"its first line has to be\n  # @package _global_"),
         (("env:\n", "environment:\n"), r"it has no settings below env:"),
+        (("name: heavy", "name: pendulum"), r"env.name=pendulum is the name of an environment that ships with otr"),
     ],
 )
 def test_a_mistake_in_an_own_file_is_told_in_its_words(tmp_path, changes, told):
@@ -221,4 +245,12 @@ def test_an_argument_that_is_not_there_is_told_with_its_plus():
 def test_rewards_that_are_no_numbers_are_told(command, tmp_path):
     failed = command("run", f"env={MODULE}:NoReward-v0", "method=linear", "depth=0", "algo=ars", "budget=smoke",
                      f"results_dir={tmp_path}")  # fmt: skip
-    assert failed.returncode == 1 and re.search(r"step [\d,]+: the selection episodes return nan", failed.stderr)
+    assert failed.returncode == 1 and "step 0: the environment's rewards are not finite" in failed.stderr
+
+
+@pytest.mark.parametrize("algorithm", ["ars", "sac", "ppo"])
+def test_observations_that_are_no_numbers_are_told(command, tmp_path, algorithm):
+    failed = command("run", f"env={MODULE}:NotFiniteLater-v0", "method=linear", "depth=0", f"algo={algorithm}",
+                     "budget=smoke", f"results_dir={tmp_path}")  # fmt: skip
+    assert failed.returncode == 1
+    assert re.search(r"step [\d,]+: the environment's observations are not finite", failed.stderr), failed.stderr

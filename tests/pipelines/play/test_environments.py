@@ -8,7 +8,7 @@ import yaml
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError
-from pipelines.play.environments import make_env, own_environment
+from pipelines.play.environments import make_env, own_environment, state_limits
 
 FILES = sorted((CONF_DIR / "env").glob("*.yaml"))
 
@@ -28,6 +28,11 @@ def test_names_fit_the_environment(path, tmp_path, monkeypatch, capfd):
     assert np.isfinite(state).all()
     printed = capfd.readouterr()
     assert printed.err == "" and list(tmp_path.iterdir()) == []
+
+
+def test_a_state_that_is_declared_constant_has_a_box_with_an_inside():
+    low, high = state_limits(own_environment("tests.pipelines.own_envs:Fixed-v0", {}))
+    assert (low[0], high[0]) == (-5.0, 5.0) and 0.5 - 1e-6 < low[1] < 0.5 < high[1] < 0.5 + 1e-6
 
 
 def test_unknown_environment_is_named():

@@ -79,7 +79,7 @@ def test_same_runs_give_the_same_bytes(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"seed": 7}, "it describes the run lunarlander/viper/depth-2/quick/seed-7"),
+        ({"seed": 7}, "describes the run lunarlander/viper/depth-2/quick/seed-7"),
         ({"policies": {}}, "it has no 'policies.oracle'"),
         ({"oracle": {"hidden_widths": [8]}}, "expected"),
     ],

@@ -342,9 +342,9 @@ def test_latex_compiles(tmp_path: Path) -> None:
         ({"return_mean": float("nan")}, "return_mean is nan where a number was expected"),
         ({"return_mean": None}, "return_mean is None where a number was expected"),
         ({"versions": {}}, "it has no 'versions.gymnasium'"),
-        ({"seed": 1}, "it describes the run hopper/otr/depth-6/quick/seed-1, not the one whose folder it is in"),
-        ({"method": "viper"}, "it describes the run hopper/viper/depth-6/quick/seed-0"),
-        ({"depth": 7}, "it describes the run hopper/otr/depth-7/quick/seed-0"),
+        ({"seed": 1}, "describes the run hopper/otr/depth-6/quick/seed-1, not the one whose folder it is in"),
+        ({"method": "viper"}, "describes the run hopper/viper/depth-6/quick/seed-0"),
+        ({"depth": 7}, "describes the run hopper/otr/depth-7/quick/seed-0"),
     ],
 )
 def test_wrong_summary_is_an_error_that_names_it(tmp_path: Path, changes: dict[str, Any], message: str) -> None:

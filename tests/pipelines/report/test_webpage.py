@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from pipelines.cli.runs import load_config
-from pipelines.engine.store import read_csv
+from pipelines.engine.store import read_csv, write_json
 from pipelines.errors import PipelineError
 from pipelines.play.rollout import rollout
 from pipelines.report.webpage.episode import LEVELS, packed, record
 from pipelines.report.webpage.page import write_results_page, write_run_page
-from pipelines.report.webpage.policy import page_tree, tree_data
+from pipelines.report.webpage.policy import _proof, page_tree, tree_data
 from pipelines.report.webpage.units import unit_of
 from tests.committed import RESULTS
 from tests.core.test_tree import random_tree
@@ -108,6 +108,18 @@ def test_what_acts_in_the_episode_is_visited_and_proofs_are_told(car: str) -> No
     assert (shares[unpacked(data["episode"]["leaves"])] > 0).all()
     assert data["proof"].startswith("certificate: the minimal tree, of ")
     assert data["proof"].endswith("otr-verify checks it again. The tree above is the pruned one.")
+
+
+def test_a_proof_of_the_network_before_a_polish_says_so(tmp_path: Path) -> None:
+    proved = {"certified": True, "max_error": 1e-9, "n_leaves": 2, "domain": "a box", "seconds": {}}
+    for labels, policy, like in (
+        ({}, {"policy": "polished"}, "the polished network to 1e-09"),
+        ({"labels": True}, {}, "the network, but perhaps within 1e-09 of a boundary,"),
+    ):
+        write_json(tmp_path / "summary.json", {"polish": {}, "certify": proved | labels | policy})
+        told = _proof(tmp_path, "polished")
+        assert f"is {like} on a box" in told
+        assert ("It is of the network before the polish. The tree above is the polished one." in told) == (not policy)
 
 
 def test_names_are_names_whatever_is_in_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

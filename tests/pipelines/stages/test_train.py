@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import re
 import signal
 
 import numpy as np
@@ -98,6 +99,32 @@ def test_a_replay_buffer_that_is_gone_is_told(tiny, tmp_path):
     logs[-1].unlink()
     with pytest.raises(PipelineError, match=r"100 of 150 transitions of the replay buffer are gone; bring the replay"):
         TRAIN.run({}, config, out)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "told"),
+    [
+        ("segment-*/model.pt", "model.pt was changed"),
+        ("segment-*/actor.safetensors", "actor.safetensors was changed"),
+        ("replay-*.npz", r"npz cannot be read: \w"),
+    ],
+)
+@pytest.mark.parametrize("share", [0.5, 0.0])
+def test_a_damaged_checkpoint_is_told_before_anything_goes_on_from_it(tiny, tmp_path, pattern, told, share):
+    config, out = tiny(algo=SMALL_BUFFER_SAC), tmp_path / "out"
+    out.mkdir()
+    run_until_killed(train_until_killed, config, out, "after saving")
+    folder = checkpoint_folder(config)
+    for path in folder.glob(pattern):
+        path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
+    remedy = f"bring it back, or delete the folder {re.escape(str(folder))} to train from the beginning"
+    with pytest.raises(PipelineError, match=f"(?s){told}.*; {remedy}"):
+        TRAIN.run({}, config, out)
+    if not share:
+        for path in folder.glob(pattern):
+            path.unlink()
+        with pytest.raises(PipelineError, match=r"is gone; bring it back|are gone; bring the replay"):
+            TRAIN.run({}, config, out)
 
 
 def test_only_runs_side_by_side_share_checkpoints(tiny):

@@ -154,12 +154,11 @@ class Checker:
         it is won or lost by more than this.
         """
         # How far the score of each label can be above the champion's, and whether it stays below that
-        above, is_below, champion = [Fraction(0)], [False], 0
-        for challenger, (is_won, shortfall, is_strict) in enumerate(of_tests, start=1):
+        above, is_below = [Fraction(0)], [False]
+        for is_won, shortfall, is_strict in of_tests:
             if is_won:
                 above = [value + shortfall for value in above]
                 is_below = [value or is_strict for value in is_below]
-                champion = challenger
             above.append(Fraction(0) if is_won else shortfall)
             is_below.append(not is_won and is_strict)
         assert self.pair.tree.labels is not None
@@ -169,7 +168,7 @@ class Checker:
             self.pair.beyond_boundary(
                 scores[other] - scores[label],
                 above[other] + sum(bounds, Fraction(0)) + errors[other] + errors[label],
-                is_reached=other == champion or (other < label and not is_below[other]),
+                is_reached=other < label and not is_below[other],
             )
             for other in range(len(scores))
             if other != label

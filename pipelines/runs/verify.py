@@ -153,7 +153,12 @@ def compared(
             return Answer(None, f"undecided: {error}")
         state = np.array([float(value) for value in error.state])
     except ValueError as error:
-        raise ConfigError(f"the program and {what} cannot be compared: {error}") from error
+        hint = ""
+        if isinstance(other.head, otr.TanhBox) and not isinstance(tree.head, otr.TanhBox):
+            low, high = other.head.limits(other.n_outputs)
+            half = (high[0] - low[0]) / 2
+            hint = f"\nThe answers of {what} are a tanh: write those of the program as return {half:g} tanh(...)"
+        raise ConfigError(f"the program and {what} cannot be compared: {error}{hint}") from error
     else:
         if verdict.state is None:
             size = f"{_alike(verdict.value, tree)}{before}"

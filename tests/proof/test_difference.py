@@ -19,6 +19,13 @@ def trees(draw, head=None):
     return otr.map_network(otr.ReluNetwork([W, V], [b[0], [draw(NUMBERS)]], head=head or otr.Identity()))
 
 
+def test_labels_are_equal_or_not():
+    tree = otr.map_network(otr.ReluNetwork([[[1.0]]], [[0.0]], head=otr.Sign()))
+    with pytest.raises(ValueError, match=r"max_difference is 2.0; labels are equal or not, leave it out"):
+        otr.find_difference(tree, tree, (-1.0, 1.0), max_difference=2.0)
+    assert otr.find_difference(tree, tree, (-1.0, 1.0)).holds
+
+
 @given(trees(), trees(), st.floats(0, 5))
 def test_the_verdict_is_what_states_say(tree, other, most):
     verdict = otr.find_difference(tree, other, BOX, max_difference=most)

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from pipelines.engine.store import write_csv, write_json
-from pipelines.errors import MissingInputError
+from pipelines.errors import MissingInputError, PipelineError
 from pipelines.report.leaves_kept import load_leaves, mean_return, return_against_leaves
 from pipelines.stages.leaves import COLUMNS
 
@@ -78,3 +78,11 @@ def test_the_command_takes_several_runs_and_writes_the_numbers(command, tmp_path
     assert done.stdout.split() == [f"{tmp_path}/figures/leaves-pendulum-otr.{kind}" for kind in ("png", "csv")]
     refused = command("tabulate", "regions", f"run={SMALL}", f"run={LARGE}", there)
     assert refused.returncode == 2 and "figure=regions is of one run" in refused.stderr
+
+
+def test_a_cut_off_file_is_told(tmp_path: Path) -> None:
+    leave(tmp_path / SMALL, (1, -9.0), (2, -4.0))
+    path = tmp_path / SMALL / "leaves/returns.csv"
+    path.write_text(path.read_text()[:-8])
+    with pytest.raises(PipelineError, match=f"{re.escape(str(path))} cannot be read: its row"):
+        load_leaves([tmp_path / SMALL])

@@ -148,6 +148,8 @@ def test_an_unfinished_or_damaged_run_is_told(export, tmp_path):
     assert f"did not come to its end\n{command}" in export(f"run={run}", "format=c").stderr
     (run / "config.yaml").write_text("junk: [\n")
     assert "config.yaml" in (done := export(f"run={run}", "format=c")).stderr and "fit" not in done.stderr
+    (run / "config.yaml").write_bytes(b"\xff\xfe junk")
+    assert f"{run}/config.yaml cannot be read" in export(f"run={run}", "format=c").stderr
     (run / "config.yaml").write_text("data:\n  name: bace\n")
     assert "is a fit of otr-fit" in export(f"run={run}", "format=c").stderr
 

@@ -102,6 +102,7 @@ def test_a_program_is_compared_with_network_and_tree(verify, command, tmp_path):
     assert verify("env=pendulum", f"program={own}", f"tree={tmp_path}/tree").returncode == 0
     done = verify(PENDULUM_RUN, f"program={own}")
     assert done.returncode == 2 and "cannot be compared: the tree has (inputs, outputs, head)" in done.stderr
+    assert "The answers of the network are a tanh: write those of the program as return 2 tanh(...)" in done.stderr
 
 
 def test_after_a_polish_the_polished_network_is_the_runs(verify, command, tmp_path):
@@ -115,6 +116,8 @@ def test_after_a_polish_the_polished_network_is_the_runs(verify, command, tmp_pa
     assert done.returncode == 1 and "the polished network action = " in done.stdout
     assert verify(run, f"program={paths['pruned']}", "tree=compact").stdout.count("the polished") == 0
     assert "of the pruned tree, not of the polished one (tree=polished), at" in verify(run, "range=true").stdout
+    done = verify(run, f"program={paths['minimal']}", "max_difference=5")
+    assert done.returncode == 2 and "max_difference=5: the answers are labels, which are equal or not" in done.stderr
     run = "run=pendulum/otr/depth-6/standard-fleet/seed-0"  # which has no certificate
     command("export", run, "format=text", "precision=17", f"out={paths['pruned']}")
     done = verify(run, f"program={paths['pruned']}", "max_difference=20")

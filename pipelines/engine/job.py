@@ -71,7 +71,7 @@ def do_stage(job: Job, stage: Stage, derive: Derive | None = None) -> None:
     result = run_stage(stage, job.run_dir, job.config, job.command, derive)
     if not (job.run_dir / "config.yaml").exists():
         write_text(job.run_dir / "config.yaml", job.config_yaml)
-    print(f"{stage.name}: {'done before, ' * result.skipped}{duration(result.seconds)}", flush=True)
+    print(f"{stage.name}: {'done before' if result.skipped else duration(result.seconds)}", flush=True)
 
 
 def write_config(job: Job) -> None:

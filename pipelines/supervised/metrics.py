@@ -22,14 +22,18 @@ def metric_of(dataset: Dataset) -> str:
 
 
 def outputs_of(tree: "ObliqueTree | PatternTree", X: np.ndarray) -> np.ndarray:
-    """Return what the leaves answer: (n,) numbers or counts, larger for label 1, or (n, c) for c > 2 classes."""
+    """Return what a tree answers (n,): numbers or counts, larger for label 1, or of more than two classes the class.
+
+    The class is that of the tree's own tests: the largest output of a leaf may be of another one where paths between
+    classes were pruned.
+    """
     from otr import Exp, PatternTree
 
     head = tree.network.head if isinstance(tree, PatternTree) else tree.head
     outputs = head(tree.forward(X)) if isinstance(head, Exp) else tree.forward(X)
     if outputs.shape[1] == 1:
         return outputs[:, 0]
-    return outputs[:, 1] - outputs[:, 0] if outputs.shape[1] == 2 else outputs
+    return outputs[:, 1] - outputs[:, 0] if outputs.shape[1] == 2 else tree.predict(X)
 
 
 def score(metric: str, outputs: np.ndarray, y: np.ndarray) -> float:
@@ -39,7 +43,7 @@ def score(metric: str, outputs: np.ndarray, y: np.ndarray) -> float:
 
         return float(areas_under_curve(outputs, y.astype(np.float64)))
     if metric == "accuracy":
-        return float(np.mean(outputs.argmax(axis=1) == y))
+        return float(np.mean(outputs == y))
     if metric == "deviance":
         from sklearn.metrics import mean_poisson_deviance
 

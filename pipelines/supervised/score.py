@@ -47,7 +47,7 @@ def score_trees(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> Non
                 value = score(metric, values, y)
                 row[name] = "" if np.isnan(value) else f"{value:.8g}"
             row[f"n_{part}"] = len(y)
-            if part == "test" and outputs[0].ndim == 1:
+            if part == "test" and metric != "accuracy":
                 measured = ~np.isnan(dataset.test.Y[:, dataset.label_names.index(label)])
                 columns[:, measured, i] = [*outputs, y]
         row |= {"leaves": tree.n_leaves, "depth": tree.depth}

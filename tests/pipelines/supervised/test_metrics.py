@@ -28,6 +28,16 @@ def test_scores_are_those_of_scikit_learn():
     assert score("rmse", np.array([1.0, 4.0]), np.array([1.0, 1.0])) == pytest.approx(np.sqrt(4.5))
 
 
+def test_the_accuracy_is_that_of_what_a_pruned_tree_answers():
+    data = load_dataset("digits")
+    (X, y), (X_test, y_test) = data.labelled("train"), data.labelled("test")
+    whole = OTRClassifier((4,), epochs=5, random_state=0).fit(X, y).tree_
+    tree = otr.prune_unreached(whole, X)
+    own = float(np.mean(tree.predict(X_test) == y_test))
+    assert score("accuracy", outputs_of(tree, X_test), y_test) == own
+    assert own != np.mean(tree.forward(X_test).argmax(axis=1) == y_test)  # tests between classes are pruned, too
+
+
 def test_leaves_are_those_of_the_pruned_tree_whatever_holds_it():
     X, y = load_dataset("breast_cancer").labelled("train")
     explicit = OTRClassifier((4,), epochs=5, random_state=0).fit(X, y).tree_

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from otr.learners.networks.batched_training import DivergedError
 from pipelines.datasets.dataset import Dataset
 from pipelines.engine.console import progress_lines
 from pipelines.engine.digests import digest
@@ -44,8 +45,7 @@ def tune(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> None:
             parts[k, i], took = _scores(config, data, part, labels, changes, path)
             seconds[i] += took
             progress(k * len(tried) + i + 1, len(trials) * len(tried))
-    told = ~np.isnan(parts)
-    scores = np.where(told.any(axis=0), np.nansum(parts, axis=0) / np.maximum(told.sum(axis=0), 1), np.nan)
+    scores = mean_over_trials(parts)
     rows = [
         {
             "label": dataset.label_names[label],
@@ -67,15 +67,27 @@ def tune(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> None:
     )
 
 
+def mean_over_trials(parts: np.ndarray) -> np.ndarray:
+    """Return the means (combinations, labels) of scores (trials, combinations, labels), NaN where one is missing.
+
+    Trials that tell nothing of a label, whatever the combination, do not count; a combination that fails one of the
+    others has no mean.
+    """
+    told = ~np.isnan(parts).all(axis=1, keepdims=True)
+    n_told = told.sum(axis=0)
+    means: np.ndarray = np.where(n_told > 0, np.where(told, parts, 0.0).sum(axis=0) / np.maximum(n_told, 1), np.nan)
+    return means
+
+
 def best_of(scores: np.ndarray, for_label: bool, metric: str) -> list[int]:
     """Return, for every label, the best combination of scores (combinations, labels), the first of equals.
 
     A label whose validation rows do not tell (NaN) takes what is best for the others on average; so do all of them
-    unless `for_label`.
+    unless `for_label`. A combination without a score where others have one is the worst.
     """
     gains = np.array([[gain(metric, value) for value in row] for row in scores])
     told = ~np.isnan(gains).all(axis=0)
-    average = np.nanmean(gains[:, told], axis=1) if told.any() else np.zeros(len(gains))
+    average = np.nan_to_num(gains[:, told], nan=-np.inf).mean(axis=1) if told.any() else np.zeros(len(gains))
     overall = int(np.argmax(average))
     if not for_label:
         return [overall] * scores.shape[1]
@@ -92,7 +104,8 @@ def _scores(
 ) -> tuple[np.ndarray, float]:
     """Return the scores of one combination on a part, the mean over the tuning seeds for every label, and seconds.
 
-    NaN stands for a label of which the data set's training rows, or the part's, have one class.
+    NaN stands for a label of which the data set's training rows, or the part's, have one class, and for all of them
+    where the training diverged.
     """
     if path.exists():
         before = read_json(path)
@@ -102,8 +115,12 @@ def _scores(
     progress = progress_lines(f"{config.line_start}tune {json.dumps(changes)}", "trees")
     method = with_settings(config.method, changes)
     learned = [label for label in labels if label in usable_labels(dataset)]
-    fitted = fit_trees(method, dataset, learned, seeds, n_workers=config.n_workers, progress=progress)
     means = dict.fromkeys(labels, np.nan)
+    try:
+        fitted = fit_trees(method, dataset, learned, seeds, n_workers=config.n_workers, progress=progress)
+    except DivergedError as error:
+        print(f"{config.line_start}tune {json.dumps(changes)}: {error}; it is not chosen", flush=True)
+        learned, fitted = [], []
     for label, of_label in zip(learned, fitted, strict=True):
         X, y = dataset.labelled(part, label)
         means[label] = float(np.mean([score(metric, outputs_of(each.tree, X), y) for each in of_label]))

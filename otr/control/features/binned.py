@@ -14,7 +14,8 @@ _N_CELLS = 2**12
 def quantised(values: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return (n, m) the number of the bin of each of the values (m, n), at most 255 a feature, in their order.
 
-    A feature's range is cut into 4,096 cells, and cells are put together into bins of about equally many rows.
+    A feature's range is cut into 4,096 cells, and cells are put together into bins of about equally many rows. Where an
+    outlier leaves fewer cells than bins with rows, distinct values stand in place of the cells.
     """
     m, n = values.shape
     low = values.min(axis=1, keepdims=True)
@@ -23,9 +24,11 @@ def quantised(values: NDArray[np.float32]) -> NDArray[np.float32]:
     cells = ((values - low) * scale).astype(np.int64)
     bins = np.empty((m, n), dtype=np.uint8)
     for feature in range(m):
-        n_before = np.bincount(cells[feature], minlength=_N_CELLS).cumsum()
-        n_before = np.concatenate(([0], n_before[:-1]))
-        bins[feature] = (n_before * _N_BINS // n).astype(np.uint8)[cells[feature]]
+        own, n_rows = cells[feature], np.bincount(cells[feature], minlength=_N_CELLS)
+        if np.count_nonzero(n_rows) < _N_BINS:
+            _, own, n_rows = np.unique(values[feature], return_inverse=True, return_counts=True)
+        n_before = n_rows.cumsum() - n_rows
+        bins[feature] = (n_before * _N_BINS // n).astype(np.uint8)[own]
     return np.ascontiguousarray(bins.T, dtype=np.float32)
 
 

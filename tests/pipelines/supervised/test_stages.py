@@ -19,7 +19,7 @@ from pipelines.errors import ConfigError
 from pipelines.supervised.fit import fit
 from pipelines.supervised.fit_job import FitJob, fit_job, fit_jobs
 from pipelines.supervised.learners import check_learner, fit_trees
-from pipelines.supervised.tune import best_of, checkpoint_folder, tune
+from pipelines.supervised.tune import best_of, checkpoint_folder, mean_over_trials, tune
 
 GRID = [{"max_depth": [1, 2, 5]}]
 
@@ -279,8 +279,26 @@ def test_every_classifier_does_many_classes(fit_of, learner):
         ([[0.6, np.nan, 0.9], [0.8, np.nan, 0.8]], True, [1, 1, 0]),  # what serves the others best
         ([[np.nan], [np.nan]], True, [0]),
         ([[0.7], [0.7]], True, [0]),  # the first of equals
+        ([[0.6, 0.6], [np.nan, np.nan], [0.7, 0.7]], False, [2, 2]),  # a training that diverged
+        ([[0.6, 0.6], [0.9, np.nan]], False, [0, 0]),
     ],
 )
 def test_best_combination(scores, for_label, best):
     assert best_of(np.array(scores), for_label, "auc") == best
     assert best_of(-np.array(scores), for_label, "rmse") == best
+
+
+def test_means_over_trials_leave_out_what_tells_nothing_and_keep_what_failed():
+    nan = np.nan
+    parts = np.array([[[0.6, nan], [0.8, nan]], [[0.4, 0.5], [nan, 0.7]]])  # of 2 trials, 2 combinations and 2 labels
+    np.testing.assert_array_equal(mean_over_trials(parts), [[0.5, 0.5], [nan, 0.7]])
+    np.testing.assert_array_equal(mean_over_trials(np.full((2, 1, 1), nan)), [[nan]])
+
+
+def test_a_combination_that_diverges_is_told_and_not_chosen(fit_of, capsys):
+    rates = [{"learning_rate": [0.01, 1e6], "hidden": [[4]]}]
+    job = job_of(fit_of("otr", data="diabetes", grid=rates, epochs=4))
+    assert fit_job(job)["test"] < 100
+    assert '"learning_rate": 1000000.0' in (told := capsys.readouterr().out) and "diverged" in told
+    (chosen,) = read_json(job.run_dir / "tune" / "chosen.json")
+    assert chosen["settings"]["learning_rate"] == 0.01

@@ -45,6 +45,10 @@ class ArtefactError(OtrError):
     """A file is missing, truncated, changed since it was written, or of another schema."""
 
 
+class DivergedError(OtrError, ArithmeticError):
+    """Training ended in numbers that are not finite."""
+
+
 class ProgramError(OtrError, ValueError):
     """A program's text cannot be read; shows the place.
 

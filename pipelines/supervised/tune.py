@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from otr.learners.networks.batched_training import DivergedError
+from otr.errors import DivergedError
 from pipelines.datasets.dataset import Dataset
 from pipelines.engine.console import progress_lines
 from pipelines.engine.digests import digest

@@ -20,7 +20,7 @@ from torch import Tensor
 from torch.optim.sgd import sgd
 
 from otr.core.arrays import BoolArray, FloatArray, IntArray
-from otr.errors import OtrError
+from otr.errors import DivergedError
 from otr.learners.base.parameters import (
     AT_LEAST_1,
     BELOW_1,
@@ -38,10 +38,6 @@ from otr.learners.networks.validation_scores import areas_under_curve, negative_
 
 # Without `epochs`: fewer steps leave small data sets far from fitted (docs/decisions/supervised.md).
 _LEAST_STEPS, _LEAST_EPOCHS = 1000, 30
-
-
-class DivergedError(OtrError, ArithmeticError):
-    """Training ended in numbers that are not finite."""
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import torch
 
+from otr.errors import DivergedError
 from otr.learners.networks.batched_mlp import BatchedMlps, MlpSettings
 from otr.learners.networks.batched_models import SeedStreams
-from otr.learners.networks.batched_training import DivergedError, Schedule
+from otr.learners.networks.batched_training import Schedule
 from otr.learners.networks.first_layer import new_rows
 from otr.learners.networks.labels_and_seeds import train_many
 from otr.learners.networks.validation_scores import areas_under_curve

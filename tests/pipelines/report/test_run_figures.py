@@ -134,6 +134,9 @@ def test_the_commands(command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         assert (tmp_path / "a.svg").read_bytes().startswith(b"<?xml")
     refused = command("tabulate", "curves", car, f"out={tmp_path / 'a.gif'}")
     assert refused.returncode == 2 and "expected .png, .svg, .pdf" in refused.stderr
+    (tmp_path / "file").touch()
+    refused = command("tabulate", "curves", car, f"out={tmp_path}/file/a.png")
+    assert refused.returncode == 1 and refused.stderr.startswith(f"otr-tabulate: {tmp_path}/file"), refused.stderr
     assert "only figure=curves, figure=leaves, figure=regions take it" in command("tabulate", "4.1", car).stderr
     assert "budget=quick: only figure=4.6, figure=4.7 take it" in command("tabulate", "4.1", "budget=quick").stderr
     assert "tree=full: only figure=regions takes it" in command("tabulate", "curves", car, "tree=full").stderr

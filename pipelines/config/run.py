@@ -254,4 +254,4 @@ def _check_depth(depth: Any) -> None:
     if not integers or isinstance(depth, bool):
         raise ConfigError(f"depth={depth!r}: give a number of hidden neurons (depth=6) or one per layer (depth=[8,8])")
     if any(width < 0 for width in widths) or (len(widths) > 1 and 0 in widths):
-        raise ConfigError(f"depth={depth!r}: a layer cannot have {min(widths)} neurons; depth=0 is the linear policy")
+        raise ConfigError(f"depth={depth!r}: give 0, the linear policy, or numbers of at least 1")

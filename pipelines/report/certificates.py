@@ -1,6 +1,5 @@
 """The certificates of finished runs as one table: what is proved of which policy, where, and in what time."""
 
-from decimal import ROUND_CEILING, Context
 from pathlib import Path
 
 import pandas as pd
@@ -8,6 +7,7 @@ import pandas as pd
 from pipelines.report.cells import METHOD_NAMES, TASK_NAMES, in_order, method_name, reported
 from pipelines.report.frames import load_runs
 from pipelines.report.text import markdown_table, page, write_tables
+from pipelines.runs.questions import rounded_up
 
 # The columns of the CSV file, and where `load_runs` has them.
 COLUMNS = {
@@ -62,13 +62,8 @@ def _lines(rows: pd.DataFrame) -> list[list[str]]:
             lines.append([*names, paths, "", f"not proved: {reason}", "", "", "", ""])
             continue
         times = (f"{runs[f'{step}_s'].max():.2f}" for step in ("find", "prove", "check"))
-        lines.append([*names, paths, _range(runs["leaves"]), domain, _rounded_up(runs["max_error"].max()), *times])
+        lines.append([*names, paths, _range(runs["leaves"]), domain, rounded_up(runs["max_error"].max()), *times])
     return lines
-
-
-def _rounded_up(bound: float) -> str:
-    """Return a bound with one digit, which is not below it."""
-    return str(Context(prec=1, rounding=ROUND_CEILING).create_decimal_from_float(bound)).lower()
 
 
 def _range(values: pd.Series) -> str:

@@ -113,8 +113,8 @@ def test_what_acts_in_the_episode_is_visited_and_proofs_are_told(car: str) -> No
 def test_a_proof_of_the_network_before_a_polish_says_so(tmp_path: Path) -> None:
     proved = {"certified": True, "max_error": 1e-9, "n_leaves": 2, "domain": "a box", "seconds": {}}
     for labels, policy, like in (
-        ({}, {"policy": "polished"}, "the polished network to 1e-09"),
-        ({"labels": True}, {}, "the network, but perhaps within 1e-09 of a boundary,"),
+        ({}, {"policy": "polished"}, "the polished network to 1e-9"),
+        ({"labels": True}, {}, "the network, but perhaps within 1e-9 of a boundary,"),
     ):
         write_json(tmp_path / "summary.json", {"polish": {}, "certify": proved | labels | policy})
         told = _proof(tmp_path, "polished")

@@ -67,8 +67,9 @@ def save(tree: ObliqueTree | PatternTree, path: str | os.PathLike[str]) -> Path:
     description["shapes"] = {name: list(array.shape) for name, array in sorted(arrays.items())}
     description["sha256"] = _digest(description, arrays)
     text = json.dumps(description, indent=2, sort_keys=True) + "\n"
-    # np.savez stamps every member with the same date, so its bytes depend on the arrays alone.
-    _write_atomically(npz_path, lambda file: np.savez(file, allow_pickle=False, **arrays))
+    # np.savez stamps every member with the same date, so its bytes depend on the arrays alone. It gets nothing else:
+    # numpy 2.0 takes allow_pickle=False, which 2.1 brought, for one more array.
+    _write_atomically(npz_path, lambda file: np.savez(file, **arrays))  # type: ignore[arg-type]
     _write_atomically(json_path, lambda file: file.write(text.encode()))
     return json_path
 

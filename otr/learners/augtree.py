@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -70,6 +71,7 @@ class _AugTree:
         return (np.concatenate((np.eye(d), W)), np.concatenate((np.zeros(d), b))) if self.include_inputs else (W, b)
 
 
+@dataclass(eq=False, repr=False)
 class AugTreeClassifier(_AugTree, GrownClassifier):
     """Neurally augmented decision tree (Orfanos 2023): CART on x~ = [x, z_1], z_1 = W_1 x + b_1 of a ReLU network.
 
@@ -101,28 +103,16 @@ class AugTreeClassifier(_AugTree, GrownClassifier):
         "class_weight": CLASS_WEIGHT,
     }
 
-    def __init__(
-        self,
-        *,
-        network: ReluNetwork | None = None,
-        hidden_layer_sizes: Sequence[int] = (8,),
-        mlp_max_iter: int = 200,
-        include_inputs: bool = True,
-        max_depth: int | None = None,
-        min_samples_leaf: int = 1,
-        max_leaf_nodes: int | None = None,
-        class_weight: ClassWeight = None,
-        random_state: Any = None,
-    ) -> None:
-        self.network = network
-        self.hidden_layer_sizes = hidden_layer_sizes
-        self.mlp_max_iter = mlp_max_iter
-        self.include_inputs = include_inputs
-        self.max_depth = max_depth
-        self.min_samples_leaf = min_samples_leaf
-        self.max_leaf_nodes = max_leaf_nodes
-        self.class_weight = class_weight
-        self.random_state = random_state
+    _: KW_ONLY
+    network: ReluNetwork | None = None
+    hidden_layer_sizes: Sequence[int] = (8,)
+    mlp_max_iter: int = 200
+    include_inputs: bool = True
+    max_depth: int | None = None
+    min_samples_leaf: int = 1
+    max_leaf_nodes: int | None = None
+    class_weight: ClassWeight = None
+    random_state: Any = None
 
     def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> AugTreeClassifier:
         """Fit on X (n, d) and classes y (n,); `sample_weight` (n,) counts a row as that many.
@@ -143,6 +133,7 @@ class AugTreeClassifier(_AugTree, GrownClassifier):
         return self
 
 
+@dataclass(eq=False, repr=False)
 class AugTreeRegressor(_AugTree, GrownRegressor):
     """Neurally augmented decision tree for regression: as `AugTreeClassifier`, with constant or linear leaves.
 
@@ -167,26 +158,15 @@ class AugTreeRegressor(_AugTree, GrownRegressor):
         "min_samples_leaf": [*DecisionTreeRegressor._parameter_constraints["min_samples_leaf"], None],
     }
 
-    def __init__(
-        self,
-        *,
-        network: ReluNetwork | None = None,
-        hidden_layer_sizes: Sequence[int] = (8,),
-        mlp_max_iter: int = 200,
-        include_inputs: bool = True,
-        leaves: Literal["constant", "linear"] = "constant",
-        max_depth: int | None = None,
-        min_samples_leaf: int | None = None,
-        random_state: Any = None,
-    ) -> None:
-        self.network = network
-        self.hidden_layer_sizes = hidden_layer_sizes
-        self.mlp_max_iter = mlp_max_iter
-        self.include_inputs = include_inputs
-        self.leaves = leaves
-        self.max_depth = max_depth
-        self.min_samples_leaf = min_samples_leaf
-        self.random_state = random_state
+    _: KW_ONLY
+    network: ReluNetwork | None = None
+    hidden_layer_sizes: Sequence[int] = (8,)
+    mlp_max_iter: int = 200
+    include_inputs: bool = True
+    leaves: Literal["constant", "linear"] = "constant"
+    max_depth: int | None = None
+    min_samples_leaf: int | None = None
+    random_state: Any = None
 
     def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> AugTreeRegressor:
         """Fit on X (n, d) and targets y, (n,) or (n, o); `sample_weight` (n,) counts a row as that many.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import KW_ONLY, dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -58,6 +59,7 @@ def from_sklearn_tree(model: BaseDecisionTree) -> ObliqueTree:
     return with_names_of(model, class_tree(tree, values) if is_classifier else tree)
 
 
+@dataclass(eq=False, repr=False)
 class _Cart:
     """The parameters of both."""
 
@@ -65,22 +67,15 @@ class _Cart:
         DecisionTreeClassifier, "max_depth", "min_samples_leaf", "max_leaf_nodes", "ccp_alpha", "random_state"
     )
 
-    def __init__(
-        self,
-        *,
-        max_depth: int | None = None,
-        min_samples_leaf: int = 1,
-        max_leaf_nodes: int | None = None,
-        ccp_alpha: float = 0.0,
-        random_state: Any = None,
-    ) -> None:
-        self.max_depth = max_depth
-        self.min_samples_leaf = min_samples_leaf
-        self.max_leaf_nodes = max_leaf_nodes
-        self.ccp_alpha = ccp_alpha
-        self.random_state = random_state
+    _: KW_ONLY
+    max_depth: int | None = None
+    min_samples_leaf: int = 1
+    max_leaf_nodes: int | None = None
+    ccp_alpha: float = 0.0
+    random_state: Any = None
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class CARTClassifier(_Cart, GrownClassifier):
     """CART classifier (Breiman et al. 1984) by scikit-learn, Gini impurity.
 
@@ -100,24 +95,7 @@ class CARTClassifier(_Cart, GrownClassifier):
 
     _parameter_constraints: ClassVar[Constraints] = {**_Cart._parameter_constraints, "class_weight": CLASS_WEIGHT}
 
-    def __init__(
-        self,
-        *,
-        max_depth: int | None = None,
-        min_samples_leaf: int = 1,
-        max_leaf_nodes: int | None = None,
-        ccp_alpha: float = 0.0,
-        class_weight: ClassWeight = None,
-        random_state: Any = None,
-    ) -> None:
-        super().__init__(
-            max_depth=max_depth,
-            min_samples_leaf=min_samples_leaf,
-            max_leaf_nodes=max_leaf_nodes,
-            ccp_alpha=ccp_alpha,
-            random_state=random_state,
-        )
-        self.class_weight = class_weight
+    class_weight: ClassWeight = None
 
     def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> CARTClassifier:
         """Fit on X (n, d) and classes y (n,); `sample_weight` (n,) counts a row as that many."""

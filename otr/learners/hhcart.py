@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import KW_ONLY, dataclass
 from numbers import Integral
 from typing import Any, ClassVar
 
@@ -114,6 +115,7 @@ def _sum_of_squares(values: FloatArray, weights: FloatArray | None) -> float:
     return float((squares if weights is None else squares * weights[:, None]).sum())
 
 
+@dataclass(eq=False, repr=False)
 class _Hhcart:
     """The parameters of both."""
 
@@ -125,22 +127,15 @@ class _Hhcart:
         "n_jobs": [Integral, None],
     }
 
-    def __init__(
-        self,
-        *,
-        max_depth: int | None = None,
-        min_samples_split: int = 2,
-        min_samples_leaf: int = 1,
-        random_state: Any = None,
-        n_jobs: int | None = None,
-    ) -> None:
-        self.max_depth = max_depth
-        self.min_samples_split = min_samples_split
-        self.min_samples_leaf = min_samples_leaf
-        self.random_state = random_state
-        self.n_jobs = n_jobs
+    _: KW_ONLY
+    max_depth: int | None = None
+    min_samples_split: int = 2
+    min_samples_leaf: int = 1
+    random_state: Any = None
+    n_jobs: int | None = None
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class HHCARTClassifier(_Hhcart, GrownClassifier):
     """HHCART(D) (Wickramarachchi, Robertson, Reale, Price & Brown 2016), one reflection for each class.
 
@@ -174,24 +169,7 @@ class HHCARTClassifier(_Hhcart, GrownClassifier):
 
     _parameter_constraints: ClassVar[Constraints] = {**_Hhcart._parameter_constraints, "class_weight": CLASS_WEIGHT}
 
-    def __init__(
-        self,
-        *,
-        max_depth: int | None = None,
-        min_samples_split: int = 2,
-        min_samples_leaf: int = 1,
-        class_weight: ClassWeight = None,
-        random_state: Any = None,
-        n_jobs: int | None = None,
-    ) -> None:
-        super().__init__(
-            max_depth=max_depth,
-            min_samples_split=min_samples_split,
-            min_samples_leaf=min_samples_leaf,
-            random_state=random_state,
-            n_jobs=n_jobs,
-        )
-        self.class_weight = class_weight
+    class_weight: ClassWeight = None
 
     def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> HHCARTClassifier:
         """Fit on X (n, d) and classes y (n,); `sample_weight` (n,) counts a row as that many."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -26,9 +27,8 @@ from otr.learners.networks.labels_and_seeds import TrainedNetworks, train_many
 from otr.learners.networks.lcn_network import LcnNetwork
 
 
+@dataclass(eq=False, repr=False)
 class _LCNLearner(NetworkLearner):
-    networks_: list[LcnNetwork]
-
     _parameter_constraints: ClassVar[Constraints] = {
         **some_of(LcnSettings, "depth", "hidden", "drop_connect"),
         **some_of(Schedule, "batch_size", "learning_rate", "momentum"),
@@ -39,32 +39,18 @@ class _LCNLearner(NetworkLearner):
         "random_state": SEED,
     }
 
-    def __init__(
-        self,
-        depth: int = 6,
-        *,
-        hidden: int = 0,
-        drop_connect: float = 0.0,
-        epochs: int | None = None,
-        batch_size: int = 64,
-        learning_rate: float = 0.03,
-        momentum: float = 0.9,
-        decay_every: int | None = None,
-        standardize: bool | Literal["auto"] = "auto",
-        max_leaves: int = 2**12,
-        random_state: int | np.random.RandomState | None = None,
-    ) -> None:
-        self.depth = depth
-        self.hidden = hidden
-        self.drop_connect = drop_connect
-        self.epochs = epochs
-        self.batch_size = batch_size
-        self.learning_rate = learning_rate
-        self.momentum = momentum
-        self.decay_every = decay_every
-        self.standardize = standardize
-        self.max_leaves = max_leaves
-        self.random_state = random_state
+    depth: int = 6
+    _: KW_ONLY
+    hidden: int = 0
+    drop_connect: float = 0.0
+    epochs: int | None = None
+    batch_size: int = 64
+    learning_rate: float = 0.03
+    momentum: float = 0.9
+    decay_every: int | None = None
+    standardize: bool | Literal["auto"] = "auto"
+    max_leaves: int = 2**12
+    random_state: int | np.random.RandomState | None = None
 
     def _train(self, problem: Problem, seeds: Sequence[int]) -> TrainedNetworks[LcnNetwork]:
         if 2**self.depth > self.max_leaves:
@@ -119,41 +105,13 @@ _PARAMETERS = """
     """
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class LCNClassifier(TreeClassifier, _LCNLearner):
     __doc__ = "Classifier of locally constant networks, as oblique trees with constant leaves." + _PARAMETERS
 
     _parameter_constraints: ClassVar[Constraints] = {**_LCNLearner._parameter_constraints, "class_weight": CLASS_WEIGHT}
 
-    def __init__(
-        self,
-        depth: int = 6,
-        *,
-        hidden: int = 0,
-        drop_connect: float = 0.0,
-        epochs: int | None = None,
-        batch_size: int = 64,
-        learning_rate: float = 0.03,
-        momentum: float = 0.9,
-        decay_every: int | None = None,
-        standardize: bool | Literal["auto"] = "auto",
-        max_leaves: int = 2**12,
-        class_weight: ClassWeight = None,
-        random_state: int | np.random.RandomState | None = None,
-    ) -> None:
-        super().__init__(
-            depth,
-            hidden=hidden,
-            drop_connect=drop_connect,
-            epochs=epochs,
-            batch_size=batch_size,
-            learning_rate=learning_rate,
-            momentum=momentum,
-            decay_every=decay_every,
-            standardize=standardize,
-            max_leaves=max_leaves,
-            random_state=random_state,
-        )
-        self.class_weight = class_weight
+    class_weight: ClassWeight = None
 
 
 class LCNRegressor(TreeRegressor, _LCNLearner):

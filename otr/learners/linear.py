@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from dataclasses import KW_ONLY, dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -44,6 +45,7 @@ class _LinearLearner(TreeLearner):
         """Return coefficients, intercepts and head of one label's linear model."""
 
 
+@dataclass(eq=False, repr=False)
 class LinearTreeClassifier(TreeClassifier, _LinearLearner):
     """Logistic regression with an L2 penalty, as a tree of depth 0.
 
@@ -67,18 +69,11 @@ class LinearTreeClassifier(TreeClassifier, _LinearLearner):
         "class_weight": CLASS_WEIGHT,
     }
 
-    def __init__(
-        self,
-        C: float = 0.1,
-        *,
-        max_iter: int = 1000,
-        standardize: bool | Literal["auto"] = "auto",
-        class_weight: ClassWeight = None,
-    ) -> None:
-        self.C = C
-        self.max_iter = max_iter
-        self.standardize = standardize
-        self.class_weight = class_weight
+    C: float = 0.1
+    _: KW_ONLY
+    max_iter: int = 1000
+    standardize: bool | Literal["auto"] = "auto"
+    class_weight: ClassWeight = None
 
     def _fit_problem(self, problem: Problem) -> None:
         self.n_iter_ = 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from itertools import pairwise
 from numbers import Integral
 from typing import Any, ClassVar
@@ -25,6 +25,7 @@ _MIN_GAIN = 1e-9
 _JITTER = 1e-10
 
 
+@dataclass(eq=False, repr=False)
 class LinearModelTreeRegressor(GrownRegressor):
     """CART-like tree with a ridge regression in every leaf, one or several targets.
 
@@ -63,22 +64,13 @@ class LinearModelTreeRegressor(GrownRegressor):
         "random_state": ["random_state"],
     }
 
-    def __init__(
-        self,
-        *,
-        max_depth: int | None = 6,
-        min_samples_leaf: int = 10,
-        alpha: float = 0.1,
-        max_bins: int = 32,
-        max_features: int | None = None,
-        random_state: Any = None,
-    ) -> None:
-        self.max_depth = max_depth
-        self.min_samples_leaf = min_samples_leaf
-        self.alpha = alpha
-        self.max_bins = max_bins
-        self.max_features = max_features
-        self.random_state = random_state
+    _: KW_ONLY
+    max_depth: int | None = 6
+    min_samples_leaf: int = 10
+    alpha: float = 0.1
+    max_bins: int = 32
+    max_features: int | None = None
+    random_state: Any = None
 
     def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> LinearModelTreeRegressor:
         """Fit on X (n, d) and targets y, (n,) or (n, o); `sample_weight` (n,) counts a row as that many."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -32,9 +33,8 @@ from otr.learners.networks.batched_training import Schedule, schedule_of
 from otr.learners.networks.labels_and_seeds import TrainedNetworks, train_many
 
 
+@dataclass(eq=False, repr=False)
 class _OTRLearner(NetworkLearner):
-    networks_: list[ReluNetwork]
-
     _parameter_constraints: ClassVar[Constraints] = {
         **some_of(MlpSettings, "hidden", "dense", "negative_slope", "shared", "input_dropout", "hidden_dropout"),
         **some_of(Schedule, "batch_size", "learning_rate", "momentum"),
@@ -48,50 +48,27 @@ class _OTRLearner(NetworkLearner):
         "random_state": SEED,
     }
 
-    def __init__(
-        self,
-        hidden: Sequence[int] = (8,),
-        *,
-        dense: bool | Literal["input", "all"] = False,
-        negative_slope: float = 0.0,
-        shared: bool = False,
-        input_dropout: float = 0.0,
-        hidden_dropout: float = 0.0,
-        l1: float = 0.0,
-        l2: float = 0.0,
-        drop_below: float = 0.0,
-        averaging: float = 0.0,
-        common_epoch: bool = False,
-        teacher: Teacher | None = None,
-        epochs: int | None = None,
-        batch_size: int = 64,
-        learning_rate: float = 0.1,
-        momentum: float = 0.9,
-        decay_every: int | None = None,
-        standardize: bool | Literal["auto"] = "auto",
-        max_leaves: int = 1024,
-        random_state: int | np.random.RandomState | None = None,
-    ) -> None:
-        self.hidden = hidden
-        self.dense = dense
-        self.negative_slope = negative_slope
-        self.shared = shared
-        self.input_dropout = input_dropout
-        self.hidden_dropout = hidden_dropout
-        self.l1 = l1
-        self.l2 = l2
-        self.drop_below = drop_below
-        self.averaging = averaging
-        self.common_epoch = common_epoch
-        self.teacher = teacher
-        self.epochs = epochs
-        self.batch_size = batch_size
-        self.learning_rate = learning_rate
-        self.momentum = momentum
-        self.decay_every = decay_every
-        self.standardize = standardize
-        self.max_leaves = max_leaves
-        self.random_state = random_state
+    hidden: Sequence[int] = (8,)
+    _: KW_ONLY
+    dense: bool | Literal["input", "all"] = False
+    negative_slope: float = 0.0
+    shared: bool = False
+    input_dropout: float = 0.0
+    hidden_dropout: float = 0.0
+    l1: float = 0.0
+    l2: float = 0.0
+    drop_below: float = 0.0
+    averaging: float = 0.0
+    common_epoch: bool = False
+    teacher: Teacher | None = None
+    epochs: int | None = None
+    batch_size: int = 64
+    learning_rate: float = 0.1
+    momentum: float = 0.9
+    decay_every: int | None = None
+    standardize: bool | Literal["auto"] = "auto"
+    max_leaves: int = 1024
+    random_state: int | np.random.RandomState | None = None
 
     def _train(self, problem: Problem, seeds: Sequence[int]) -> TrainedNetworks[ReluNetwork]:
         if self.teacher is None:
@@ -190,61 +167,16 @@ _PARAMETERS = """
     """
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class OTRClassifier(TreeClassifier, _OTRLearner):
     __doc__ = "Classifier of ReLU networks mapped to oblique trees exactly (Orfanos 2023, Table 4.2)." + _PARAMETERS
 
     _parameter_constraints: ClassVar[Constraints] = {**_OTRLearner._parameter_constraints, "class_weight": CLASS_WEIGHT}
 
-    def __init__(
-        self,
-        hidden: Sequence[int] = (8,),
-        *,
-        dense: bool | Literal["input", "all"] = False,
-        negative_slope: float = 0.0,
-        shared: bool = False,
-        input_dropout: float = 0.0,
-        hidden_dropout: float = 0.0,
-        l1: float = 0.0,
-        l2: float = 0.0,
-        drop_below: float = 0.0,
-        averaging: float = 0.0,
-        common_epoch: bool = False,
-        teacher: Teacher | None = None,
-        epochs: int | None = None,
-        batch_size: int = 64,
-        learning_rate: float = 0.1,
-        momentum: float = 0.9,
-        decay_every: int | None = None,
-        standardize: bool | Literal["auto"] = "auto",
-        max_leaves: int = 1024,
-        class_weight: ClassWeight = None,
-        random_state: int | np.random.RandomState | None = None,
-    ) -> None:
-        super().__init__(
-            hidden,
-            dense=dense,
-            negative_slope=negative_slope,
-            shared=shared,
-            input_dropout=input_dropout,
-            hidden_dropout=hidden_dropout,
-            l1=l1,
-            l2=l2,
-            drop_below=drop_below,
-            averaging=averaging,
-            common_epoch=common_epoch,
-            teacher=teacher,
-            epochs=epochs,
-            batch_size=batch_size,
-            learning_rate=learning_rate,
-            momentum=momentum,
-            decay_every=decay_every,
-            standardize=standardize,
-            max_leaves=max_leaves,
-            random_state=random_state,
-        )
-        self.class_weight = class_weight
+    class_weight: ClassWeight = None
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class OTRRegressor(TreeRegressor, _OTRLearner):
     __doc__ = (
         "Regressor of ReLU networks mapped to oblique trees exactly; targets are standardised in training."
@@ -256,51 +188,4 @@ class OTRRegressor(TreeRegressor, _OTRLearner):
         "loss": [StrOptions({"squared_error", "poisson"})],
     }
 
-    def __init__(
-        self,
-        hidden: Sequence[int] = (8,),
-        *,
-        dense: bool | Literal["input", "all"] = False,
-        negative_slope: float = 0.0,
-        shared: bool = False,
-        input_dropout: float = 0.0,
-        hidden_dropout: float = 0.0,
-        l1: float = 0.0,
-        l2: float = 0.0,
-        drop_below: float = 0.0,
-        averaging: float = 0.0,
-        common_epoch: bool = False,
-        teacher: Teacher | None = None,
-        epochs: int | None = None,
-        batch_size: int = 64,
-        learning_rate: float = 0.1,
-        momentum: float = 0.9,
-        decay_every: int | None = None,
-        standardize: bool | Literal["auto"] = "auto",
-        max_leaves: int = 1024,
-        loss: Literal["squared_error", "poisson"] = "squared_error",
-        random_state: int | np.random.RandomState | None = None,
-    ) -> None:
-        super().__init__(
-            hidden,
-            dense=dense,
-            negative_slope=negative_slope,
-            shared=shared,
-            input_dropout=input_dropout,
-            hidden_dropout=hidden_dropout,
-            l1=l1,
-            l2=l2,
-            drop_below=drop_below,
-            averaging=averaging,
-            common_epoch=common_epoch,
-            teacher=teacher,
-            epochs=epochs,
-            batch_size=batch_size,
-            learning_rate=learning_rate,
-            momentum=momentum,
-            decay_every=decay_every,
-            standardize=standardize,
-            max_leaves=max_leaves,
-            random_state=random_state,
-        )
-        self.loss = loss
+    loss: Literal["squared_error", "poisson"] = "squared_error"

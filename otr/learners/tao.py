@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import KW_ONLY, dataclass
 from numbers import Real
 from typing import Any, ClassVar, Literal
 
@@ -30,6 +31,7 @@ from otr.learners.growing.greedy import Test, grow
 _SPARSE_BELOW = 0.25
 
 
+@dataclass(eq=False, repr=False)
 class TAOClassifier(GrownClassifier):
     """Oblique classification tree by TAO (Carreira-Perpinan & Tavallali 2018), 0/1 loss.
 
@@ -89,32 +91,18 @@ class TAOClassifier(GrownClassifier):
         "random_state": ["random_state"],
     }
 
-    def __init__(
-        self,
-        *,
-        max_depth: int | None = 6,
-        init: Literal["cart", "random"] = "cart",
-        penalty: Literal["l1", "l2"] = "l2",
-        surrogate: Literal["squared_hinge", "logistic"] = "squared_hinge",
-        C: float = 1.0,
-        max_iter: int = 14,
-        tol: float = 0.005,
-        leaf_values: Literal["shares", "labels"] = "shares",
-        solver_max_iter: int = 10_000,
-        class_weight: ClassWeight = None,
-        random_state: Any = None,
-    ) -> None:
-        self.max_depth = max_depth
-        self.init = init
-        self.penalty = penalty
-        self.surrogate = surrogate
-        self.C = C
-        self.max_iter = max_iter
-        self.tol = tol
-        self.leaf_values = leaf_values
-        self.solver_max_iter = solver_max_iter
-        self.class_weight = class_weight
-        self.random_state = random_state
+    _: KW_ONLY
+    max_depth: int | None = 6
+    init: Literal["cart", "random"] = "cart"
+    penalty: Literal["l1", "l2"] = "l2"
+    surrogate: Literal["squared_hinge", "logistic"] = "squared_hinge"
+    C: float = 1.0
+    max_iter: int = 14
+    tol: float = 0.005
+    leaf_values: Literal["shares", "labels"] = "shares"
+    solver_max_iter: int = 10_000
+    class_weight: ClassWeight = None
+    random_state: Any = None
 
     def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> TAOClassifier:
         """Fit on X (n, d) and classes y (n,); `sample_weight` (n,) counts a row as that many."""

@@ -62,12 +62,14 @@ def table_runs(runs: pd.DataFrame, forms: Mapping[str, str] = FORMS) -> pd.DataF
 def variant_runs(runs: pd.DataFrame) -> pd.DataFrame:
     """Return the runs that change settings of their budget, as `table_runs` does those that do not.
 
-    Runs whose oracle alone is another one are left out, as Figure 4.6 has them; so are programs and imported policies.
+    Another oracle does not count as a change: `changes` is empty where there is no other. Programs and imported
+    policies are left out.
     """
     changes = runs["changes"].fillna("")
-    is_oracle = changes.str.fullmatch(r"oracle=\[[\d,]*\]")
     is_given = runs["method"].isin([name for name, method in METHODS.items() if not method.is_trained])
-    return _in_tables(runs[(changes != "") & ~is_oracle & ~is_given & ~_is_smoke(runs)], ["changes"])
+    without_oracle = changes.str.replace(r"(^|, )oracle=\[[\d,]*\]", "", regex=True).str.removeprefix(", ")
+    own = runs.assign(changes=without_oracle)[(changes != "") & ~is_given & ~_is_smoke(runs)]
+    return _in_tables(own, ["changes", "oracle.hidden_widths"])
 
 
 def oracle_runs(runs: pd.DataFrame) -> pd.DataFrame:

@@ -51,7 +51,7 @@ def write_table_4_1(results_dir: Path) -> list[Path]:
         beyond=markdown_table(_beyond(cells[~table])),
         pruned=markdown_table(_pruned(every), empty="Nothing has been run yet that pruning changes."),
         least_change=f"{100 * LEAST_CHANGE:.0f} %",
-        variants=markdown_table(_variants(variant_runs(every), runs), empty="Nothing has been run yet."),
+        variants=markdown_table(_variants(every), empty="Nothing has been run yet."),
         min_runs=MIN_RUNS_FOR_INTERVAL,
     )
     advice = r"\usepackage{booktabs}; wide: use it within \resizebox or on a landscape page."
@@ -165,18 +165,19 @@ def _pruned(every: pd.DataFrame) -> list[list[str]]:
     return lines
 
 
-def _variants(changed: pd.DataFrame, usual: pd.DataFrame) -> list[list[str]]:
-    """Return a head and a line for each group of runs that change a setting, beside the same without the change."""
-    lines = [["Task", "Method", "Depth", "Changed", "Ours", "Without the change"]]
-    cells = [
-        summarise(runs, by, "return_mean", pruned_depth=("pruned_depth", "mean"))
-        for runs, by in ((changed, [*KEY, *SOURCE, "changes"]), (usual, [*KEY, *SOURCE]))
-    ]
-    both = in_order(cells[0], KEY).merge(cells[1], "left", [*KEY, *SOURCE], suffixes=("", "_usual"))
+def _variants(every: pd.DataFrame) -> list[list[str]]:
+    """Return a head and a line for each group of runs that change a setting, beside those of the same oracle."""
+    lines = [["Task", "Method", "Depth", "Oracle", "Changed", "Ours", "Without the change"]]
+    runs = pd.concat([table_runs(every).assign(changes=""), variant_runs(every)])
+    runs["oracle"] = runs["oracle.hidden_widths"].fillna("").str.replace(",", ", ")
+    by = [*KEY, "oracle", *SOURCE]
+    cells = summarise(runs, [*by, "changes"], "return_mean", pruned_depth=("pruned_depth", "mean"))
+    is_changed = cells["changes"] != ""
+    both = in_order(cells[is_changed], KEY).merge(cells[~is_changed], "left", by, suffixes=("", "_usual"))
     for cell in both.fillna({"n_runs_usual": 0}).astype({"n_runs_usual": int}).itertuples():
         usual_values = {name: getattr(cell, f"{name}_usual") for name in ("mean", "std", "n_runs", "pruned_depth")}
         same = cell._replace(**usual_values)
-        lines.append([TASK_NAMES.get(cell.task, cell.task), METHOD_NAMES.get(cell.method, cell.method), cell.depth,
-                      f"`{cell.changes}`", *(f"{_ours(each)} ({runs_text(each)})" if each.n_runs else _ours(each)
-                                             for each in (cell, same))])  # fmt: skip
+        values = [f"{_ours(each)} ({runs_text(each)})" if each.n_runs else _ours(each) for each in (cell, same)]
+        names = TASK_NAMES.get(cell.task, cell.task), METHOD_NAMES.get(cell.method, cell.method)
+        lines.append([*names, cell.depth, cell.oracle, f"`{cell.changes}`", *values])
     return lines

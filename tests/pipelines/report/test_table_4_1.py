@@ -381,14 +381,14 @@ def test_runs_with_other_settings_stand_beside_those_without(tmp_path: Path) -> 
     write_runs(tmp_path, "lunarlander/ndps/depth-2/quick", QUICK)
     changed = {seed: {0: 90.0, 1: 110.0}[seed] for seed in (0, 1)}
     for seed, return_mean in changed.items():
-        for digest, changes in (("0123abcd", "method.leaves=constant"), ("9876abcd", "oracle=[32]")):
-            write_run(tmp_path, f"lunarlander/ndps/depth-2/quick/seed-{seed}~{digest}", return_mean, changes=changes)
+        run = f"lunarlander/ndps/depth-2/quick/seed-{seed}~0123abcd"
+        write_run(tmp_path, run, return_mean, changes="method.leaves=constant")
     text = write_table_4_1(tmp_path)[0].read_text(encoding="utf-8")
     assert [line for line in text.partition("## With other settings")[2].splitlines() if "NDPS" in line] == [
-        "| LunarLander | NDPS   | 2     | `method.leaves=constant` | 100.0 ± 14.1 (2 runs, quick) | "
+        "| LunarLander | NDPS   | 2     |        | `method.leaves=constant` | 100.0 ± 14.1 (2 runs, quick) | "
         "130.0 ± 30.0 (3 runs, quick) |"
     ]
-    assert "0123abcd" not in text and "oracle=[32]" not in text
+    assert "0123abcd" not in text
 
 
 def test_each_side_has_its_own_pruned_depth(tmp_path: Path) -> None:
@@ -397,3 +397,20 @@ def test_each_side_has_its_own_pruned_depth(tmp_path: Path) -> None:
     text = write_table_4_1(tmp_path)[0].read_text(encoding="utf-8")
     (line,) = [line for line in text.splitlines() if "actor.dense" in line]
     assert "4.0 [9.0] (1 run" in line and "5.0 [8.0] (1 run" in line
+
+
+def test_a_changed_setting_stands_beside_runs_of_its_own_oracle(tmp_path: Path) -> None:
+    for digest, changes, width, mean in (
+        ("", "", 256, 1.0),
+        ("~0123abcd", "oracle=[64]", 64, 2.0),
+        ("~9876abcd", "method.features=deep, oracle=[64]", 64, 3.0),
+    ):
+        policies = {name: {"return_mean": mean, "n_episodes": 100} for name in ("tree", "oracle")}
+        own = {"policies": policies, "oracle": {"hidden_widths": [width]}, "changes": changes}
+        write_run(tmp_path, f"lunarlander/augtree/depth-4/quick/seed-0{digest}", mean, **own)
+    text = write_table_4_1(tmp_path)[0].read_text(encoding="utf-8")
+    (line,) = [row for row in text.splitlines() if "features=deep" in row]
+    assert [cell.strip() for cell in line.strip("|").split("|")] == [
+        "LunarLander", "AugTree", "4", "[64]", "`method.features=deep`", "3.0 (1 run, quick)", "2.0 (1 run, quick)",
+    ]  # fmt: skip
+    assert "oracle=[64]" not in text  # which is no setting of the method

@@ -24,6 +24,12 @@ class PolicyMismatchError(PipelineError):
     """Two forms of one policy chose different actions on a state; the message shows the state."""
 
 
+def check_choice(key: str, value: str, known: Sequence[str]) -> None:
+    """Raise ConfigError unless a setting is one of those that are known."""
+    if value not in known:
+        raise ConfigError(f"{key}={value}: there is no such {key}.{did_you_mean(value, known)}")
+
+
 def did_you_mean(name: str, known: Sequence[str], unlisted: Sequence[str] = ()) -> str:
     """Return a question with the nearest of the known names, or all of them but the `unlisted`, which are too many."""
     near = difflib.get_close_matches(name, [*known, *unlisted], n=3, cutoff=0.5)

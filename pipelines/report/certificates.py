@@ -7,7 +7,7 @@ import pandas as pd
 from pipelines.report.cells import METHOD_NAMES, TASK_NAMES, in_order, method_name, reported
 from pipelines.report.frames import load_runs
 from pipelines.report.text import markdown_table, page, write_tables
-from pipelines.runs.questions import rounded_up
+from pipelines.runs.questions import bound_text
 
 # The columns of the CSV file, and where `load_runs` has them.
 COLUMNS = {
@@ -62,7 +62,7 @@ def _lines(rows: pd.DataFrame) -> list[list[str]]:
             lines.append([*names, paths, "", f"not proved: {reason}", "", "", "", ""])
             continue
         times = (f"{runs[f'{step}_s'].max():.2f}" for step in ("find", "prove", "check"))
-        lines.append([*names, paths, _range(runs["leaves"]), domain, rounded_up(runs["max_error"].max()), *times])
+        lines.append([*names, paths, _range(runs["leaves"]), domain, bound_text(runs["max_error"].max()), *times])
     return lines
 
 

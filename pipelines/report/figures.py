@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from pipelines.engine.store import read_json
+from pipelines.engine.store import read_summary
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -241,7 +241,7 @@ def panel_and_label(run_dir: Path, but: Collection[str] = ()) -> dict[str, str]:
     label = f"{method}, {depth.replace('-', ' ', 1)}, {budget}"
     _, _, digest = seed.partition("~")
     if digest:
-        summary = read_json(run_dir / "summary.json") if (run_dir / "summary.json").is_file() else {}
+        summary = read_summary(run_dir)
         changes = re.split(r", (?=[\w.]+=)", summary.get("changes", f"settings {digest}"))
         label = ", ".join([label, *(change for change in changes if change.partition("=")[0] not in but)])
     return {"panel": env, "label": label}

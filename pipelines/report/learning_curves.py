@@ -13,7 +13,7 @@ import pandas as pd
 from otr.control.dagger.run_folder import returns_so_far
 from pipelines.config.run import RunConfig
 from pipelines.engine.archive import MANIFEST
-from pipelines.engine.store import exists, read_csv, read_json
+from pipelines.engine.store import exists, read_csv, read_summary
 from pipelines.errors import MissingInputError
 from pipelines.report.figures import (
     COLOURS,
@@ -62,7 +62,7 @@ def load_curves(run_dirs: Sequence[Path], load_config: Callable[[Path], RunConfi
     rows: list[dict[str, Any]] = []
     for run_dir in run_dirs:
         place = panel_and_label(run_dir, but=["train.steps"])
-        final = read_json(run_dir / "summary.json")["return_mean"] if (run_dir / "summary.json").is_file() else None
+        final = read_summary(run_dir).get("return_mean")
         for stage, file, unit, spent, mean, std, chosen in SOURCES:
             judged: Sequence[Mapping[str, Any]]
             if exists(run_dir / stage / file):
@@ -78,7 +78,7 @@ def load_curves(run_dirs: Sequence[Path], load_config: Callable[[Path], RunConfi
                     "final": float("nan") if final is None else float(final), **done,
                 })  # fmt: skip
     if not rows:
-        where = f"{commonpath(run_dirs)}: " if run_dirs else ""
+        where = f"{commonpath([path.absolute() for path in run_dirs])}: " if run_dirs else ""
         raise MissingInputError(
             f"{where}no learning curve is kept there; one "
             "under way begins with its first evaluation, and programs (method=program) are not trained"

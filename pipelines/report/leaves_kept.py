@@ -19,7 +19,7 @@ from pipelines.report.figures import (
     set_legend,
     styles_of,
 )
-from pipelines.runs.export import command_of
+from pipelines.runs.finished_run import command_of
 from pipelines.stages.leaves import COLUMNS, numbers_of_leaves
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def load_leaves(run_dirs: Sequence[Path]) -> pd.DataFrame:
                 raise corrupt(run_dir / "leaves" / "returns.csv", ValueError(f"its row {row}")) from error
             rows.append({**place, "run": str(run_dir), **numbers})
     if not rows:
-        command = command_of(run_dirs[0].absolute(), "evaluate")
+        command = command_of(run_dirs[0], "evaluate")
         raise MissingInputError(
             f"{run_dirs[0]}: stage leaves, which plays with fewer leaves, is not finished there\n"
             f"Run: {command} leaves=true"

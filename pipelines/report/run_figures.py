@@ -12,7 +12,7 @@ from pipelines.errors import ConfigError
 from pipelines.report.learning_curves import learning_curves, load_curves
 from pipelines.report.leaves_kept import load_leaves, return_against_leaves
 from pipelines.report.regions import chosen_inputs, draw_regions
-from pipelines.runs.export import check_run, find_run, title_of, tree_of, visited_states
+from pipelines.runs.finished_run import check_run, find_folder, find_run, title_of, tree_of, visited_states
 from pipelines.stages.printed_programs import names_of_env
 
 if TYPE_CHECKING:
@@ -68,15 +68,15 @@ def runs_below(runs: Sequence[str], results_dir: Path) -> list[Path]:
 
 def _below(run: str, results_dir: Path) -> list[Path]:
     check_run(run)
-    tried = [Path(run), results_dir / run, results_dir / "runs" / run]
-    folder = next((path for path in tried if path.is_dir()), None)
+    folder = find_folder(run, results_dir)
     found = sorted(path.parent for path in folder.rglob("config.yaml")) if folder else []
-    below = [path for path in found if path.absolute().parts[-3].startswith("depth-")]  # a fit's has another name there
+    below = [path for path in found if path.parts[-3].startswith("depth-")]  # a fit's has another name there
     return below or [find_run(run, str(results_dir))]
 
 
 def _written(figure: "Figure", name: str, asked: RunFigure, results_dir: Path) -> list[Path]:
-    places = [run.rstrip("/").rpartition("runs/")[2] for run in asked.run]
+    folders = [str(find_folder(run, results_dir) or run) for run in asked.run]
+    places = [folder.rpartition("runs/")[2].strip("/") for folder in folders]
     place = os.path.commonpath(places).replace("/", "-") or "several"
     path = Path(asked.out) if asked.out else results_dir / "figures" / f"{name}-{place}.png"
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -162,10 +162,10 @@ def _comparison(row: Row, names: list[str]) -> str:
 
 def labels_but(bound: float) -> str:
     """Return where labels that are proved the same may still differ, of `otr.Certificate.max_error`, in words."""
-    return "on a boundary between two" if bound < np.finfo(float).tiny else f"within {rounded_up(bound)} of a boundary"
+    return "on a boundary between two" if bound < np.finfo(float).tiny else f"within {bound_text(bound)} of a boundary"
 
 
-def rounded_up(bound: float, digits: int = 1) -> str:
+def bound_text(bound: float, digits: int = 1) -> str:
     """Return a bound with so many digits, which is not below it, as its shortest digits tell it."""
     return str(
         Context(prec=digits, rounding=ROUND_CEILING).create_decimal(repr(float(bound)).removesuffix(".0"))

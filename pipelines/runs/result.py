@@ -8,7 +8,7 @@ from rich.table import Table
 from pipelines.config.methods import METHODS
 from pipelines.engine.console import SHORT_PROGRAM, duration, show_finished
 from pipelines.engine.store import read_csv
-from pipelines.runs.questions import labels_but, rounded_up
+from pipelines.runs.questions import bound_text, labels_but
 
 
 def show_result(summary: dict[str, Any], run_dir: Path, whole: Path) -> None:
@@ -87,7 +87,7 @@ def proof_line(report: dict[str, Any]) -> str:
     elif report.get("labels"):
         like = f"{network}, but perhaps {labels_but(error)},"
     else:
-        like = f"{network} to {rounded_up(error)}"
+        like = f"{network} to {bound_text(error)}"
     beyond = (
         "; that box reaches beyond the one in which the network is the trained policy, whose observations are clipped"
         if "network_domain" in report

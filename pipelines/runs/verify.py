@@ -14,7 +14,7 @@ from pipelines.engine.store import exists, read_json
 from pipelines.errors import ConfigError, MissingInputError, PipelineError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import action_names, feature_names, state_limits
-from pipelines.runs.questions import Answer, answer_in_words, in_words, labels_but, rounded_up
+from pipelines.runs.questions import Answer, answer_in_words, bound_text, in_words, labels_but
 
 MAX_DIFFERENCE = 1e-6
 
@@ -92,7 +92,7 @@ def certified_stage(run: RunConfig, folder: Path) -> str:
 def _alike(bound: float, tree: otr.ObliqueTree) -> str:
     """Return how far apart a tree and a network may be, in words."""
     if tree.labels is None or not bound:
-        return f"differ by at most {rounded_up(bound, 3)}" if bound else "are equal"
+        return f"differ by at most {bound_text(bound, 3)}" if bound else "are equal"
     return f"have the same label, but perhaps {labels_but(bound)}"
 
 

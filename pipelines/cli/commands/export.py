@@ -6,7 +6,8 @@ import sys
 from pipelines.cli.compose import Composer, to_object
 from pipelines.cli.overrides import path_quoted
 from pipelines.cli.runs import load_config, written_policy
-from pipelines.runs.export import ExportConfig, check_export, find_run, policy_of, program_of, write_program
+from pipelines.runs.export import ExportConfig, check_export, policy_of, program_of, write_program
+from pipelines.runs.finished_run import find_run
 
 EXPORT = Composer("export", {(None, "export_schema"): ExportConfig})
 

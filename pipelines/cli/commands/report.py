@@ -11,7 +11,7 @@ from pipelines.cli.runs import RUN, load_config
 from pipelines.cli.workflow import Workflow
 from pipelines.config.setting import Folder, FreeText, check_settings
 from pipelines.errors import ConfigError
-from pipelines.runs.export import TREES, find_run
+from pipelines.runs.finished_run import TREES, find_run
 
 
 @dataclass(frozen=True)

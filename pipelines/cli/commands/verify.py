@@ -12,7 +12,8 @@ from pipelines.config.run import RunConfig
 from pipelines.engine.store import exists
 from pipelines.engine.wrapping import columns, fitted
 from pipelines.errors import ConfigError
-from pipelines.runs.export import TREES, check_policy, find_run, tree_of
+from pipelines.runs.export import check_policy
+from pipelines.runs.finished_run import TREES, find_run, tree_of
 from pipelines.runs.questions import Answer, always, ranges
 from pipelines.runs.verify import VerifyConfig, certified_stage, compared, question_domain, verify_run
 from pipelines.stages.parse import policy_tree, read_program

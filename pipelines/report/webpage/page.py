@@ -19,6 +19,7 @@ import pandas as pd
 import otr
 from pipelines.config.run import RunConfig
 from pipelines.engine.console import progress_lines
+from pipelines.engine.store import read_summary
 from pipelines.errors import MissingInputError, PipelineError
 from pipelines.report import table_4_1, table_4_2
 from pipelines.report.cells import KEY, SOURCE, TASK_NAMES, oracle_runs, table_runs
@@ -27,7 +28,7 @@ from pipelines.report.frames import load_fits, load_runs
 from pipelines.report.text import write_file
 from pipelines.report.webpage.front import cell_table, figures_data, name_of_cell, plain_table, with_pruned_trees
 from pipelines.report.webpage.policy import policy_data
-from pipelines.runs.export import place_of
+from pipelines.runs.finished_run import place_of
 
 SCRIPTS = ("vendor/d3-hierarchy.min.js", "vendor/uPlot.iife.min.js", "tree.js", "drawing.js", "view.js", "page.js")
 STYLES = ("vendor/uPlot.min.css", "page.css")
@@ -251,7 +252,4 @@ def _depth(config: RunConfig) -> str:
 
 
 def _is_polished(folder: Path) -> bool:
-    from pipelines.engine.store import read_json
-
-    summary = read_json(folder / "summary.json") if (folder / "summary.json").is_file() else {}
-    return bool(summary.get("polish", {}).get("kept"))
+    return bool(read_summary(folder).get("polish", {}).get("kept"))

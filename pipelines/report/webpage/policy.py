@@ -15,12 +15,12 @@ from otr.programs.picture.colours import LABELS, level_colour
 from otr.programs.walk import in_printed_order
 from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import evaluation_seeds
-from pipelines.engine.store import read_json
+from pipelines.engine.store import read_summary
 from pipelines.errors import PipelineError
 from pipelines.play.environments import action_names, feature_names, spaces, state_limits
 from pipelines.report.webpage.episode import packed, record
 from pipelines.report.webpage.units import unit_of
-from pipelines.runs.export import title_of, tree_of, visited_states
+from pipelines.runs.finished_run import title_of, tree_of, visited_states
 from pipelines.runs.result import proof_line
 
 EXPORTS: dict[str, Callable[..., str]] = {
@@ -80,7 +80,7 @@ def policy_data(
 
 def _proof(folder: Path, form: str) -> str:
     """Return what the run's certificate says, and that it is of the minimal tree; nothing where there is none."""
-    summary = read_json(folder / "summary.json") if (folder / "summary.json").is_file() else {}
+    summary = read_summary(folder)
     if not summary.get("certify", {}).get("certified"):
         return ""
     told = proof_line(summary["certify"])

@@ -13,7 +13,8 @@ import pytest
 
 import otr
 from pipelines.play.actor_files import load_actor
-from pipelines.runs.export import FORMATS, run_command
+from pipelines.runs.export import FORMATS
+from pipelines.runs.finished_run import run_command
 from tests.committed import RESULTS, committed_tree, copy_run
 
 HOPPER, LANDER = "hopper/otr/depth-6/quick/seed-0", "lunarlander/otr/depth-2/thesis/seed-0"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import otr
-from pipelines.runs.questions import always, labels_but, rounded_up
+from pipelines.runs.questions import always, bound_text, labels_but
 from tests.committed import RESULTS
 from tests.pipelines.conftest import PENDULUM
 
@@ -146,6 +146,6 @@ def test_what_cannot_be_answered_is_told(verify, words, told):
 
 
 def test_bounds_are_told_rounded_up():
-    assert [rounded_up(bound) for bound in (1.01e-13, 2e-9, 0.0)] == ["2e-13", "2e-9", "0"]
-    assert rounded_up(0.12301, 3) == "0.124"
+    assert [bound_text(bound) for bound in (1.01e-13, 2e-9, 0.0)] == ["2e-13", "2e-9", "0"]
+    assert bound_text(0.12301, 3) == "0.124"
     assert labels_but(1.01e-13) == "within 2e-13 of a boundary" and labels_but(5e-324) == "on a boundary between two"

@@ -1,7 +1,7 @@
 """All randomness of a run comes from named streams of one SeedSequence; no two purposes share episodes.
 
-Evaluation uses the fixed seeds `first_seed + i`, all below 2**20, the same for every method. The streams here
-draw from 2**20 upwards, so that nothing is chosen on the episodes that are reported.
+Evaluation uses the fixed seeds `first_seed + i`, all below 2**20, the same for every method. What is selected, pruned
+or searched plays episodes of seeds from 2**20 upwards, so that nothing is chosen on the episodes that are reported.
 """
 
 import numpy as np

@@ -130,8 +130,7 @@ class TanhBox(_TanhHead):
         return self.halves_and_middles(n_outputs)[0]
 
     def tangent(self, n_outputs: int) -> tuple[FloatArray, FloatArray] | None:
-        halves, _ = self.halves_and_middles(n_outputs)
-        return halves, np.broadcast_to((self.high + self.low) / 2, (n_outputs,))
+        return self.halves_and_middles(n_outputs)
 
 
 class ClipBox(_Box):

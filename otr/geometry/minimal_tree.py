@@ -16,7 +16,7 @@ from otr.core.pattern_tree import PatternTree, units_and_basis
 from otr.core.pruning import keep_leaves
 from otr.core.tree import ObliqueTree
 from otr.geometry.arrangement import find_regions
-from otr.geometry.test_order import balanced_tree
+from otr.geometry.balanced_order import balanced_tree
 
 Order = Literal["layers", "balanced", "visits"]
 _SAME_MAP = 1e-12  # of the size of the terms that a number is the sum of: leaves that differ by less are the same

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from otr.core.merging import merge_equal_leaves
 from otr.core.tree import ObliqueTree
-from otr.programs.names import check_tree, names_for
+from otr.programs.names import check_tree, shown_names
 from otr.programs.picture.boxes import NodeBox, tree_boxes
 from otr.programs.picture.branches import look
 from otr.programs.picture.formulas import Style
@@ -41,13 +41,8 @@ def to_dot(
     """
     check_tree(tree)
     tree = merge_equal_leaves(tree)
-    names = names_for(tree, feature_names, output_names)
-    for argument, value in (("precision", precision), ("max_terms", max_terms)):
-        if value < 1:
-            raise ValueError(f"{argument} is {value}, expected at least 1")
-    if max_depth is not None and max_depth < 0:
-        raise ValueError(f"max_depth is {max_depth}, expected at least 0")
-    boxes = tree_boxes(tree, Style(names.features, names.answers, precision, max_terms), None, max_depth)
+    style = Style(*shown_names(tree, feature_names, output_names), precision, max_terms)
+    boxes = tree_boxes(tree, style, None, max_depth)
     note = head_note(tree)
     lines = [
         "digraph policy {",

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from otr.core.merging import merge_equal_leaves
 from otr.core.tree import ObliqueTree
-from otr.programs.names import check_tree, names_for
+from otr.programs.names import check_tree, shown_names
 from otr.programs.notation import Notation, Program
 from otr.programs.walk import summary_of
 
@@ -49,9 +49,9 @@ def to_latex(
     """
     check_tree(tree)
     tree = merge_equal_leaves(tree)
-    names = names_for(tree, feature_names, output_names)
-    features, answers = ([math_name(name) for name in given] for given in (names.features, names.answers))
-    program = Program(tree, _LATEX, features, answers, list(map(escaped, names.answers)), precision)
+    features, answers = shown_names(tree, feature_names, output_names)
+    inputs, outputs = ([math_name(name) for name in given] for given in (features, answers))
+    program = Program(tree, _LATEX, inputs, outputs, list(map(escaped, answers)), precision)
     lines = [f"% {summary_of(tree)[3:].capitalize()}. Needs \\usepackage{{amsmath}}.", _PROLOGUE]
     lines += [rf"\otrline{{{depth}}}{{{line}}}" for depth, line in program.lines()]
     return "\n".join([*lines, r"\par\endgroup"]) + "\n"

@@ -95,9 +95,9 @@ class Program:
 
     def squashed(self, values: Sequence[str]) -> list[str]:
         """Return the formulas of values that go through tanh to the limits of the head."""
-        limits = self.tree.head.limits(self.tree.n_outputs)
-        assert limits is not None
-        lines = zip(values, (limits[1] - limits[0]) / 2, ((limits[1] + limits[0]) / 2).tolist(), strict=True)
+        assert isinstance(self.tree.head, TanhBox | PidBox)
+        halves, middles = self.tree.head.halves_and_middles(self.tree.n_outputs)
+        lines = zip(values, halves, middles.tolist(), strict=True)
         return [self.affine(np.array([half]), middle, [self.notation.tanh % value]) for value, half, middle in lines]
 
     def _first_lines(self) -> list[str]:

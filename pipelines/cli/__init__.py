@@ -1,8 +1,9 @@
 """The command line: the only place that knows Hydra and OmegaConf. Each command has its entry point here."""
 
+import sys
 from functools import partial
 
-from pipelines.cli.main import main, stopping_without_extra
+from pipelines.cli.main import ending, main
 
 run = partial(main, "otr-run")
 plan = partial(main, "otr-plan")
@@ -15,7 +16,7 @@ report = partial(main, "otr-report")
 
 def data() -> None:
     """Entry point of `otr-data`."""
-    with stopping_without_extra("otr-data"):
-        from pipelines.datasets import command  # reads data sets without Hydra
+    with ending("otr-data"):
+        from pipelines.datasets.command import main as do  # reads data sets without Hydra
 
-        command.run()
+        sys.exit(do(sys.argv[1:]))

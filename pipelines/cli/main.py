@@ -25,36 +25,33 @@ SWEEPING = ("otr-run", "otr-plan", "otr-fit")  # commands of jobs, which can be 
 def main(program: str) -> None:
     """Do a command and end the process; `pipelines.cli.commands` has a module each, with a function `do`."""
     arguments = _arguments(program)
-    debug = "debug=true" in (override.lower() for override in arguments.overrides)
+    with ending(program, debug="debug=true" in (override.lower() for override in arguments.overrides)):
+        command = importlib.import_module(f"pipelines.cli.commands.{program.removeprefix('otr-')}")
+        sys.exit(command.do(arguments))
+
+
+@contextmanager
+def ending(program: str, debug: bool = False) -> Iterator[None]:
+    """End the process where the command in the body is stopped or fails: with one message, and with its exit code."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(EXIT_TERMINATED))  # so that workers are ended, too
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
-        with stopping_without_extra(program):
-            command = importlib.import_module(f"pipelines.cli.commands.{program.removeprefix('otr-')}")
-            code = command.do(arguments)
+        with naming_the_extra(program):
+            yield
     except KeyboardInterrupt:
         line = shlex.join([program, *sys.argv[1:]])
         print(f"\nstopped; what was finished is kept, and the same command goes on from it: {line}")
-        code = EXIT_INTERRUPTED
+        sys.exit(EXIT_INTERRUPTED)
     except BrokenPipeError:  # the reader of the pipe has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code = EXIT_BROKEN_PIPE
-    except Exception as error:  # the last resort of a command line: no traceback unless asked for
-        code = _complain(program, error, debug)
-    sys.exit(code)
-
-
-@contextmanager
-def stopping_without_extra(program: str) -> Iterator[None]:
-    """End the process with one message where a package is missing that an extra of otr installs."""
-    try:
-        with naming_the_extra(program):
-            yield
+        sys.exit(EXIT_BROKEN_PIPE)
     except MissingExtraError as error:
         print(f"{program}: {error}", file=sys.stderr)
         sys.exit(EXIT_FAILED)
+    except Exception as error:  # the last resort of a command line: no traceback unless asked for
+        sys.exit(_complain(program, error, debug))
 
 
 def _arguments(program: str) -> argparse.Namespace:

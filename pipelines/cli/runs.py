@@ -1,6 +1,5 @@
 """The overrides of `otr-run`, `otr-plan` and the figures: from them to jobs."""
 
-import copy
 import dataclasses
 import functools
 import re
@@ -72,8 +71,6 @@ def load_config(run_dir: Path, n_workers: int | None) -> RunConfig:
         schema = schema_of(RunConfig)
         schema.algo = schema_of(ALGORITHMS[cfg.algo.name])
         schema.method = schema_of(METHODS[cfg.method.name])
-        for key in ("roads", "expected"):  # a budget's roads, which were once among a run's settings
-            cfg.budget.pop(key, None)
         if "trainer" in cfg:  # there was one trainer only before
             schema.trainer = schema_of(FleetConfig if "n_envs" in cfg.trainer else TrainerConfig)
         loaded = to_object(OmegaConf.merge(schema, cfg, {"n_workers": n_workers}))
@@ -113,10 +110,6 @@ class RunWorkflow(Workflow):
     groups = staticmethod(fleets)
     check = staticmethod(_check_later_stages)
 
-    def __init__(self, *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, **options)
-        self._without_method: dict[tuple[str, ...], DictConfig] = {}
-
     def implied(self, overrides: Sequence[str]) -> list[str]:
         """Return the overrides that the choice of budget, method, environment and algorithm implies."""
         given = dict(override.split("=", 1) for override in overrides if "=" in override)
@@ -131,19 +124,6 @@ class RunWorkflow(Workflow):
         of_file = settings_of_env_file(file) if file else {}
         by_method = METHODS.get(given.get("method", "otr"), MethodConfig).implied(of_file | given)
         return [*words, *(override for override in by_method if key_of(override) not in of_file)]
-
-    def _compose(self, overrides: Sequence[str]) -> DictConfig:
-        """Compose what differs in the method alone once, and put the method in: its file fills `method` and no more."""
-        chosen = [override for override in overrides if override.startswith("method=")]
-        if not chosen or not all(map(self.is_plain, overrides)):
-            return super()._compose(overrides)
-        others = [override for override in overrides if override not in chosen]
-        whole = (*self.implied(overrides), *others)
-        if whole not in self._without_method:
-            self._without_method[whole] = self._compose_exactly(whole)
-        cfg = copy.deepcopy(self._without_method[whole])
-        cfg.method = self._method(chosen[-1])
-        return cfg
 
     def check_option(self, group: str, value: str, overrides: Sequence[str] = ()) -> None:
         """Take any environment that is registered with gymnasium beside those that have a file."""
@@ -172,11 +152,6 @@ class RunWorkflow(Workflow):
         if (CONF_DIR / "algo" / f"{own}.yaml").is_file():
             overrides = [f"algo={own}" if override == "algo=ars" else override for override in overrides]
         return super()._compose_exactly(overrides)
-
-    @functools.cache  # noqa: B019 - there is one workflow of runs, which lives as long as the process
-    def _method(self, override: str) -> DictConfig:
-        method: DictConfig = super()._compose([f"env={self.anything}", override]).method
-        return method
 
     def spelt_out(self, overrides: Sequence[str]) -> list[str]:
         """Return overrides with those replaced that are short for others."""

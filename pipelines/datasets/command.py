@@ -1,7 +1,6 @@
 """The command `otr-data`: fetches data sets, compares them with their hashes and says what is there."""
 
 import argparse
-import os
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
@@ -19,7 +18,7 @@ from pipelines.datasets.load import check_name, load_dataset, rebuild_and_keep
 from pipelines.engine.wrapping import columns, fitted
 from pipelines.errors import ConfigError, PipelineError
 
-EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE = 1, 2, 130, 141
+EXIT_FAILED, EXIT_USAGE = 1, 2
 HELP = """\
 Fetch the data sets of Table 4.2 and one of counts, compare every file with its hash, and print what is there. What is
 there already is read and compared again; nothing is fetched twice.
@@ -40,19 +39,6 @@ examples:
   otr-data --list
   otr-data bace --fragments bace_fragments.csv   # needs RDKit
   OTR_DATA_DIR=iclr20-lcn/data otr-data bace"""
-
-
-def run() -> None:
-    """Entry point of `otr-data`."""
-    try:
-        code = main(sys.argv[1:])
-    except KeyboardInterrupt:
-        print("\nstopped; whole files are kept, and the same command goes on from there", file=sys.stderr)
-        code = EXIT_INTERRUPTED
-    except BrokenPipeError:  # the reader of the pipe has closed it
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code = EXIT_BROKEN_PIPE
-    sys.exit(code)
 
 
 def main(given: Sequence[str]) -> int:

@@ -1,6 +1,5 @@
 """`load_dataset`: the one way to a data set."""
 
-import difflib
 import sys
 
 import numpy as np
@@ -15,7 +14,7 @@ from pipelines.datasets.randhie import load_randhie
 from pipelines.datasets.rebuild import can_rebuild, rebuild
 from pipelines.datasets.scaffolds import scaffolds_by_part
 from pipelines.datasets.splits import shuffled_scaffold_split
-from pipelines.errors import ConfigError, MissingInputError, PipelineError
+from pipelines.errors import ConfigError, MissingInputError, PipelineError, did_you_mean
 
 OWN_FORM = {"pdbbind": load_pdbbind, "randhie": load_randhie}  # files that are no fingerprints
 
@@ -49,9 +48,7 @@ def load_dataset(name: str, split: int | None = None) -> Dataset:
 def check_name(name: str) -> None:
     """Raise a ConfigError with the nearest known name if there is no such data set."""
     if name not in NAMES:
-        close = difflib.get_close_matches(name, NAMES, n=1, cutoff=0.5)
-        hint = f" Did you mean {close[0]}?" if close else ""
-        raise ConfigError(f"there is no data set {name!r}.{hint} There are: {', '.join(NAMES)}")
+        raise ConfigError(f"there is no data set {name!r}.{did_you_mean(name, NAMES)}")
 
 
 def check_split(name: str, split: int | None) -> None:

@@ -57,6 +57,12 @@ def write_csv(path: Path, rows: Iterable[Mapping[str, Any]], columns: Iterable[s
     temporary.replace(path)
 
 
+def read_summary(run_dir: Path) -> dict[str, Any]:
+    """Return the summary of a run or fit, empty where it has none yet; raises as `read_json` does."""
+    path = run_dir / "summary.json"
+    return dict(read_json(path)) if path.is_file() else {}
+
+
 def read_csv(path: Path) -> list[dict[str, str]]:
     """Return a CSV file's rows as text; a missing file is an error that names it."""
     try:

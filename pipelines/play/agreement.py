@@ -4,7 +4,7 @@ import numpy as np
 
 
 def answers_agree(
-    ours: np.ndarray, theirs: np.ndarray, outputs: np.ndarray, tolerance: float, slack: np.ndarray | float = 0.0
+    ours: np.ndarray, theirs: np.ndarray, outputs: np.ndarray, tolerance: float = 1e-6, slack: np.ndarray | float = 0.0
 ) -> np.ndarray:
     """Return (n,) bool: do two forms of a policy do the same in each state?
 

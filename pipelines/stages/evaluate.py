@@ -14,10 +14,9 @@ from pipelines.errors import PolicyMismatchError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.agreement import answers_agree
 from pipelines.play.rollout import Rollout
-from pipelines.stages.evaluation_episodes import play_evaluation_episodes
+from pipelines.stages.evaluation_episodes import moments, play_evaluation_episodes
 from pipelines.stages.oracle import load_oracle
 
-TOLERANCE = 1e-6
 EPISODE_COLUMNS = ("episode", "seed", "return", "length", "terminated", "truncated")
 
 
@@ -69,13 +68,13 @@ def evaluate(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     answers, outputs = policies[whole].predict(states), policies[whole].forward(states)
     if whole == "network":
         _require_agreement(states, answers, policies["tree"].predict(states), outputs)
-    alike = answers_agree(answers, policies["pruned_tree"].predict(states), outputs, TOLERANCE)
+    alike = answers_agree(answers, policies["pruned_tree"].predict(states), outputs)
     for name, result in played.items():
         write_csv(out / episodes_file(name), episode_rows(result), EPISODE_COLUMNS)
     report = {
         "fidelity": float(alike.mean()),
         "n_states": len(states),
-        "policies": {n: moments(r) for n, r in played.items()},
+        "policies": {name: moments(own) | {"n_episodes": len(own.seeds)} for name, own in played.items()},
     }
     if "oracle" in policies:
         report["oracle"] = likeness(answers, policies["oracle"].predict(states))
@@ -107,14 +106,8 @@ def episode_rows(played: Rollout) -> list[dict[str, Any]]:
     return [dict(zip(EPISODE_COLUMNS, row, strict=True)) for row in rows]
 
 
-def moments(played: Rollout) -> dict[str, Any]:
-    """Return mean and standard deviation of the return over episodes (the sample's, ddof 0), and their number."""
-    returns = played.returns
-    return {"return_mean": float(returns.mean()), "return_std": float(returns.std()), "n_episodes": len(returns)}
-
-
 def _require_agreement(states: np.ndarray, network: np.ndarray, tree: np.ndarray, outputs: np.ndarray) -> None:
-    agreement = answers_agree(network, tree, outputs, TOLERANCE)
+    agreement = answers_agree(network, tree, outputs)
     if not agreement.all():
         i = int(np.flatnonzero(~agreement)[0])
         raise PolicyMismatchError(

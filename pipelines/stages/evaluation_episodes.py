@@ -23,6 +23,12 @@ def play_evaluation_episodes(policy: Policy, config: RunConfig, *, keep_states: 
     return rollout(policy, config.env, seeds, keep_states=keep_states, n_workers=config.n_workers)
 
 
+def moments(played: Rollout, suffix: str = "") -> dict[str, float]:
+    """Return mean and standard deviation of the return over episodes (the sample's, ddof 0), with a suffix each."""
+    returns = played.returns
+    return {f"return_mean{suffix}": float(returns.mean()), f"return_std{suffix}": float(returns.std())}
+
+
 def has_numpy_plant(env: EnvConfig) -> bool:
     """Return whether the environment is computed in numpy as gymnasium does."""
     return env.id in EQUAL_IDS and not env.kwargs and env.pid is None

@@ -12,9 +12,8 @@ from pipelines.engine.seeding import episode_seeds
 from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import write_csv, write_json
 from pipelines.play.rollout import rollout
-from pipelines.stages.evaluate import moments
-from pipelines.stages.evaluation_episodes import play_evaluation_episodes
-from pipelines.stages.polish import load_tree
+from pipelines.stages.evaluation_episodes import moments, play_evaluation_episodes
+from pipelines.stages.prune import load_tree
 
 COLUMNS = ("n_leaves", "share_of_states", "return_mean", "return_std", "n_episodes")
 
@@ -33,9 +32,11 @@ def leaves(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     rows: list[dict[str, Any]] = []
     for k in numbers_of_leaves(n_reached):
         kept = otr.prune_to_k(tree, states, k)
-        played = moments(play_evaluation_episodes(kept.predict, config))
-        rows.append({"n_leaves": k, "share_of_states": float(visits[:k].sum() / len(states)), **played})
-        print(f"leaves: {k:,} of {n_reached:,} kept, return {played['return_mean']:.1f}", flush=True)
+        played = play_evaluation_episodes(kept.predict, config)
+        share = float(visits[:k].sum() / len(states))
+        row = {"n_leaves": k, "share_of_states": share, **moments(played), "n_episodes": len(played.seeds)}
+        rows.append(row)
+        print(f"leaves: {k:,} of {n_reached:,} kept, return {row['return_mean']:.1f}", flush=True)
     write_csv(out / "returns.csv", rows, COLUMNS)
     polished = {"policy": "polished"} if "polish" in inputs else {}
     write_json(out / "report.json", {"n_reached": n_reached, "n_states": len(states)} | polished)

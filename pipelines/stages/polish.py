@@ -19,13 +19,13 @@ from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import exists, write_csv, write_files, write_json
 from pipelines.play.actor_files import actor_files, load_actor
 from pipelines.play.environments import episode_limit
-from pipelines.play.rollout import Rollout
 from pipelines.stages.evaluate import EPISODE_COLUMNS, episode_rows
-from pipelines.stages.evaluation_episodes import has_numpy_plant, play_evaluation_episodes
+from pipelines.stages.evaluation_episodes import has_numpy_plant, moments, play_evaluation_episodes
 from pipelines.stages.map import map_actor
 from pipelines.stages.printed_programs import and_names, write_program
-from pipelines.stages.prune import prune
+from pipelines.stages.prune import load_tree, prune
 from pipelines.training.search.episodes import SearchEpisodes
+from pipelines.training.search.policy_search import search_settings
 
 Policy = TypeVar("Policy", otr.ObliqueTree, otr.ReluNetwork)
 
@@ -75,9 +75,9 @@ def polish(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
             "n_leaves": tree.n_leaves,
             "depth": tree.depth,
             "n_episodes": config.evaluate.n_episodes,
-            **moments("_before", played["before"]),
-            **moments("", played["after"]),
-            **moments("_pruned", played["pruned"]),
+            **moments(played["before"], "_before"),
+            **moments(played["after"]),
+            **moments(played["pruned"], "_pruned"),
         },
     )
 
@@ -127,7 +127,7 @@ def search(policy: Policy, config: RunConfig, purpose: str) -> Polished:
             evaluate,
             states=visited.states,
             n_iterations=max(1, round(polishing.steps / vectors_steps)),
-            settings=search_settings(config),
+            settings=search_settings(config.polishing),
             n_episodes=polishing.n_episodes,
             common_starts="all" if polishing.common_starts == "all" else "pair",
             n_selection_episodes=polishing.n_selection_episodes,
@@ -169,40 +169,9 @@ def announce_polish(config: RunConfig) -> None:
         )
 
 
-def search_settings(config: RunConfig) -> otr.SearchSettings:
-    """Return the settings of the search."""
-    polishing = config.polishing
-    return otr.SearchSettings(
-        n_directions=polishing.n_directions,
-        n_top=polishing.n_top,
-        step_size=polishing.step_size,
-        noise=polishing.noise,
-        step_size_end=polishing.step_size_end,
-        noise_end=polishing.noise_end,
-        momentum=polishing.momentum,
-    )
-
-
-def load_tree(folder: Path) -> otr.ObliqueTree:
-    """Return a stage's pruned tree; of a PID policy the one with constant gains, whose leaves are affine."""
-    name = "constant_gains" if (folder / "constant_gains.json").is_file() else "tree"
-    tree = otr.load(folder / name)
-    if not isinstance(tree, otr.ObliqueTree):  # pruned trees are explicit
-        raise TypeError(f"{folder} holds a {type(tree).__name__}, expected an ObliqueTree")
-    return tree
-
-
 def load_searched(folder: Path) -> otr.ObliqueTree | otr.ReluNetwork:
     """Return what a stage polish has searched, the network or the tree, as it came out."""
     return load_actor(folder) if exists(folder / "actor.json") else load_tree(folder)
-
-
-def moments(suffix: str, played: Rollout) -> dict[str, float]:
-    """Return mean and standard deviation of the return over episodes, under names with a suffix."""
-    return {
-        f"return_mean{suffix}": float(played.returns.mean()),
-        f"return_std{suffix}": float(played.returns.std()),
-    }
 
 
 def _told(report: PolishReport, config: RunConfig) -> dict[str, Any]:

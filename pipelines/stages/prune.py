@@ -19,8 +19,6 @@ from pipelines.play.agreement import answers_agree
 from pipelines.play.rollout import rollout
 from pipelines.stages.printed_programs import and_names, program_text, write_picture, write_program
 
-TOLERANCE = 1e-6
-
 
 def prune(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     """Play `prune.n_episodes` episodes, keep the paths they reach, and write the pruned tree and its report.
@@ -45,7 +43,7 @@ def prune(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
         policy, patterns = tree, len(np.unique(tree.apply(states)))
     if config.prune.k is None:
         pruned = otr.prune_unreached(tree, states)
-        agreement = answers_agree(policy.predict(states), pruned.predict(states), policy.forward(states), TOLERANCE)
+        agreement = answers_agree(policy.predict(states), pruned.predict(states), policy.forward(states))
         if not agreement.all():
             i = int(np.flatnonzero(~agreement)[0])
             raise PolicyMismatchError(
@@ -75,6 +73,15 @@ def prune(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
             "k": config.prune.k,
         },
     )
+
+
+def load_tree(folder: Path) -> otr.ObliqueTree:
+    """Return a stage's pruned tree; of a PID policy the one with constant gains, whose leaves are affine."""
+    name = "constant_gains" if (folder / "constant_gains.json").is_file() else "tree"
+    tree = otr.load(folder / name)
+    if not isinstance(tree, otr.ObliqueTree):  # pruned trees are explicit
+        raise TypeError(f"{folder} holds a {type(tree).__name__}, expected an ObliqueTree")
+    return tree
 
 
 # Its inputs depend on the method: `pipelines.stages.table.stages_of` sets them.

@@ -18,9 +18,10 @@ from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import write_csv, write_json
 from pipelines.play.environments import spaces, state_limits
 from pipelines.play.rollout import rollout
-from pipelines.stages.evaluation_episodes import play_evaluation_episodes
-from pipelines.stages.polish import load_tree, moments, search
+from pipelines.stages.evaluation_episodes import moments, play_evaluation_episodes
+from pipelines.stages.polish import search
 from pipelines.stages.printed_programs import and_names, write_picture, write_program
+from pipelines.stages.prune import load_tree
 
 MAX_ATTEMPTS = 4
 FIRST_LOOK = 0.2  # of the deciding episodes: a tree that loses clearly on these is not played on
@@ -64,7 +65,7 @@ def _polished_again(simpler: Simplification, config: RunConfig) -> tuple[Simplif
     clipped = simpler.tree if box is None else simpler.tree.replace(head=simpler.tree.head.clipped_to(*box))
     polished = search(clipped, config, "simplify")
     played = play_evaluation_episodes(simpler.tree.predict, config)
-    report = {"polished_again": polished.report | moments("_before", played)}
+    report = {"polished_again": polished.report | moments(played, "_before")}
     if not polished.report["kept"]:
         return simpler, report
     tree = without_idle_head(polished.policy)
@@ -198,10 +199,8 @@ def _report(
             "return_loss": config.simplification.return_loss,
             "action_bound": config.simplification.action_bound,
             "n_episodes": len(after.seeds),
-            "return_mean_before": float(before.returns.mean()),
-            "return_std_before": float(before.returns.std()),
-            "return_mean": float(after.returns.mean()),
-            "return_std": float(after.returns.std()),
+            **moments(before, "_before"),
+            **moments(after),
             "fidelity": float(same.mean()),
             "fidelity_tolerance": 0.0 if box is None else CLOSE,
             "mean_difference": float(np.abs(ours - theirs).mean()),

@@ -9,7 +9,7 @@ from pipelines.engine.seeding import evaluation_seeds
 from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import write_json
 from pipelines.play.video import write_video
-from pipelines.stages.polish import load_tree
+from pipelines.stages.prune import load_tree
 
 
 def video(inputs: Mapping[str, Path], config: RunConfig, out: Path, *, name: str) -> None:

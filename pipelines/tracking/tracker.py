@@ -7,7 +7,7 @@ where what it has missed is logged from the run's files.
 import functools
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -46,6 +46,11 @@ class Tracker:
     def segment_done(self, progress: Row, evaluation: Row) -> None:
         """Log a segment's rows of `progress.csv` and `evaluations.csv`; one that was logged before is passed over."""
         self._try(lambda: self._log_segment(progress, evaluation))
+
+    def catch_up(self, progress: Sequence[Row], evaluations: Sequence[Row]) -> None:
+        """Log what a checkpoint has and the tracker has not, as a kill may have come between the two."""
+        for rows in zip(progress, evaluations, strict=True):
+            self.segment_done(*rows)
 
     def finish(self, summary: Mapping[str, Any], run_dir: Path) -> None:
         """Log what is still missing of a finished run; nothing where all of it is there already."""

@@ -17,7 +17,6 @@ import numpy as np
 
 from pipelines.engine.store import read_json, write_csv, write_files, write_json
 from pipelines.errors import PipelineError
-from pipelines.play.rollout import Rollout
 
 EVALUATION_COLUMNS = ("steps", "return_mean", "return_std", "n_episodes", "best")
 PROGRESS_COLUMNS = ("steps", "seconds", "steps_per_s", "n_episodes", "episode_return_mean", "episode_length_mean")
@@ -32,13 +31,13 @@ class History:
     evaluations: list[dict[str, Any]] = field(default_factory=list)
     best: dict[str, bytes] = field(default_factory=dict)  # the files of the best actor so far
 
-    def segment_done(self, progress_row: dict[str, Any], actor: dict[str, bytes], played: Rollout) -> None:
-        """Add a segment, and keep its actor's files where it did better than all before.
+    def segment_done(self, progress_row: dict[str, Any], actor: dict[str, bytes], returns: np.ndarray) -> None:
+        """Add a segment, and keep its actor's files where its selection episodes return more than all before.
 
         Raises:
             PipelineError: a return is no finite number.
         """
-        mean = float(played.returns.mean())
+        mean = float(returns.mean())
         if not math.isfinite(mean):
             raise PipelineError(
                 f"step {progress_row['steps']:,}: the selection episodes return {mean}; rewards have to be finite"
@@ -50,8 +49,8 @@ class History:
             {
                 "steps": progress_row["steps"],
                 "return_mean": mean,
-                "return_std": float(played.returns.std()),
-                "n_episodes": len(played.returns),
+                "return_std": float(returns.std()),
+                "n_episodes": len(returns),
                 "best": best,
             }
         )

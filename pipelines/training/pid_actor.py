@@ -78,7 +78,6 @@ class PidControllerActor(Actor):
 
     def __init__(self, *args: Any, l1: float, first_layer_scale: float, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self.own: dict[str, Any] = {"l1": l1, "first_layer_scale": first_layer_scale}
         n_states, n_actions = self.features_dim // 4, get_action_dim(self.action_space)
         layers = create_mlp(n_states, n_actions * 3 * n_states, self.net_arch, self.activation_fn)
         with torch.no_grad():
@@ -90,9 +89,6 @@ class PidControllerActor(Actor):
         weight = self.mu.gains[-1].weight
         assert isinstance(weight, nn.Parameter)
         weight.register_hook(lambda gradient: gradient + l1 * weight.detach().sign())  # type: ignore[no-untyped-call]
-
-    def _get_constructor_parameters(self) -> dict[str, Any]:
-        return super()._get_constructor_parameters() | self.own
 
 
 class PidPolicy(TD3Policy):
@@ -107,9 +103,6 @@ class PidPolicy(TD3Policy):
     def make_actor(self, features_extractor: Any = None) -> PidControllerActor:
         kwargs = self._update_features_extractor(self.actor_kwargs, features_extractor)
         return PidControllerActor(**kwargs, **self.own).to(self.device)
-
-    def _get_constructor_parameters(self) -> dict[str, Any]:
-        return super()._get_constructor_parameters() | self.own
 
 
 def _controller(model: BaseAlgorithm) -> PidController:

@@ -41,13 +41,13 @@ def train_by_sb3(config: RunConfig, checkpoints: Path, out: Path) -> None:
     model, actor = build_model(config, stream_seed(config.seed, "train")), actor_of(config)
     history = load_checkpoint(checkpoints, model)
     tracker = Tracker(config)
-    for rows in zip(history.progress, history.evaluations, strict=True):
-        tracker.segment_done(*rows)  # a kill may have come between a checkpoint and its log
+    tracker.catch_up(history.progress, history.evaluations)
     with TrainingProgress(config, model.num_timesteps) as progress:
         while model.num_timesteps < config.train.steps:
             start = model.num_timesteps
             row = train_segment(model, actor, history.n_segments, progress)
-            history.segment_done(row, *actor.evaluate(model))
+            files, played = actor.evaluate(model)
+            history.segment_done(row, files, played.returns)
             save_checkpoint(checkpoints, model, history, start)
             progress.segment_done(row, history.evaluations[-1])
             tracker.segment_done(row, history.evaluations[-1])

@@ -68,8 +68,10 @@ def visits_of(tree: ObliqueTree, X: ArrayLike) -> Visits:
 def tree_boxes(tree: ObliqueTree, style: Style, visits: Visits | None, max_depth: int | None) -> list[NodeBox]:
     """Return the boxes of `tree`, parents before children; the root is box 0.
 
-    Tests below `max_depth`, if it is given, are folded up, with all below.
+    Tests below `max_depth`, if it is given, are folded up, with all below. Raise ValueError if it is negative.
     """
+    if max_depth is not None and max_depth < 0:
+        raise ValueError(f"max_depth is {max_depth}, expected at least 0")
     n_leaves = _sums(tree, np.ones(tree.n_leaves, dtype=np.int64))
     n_rows = _sums(tree, visits.counts if visits else None)
     answers = _answers(tree, visits)

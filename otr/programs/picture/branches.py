@@ -16,7 +16,7 @@ STRIPE = 9.0  # width of the colours of several answers
 WIDEST, THINNEST, PLAIN = 16.0, 0.75, 1.5  # branches
 
 
-def branches(boxes: Sequence[NodeBox], answers: Sequence[str], title: str, notes: Sequence[str]) -> Scene:
+def branches(boxes: Sequence[NodeBox], title: str, notes: Sequence[str]) -> Scene:
     """Return the scene of boxes, parents before children, with a title above and notes below."""
     sizes = [_size(box) for box in boxes]
     middles = tidy_layout([box.children for box in boxes], [height for _, height in sizes], BOX_GAP)

@@ -17,12 +17,20 @@ _EXPONENT_BELOW, _EXPONENT_FROM = -4, 6
 
 @dataclass(frozen=True)
 class Style:
-    """How formulas are written: names of the inputs and of the answers, significant digits, terms before "more"."""
+    """How formulas are written: names of the inputs and of the answers, significant digits, terms before "more".
+
+    Raise ValueError for no digits or no terms.
+    """
 
     features: Sequence[str]
     answers: Sequence[str]
     precision: int
     max_terms: int
+
+    def __post_init__(self) -> None:
+        for name in ("precision", "max_terms"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected at least 1")
 
 
 def rows_of_test(

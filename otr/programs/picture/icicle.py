@@ -15,7 +15,7 @@ COLUMNS, NARROWEST, WIDEST, LEAVES = 900.0, 26.0, 150.0, 140.0
 GAP = 1.0
 
 
-def icicle(boxes: Sequence[NodeBox], answers: Sequence[str], title: str, notes: Sequence[str]) -> Scene:
+def icicle(boxes: Sequence[NodeBox], title: str, notes: Sequence[str]) -> Scene:
     """Return the scene of boxes, parents before children, with a title above and a legend and notes below."""
     depths = [0] * len(boxes)
     for i, box in enumerate(boxes):

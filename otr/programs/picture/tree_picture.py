@@ -34,9 +34,6 @@ def tree_scene(
 ) -> Scene:
     """Return the picture of a tree; arguments and errors are those of `draw_tree`."""
     check_tree(tree)
-    for name, value, least in (("precision", precision, 1), ("max_terms", max_terms, 1), ("max_depth", max_depth, 0)):
-        if value is not None and value < least:
-            raise ValueError(f"{name} is {value}, expected at least {least}")
     tree = merge_equal_leaves(tree)
     features, answers = shown_names(tree, feature_names, output_names)
     style = Style(features, answers, precision, max_terms)
@@ -44,7 +41,7 @@ def tree_scene(
     boxes = tree_boxes(tree, style, visits, _depth_shown(tree, max_depth))
     notes = _notes(tree, boxes, answers)
     draw = branches if sum(not box.children for box in boxes) <= MOST_BRANCHES else icicle
-    return draw(boxes, answers, one_line(title or ""), notes)
+    return draw(boxes, one_line(title or ""), notes)
 
 
 def _depth_shown(tree: ObliqueTree, max_depth: int | None) -> int | None:

@@ -23,14 +23,16 @@ def make_vector_env(env: EnvConfig, n_envs: int, environments: str, *, rescale_i
         rescale_inputs: whether states are rescaled from their box to [-1, 1].
 
     Raises:
-        ConfigError: `environments` was not compared with gymnasium for this one; the message names those it was.
+        ConfigError: `environments` was not compared with gymnasium for this one, the message names those it was; or
+            does not rescale states.
         PipelineError: a package is missing.
     """
     check_environments(env, environments)
     if environments == "gymnasium":
         return GymnasiumVectorEnv(env, n_envs, rescale_inputs=rescale_inputs)
-    kind = EnvPoolVectorEnv if environments == "envpool" else ClassicControlVectorEnv
-    return kind(env, n_envs, rescale_inputs=rescale_inputs)
+    if rescale_inputs:
+        raise ConfigError(f"actor.rescale_inputs=true: environments={environments} does not rescale states")
+    return (EnvPoolVectorEnv if environments == "envpool" else ClassicControlVectorEnv)(env, n_envs)
 
 
 def check_environments(env: EnvConfig, environments: str) -> None:

@@ -7,16 +7,13 @@ gymnasium squares the torque by powf, which rounds one of a thousand squares to 
 `tests/pipelines/training/environments/test_classic_control.py` plays both.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Protocol
 
-import gymnasium as gym
 import numpy as np
 from gymnasium.utils.seeding import np_random
-from gymnasium.wrappers.utils import rescale_box
 
 from pipelines.config.env import EnvConfig
-from pipelines.play.environments import make_env
 from pipelines.training.environments.vector_envs import Stepped, time_limit
 
 N_STARTS_AHEAD = 8  # first states drawn at a time from a random stream
@@ -109,7 +106,7 @@ EQUAL_IDS = tuple(_PLANTS)
 class ClassicControlVectorEnv:
     """Environments of EQUAL_IDS as arrays (`VectorEnv`); actions are rounded to float32, their space's type."""
 
-    def __init__(self, env: EnvConfig, n_envs: int, *, rescale_inputs: bool = False) -> None:
+    def __init__(self, env: EnvConfig, n_envs: int) -> None:
         """Prepare the environments.
 
         Raises:
@@ -118,7 +115,6 @@ class ClassicControlVectorEnv:
         self._max_episode_steps = time_limit(env, "numpy")
         self._plant = _PLANTS[env.id]()
         self.n_envs = n_envs
-        self._rescaled = _rescaling(env) if rescale_inputs else None
         self._state = np.empty((2, n_envs))
         self._n_steps = np.zeros(n_envs, dtype=np.int64)  # of the episodes under way
         self._starts: _Starts | None = None
@@ -134,7 +130,7 @@ class ClassicControlVectorEnv:
         self._state[:, envs] = 0.0
         starts = self._starts.take(envs).T
         self._state[: len(starts), envs] = starts
-        return self._observe(self._state[:, envs])
+        return self._plant.observe(self._state[:, envs])
 
     def step(self, actions: np.ndarray, envs: np.ndarray | None = None) -> Stepped:
         index = slice(None) if envs is None else envs
@@ -142,14 +138,10 @@ class ClassicControlVectorEnv:
         state, rewards, terminated = self._plant.step(self._state[:, index], action, self._n_steps[index] == 0)
         self._state[:, index] = state
         self._n_steps[index] += 1
-        return Stepped(self._observe(state), rewards, terminated, self._n_steps[index] >= self._max_episode_steps)
+        return Stepped(self._plant.observe(state), rewards, terminated, self._n_steps[index] >= self._max_episode_steps)
 
     def close(self) -> None:
         pass
-
-    def _observe(self, state: np.ndarray) -> np.ndarray:
-        states = self._plant.observe(state)
-        return states if self._rescaled is None else self._rescaled(states)
 
 
 class _Starts:
@@ -181,12 +173,3 @@ class _Starts:
         drawn = np.array([generator.uniform(self._low, self._high, size) for generator in self._generators])
         self._drawn = np.concatenate((self._drawn[:, n_used:], drawn), axis=1)
         self._first += n_used
-
-
-def _rescaling(env: EnvConfig) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the function from states (k, d) to states in [-1, 1], as gymnasium's RescaleObservation computes it."""
-    made = make_env(env)
-    assert isinstance(made.observation_space, gym.spaces.Box)
-    _, rescaled, _ = rescale_box(made.observation_space, np.float32(-1.0), np.float32(1.0))
-    made.close()
-    return rescaled

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pipelines.config.env import EnvConfig
-from pipelines.errors import ConfigError, PipelineError
+from pipelines.errors import PipelineError
 from pipelines.training.environments.vector_envs import Stepped, time_limit
 
 # The same ids in both. One step's states and rewards were equal to 4e-7, the ends of episodes exactly. Ant is another
@@ -27,15 +27,13 @@ class EnvPoolVectorEnv:
     kept here, because EnvPool's own hides a terminal state that is reached with the last step.
     """
 
-    def __init__(self, env: EnvConfig, n_envs: int, *, rescale_inputs: bool = False) -> None:
+    def __init__(self, env: EnvConfig, n_envs: int) -> None:
         """Prepare the environments, which `reset` makes.
 
         Raises:
-            ConfigError: EnvPool was not compared with these arguments, or the states are to be rescaled.
+            ConfigError: EnvPool was not compared with these arguments.
             PipelineError: EnvPool is not installed.
         """
-        if rescale_inputs:
-            raise ConfigError("actor.rescale_inputs=true: the states of EnvPool's environments have no bounds")
         self._id, self._max_episode_steps = env.id, time_limit(env, "envpool")
         _envpool()  # a missing one is told at once
         self.n_envs = n_envs

@@ -42,8 +42,7 @@ class FleetRun:
             self.n_steps, self.n_updates = counters["num_timesteps"], counters["n_updates"]
             self.tensors = load_file(segment / STATE_FILE)
         self.tracker = Tracker(config)
-        for rows in zip(self.history.progress, self.history.evaluations, strict=True):
-            self.tracker.segment_done(*rows)  # a kill may have come between a checkpoint and its log
+        self.tracker.catch_up(self.history.progress, self.history.evaluations)
         self.rows = open_rows(self.folder / "replay.bin", self._capacity, layout, config.train.steps, self.n_steps)
 
     @property

@@ -73,7 +73,7 @@ def _segment(trainer: FleetTrainer, progress: FleetProgress) -> None:
         # A run's seconds are its share of the fleet's, so that the runs' sum is what was spent.
         share = trained_s / len(trainer.runs)
         row = progress_row(end, start, share, np.array(returns[r]), np.array(lengths[r]))
-        run.history.segment_done(row, files, episodes)
+        run.history.segment_done(row, files, episodes.returns)
         run.save()
         run.tracker.segment_done(row, run.history.evaluations[-1])
     progress.segment_done(trainer.runs, start, trained_s)

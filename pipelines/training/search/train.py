@@ -19,7 +19,6 @@ from pipelines.config.algo import ArsConfig
 from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import episode_seeds
 from pipelines.play.actor_files import actor_files
-from pipelines.play.rollout import Rollout
 from pipelines.tracking.tracker import Tracker
 from pipelines.training.checkpoints import History, last_segment, progress_row, read_segment, write_segment
 from pipelines.training.estimates import segment_steps
@@ -36,8 +35,7 @@ def train_by_search(config: RunConfig, checkpoints: Path, out: Path) -> None:
     checkpoints.mkdir(parents=True, exist_ok=True)
     run = SearchRun(config, checkpoints)
     tracker = Tracker(config)
-    for rows in zip(run.history.progress, run.history.evaluations, strict=True):
-        tracker.segment_done(*rows)  # a kill may have come between a checkpoint and its log
+    tracker.catch_up(run.history.progress, run.history.evaluations)
     environments = "gymnasium" if config.algo.environments == "envpool" else config.algo.environments
     with (
         closing(SearchEpisodes(config.env, config.algo.environments, config.algo.alive_bonus)) as episodes,
@@ -122,7 +120,7 @@ class SearchRun:
         network = self._search.network
         seeds = episode_seeds(self._config.seed, "selection", self._config.train.n_selection_episodes)
         played = selection.play([network], np.array([seeds]))
-        self.history.segment_done(row, actor_files(network), _rollout(seeds, played.returns[0], played.lengths[0]))
+        self.history.segment_done(row, actor_files(network), played.returns[0])
         self._score = max(self._score, float(played.returns.mean()))
         if self._is_choosing and self._search.n_steps >= self._start_steps:
             self._next_search()
@@ -145,8 +143,3 @@ class SearchRun:
             state |= {f"leader_{name}": array for name, array in leader.items()}
         counters = {"num_timesteps": self.n_steps, "start": self._start}
         write_segment(self._checkpoints, self.history, counters, (STATE_FILE, safetensors_bytes(state)))
-
-
-def _rollout(seeds: list[int], returns: np.ndarray, lengths: np.ndarray) -> Rollout:
-    nothing = np.zeros(len(seeds), dtype=bool)
-    return Rollout(np.array(seeds), returns, lengths, nothing, nothing, np.zeros((0, 0)), np.zeros((0, 0)))

@@ -118,7 +118,6 @@ def test_what_hydra_composes_stays_small(monkeypatch):
     monkeypatch.setattr(RUN, "_composed", {})
     original = Composer._compose
     monkeypatch.setattr(Composer, "_compose", lambda self, own: composed.append(own) or original(self, own))
-    RUN._method.cache_clear()
     jobs = RUN.jobs(RUN.expand(["+experiment=table_4_1", "env=hopper,pendulum"], multirun=False))
     assert len(jobs) == 2 * 7 * 10
-    assert len(composed) <= 2 * 2 + 7  # an environment as it is and with pi-PRL's algorithm, and each method once
+    assert len(composed) == 2 * 7  # each environment with each method once, whatever the seed

@@ -95,13 +95,3 @@ def test_names_of_features_must_fit_the_policy(tiny):
 def test_the_committed_runs_of_a_fleet_can_be_loaded():
     config = load_config(RESULTS / "runs/pendulum/otr/depth-6/quick-fleet/seed-0", None)
     assert config.fleet is not None and config.fleet.precision == "fp32"
-
-
-def test_a_run_that_holds_its_budget_s_roads_is_read(tmp_path):
-    """As runs did, before roads had files of their own."""
-    committed = RESULTS / "runs/pendulum/otr/depth-6/quick-fleet/seed-0"
-    text = (committed / "config.yaml").read_text(encoding="utf-8")
-    before = text.replace("\nbudget:\n", "\nbudget:\n  roads:\n    otr: {}\n  expected: {}\n")
-    assert before != text
-    (tmp_path / "config.yaml").write_text(before, encoding="utf-8")
-    assert load_config(tmp_path, None) == load_config(committed, None)

@@ -28,11 +28,10 @@ def assert_same(ours: Stepped, theirs: Stepped, reward_difference: float) -> Non
 
 
 @pytest.mark.parametrize("env_id", EQUAL_IDS)
-@pytest.mark.parametrize("rescale_inputs", [False, True], ids=["plain", "rescaled"])
-def test_episodes_are_gymnasiums(env_id, rescale_inputs):
+def test_episodes_are_gymnasiums(env_id):
     """Actions are random, beyond their limits and at them; half of the cars push along to reach the goal."""
-    theirs = GymnasiumVectorEnv(config(env_id), N_ENVS, rescale_inputs=rescale_inputs)
-    ours = ClassicControlVectorEnv(config(env_id), N_ENVS, rescale_inputs=rescale_inputs)
+    theirs = GymnasiumVectorEnv(config(env_id), N_ENVS)
+    ours = ClassicControlVectorEnv(config(env_id), N_ENVS)
     states = theirs.reset(SEEDS)
     first = ours.reset(SEEDS)
     assert first.dtype == np.float32

@@ -352,7 +352,7 @@ def test_what_cannot_be_is_refused_before_anything_runs(fleet_run, tmp_path):
     pooled = fleet_run(
         trainer=dataclasses.replace(FLEET, environments="envpool"), env=HOPPER, actor=ActorConfig(0.0, True)
     )
-    with pytest.raises(ConfigError, match="no bounds"):
+    with pytest.raises(ConfigError, match="environments=envpool does not rescale"):
         trained([pooled], tmp_path / "pooled")
 
 

@@ -7,7 +7,7 @@ export OMP_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: help run test test-all lint smoke bench report reproduce-table pack format clean
+.PHONY: help run test test-all test-oldest lint smoke bench report reproduce-table pack format clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F':.*## ' '{printf "  make %-16s %s\n", $$1, $$2}'
@@ -36,6 +36,18 @@ test: .venv/.installed  ## the tests (under 8 minutes on 2 cores)
 
 test-all: .venv/.installed-all  ## the tests, with more random examples, and the slow ones
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "slow or not slow" --hypothesis-profile=thorough $(ARGS)
+
+# Torch stays the one of constraints.txt, as its oldest comes with an old CUDA; so do the tools of the tests. Gymnasium's
+# oldest Box2D has to be compiled, and the library's tests do without.
+OLDEST := .venv-oldest/bin
+test-oldest:  ## the library's tests, with the oldest packages that pyproject.toml allows
+	$(PYTHON) -m venv .venv-oldest
+	$(OLDEST)/python -m pip install --quiet --disable-pip-version-check uv
+	grep -E '^(torch|hypothesis|blark|onnxruntime|pytest|pytest-xdist)==' constraints.txt > $(OLDEST)/tools.txt
+	echo 'box2d-py; python_version < "3"' | $(OLDEST)/uv pip install --quiet --python $(OLDEST)/python \
+	    --resolution lowest-direct --overrides /dev/stdin $(UV_ARGS) -r $(OLDEST)/tools.txt -e '.[run,onnx]'
+	$(OLDEST)/python -m pytest -n 2 --dist loadfile tests/core tests/geometry tests/importers tests/learners \
+	    tests/programs tests/proof tests/shorten $(ARGS)
 
 lint: .venv/.installed  ## ruff, mypy and the direction of imports
 	$(BIN)/ruff check .
@@ -77,4 +89,4 @@ pack: .venv/.installed  ## pack the runs and fits under results, an archive each
 	$(BIN)/python -m pipelines.cli.pack results
 
 clean:  ## remove the virtual environment and caches; results stay
-	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf .venv .venv-oldest .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -2,11 +2,12 @@
 
 `pipelines/cli/sweeps.py` makes the tasks, callables with a group of jobs each. A launcher's processes may be on other
 machines that share the file system, so every task is pickled into a file below results_dir and called from there. These
-pickles are internal: a sweep writes them, its own processes read them, and they are deleted when it is over; they are
-never published, and none is read that comes from elsewhere.
+pickles are internal: a sweep writes them, its own processes read them, and they are deleted when it is over (what a
+killed one leaves stays); they are never published, and none is read that comes from elsewhere.
 """
 
 import copy
+import os
 import pickle
 import shutil
 import tempfile
@@ -61,7 +62,8 @@ class OtrSweeper(Sweeper):
         try:
             for number, task in enumerate(self.tasks):
                 (folder / str(number)).write_bytes(pickle.dumps(task))
-            call = _CallPickled(str(folder), settings.runtime.choices["hydra/launcher"] != "basic")
+            name = settings.runtime.choices["hydra/launcher"]
+            call = _CallPickled(str(folder), name != "basic", os.getpid() if name == "joblib" else None)
             launcher = Plugins.instance().instantiate_launcher(self.context, call, self.config)
             if outlives:
                 n_jobs = sum(len(task.jobs) for task in self.tasks)
@@ -85,11 +87,18 @@ class _AsComposed:
 
 @dataclass(frozen=True)
 class _CallPickled:
-    """Calls the task of the process that it is in; the launcher numbers the processes."""
+    """Calls the task of the process that it is in; the launcher numbers the processes.
+
+    A process of joblib's whose `parent` was killed ends with its task, and does not wait for another for ever.
+    """
 
     folder: str
     side_by_side: bool
+    parent: int | None
 
     def __call__(self, config: DictConfig) -> Any:
         task: Callable[[bool], Any] = pickle.loads((Path(self.folder) / str(HydraConfig.get().job.num)).read_bytes())
-        return task(self.side_by_side)
+        result = task(self.side_by_side)
+        if self.parent not in (None, os.getppid()):
+            os._exit(0)
+        return result

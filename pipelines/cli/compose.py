@@ -206,6 +206,8 @@ class Composer:
             if key.startswith("env.kwargs."):
                 given = next(override for override in overrides if key_of(override) == key)
                 return f"env.kwargs has no {key.split('.')[2]!r} to change; to give it one: +{given}"
+            if key.startswith("hydra.launcher."):
+                return f"{key}: no launcher was chosen that has it; add launcher=joblib, or another that does"
             base = [
                 override
                 for override in overrides

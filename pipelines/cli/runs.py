@@ -46,6 +46,12 @@ from pipelines.training.environments.backends import check_environments
 OF_TRAINING = ("env", "algo", "actor", "trainer", "budget", "train", "experiment", "results_dir", "n_workers",
                "side_by_side", "debug", "tracking")  # fmt: skip
 
+# Settings that further stages alone read, and these
+SETTINGS_OF = {
+    "polishing": ("polish", "simplify"),
+    "certification": ("certify",),
+    "simplification": ("simplify",),
+}
 NOT_TRAINED = ("train", "algo", "actor", "trainer")  # groups of which a policy that is there already hears nothing
 
 # Who trains: whoever names another than a budget's road goes a way of their own, for as long as the budget says, and
@@ -164,6 +170,13 @@ class RunWorkflow(Workflow):
         vain = [override for override in words if key_of(override) == "oracle" or override.startswith("imitate.")]
         if vain and not any(imitates(override) or key_of(override) == "experiment" for override in words):
             raise ConfigError(f"{vain[0]}: nothing is imitated. Add {imitating()}, or leave {vain[0]} out")
+        for settings, stages in SETTINGS_OF.items():
+            vain = [override for override in words if override.startswith(f"{settings}.")]
+            asked = {key_of(word) for own in jobs for word in (*self.implied(own), *own) if not word.endswith("=false")}
+            if vain and asked.isdisjoint({*stages, "stages", "experiment"}):
+                print(
+                    f"{vain[0]} names the run's folder, and nothing else: {stages[0]}=true is not asked for", flush=True
+                )
         for own in jobs:
             policies = [override for override in own if key_of(override) in ("method.model", "method.program")]
             vain = [override for override in own if key_of(override).partition(".")[0] in NOT_TRAINED]

@@ -76,15 +76,16 @@ def progress_row(steps: int, start: int, seconds: float, returns: np.ndarray, le
     }
 
 
-def write_segment(folder: Path, history: History, counters: dict[str, int], state: tuple[str, bytes]) -> None:
+def write_segment(folder: Path, history: History, counters: dict[str, int], state: dict[str, bytes]) -> None:
     """Write the checkpoint of a segment's end beside the last one, then make it the current one.
 
-    The trainer's counters have `num_timesteps` among them; `state` is name and content of the file of what was learnt.
+    The trainer's counters have `num_timesteps` among them; `state` is what was learnt, the files'
+    names and contents.
     """
     temporary = folder / "next"
     shutil.rmtree(temporary, ignore_errors=True)
     temporary.mkdir(parents=True)
-    files = {state[0]: state[1], **history.best}
+    files = state | history.best
     for name, content in files.items():
         with (temporary / name).open("wb") as file:
             file.write(content)

@@ -111,7 +111,8 @@ class TrainingProgress(TrainingDisplay):
     """Shows one training run; among jobs side by side its lines begin with the job's name."""
 
     def __init__(self, config: RunConfig, done_steps: int) -> None:
-        job = f"{config.env.name} depth {config.depth} seed {config.seed}: " if config.side_by_side else ""
+        digest = "".join(config.folder.partition("~")[1:])  # of other settings
+        job = f"{config.env.name} depth {config.depth} seed {config.seed}{digest}: " if config.side_by_side else ""
         super().__init__(config, f"{job}train: ", config.train.steps, done_steps, learning_starts(config))
         if done_steps:
             self.say(f"going on from step {done_steps:,} of {self.n_steps:,}")

@@ -33,7 +33,7 @@ def save_checkpoint(folder: Path, model: BaseAlgorithm, history: History, replay
     state = {"parameters": model.get_parameters(), "tensors": _loose_tensors(model), "statistics": statistics(model)}
     torch.save(state, buffer)
     counters = {name: int(getattr(model, name)) for name in COUNTERS if hasattr(model, name)}
-    write_segment(folder, history, counters, ("model.pt", buffer.getvalue()))
+    write_segment(folder, history, counters, {"model.pt": buffer.getvalue()})
 
 
 def load_checkpoint(folder: Path, model: BaseAlgorithm) -> History:

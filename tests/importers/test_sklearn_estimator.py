@@ -141,11 +141,8 @@ def test_types_that_skops_does_not_trust_are_named(tmp_path: Path) -> None:
     path = tmp_path / "policy.skops"
     for estimator, message in (
         (make_pipeline(Foreign(), LogisticRegression()), r"test_sklearn_estimator.Foreign, which skops does not trust"),
-        (
-            DecisionTreeClassifier(max_depth=1).fit(X, TWO),
-            r"sklearn.tree._tree.Tree, which .*from_sklearn_tree\(tree\)",
-        ),
-        (RandomForestClassifier(2, max_depth=1).fit(X, TWO), "holds sklearn.tree._tree.Tree"),
+        (DecisionTreeClassifier(max_depth=1).fit(X, TWO), r"from_sklearn_tree\(tree\)"),
+        (RandomForestClassifier(2, max_depth=1).fit(X, TWO), "holds sklearn.tree._tree.Tree|got RandomForest"),
     ):
         skops.io.dump(estimator, path)
         with pytest.raises(otr.InvalidNetworkError, match=message):

@@ -28,6 +28,8 @@ def counted_rows(
         return X, y, None
     weights = np.asarray(_check_sample_weight(sample_weight, X, dtype=np.float64, ensure_non_negative=True))
     counts = weights > 0
+    if not counts.any():  # of which scikit-learn 1.8 says nothing
+        raise ValueError("sample_weight is 0 for all rows, expected at least one non-zero weight")
     return (X, y, weights) if counts.all() else (X[counts], y[counts], weights[counts])
 
 

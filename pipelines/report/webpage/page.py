@@ -6,6 +6,7 @@ import base64
 import gzip
 import json
 import os
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -192,6 +193,7 @@ def _write(
 ) -> Path:
     """Write the page; a policy that cannot be shown is left out, and the page and the terminal say why."""
     blocks, choices, why = [], list[tuple[str, str, str]](), list[str]()
+    n_so_named = Counter((each.group, each.name) for each in shown)
     progress = progress_lines("page", "policies")
     for i, each in enumerate(shown):
         try:
@@ -202,9 +204,11 @@ def _write(
         folder = Path(os.path.relpath(each.folder.absolute(), out.absolute().parent)).as_posix()
         run = Path(*each.folder.parts[-5:]).as_posix()
         command = f"otr-export run={run} tree={each.form} format=NAME{place_of(each.folder)}"
-        data |= {"about": f"{each.group}, {each.name}, {each.form} tree", "folder": folder, "export_command": command}
+        digest = "".join(each.folder.name.partition("~")[1:])  # of the settings in which it is not as the others
+        name = f"{each.name} {digest}".strip() if n_so_named[each.group, each.name] > 1 else each.name
+        data |= {"about": f"{each.group}, {name}, {each.form} tree", "folder": folder, "export_command": command}
         blocks.append(_stored(f"policy-{i}", data, "policy"))
-        choices.append((f"policy-{i}", each.group, each.name))
+        choices.append((f"policy-{i}", each.group, name))
         progress(i + 1, len(shown))
     if not blocks:
         raise PipelineError("\n".join(why))

@@ -1,7 +1,10 @@
 """One run of a fleet: its history, what it has learnt, its replay file, and the checkpoint that holds all of it."""
 
+import hashlib
 from pathlib import Path
+from typing import NamedTuple
 
+import numpy as np
 import torch
 from safetensors.torch import load_file
 from safetensors.torch import save as safetensors_bytes
@@ -10,13 +13,22 @@ from torch import Tensor
 from pipelines.config.algo import SacConfig
 from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import stream_seed, stream_seeds
+from pipelines.engine.store import json_text, read_json
 from pipelines.tracking.tracker import Tracker
-from pipelines.training.checkpoints import History, last_segment, read_segment, write_segment
+from pipelines.training.checkpoints import History, damaged_checkpoint, last_segment, read_segment, write_segment
 from pipelines.training.estimates import segment_steps
 from pipelines.training.fleet.adam import RunSettings
 from pipelines.training.fleet.replay_buffer import RowLayout, open_rows
 
-STATE_FILE = "learner.safetensors"
+STATE_FILE, REPLAY_FILE, DIGESTS_FILE = "learner.safetensors", "replay.bin", "replay.json"
+
+
+class RowsDigest(NamedTuple):
+    """Transitions `start` to `stop` of a run, those of a segment, and the sha256 of their rows."""
+
+    start: int
+    stop: int
+    sha256: str
 
 
 class FleetRun:
@@ -41,9 +53,14 @@ class FleetRun:
             self.history, counters = read_segment(segment)
             self.n_steps, self.n_updates = counters["num_timesteps"], counters["n_updates"]
             self.tensors = load_file(segment / STATE_FILE)
+        self._start = self.n_steps  # rows before it have the digests of the checkpoint, if any
+        self._digests: list[RowsDigest] = []
         self.tracker = Tracker(config)
         self.tracker.catch_up(self.history.progress, self.history.evaluations)
-        self.rows = open_rows(self.folder / "replay.bin", self._capacity, layout, config.train.steps, self.n_steps)
+        self.rows = open_rows(self.folder / REPLAY_FILE, self._capacity, layout, config.train.steps, self.n_steps)
+        if segment is not None and (segment / DIGESTS_FILE).is_file():
+            self._digests = [RowsDigest(*rows) for rows in read_json(segment / DIGESTS_FILE)]
+            self._compare_rows()
 
     @property
     def algo(self) -> SacConfig:
@@ -84,7 +101,24 @@ class FleetRun:
     def save(self) -> None:
         """Make this state the run's checkpoint; its rows of the replay file must be there."""
         counters = {"num_timesteps": self.n_steps, "n_updates": self.n_updates}
-        write_segment(self.folder, self.history, counters, (STATE_FILE, safetensors_bytes(self.tensors)))
+        start = self._digests[-1].stop if self._digests else self._start
+        self._digests.append(RowsDigest(start, self.n_steps, self._digest(start, self.n_steps)))
+        self._digests = [rows for rows in self._digests if rows.stop > self.n_steps - self.buffer_size]
+        digests = json_text(self._digests).encode()
+        state = {STATE_FILE: safetensors_bytes(self.tensors), DIGESTS_FILE: digests}
+        write_segment(self.folder, self.history, counters, state)
+
+    def _compare_rows(self) -> None:
+        """Raise PipelineError where transitions that an update can sample are no longer those that were written.
+
+        Rows that are older are not compared: a killed segment may have gone on there.
+        """
+        for rows in self._digests:
+            if rows.start >= self.n_steps - self.buffer_size and self._digest(rows.start, rows.stop) != rows.sha256:
+                raise damaged_checkpoint(self.folder / REPLAY_FILE, "was changed")
+
+    def _digest(self, start: int, stop: int) -> str:
+        return hashlib.sha256(self.rows[np.arange(start, stop) % self._capacity].tobytes()).hexdigest()
 
     @property
     def _capacity(self) -> int:

@@ -43,7 +43,8 @@ class FleetProgress(TrainingDisplay):
 
     def given_up(self, run: FleetRun) -> None:
         """Tell that a run is left behind."""
-        self.say(f"{run.name} given up, the others go on: {run.error}")
+        others = ", the others go on" if len(self._runs) > 1 else ""
+        self.say(f"{run.name} given up{others}: {run.error}")
 
 
 def _range(values: Sequence[float]) -> str:

@@ -31,20 +31,31 @@ def train_fleet(
     Runs that are behind the others catch up first; a run that diverges is left behind.
 
     Returns:
-        For each run None, or why it has no result: the training diverged (PipelineError), or the exported network and
-        the trained policy disagree on a visited state (PolicyMismatchError).
+        For each run None, or why it has no result: the training diverged or its checkpoint is damaged (PipelineError),
+        the exported network and the trained policy disagree on a visited state (PolicyMismatchError), or its selection
+        episodes failed.
     """
     task = Task.of(configs[0])
-    runs = [FleetRun(config, folder, task.layout) for config, folder in zip(configs, checkpoints, strict=True)]
-    with FleetProgress(runs) as progress:
-        while cohort := _cohort(runs):
-            with closing(FleetTrainer(task, cohort)) as trainer:
-                while _cohort(runs) == cohort:
-                    _segment(trainer, progress)
-    for run, out in zip(runs, outs, strict=True):
-        if run.error is None:
+    opened = [_opened(config, folder, task) for config, folder in zip(configs, checkpoints, strict=True)]
+    runs = [run for run in opened if isinstance(run, FleetRun)]
+    if runs:
+        with FleetProgress(runs) as progress:
+            while cohort := _cohort(runs):
+                with closing(FleetTrainer(task, cohort)) as trainer:
+                    while _cohort(runs) == cohort:
+                        _segment(trainer, progress)
+    for run, out in zip(opened, outs, strict=True):
+        if isinstance(run, FleetRun) and run.error is None:
             run.history.write(out)
-    return [run.error for run in runs]
+    return [run.error if isinstance(run, FleetRun) else run for run in opened]
+
+
+def _opened(config: RunConfig, folder: Path, task: Task) -> FleetRun | PipelineError:
+    """Return a run as its checkpoint has it, or what is wrong with that."""
+    try:
+        return FleetRun(config, folder, task.layout)
+    except PipelineError as error:
+        return error
 
 
 def _cohort(runs: Sequence[FleetRun]) -> list[FleetRun]:
@@ -66,14 +77,14 @@ def _segment(trainer: FleetTrainer, progress: FleetProgress) -> None:
             if not all(bool(torch.isfinite(tensor).all()) for tensor in run.tensors.values()):
                 raise diverged(run.n_steps, "its parameters are not finite")
             files, episodes = trainer.evaluate(r)
-        except PipelineError as error:
+            # A run's seconds are its share of the fleet's, so that the runs' sum is what was spent.
+            share = trained_s / len(trainer.runs)
+            row = progress_row(end, start, share, np.array(returns[r]), np.array(lengths[r]))
+            run.history.segment_done(row, files, episodes.returns)
+        except Exception as error:  # of this run alone, whatever its environment raises
             run.error = error
             progress.given_up(run)
             continue
-        # A run's seconds are its share of the fleet's, so that the runs' sum is what was spent.
-        share = trained_s / len(trainer.runs)
-        row = progress_row(end, start, share, np.array(returns[r]), np.array(lengths[r]))
-        run.history.segment_done(row, files, episodes.returns)
         run.save()
         run.tracker.segment_done(row, run.history.evaluations[-1])
     progress.segment_done(trainer.runs, start, trained_s)

@@ -142,4 +142,4 @@ class SearchRun:
             leader = {**self._leader.state, "score": np.array(self._leader.score)}
             state |= {f"leader_{name}": array for name, array in leader.items()}
         counters = {"num_timesteps": self.n_steps, "start": self._start}
-        write_segment(self._checkpoints, self.history, counters, (STATE_FILE, safetensors_bytes(state)))
+        write_segment(self._checkpoints, self.history, counters, {STATE_FILE: safetensors_bytes(state)})

@@ -210,6 +210,16 @@ def test_where_no_run_is_in_the_tables_all_are_shown(tmp_path: Path) -> None:
     assert policy["env"] == "mountaincar" and 'id="table-4-1"' not in page
 
 
+def test_runs_that_differ_in_other_settings_are_told_apart(tmp_path: Path) -> None:
+    other = tmp_path / "mountaincar/otr/depth-1/quick/seed-0~0a1b2c3d"
+    other.parent.mkdir(parents=True)
+    other.symlink_to(CAR)
+    page = write_run_page([CAR, other], None, tmp_path / "page.html", config_of).read_text(encoding="utf-8")
+    names = re.findall(r"<option value=[^>]*>([^<]*)</option>", page)
+    assert names == ["otr, depth 1, seed 0", "otr, depth 1, seed 0 ~0a1b2c3d"]
+    assert names[1] in stored(page)[1]["about"]
+
+
 def test_a_return_beside_a_pruned_tree_is_its_own(tmp_path: Path) -> None:
     run = tmp_path / "results/runs/mountaincar/otr/depth-1/quick/seed-0"
     run.mkdir(parents=True)

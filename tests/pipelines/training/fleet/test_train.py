@@ -3,6 +3,7 @@
 import dataclasses
 import errno
 import os
+import re
 import shutil
 import signal
 from pathlib import Path
@@ -109,13 +110,47 @@ def test_a_dense_actor_has_a_linear_map_of_the_state(fleet_run, tmp_path, depth)
         assert state_map.shape[1] == network.n_inputs and np.any(state_map)
 
 
-def test_a_replay_buffer_that_is_gone_is_told(fleet_run, tmp_path):
-    config, outs = fleet_run(), [tmp_path / "out"]
-    outs[0].mkdir()
-    run_until_killed(train_until_killed, [config], outs, "in a segment")
-    (checkpoint_folder(config) / "replay.bin").unlink()
-    with pytest.raises(PipelineError, match=r"replay\.bin: the transitions of \d+ steps are gone; bring the file back"):
-        train_all([config], outs)
+def test_a_replay_buffer_that_is_gone_or_changed_is_told_and_the_others_go_on(fleet_run, tmp_path):
+    configs, outs = [fleet_run(seed=seed) for seed in range(3)], [tmp_path / str(i) for i in range(3)]
+    for out in outs:
+        out.mkdir()
+    run_until_killed(train_until_killed, configs, outs, "in a segment")
+    gone, changed = (checkpoint_folder(config) / "replay.bin" for config in configs[:2])
+    gone.unlink()
+    rows = np.memmap(changed, dtype=np.float32, mode="r+").reshape(-1, 2 * 3 + 1 + 2)  # of the pendulum
+    rows[(trained_steps(configs[1]) - 1) % len(rows), -2] += 1.0  # the last transition's reward
+    rows.flush()
+    errors = train_all(configs, outs)
+    assert re.search(r"replay\.bin: the transitions of \d+ steps are gone; bring the file back", str(errors[0]))
+    assert f"{changed} was changed; bring it back" in str(errors[1])
+    assert errors[2] is None and (outs[2] / "actor.json").is_file()
+
+
+def test_what_one_run_s_environment_raises_ends_that_run_alone(fleet_run, tmp_path, monkeypatch, capsys):
+    """In its selection episodes it is given up; in a segment of all runs each goes on alone."""
+    evaluate, train_segment = FleetTrainer.evaluate, FleetTrainer.train_segment
+
+    def failing(trainer, r):
+        if trainer.runs[r].config.seed == 0:
+            raise ValueError("a wall")
+        return evaluate(trainer, r)
+
+    def failing_together(trainer, progress):
+        if len(trainer.runs) > 1:
+            raise ValueError("a wall")
+        return train_segment(trainer, progress)
+
+    monkeypatch.setattr(FleetTrainer, "evaluate", failing)
+    configs, outs = [fleet_run(seed=seed) for seed in (0, 1)], [tmp_path / "a", tmp_path / "b"]
+    for out in outs:
+        out.mkdir()
+    errors = train_all(configs, outs)
+    assert str(errors[0]) == "a wall" and errors[1] is None and (outs[1] / "actor.json").is_file()
+    monkeypatch.setattr(FleetTrainer, "train_segment", failing_together)
+    others = [dataclasses.replace(config, results_dir=str(tmp_path / "r")) for config in configs]
+    errors = run_jobs([RunJob(config, f"runs/seed-{config.seed}", "") for config in others])
+    assert str(errors[0]) == "a wall" and errors[1] is None
+    assert "that is one run's of those trained together; they go on one by one" in capsys.readouterr().out
 
 
 def test_the_disk_of_all_steps_is_reserved_when_a_run_starts(fleet_run, monkeypatch):

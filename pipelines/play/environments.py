@@ -174,7 +174,7 @@ def check_environment(env: EnvConfig) -> None:
         try:
             json.dumps(value, allow_nan=False)
         except ValueError as error:
-            raise ConfigError(f"env.kwargs.{name}={value}: expected finite numbers") from error
+            raise ConfigError(f"env.kwargs.{name}={value}: expected finite numbers, or text in quotes") from error
     space, plain = spaces(env), dataclasses.replace(env, pid=None)
     shared = set(feature_names(plain, space.n_inputs)) & set(action_names(plain, space.n_actions))
     if shared:

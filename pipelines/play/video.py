@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -104,7 +105,9 @@ def _gif(path: Path, frame_s: float) -> Iterator[Callable[[Image], None]]:
 
     frames: list[Image.Image] = []
     yield lambda frame: frames.append(frame.quantize(COLOURS, dither=Image.Dither.NONE))
-    frames[0].save(path, format="GIF", save_all=True, append_images=frames[1:], duration=round(1000 * frame_s), loop=0)
+    ends = [round(100 * frame_s * i) for i in range(len(frames) + 1)]  # a GIF counts hundredths of a second
+    shown_ms = [10 * (end - start) for start, end in pairwise(ends)]
+    frames[0].save(path, format="GIF", save_all=True, append_images=frames[1:], duration=shown_ms, loop=0)
 
 
 @contextmanager

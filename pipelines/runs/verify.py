@@ -98,7 +98,7 @@ def _alike(bound: float, tree: otr.ObliqueTree) -> str:
 
 def _box(domain: otr.Domain) -> str:
     """Return a box as people read it."""
-    sides = zip(domain.low.tolist(), domain.high.tolist(), strict=True)
+    sides = zip((domain.low + 0.0).tolist(), (domain.high + 0.0).tolist(), strict=True)  # 0, not -0
     return " x ".join(f"[{low:.4g}, {high:.4g}]" for low, high in sides)
 
 

@@ -103,18 +103,19 @@ class FleetRun:
         counters = {"num_timesteps": self.n_steps, "n_updates": self.n_updates}
         start = self._digests[-1].stop if self._digests else self._start
         self._digests.append(RowsDigest(start, self.n_steps, self._digest(start, self.n_steps)))
-        self._digests = [rows for rows in self._digests if rows.stop > self.n_steps - self.buffer_size]
+        oldest = self.n_steps - self.buffer_size  # that can be sampled; before it the next segment writes
+        self._digests = [rows for rows in self._digests if rows.stop > oldest]
+        first = self._digests[0]
+        if first.start < oldest:
+            self._digests[0] = RowsDigest(oldest, first.stop, self._digest(oldest, first.stop))
         digests = json_text(self._digests).encode()
         state = {STATE_FILE: safetensors_bytes(self.tensors), DIGESTS_FILE: digests}
         write_segment(self.folder, self.history, counters, state)
 
     def _compare_rows(self) -> None:
-        """Raise PipelineError where transitions that an update can sample are no longer those that were written.
-
-        Rows that are older are not compared: a killed segment may have gone on there.
-        """
+        """Raise PipelineError where transitions that an update can sample are no longer those that were written."""
         for rows in self._digests:
-            if rows.start >= self.n_steps - self.buffer_size and self._digest(rows.start, rows.stop) != rows.sha256:
+            if self._digest(rows.start, rows.stop) != rows.sha256:
                 raise damaged_checkpoint(self.folder / REPLAY_FILE, "was changed")
 
     def _digest(self, start: int, stop: int) -> str:

@@ -126,6 +126,34 @@ def test_a_replay_buffer_that_is_gone_or_changed_is_told_and_the_others_go_on(fl
     assert errors[2] is None and (outs[2] / "actor.json").is_file()
 
 
+def test_every_transition_that_can_be_sampled_is_compared(fleet_run):
+    config = fleet_run()  # 150 transitions are kept, and segments have 100 steps
+    task = Task.of(config)
+    run = fresh(config, task)
+    for _ in range(2):
+        _segment(FleetTrainer(task, [run]), FleetProgress([run]))
+
+    def is_refused(transition: int) -> bool:
+        row = run.rows[transition % len(run.rows)]
+        row[0] += 1.0
+        try:
+            fresh(config, task)
+        except PipelineError:
+            return True
+        finally:
+            row[0] -= 1.0
+        return False
+
+    assert [is_refused(transition) for transition in (0, 49, 50, 99, 100, 199)] == [
+        False,
+        False,
+        True,
+        True,
+        True,
+        True,
+    ]
+
+
 def test_what_one_run_s_environment_raises_ends_that_run_alone(fleet_run, tmp_path, monkeypatch, capsys):
     """In its selection episodes it is given up; in a segment of all runs each goes on alone."""
     evaluate, train_segment = FleetTrainer.evaluate, FleetTrainer.train_segment

@@ -165,7 +165,7 @@ def _check_state(state: Any, env: gym.Env) -> None:
 
 
 def check_environment(env: EnvConfig) -> None:
-    """Raise ConfigError unless an own environment's arguments can be recorded, and its names fit what it has.
+    """Raise ConfigError unless an environment's arguments can be recorded, it runs with them, and its names fit.
 
     Arguments are recorded as JSON, which has no infinite numbers; names are as many as the inputs and actions, no two
     the same, not even of an input and an action.
@@ -175,10 +175,19 @@ def check_environment(env: EnvConfig) -> None:
             json.dumps(value, allow_nan=False)
         except ValueError as error:
             raise ConfigError(f"env.kwargs.{name}={value}: expected finite numbers, or text in quotes") from error
+    if env.kwargs:
+        _try_out_with(env.id, json.dumps(env.kwargs, sort_keys=True))
     space, plain = spaces(env), dataclasses.replace(env, pid=None)
     shared = set(feature_names(plain, space.n_inputs)) & set(action_names(plain, space.n_actions))
     if shared:
         raise ConfigError(f"env.action_names has {min(shared)!r}, which is a feature's name, too: give it another one")
+
+
+@functools.cache
+def _try_out_with(env_id: str, kwargs: str) -> None:
+    made = make_env(EnvConfig(env_id, env_id, env_id, json.loads(kwargs)))
+    _try_out(made, env_id)
+    made.close()
 
 
 def _with_pid_terms(env: gym.Env, env_id: str, terms: PidTerms) -> gym.Env:

@@ -161,6 +161,7 @@ def test_arguments_decide_the_kind_of_actions():
         (("env=CartPole-v1", "env.feature_names=[a,b,c,d]", "env.action_names=[e,a]"), "is a feature's name, too"),
         (("env=CartPole-v1", "env.feature_names=[a]"), "env.feature_names has 1 name, the policy has 4: a"),
         (("env=Pendulum-v1", "+env.kwargs.g=inf"), "env.kwargs.g=inf: expected finite numbers"),
+        (("env=pendulum", "+env.kwargs.g=heavy"), r"environment Pendulum-v1: step\(action\) fails: TypeError"),
         (("env=pendulum", "env.action_names=[a,b]"), "env.action_names has 2 names, the policy has 1"),
     ],
 )

@@ -7,8 +7,10 @@ selection episodes. Of each trainer the runs with the most steps are shown.
 """
 
 import argparse
+import itertools
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -19,8 +21,12 @@ from pipelines.cli.runs import load_config
 from pipelines.config.algo import SacConfig
 from pipelines.engine.store import read_csv, read_json
 from pipelines.report import load_runs
-from pipelines.report.figures import return_against_cost
+from pipelines.report.figures import COLOURS, NORMAL, figure_of_panels, legend_line, set_legend
 from pipelines.training.estimates import learning_starts
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 TRAINERS = {"ars": "direct search", "sb3": "SAC, Stable-Baselines3", "fleet": "SAC, fleet"}
 ALGORITHMS = ("ars", "sac")
@@ -65,6 +71,53 @@ def write_picture(results_dir: Path, rates: Mapping[str, float], folder: Path) -
     for path in paths:
         otr.save_picture(figure, path)
     return paths
+
+
+def return_against_cost(curves: pd.DataFrame, title: str) -> "Figure":
+    """Return a figure of the return that training reaches against its environment steps and its CPU-seconds.
+
+    Thin lines are single runs, a thick one is the mean of a label's runs, from where each has a value to where the
+    first ends. Labels come in the order of the curves.
+
+    Args:
+        curves: at least one row for each time that a run was judged: `label` (who trains, in words), `seed` (which run
+            of these), `steps`, `seconds` (rows of 0 have no place there) and `best` (the best return so far, which
+            stays until the next row).
+        title: of the figure.
+    """
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    if curves.empty:
+        raise ValueError("no curves were given")
+    colours = dict(zip(dict.fromkeys(curves["label"]), itertools.cycle(COLOURS), strict=False))
+    costs = {"steps": "environment steps", "seconds": "CPU-seconds of one core"}
+    ticks = {"steps": [1.0], "seconds": [1.0, 3.0]}  # within a decade
+    names = pd.DataFrame({"panel": costs.values()})
+    figure, panels = figure_of_panels(names, 2, 2, ("log scale", "return"), len(colours), share=(False, True))
+    for panel, cost in zip(panels, costs, strict=True):
+        for label, colour in colours.items():
+            _draw_curves(panel, curves[(curves["label"] == label) & (curves[cost] > 0)], cost, colour)
+        panel.set_xscale("log")
+        panel.xaxis.set_major_locator(LogLocator(subs=ticks[cost]))
+        panel.xaxis.set_minor_formatter(NullFormatter())
+        for axis in (panel.xaxis, panel.yaxis):
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+        panel.set_ylim(bottom=0)
+    figure.suptitle(title, fontsize=NORMAL)
+    set_legend(figure, [legend_line(label, color=colour, linewidth=1.8) for label, colour in colours.items()], 1)
+    return figure
+
+
+def _draw_curves(panel: "Axes", curves: pd.DataFrame, cost: str, colour: str) -> None:
+    runs = [run.set_index(cost)["best"] for _, run in curves.groupby("seed")]
+    style: dict[str, Any] = {"color": colour, "drawstyle": "steps-post"}
+    if len(runs) == 1:
+        panel.plot(runs[0].index, runs[0], linewidth=1.8, **style)
+        return
+    for run in runs:
+        panel.plot(run.index, run, linewidth=0.7, alpha=0.45, **style)
+    mean = pd.concat(runs, axis=1).sort_index().ffill().loc[: min(run.index[-1] for run in runs)].dropna().mean(axis=1)
+    panel.plot(mean.index, mean, linewidth=1.8, **style)
 
 
 def shown_runs(runs: pd.DataFrame) -> pd.DataFrame:

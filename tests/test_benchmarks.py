@@ -314,3 +314,28 @@ def test_a_compiled_policy_answers_every_state_that_is_timed(dtype, tmp_path):
     n_bytes = latency.size_bytes(otr.to_c(network, dtype=dtype), "-Os", "gcc", tmp_path)
     tables = (3 * 7 + 2) * {"double": 8, "float": 4}[dtype]
     assert tables + 50 < n_bytes < tables + 1000
+
+
+CURVES = pd.DataFrame(
+    [
+        ("search", 0, 10, 0.5, 100.0),
+        ("search", 0, 30, 1.5, 300.0),
+        ("search", 0, 50, 2.5, 500.0),
+        ("search", 1, 20, 1.0, 500.0),
+        ("search", 1, 40, 2.0, 700.0),
+        ("SAC", 0, 10, 0.0, 50.0),
+        ("SAC", 0, 20, 9.0, 60.0),
+    ],
+    columns=["label", "seed", "steps", "seconds", "best"],
+)
+
+
+def test_the_mean_of_runs_is_where_all_of_them_are():
+    steps, seconds = search_curves.return_against_cost(CURVES, "title").axes
+    first, second, mean, sac = steps.lines
+    assert [list(line.get_xdata()) for line in (first, second, sac)] == [[10, 30, 50], [20, 40], [10, 20]]
+    assert list(zip(*mean.get_data(), strict=True)) == [(20, 300), (30, 400), (40, 500)]
+    assert mean.get_linewidth() > first.get_linewidth() == second.get_linewidth()
+    assert list(seconds.lines[2].get_xdata()) == [1.0, 1.5, 2.0]
+    assert list(zip(*seconds.lines[3].get_data(), strict=True)) == [(9.0, 60.0)]  # 0 seconds have no place there
+    assert steps.get_xscale() == seconds.get_xscale() == "log"

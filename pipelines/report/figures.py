@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import re
 from collections.abc import Collection, Sequence
@@ -98,41 +97,6 @@ def auc_against_leaves(points: pd.DataFrame) -> Figure:
     return figure
 
 
-def return_against_cost(curves: pd.DataFrame, title: str) -> Figure:
-    """Return a figure of the return that training reaches against its environment steps and its CPU-seconds.
-
-    Thin lines are single runs, a thick one is the mean of a label's runs, from where each has a value to where the
-    first ends. Labels come in the order of the curves.
-
-    Args:
-        curves: at least one row for each time that a run was judged: `label` (who trains, in words), `seed` (which run
-            of these), `steps`, `seconds` (rows of 0 have no place there) and `best` (the best return so far, which
-            stays until the next row).
-        title: of the figure.
-    """
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    if curves.empty:
-        raise ValueError("no curves were given")
-    colours = dict(zip(dict.fromkeys(curves["label"]), itertools.cycle(COLOURS), strict=False))
-    costs = {"steps": "environment steps", "seconds": "CPU-seconds of one core"}
-    ticks = {"steps": [1.0], "seconds": [1.0, 3.0]}  # within a decade
-    names = pd.DataFrame({"panel": costs.values()})
-    figure, panels = figure_of_panels(names, 2, 2, ("log scale", "return"), len(colours), share=(False, True))
-    for panel, cost in zip(panels, costs, strict=True):
-        for label, colour in colours.items():
-            _draw_curves(panel, curves[(curves["label"] == label) & (curves[cost] > 0)], cost, colour)
-        panel.set_xscale("log")
-        panel.xaxis.set_major_locator(LogLocator(subs=ticks[cost]))
-        panel.xaxis.set_minor_formatter(NullFormatter())
-        for axis in (panel.xaxis, panel.yaxis):
-            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
-        panel.set_ylim(bottom=0)
-    figure.suptitle(title, fontsize=NORMAL)
-    set_legend(figure, [legend_line(label, color=colour, linewidth=1.8) for label, colour in colours.items()], 1)
-    return figure
-
-
 def figure_of_panels(
     points: pd.DataFrame,
     n_columns: int,
@@ -207,18 +171,6 @@ def _draw_depths(panel: Axes, points: pd.DataFrame, styles: Styles, solved: floa
             line = {"linewidth": 1.2, "markeredgecolor": "white", "markeredgewidth": 0.5, **style}
             panel.plot(own["depth"], own["mean"], zorder=3, **line)
     panel.locator_params(axis="y", nbins=6)
-
-
-def _draw_curves(panel: Axes, curves: pd.DataFrame, cost: str, colour: str) -> None:
-    runs = [run.set_index(cost)["best"] for _, run in curves.groupby("seed")]
-    style: dict[str, Any] = {"color": colour, "drawstyle": "steps-post"}
-    if len(runs) == 1:
-        panel.plot(runs[0].index, runs[0], linewidth=1.8, **style)
-        return
-    for run in runs:
-        panel.plot(run.index, run, linewidth=0.7, alpha=0.45, **style)
-    mean = pd.concat(runs, axis=1).sort_index().ffill().loc[: min(run.index[-1] for run in runs)].dropna().mean(axis=1)
-    panel.plot(mean.index, mean, linewidth=1.8, **style)
 
 
 def set_leaf_ticks(panel: Axes, most_leaves: float) -> None:

@@ -31,7 +31,8 @@ from pipelines.config.setting import not_keyed
 from pipelines.config.trainer import TRAINERS, FleetConfig, TrainerConfig
 from pipelines.engine.store import corrupt
 from pipelines.errors import ConfigError, did_you_mean
-from pipelines.play.environments import check_environment, episode_limit, own_environment, registered_ids
+from pipelines.play.environments import episode_limit, registered_ids
+from pipelines.play.own_environment import check_environment, own_environment
 from pipelines.play.video import check_video
 from pipelines.runs.imitation import OTHERS, imitating_command
 from pipelines.runs.run_job import RunJob, run_job, run_jobs

@@ -1,25 +1,17 @@
 """The gymnasium environments, made the same way wherever a policy is trained, pruned or evaluated."""
 
-import dataclasses
-import functools
 import importlib
-import json
 import re
 import warnings
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
-from otr.control import pid_observation_names
 from pipelines.config.env import EnvConfig, PidTerms, search_here
 from pipelines.errors import ConfigError, did_you_mean
 from pipelines.play.pid_environment import PidObservation
-
-SAME_STATE = 1e-6  # by how much the state after a reset may differ, absolute and relative, where the seed is the same
 
 
 def make_env(env: EnvConfig) -> gym.Env:
@@ -43,7 +35,7 @@ def _make(env: EnvConfig) -> gym.Env:
             return gym.make(spec, disable_env_checker=True, **env.kwargs)
         except Exception as error:  # foreign code can fail in any way
             arguments = env.kwargs or "no arguments"
-            raise ConfigError(f"env.id={env.id} with {arguments} cannot be made: {_told(error)}") from error
+            raise ConfigError(f"env.id={env.id} with {arguments} cannot be made: {told(error)}") from error
 
 
 def spec_of(env_id: str) -> Any:
@@ -76,11 +68,11 @@ def _import(module: str, env_id: str) -> None:
         importlib.import_module(module)
     except Exception as error:  # foreign code can fail in any way
         missing = isinstance(error, ModuleNotFoundError) and error.name == module.split(".")[0]
-        what = f"there is no such module, installed or in {Path.cwd()}" if missing else _told(error)
+        what = f"there is no such module, installed or in {Path.cwd()}" if missing else told(error)
         raise ConfigError(f"environment {env_id}: module {module} cannot be imported: {what}") from error
 
 
-def _told(error: Exception) -> str:
+def told(error: Exception) -> str:
     """Return an error of foreign code in one line, with its kind unless it is one of gymnasium's own."""
     return str(error) if isinstance(error, gym.error.Error) else f"{type(error).__name__}: {error}"
 
@@ -102,94 +94,6 @@ def _near(name: str, module: str) -> str:
     )
 
 
-def own_environment(env_id: str, kwargs: Mapping[str, Any]) -> EnvConfig:
-    """Return the settings of an environment that conf/env has no file for.
-
-    Its name is the id as a folder can have it. Names of the observation's and the action's components are those that
-    the environment's class gives as ``metadata["feature_names"]`` and ``metadata["action_names"]``, if any.
-
-    Raises:
-        ConfigError: there is no such environment, its observations or actions are of a kind that no policy here has, or
-            a first reset and step do not give what gymnasium's interface says.
-    """
-    env = EnvConfig(re.sub(r"[^\w.-]+", "_", env_id), "", env_id, dict(kwargs))
-    task = "discrete" if spaces(env).box is None else "continuous"
-    made = make_env(env)
-    _try_out(made, env_id)
-    features, actions = (list(made.metadata.get(key, [])) for key in ("feature_names", "action_names"))
-    made.close()
-    return dataclasses.replace(env, task=task, kwargs={}, feature_names=features, action_names=actions)
-
-
-def _try_out(env: gym.Env, env_id: str) -> None:
-    """Reset and step twice; raise ConfigError where that fails, or gives what spaces or interface do not allow.
-
-    The second time the same has to come out, unless the environment is registered as not deterministic: every method
-    is to play the same episodes.
-    """
-    env.action_space.seed(0)
-    action, seen = env.action_space.sample(), []
-    call = "reset(seed=0)"
-    try:
-        for call in ("reset(seed=0)", "a second reset(seed=0)"):
-            state, _ = env.reset(seed=0)
-            _check_state(state, env)
-            seen.append(np.asarray(state, dtype=np.float64))
-            call = "step(action)"
-            state, reward, *_ = env.step(action)
-            _check_state(state, env)
-            seen.append(np.append(state, float(reward)))
-    except Exception as error:  # foreign code can fail in any way
-        raise ConfigError(
-            f"environment {env_id}: {call} fails: {_told(error)}. In gymnasium, reset(seed=..., options=...) returns "
-            "(observation, info), and step(action) returns (observation, reward, terminated, truncated, info); "
-            "gymnasium.utils.env_checker.check_env checks all of that, and debug=true shows where it fails"
-        ) from error
-    if env.spec is not None and env.spec.nondeterministic:
-        return
-    for call, first, second in (("reset(seed=0)", seen[0], seen[2]), ("the first step after it", seen[1], seen[3])):
-        if not np.allclose(first, second, rtol=SAME_STATE, atol=SAME_STATE, equal_nan=True):
-            raise ConfigError(
-                f"environment {env_id}: {call} gives {first} and, again, {second}. Methods are compared on the same "
-                "episodes, which a seed decides: let reset call super().reset(seed=seed) and draw from self.np_random, "
-                "or register the environment with nondeterministic=True, and no two policies play the same episodes"
-            )
-
-
-def _check_state(state: Any, env: gym.Env) -> None:
-    values, wanted = np.asarray(state), env.observation_space.shape
-    if values.shape != wanted:
-        raise ValueError(f"the observation has shape {values.shape}, the observation space {wanted}")
-    if not np.isfinite(values.astype(np.float64)).all():
-        raise ValueError(f"the observation is not finite: {values}")
-
-
-def check_environment(env: EnvConfig) -> None:
-    """Raise ConfigError unless an environment's arguments can be recorded, it runs with them, and its names fit.
-
-    Arguments are recorded as JSON, which has no infinite numbers; names are as many as the inputs and actions, no two
-    the same, not even of an input and an action.
-    """
-    for name, value in env.kwargs.items():
-        try:
-            json.dumps(value, allow_nan=False)
-        except ValueError as error:
-            raise ConfigError(f"env.kwargs.{name}={value}: expected finite numbers, or text in quotes") from error
-    if env.kwargs:
-        _try_out_with(env.id, json.dumps(env.kwargs, sort_keys=True))
-    space, plain = spaces(env), dataclasses.replace(env, pid=None)
-    shared = set(feature_names(plain, space.n_inputs)) & set(action_names(plain, space.n_actions))
-    if shared:
-        raise ConfigError(f"env.action_names has {min(shared)!r}, which is a feature's name, too: give it another one")
-
-
-@functools.cache
-def _try_out_with(env_id: str, kwargs: str) -> None:
-    made = make_env(EnvConfig(env_id, env_id, env_id, json.loads(kwargs)))
-    _try_out(made, env_id)
-    made.close()
-
-
 def _with_pid_terms(env: gym.Env, env_id: str, terms: PidTerms) -> gym.Env:
     n_states = flat_state_size(env)
     if len(terms.goal) != n_states:
@@ -200,15 +104,6 @@ def _with_pid_terms(env: gym.Env, env_id: str, terms: PidTerms) -> gym.Env:
     if is_discrete(env):
         raise ConfigError(f"method=pid needs continuous actions; {env_id} has labels")
     return PidObservation(env, terms)
-
-
-def make_training_env(env: EnvConfig, *, rescale_inputs: bool) -> gym.Env:
-    """Return a new environment as training sees it: its states rescaled from its box to [-1, 1], where that is set."""
-    made = make_env(env)
-    if not rescale_inputs:
-        return made
-    state_box(env)  # refuses what has no bounds
-    return gym.wrappers.RescaleObservation(made, np.float32(-1.0), np.float32(1.0))
 
 
 def _hear_mujoco_warnings() -> None:
@@ -242,88 +137,6 @@ def is_discrete(env: gym.Env) -> bool:
 
 def _id(env: gym.Env) -> str:
     return env.spec.id if env.spec else str(env)
-
-
-def feature_names(env: EnvConfig, n_inputs: int) -> list[str]:
-    """Return the names of the observation's components, x0, x1, ... where the environment's file gives none."""
-    if env.pid is not None:
-        names: list[str] = pid_observation_names(feature_names(dataclasses.replace(env, pid=None), n_inputs // 4))
-        return names
-    return _names(env.feature_names, n_inputs, "x", "env.feature_names")
-
-
-def action_names(env: EnvConfig, n_outputs: int) -> list[str]:
-    """Return the names of the action's components or labels, a0, a1, ... where the environment's file gives none."""
-    return _names(env.action_names, n_outputs, "a", "env.action_names")
-
-
-def _names(given: list[str], n: int, prefix: str, where: str) -> list[str]:
-    if given and len(given) != n:
-        names = "name" if len(given) == 1 else "names"
-        raise ConfigError(f"{where} has {len(given)} {names}, the policy has {n}: {', '.join(given)}")
-    twice = sorted({name for name in given if given.count(name) > 1})
-    if twice:
-        raise ConfigError(f"{where} has {twice[0]!r} twice: give every one a name of its own")
-    return list(given) or [f"{prefix}{i}" for i in range(n)]
-
-
-def state_limits(env: EnvConfig) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the lowest and the highest state, (d,) each; None where one has no bounds, or is a PID policy's.
-
-    A number that the environment declares as constant has the least width that single precision tells from none, as a
-    domain needs an inside.
-    """
-    limits = None if env.pid is not None else spaces(env).states
-    if limits is None:
-        return None
-    low, high = limits
-    margin = np.where(low < high, 0.0, np.finfo(np.float32).eps * np.maximum(1.0, np.abs(high)))
-    return low - margin, high + margin
-
-
-def state_box(env: EnvConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Return middle and half width of the box of states, (d,) each; refuse states without bounds."""
-    limits = state_limits(env)
-    if limits is None:
-        raise ConfigError(f"actor.rescale_inputs=true: the states of {env.id} have no bounds")
-    low, high = limits
-    return (low + high) / 2, (high - low) / 2
-
-
-@dataclass(frozen=True)
-class Spaces:
-    """What an environment's policies map: states of `n_inputs` numbers to labels or to actions in a box."""
-
-    n_inputs: int  # length of the state vector
-    n_actions: int  # number of labels, or of the action's components
-    # Least and greatest actions, (n_actions,) each; None where actions are labels
-    box: tuple[np.ndarray, np.ndarray] | None
-    # Least and greatest states, (n_inputs,) each; None where one has no bounds
-    states: tuple[np.ndarray, np.ndarray] | None
-
-
-def spaces(env: EnvConfig) -> Spaces:
-    """Return what an environment's policies map; refuse observations and actions that no policy here has."""
-    return _spaces(env.id, json.dumps(env.kwargs, sort_keys=True))
-
-
-@functools.cache
-def _spaces(env_id: str, kwargs: str) -> Spaces:
-    env = make_env(EnvConfig(env_id, env_id, env_id, json.loads(kwargs)))
-    n_inputs, states, actions = flat_state_size(env), env.observation_space, env.action_space
-    is_discrete(env)  # refuses what is neither labels nor a box
-    env.close()
-    assert isinstance(states, gym.spaces.Box)
-    limits = _bounds(states) if states.is_bounded() else None
-    if isinstance(actions, gym.spaces.Discrete):
-        return Spaces(n_inputs, int(actions.n), None, limits)
-    assert isinstance(actions, gym.spaces.Box)
-    box = _bounds(actions)
-    return Spaces(n_inputs, len(box[0]), box, limits)
-
-
-def _bounds(space: gym.spaces.Box) -> tuple[np.ndarray, np.ndarray]:
-    return space.low.ravel().astype(np.float64), space.high.ravel().astype(np.float64)
 
 
 def episode_limit(env: EnvConfig) -> int:

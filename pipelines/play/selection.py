@@ -13,8 +13,8 @@ from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import episode_seeds
 from pipelines.errors import PipelineError, PolicyMismatchError
 from pipelines.play.agreement import answers_agree
-from pipelines.play.environments import state_box
 from pipelines.play.rollout import Policy, Rollout, rollout
+from pipelines.play.spaces import state_box
 
 TOLERANCE = 1e-5  # between the float64 network and the trainer's float32 one, relative
 FLOAT32_ROUNDING = 1e-6  # of the sum of all terms' sizes: some eight roundings

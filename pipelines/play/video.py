@@ -26,8 +26,9 @@ from otr.programs.walk import in_printed_order
 from pipelines.config.env import EnvConfig
 from pipelines.config.run import RunConfig
 from pipelines.errors import ConfigError, PipelineError
-from pipelines.play.environments import action_names, make_env, spec_of
+from pipelines.play.environments import make_env, spec_of
 from pipelines.play.rollout import rollout
+from pipelines.play.spaces import action_names
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -13,8 +13,8 @@ from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import episode_seeds, evaluation_seeds
 from pipelines.engine.store import read_csv
 from pipelines.errors import MissingInputError, PipelineError
-from pipelines.play.environments import action_names, feature_names
 from pipelines.play.rollout import Rollout, rollout
+from pipelines.play.spaces import action_names, feature_names
 from pipelines.report.figure_4_6 import Planned
 from pipelines.report.published import published
 from pipelines.report.text import page, write_file

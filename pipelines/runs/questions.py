@@ -10,7 +10,7 @@ import otr
 from otr.geometry.regions import leaf_paths
 from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError
-from pipelines.play.environments import action_names, feature_names
+from pipelines.play.spaces import action_names, feature_names
 
 BEFORE = "if "  # of a condition, which makes it a program
 ACTION = "action"  # what conditions call the label of a policy that answers labels

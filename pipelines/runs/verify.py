@@ -13,7 +13,7 @@ from pipelines.engine.archive import opened
 from pipelines.engine.store import exists, read_json
 from pipelines.errors import ConfigError, MissingInputError, PipelineError
 from pipelines.play.actor_files import load_actor
-from pipelines.play.environments import action_names, feature_names, state_limits
+from pipelines.play.spaces import action_names, feature_names, state_limits
 from pipelines.runs.questions import Answer, answer_in_words, bound_text, in_words, labels_but
 
 MAX_DIFFERENCE = 1e-6

@@ -13,8 +13,8 @@ from pipelines.engine.seeding import episode_seeds
 from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import write_json
 from pipelines.play.actor_files import load_actor
-from pipelines.play.environments import state_limits
 from pipelines.play.rollout import rollout
+from pipelines.play.spaces import state_limits
 from pipelines.stages.printed_programs import and_names, write_program
 
 MARGIN = 0.05  # of the width of what was visited, on either side

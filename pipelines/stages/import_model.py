@@ -15,7 +15,7 @@ from pipelines.engine.stage import Stage
 from pipelines.engine.store import write_files, write_json
 from pipelines.errors import ConfigError
 from pipelines.play.actor_files import actor_files
-from pipelines.play.environments import Spaces, spaces
+from pipelines.play.spaces import Spaces, spaces
 
 
 def import_settings(config: RunConfig) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from pipelines.config.run import RunConfig
 from pipelines.engine.stage import Stage
 from pipelines.engine.store import write_json, write_text
 from pipelines.errors import ConfigError, did_you_mean
-from pipelines.play.environments import action_names, feature_names, spaces
+from pipelines.play.spaces import action_names, feature_names, spaces
 from pipelines.stages.printed_programs import write_program
 
 TREE_FILES = (".json", ".npz")

@@ -10,7 +10,7 @@ import otr
 from otr.programs.text import text_of_every_leaf
 from pipelines.config.env import EnvConfig
 from pipelines.engine.store import write_text
-from pipelines.play.environments import action_names, feature_names
+from pipelines.play.spaces import action_names, feature_names
 
 LARGEST_PROGRAM = 256  # leaves; a longer one is not readable, and larger than all other artefacts of a run
 

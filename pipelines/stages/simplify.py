@@ -16,8 +16,8 @@ from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import episode_seeds
 from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import write_csv, write_json
-from pipelines.play.environments import spaces, state_limits
 from pipelines.play.rollout import rollout
+from pipelines.play.spaces import spaces, state_limits
 from pipelines.stages.evaluation_episodes import moments, play_evaluation_episodes
 from pipelines.stages.polish import search
 from pipelines.stages.printed_programs import and_names, write_picture, write_program

@@ -29,7 +29,8 @@ from pipelines.config.algo import (
 )
 from pipelines.config.run import RunConfig
 from pipelines.errors import ConfigError
-from pipelines.play.environments import flat_state_size, is_discrete, make_training_env
+from pipelines.play.environments import flat_state_size, is_discrete
+from pipelines.play.spaces import make_training_env
 from pipelines.training.actors import actor_of
 from pipelines.training.estimates import learning_starts
 from pipelines.training.normalisation import normalised

@@ -17,7 +17,7 @@ from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import evaluation_seeds
 from pipelines.engine.store import read_summary
 from pipelines.errors import PipelineError
-from pipelines.play.environments import action_names, feature_names, spaces, state_limits
+from pipelines.play.spaces import action_names, feature_names, spaces, state_limits
 from pipelines.report.webpage.episode import packed, record
 from pipelines.report.webpage.units import unit_of
 from pipelines.runs.finished_run import title_of, tree_of, visited_states

@@ -6,7 +6,8 @@ import gymnasium as gym
 import numpy as np
 
 from pipelines.config.env import EnvConfig
-from pipelines.play.environments import flat_state_size, is_discrete, make_training_env
+from pipelines.play.environments import flat_state_size, is_discrete
+from pipelines.play.spaces import make_training_env
 from pipelines.training.environments.vector_envs import Stepped
 
 

@@ -14,7 +14,8 @@ from pipelines.config.run import RunConfig
 from pipelines.config.stages import PolishingConfig
 from pipelines.engine.seeding import FIRST_STREAM_SEED, LAST_STREAM_SEED, stream, stream_seed
 from pipelines.errors import PipelineError
-from pipelines.play.environments import episode_limit, spaces
+from pipelines.play.environments import episode_limit
+from pipelines.play.spaces import spaces
 from pipelines.training.search.episodes import Played, SearchEpisodes
 
 

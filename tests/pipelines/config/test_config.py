@@ -84,7 +84,7 @@ def test_values_out_of_range_are_named(tiny, changes, words):
 
 
 def test_names_of_features_must_fit_the_policy(tiny):
-    from pipelines.play.environments import feature_names
+    from pipelines.play.spaces import feature_names
 
     env = EnvConfig("pendulum", "pendulum", "Pendulum-v1", {}, ["a", "b"], [])
     with pytest.raises(ConfigError, match="2 names, the policy has 3"):

@@ -8,7 +8,9 @@ import yaml
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError
-from pipelines.play.environments import make_env, own_environment, state_limits
+from pipelines.play.environments import make_env
+from pipelines.play.own_environment import own_environment
+from pipelines.play.spaces import state_limits
 
 FILES = sorted((CONF_DIR / "env").glob("*.yaml"))
 

@@ -14,10 +14,11 @@ from pipelines.config.env import EnvConfig, PidTerms
 from pipelines.config.methods import PidConfig
 from pipelines.errors import ConfigError, PolicyMismatchError
 from pipelines.play.actor_files import load_actor
-from pipelines.play.environments import feature_names, make_env
+from pipelines.play.environments import make_env
 from pipelines.play.pid_environment import PidObservation
 from pipelines.play.rollout import rollout
 from pipelines.play.selection import compare_with_trained
+from pipelines.play.spaces import feature_names
 from pipelines.stages.train import TRAIN, train_settings, trained_steps
 from pipelines.training.actors import actor_of
 from pipelines.training.sb3_models import build_model

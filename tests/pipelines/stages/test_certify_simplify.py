@@ -9,7 +9,7 @@ import otr
 from pipelines.config.stages import PruneConfig
 from pipelines.engine.store import write_files
 from pipelines.play.actor_files import actor_files, load_actor
-from pipelines.play.environments import state_limits
+from pipelines.play.spaces import state_limits
 from pipelines.runs.result import proof_line
 from pipelines.stages.certify import certify
 from tests.committed import RESULTS, copy_run

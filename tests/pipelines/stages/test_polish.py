@@ -16,7 +16,7 @@ from pipelines.engine.seeding import episode_seeds
 from pipelines.engine.store import read_csv, read_json
 from pipelines.errors import ConfigError
 from pipelines.play.actor_files import load_actor
-from pipelines.play.environments import spaces
+from pipelines.play.spaces import spaces
 from pipelines.runs.replay import replay
 from pipelines.runs.result import _loss
 from pipelines.runs.run_job import RunJob

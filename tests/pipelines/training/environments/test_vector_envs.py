@@ -7,7 +7,8 @@ import pytest
 
 from pipelines.config.env import EnvConfig, PidTerms
 from pipelines.errors import ConfigError
-from pipelines.play.environments import make_env, spaces
+from pipelines.play.environments import make_env
+from pipelines.play.spaces import spaces
 from pipelines.training.environments.backends import EQUAL_IDS, make_vector_env
 from pipelines.training.environments.vector_envs import VectorEnv
 

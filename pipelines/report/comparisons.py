@@ -146,4 +146,4 @@ def _number(value: float, digits: int) -> str:
 
 
 def _range(low: float, high: float, digits: int) -> str:
-    return "" if np.isnan(low) else f"{low:+z.{digits}f} to {high:+z.{digits}f}"
+    return "" if np.isnan(low) else f"{low:+.{digits}f} to {high:+.{digits}f}"  # -0.0 is below zero

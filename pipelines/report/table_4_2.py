@@ -176,7 +176,7 @@ def _less(differences: pd.Series) -> str:
     if differences.empty:
         return ""
     low, high = resplit_interval(differences, TEST_TO_TRAIN)
-    interval = "" if math.isnan(low) else f" ({low:+z.3f} to {high:+z.3f})"
+    interval = "" if math.isnan(low) else f" ({low:+.3f} to {high:+.3f})"
     return f"{differences.mean():+z.3f}{interval}"
 
 
@@ -202,7 +202,7 @@ def _difference(found: Mapping[str, np.ndarray], method: str, rival: str) -> str
     if rival not in found or method == rival:
         return ""
     difference, (low, high) = ResampledAreas.difference(found[method], found[rival])
-    return f"{difference:+z.3f} ({low:+z.3f} to {high:+z.3f})"
+    return f"{difference:+z.3f} ({low:+.3f} to {high:+.3f})"  # -0.000 is below zero
 
 
 def _tuned(cells: pd.DataFrame, results_dir: Path) -> str:

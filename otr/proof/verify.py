@@ -164,16 +164,22 @@ class Checker:
         assert self.pair.tree.labels is not None
         label, scores = int(self.pair.tree.labels[leaf]), self.pair.scores(forms)
         errors = [*[Fraction(0)] * (len(scores) - len(errors)), *errors]
-        beyond = (
-            self.pair.beyond_boundary(
-                scores[other] - scores[label],
-                above[other] + sum(bounds, Fraction(0)) + errors[other] + errors[label],
-                is_reached=other < label and not is_below[other],
-            )
-            for other in range(len(scores))
-            if other != label
-        )
-        return max(beyond, default=Fraction(0))
+        beyond = [Fraction(0)]
+        for other in range(len(scores)):
+            form, error = scores[other] - scores[label], errors[other] + errors[label]
+            if other == label or self._is_below_zero(form, error):
+                continue
+            highest = above[other] + sum(bounds, Fraction(0)) + error
+            is_reached = other < label and not is_below[other]
+            beyond.append(self.pair.beyond_boundary(form, highest, is_reached=is_reached))
+        return max(beyond)
+
+    def _is_below_zero(self, form: Integers, error: Fraction) -> bool:
+        """Return whether a form that is off by no more than an error is below 0 throughout the domain.
+
+        An error is in units of 1 + the size of the open inputs, so that there it would have to be 0.
+        """
+        return self.bounds.highest(form) + error < 0 and (not error or bool(self.bounds.is_closed.all()))
 
     def _bound(self, cell: Cell, at: int, form: Integers, rows: dict[str, ExactRow]) -> Fraction:
         """Return the bound on the absolute value of difference number `at` in a cell."""

@@ -63,6 +63,17 @@ def test_the_bound_is_of_the_cells_that_are_kept() -> None:
     assert otr.verify(certificate, tree, network) == certificate.max_error < 1e-8
 
 
+def test_a_label_that_is_never_the_network_s_does_not_count_where_two_others_tie() -> None:
+    # Outputs 2 x - 4, -1 - x and 2 - x: at x = 2, the box's end, the first and the last tie, and the tree has the last.
+    # The second is below the last by 3 everywhere: no input brings it to where the two would tie.
+    weights = [[[0.0], [0.0]], [[-2.0, -2.0, 2.0], [2.0, -1.0, -1.0], [2.0, 0.0, -1.0]]]
+    network = otr.ReluNetwork(weights, [[1.0, 2.0], [2.0, -1.0, 0.0]], dense="input", head=otr.Argmax())
+    tree = otr.minimal_tree(network, BOX)
+    assert tree.labels is not None and tree.labels.tolist() == [2]
+    certificate = otr.certify(tree, network, BOX)
+    assert otr.verify(certificate, tree, network) == certificate.max_error == 5e-324  # on the boundary alone
+
+
 @settings(max_examples=30)
 @given(cases(max_layers=2), st.booleans())
 def test_full_trees_are_certified_empty_leaves_and_all(case: Case, in_box: bool) -> None:

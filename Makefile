@@ -41,7 +41,7 @@ test-all: .venv/.installed-all  ## the tests, with more random examples, and the
 # oldest Box2D has to be compiled, and the library's tests do without.
 OLDEST := .venv-oldest/bin
 test-oldest:  ## the library's tests, with the oldest packages that pyproject.toml allows
-	$(PYTHON) -m venv .venv-oldest
+	$(PYTHON) -m venv --clear .venv-oldest
 	$(OLDEST)/python -m pip install --quiet --disable-pip-version-check uv
 	grep -E '^(torch|hypothesis|blark|onnxruntime|pytest|pytest-xdist)==' constraints.txt > $(OLDEST)/tools.txt
 	echo 'box2d-py; python_version < "3"' | $(OLDEST)/uv pip install --quiet --python $(OLDEST)/python \

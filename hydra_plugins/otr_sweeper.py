@@ -89,7 +89,8 @@ class _AsComposed:
 class _CallPickled:
     """Calls the task of the process that it is in; the launcher numbers the processes.
 
-    A process of joblib's whose `parent` was killed ends with its task, and does not wait for another for ever.
+    A process of joblib's whose `parent` was killed ends with its task, and does not wait for another for ever. The
+    parent itself does the tasks where joblib has one process.
     """
 
     folder: str
@@ -99,6 +100,6 @@ class _CallPickled:
     def __call__(self, config: DictConfig) -> Any:
         task: Callable[[bool], Any] = pickle.loads((Path(self.folder) / str(HydraConfig.get().job.num)).read_bytes())
         result = task(self.side_by_side)
-        if self.parent not in (None, os.getppid()):
+        if self.parent not in (None, os.getpid(), os.getppid()):
             os._exit(0)
         return result

@@ -207,6 +207,9 @@ class Composer:
                 given = next(override for override in overrides if key_of(override) == key)
                 return f"env.kwargs has no {key.split('.')[2]!r} to change; to give it one: +{given}"
             if key.startswith("hydra.launcher."):
+                launcher = next((override for override in overrides if key_of(override) == "launcher"), None)
+                if launcher:
+                    return f"{launcher} has no setting {key.removeprefix('hydra.launcher.')!r}"
                 return f"{key}: no launcher was chosen that has it; add launcher=joblib, or another that does"
             base = [
                 override

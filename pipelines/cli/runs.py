@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import re
+import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -29,6 +30,7 @@ from pipelines.config.roads import road, roads
 from pipelines.config.run import RunConfig, changes_text, run_folder
 from pipelines.config.setting import not_keyed
 from pipelines.config.trainer import TRAINERS, FleetConfig, TrainerConfig
+from pipelines.engine.job import Job
 from pipelines.engine.store import corrupt
 from pipelines.errors import ConfigError, did_you_mean
 from pipelines.play.environments import episode_limit, registered_ids
@@ -48,11 +50,7 @@ OF_TRAINING = ("env", "algo", "actor", "trainer", "budget", "train", "experiment
                "side_by_side", "debug", "tracking")  # fmt: skip
 
 # Settings that further stages alone read, and these
-SETTINGS_OF = {
-    "polishing": ("polish", "simplify"),
-    "certification": ("certify",),
-    "simplification": ("simplify",),
-}
+SETTINGS_OF = {"polishing": {"polish", "simplify"}, "certification": {"certify"}, "simplification": {"simplify"}}
 NOT_TRAINED = ("train", "algo", "actor", "trainer")  # groups of which a policy that is there already hears nothing
 
 # Who trains: whoever names another than a budget's road goes a way of their own, for as long as the budget says, and
@@ -171,19 +169,23 @@ class RunWorkflow(Workflow):
         vain = [override for override in words if key_of(override) == "oracle" or override.startswith("imitate.")]
         if vain and not any(imitates(override) or key_of(override) == "experiment" for override in words):
             raise ConfigError(f"{vain[0]}: nothing is imitated. Add {imitating()}, or leave {vain[0]} out")
-        for settings, stages in SETTINGS_OF.items():
-            vain = [override for override in words if override.startswith(f"{settings}.")]
-            asked = {key_of(word) for own in jobs for word in (*self.implied(own), *own) if not word.endswith("=false")}
-            if vain and asked.isdisjoint({*stages, "stages", "experiment"}):
-                print(
-                    f"{vain[0]} names the run's folder, and nothing else: {stages[0]}=true is not asked for", flush=True
-                )
         for own in jobs:
             policies = [override for override in own if key_of(override) in ("method.model", "method.program")]
             vain = [override for override in own if key_of(override).partition(".")[0] in NOT_TRAINED]
             if policies and vain:
                 policy = policies[0].removeprefix("method.")
                 raise ConfigError(f"{vain[0]}: nothing is trained, as {policy} is there already; leave {vain[0]} out")
+        return jobs
+
+    def jobs(self, overrides_of_jobs: Sequence[Sequence[str]]) -> list[Job]:
+        """Return the jobs; tell of settings that no stage of theirs reads."""
+        jobs = super().jobs(overrides_of_jobs)
+        for settings, stages in SETTINGS_OF.items():
+            given = [(job, word) for job in jobs for word in job.overrides if word.startswith(f"{settings}.")]
+            if given and all(stages.isdisjoint(job.config.selected_stages) for job, _ in given):
+                word = given[0][1]
+                asked = " or ".join(f"{stage}=true" for stage in sorted(stages))
+                print(f"{word} names the run's folder, and nothing else: add {asked}", file=sys.stderr, flush=True)
         return jobs
 
     def job(self, overrides: Sequence[str]) -> RunJob:

@@ -192,10 +192,10 @@ def record_failure(job: Job, error: BaseException, sweep: str) -> str:
 
 @contextmanager
 def disk_errors_explained(job: Job) -> Iterator[None]:
-    """Turn an error of the operating system into a message with the way out."""
+    """Turn an error of the operating system into a message with the way out; a file that is missed keeps its own."""
     try:
         yield
-    except BrokenPipeError:
+    except (BrokenPipeError, FileNotFoundError):  # the latter is of an own environment, if of anything
         raise
     except OSError as error:
         full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)

@@ -12,7 +12,15 @@ from pipelines.errors import ConfigError
 from pipelines.report.learning_curves import learning_curves, load_curves
 from pipelines.report.leaves_kept import load_leaves, return_against_leaves
 from pipelines.report.regions import chosen_inputs, draw_regions
-from pipelines.runs.finished_run import check_run, find_folder, find_run, title_of, tree_of, visited_states
+from pipelines.runs.finished_run import (
+    check_run,
+    find_folder,
+    find_run,
+    title_of,
+    tree_of,
+    visited_states,
+    with_its_names,
+)
 from pipelines.stages.printed_programs import names_of_env
 
 if TYPE_CHECKING:
@@ -69,15 +77,20 @@ def runs_below(runs: Sequence[str], results_dir: Path) -> list[Path]:
 def _below(run: str, results_dir: Path) -> list[Path]:
     check_run(run)
     folder = find_folder(run, results_dir)
-    found = sorted(path.parent for path in folder.rglob("config.yaml")) if folder else []
+    found = sorted(with_its_names(path.parent) for path in folder.rglob("config.yaml")) if folder else []
     below = [path for path in found if path.parts[-3].startswith("depth-")]  # a fit's has another name there
     return below or [find_run(run, str(results_dir))]
 
 
+def _below_runs(run: str, results_dir: Path) -> str:
+    """Return the path of a folder of runs below `runs`, or its name where it lies elsewhere."""
+    folder = os.path.normpath((find_folder(run, results_dir) or Path(run)).absolute())
+    _, runs, below = f"{folder}/".rpartition("/runs/")
+    return below.strip("/") if runs else Path(folder).name
+
+
 def _written(figure: "Figure", name: str, asked: RunFigure, results_dir: Path) -> list[Path]:
-    folders = [str(find_folder(run, results_dir) or run) for run in asked.run]
-    places = [folder.rpartition("runs/")[2].strip("/") for folder in folders]
-    place = os.path.commonpath(places).replace("/", "-") or "several"
+    place = os.path.commonpath([_below_runs(run, results_dir) for run in asked.run]).replace("/", "-") or "several"
     path = Path(asked.out) if asked.out else results_dir / "figures" / f"{name}-{place}.png"
     path.parent.mkdir(parents=True, exist_ok=True)
     try:

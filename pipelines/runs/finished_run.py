@@ -1,6 +1,7 @@
 """Finished runs: their folders, the commands that made them, and their trees."""
 
 import difflib
+import os
 import re
 import shlex
 from pathlib import Path
@@ -36,6 +37,7 @@ def find_run(run: str, results_dir: str) -> Path:
     folder = find_folder(run, Path(results_dir))
     if folder is None:
         raise ConfigError(_no_such_run(run, Path(results_dir) / "runs"))
+    folder = with_its_names(folder)
     if not (folder / "config.yaml").is_file():
         command = run_command(folder)
         how = f"the run there did not come to its end\nRun: {command}" if command else "it is not the folder of a run"
@@ -49,15 +51,14 @@ def find_run(run: str, results_dir: str) -> Path:
 
 
 def find_folder(run: str, results_dir: Path) -> Path | None:
-    """Return the first folder of that name: here, below results_dir, or below results_dir/runs; None if there is none.
-
-    Its path ends in the names that a run's does (ENV/METHOD/DEPTH/BUDGET/SEED), wherever the user stands.
-    """
+    """Return the first folder of that name here, below results_dir, or below results_dir/runs; None without one."""
     tried = (Path(run), results_dir / run, results_dir / "runs" / run)
-    folder = next((path for path in tried if path.is_dir()), None)
-    if folder is None or (len(folder.parts) >= 5 and ".." not in folder.parts):
-        return folder
-    return folder.resolve()
+    return next((path for path in tried if path.is_dir()), None)
+
+
+def with_its_names(folder: Path) -> Path:
+    """Return a run's folder by a path with all its names, ENV/METHOD/DEPTH/BUDGET/SEED, wherever the user stands."""
+    return folder if len(folder.parts) >= 5 and ".." not in folder.parts else Path(os.path.normpath(folder.absolute()))
 
 
 def run_command(folder: Path) -> str | None:

@@ -14,7 +14,6 @@ from pipelines.engine.job import (
     disk_errors_explained,
     do_stage,
     failure,
-    message_of,
     withdraw_config,
     write_config,
     write_summary,
@@ -79,10 +78,8 @@ def run_jobs(jobs: Sequence[RunJob]) -> list[Exception | None]:
             fleet = list(trained.values())
             with disk_errors_explained(fleet[0]):
                 errors = dict(zip(trained, _train_together(fleet), strict=True))
-    except Exception as error:
-        if isinstance(error.__cause__, OSError):  # of the whole fleet, as a full disk is
-            return [error] * len(jobs)
-        print(f"{message_of(error)}\nthat is one run's of those trained together; they go on one by one", flush=True)
+    except Exception as error:  # of the whole fleet, as a full disk is
+        return [error] * len(jobs)
     return [errors.get(job.trained.folder) or failure(run_job, job) for job in jobs]
 
 

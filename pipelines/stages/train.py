@@ -83,9 +83,9 @@ def seconds_left(config: RunConfig) -> float:
 
 def announce_training(configs: Sequence[RunConfig]) -> None:
     """Print the likely time and disk of a long training, of one run or a fleet; refuse what cannot fit on the disk."""
-    config = configs[0]
-    left = [max(0, each.train.steps - trained_steps(each)) for each in configs]
-    seconds = sum(seconds_left(each) for each in configs)
+    config, done = configs[0], list(map(_readable_steps, configs))
+    left = [max(0, each.train.steps - n) for each, n in zip(configs, done, strict=True)]
+    seconds = sum(map(estimated_seconds, configs, done))
     n_bytes = sum(map(_bytes_left, configs, left))
     folder = Path(config.results_dir)
     free = shutil.disk_usage(folder).free
@@ -102,6 +102,14 @@ def announce_training(configs: Sequence[RunConfig]) -> None:
             "command goes on",
             flush=True,
         )
+
+
+def _readable_steps(config: RunConfig) -> int:
+    """Return the steps that a run's checkpoint holds; of a damaged one 0, as its training says so and is not begun."""
+    try:
+        return trained_steps(config)
+    except PipelineError:
+        return 0
 
 
 def _bytes_left(config: RunConfig, n_steps: int) -> int:

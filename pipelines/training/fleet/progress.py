@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from rich.progress import TextColumn
 
+from pipelines.engine.job import message_of
 from pipelines.training.estimates import learning_starts
 from pipelines.training.fleet.fleet_run import FleetRun
 from pipelines.training.progress import TrainingDisplay
@@ -41,10 +42,11 @@ class FleetProgress(TrainingDisplay):
             f"{self.time_left(left)}{shown}"
         )
 
-    def given_up(self, run: FleetRun) -> None:
-        """Tell that a run is left behind."""
+    def give_up(self, run: FleetRun, error: Exception) -> None:
+        """Leave a run behind, and tell it."""
+        run.error = error
         others = ", the others go on" if len(self._runs) > 1 else ""
-        self.say(f"{run.name} given up{others}: {run.error}")
+        self.say(f"{run.name} given up{others}: {message_of(error)}")
 
 
 def _range(values: Sequence[float]) -> str:

@@ -15,12 +15,13 @@ import numpy as np
 import torch
 
 from pipelines.config.run import RunConfig
+from pipelines.engine.job import message_of
 from pipelines.errors import PipelineError
 from pipelines.play.selection import diverged
 from pipelines.training.checkpoints import progress_row
 from pipelines.training.fleet.fleet_run import FleetRun
 from pipelines.training.fleet.progress import FleetProgress
-from pipelines.training.fleet.trainer import FleetTrainer, Task
+from pipelines.training.fleet.trainer import EnvironmentFailed, FleetTrainer, Task
 
 
 def train_fleet(
@@ -28,12 +29,12 @@ def train_fleet(
 ) -> list[Exception | None]:
     """Train runs that are one fleet as one, each from its own checkpoint; write each one's result into its folder.
 
-    Runs that are behind the others catch up first; a run that diverges is left behind.
+    Runs that are behind the others catch up first; a run that diverges, or whose environment fails, is left behind.
 
     Returns:
         For each run None, or why it has no result: the training diverged or its checkpoint is damaged (PipelineError),
-        the exported network and the trained policy disagree on a visited state (PolicyMismatchError), or its selection
-        episodes failed.
+        the exported network and the trained policy disagree on a visited state (PolicyMismatchError), or what its
+        environment raised.
     """
     task = Task.of(configs[0])
     opened = [_opened(config, folder, task) for config, folder in zip(configs, checkpoints, strict=True)]
@@ -41,9 +42,12 @@ def train_fleet(
     if runs:
         with FleetProgress(runs) as progress:
             while cohort := _cohort(runs):
-                with closing(FleetTrainer(task, cohort)) as trainer:
-                    while _cohort(runs) == cohort:
-                        _segment(trainer, progress)
+                try:
+                    with closing(FleetTrainer(task, cohort)) as trainer:
+                        while _cohort(runs) == cohort:
+                            _segment(trainer, progress)
+                except EnvironmentFailed as failed:
+                    _without_the_failing(failed, task, cohort, progress)
     for run, out in zip(opened, outs, strict=True):
         if isinstance(run, FleetRun) and run.error is None:
             run.history.write(out)
@@ -82,9 +86,29 @@ def _segment(trainer: FleetTrainer, progress: FleetProgress) -> None:
             row = progress_row(end, start, share, np.array(returns[r]), np.array(lengths[r]))
             run.history.segment_done(row, files, episodes.returns)
         except Exception as error:  # of this run alone, whatever its environment raises
-            run.error = error
-            progress.given_up(run)
+            progress.give_up(run, error)
             continue
         run.save()
         run.tracker.segment_done(row, run.history.evaluations[-1])
     progress.segment_done(trainer.runs, start, trained_s)
+
+
+def _without_the_failing(
+    failed: EnvironmentFailed, task: Task, cohort: Sequence[FleetRun], progress: FleetProgress
+) -> None:
+    """Do the segment in which an environment failed with each run alone, and give up those in which one fails again."""
+    if len(cohort) == 1:
+        progress.give_up(cohort[0], _cause(failed))
+        return
+    progress.say(f"each run does this segment alone, as one run's environment fails: {message_of(_cause(failed))}")
+    for run in cohort:
+        try:
+            with closing(FleetTrainer(task, [run])) as trainer:
+                _segment(trainer, progress)
+        except EnvironmentFailed as own:
+            progress.give_up(run, _cause(own))
+
+
+def _cause(failed: EnvironmentFailed) -> Exception:
+    assert isinstance(failed.__cause__, Exception)
+    return failed.__cause__

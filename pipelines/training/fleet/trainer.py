@@ -1,9 +1,9 @@
 """A cohort of runs at the same step, stacked: collects transitions and updates, a segment at a time."""
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import gymnasium as gym
 import numpy as np
@@ -32,6 +32,8 @@ from pipelines.training.fleet.replay_buffer import FleetReplay, RowLayout
 from pipelines.training.fleet.sac import FleetSac, Shapes
 from pipelines.training.soft_trees import play_selection, shape_of
 
+Given = TypeVar("Given")
+Answer = TypeVar("Answer")
 torch.set_num_threads(1)  # two threads make these small networks a hundred times slower
 
 
@@ -54,6 +56,10 @@ class Task:
             return cls(RowLayout(flat_state_size(env), len(box.low)), box.low.ravel(), box.high.ravel())
         finally:
             env.close()
+
+
+class EnvironmentFailed(Exception):
+    """What an environment raised in a segment, as the cause; of several runs it is not known whose it was."""
 
 
 class FleetTrainer:
@@ -135,6 +141,9 @@ class FleetTrainer:
 
         Returns:
             The steps done since the run began, and the returns and lengths of each run's finished episodes.
+
+        Raises:
+            EnvironmentFailed: an environment raised something; each run is as its last segment left it.
         """
         with denormals_as_zero():
             config, n_runs, n_envs = self._config, len(self.runs), self._n_envs
@@ -145,7 +154,7 @@ class FleetTrainer:
             streams = Streams([own[0] for own in seeds], n_envs, self.runs[0].algo.batch_size, n_actions)
             first_update = learning_starts(config)
             episodes = _EpisodeSums(n_runs, n_envs)
-            states = self._by_run(self._env.reset([seed for own in seeds for seed in own[1:]]))
+            states = self._by_run(self._asked(self._env.reset, [seed for own in seeds for seed in own[1:]]))
             for t in range(n_vector_steps):
                 ahead = t % streams.n_steps_ahead
                 done = start + t * n_envs  # transitions of each run before this step
@@ -154,7 +163,7 @@ class FleetTrainer:
                     counts = done + n_envs * (1 + torch.arange(streams.n_steps_ahead))
                     positions = self._replay.positions(draws.fractions, counts)
                 scaled = self._act(states, draws, ahead, random=done < first_update)
-                step = self._env.step(self._env_actions(scaled))
+                step = self._asked(self._env.step, self._env_actions(scaled))
                 self._replay.add(done, torch.cat([states, scaled, *self._outcome(step)], dim=2))
                 if done + n_envs > first_update:
                     self._learner.at_step(done)
@@ -165,6 +174,14 @@ class FleetTrainer:
                 progress.at_more_steps(n_runs * (t + 1) * n_envs)
             self._replay.flush()
             return start + n_vector_steps * n_envs, episodes.returns, episodes.lengths
+
+    @staticmethod
+    def _asked(call: Callable[[Given], Answer], argument: Given) -> Answer:
+        """Return what the environments answer."""
+        try:
+            return call(argument)
+        except Exception as error:  # foreign code can fail in any way
+            raise EnvironmentFailed from error
 
     def _act(self, states: Tensor, draws: Draws, ahead: int, random: bool) -> Tensor:
         """Return actions in [-1, 1], (R, E, n_actions), as they go into the replay buffer."""

@@ -121,3 +121,19 @@ def test_what_hydra_composes_stays_small(monkeypatch):
     jobs = RUN.jobs(RUN.expand(["+experiment=table_4_1", "env=hopper,pendulum"], multirun=False))
     assert len(jobs) == 2 * 7 * 10
     assert len(composed) == 2 * 7  # each environment with each method once, whatever the seed
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("polishing.steps=2000",), "polishing.steps=2000 names the run's folder, and nothing else: add polish=true"),
+        (("polishing.steps=2000", "polish=true"), ""),
+        (("polishing.steps=2000", "polish=False"), "nothing else: add polish=true"),
+        (("certification.max_leaves=9",), "nothing else: add certify=true"),
+        (("certification.max_leaves=9", "certify=true"), ""),
+    ],
+)
+def test_settings_of_a_stage_that_is_not_asked_for_are_told(words, told, capsys):
+    RUN.jobs(RUN.expand(["env=mountaincar", "depth=1", *words], multirun=False))
+    captured = capsys.readouterr()
+    assert captured.out == "" and (told in captured.err if told else captured.err == "")

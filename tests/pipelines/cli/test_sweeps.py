@@ -100,6 +100,14 @@ def test_hydra_composes_nothing_for_a_sweep_s_processes(tmp_path, monkeypatch):
     assert not any((tmp_path / "results/sweeps").iterdir())  # the pickled tasks are gone
 
 
+def test_one_process_of_joblib_s_does_all_jobs(tmp_path):
+    """The sweep's own process is that one."""
+    done = otr_program("otr-run", *PROGRAMS, "launcher=joblib", "hydra.launcher.n_jobs=1", cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "2 jobs: 2 done, 0 failed" in done.stdout
+    assert not any((tmp_path / "results/sweeps").iterdir())
+
+
 def test_missing_plugin_is_told_on_the_command_line(tmp_path):
     done = otr_command("otr-run", "-m", "env=pendulum", "depth=1,2", "launcher=ray", cwd=tmp_path)
     assert done.returncode == 2

@@ -15,6 +15,7 @@ from pipelines.errors import ConfigError, MissingInputError
 from pipelines.report.learning_curves import FINISHED, ROWS, STEPS, learning_curves, load_curves
 from pipelines.report.regions import chosen_inputs, draw_regions
 from pipelines.report.run_figures import runs_below
+from pipelines.runs.finished_run import find_run
 from tests.committed import RESULTS
 from tests.core.test_tree import small_tree
 
@@ -79,6 +80,26 @@ def three_inputs(**changes: object) -> otr.ObliqueTree:
     """x2 <= 6.5: leaf 0; else leaf 1, of which the first input decides nothing."""
     arrays: dict = {"P": [[0.0, 0.0, 1.0]], "v": [-6.5], "M": np.zeros((2, 1, 3)), "c": [[-1.0], [1.0]]}
     return otr.ObliqueTree([~0], [~1], **(arrays | changes))
+
+
+def test_runs_have_all_their_names_and_no_more_of_the_place_than_was_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seed = Path("pendulum/otr/depth-6/quick/seed-0")
+    (tmp_path / "disk" / seed).mkdir(parents=True)
+    (tmp_path / "disk" / seed / "config.yaml").touch()
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results/runs").symlink_to(tmp_path / "disk")
+    monkeypatch.chdir(tmp_path)
+    for run in ("pendulum", "pendulum/otr/depth-6", "results/runs/pendulum"):
+        assert runs_below([run], Path("results")) == [Path("results/runs") / seed]
+    assert find_run(str(seed), "results") == Path("results/runs") / seed
+    monkeypatch.chdir(tmp_path / "disk/pendulum/otr")
+    assert (
+        runs_below(["."], Path("results"))
+        == [find_run("depth-6/quick/seed-0", "results")]
+        == [tmp_path / "disk" / seed]
+    )
 
 
 def test_inputs_are_those_asked_for_or_those_that_weigh_most() -> None:

@@ -186,7 +186,7 @@ class PolicyView {
     this.strip = element("canvas", { class: "strip", height: 48, width: episode.length, role: "img", "aria-label": "the active leaf over time" });
     this.chartBox = element("div", { class: "charts" });
     const parts = [
-      element("p", { class: "quiet" }, `It starts from seed ${episode.seed} and returns ${episode.return.toFixed(1)} in ${episode.n_steps.toLocaleString("en")} steps${kept}.`),
+      element("p", { class: "quiet" }, `It starts from seed ${episode.seed} and returns ${Math.abs(episode.return) < 1 ? digits(episode.return) : episode.return.toFixed(1)} in ${episode.n_steps.toLocaleString("en")} steps${kept}.`),
       element("div", { class: "player" }, this.playButton, this.stepInput, this.stepText),
     ];
     if (episode.picture) {

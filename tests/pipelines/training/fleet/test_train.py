@@ -17,12 +17,14 @@ import otr
 from pipelines.config.env import EnvConfig
 from pipelines.config.stages import ActorConfig, TrainConfig
 from pipelines.config.trainer import FleetConfig
+from pipelines.engine.seeding import stream_seeds
 from pipelines.engine.store import read_csv
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import make_env
 from pipelines.runs.run_job import RunJob, run_jobs
 from pipelines.stages.train import checkpoint_folder, fleets, group_key, train_settings, trained_steps
+from pipelines.training.environments.vector_envs import Autoreset
 from pipelines.training.fleet import trainer as trainer_module
 from pipelines.training.fleet.fleet_run import FleetRun
 from pipelines.training.fleet.progress import FleetProgress
@@ -155,30 +157,72 @@ def test_every_transition_that_can_be_sampled_is_compared(fleet_run):
 
 
 def test_what_one_run_s_environment_raises_ends_that_run_alone(fleet_run, tmp_path, monkeypatch, capsys):
-    """In its selection episodes it is given up; in a segment of all runs each goes on alone."""
-    evaluate, train_segment = FleetTrainer.evaluate, FleetTrainer.train_segment
+    """In its selection episodes or in a segment, where all runs are stacked and each does that segment again alone."""
+    evaluate, reset, step = FleetTrainer.evaluate, Autoreset.reset, Autoreset.step
+    configs = [fleet_run(seed=seed) for seed in (0, 1, 2)]
+    of_seed_0 = stream_seeds(2, 0, "train", 1)[1]  # of its second segment
 
-    def failing(trainer, r):
-        if trainer.runs[r].config.seed == 0:
-            raise ValueError("a wall")
+    def failing_evaluate(trainer, r):
+        if trainer.runs[r].config.seed == 1:
+            raise ValueError("a fog")
         return evaluate(trainer, r)
 
-    def failing_together(trainer, progress):
-        if len(trainer.runs) > 1:
-            raise ValueError("a wall")
-        return train_segment(trainer, progress)
+    def noting_reset(envs, seeds):
+        envs.has_wall = of_seed_0 in seeds
+        return reset(envs, seeds)
 
-    monkeypatch.setattr(FleetTrainer, "evaluate", failing)
-    configs, outs = [fleet_run(seed=seed) for seed in (0, 1)], [tmp_path / "a", tmp_path / "b"]
+    def failing_step(envs, actions):
+        if envs.has_wall:
+            raise FileNotFoundError(errno.ENOENT, "no such wall", "wall.csv")
+        return step(envs, actions)
+
+    monkeypatch.setattr(FleetTrainer, "evaluate", failing_evaluate)
+    monkeypatch.setattr(Autoreset, "reset", noting_reset)
+    monkeypatch.setattr(Autoreset, "step", failing_step)
+    (alone,) = trained([dataclasses.replace(configs[2], results_dir=str(tmp_path / "r"))], tmp_path / "alone")
+    outs = [tmp_path / str(seed) for seed in (0, 1, 2)]
     for out in outs:
         out.mkdir()
     errors = train_all(configs, outs)
-    assert str(errors[0]) == "a wall" and errors[1] is None and (outs[1] / "actor.json").is_file()
-    monkeypatch.setattr(FleetTrainer, "train_segment", failing_together)
-    others = [dataclasses.replace(config, results_dir=str(tmp_path / "r")) for config in configs]
-    errors = run_jobs([RunJob(config, f"runs/seed-{config.seed}", "") for config in others])
-    assert str(errors[0]) == "a wall" and errors[1] is None
-    assert "that is one run's of those trained together; they go on one by one" in capsys.readouterr().out
+    assert isinstance(errors[0], FileNotFoundError) and str(errors[1]) == "a fog" and errors[2] is None
+    assert same(outs[2], alone)
+    said = capsys.readouterr().out
+    assert "each run does this segment alone, as one run's environment fails: wall.csv: no such wall" in said
+    assert "seed 0 given up, the others go on: wall.csv: no such wall" in said
+
+
+def test_an_environment_that_fails_beside_others_alone_costs_no_run(fleet_run, tmp_path, monkeypatch):
+    step = Autoreset.step
+
+    def failing_step(envs, actions):
+        if envs.n_envs > 1:
+            raise ValueError("too many")
+        return step(envs, actions)
+
+    monkeypatch.setattr(Autoreset, "step", failing_step)
+    outs = [tmp_path / "a", tmp_path / "b"]
+    for out in outs:
+        out.mkdir()
+    assert train_all([fleet_run(seed=seed) for seed in (0, 1)], outs) == [None, None]
+
+
+def test_what_a_fleet_is_refused_for_is_each_run_s_and_nothing_is_trained(fleet_run, monkeypatch):
+    jobs = [RunJob(fleet_run(seed=seed), f"runs/seed-{seed}", "") for seed in (0, 1)]
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10, 9, 1))
+    errors = run_jobs(jobs)
+    assert "training needs about" in str(errors[0]) and errors[1] is errors[0]
+    assert [trained_steps(job.config) for job in jobs] == [0, 0]
+
+
+def test_a_checkpoint_without_its_history_costs_that_run_alone(fleet_run, tmp_path):
+    configs = [fleet_run(seed=seed) for seed in (0, 1)]
+    outs = [tmp_path / "a", tmp_path / "b"]
+    for out in outs:
+        out.mkdir()
+    run_until_killed(train_until_killed, configs, outs, "in a segment")
+    next(checkpoint_folder(configs[0]).glob("segment-*/history.json")).unlink()
+    errors = run_jobs([RunJob(config, f"runs/seed-{config.seed}", "") for config in configs])
+    assert "history.json is not there" in str(errors[0]) and errors[1] is None
 
 
 def test_the_disk_of_all_steps_is_reserved_when_a_run_starts(fleet_run, monkeypatch):

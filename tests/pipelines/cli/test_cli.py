@@ -185,6 +185,12 @@ def test_replay_finds_an_episode_that_was_changed(finished, tmp_path):
         (("env=pendulum", "method=viperr"), 2, "there is no such method"),
         (("env=pendulum", "stages=[mapp]"), 2, "no stage 'mapp'"),
         (("env=pendulum", "launcher=joblib"), 2, "launcher=joblib launches a sweep's jobs, and this is one job"),
+        (
+            ("-m", "env=pendulum", "launcher=joblib", "hydra.launcher.njobs=1"),
+            2,
+            "launcher=joblib has no setting 'njobs'",
+        ),
+        (("-m", "env=pendulum", "hydra.launcher.n_jobs=1"), 2, "no launcher was chosen that has it"),
         (("env=pendulum", "oracle=[64]"), 2, "oracle=[64]: nothing is imitated. Add method=viper or"),
         (("-m", "env=pendulum", "method=otr,sdt", "imitate.n_rounds=3"), 2, "imitate.n_rounds=3: nothing is imitated"),
         (("env=pendulum", "stages=[]"), 2, "stages=[] does nothing; name stages"),

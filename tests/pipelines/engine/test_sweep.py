@@ -10,10 +10,10 @@ from concurrent.futures.process import BrokenProcessPool
 import pytest
 
 from pipelines.config.stages import ActorConfig
-from pipelines.engine.job import is_done, write_config
+from pipelines.engine.job import disk_errors_explained, is_done, write_config
 from pipelines.engine.store import read_json, write_json
 from pipelines.engine.sweep import GroupTask, Outcome, check_launcher, run_sweep
-from pipelines.errors import ConfigError
+from pipelines.errors import ConfigError, PipelineError
 from pipelines.runs.run_job import RunJob, run_job, run_jobs
 from tests.pipelines.conftest import ARS
 
@@ -158,3 +158,12 @@ def test_a_failure_of_a_whole_group_is_told_once(tiny, tmp_path, capsys, monkeyp
     told = capsys.readouterr().err.splitlines()
     assert told == ["runs/seed-0 failed: there is no such file", "look elsewhere", "runs/seed-1 failed: so, too",
                     "runs/seed-2 failed: ValueError: other"]  # fmt: skip
+
+
+def test_a_file_that_is_missed_is_not_told_as_the_disk(jobs):
+    for error, told in (
+        (FileNotFoundError(2, "gone", "track.npz"), FileNotFoundError),
+        (OSError(28, "full"), PipelineError),
+    ):
+        with pytest.raises(told), disk_errors_explained(jobs[0]):
+            raise error

@@ -94,7 +94,9 @@ def test_runs_have_all_their_names_and_no_more_of_the_place_than_was_given(
     for run in ("pendulum", "pendulum/otr/depth-6", "results/runs/pendulum"):
         assert runs_below([run], Path("results")) == [Path("results/runs") / seed]
     assert find_run(str(seed), "results") == Path("results/runs") / seed
+    (tmp_path / "disk" / seed).with_name("seed-1").symlink_to(tmp_path / "disk" / seed)
     monkeypatch.chdir(tmp_path / "disk/pendulum/otr")
+    assert find_run("depth-6/quick/seed-1", "results").name == "seed-1"
     assert (
         runs_below(["."], Path("results"))
         == [find_run("depth-6/quick/seed-0", "results")]

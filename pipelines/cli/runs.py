@@ -178,7 +178,7 @@ class RunWorkflow(Workflow):
         return jobs
 
     def jobs(self, overrides_of_jobs: Sequence[Sequence[str]]) -> list[Job]:
-        """Return the jobs; tell of settings that no stage of theirs reads."""
+        """Return the jobs; tell of settings that no stage of theirs reads, and of those that a fleet does not train."""
         jobs = super().jobs(overrides_of_jobs)
         for settings, stages in SETTINGS_OF.items():
             given = [(job, word) for job in jobs for word in job.overrides if word.startswith(f"{settings}.")]
@@ -186,6 +186,14 @@ class RunWorkflow(Workflow):
                 word = given[0][1]
                 asked = " or ".join(f"{stage}=true" for stage in sorted(stages))
                 print(f"{word} names the run's folder, and nothing else: add {asked}", file=sys.stderr, flush=True)
+        trained = [job.oracle or job for job in jobs if "trainer=fleet" in job.overrides]
+        others = [job.config for job in trained if job.config.trainer_name not in ("fleet", "none")]
+        if others:
+            env, algo, n = others[0].env.name, others[0].algo.name, len(others)
+            who = "by direct search" if isinstance(others[0].algo, ArsConfig) else "by Stable-Baselines3"
+            more = f"; {n} of {len(jobs)} jobs are trained without the fleet" if n > 1 else ""
+            print(f"trainer=fleet trains SAC alone: env={env} is trained {who} with algo={algo}{more}", file=sys.stderr,
+                  flush=True)  # fmt: skip
         return jobs
 
     def job(self, overrides: Sequence[str]) -> RunJob:

@@ -137,3 +137,24 @@ def test_settings_of_a_stage_that_is_not_asked_for_are_told(words, told, capsys)
     RUN.jobs(RUN.expand(["env=mountaincar", "depth=1", *words], multirun=False))
     captured = capsys.readouterr()
     assert captured.out == "" and (told in captured.err if told else captured.err == "")
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("env=hopper", "trainer=fleet"), ""),
+        (("env=mountaincar", "depth=1", "trainer=fleet", "algo=sac"), ""),
+        (("env=hopper", "trainer=fleet", "algo=ars"), "env=hopper is trained by direct search with algo=ars\n"),
+        (("env=lunarlander", "trainer=fleet"), "env=lunarlander is trained by Stable-Baselines3 with algo=ppo\n"),
+        (
+            ("env=hopper,swimmer", "trainer=fleet", "algo=td3"),
+            "with algo=td3; 2 of 2 jobs are trained without the fleet",
+        ),
+        (("env=hopper", "method=viper", "trainer=fleet"), ""),
+        (("env=hopper", "method=viper", "trainer=fleet", "algo=td3"), "by Stable-Baselines3 with algo=td3\n"),
+    ],
+)
+def test_a_fleet_says_what_it_does_not_train(words, told, capsys):
+    RUN.jobs(RUN.expand(words, multirun=True))
+    captured = capsys.readouterr()
+    assert captured.out == "" and (told in captured.err if told else captured.err == "")

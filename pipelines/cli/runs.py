@@ -186,14 +186,14 @@ class RunWorkflow(Workflow):
                 word = given[0][1]
                 asked = " or ".join(f"{stage}=true" for stage in sorted(stages))
                 print(f"{word} names the run's folder, and nothing else: add {asked}", file=sys.stderr, flush=True)
-        trained = [job.oracle or job for job in jobs if "trainer=fleet" in job.overrides]
-        others = [job.config for job in trained if job.config.trainer_name not in ("fleet", "none")]
+        trained = [job.config.oracle_run or job.config for job in jobs if "trainer=fleet" in job.overrides]
+        others = [config for config in trained if config.trainer_name not in ("fleet", "none")]
         if others:
             env, algo, n = others[0].env.name, others[0].algo.name, len(others)
             who = "by direct search" if isinstance(others[0].algo, ArsConfig) else "by Stable-Baselines3"
             more = f"; {n} of {len(jobs)} jobs are trained without the fleet" if n > 1 else ""
-            print(f"trainer=fleet trains SAC alone: env={env} is trained {who} with algo={algo}{more}", file=sys.stderr,
-                  flush=True)  # fmt: skip
+            note = f"trainer=fleet trains SAC alone: env={env} is trained {who} with algo={algo}{more}"
+            print(note, file=sys.stderr, flush=True)
         return jobs
 
     def job(self, overrides: Sequence[str]) -> RunJob:

@@ -10,7 +10,17 @@ import numpy as np
 import pandas as pd
 
 from pipelines.engine.store import corrupt, read_bytes
-from pipelines.report.cells import DECIMALS, KEY, METHOD_NAMES, SOURCE, TASK_NAMES, in_order, runs_text, table_runs
+from pipelines.report.cells import (
+    DECIMALS,
+    FORMS,
+    KEY,
+    METHOD_NAMES,
+    SOURCE,
+    TASK_NAMES,
+    in_order,
+    runs_text,
+    table_runs,
+)
 from pipelines.report.frames import load_runs
 from pipelines.report.statistics import (
     difference_interval,
@@ -21,10 +31,11 @@ from pipelines.report.statistics import (
 )
 from pipelines.report.text import markdown_table, page, write_tables
 
-RIVALS = {"linear": ("linear", "0"), "otr-6": ("otr", "6")}
+LINEAR, RIVALS = "linear", {"linear": "0", "otr": "6"}  # methods with their depths
+POLISHED = FORMS["polished"]
 EPISODES = {"polished": "polish/episodes.csv", "tree": "evaluate/episodes.csv"}
-COLUMNS = [*KEY, *SOURCE, "n_runs", "mean", "iqm", "rival", "rival_budget", "n_rival_runs", "n_starts", "difference",
-           "starts_low", "starts_high", "runs_low", "runs_high", "probability"]  # fmt: skip
+COLUMNS = [*KEY, *SOURCE, "n_runs", "mean", "iqm", "rival", "rival_depth", "rival_budget", "n_rival_runs", "n_starts",
+           "difference", "starts_low", "starts_high", "runs_low", "runs_high", "probability"]  # fmt: skip
 
 
 def write_comparisons(results_dir: Path) -> list[Path]:
@@ -34,7 +45,7 @@ def write_comparisons(results_dir: Path) -> list[Path]:
     """
     rows = pd.DataFrame(_rows(results_dir), columns=COLUMNS)
     rows = in_order(rows, [*KEY, *SOURCE]) if len(rows) else rows
-    markdown = page("comparisons.md", table=_table(rows))
+    markdown = page("comparisons.md", tables=_tables(rows))
     return write_tables(results_dir, "comparisons", rows.round(DECIMALS), markdown)
 
 
@@ -45,26 +56,33 @@ def _rows(results_dir: Path) -> Iterator[dict[str, Any]]:
         cells: dict[Any, pd.DataFrame] = dict(list(in_order(own, SOURCE).groupby([*KEY[1:], *SOURCE], sort=False)))
         starts = functools.cache(lambda key, cells=cells: _returns(results_dir, cells[key]))
         for ours, group in cells.items():
-            for rival, policy in RIVALS.items():
-                if ours[:2] in (policy, RIVALS["linear"]):  # the linear row against OTR is OTR against it
-                    continue
-                for theirs in _rivals(cells, ours, policy):
-                    row = {"task": task, **dict(zip([*KEY[1:], *SOURCE], ours, strict=True)), "rival": rival}
+            for rival in RIVALS:
+                for theirs in _rivals(cells, ours, rival):
+                    row = {"task": task, **dict(zip([*KEY[1:], *SOURCE], ours, strict=True))}
+                    row |= {"rival": theirs[0], "rival_depth": theirs[1]}
                     yield row | _compared(group, starts(ours), cells[theirs], starts(theirs))
 
 
-def _rivals(cells: dict[Any, pd.DataFrame], ours: Any, policy: tuple[str, str]) -> list[Any]:
+def _rivals(cells: dict[Any, pd.DataFrame], ours: Any, rival: str) -> list[Any]:
     """Return which runs of a rival stand beside ours: of the same budget before others, then the most there are.
 
-    Of the same budget by several trainers these are those that Table 4.1 shows, the first in its order that has two
-    runs or more, and besides those by our own trainer, so that a search is seen beside a search.
+    A polished policy has the polished rival beside it, where there is one, and a polished rival what it was before.
+    None are beside a policy itself, and none of OTR beside the linear row: that is OTR's own line. Of the same budget
+    by several trainers these are those that Table 4.1 shows, the first in its order that has two runs or more, and
+    besides those by our own trainer, so that a search is seen beside a search.
     """
 
     def rank(key: Any) -> tuple[bool, int]:
         is_same, n_runs = _level(key) == _level(ours), len(cells[key])
         return is_same, min(n_runs, 2) if is_same else n_runs
 
-    theirs = [key for key in cells if key[:2] == policy]
+    method, polished = ours[0].removesuffix(POLISHED), ours[0].endswith(POLISHED)
+    is_own = (method, ours[1]) == (rival, RIVALS[rival])
+    if method == LINEAR != rival or (is_own and not polished):
+        return []
+    theirs = [key for key in cells if key[:2] == (rival, RIVALS[rival])]
+    if polished and not is_own:
+        theirs = [key for key in cells if key[:2] == (rival + POLISHED, RIVALS[rival])] or theirs
     shown = [max(theirs, key=rank)] if theirs else []
     return shown + [key for key in theirs if key not in shown and key[2:] == ours[2:]]
 
@@ -125,20 +143,27 @@ def _played(path: Path) -> pd.Series:
         raise corrupt(path, error) from error
 
 
+def _tables(rows: pd.DataFrame) -> str:
+    """Return a table for each task, below its name."""
+    tables = (
+        f"## {TASK_NAMES.get(str(task), task)}\n\n{_table(own)}" for task, own in rows.groupby("task", sort=False)
+    )
+    return "\n\n".join(tables) or "Nothing has been run yet that could be compared."
+
+
 def _table(rows: pd.DataFrame) -> str:
     """Return a line for each policy and rival."""
-    lines = [["Task", "Method", "Depth", "Ours", "IQM", "Against", "Difference", "Over starts", "Over runs", "Better"]]
+    lines = [["Method", "Depth", "Ours", "IQM", "Against", "Difference", "Over starts", "Over runs", "Better"]]
     for row in rows.itertuples():
         digits = 2 if row.task == "reacher" else 1
-        name = METHOD_NAMES.get(RIVALS[row.rival][0], row.rival)
-        rival = f"{name} ({RIVALS[row.rival][1]}), {row.n_rival_runs}, {row.rival_budget}"
+        rival = f"{METHOD_NAMES[row.rival]} ({row.rival_depth}), {row.n_rival_runs}, {row.rival_budget}"
         lines.append([
-            TASK_NAMES.get(row.task, row.task), METHOD_NAMES.get(row.method, row.method), row.depth,
+            METHOD_NAMES.get(row.method, row.method), row.depth,
             f"{row.mean:z.{digits}f} ({runs_text(row)})", f"{row.iqm:z.{digits}f}", rival,
             _number(row.difference, digits), _range(row.starts_low, row.starts_high, digits),
             _range(row.runs_low, row.runs_high, digits), f"{row.probability:.2f}",
         ])  # fmt: skip
-    return markdown_table(lines, empty="Nothing has been run yet that could be compared.")
+    return markdown_table(lines)
 
 
 def _number(value: float, digits: int) -> str:

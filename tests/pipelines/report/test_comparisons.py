@@ -37,7 +37,7 @@ def test_a_policy_stands_beside_the_linear_row_and_otr(tmp_path):
     played(tmp_path, "hopper/viper/depth-6/quick/seed-0", -5.0)
     markdown, found = rows(tmp_path)
     assert {key for key in found if len(key) == 3} == {
-        ("otr", "quick", "linear"), ("viper", "quick", "linear"), ("viper", "quick", "otr-6"),
+        ("otr", "quick", "linear"), ("viper", "quick", "linear"), ("viper", "quick", "otr"),
     }  # fmt: skip
     otr = found["otr", "quick", "linear"]
     assert (otr["n_runs"], otr["n_rival_runs"], otr["n_starts"]) == ("5", "5", "40")
@@ -45,9 +45,9 @@ def test_a_policy_stands_beside_the_linear_row_and_otr(tmp_path):
     half = 2.0226909 * np.std([0.0, 1.0] * 20, ddof=1) / np.sqrt(40)
     assert (float(otr["starts_low"]), float(otr["starts_high"])) == pytest.approx((10.5 - half, 10.5 + half), abs=1e-5)
     assert float(otr["runs_low"]) < 10.5 < float(otr["runs_high"])
-    viper = found["viper", "quick", "otr-6"]
+    viper = found["viper", "quick", "otr"]
     assert viper["runs_low"] == "" and float(viper["difference"]) == pytest.approx(-17.5)
-    assert "| Hopper | VIPER  | 6     |" in markdown and "| -17.5" in markdown
+    assert "## Hopper\n" in markdown and "| VIPER  | 6     |" in markdown and "| -17.5" in markdown
 
 
 def test_a_rival_of_the_same_budget_is_taken_else_the_most_runs(tmp_path):
@@ -70,9 +70,9 @@ def test_a_rival_by_another_trainer_is_taken_where_it_is_the_tables(tmp_path):
     for seed in range(3):  # more than Table 4.1's two, which come first there
         played(tmp_path, f"hopper/otr/depth-6/standard-ars/seed-{seed}", 9.0)
     _, found = rows(tmp_path)
-    assert found["viper", "standard-fleet", "otr-6"]["rival_budget"] == "standard"
-    assert found["viper", "standard-fleet", "otr-6", "standard-fleet"]["n_rival_runs"] == "2"  # its own, beside it
-    assert ("viper", "standard-fleet", "otr-6", "standard-ars") not in found
+    assert found["viper", "standard-fleet", "otr"]["rival_budget"] == "standard"
+    assert found["viper", "standard-fleet", "otr", "standard-fleet"]["n_rival_runs"] == "2"  # its own, beside it
+    assert ("viper", "standard-fleet", "otr", "standard-ars") not in found
 
 
 def test_forms_of_the_same_runs_are_paired_run_by_run(tmp_path):
@@ -83,7 +83,7 @@ def test_forms_of_the_same_runs_are_paired_run_by_run(tmp_path):
         write_run(tmp_path, run, 1019.5 + before, n_episodes=40, polish=moments)
         played(tmp_path, run, before)
         played(tmp_path, run, after, form="polish")
-    polished = rows(tmp_path)[1]["otr-polished", "quick", "otr-6"]
+    polished = rows(tmp_path)[1]["otr-polished", "quick", "otr"]
     assert float(polished["probability"]) == 1.0  # of all pairs it would be .6
     half = 2.7764451 * np.std([1.0, 2.0, 1.0, 2.0, 1.0], ddof=1) / np.sqrt(5)
     interval = [float(polished[name]) for name in ("runs_low", "runs_high")]
@@ -101,7 +101,7 @@ def test_forms_are_paired_where_some_runs_have_both(tmp_path):
         write_run(tmp_path, run, 1019.5 + before, n_episodes=40, polish=moments)
         played(tmp_path, run, before)
         played(tmp_path, run, after, form="polish")
-    polished = rows(tmp_path)[1]["otr-polished", "quick", "otr-6"]
+    polished = rows(tmp_path)[1]["otr-polished", "quick", "otr"]
     assert (polished["n_runs"], polished["n_rival_runs"], float(polished["probability"])) == ("5", "5", 1.0)
     assert float(polished["difference"]) == pytest.approx(1.6)
     half = 2.7764451 * np.std([2.0, 1.0, 2.0, 1.0, 2.0], ddof=1) / np.sqrt(5)
@@ -117,7 +117,32 @@ def test_a_polished_policy_has_its_own_episodes(tmp_path):
     played(tmp_path, "hopper/otr/depth-6/quick/seed-0", 7.0, form="polish")
     _, found = rows(tmp_path)
     assert float(found["otr-polished", "quick", "linear"]["difference"]) == 7.0
-    assert float(found["otr-polished", "quick", "otr-6"]["difference"]) == 4.0
+    assert float(found["otr-polished", "quick", "otr"]["difference"]) == 4.0
+
+
+def test_a_polished_policy_stands_beside_the_polished_rival(tmp_path):
+    shifts = {
+        "linear/depth-0": (0.0, 2.0),
+        "otr/depth-6": (3.0, 7.0),
+        "otr/depth-32": (4.0, 11.0),
+        "viper/depth-6": (1.0,),
+    }
+    for policy, (before, *after) in shifts.items():
+        run = f"hopper/{policy}/quick/seed-0"
+        moments = {"polish": {"return_mean": 1019.5 + after[0], "n_episodes": 40}} if after else {}
+        write_run(tmp_path, run, 1019.5 + before, n_episodes=40, **moments)
+        played(tmp_path, run, before)
+        if after:
+            played(tmp_path, run, after[0], form="polish")
+    _, table = write_comparisons(tmp_path)
+    differences = {(r["method"], r["depth"], r["rival"]): float(r["difference"]) for r in read_csv(table)}
+    assert differences == {
+        ("linear-polished", "0", "linear"): 2.0,
+        ("otr", "6", "linear"): 3.0, ("otr", "32", "linear"): 4.0, ("otr", "32", "otr"): 1.0,
+        ("otr-polished", "6", "linear-polished"): 5.0, ("otr-polished", "6", "otr"): 4.0,
+        ("otr-polished", "32", "linear-polished"): 9.0, ("otr-polished", "32", "otr-polished"): 4.0,
+        ("viper", "6", "linear"): 1.0, ("viper", "6", "otr"): -2.0,
+    }  # fmt: skip
 
 
 def test_nothing_to_compare_says_so(tmp_path):

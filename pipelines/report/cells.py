@@ -79,6 +79,20 @@ def oracle_runs(runs: pd.DataFrame) -> pd.DataFrame:
     return own.drop_duplicates([*KEY, *SOURCE, "seed"])
 
 
+def with_pruned_trees(runs: pd.DataFrame, every: pd.DataFrame) -> pd.DataFrame:
+    """Return rows of `table_runs` with the return and the leaves of their pruned trees.
+
+    `every` are all rows of `load_runs`. A polished policy has been pruned anew, or was
+    polished as a pruned tree, which it then is.
+    """
+    is_polished = runs["form"] == "polished"
+    pruned = every[every["form"] == "pruned_tree"].set_index("run")["return_mean"]
+    polished = runs.reindex(columns=["polish.return_mean_pruned", "polish.n_leaves"]).astype(float)
+    returns = runs["run"].map(pruned).where(~is_polished, polished["polish.return_mean_pruned"])
+    leaves = runs["pruned_leaves"].astype(float).where(~is_polished, polished["polish.n_leaves"])
+    return runs.assign(return_pruned=returns.fillna(runs["return_mean"]), leaves_pruned=leaves)
+
+
 def _in_tables(own: pd.DataFrame, further_keys: list[str], forms: Mapping[str, str] = FORMS) -> pd.DataFrame:
     own = own[(own["env"] == own["task"]) & own["form"].isin(forms)]
     linear = (own["method"] == "otr") & (own["depth"] == "0")

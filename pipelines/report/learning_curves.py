@@ -17,7 +17,6 @@ from pipelines.engine.store import exists, read_csv, read_summary
 from pipelines.errors import MissingInputError
 from pipelines.report.figures import (
     COLOURS,
-    DASHES,
     NORMAL,
     figure_of_panels,
     legend_line,
@@ -34,6 +33,7 @@ if TYPE_CHECKING:
 Style = dict[str, Any]  # of a line
 FINISHED = {"under_way": "", "done": 0, "whole": 0}
 LINES = ("-", ":", "-.")  # once the colours are used up
+CROSS: Style = {"marker": "x", "markersize": 6, "markeredgewidth": 1.5}
 LOG_FROM = 8  # times that what one label spent is more than another: the axis is logarithmic
 STEPS, ROWS = "environment steps", "rows that the imitator learnt from"
 # A stage and its file, its column of what was spent, those of the return's mean and deviation, and of the chosen one.
@@ -117,7 +117,7 @@ def learning_curves(curves: pd.DataFrame) -> Figure:
 
     Of a label with one run, the line is the mean over the selection episodes, and the band one standard deviation to
     either side; of one with several, thin lines are the runs and the thick one is their mean. A dot is the policy that
-    was chosen, a dashed line the return of its tree over the evaluation episodes, which decided nothing.
+    was chosen, and a cross at the run's end the return of its tree over the evaluation episodes, which decided nothing.
 
     Args:
         curves: as `load_curves` returns it.
@@ -148,7 +148,7 @@ def learning_curves(curves: pd.DataFrame) -> Figure:
         legend_line(f"chosen{so_far}", color="none", marker="o", markerfacecolor="#444444", markeredgecolor="white")
     )
     if curves["final"].notna().any():
-        handles.append(legend_line("its tree, evaluated", color="#444444", linestyle=DASHES, linewidth=1))
+        handles.append(legend_line("its tree, evaluated", color="#444444", linestyle="none", **CROSS))
     set_legend(figure, handles, 2)
     figure.suptitle(_title(curves), fontsize=NORMAL)
     return figure
@@ -176,9 +176,7 @@ def _draw(panel: Axes, curves: pd.DataFrame, style: Style) -> None:
             panel.fill_between(run["spent"], low, high, color=colour, alpha=0.15, linewidth=0)
         best = run[run["chosen"]]
         panel.plot(best["spent"], best["mean"], "o", color=colour, markersize=5, markeredgecolor="white", zorder=4)
-    final = curves.groupby("run")["final"].first().mean()
-    if final == final:
-        panel.axhline(final, color=colour, linestyle=DASHES, linewidth=1)
+        panel.plot(run["spent"].iloc[-1], run["final"].iloc[0], color=colour, clip_on=False, zorder=5, **CROSS)
     if len(runs) > 1:
         mean = _mean(runs)
         panel.plot(mean.index, mean, linewidth=1.8, **style)

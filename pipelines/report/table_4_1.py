@@ -5,11 +5,13 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from pipelines.report.cells import (
     CSV_COLUMNS,
     DECIMALS,
+    FORMS,
     KEY,
     METHOD_NAMES,
     ORACLE,
@@ -22,6 +24,7 @@ from pipelines.report.cells import (
     summarise,
     table_runs,
     variant_runs,
+    with_pruned_trees,
 )
 from pipelines.report.frames import load_runs
 from pipelines.report.statistics import MIN_RUNS_FOR_INTERVAL
@@ -149,19 +152,22 @@ def _beyond(cells: pd.DataFrame) -> list[list[str]]:
 
 
 def _pruned(every: pd.DataFrame) -> list[list[str]]:
-    """Return a head and a line for each policy that returns otherwise once it is pruned: means over runs."""
-    lines = [["Task", "Method", "Depth", "Whole tree", "Pruned tree", "Acts alike", "Leaves"]]
-    runs = in_order(table_runs(every, {"tree": "", "pruned_tree": "-pruned"}), [*KEY, *SOURCE])
-    whole, pruned = runs[runs["form"] == "tree"], runs[runs["form"] == "pruned_tree"]
-    both = whole.merge(pruned[["run", "return_mean"]], on="run", suffixes=("", "_pruned"))
-    for (task, method, depth, *_), group in both.groupby([*KEY, *SOURCE], sort=False):
-        before, after = group["return_mean"].mean(), group["return_mean_pruned"].mean()
-        if abs(after - before) >= LEAST_CHANGE * abs(before):
+    """Return a head and a line for each policy of which a run returns otherwise once it is pruned: means over runs."""
+    lines = [["Task", "Method", "Depth", "Whole tree", "Pruned tree", "Changes", "Acts alike", "Leaves"]]
+    whole = table_runs(every, {form: FORMS[form] for form in ("tree", "polished")})
+    runs = in_order(with_pruned_trees(whole, every), [*KEY, *SOURCE])
+    runs["change"] = (runs["return_pruned"] - runs["return_mean"]) / runs["return_mean"].abs()
+    for (task, method, depth, *_), group in runs.groupby([*KEY, *SOURCE], sort=False):
+        if group["change"].abs().max() >= LEAST_CHANGE:
             digits = 2 if task == "reacher" else 1
+            alike = group["fidelity"].where(group["form"] == "tree").mean()
             lines.append([TASK_NAMES.get(task, task), METHOD_NAMES.get(method, method), depth,
-                          f"{before:z.{digits}f} ({runs_text(group.assign(n_runs=len(group)).iloc[0])})",
-                          f"{after:z.{digits}f}", f"{100 * group['fidelity'].mean():.1f} %",
-                          f"{group['pruned_leaves'].mean():,.0f}"])  # fmt: skip
+                          f"{group['return_mean'].mean():z.{digits}f} "
+                          f"({runs_text(group.assign(n_runs=len(group)).iloc[0])})",
+                          f"{group['return_pruned'].mean():z.{digits}f}",
+                          ", ".join(f"{100 * change:+z.1f}" for change in group["change"]) + " %",
+                          "" if np.isnan(alike) else f"{100 * alike:.1f} %",
+                          f"{group['leaves_pruned'].mean():,.0f}"])  # fmt: skip
     return lines
 
 

@@ -78,19 +78,6 @@ def figures_data(
     return {name: figure for name, figure in figures.items() if figure}
 
 
-def with_pruned_trees(runs: pd.DataFrame, every: pd.DataFrame) -> pd.DataFrame:
-    """Return rows of `table_runs` with the return and the leaves of their pruned tree, which a page shows.
-
-    `every` are all rows of `load_runs`. A polished policy has been pruned anew.
-    """
-    is_polished = runs["form"] == "polished"
-    pruned = every[every["form"] == "pruned_tree"].set_index("run")["return_mean"]
-    polished = runs.reindex(columns=["polish.return_mean_pruned", "polish.n_leaves"]).astype(float)
-    returns = runs["run"].map(pruned).where(~is_polished, polished["polish.return_mean_pruned"])
-    leaves = runs["pruned_leaves"].astype(float).where(~is_polished, polished["polish.n_leaves"])
-    return runs.assign(return_pruned=returns.fillna(runs["return_mean"]), leaves_pruned=leaves)
-
-
 def _seconds(runs: pd.DataFrame) -> pd.Series:
     """Return the seconds in which each run's policy was made, polishing included where it is the polished one."""
     polishing = runs.get("seconds.polish", 0) * (runs["method"].str.endswith("-polished"))

@@ -23,11 +23,11 @@ from pipelines.engine.console import progress_lines
 from pipelines.engine.store import read_summary
 from pipelines.errors import MissingInputError, PipelineError
 from pipelines.report import table_4_1, table_4_2
-from pipelines.report.cells import KEY, SOURCE, TASK_NAMES, oracle_runs, table_runs
+from pipelines.report.cells import KEY, SOURCE, TASK_NAMES, oracle_runs, table_runs, with_pruned_trees
 from pipelines.report.certificates import certificate_lines
 from pipelines.report.frames import load_fits, load_runs
 from pipelines.report.text import write_file
-from pipelines.report.webpage.front import cell_table, figures_data, name_of_cell, plain_table, with_pruned_trees
+from pipelines.report.webpage.front import cell_table, figures_data, name_of_cell, plain_table
 from pipelines.report.webpage.policy import policy_data
 from pipelines.runs.finished_run import place_of
 

@@ -281,12 +281,17 @@ def test_trees_that_return_otherwise_once_pruned_are_listed(tmp_path: Path) -> N
         changes = {"policies": policies(pruned), "fidelity": 0.9 + 0.1 * seed, "pruned_leaves": 7}
         write_run(tmp_path, f"hopper/otr/depth-32/quick/seed-{seed}", 100.0, **changes)
         write_run(tmp_path, f"hopper/otr/depth-6/quick/seed-{seed}", 100.0, policies=policies(99.5))
+        # Changes that cancel each other are listed, too, and so are those of polished networks.
+        moments = {"return_mean": 50.0, "return_mean_pruned": 60.0, "n_leaves": 9, "n_episodes": 100}
+        changes = {"policies": policies(98.0 + 4 * seed), "polish": moments, "pruned_leaves": 8}
+        write_run(tmp_path, f"hopper/otr/depth-8/quick/seed-{seed}", 100.0, **changes)
     page = write_table_4_1(tmp_path)[0].read_text(encoding="utf-8")
     listed = [line for line in page.partition("## Once pruned")[2].splitlines() if line.startswith("| Hopper")]
-    assert [cell.strip() for cell in listed[0].split("|")[1:-1]] == [
-        "Hopper", "OTR", "32", "100.0 (2 runs, quick)", "98.0", "95.0 %", "7",
+    assert [[cell.strip() for cell in line.split("|")[1:-1]] for line in listed] == [
+        ["Hopper", "OTR", "8", "100.0 (2 runs, quick)", "100.0", "-2.0, +2.0 %", "", "8"],
+        ["Hopper", "OTR", "32", "100.0 (2 runs, quick)", "98.0", "+0.0, -4.0 %", "95.0 %", "7"],
+        ["Hopper", "OTR, polished", "8", "50.0 (2 runs, quick)", "60.0", "+20.0, +20.0 %", "", "9"],
     ]  # fmt: skip
-    assert len(listed) == 1
 
 
 def test_provenance_tells_what_was_run(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Figure 4.6: return of imitating trees on the lander against their depth, a panel for each oracle."""
+"""Figure 4.6: return of imitating trees on the lander against their depth, a panel for each oracle, beside linear."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,7 +8,7 @@ import pandas as pd
 
 import otr
 from pipelines.engine.store import corrupt
-from pipelines.report.cells import DECIMALS, METHOD_NAMES, summarise
+from pipelines.report.cells import DECIMALS, METHOD_NAMES, summarise, table_runs
 from pipelines.report.figures import return_against_depth
 from pipelines.report.text import csv_text, write_file
 
@@ -38,14 +38,21 @@ def budget_of_runs(runs: pd.DataFrame) -> str:
 def write_figure_4_6(runs: pd.DataFrame, planned: Sequence[Planned], budget: str, results_dir: Path) -> list[Path]:
     """Write Figure 4.6 from those of the experiment's runs, planned under one budget, that are finished.
 
+    Linear policies of the same budget, which imitate no oracle, stand in each panel at depth 0.
+
     Returns:
         The CSV, the PNG and the SVG file; the CSV alone where nothing was run.
     """
     cells = make_cells(runs, planned, results_dir).assign(budget=budget)
+    linear = linear_cells(runs, budget)
     folder = results_dir / "figures"
-    paths = [write_file(folder / "figure_4_6.csv", csv_text(cells[COLUMNS].round(DECIMALS)))]
-    points = cells.assign(panel="oracle " + cells["oracle"], label=cells["method"].map(_label))[cells["n_runs"] > 0]
-    if len(points):
+    table = pd.concat([linear, cells])[COLUMNS] if len(linear) else cells[COLUMNS]
+    paths = [write_file(folder / "figure_4_6.csv", csv_text(table.round(DECIMALS)))]
+    played = cells[cells["n_runs"] > 0]
+    if len(played):
+        in_each = [linear.assign(oracle=oracle) for oracle in dict.fromkeys(played["oracle"]) if len(linear)]
+        points = pd.concat([played, *in_each])
+        points = points.assign(panel="oracle " + points["oracle"], label=points["method"].map(_label))
         counts = sorted(set(points["n_runs"]))
         number = " to ".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
         text = f"mean ± standard deviation over {number} run{'' if counts == [1] else 's'}"
@@ -79,6 +86,14 @@ def make_cells(runs: pd.DataFrame, planned: Sequence[Planned], results_dir: Path
     return cells
 
 
+def linear_cells(runs: pd.DataFrame, budget: str) -> pd.DataFrame:
+    """Return the row of the lander's linear policies under a budget, of no oracle; no row where there are none."""
+    own = table_runs(runs)
+    own = own[(own["task"] == ENVIRONMENT) & (own["method"] == "linear") & (own["budget"] == budget)]
+    cells = summarise(own.assign(oracle="", depth=0), KEY, "return_mean", n_episodes=("n_episodes", "min"))
+    return cells.assign(budget=budget, oracle_mean=float("nan"), note="")
+
+
 def _label(method: str) -> str:
     """Return a method's name in the legend; NDPS's depth leaves out the tests of the argmax below its affine leaves."""
-    return "NDPS (affine leaves)" if method == "ndps" else METHOD_NAMES[method]
+    return {"ndps": "NDPS (affine leaves)", "linear": "Linear (no oracle)"}.get(method, METHOD_NAMES[method])

@@ -32,7 +32,8 @@ Styles = dict[str, dict[str, Any]]
 def return_against_depth(points: pd.DataFrame, solved: float, title: str | None = None) -> Figure:
     """Return a figure of the return against a tree's depth, a panel for each oracle.
 
-    Bands are one standard deviation to either side; a dashed line is the oracle's own return, a dotted one the return
+    Bands, and bars where a method has one depth, are one standard deviation to either side; a dashed line is the
+    oracle's own return, a dotted one the return
     from which the problem counts as solved. Panels, and methods in the legend, come in the order of the points.
 
     Args:
@@ -164,11 +165,14 @@ def _draw_depths(panel: Axes, points: pd.DataFrame, styles: Styles, solved: floa
         panel.axhline(mean, color=INK, linestyle=DASHES, linewidth=1, zorder=1)
     for label, style in styles.items():
         own = points[points["label"] == label].sort_values("depth", kind="stable")
+        line = {"linewidth": 1.2, "markeredgecolor": "white", "markeredgewidth": 0.5, **style}
         if own["std"].notna().any():
             low, high = own["mean"] - own["std"].fillna(0), own["mean"] + own["std"].fillna(0)
-            panel.fill_between(own["depth"], low, high, color=style["color"], alpha=0.15, linewidth=0, zorder=2)
+            if len(own) > 1:
+                panel.fill_between(own["depth"], low, high, color=style["color"], alpha=0.15, linewidth=0, zorder=2)
+            else:
+                panel.vlines(own["depth"], low, high, color=style["color"], linewidth=1, zorder=2)
         if len(own):
-            line = {"linewidth": 1.2, "markeredgecolor": "white", "markeredgewidth": 0.5, **style}
             panel.plot(own["depth"], own["mean"], zorder=3, **line)
     panel.locator_params(axis="y", nbins=6)
 

@@ -57,6 +57,20 @@ def test_csv_has_every_cell_with_what_was_not_run(tmp_path):
     ]
 
 
+def test_the_linear_policies_stand_at_depth_0_of_each_panel(tmp_path):
+    runs = [planned(oracle, "augtree", 2, 0) for oracle in ("[32]", "[64,64]")]
+    for run in runs:
+        finish(run, tmp_path, 100.0)
+    for seed, value in enumerate((10.0, 20.0)):
+        write_run(tmp_path, f"lunarlander/linear/depth-0/quick/seed-{seed}", value)
+    write_run(tmp_path, "lunarlander/linear/depth-0/thesis/seed-0", 500.0)
+    table, _, svg = write_figure_4_6(runs, tmp_path)
+    first, *others = (list(row.values()) for row in read_csv(table))
+    assert first[:5] == ["", "linear", "0", "15.0", "7.071068"] and first[7:] == ["2", "100", "quick", "", ""]
+    assert [row[:2] for row in others] == [["[32]", "augtree"], ["[64,64]", "augtree"]]
+    assert "Linear" in svg.read_text()
+
+
 def test_an_oracle_counts_once_for_all_that_imitate_it(tmp_path):
     runs = [planned("[32]", "augtree", depth, 0) for depth in (2, 3, 4)] + [planned("[32]", "augtree", 2, 1)]
     for run in runs:
@@ -105,6 +119,8 @@ def test_curves_bands_and_lines_are_where_the_points_say():
     assert lines == [([0, 1], [200.0] * 2), ([0, 1], [260.0] * 2), ([2, 3], [200.0, 230.0]), ([2], [-37.0])]
     (band,) = left.collections
     np.testing.assert_allclose(band.get_datalim(left.transData).get_points(), [[2, 180], [3, 240]])
+    (bar,) = right.collections  # where a band would have no width
+    np.testing.assert_allclose(bar.get_segments(), [[[2, 205], [2, 215]]])
     assert len(right.lines) == 2 and left.get_xticks().tolist() == [2, 3]
     with pytest.raises(ValueError, match="no points"):
         return_against_depth(points[:0], 200.0)

@@ -77,7 +77,7 @@ class Text:
         return f"{'' if value else ' is empty'}: {self.remedy}"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # EXECUTION is not DERIVED
 class NotKeyed:
     """A setting that does not decide what comes out, or that another one tells."""
 

@@ -82,7 +82,7 @@ def auc_against_leaves(points: pd.DataFrame) -> Figure:
     handles = [legend_line(label, linestyle="none", **style) for label, style in styles.items()]
     if points["published"].notna().any():
         hollow: dict[str, Any] = {"marker": "o", "markersize": 5.5 + HOLLOW_LARGER, "markerfacecolor": "none"}
-        handles.append(legend_line("hollow: thesis", linestyle="none", markeredgecolor=GREY, **hollow))
+        handles.append(legend_line("hollow: thesis, at our leaves", linestyle="none", markeredgecolor=GREY, **hollow))
     if (points["leaves"] == 1).any():
         handles.append(legend_line("score of one leaf", color=GREY, linestyle=DASHES, linewidth=1))
     n_panels = points["panel"].nunique()

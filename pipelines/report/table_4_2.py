@@ -236,7 +236,7 @@ def _grids(tuned: Sequence[tuple[Any, dict[str, Any], list[dict[str, Any]]]]) ->
 
 def _chosen(tuned: Sequence[tuple[Any, dict[str, Any], list[dict[str, Any]]]]) -> list[list[str]]:
     """Return a head and a line for every tuned cell: for what, with which seeds, and what was chosen how often."""
-    lines = [["Data", "Method", "For each", "On", "Seeds", "Chosen"]]
+    lines = [["Data", "Method", "For each", "On", "Seeds", "Score", "Chosen"]]
     for cell, tuning, chosen in tuned:
         texts = Counter(_text(each["settings"]) for each in chosen).most_common()
         if tuning["tuned_for"] == "data" or len(texts) == 1:
@@ -246,7 +246,8 @@ def _chosen(tuned: Sequence[tuple[Any, dict[str, Any], list[dict[str, Any]]]]) -
         per = {"label": "label", "data": "data set"}[tuning["tuned_for"]]
         where = {"valid": "validation", "folds": "5 folds"}[tuning.get("tuned_on", "valid")]
         seeds = ", ".join(map(str, tuning["tuning_seeds"]))
-        lines.append([DATA[cell.task], LEARNERS[cell.method], per, where, seeds, text])
+        score = f"{sum(each['valid'] for each in chosen) / len(chosen):.3f}"
+        lines.append([DATA[cell.task], LEARNERS[cell.method], per, where, seeds, score, text])
     return lines
 
 

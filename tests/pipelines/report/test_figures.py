@@ -66,7 +66,7 @@ def test_a_method_looks_the_same_everywhere_and_stands_once_in_the_legend():
         "Linear",
         "OTR",
         "CART",
-        "hollow: thesis",
+        "hollow: thesis, at our leaves",
         "score of one leaf",
     ]
     bace, hiv = figure.axes

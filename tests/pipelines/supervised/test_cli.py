@@ -23,6 +23,7 @@ def test_fit_sweep_runs_and_is_found_done(tmp_path):
     "words, message",
     [
         ((), "which data set? Add data=NAME with one of: bace"),
+        (("method=otr", "keep_trees=false", "data.split=0"), "which data set? Add data=NAME with one of: bace"),
         (("data=bacee",), "Did you mean bace?"),
         (("data=bace", "method=otrr"), "Did you mean otr"),
         (("data=bace", "method.hiden=[3]"), "Did you mean method.hidden"),

@@ -135,7 +135,8 @@ class Composer:
             if key == "launcher":
                 check_launcher(value)
         if self.needs and self.needs[0] not in map(key_of, overrides):
-            self.check_keys([override for override in overrides if override not in self.implied(overrides)])
+            implied = self.implied(overrides)
+            self.check_keys([override for override in overrides if override not in implied])
             group, what = self.needs
             raise ConfigError(
                 f"which {what}? Add {group}=NAME with one of: {', '.join(self.options(group))}{self.besides}"

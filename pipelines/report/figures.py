@@ -33,8 +33,8 @@ def return_against_depth(points: pd.DataFrame, solved: float, title: str | None 
     """Return a figure of the return against a tree's depth, a panel for each oracle.
 
     Bands, and bars where a method has one depth, are one standard deviation to either side; a dashed line is the
-    oracle's own return, a dotted one the return
-    from which the problem counts as solved. Panels, and methods in the legend, come in the order of the points.
+    oracle's own return, a dotted one the return from which the problem counts as solved. Panels, and
+    methods in the legend, come in the order of the points.
 
     Args:
         points: at least one; columns `panel` (its title), `label` (the method in words), `depth` (of the tree), `mean`

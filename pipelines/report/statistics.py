@@ -121,17 +121,21 @@ class ResampledAreas:
     seeds (percentiles of the paired bootstrap).
     """
 
-    def __init__(self, labels: ArrayLike, n_samples: int = 2000) -> None:
+    def __init__(self, labels: ArrayLike, n_samples: int = 2000, groups: ArrayLike | None = None) -> None:
         """Draw the samples.
 
         Args:
             labels: (n, L), 0, 1 or NaN where a label was not measured.
-            n_samples: of n rows each, with replacement, by a fixed seed.
+            n_samples: of as many groups as there are, with replacement, by a fixed seed.
+            groups: (n,), each row's group, of which all rows are drawn together; None where each row is its own.
         """
         labels = np.asarray(labels, dtype=np.float64)
         n = len(labels)
         self._weights = np.ones((1 + n_samples, n), dtype=np.float32)
-        self._weights[1:] = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), n_samples)
+        of_row = np.arange(n) if groups is None else np.unique(np.asarray(groups), return_inverse=True)[1]
+        n_groups = of_row.max() + 1
+        drawn = np.random.default_rng(0).multinomial(n_groups, np.full(n_groups, 1 / n_groups), n_samples)
+        self._weights[1:] = drawn[:, of_row]
         # Of each label: the rows of class 1 and of class 0, and either with its weights, which every method shares.
         classes = [[np.flatnonzero(column == known) for known in (1, 0)] for column in labels.T]
         self._classes = [[(rows, self._weights[:, rows]) for rows in both] for both in classes]

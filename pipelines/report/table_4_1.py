@@ -165,7 +165,7 @@ def _pruned(every: pd.DataFrame) -> list[list[str]]:
                           f"{group['return_mean'].mean():z.{digits}f} "
                           f"({runs_text(group.assign(n_runs=len(group)).iloc[0])})",
                           f"{group['return_pruned'].mean():z.{digits}f}",
-                          ", ".join(f"{100 * change:+z.1f}" for change in group["change"]) + " %",
+                          ", ".join(f"{100 * change:+z.1f}" for change in group.sort_values("seed")["change"]) + " %",
                           "" if np.isnan(alike) else f"{100 * alike:.1f} %",
                           f"{group['leaves_pruned'].mean():,.0f}"])  # fmt: skip
     return lines

@@ -112,6 +112,17 @@ def test_resampled_areas_are_those_of_the_drawn_rows():
     assert ResampledAreas.difference(found, found) == (0.0, (0.0, 0.0))
 
 
+def test_rows_of_a_group_are_drawn_together():
+    labels = np.random.default_rng(2).integers(0, 2, (60, 1)).astype(float)
+    groups = np.repeat(["a", "b", "c", "d"], 15)
+    weights = ResampledAreas(labels, 30, groups)._weights
+    by_group = weights.reshape(31, 4, 15)
+    assert (by_group == by_group[:, :, :1]).all() and (by_group[:, :, 0].sum(axis=1) == 4).all()
+    assert len(np.unique(by_group[:, :, 0], axis=0)) > 5
+    alone = ResampledAreas(labels, 30, np.arange(60))._weights
+    assert (alone == ResampledAreas(labels, 30)._weights).all()
+
+
 def test_the_paired_interval_is_near_scipys():
     rng = np.random.default_rng(1)
     labels = rng.integers(0, 2, (150, 1)).astype(float)

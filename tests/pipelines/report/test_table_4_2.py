@@ -121,13 +121,13 @@ def test_what_was_tuned_is_told(results):
     }
     (folder / "tune" / "manifest.json").write_text(json.dumps({"settings": {"method": method}}))
     chosen = [
-        {"label": name, "settings": {"max_depth": depth}, "valid": 0.7}
+        {"label": name, "settings": {"max_depth": depth}, "valid": depth / 8}
         for name, depth in zip("abc", (2, 4, 2), strict=True)
     ]
     (folder / "tune" / "chosen.json").write_text(json.dumps(chosen))
     text = write_table_4_2(results)[0].read_text()
     assert "one of\n    * max_depth 2 to 4\n    * drop 0.0 / 0.25 / 0.5, wide true\n" in text
-    assert "max_depth 2 (2); max_depth 4 (1)" in text
+    assert "| 0.333 | max_depth 2 (2); max_depth 4 (1)" in text  # the mean over labels of what each scored
 
 
 def test_foreign_summaries_are_refused(results):

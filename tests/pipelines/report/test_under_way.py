@@ -108,3 +108,12 @@ def test_the_title_of_several_runs_sums_up_what_is_done() -> None:
     rows += [{**row, "run": "c", "spent": spent, **FINISHED} for spent in (500, 3000)]
     figure = learning_curves(pd.DataFrame(rows))
     assert figure.get_suptitle() == "3 runs; thick: their mean; 2 under way, 3,000 of 6,000 steps"
+
+
+def test_each_run_has_a_cross_where_it_ends() -> None:
+    row = {"panel": "hopper", "label": "otr", "unit": STEPS, "mean": 1.0, "std": 1.0, "chosen": False, **FINISHED}
+    rows = [{**row, "run": run, "spent": spent, "final": final}
+            for run, end, final in (("a", 1000, 5.0), ("b", 2000, 9.0)) for spent in (500, end)]  # fmt: skip
+    (panel,) = learning_curves(pd.DataFrame(rows)).axes
+    crosses = [line for line in panel.lines if line.get_marker() == "x"]
+    assert [(list(line.get_xdata()), list(line.get_ydata())) for line in crosses] == [([1000], [5.0]), ([2000], [9.0])]

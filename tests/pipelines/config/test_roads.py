@@ -72,7 +72,8 @@ def test_an_oracle_has_the_algorithm_of_the_road():
 
 def test_who_names_another_algorithm_or_trainer_leaves_the_road_with_all_that_it_says_of_training():
     on_the_road = made("env=bipedalwalker")
-    assert (on_the_road.algo.normalise, on_the_road.train.eval_interval_steps) == (True, 50_000) and not on_the_road.changes
+    assert (on_the_road.algo.normalise, on_the_road.train.eval_interval_steps) == (True, 50_000)
+    assert not on_the_road.changes
     own_way = made("env=bipedalwalker", "algo=ppo")
     assert (own_way.algo.normalise, own_way.train.eval_interval_steps) == (False, 10_000) and "~" in own_way.folder
     assert made("env=bipedalwalker", "trainer=sb3").settings() == on_the_road.settings()

@@ -66,10 +66,15 @@ def variant_runs(runs: pd.DataFrame) -> pd.DataFrame:
     policies are left out.
     """
     changes = runs["changes"].fillna("")
+    own = runs.assign(changes=changes_but_oracle(runs))
     is_given = runs["method"].isin([name for name, method in METHODS.items() if not method.is_trained])
-    without_oracle = changes.str.replace(r"(^|, )oracle=\[[\d,]*\]", "", regex=True).str.removeprefix(", ")
-    own = runs.assign(changes=without_oracle)[(changes != "") & ~is_given & ~_is_smoke(runs)]
-    return _in_tables(own, ["changes", "oracle.hidden_widths"])
+    return _in_tables(own[(changes != "") & ~is_given & ~_is_smoke(runs)], ["changes", "oracle.hidden_widths"])
+
+
+def changes_but_oracle(runs: pd.DataFrame) -> "pd.Series[str]":
+    """Return what settings each run changes, its oracle apart."""
+    changes = runs["changes"].fillna("")
+    return changes.str.replace(r"(^|, )oracle=\[[\d,]*\]", "", regex=True).str.removeprefix(", ")
 
 
 def oracle_runs(runs: pd.DataFrame) -> pd.DataFrame:

@@ -8,13 +8,14 @@ import pandas as pd
 
 import otr
 from pipelines.engine.store import corrupt
-from pipelines.report.cells import DECIMALS, METHOD_NAMES, summarise, table_runs
+from pipelines.report.cells import DECIMALS, METHOD_NAMES, changes_but_oracle, method_name, summarise, table_runs
 from pipelines.report.figures import return_against_depth
 from pipelines.report.text import csv_text, write_file
 
 EXPERIMENT = "figure_4_6"  # whose runs Figures 4.6 and 4.7 show
 ENVIRONMENT = "lunarlander"
 BUDGETS = ("thesis", "quick")
+IMITATOR = "distilled_otr"  # of depth 0 a linear policy
 KEY = ["oracle", "method", "depth"]
 COLUMNS = [*KEY, "mean", "std", "ci_low", "ci_high", "n_runs", "n_episodes", "budget", "oracle_mean", "note"]
 SOLVED = 200.0  # the thesis: an average return above it over 100 consecutive episodes
@@ -38,20 +39,21 @@ def budget_of_runs(runs: pd.DataFrame) -> str:
 def write_figure_4_6(runs: pd.DataFrame, planned: Sequence[Planned], budget: str, results_dir: Path) -> list[Path]:
     """Write Figure 4.6 from those of the experiment's runs, planned under one budget, that are finished.
 
-    Linear policies of the same budget, which imitate no oracle, stand in each panel at depth 0.
+    Linear policies of the same budget stand at depth 0: those without an oracle in each panel, and imitating ones in
+    that of their oracle.
 
     Returns:
         The CSV, the PNG and the SVG file; the CSV alone where nothing was run.
     """
     cells = make_cells(runs, planned, results_dir).assign(budget=budget)
-    linear = linear_cells(runs, budget)
+    linear, imitators = linear_cells(runs, budget), linear_imitators(runs, cells, budget)
     folder = results_dir / "figures"
-    table = pd.concat([linear, cells])[COLUMNS] if len(linear) else cells[COLUMNS]
+    table = pd.concat([part for part in (linear, imitators, cells) if len(part)])[COLUMNS]
     paths = [write_file(folder / "figure_4_6.csv", csv_text(table.round(DECIMALS)))]
     played = cells[cells["n_runs"] > 0]
     if len(played):
         in_each = [linear.assign(oracle=oracle) for oracle in dict.fromkeys(played["oracle"]) if len(linear)]
-        points = pd.concat([played, *in_each])
+        points = pd.concat([played, *in_each, *([imitators] if len(imitators) else [])])
         points = points.assign(panel="oracle " + points["oracle"], label=points["method"].map(_label))
         counts = sorted(set(points["n_runs"]))
         number = " to ".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
@@ -94,6 +96,22 @@ def linear_cells(runs: pd.DataFrame, budget: str) -> pd.DataFrame:
     return cells.assign(budget=budget, oracle_mean=float("nan"), note="")
 
 
+def linear_imitators(runs: pd.DataFrame, cells: pd.DataFrame, budget: str) -> pd.DataFrame:
+    """Return rows of the linear policies that imitate the oracles of `cells` under a budget, in the cells' order."""
+    is_plain = (runs["budget"] == budget) & (runs["form"] == "tree") & (changes_but_oracle(runs) == "")
+    own = runs[(runs["env"] == ENVIRONMENT) & (runs["method"] == IMITATOR) & (runs["depth"] == "0") & is_plain]
+    own = own.assign(oracle=own["oracle.hidden_widths"], method=method_name(own["method"]), depth=0)
+    means = cells[cells["n_runs"] > 0].drop_duplicates("oracle").set_index("oracle")["oracle_mean"]
+    rows = summarise(own, KEY, "return_mean", n_episodes=("n_episodes", "min")).set_index("oracle")
+    rows = rows.loc[[oracle for oracle in means.index if oracle in rows.index]].reset_index()
+    return rows.assign(budget=budget, oracle_mean=rows["oracle"].map(means), note="")
+
+
 def _label(method: str) -> str:
     """Return a method's name in the legend; NDPS's depth leaves out the tests of the argmax below its affine leaves."""
-    return {"ndps": "NDPS (affine leaves)", "linear": "Linear (no oracle)"}.get(method, METHOD_NAMES[method])
+    own = {
+        "ndps": "NDPS (affine leaves)",
+        "linear": "Linear (no oracle)",
+        "distilled-otr": "Linear (imitating)",
+    }
+    return own.get(method, METHOD_NAMES[method])

@@ -71,6 +71,23 @@ def test_the_linear_policies_stand_at_depth_0_of_each_panel(tmp_path):
     assert "Linear" in svg.read_text()
 
 
+def test_linear_policies_that_imitate_stand_at_depth_0_of_their_oracles_panel(tmp_path):
+    runs = [planned(oracle, "augtree", 2, 0) for oracle in ("[64,64]", "[32]")]
+    for run, oracle_mean in zip(runs, (250.0, 270.0), strict=True):
+        finish(run, tmp_path, 100.0, oracle_mean)
+    for oracle, value in (("[32]", 10.0), ("[32]", 30.0), ("[64,64]", 50.0), ("[8]", 70.0)):
+        finish(planned(oracle, "distilled_otr", 0, int(value)), tmp_path, value, changes=f"oracle={oracle}")
+    finish(planned("[32]", "distilled_otr", 0, 1), tmp_path, 900.0, changes="method.ridge=1, oracle=[32]")
+    finish(planned("[32]", "distilled_otr", 2, 2), tmp_path, 900.0)
+    table, _, svg = write_figure_4_6(runs, tmp_path)
+    linear = [list(row.values()) for row in read_csv(table)][:2]
+    assert [row[:4] for row in linear] == [
+        ["[64,64]", "distilled-otr", "0", "50.0"], ["[32]", "distilled-otr", "0", "20.0"],
+    ]  # fmt: skip
+    assert [row[7:] for row in linear] == [["1", "100", "quick", "250.0", ""], ["2", "100", "quick", "270.0", ""]]
+    assert "Linear (imitating)" in svg.read_text() and "Linear (no oracle)" not in svg.read_text()
+
+
 def test_an_oracle_counts_once_for_all_that_imitate_it(tmp_path):
     runs = [planned("[32]", "augtree", depth, 0) for depth in (2, 3, 4)] + [planned("[32]", "augtree", 2, 1)]
     for run in runs:

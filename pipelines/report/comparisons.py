@@ -1,4 +1,4 @@
-"""Every control policy beside the linear row and beside OTR (6) of its task: paired on the starts that they share."""
+"""Every control policy beside its task's linear policies and beside OTR (6): paired on the starts that they share."""
 
 import functools
 import io
@@ -31,7 +31,7 @@ from pipelines.report.statistics import (
 )
 from pipelines.report.text import markdown_table, page, write_tables
 
-LINEAR, RIVALS = "linear", {"linear": "0", "otr": "6"}  # methods with their depths
+LINEAR, RIVALS = "linear", {"linear": "0", "distilled-otr": "0", "otr": "6"}  # methods with their depths
 POLISHED = FORMS["polished"]
 EPISODES = {"polished": "polish/episodes.csv", "tree": "evaluate/episodes.csv"}
 COLUMNS = [*KEY, *SOURCE, "n_runs", "mean", "iqm", "rival", "rival_depth", "rival_budget", "n_rival_runs", "n_starts",

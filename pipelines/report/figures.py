@@ -58,7 +58,7 @@ def return_against_depth(points: pd.DataFrame, solved: float, title: str | None 
     panels[0].set_xticks(sorted(set(points["depth"])))
     if title:
         figure.suptitle(title, fontsize=NORMAL)
-    set_legend(figure, handles, len(handles))
+    set_legend(figure, handles, 2 * n_columns)
     return figure
 
 

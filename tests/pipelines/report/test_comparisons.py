@@ -50,6 +50,17 @@ def test_a_policy_stands_beside_the_linear_row_and_otr(tmp_path):
     assert "## Hopper\n" in markdown and "| VIPER  | 6     |" in markdown and "| -17.5" in markdown
 
 
+def test_linear_policies_that_imitate_are_a_rival_of_all_but_linear_ones(tmp_path):
+    for method, shift in (("linear/depth-0", 0.0), ("distilled_otr/depth-0", 7.0), ("ndps/depth-2", 9.0)):
+        played(tmp_path, f"lunarlander/{method}/quick/seed-0", shift)
+    _, found = rows(tmp_path)
+    assert {key: float(row["difference"]) for key, row in found.items() if len(key) == 3} == {
+        ("distilled-otr", "quick", "linear"): 7.0,
+        ("ndps", "quick", "linear"): 9.0,
+        ("ndps", "quick", "distilled-otr"): 2.0,
+    }
+
+
 def test_a_rival_of_the_same_budget_is_taken_else_the_most_runs(tmp_path):
     played(tmp_path, "hopper/linear/depth-0/thesis/seed-0", 0.0)
     for seed in range(2):

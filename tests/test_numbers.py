@@ -79,7 +79,7 @@ def test_means_and_spreads_on_a_page_are_of_committed_results(page, spreads):
 
 
 def rows_by_task(page: str, column: int) -> list[tuple[str, str]]:
-    """Return (task, cell of the column) of a page's first table on the thesis's eight tasks, which has a row for each."""
+    """Return (task, cell of the column) of a page's first table that has a row for each of the thesis's eight tasks."""
     rows = [line.strip("| ").split(" | ") for line in (ROOT / page).read_text().splitlines() if line.startswith("| ")]
     names = {cells[0].lower().replace("-", ""): cells for cells in reversed(rows) if len(cells) > column}
     found = [(env, names[name][column]) for env in TASKS for name in names if name and env.startswith(name)]

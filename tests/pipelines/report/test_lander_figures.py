@@ -143,6 +143,16 @@ def test_curves_bands_and_lines_are_where_the_points_say():
         return_against_depth(points[:0], 200.0)
 
 
+def test_the_legend_of_many_methods_is_within_the_figure():
+    labels = ["AugTree", "VIPER", "NDPS (affine leaves)", "Linear (no oracle)", "Linear (imitating)"]
+    points = pd.DataFrame({"label": labels}).assign(depth=2, mean=0.0, std=1.0, oracle_mean=260.0)
+    figure = return_against_depth(pd.concat([points.assign(panel=panel) for panel in ("[32]", "[256]")]), 200.0)
+    (legend,) = figure.legends
+    figure.canvas.draw()
+    extent = legend.get_window_extent()
+    assert 0 <= extent.x0 < extent.x1 <= figure.bbox.width
+
+
 @pytest.fixture
 def depth_two(tiny, tmp_path):
     """Two finished runs of an oracle [256] and one of [32], with a tree that turns the lander upright."""

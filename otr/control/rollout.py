@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from otr.control.answers import answer_reader
 from otr.core.arrays import BoolArray, FloatArray, IntArray
 from otr.extras import naming_the_extra
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 Policy = Callable[[FloatArray], NDArray[Any]]  # states (n, d) -> actions (n, a), or labels (n,)
 
 _SIDE_BY_SIDE = 32
+_N_EPISODES = 100
 # Where the seeds of `rollout` begin, and what they stay below; those below 2**20 are for reports.
 _SEEDS = (2**20, 2**31)
 
@@ -65,51 +67,79 @@ class Rollout:
 
 @naming_the_extra("otr.rollout")
 def rollout(
-    env: str | Callable[[], gym.Env[Any, Any]],
+    env: str | gym.Env[Any, Any] | Callable[[], gym.Env[Any, Any]],
     policy: Any,
-    n_episodes: int = 100,
+    n_episodes: int | None = None,
     seed: int = 0,
     *,
+    seeds: Sequence[int] | None = None,
     max_steps: int | None = None,
 ) -> Rollout:
     """Play episodes and keep the states and actions of every step, to prune or to learn from.
 
-    The episodes' own seeds are drawn from `seed`, from 2**20 upwards: never those that `evaluate` plays by default.
+    An episode depends on its seed alone. Environments whose episodes do not are made anew for each (gymnasium's
+    BipedalWalker, and others that are seen to depend on earlier episodes, of which a warning says so).
 
     Args:
-        env: the id of a registered environment, ``"module:Id"`` too, or a function that makes a new one each time.
+        env: the id of a registered environment, ``"module:Id"`` too; a function that makes a new one each time, of
+            which several are stepped side by side; or an environment, which is stepped alone and left open.
             Observations are a Box, read as vectors (d,); actions a Box or Discrete.
         policy: a tree, a network, or anything with ``predict(X)``, or a function, from states (n, d) float64 to
             actions (n, a) or labels (n,). Actions are rounded to the action space's own type, and not clipped;
             whole numbers that this type cannot hold are an error.
-        n_episodes: at least 1.
-        seed: of all of it.
+        n_episodes: at least 1; 100 without `seeds`.
+        seed: of the episodes' own seeds, which are drawn from 2**20 upwards: never those that `evaluate` plays by
+            default.
+        seeds: of the episodes, one each, in place of drawn ones.
         max_steps: of an episode, which is truncated there, at least 1; None for the environment's own limit alone.
 
     Raises:
-        ValueError: spaces of other kinds, or answers that are not one action of the environment for each state.
+        ValueError: spaces of other kinds, answers that are not one action of the environment for each state, an
+            environment without a limit where `max_steps` is None, or one with another interface than gymnasium's.
         MissingExtraError: gymnasium is not installed.
     """
-    if n_episodes < 1:
-        raise ValueError(f"n_episodes is {n_episodes}, expected 1 or more")
-    start = int(np.random.default_rng(seed).integers(_SEEDS[0], _SEEDS[1] - n_episodes))
-    seeds = range(start, start + n_episodes)
-    return play_episodes(_maker(env), _function(policy), seeds, keep_steps=True, max_steps=max_steps)
+    if seeds is None:
+        n = _checked(n_episodes)
+        start = int(np.random.default_rng(seed).integers(_SEEDS[0], _SEEDS[1] - n))
+        seeds = range(start, start + n)
+    return _play(env, policy, n_episodes, seeds, max_steps, keep_steps=True)
 
 
 @naming_the_extra("otr.evaluate")
 def evaluate(
-    env: str | Callable[[], gym.Env[Any, Any]],
+    env: str | gym.Env[Any, Any] | Callable[[], gym.Env[Any, Any]],
     policy: Any,
-    seeds: Sequence[int] = range(100),
+    seeds: Sequence[int] | None = None,
     *,
+    n_episodes: int | None = None,
     max_steps: int | None = None,
 ) -> Rollout:
     """Play one episode a seed, ``reset(seed=...)``, and return what came of them, without states and actions.
 
-    Policies that are compared play the same episodes. Arguments and errors are those of `rollout`.
+    Policies that are compared play the same episodes: of the seeds 0 to `n_episodes` - 1 unless `seeds` are given.
+    Arguments and errors are those of `rollout`.
     """
-    return play_episodes(_maker(env), _function(policy), seeds, max_steps=max_steps)
+    seeds = range(_checked(n_episodes)) if seeds is None else seeds
+    return _play(env, policy, n_episodes, seeds, max_steps, keep_steps=False)
+
+
+def _checked(n_episodes: int | None) -> int:
+    if n_episodes is not None and n_episodes < 1:
+        raise ValueError(f"n_episodes is {n_episodes}, expected 1 or more")
+    return _N_EPISODES if n_episodes is None else n_episodes
+
+
+def _play(
+    env: Any, policy: Any, n_episodes: int | None, seeds: Sequence[int], max_steps: int | None, *, keep_steps: bool
+) -> Rollout:
+    from otr.control.environments import playable
+
+    if n_episodes not in (None, len(seeds)):
+        raise ValueError(f"n_episodes is {n_episodes}, and there are {len(seeds)} seeds; give one of the two")
+    predict = _function(policy)
+    make, makes_several = playable(env)
+    n_envs = _SIDE_BY_SIDE if makes_several else 1
+    return play_episodes(make, predict, seeds, keep_steps=keep_steps, max_steps=max_steps, n_envs=n_envs)
 
 
 def play_episodes(
@@ -119,17 +149,21 @@ def play_episodes(
     *,
     keep_steps: bool = False,
     max_steps: int | None = None,
+    n_envs: int = _SIDE_BY_SIDE,
 ) -> Rollout:
     """Step some environments side by side, one episode a seed; an environment whose episode ends takes the next seed.
 
-    States and actions are kept with `keep_steps`; `rollout` documents the rest.
+    States and actions are kept with `keep_steps`; `n_envs` is how many environments are made at most; `rollout`
+    documents the rest.
     """
+    from otr.control.environments import require_limit, start, step
+
     n = len(seeds)
     if n == 0:
         raise ValueError("there are no seeds; give one for each episode")
     if max_steps is not None and max_steps < 1:
         raise ValueError(f"max_steps is {max_steps}, expected 1 or more")
-    envs = [make_env() for _ in range(min(_SIDE_BY_SIDE, n))]
+    envs = [make_env() for _ in range(min(n_envs, n))]
     returns, lengths = np.zeros(n), np.zeros(n, dtype=np.int64)
     terminated, truncated = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
     visited: list[list[FloatArray]] = [[] for _ in seeds]
@@ -138,8 +172,13 @@ def play_episodes(
     waiting = len(envs)  # the next episode to start
     limit = math.inf if max_steps is None else max_steps
     try:
-        n_inputs, to_env, no_actions = _spaces(envs)
-        states = [_state(env.reset(seed=int(seeds[i]))[0]) for i, env in enumerate(envs)]
+        if len({id(env) for env in envs}) < len(envs):
+            raise ValueError(
+                "env made the same environment twice, expected a new one each time: they are stepped together"
+            )
+        n_inputs, to_env, no_actions = answer_reader(envs[0])
+        require_limit(envs[0], max_steps)
+        states = [start(env, int(seeds[i])) for i, env in enumerate(envs)]
         while envs:
             batch = np.array(states)
             if not np.isfinite(batch).all():
@@ -155,8 +194,8 @@ def play_episodes(
                 if keep_steps:
                     visited[i].append(states[slot])
                     done[i].append(copy.copy(actions[slot]))  # the environment may change it in place
-                observation, reward, terminal, timeout, _ = env.step(actions[slot])
-                returns[i] += float(reward)
+                states[slot], reward, terminal, timeout = step(env, actions[slot])
+                returns[i] += reward
                 lengths[i] += 1
                 if terminal or timeout or lengths[i] >= limit:
                     if not math.isfinite(returns[i]):
@@ -167,27 +206,13 @@ def play_episodes(
                         del envs[slot], episode[slot], states[slot]
                         continue
                     episode[slot], waiting = waiting, waiting + 1
-                    observation, _ = env.reset(seed=int(seeds[episode[slot]]))
-                states[slot] = _state(observation)
+                    states[slot] = start(env, int(seeds[episode[slot]]))
     finally:
         for env in envs:
             env.close()
     kept = np.array([state for one in visited for state in one]).reshape(-1, n_inputs)
     taken = np.array([action for one in done for action in one] or no_actions, dtype=no_actions.dtype)
     return Rollout(np.array(seeds), returns, lengths, terminated, truncated, kept, taken)
-
-
-def _maker(env: Any) -> Callable[[], gym.Env[Any, Any]]:
-    import gymnasium as gym
-
-    if isinstance(env, str):
-        return lambda: gym.make(env, disable_env_checker=True)  # it costs time at every step
-    if not callable(env):
-        raise TypeError(
-            f"env is a {type(env).__name__}, expected the id of an environment or a function that makes one, since "
-            "several are stepped side by side: lambda: MyEnv(...)"
-        )
-    return env  # type: ignore[no-any-return]
 
 
 def _function(policy: Any) -> Policy:
@@ -197,72 +222,3 @@ def _function(policy: Any) -> Policy:
             f"policy is a {type(policy).__name__}, expected a tree, a network, anything with predict(X), or a function"
         )
     return predict  # type: ignore[no-any-return]
-
-
-def _state(observation: Any) -> FloatArray:
-    return np.array(observation, dtype=np.float64).ravel()  # a copy, as an environment may go on writing into its own
-
-
-def _spaces(envs: Sequence[gym.Env[Any, Any]]) -> tuple[int, Callable[[Any, int], Sequence[Any]], NDArray[Any]]:
-    """Return the length of a state, the function from the answers to n states to actions, and an array of no actions.
-
-    Continuous actions are rounded to the action space's own type (float32), as a trained policy's are: policies that
-    are equal up to the last bits of float64 then play the same episode.
-    """
-    from gymnasium import spaces
-
-    if len({id(env) for env in envs}) < len(envs):
-        raise ValueError("env made the same environment twice, expected a new one each time: they are stepped together")
-    seen, space = envs[0].observation_space, envs[0].action_space
-    if not isinstance(seen, spaces.Box):
-        raise ValueError(
-            f"the observations are {seen}, expected a Box; wrap the environment, as in "
-            "gymnasium.wrappers.FlattenObservation"
-        )
-    n_inputs = math.prod(seen.shape)
-    if isinstance(space, spaces.Discrete) and space.start == 0:
-        n_labels = int(space.n)
-        return n_inputs, lambda answers, n: _labels(answers, n, n_labels), np.zeros(0, dtype=np.int64)
-    if not isinstance(space, spaces.Box):
-        raise ValueError(f"the actions are {space}, expected a Box, or Discrete from 0 on; wrap the environment")
-    shape, dtype = space.shape, space.dtype
-    return n_inputs, lambda answers, n: _actions(answers, n, shape, dtype), np.zeros((0, *shape), dtype=dtype)
-
-
-def _labels(answers: Any, n: int, n_labels: int) -> list[int]:
-    labels = _array(answers)
-    if labels.shape != (n,) or labels.dtype.kind not in "iu" or labels.min() < 0 or labels.max() >= n_labels:
-        raise ValueError(
-            f"the policy answers {_shown(answers)}, expected labels (n,) from 0 to {n_labels - 1} for n = {n} states"
-        )
-    return labels.tolist()  # type: ignore[no-any-return]
-
-
-def _actions(answers: Any, n: int, shape: tuple[int, ...], dtype: Any) -> list[NDArray[Any]]:
-    actions, size = _array(answers), math.prod(shape)
-    if actions.shape[:1] != (n,) or actions.size != n * size or not np.isfinite(actions).all():
-        raise ValueError(
-            f"the policy answers {_shown(answers)}, expected finite actions (n, {size}) for n = {n} states"
-        )
-    rounded = actions
-    if np.issubdtype(dtype, np.integer):
-        rounded, held = np.rint(actions), np.iinfo(dtype)
-        if (rounded < held.min).any() or (rounded > held.max).any():
-            raise ValueError(
-                f"the policy answers {_shown(answers)}; the actions are of type {dtype}, from {held.min} to {held.max}"
-            )
-    return list(rounded.astype(dtype).reshape(-1, *shape))
-
-
-def _array(answers: Any) -> NDArray[Any]:
-    if isinstance(answers, tuple):
-        raise ValueError(
-            f"the policy answers a tuple of {len(answers)}, expected an array of one action a state; of a model of "
-            "Stable-Baselines3, give lambda X: model.predict(X, deterministic=True)[0]"
-        )
-    return np.asarray(answers)
-
-
-def _shown(answers: Any) -> str:
-    array = np.asarray(answers)
-    return f"an array of shape {array.shape} and type {array.dtype}, first {array.ravel()[:1].tolist()}"

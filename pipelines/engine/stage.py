@@ -27,7 +27,8 @@ class Stage:
     """One step of a method."""
 
     name: str  # its folder's name
-    version: int  # raised when the same inputs and settings would give something else
+    # Raised when the same inputs and settings would give something else; of a function, for these configurations alone
+    version: int | Callable[[Any], int]
     inputs: tuple[str, ...]  # the stages whose folders it reads
     settings: Callable[[Any], dict[str, Any]]  # picks, from the run's configuration, what decides the result; JSON-able
     # `(inputs, config, out)` writes the result's files into the empty folder `out`
@@ -36,6 +37,10 @@ class Stage:
     # From `(config, inputs)` to the folder in which it keeps what it has done so far; that folder is removed once
     # the result is in its place
     checkpoints: Callable[[Any, Mapping[str, Path]], Path] | None = None
+
+    def version_of(self, config: Any) -> int:
+        """Return the version for a configuration."""
+        return self.version if isinstance(self.version, int) else self.version(config)
 
 
 def picked(**paths: str) -> Callable[[Any], dict[str, Any]]:
@@ -156,7 +161,9 @@ def run_stage_together(
 def stage_key(stage: Stage, config: Any, inputs: Mapping[str, Path]) -> str:
     """Return the key of a stage's result: what it is made by, with and from."""
     digests = {name: verified_manifest(folder)["output_digest"] for name, folder in inputs.items()}
-    return digest({"stage": stage.name, "version": stage.version, "settings": stage.settings(config), "in": digests})
+    return digest(
+        {"stage": stage.name, "version": stage.version_of(config), "settings": stage.settings(config), "in": digests}
+    )
 
 
 def stage_status(stage: Stage, folder: Path, config: Any, wanted: str | None = None) -> str:
@@ -169,7 +176,7 @@ def stage_status(stage: Stage, folder: Path, config: Any, wanted: str | None = N
     manifest = read_manifest(folder)
     if manifest["settings"] != stage.settings(config):
         return "other settings"
-    current = manifest["version"] == stage.version if wanted is None else manifest["key"] == wanted
+    current = manifest["version"] == stage.version_of(config) if wanted is None else manifest["key"] == wanted
     return "done" if current else "stale"
 
 
@@ -203,7 +210,7 @@ def _finish(
         temporary / MANIFEST,
         {
             "stage": stage.name,
-            "version": stage.version,
+            "version": stage.version_of(config),
             "key": wanted,
             "settings": stage.settings(config),
             "outputs": outputs,

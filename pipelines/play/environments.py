@@ -1,7 +1,11 @@
 """The gymnasium environments, made the same way wherever a policy is trained, pruned or evaluated."""
 
+import functools
 import importlib
+import json
+import multiprocessing
 import re
+import sys
 import warnings
 from pathlib import Path
 from typing import Any
@@ -9,20 +13,41 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from otr.control.environments import NOT_AFRESH, MadeAnew, depends_on_past
 from pipelines.config.env import EnvConfig, PidTerms, search_here
 from pipelines.errors import ConfigError, did_you_mean
 from pipelines.play.pid_environment import PidObservation
 
 
 def make_env(env: EnvConfig) -> gym.Env:
-    """Return a new environment with its time limit.
+    """Return a new environment with its time limit, whose episodes depend on their seeds alone (`is_made_anew`).
 
     The environment checker is left out: it costs time at every step and checks the environment's implementation.
     The thesis's tables use the MuJoCo environments' v4 on purpose, so gymnasium's notice of a newer one is silenced.
     For a PID policy the environment shows [s, P, I, D] in place of its state.
     """
-    made = _make(env)
+    made = MadeAnew(functools.partial(_make, env)) if is_made_anew(env) else _make(env)
     return made if env.pid is None else _with_pid_terms(made, env.id, env.pid)
+
+
+def is_made_anew(env: EnvConfig) -> bool:
+    """Return whether an environment is made anew for every seeded reset, as its episodes depend on those before.
+
+    Of gymnasium's these are known; a custom one is checked on a few short episodes.
+    """
+    if env.id in NOT_AFRESH:
+        return True
+    spec = spec_of(env.id)
+    is_gymnasiums = str(spec.entry_point).startswith("gymnasium.envs.") and not spec.additional_wrappers
+    return not is_gymnasiums and _depends_on_past(env.id, json.dumps(env.kwargs, sort_keys=True))
+
+
+@functools.cache
+def _depends_on_past(env_id: str, kwargs: str) -> bool:
+    depends = depends_on_past(functools.partial(_make, EnvConfig(env_id, env_id, env_id, json.loads(kwargs))))
+    if depends and multiprocessing.parent_process() is None:  # once, not in every worker
+        print(f"{env_id}: its episodes depend on those before; it is made anew for each", file=sys.stderr, flush=True)
+    return depends
 
 
 def _make(env: EnvConfig) -> gym.Env:

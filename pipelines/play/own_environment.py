@@ -10,6 +10,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from otr.control.environments import INTERFACE
 from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError
 from pipelines.play.environments import make_env, told
@@ -57,9 +58,7 @@ def _try_out(env: gym.Env, env_id: str) -> None:
             seen.append(np.append(state, float(reward)))
     except Exception as error:  # foreign code can fail in any way
         raise ConfigError(
-            f"environment {env_id}: {call} fails: {told(error)}. In gymnasium, reset(seed=..., options=...) returns "
-            "(observation, info), and step(action) returns (observation, reward, terminated, truncated, info); "
-            "gymnasium.utils.env_checker.check_env checks all of that, and debug=true shows where it fails"
+            f"environment {env_id}: {call} fails: {told(error)}. {INTERFACE}, and debug=true shows where it fails"
         ) from error
     if env.spec is not None and env.spec.nondeterministic:
         return

@@ -11,6 +11,7 @@ import numpy as np
 from pipelines.config.env import EnvConfig
 from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import evaluation_seeds
+from pipelines.play.environments import is_made_anew
 from pipelines.play.rollout import Policy, Rollout, rollout
 from pipelines.training.environments.classic_control import EQUAL_IDS, ClassicControlVectorEnv
 
@@ -21,6 +22,11 @@ def play_evaluation_episodes(policy: Policy, config: RunConfig, *, keep_states: 
     if has_numpy_plant(config.env):
         return play_in_numpy(policy, config.env, seeds, keep_states=keep_states)
     return rollout(policy, config.env, seeds, keep_states=keep_states, n_workers=config.n_workers)
+
+
+def episodes_version(config: RunConfig) -> int:
+    """Return the version of stages that report evaluation episodes: 2 where each has an environment of its own."""
+    return 2 if is_made_anew(config.env) else 1
 
 
 def moments(played: Rollout, suffix: str = "") -> dict[str, float]:

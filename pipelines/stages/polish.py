@@ -20,7 +20,7 @@ from pipelines.engine.store import exists, write_csv, write_files, write_json
 from pipelines.play.actor_files import actor_files, load_actor
 from pipelines.play.environments import episode_limit
 from pipelines.stages.evaluate import EPISODE_COLUMNS, episode_rows
-from pipelines.stages.evaluation_episodes import has_numpy_plant, moments, play_evaluation_episodes
+from pipelines.stages.evaluation_episodes import episodes_version, has_numpy_plant, moments, play_evaluation_episodes
 from pipelines.stages.map import map_actor
 from pipelines.stages.printed_programs import and_names, write_program
 from pipelines.stages.prune import load_tree, prune
@@ -201,4 +201,4 @@ POLISH_SETTINGS = picked(
     prune="prune",
     evaluate="evaluate",
 )
-POLISH = Stage("polish", version=1, inputs=(), settings=and_names(POLISH_SETTINGS), run=polish)
+POLISH = Stage("polish", version=episodes_version, inputs=(), settings=and_names(POLISH_SETTINGS), run=polish)

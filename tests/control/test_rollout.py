@@ -1,6 +1,7 @@
 """Episodes that the library plays: against one environment stepped by hand, and what is no policy or environment."""
 
 import functools
+import warnings
 
 import gymnasium as gym
 import numpy as np
@@ -8,6 +9,9 @@ import pytest
 from sklearn.tree import DecisionTreeClassifier
 
 import otr
+
+evaluate = functools.partial(otr.evaluate, max_steps=1000)  # of environments that have no limit of their own
+rollout = functools.partial(otr.rollout, max_steps=1000)
 
 
 class Walk(gym.Env):
@@ -75,7 +79,7 @@ def by_hand(env: gym.Env, act, seed: int) -> tuple[float, list, list]:
 
 def test_episodes_are_those_of_one_environment_stepped_by_hand():
     """More episodes than environments side by side, so that some are played one after another."""
-    played = otr.evaluate(Walk, right, range(100))
+    played = evaluate(Walk, right, range(100))
     rows = [by_hand(Walk(), lambda _: np.array([1 / 3], np.float32), seed) for seed in range(100)]
     assert played.returns.tolist() == [total for total, *_ in rows]
     assert played.lengths.tolist() == [len(states) for _, states, _ in rows]
@@ -99,10 +103,10 @@ def test_a_tree_in_a_registered_environment():
 
 
 def test_the_seed_decides_and_never_meets_the_reported_episodes():
-    one, two, other = (otr.rollout(Walk, right, 5, seed=seed) for seed in (3, 3, 4))
+    one, two, other = (rollout(Walk, right, 5, seed=seed) for seed in (3, 3, 4))
     np.testing.assert_array_equal(one.states, two.states)
     assert not set(one.seeds.tolist()) & set(other.seeds.tolist())
-    assert min(one.seeds.min(), other.seeds.min()) >= 2**20 > len(otr.evaluate(Walk, right).seeds) == 100
+    assert min(one.seeds.min(), other.seeds.min()) >= 2**20 > len(evaluate(Walk, right).seeds) == 100
 
 
 def test_a_limit_truncates():
@@ -114,14 +118,14 @@ def test_a_limit_truncates():
 
 def test_anything_that_predicts_on_a_batch_is_a_policy():
     learned = DecisionTreeClassifier().fit([[0.0, 1.0], [1.0, 1.0]], [1, 2])
-    played = otr.rollout(Labels, learned, 4)
+    played = rollout(Labels, learned, 4)
     np.testing.assert_array_equal(played.actions, learned.predict(played.states))
-    functions = otr.rollout(functools.partial(Labels), learned.predict, 4)
+    functions = rollout(functools.partial(Labels), learned.predict, 4)
     np.testing.assert_array_equal(functions.returns, played.returns)
 
 
 def test_it_is_shown_in_one_line():
-    played = otr.evaluate(Walk, lambda X: np.ones((len(X), 1)), [0, 1])
+    played = evaluate(Walk, lambda X: np.ones((len(X), 1)), [0, 1])
     total = [by_hand(Walk(), lambda _: np.array([1.0], np.float32), seed)[0] for seed in (0, 1)]
     expected = (
         f"Rollout(return {np.mean(total):.4g} ± {np.std(total):.4g} over 2 episodes, {played.lengths.sum()} steps)"
@@ -166,25 +170,23 @@ def test_it_is_shown_in_one_line():
 )
 def test_what_is_no_action_or_no_space(env, policy, message):
     with pytest.raises(ValueError, match=message):
-        otr.rollout(env, policy, 5)
+        rollout(env, policy, 5)
 
 
 def test_what_is_no_environment_or_policy():
-    with pytest.raises(
-        TypeError, match="env is a Walk, expected the id of an environment or a function that makes one"
-    ):
-        otr.evaluate(Walk(), right)
+    with pytest.raises(TypeError, match="env is a int, expected an environment, the id of one, or a function"):
+        evaluate(3, right)
     one = Walk()
     with pytest.raises(ValueError, match="made the same environment twice"):
-        otr.evaluate(lambda: one, right)
+        evaluate(lambda: one, right)
     with pytest.raises(TypeError, match="policy is a int, expected a tree"):
-        otr.evaluate(Walk, 3)
+        evaluate(Walk, 3)
     with pytest.raises(ValueError, match="n_episodes is 0"):
-        otr.rollout(Walk, right, 0)
+        rollout(Walk, right, 0)
     with pytest.raises(ValueError, match="max_steps is 0, expected 1 or more"):
         otr.evaluate(Walk, right, max_steps=0)
     with pytest.raises(ValueError, match="there are no seeds"):
-        otr.evaluate(Walk, right, [])
+        evaluate(Walk, right, [])
 
 
 def test_environments_are_side_by_side_and_closed_at_the_end():
@@ -196,15 +198,16 @@ def test_environments_are_side_by_side_and_closed_at_the_end():
         def close(self) -> None:
             closed.append(self)
 
-    otr.evaluate(Closing, right, range(50))
-    assert (Closing.n_made, len(closed)) == (32, 32)
+    n_looked_at = 4  # one for its spaces, three to see whether episodes depend on those before
+    evaluate(Closing, right, range(50))
+    assert Closing.n_made == len(closed) == 32 + n_looked_at
 
     def fails(X: np.ndarray) -> np.ndarray:
         raise RuntimeError("no answer")
 
     with pytest.raises(RuntimeError, match="no answer"):
-        otr.evaluate(Closing, fails, range(3))
-    assert len(closed) == 35
+        evaluate(Closing, fails, range(3))
+    assert Closing.n_made == len(closed) == 35 + 2 * n_looked_at
 
 
 def test_states_are_kept_where_an_environment_writes_into_its_own():
@@ -258,8 +261,119 @@ def test_observations_and_rewards_that_are_no_numbers_are_told():
 
 
 def test_whole_actions_that_the_space_cannot_hold_are_refused() -> None:
-    played = otr.rollout(Bytes, lambda X: np.full((len(X), 1), 1.4), 1)
+    played = rollout(Bytes, lambda X: np.full((len(X), 1), 1.4), 1)
     assert set(played.actions.ravel().tolist()) == {1}
     for answer in (-3.0, 300.0):
         with pytest.raises(ValueError, match="actions are of type uint8, from 0 to 255"):
-            otr.rollout(Bytes, lambda X, a=answer: np.full((len(X), 1), a), 1)
+            rollout(Bytes, lambda X, a=answer: np.full((len(X), 1), a), 1)
+
+
+class Worn(Walk):
+    """A walk whose steps grow with the episodes that it has played."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.n_played = 0
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple:
+        self.n_played += 1
+        return super().reset(seed=seed)
+
+    def step(self, action: np.ndarray) -> tuple:
+        return super().step(action * np.float32(self.n_played))
+
+
+class Random(Walk):
+    """A walk that no seed decides."""
+
+    def step(self, action: np.ndarray) -> tuple:
+        return super().step(action * np.random.default_rng().random(dtype=np.float32))
+
+
+def test_an_environment_that_keeps_a_past_is_made_anew_for_every_episode():
+    with pytest.warns(UserWarning, match="Worn: its episodes depend on those that it played before; it is made anew"):
+        played = evaluate(Worn, right, range(50))
+    assert played.returns.tolist() == evaluate(Walk, right, range(50)).returns.tolist()
+    with pytest.raises(ValueError, match="a seed does not decide one: give a function that makes the environment"):
+        evaluate(Worn(), right, range(2))
+    with warnings.catch_warnings(action="error"):  # making it anew would be no remedy
+        evaluate(Random, right, range(2))
+
+
+def test_an_environment_is_stepped_alone_and_left_open():
+    closed = []
+
+    class Closing(Walk):
+        def close(self) -> None:
+            closed.append(self)
+
+    played = evaluate(Closing(), right, range(40))
+    assert played.returns.tolist() == evaluate(Walk, right, range(40)).returns.tolist()
+    assert not closed
+    assert rollout(Closing(), right, 3).returns.tolist() == rollout(Walk, right, 3).returns.tolist()
+
+
+def test_the_biped_plays_an_episode_as_its_seed_says_whatever_was_played_before():
+    """In gymnasium 1.4.0 four of these six episodes depend on those before, by up to 6 in the return."""
+
+    def act(X: np.ndarray) -> np.ndarray:
+        return np.sin(1e4 * X[:, :4])
+
+    alone = [otr.evaluate("BipedalWalker-v3", act, [seed], max_steps=100).returns[0] for seed in range(6)]
+    env = gym.make("BipedalWalker-v3")
+    assert otr.evaluate(env, act, range(6), max_steps=100).returns.tolist() == alone
+    again = otr.evaluate("BipedalWalker-v3", act, [*range(20, 52), *range(6)], max_steps=100)  # 32 are side by side
+    assert again.returns[32:].tolist() == alone
+
+
+def test_both_take_a_number_of_episodes_or_their_seeds():
+    assert evaluate(Walk, right, n_episodes=3).seeds.tolist() == [0, 1, 2]
+    assert rollout(Walk, right, seeds=[5, 7]).seeds.tolist() == [5, 7]
+    assert len(rollout(Walk, right).seeds) == len(evaluate(Walk, right).seeds) == 100
+    assert evaluate(Walk, right, [4], n_episodes=1).returns == rollout(Walk, right, seeds=[4]).returns
+    for play in (evaluate, rollout):
+        with pytest.raises(ValueError, match="n_episodes is 3, and there are 2 seeds"):
+            play(Walk, right, seeds=[1, 2], n_episodes=3)
+        with pytest.raises(ValueError, match="n_episodes is 0"):
+            play(Walk, right, n_episodes=0)
+
+
+def test_episodes_without_a_limit_are_refused():
+    for env in (Walk, Walk(), lambda: gym.wrappers.TransformReward(Walk(), lambda reward: reward)):
+        with pytest.raises(ValueError, match="Walk: episodes have no limit, so one may never end; give one as max_st"):
+            otr.evaluate(env, right, [0])
+    limited = otr.evaluate(lambda: gym.wrappers.TimeLimit(Walk(), 3), right, [0])
+    assert limited.lengths.tolist() == [3] and limited.truncated.all()
+
+
+def test_labels_are_no_real_actions():
+    program = otr.parse_program(
+        "if x0 <= 0: left else: right", ["x0", "x1"], labels=True, output_names=["left", "right"]
+    )
+    with pytest.raises(ValueError, match=r"labels, an array of shape \(1,\).*takes real actions \(n, 1\)"):
+        evaluate(Walk, program, [0])
+    assert evaluate(Bytes, lambda X: np.ones(len(X), int), [0]).lengths.tolist() == [4]  # whole actions, of a Box
+
+
+@pytest.mark.parametrize(
+    ("reset", "step", "message"),
+    [
+        (None, (np.zeros(2), np.array([1.0]), True, False, {}), r"step\(action\) returns the reward array\(\[1.\]\)"),
+        (None, (np.zeros(2), 1.0, True, {}), r"step\(action\) returns 4 values: .* truncated, info\)"),
+        (None, None, r"step\(action\) returns a NoneType"),
+        (np.zeros(2), None, r"reset\(seed=0\) fails: ValueError: .* returns \(observation, info\)"),
+        (TypeError("no argument seed"), None, r"reset\(seed=0\) fails: TypeError: no argument seed\. In gymnasium"),
+    ],
+)
+def test_another_interface_is_named(reset, step, message):
+    class Other(Walk):
+        def reset(self, *, seed=None, options=None):
+            if isinstance(reset, Exception):
+                raise reset
+            return super().reset(seed=seed) if reset is None else np.zeros(3)
+
+        def step(self, action):
+            return step
+
+    with pytest.raises(ValueError, match=message):
+        evaluate(Other, right, [0])

@@ -140,6 +140,19 @@ class Noisy(Cart):
         return float(np.random.default_rng().normal())
 
 
+class Worn(Cart):
+    """The cart whose engine weakens from episode to episode."""
+
+    n_played = 0
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
+        self.n_played += 1
+        return super().reset(seed=seed)
+
+    def force(self, action: Any) -> float:
+        return float(action[0]) / self.n_played
+
+
 class NeedsAFile(Cart):
     """The cart that cannot be made."""
 
@@ -172,6 +185,7 @@ KINDS = (
     NoReward,
     Unseeded,
     Noisy,
+    Worn,
     NeedsAFile,
 )
 for kind in KINDS:

@@ -5,11 +5,13 @@ import numpy as np
 import pytest
 import yaml
 
+from otr.control.environments import depends_on_past
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError
-from pipelines.play.environments import make_env
+from pipelines.play.environments import is_made_anew, make_env
 from pipelines.play.own_environment import own_environment
+from pipelines.play.rollout import rollout
 from pipelines.play.spaces import state_limits
 
 FILES = sorted((CONF_DIR / "env").glob("*.yaml"))
@@ -30,6 +32,27 @@ def test_names_fit_the_environment(path, tmp_path, monkeypatch, capfd):
     assert np.isfinite(state).all()
     printed = capfd.readouterr()
     assert printed.err == "" and list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_an_episode_depends_on_its_seed_alone(path):
+    """Short episodes with random actions, in one environment after others and in a new one, bit for bit."""
+    config = EnvConfig(**yaml.safe_load(path.read_text())["env"])
+    assert not depends_on_past(lambda: make_env(config), n_steps=200)
+    assert is_made_anew(config) is (config.id == "BipedalWalker-v3")
+
+
+def test_the_biped_is_made_anew_as_gymnasium_keeps_its_world():
+    assert depends_on_past(lambda: gym.make("BipedalWalker-v3"))  # once this fails, NOT_AFRESH can do without it
+
+
+def test_a_custom_environment_that_keeps_a_past_is_made_anew_which_is_said_once(capfd):
+    worn = own_environment("tests.pipelines.own_envs:Worn-v0", {})
+    played = [rollout(lambda X: np.ones((len(X), 1)), worn, seeds, n_workers=1) for seeds in ([3], [1, 2, 3])]
+    assert played[0].returns[0] == played[1].returns[2]
+    assert capfd.readouterr().err == (
+        "tests.pipelines.own_envs:Worn-v0: its episodes depend on those before; it is made anew for each\n"
+    )
 
 
 def test_a_state_that_is_declared_constant_has_a_box_with_an_inside():

@@ -19,7 +19,7 @@ INTERFACE = (
     "(observation, reward, terminated, truncated, info); gymnasium.utils.env_checker.check_env checks all of that"
 )
 
-# Environments whose episodes depend on those before, with the reason (docs/decisions/fresh-environments.md)
+# Environments whose episodes depend on those before, with the reason (docs/decisions/episodes-and-seeds.md)
 _ONE_WORLD = "makes its b2World once, in __init__, which keeps what the contact solver warm-starts from and its order"
 NOT_AFRESH = {"BipedalWalker-v3": _ONE_WORLD, "BipedalWalkerHardcore-v3": _ONE_WORLD}
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,7 +11,15 @@ from numpy.typing import ArrayLike
 from otr.core.arrays import BoolArray, FloatArray, as_batch, read_only
 from otr.core.half_spaces import HalfSpaces, rounding_of_terms
 
-Box = tuple[ArrayLike, ArrayLike]  # low (d,), high (d,)
+
+class Limits(Protocol):
+    """What has a lowest and a highest state, as gymnasium's Box spaces have."""
+
+    low: Any
+    high: Any
+
+
+Box = tuple[ArrayLike, ArrayLike] | Limits  # low (d,), high (d,)
 _WIDEST = 1e100
 _FARTHEST = 1e150  # a hyperplane beyond meets nothing: of a box truly, of an open side by definition
 
@@ -177,13 +185,21 @@ class Domain:
 
 
 def as_domain(domain: Domain | Box | None, n_inputs: int) -> Domain:
-    """Return the `Domain` of a pair (low, high), or numbers for all inputs, or None for R^d; raise ValueError else."""
+    """Return the `Domain` of a pair (low, high), or numbers for all inputs, or None for R^d; raise ValueError else.
+
+    Anything with `low` and `high` is such a pair, as gymnasium's Box spaces are.
+    """
     if domain is None:
         return Domain(np.full(n_inputs, -np.inf), np.full(n_inputs, np.inf))
     if not isinstance(domain, Domain):
-        if not isinstance(domain, tuple | list) or len(domain) != 2:
-            raise ValueError(f"the domain is {domain!r}, expected None, a pair (low, high) or an otr.Domain")
-        low, high = domain
+        if isinstance(domain, tuple | list) and len(domain) == 2:
+            low, high = domain
+        elif hasattr(domain, "low") and hasattr(domain, "high"):
+            low, high = np.ravel(domain.low), np.ravel(domain.high)
+        else:
+            raise ValueError(
+                f"the domain is {domain!r}, expected None, a pair (low, high), a Box space or an otr.Domain"
+            )
         shape = (n_inputs,)
         if np.ndim(low) == 0 and np.ndim(high) == 0:
             low, high = np.broadcast_to(low, shape), np.broadcast_to(high, shape)

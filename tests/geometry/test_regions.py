@@ -1,5 +1,6 @@
 """Leaves' regions: who is inside, which are reached, and the bounds of affine functions on them."""
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -55,6 +56,13 @@ def test_reached_leaves_and_bounds_on_them(case: Case) -> None:
         low, high = bounds(tree, leaf, form, BOX)
         there = X[leaves == leaf] @ form[:-1] + form[-1]
         assert low - 1e-7 <= there.min() and there.max() <= high + 1e-7
+
+
+def test_a_space_of_gymnasium_is_a_box() -> None:
+    space = gym.spaces.Box(np.float32([-1.0, -np.inf]), np.float32([2.0, 3.0]))
+    assert as_domain(space, 2) == as_domain(([-1.0, -np.inf], [2.0, 3.0]), 2)
+    with pytest.raises(ValueError, match=r"expected None, a pair \(low, high\), a Box space or an otr.Domain"):
+        as_domain("everywhere", 2)  # type: ignore[arg-type]
 
 
 def test_a_worked_region() -> None:

@@ -36,7 +36,7 @@ _RELU = "<class 'torch.nn.modules.activation.ReLU'>"
 _LEAKY_RELU = "<class 'torch.nn.modules.activation.LeakyReLU'>"
 _SMOOTH = {f"<class 'torch.nn.modules.activation.{name}'>": name.lower() for name in ("Tanh", "Sigmoid", "SiLU", "ELU",
                                                                                        "GELU")}  # fmt: skip
-_LEAKY_RELU_SLOPE = 0.01  # torch's default
+_SLOPES = {_RELU: 0.0, _LEAKY_RELU: 0.01}  # of LeakyReLU torch's default
 
 # Before version 1.8, Stable-Baselines3 let actor and critic share their first layers.
 _SHARED, _POLICY = "mlp_extractor.shared_net.", "mlp_extractor.policy_net."
@@ -78,7 +78,7 @@ def oracle_of_file(path: Path) -> ReluNetwork | SmoothNetwork:
 
 
 def _actor(path: Path, action_low: ArrayLike | None, action_high: ArrayLike | None) -> _Actor:
-    tensors, data = _read(path)
+    tensors, data = read_archive(path)
     on_policy = any(name.startswith("action_net.") for name in tensors)
     _refuse_other_policies(tensors, data, _ON_POLICY_PARTS if on_policy else _OFF_POLICY_PARTS)
     weights, biases = _actor_layers(tensors, on_policy)
@@ -88,7 +88,7 @@ def _actor(path: Path, action_low: ArrayLike | None, action_high: ArrayLike | No
     return _Actor(weights, biases, head, data, on_policy)
 
 
-def _read(path: Path) -> tuple[Tensors, dict[str, Any]]:
+def read_archive(path: Path) -> tuple[Tensors, dict[str, Any]]:
     """Return the tensors of `policy.pth` by name, and the JSON of `data`."""
     if not path.exists() and path.suffix != ".zip":
         path = path.with_name(path.name + ".zip")
@@ -100,13 +100,13 @@ def _read(path: Path) -> tuple[Tensors, dict[str, Any]]:
         raise ArtefactError(f"{path} does not exist; give the path of a saved Stable-Baselines3 model") from error
     except (ValueError, RecursionError) as error:
         raise ArtefactError(f"{path} cannot be read: data is no JSON ({error}); save the model again") from error
-    tensors = _load_tensors(members["policy.pth"], f"policy.pth in {path}")
+    tensors = load_tensors(members["policy.pth"], f"policy.pth in {path}")
     if not isinstance(data, dict):
         raise ArtefactError(f"{path} is no saved Stable-Baselines3 model: data is no dictionary")
     return tensors, data
 
 
-def _load_tensors(content: bytes, label: str) -> Tensors:
+def load_tensors(content: bytes, label: str) -> Tensors:
     """Return what torch saved, which is a zip file itself, without running anything in it."""
     import torch
 
@@ -168,7 +168,7 @@ def _actor_layers(tensors: Tensors, on_policy: bool) -> tuple[list[FloatArray], 
         parts, last = ("actor.latent_pi.",), ["actor.mu"]
     else:  # TD3, DDPG and DQN hold all layers in one Sequential
         parts, last = ("q_net.q_net." if "q_net.q_net.0.weight" in tensors else "actor.mu.",), []
-    names = [name for part in parts for name in _linear_layers(tensors, part)] + last
+    names = [name for part in parts for name in linear_layers(tensors, part)] + last
     if not names:
         raise InvalidNetworkError(f"no actor among the tensors {sorted(tensors)[:5]} ...; is this a PPO or SAC model?")
     used = {f"{name}.{kind}" for name in names for kind in ("weight", "bias")}
@@ -187,7 +187,7 @@ def _actor_layers(tensors: Tensors, on_policy: bool) -> tuple[list[FloatArray], 
     return weights, biases
 
 
-def _linear_layers(tensors: Tensors, part: str) -> list[str]:
+def linear_layers(tensors: Tensors, part: str) -> list[str]:
     """Return the names of a Sequential's layers with weights, in order."""
     found = (re.fullmatch(re.escape(part) + r"(\d+)\.weight", name) for name in tensors)
     positions = sorted(int(match[1]) for match in found if match)
@@ -205,10 +205,16 @@ def _activation(actor: _Actor) -> str:
     return str(_readable(actor.data, "policy_kwargs").get("activation_fn", default))
 
 
+def readable_slope(data: dict[str, Any]) -> float | None:
+    """Return the activation's negative slope in an off-policy model's `data`; None where it is no (leaky) ReLU's."""
+    activation = str(_readable(data, "policy_kwargs").get("activation_fn", _RELU))
+    return _SLOPES.get(activation)
+
+
 def _slope(actor: _Actor, given: float | None) -> float:
     """Return the activation's negative slope."""
     activation = _activation(actor)
-    known = {_RELU: 0.0, _LEAKY_RELU: _LEAKY_RELU_SLOPE}.get(activation)
+    known = _SLOPES.get(activation)
     if known is None and not (given is not None and "LeakyReLU" in activation):
         raise InvalidNetworkError(
             f"the activation is {activation}; "

@@ -11,3 +11,4 @@ class ImportedModel:
     policy: Any  # otr.ReluNetwork, or an oracle that is none (otr.importers.SmoothNetwork)
     name: str
     sha256: str
+    critics: Any = None  # otr.importers.critics.Critics, where the file has some

@@ -21,6 +21,8 @@ from pipelines.engine.store import ARCHIVE, archive_files, corrupt, packed_files
 from pipelines.errors import PipelineError
 
 MANIFEST = "manifest.json"
+# What archives leave out though nothing makes it again: it serves who goes on from a result, who says how to get it.
+NOT_ARCHIVED = frozenset({"critics.safetensors"})
 MANIFEST_FIELDS = {"stage", "version", "key", "settings", "outputs", "output_digest", "seconds"}
 
 # From a run's folder and an unpacked stage of it to what the stage's archive leaves out: names and contents.
@@ -40,6 +42,8 @@ def verified_manifest(folder: Path) -> dict[str, Any]:
     """Return a finished stage's manifest after comparing every file that is kept of it with its recorded sha256."""
     manifest, packed = read_manifest(folder), packed_files(folder)
     for name, recorded in manifest["outputs"].items():
+        if name in NOT_ARCHIVED and not (folder / name).is_file():
+            continue
         if packed:
             # What is left out is compared when it is made again.
             found = bytes_digest(packed[name]) if name in packed else recorded
@@ -99,7 +103,7 @@ def _complete(run_dir: Path, folder: Path, derive: Derive) -> None:
     """
     manifest = read_manifest(folder)
     outputs = manifest["outputs"]
-    left_out = [name for name in outputs if not (folder / name).is_file()]
+    left_out = [name for name in outputs if name not in NOT_ARCHIVED and not (folder / name).is_file()]
     made = derive(run_dir, folder) if left_out else {}
     for name in left_out:
         if name not in made:
@@ -166,6 +170,7 @@ def _kept(run_dir: Path, folder: Path, derive: Derive | None) -> dict[str, bytes
     outputs = verified_manifest(folder)["outputs"]
     made = derive(run_dir, folder) if derive else {}
     left_out = {name for name, content in made.items() if bytes_digest(content) == outputs.get(name)}
+    left_out |= NOT_ARCHIVED
     return {name: (folder / name).read_bytes() for name in (MANIFEST, *outputs) if name not in left_out}
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import otr
 from otr.core.smooth_network import Oracle
 from otr.importers import read_policy
+from otr.importers.critics import Critics, critics_of_zip
 from pipelines.config.env import EnvConfig
 from pipelines.config.model import ImportedModel
 from pipelines.config.run import RunConfig
@@ -16,6 +17,7 @@ from pipelines.engine.store import write_files, write_json
 from pipelines.errors import ConfigError
 from pipelines.play.actor_files import actor_files
 from pipelines.play.spaces import Spaces, spaces
+from pipelines.training.critics import critics_file
 
 
 def import_settings(config: RunConfig) -> dict[str, Any]:
@@ -29,6 +31,8 @@ def import_policy(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> N
     assert config.imported is not None
     network = config.imported.policy
     write_files(actor_files(network), out)
+    if config.imported.critics is not None:
+        write_files(critics_file(config.imported.critics), out)
     widths = [int(width) for width in network.hidden_widths]
     write_json(out / "report.json", {"model": config.imported.name, "hidden_widths": widths})
 
@@ -62,7 +66,15 @@ def read_model(model: str, vec_normalize: str | None, env: EnvConfig, key: str =
     if path.suffix == ".npz":  # the arrays of a policy whose JSON beside them has all else, and their digest
         files[0] = path.with_suffix(".json")
     sha256 = hashlib.sha256(b"".join(hashlib.sha256(file.read_bytes()).digest() for file in files)).hexdigest()
-    return ImportedModel(policy, path.name, sha256)
+    return ImportedModel(policy, path.name, sha256, _critics(path) if len(files) == 1 else None)
+
+
+def _critics(path: Path) -> Critics | None:
+    """Return the critics in a file; None where there are none, or none that can be read: the policy serves alone."""
+    try:
+        return critics_of_zip(path) if path.suffix == ".zip" else None
+    except otr.OtrError:
+        return None
 
 
 def _fitted(network: Oracle, space: Spaces, env: EnvConfig) -> Oracle:

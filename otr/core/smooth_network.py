@@ -75,9 +75,9 @@ class SmoothNetwork:
         )
 
     def replace(self, **changes: Any) -> SmoothNetwork:
-        """Return the same network with another head or domain."""
-        arguments = {"activation": self.activation, "head": self.head, "domain": self.domain, **changes}
-        return SmoothNetwork(self.weights, self.biases, **arguments)
+        """Return the same network with other layers, or another head or domain."""
+        names = ("weights", "biases", "activation", "head", "domain")
+        return SmoothNetwork(**{name: getattr(self, name) for name in names} | changes)
 
 
 Oracle = ReluNetwork | SmoothNetwork  # what a tree can imitate

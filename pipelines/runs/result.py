@@ -111,10 +111,13 @@ def _polished(report: dict[str, Any]) -> str:
         confirming = f"{report['n_selection_episodes']:,} other episodes"
         outcome = f"nothing better was confirmed on {confirming}; it stays as it was"
     spent = duration(report["cpu_seconds"])
-    return (
-        f"polished: {report['n_numbers']} numbers of the {report['numbers']} searched in "
-        f"{_count(report['n_iterations'], 'iteration')}, {report['n_steps']:,} steps ({spent}); {outcome}"
-    )
+    how = f"searched in {_count(report['n_iterations'], 'iteration')}, {report['n_steps']:,} steps"
+    if report.get("by") == "critic":
+        how = (
+            f"learnt by critics in {report['n_learning_steps']:,} steps after {report['n_refill_steps']:,} of play, "
+            f"{report['n_steps']:,} with the episodes that chose"
+        )
+    return f"polished: {report['n_numbers']} numbers of the {report['numbers']} {how} ({spent}); {outcome}"
 
 
 def _short_program(title: str, path: Path) -> list[str]:

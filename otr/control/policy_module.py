@@ -148,9 +148,9 @@ class TreeModule(PolicyModule):
         P, v = self._moving[0]()
         z = functional.linear(X, P, v)
         with torch.no_grad():
-            goes_left = (z <= 0).to(X.dtype)
-            followed = goes_left @ self._left + (1 - goes_left) @ self._right  # tests of each path that agree
-            reached = functional.one_hot((followed - self._left.sum(0) - self._right.sum(0)).argmax(1), self._shape[0])
+            # How many tests of each path go elsewhere, below zero: none of the path to the leaf that is reached
+            missed = (z <= 0).to(X.dtype) @ (self._left - self._right) - self._left.sum(0)
+            reached = functional.one_hot(missed.argmax(1), self._shape[0])
         soft = self.path_shares(z)
         return self._weighed(X, reached + (soft - soft.detach()))
 
@@ -162,14 +162,14 @@ class TreeModule(PolicyModule):
     def path_shares(self, z: Tensor) -> Tensor:
         """Return the soft tree's shares of the leaves (n, n_leaves), for values (n, n_tests) of the tests."""
         sizes = self._moving[0].sizes * (1 / self._hardness)
-        left = functional.logsigmoid(-z / sizes)
-        right = functional.logsigmoid(z / sizes)
-        return (left @ self._left + right @ self._right).exp()
+        z = z / sizes
+        left = functional.logsigmoid(-z)  # and right is left + z
+        return (left @ (self._left + self._right) + z @ self._right).exp()
 
     def _weighed(self, X: Tensor, weights: Tensor) -> Tensor:
         n_leaves, o = self._shape
         values = functional.linear(X, *self._moving[1]()).view(-1, n_leaves, o)
-        return (weights.unsqueeze(2) * values).sum(1)
+        return torch.bmm(weights.unsqueeze(1), values).squeeze(1)
 
 
 def _paths(tree: ObliqueTree) -> tuple[Tensor, Tensor]:

@@ -204,9 +204,14 @@ def polishes_by(config: RunConfig) -> str:
     """
     if config.polishing.by is not None:
         return config.polishing.by
-    manifest = critics_folder(config) / MANIFEST
+    manifest = _manifest(config)
     has_critics = config.oracle_run is not None and exists(manifest) and CRITICS in read_json(manifest)["outputs"]
     return "critic" if has_critics else "search"
+
+
+def _manifest(config: RunConfig) -> Path:
+    """Return the manifest of the stage that keeps a run's critics, if any."""
+    return critics_folder(config) / MANIFEST
 
 
 def environments(config: RunConfig) -> str:
@@ -222,7 +227,8 @@ def estimated_seconds(config: RunConfig) -> float:
     table = NUMPY_STEPS_PER_S if environments(config) == "numpy" else STEPS_PER_S
     rate = table.get(config.env.task, OTHER_STEPS_PER_S)
     n_played = n_chosen * longest * SHARE_PLAYED
-    if polishes_by(config) == "critic":
+    is_to_come = config.polishing.by is None and config.oracle_run is not None and not exists(_manifest(config))
+    if (is_to_come and config.has_critics) or polishes_by(config) == "critic":
         return (n_played + polishing.critic.refill_steps) / rate + polishing.critic.steps / UPDATES_PER_S
     return (polishing.steps + n_played) / rate
 

@@ -148,3 +148,13 @@ def test_committed_polishes_keep_their_keys(tmp_path):
     assert polish_settings(searched) == polish_settings(by_critic)
     assert stages_of("ndps")["polish"].inputs == ("prune",)
     assert 240 < estimated_seconds(by_critic) < 600
+
+
+def test_a_plan_knows_that_an_oracle_to_come_will_have_critics(tmp_path):
+    words = ("env=pendulum", "method=distilled_otr", "polish=true", f"results_dir={tmp_path}")
+    seconds = {}
+    for own in (("trainer=fleet",), ("trainer=fleet", "polishing.by=search"), ("trainer=sb3",)):
+        (job,) = RUN.jobs(RUN.expand([*words, *own], False))
+        seconds[own] = estimated_seconds(job.config)
+    by_critic, searched, without = seconds.values()
+    assert by_critic > 240 and searched == without < 60

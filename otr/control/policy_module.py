@@ -147,12 +147,18 @@ class TreeModule(PolicyModule):
     def forward(self, X: Tensor) -> Tensor:
         P, v = self._moving[0]()
         z = functional.linear(X, P, v)
+        n_leaves, o = self._shape
         with torch.no_grad():
             # How many tests of each path go elsewhere, below zero: none of the path to the leaf that is reached
             missed = (z <= 0).to(X.dtype) @ (self._left - self._right) - self._left.sum(0)
-            reached = functional.one_hot(missed.argmax(1), self._shape[0])
+            leaf = missed.argmax(1)
+        if not torch.is_grad_enabled():
+            M, c = self._moving[1]()
+            maps = torch.bmm(M.view(n_leaves, o, -1)[leaf], X.unsqueeze(2)).squeeze(2)
+            outputs: Tensor = maps + c.view(n_leaves, o)[leaf]
+            return outputs
         soft = self.path_shares(z)
-        return self._weighed(X, reached + (soft - soft.detach()))
+        return self._weighed(X, functional.one_hot(leaf, n_leaves) + (soft - soft.detach()))
 
     def soft(self, X: Tensor) -> Tensor:
         """Return the outputs of the surrogate (n, o), of which the tests have their gradients."""

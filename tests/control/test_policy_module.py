@@ -40,6 +40,8 @@ def test_a_tree_answers_as_it_does():
     tree, X = crooked_tree(), states()
     module = TreeModule(tree, X)
     np.testing.assert_allclose(module(torch.from_numpy(X)).detach(), outputs(tree, X), atol=1e-9)
+    with torch.no_grad():
+        np.testing.assert_allclose(module(torch.from_numpy(X)), outputs(tree, X), atol=1e-9)
     assert len(set(tree.apply(X))) == 6
     torch.set_default_dtype(torch.float32)
     single = TreeModule(tree, X)(torch.from_numpy(X).float()).detach()

@@ -77,6 +77,31 @@ def oracle_of_file(path: Path) -> ReluNetwork | SmoothNetwork:
     return SmoothNetwork(actor.weights, actor.biases, activation=smooth, head=actor.head)
 
 
+def zip_path(path: Path) -> Path:
+    """Return the path of a saved model, whose suffix may be left out, also where a folder has that name."""
+    return path if path.is_file() or path.suffix == ".zip" else path.with_name(f"{path.name}.zip")
+
+
+def sign_of_normalisation(path: Path) -> str:
+    """Return what in a saved model shows that it was trained under VecNormalize; empty where nothing does.
+
+    Training keeps the last observation as the policy saw it, and PPO and A2C the first as the environment gave it,
+    under VecNormalize alone. SAC and its kin keep the latter in any case.
+    """
+    try:
+        data = json.loads(dict(read_members(path, str(path), ["data"], limit_bytes=_DATA_BYTES))["data"])
+        if "gae_lambda" in data and data.get("_last_original_obs") is not None:
+            return "was trained under VecNormalize"
+        seen = numbers(record_of_pickle(base64.b64decode(data["_last_obs"][":serialized:"])))
+        box = record_of_pickle(base64.b64decode(data["observation_space"][":serialized:"]))
+        low, high = (numbers(box.state[name]) for name in ("low", "high"))
+        margin = 1e-3 * (high - low)  # more than rounding
+        outside = (seen < low - margin) | (seen > high + margin)
+    except Exception:  # a foreign file can hold anything; the reader of its policy says what is wrong
+        return ""
+    return f"has seen {seen[outside][0]:g}, outside the range of its observations" if outside.any() else ""
+
+
 def _actor(path: Path, action_low: ArrayLike | None, action_high: ArrayLike | None) -> _Actor:
     tensors, data = _read(path)
     on_policy = any(name.startswith("action_net.") for name in tensors)
@@ -90,8 +115,7 @@ def _actor(path: Path, action_low: ArrayLike | None, action_high: ArrayLike | No
 
 def _read(path: Path) -> tuple[Tensors, dict[str, Any]]:
     """Return the tensors of `policy.pth` by name, and the JSON of `data`."""
-    if not path.exists() and path.suffix != ".zip":
-        path = path.with_name(path.name + ".zip")
+    path = zip_path(path)
     try:
         members = dict(read_members(path, str(path), ["data"], limit_bytes=_DATA_BYTES))
         members |= read_members(path, str(path), ["policy.pth"])
@@ -229,7 +253,10 @@ def _head(data: dict[str, Any], on_policy: bool, n_outputs: int, low: ArrayLike 
         raise InvalidNetworkError(f"the actions are {kind}; only Box and Discrete (start=0) can be mapped")
     low = _limits(data, "low", n_outputs) if low is None else low
     high = _limits(data, "high", n_outputs) if high is None else high
-    return ClipBox(low, high) if on_policy else TanhBox(low, high)
+    try:
+        return ClipBox(low, high) if on_policy else TanhBox(low, high)
+    except ValueError as error:
+        raise InvalidNetworkError(f"the actions' limits: {error}; give action_low= and action_high=") from error
 
 
 def _count(data: dict[str, Any], name: str) -> int:

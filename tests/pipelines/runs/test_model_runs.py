@@ -1,6 +1,7 @@
 """Policies from elsewhere, from a file of Stable-Baselines3, ONNX, torch, scikit-learn or otr to a run's summary."""
 
 import json
+from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
@@ -20,6 +21,7 @@ from pipelines.cli.runs import RUN
 from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError
 from pipelines.play.actor_files import load_actor, load_oracle_network
+from pipelines.runs.below_random import warning_below_random
 from pipelines.stages.import_model import read_model
 from tests.pipelines.conftest import PENDULUM, otr_command
 
@@ -121,6 +123,48 @@ def test_statistics_are_folded_in(models):
     theirs = PPO.load(models / "pendulum.zip").predict(envs.normalize_obs(states), deterministic=True)[0]
     np.testing.assert_allclose(read.policy.predict(states), theirs, atol=1e-5)
     assert np.abs(raw.policy.predict(states) - theirs).max() > 1e-3
+
+
+@pytest.fixture
+def normalised_pendulum(models, tmp_path):
+    """A folder with a zip and its statistics, as rl-baselines3-zoo saves them."""
+    (tmp_path / "pendulum").mkdir()
+    (tmp_path / "pendulum.zip").write_bytes((models / "pendulum.zip").read_bytes())
+    (tmp_path / "pendulum/vecnormalize.pkl").write_bytes((models / "statistics.pkl").read_bytes())
+    return tmp_path
+
+
+def test_statistics_beside_a_zip_are_used_and_the_command_says_so(normalised_pendulum, capsys):
+    def asked(*words):
+        (job,) = jobs("env=Pendulum-v1", "budget=smoke", f"model={normalised_pendulum / 'pendulum.zip'}", *words)
+        return job, capsys.readouterr().err
+
+    statistics = normalised_pendulum / "pendulum/vecnormalize.pkl"
+    (found, told), (given, silent) = asked(), asked(f"vec_normalize={statistics}")
+    assert found.folder == given.folder and found.config.imported.sha256 == given.config.imported.sha256
+    assert f"is read with the statistics of {statistics}" in told and silent == ""
+    for word in ("vec_normalize=none", "vec_normalize=null", "vec_normalize=None"):
+        raw, silent = asked(word)
+        assert raw.folder != found.folder and raw.config.imported.policy.domain is None and silent == ""
+    oracle, told = asked("method=viper", "depth=3")
+    assert oracle.oracle.config.imported.sha256 == found.config.imported.sha256 and told.count("statistics of") == 1
+    statistics.unlink()
+    missing, told = asked()
+    assert missing.folder == raw.folder and "was trained under VecNormalize, so the network may expect" in told
+
+
+def test_a_policy_that_is_worse_than_random_actions(normalised_pendulum):
+    words = ("env=Pendulum-v1", f"model={normalised_pendulum / 'pendulum.zip'}", "vec_normalize=none")
+    (job,), (imitating,) = jobs(*words), jobs(*words, "method=viper")
+    for name, config in (("network", job.config), ("oracle", imitating.config)):
+        worse, better = ({"policies": {name: {"return_mean": mean}}} for mean in (-1500.0, -900.0))
+        told = warning_below_random(config, worse)
+        assert told.startswith("pendulum.zip returns -1,500.0, less than random actions do in Pendulum-v1 (-1,268.5): ")
+        assert told.endswith("vec_normalize=FILE names the file of its statistics")
+        assert warning_below_random(config, better) is None
+        with_statistics = replace(config, imported=replace(config.imported, is_normalised=True))
+        assert warning_below_random(with_statistics, worse).endswith("or with wrappers that this one lacks?")
+        assert warning_below_random(replace(config, imported=None), worse) is None
 
 
 def test_saved_networks_and_onnx_files(models):

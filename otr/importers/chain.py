@@ -17,10 +17,12 @@ from otr.core.network import ReluNetwork
 from otr.core.smooth_network import Oracle, SmoothNetwork
 from otr.errors import InvalidNetworkError
 
-RELU_REMEDY = (
+TRAIN_RELU = (
     "a tree needs ReLU or LeakyReLU: train with torch.nn.ReLU (in Stable-Baselines3, "
-    "policy_kwargs=dict(activation_fn=torch.nn.ReLU)), or imitate the policy, as otr-run method=augtree does"
+    "policy_kwargs=dict(activation_fn=torch.nn.ReLU))"
 )
+# Only where `read_policy` reads the policy
+RELU_REMEDY = f"{TRAIN_RELU}, or imitate the policy, as otr-run method=augtree does"
 _LIMIT_ENTRIES = 2**24  # of a matrix: a product of thin ones can be far larger than the file
 DECIDED_BY: dict[str, Head] = {"Sigmoid": Sign(), "Softmax": Argmax(), "LogSoftmax": Argmax()}
 _UNITS_OF_ENDS = {"Tanh": "tanh", "Sigmoid": "sigmoid"}  # what an end is where another layer follows

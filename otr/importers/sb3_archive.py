@@ -24,18 +24,16 @@ from otr.core.arrays import FloatArray
 from otr.core.head import Head
 from otr.core.heads import Argmax, ClipBox, TanhBox
 from otr.core.network import ReluNetwork
-from otr.core.smooth_network import SmoothNetwork
+from otr.core.smooth_network import ACTIVATIONS, SmoothNetwork
 from otr.core.zip_members import read_members
 from otr.errors import ArtefactError, InvalidNetworkError
-from otr.importers.chain import RELU_REMEDY
+from otr.importers.chain import RELU_REMEDY, TRAIN_RELU
 from otr.importers.pickle_record import numbers, record_of_pickle
 from otr.importers.sb3_model import require_widths
 from otr.importers.torch_modules import real_values
 
 _RELU = "<class 'torch.nn.modules.activation.ReLU'>"
 _LEAKY_RELU = "<class 'torch.nn.modules.activation.LeakyReLU'>"
-_SMOOTH = {f"<class 'torch.nn.modules.activation.{name}'>": name.lower() for name in ("Tanh", "Sigmoid", "SiLU", "ELU",
-                                                                                       "GELU")}  # fmt: skip
 _LEAKY_RELU_SLOPE = 0.01  # torch's default
 
 # Before version 1.8, Stable-Baselines3 let actor and critic share their first layers.
@@ -70,8 +68,8 @@ def network_of_file(
 def oracle_of_file(path: Path) -> ReluNetwork | SmoothNetwork:
     """Return the actor in the zip file at `path`; `otr.importers.read_policy` documents it."""
     actor = _actor(path, None, None)
-    smooth = _SMOOTH.get(_activation(actor))
-    if len(actor.weights) == 1 or smooth is None:
+    smooth = _smooth(actor) if len(actor.weights) > 1 else ""
+    if not smooth:
         slope = _slope(actor, None) if len(actor.weights) > 1 else 0.0
         return ReluNetwork(actor.weights, actor.biases, negative_slope=slope, head=actor.head)
     return SmoothNetwork(actor.weights, actor.biases, activation=smooth, head=actor.head)
@@ -229,15 +227,21 @@ def _activation(actor: _Actor) -> str:
     return str(_readable(actor.data, "policy_kwargs").get("activation_fn", default))
 
 
+def _smooth(actor: _Actor) -> str:
+    """Return the name in ACTIVATIONS of the activation; empty where it is none of them."""
+    found = re.fullmatch(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>", _activation(actor))
+    return found[1].lower() if found and found[1].lower() in ACTIVATIONS else ""
+
+
 def _slope(actor: _Actor, given: float | None) -> float:
     """Return the activation's negative slope."""
     activation = _activation(actor)
     known = {_RELU: 0.0, _LEAKY_RELU: _LEAKY_RELU_SLOPE}.get(activation)
     if known is None and not (given is not None and "LeakyReLU" in activation):
-        raise InvalidNetworkError(
-            f"the activation is {activation}; "
-            + ("for this LeakyReLU, give negative_slope=" if "LeakyReLU" in activation else RELU_REMEDY)
-        )
+        remedy = RELU_REMEDY if _smooth(actor) else TRAIN_RELU
+        if "LeakyReLU" in activation:
+            remedy = "for this LeakyReLU, give negative_slope= to otr.from_sb3"
+        raise InvalidNetworkError(f"the activation is {activation}; {remedy}")
     if known is not None and given is not None and known != given:
         raise InvalidNetworkError(f"negative_slope is {given}, the file says {activation}, whose slope is {known}")
     return float(known if known is not None else given)  # type: ignore[arg-type]

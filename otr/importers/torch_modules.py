@@ -14,7 +14,7 @@ from otr.core.head import Head
 from otr.core.heads import TanhBox
 from otr.core.network import ReluNetwork
 from otr.errors import InvalidNetworkError
-from otr.importers.chain import DECIDED_BY, RELU_REMEDY, Chain, mappable, naming
+from otr.importers.chain import DECIDED_BY, RELU_REMEDY, TRAIN_RELU, Chain, mappable, naming
 
 if TYPE_CHECKING:
     import torch
@@ -73,7 +73,10 @@ def network_of_layers(layers: Sequence[tuple[str, Any]], head: Head | None) -> R
             with naming(f"{position} is {layer}, which"):
                 chain = chain.activation(float(getattr(layer, "negative_slope", 0.0)))
         else:
-            raise InvalidNetworkError(f"{position} is {layer}; {_remedy(_kind(layer))}")
+            remedy = _remedy(_kind(layer))
+            if remedy == RELU_REMEDY and any(_kind(other) in ("ReLU", "LeakyReLU") for _, other in layers):
+                remedy = TRAIN_RELU  # a network of units of two kinds cannot be imitated
+            raise InvalidNetworkError(f"{position} is {layer}; {remedy}")
     return mappable(chain.network(head))
 
 

@@ -16,6 +16,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 import otr
+from otr.importers import read_policy
 from pipelines.cli.overrides import with_path_quoted
 from pipelines.cli.runs import RUN
 from pipelines.config.env import EnvConfig
@@ -47,7 +48,7 @@ def models(tmp_path_factory):
     return folder
 
 
-def _write_onnx(network, path):
+def _write_onnx(network, path, *others):
     arrays = {name: numpy_helper.from_array(array, name) for name, array in zip(
         "WbVc", (network.weights[0], network.biases[0], network.weights[1], network.biases[1]), strict=True
     )}  # fmt: skip
@@ -57,7 +58,8 @@ def _write_onnx(network, path):
         helper.make_node("Gemm", ["h", "V", "c"], ["y"], transB=1),
     ]
     x, y = (helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["n", d]) for name, d in (("x", 4), ("y", 2)))
-    graph = helper.make_graph(nodes, "policy", [x], [y], list(arrays.values()))
+    others = [helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["n", 3]) for name in others]
+    graph = helper.make_graph(nodes, "policy", [x], [y, *others], list(arrays.values()))
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     path.write_bytes(model.SerializeToString())
 
@@ -172,6 +174,31 @@ def test_saved_networks_and_onnx_files(models):
     expected = otr.from_sb3(models / "relu.zip").predict(states)
     for name in ("network.json", "network.npz", "network.onnx"):
         np.testing.assert_array_equal(read_model(str(models / name), None, CART_POLE).policy.predict(states), expected)
+
+
+def test_the_output_of_an_onnx_model_with_several(models, tmp_path):
+    network = otr.from_sb3(models / "relu.zip").replace(head=otr.Identity())
+    path = tmp_path / "several.onnx"
+    _write_onnx(network, path, "h")
+    asked = "the model has several outputs; give output= one of 'y', 'h'"
+    for words in ((f"model={path}",), ("method=viper", f"oracle={path}")):
+        with pytest.raises(ConfigError, match=f"{words[-1]}: {asked}"):
+            jobs(*SMOKE, *words)
+        with pytest.raises(ConfigError, match=r"the model has no output 'x'; give output= one of 'y', 'h'"):
+            jobs(*SMOKE, *words, "output=x")
+        (job,) = jobs(*SMOKE, *words, "output=y")
+        np.testing.assert_array_equal(job.config.imported.policy.weights[1], network.weights[1])
+    with pytest.raises(ConfigError, match=r"the policy has 3 actions, CartPole-v1 has 2"):
+        jobs(*SMOKE, f"model={path}", "output=h")
+    with pytest.raises(otr.InvalidNetworkError, match=asked):
+        read_policy(path)
+    assert read_policy(path, output="h").n_outputs == 3
+    shas = {read_model(str(path), None, CART_POLE, output="y").sha256, job.oracle.config.imported.sha256}
+    assert len(shas) == 1
+    with pytest.raises(otr.InvalidNetworkError, match=r"output='y' is one of several outputs of an ONNX model; .*zip"):
+        read_policy(models / "relu.zip", output="y")
+    with pytest.raises(ConfigError, match=r"output=y: of which model. Add model=FILE"):
+        jobs(*SMOKE, "output=y")
 
 
 def test_torch_exports_and_skops_files(models):

@@ -65,8 +65,9 @@ def from_torch(
     `TanhBox(-1, 1)`; a last Sigmoid needs ``head=otr.Sign()`` and a last Softmax ``head=otr.Argmax()``, since the tree
     answers with the label and not the probability.
 
-    A float64 copy of the module, in evaluation mode, is run on fixed states of several magnitudes: where it answers
-    otherwise than its layers (hooks, an overridden `forward`, the old `weight_norm`), nothing is returned.
+    Hooks, the old `weight_norm` among them, and functions in place of torch's are refused, as they may act on some
+    states alone. A float64 copy of the module, in evaluation mode, is run on fixed states of several magnitudes: where
+    it answers otherwise than its layers, nothing is returned.
 
     A module with a `forward` of its own is exported: ``torch.export.export(module, (states,))``, or the path of the
     file to which `torch.export.save` wrote that. Read is a chain of layers as `from_onnx` reads it: linear, relu,
@@ -81,8 +82,8 @@ def from_torch(
 
     Raises:
         InvalidNetworkError: a layer or an operation of another kind, named with its position; values that branch and
-            join; activations of several slopes; a module that is not what its layers say, with the largest difference;
-            tensors that are complex, sparse or expanded, or without numbers.
+            join; activations of several slopes; a hook, or a function of a module's own; a module that is not what its
+            layers say, with the largest difference; tensors that are complex, sparse or expanded, or without numbers.
         ArtefactError: a file that is missing, cut off, unpacks to more than 64 MiB, or is no torch export.
         MissingExtraError: torch is not installed; a file needs none.
     """
@@ -111,8 +112,8 @@ def from_sb3(
 
     SAC, TD3 and DDPG end in `TanhBox`, the others in `ClipBox` or, with discrete actions, `Argmax`; DQN's actor is the
     network of its action values, and of ARS `LinearPolicy` without squashed outputs is read. Stable-Baselines3 computes
-    in float32, so its answers differ from the network's by about 1e-7 of the action box. A live model is run on fixed
-    states: where it predicts otherwise than its layers, nothing is returned.
+    in float32, so its answers differ from the network's by about 1e-7 of the action box. A live model has no hooks, and
+    is run on fixed states: where it predicts otherwise than its layers, nothing is returned.
 
     A model trained under VecNormalize expects normalised states. Mean and variance go into the first layer, so that the
     network takes raw states. They are those of a live model's environment, or of the ``vecnormalize.pkl`` that lies in

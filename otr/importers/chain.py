@@ -24,6 +24,7 @@ TRAIN_RELU = (
 # Only where `read_policy` reads the policy
 RELU_REMEDY = f"{TRAIN_RELU}, or imitate the policy, as otr-run method=augtree does"
 _LIMIT_ENTRIES = 2**24  # of a matrix: a product of thin ones can be far larger than the file
+_LIMIT_WIDTH = 2**20  # of a value: a file of a hundred bytes can declare any number of inputs
 DECIDED_BY: dict[str, Head] = {"Sigmoid": Sign(), "Softmax": Argmax(), "LogSoftmax": Argmax()}
 _UNITS_OF_ENDS = {"Tanh": "tanh", "Sigmoid": "sigmoid"}  # what an end is where another layer follows
 
@@ -66,6 +67,12 @@ class Chain:
     low: FloatArray | float = -math.inf
     high: FloatArray | float = math.inf
     is_batch: bool = True  # whether an axis of states stands before `shape`
+
+    def __post_init__(self) -> None:
+        if self.width > _LIMIT_WIDTH:
+            raise InvalidNetworkError(
+                f"there are {self.width:,} numbers for each state, the limit is {_LIMIT_WIDTH:,}; is it the right file?"
+            )
 
     @property
     def width(self) -> int:

@@ -13,7 +13,7 @@ from hydra.errors import HydraException
 
 from pipelines.errors import ConfigError
 
-FILES = ("program", "model", "oracle", "vec_normalize", "results_dir")  # keys of otr-run
+FILES = ("program", "model", "oracle", "vec_normalize", "output", "results_dir")  # keys of otr-run
 SEARCH = "hydra.searchpath="
 PATHS = (
     "run",

@@ -51,6 +51,7 @@ OF_TRAINING = ("env", "algo", "actor", "trainer", "budget", "train", "experiment
 
 # Settings that further stages alone read, and these
 SETTINGS_OF = {"polishing": {"polish", "simplify"}, "certification": {"certify"}, "simplification": {"simplify"}}
+OF_THE_FILE = ("method.model", "method.vec_normalize", "method.output")
 NOT_TRAINED = ("train", "algo", "actor", "trainer")  # groups of which a policy that is there already hears nothing
 
 # Who trains: whoever names another than a budget's road goes a way of their own, for as long as the budget says, and
@@ -194,6 +195,9 @@ class RunWorkflow(Workflow):
             more = f"; {n} of {len(jobs)} jobs are trained without the fleet" if n > 1 else ""
             note = f"trainer=fleet trains SAC alone: env={env} is trained {who} with algo={algo}{more}"
             print(note, file=sys.stderr, flush=True)
+        imported = [job.config.imported for job in jobs if job.config.imported is not None]
+        for note in dict.fromkeys(model.note for model in imported if model.note):
+            print(note, file=sys.stderr, flush=True)
         return jobs
 
     def job(self, overrides: Sequence[str]) -> RunJob:
@@ -208,7 +212,7 @@ class RunWorkflow(Workflow):
             made = self.composed([*overrides, f"depth={depth}"])
             config = dataclasses.replace(made.config, program_text=text)
         elif isinstance(config.method, TakesModel) and (
-            config.method.model or config.method.vec_normalize or config.method.name == "model"
+            config.method.model or config.method.vec_normalize or config.method.output or config.method.name == "model"
         ):
             imported, widths = _model(config, overrides)
             made = self.composed([*overrides, f"{'oracle' if config.method.imitates else 'depth'}={widths}"])
@@ -322,7 +326,7 @@ def _model(config: RunConfig, overrides: Sequence[str]) -> tuple[ImportedModel, 
     if not method.model:
         raise ConfigError(f"method={method.name}: which model? Add model=FILE")
     name = "oracle" if method.imitates else "model"
-    imported = read_model(method.model, method.vec_normalize, config.env, name)
+    imported = read_model(method.model, method.vec_normalize, config.env, name, method.output)
     key, given = ("oracle", "oracle=[") if method.imitates else ("depth", "depth=")
     for override in overrides:
         if override.startswith(given):
@@ -350,7 +354,7 @@ def _of_oracle(config: RunConfig, overrides: Sequence[str]) -> list[str]:
     """
     own = [override for override in overrides if key_of(override).split(".")[0] in OF_TRAINING or is_search(override)]
     if config.imported is not None:
-        files = [override for override in overrides if key_of(override) in ("method.model", "method.vec_normalize")]
+        files = [override for override in overrides if key_of(override) in OF_THE_FILE]
         return [*own, "method=model", *files, "stages=[import]", f"seed={config.seed}"]
     if not any(key_of(override) == "trainer" for override in own):
         own.append(f"trainer={config.trainer.name}")

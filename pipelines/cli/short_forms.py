@@ -15,7 +15,8 @@ from pipelines.stages.parse import holds_tree
 # What stands for a method and its policy, and what is done with that.
 GIVEN_POLICIES = {"program": "evaluated", "model": "imported"}
 TRUE = ("true", "1", "yes", "on", "y")  # as OmegaConf reads them
-SHORT = (*GIVEN_POLICIES, "vec_normalize", "column")  # their keys
+OF_A_MODEL = ("vec_normalize", "output")
+SHORT = (*GIVEN_POLICIES, *OF_A_MODEL, "column")  # their keys
 
 
 def spelt_out(overrides: Sequence[str]) -> list[str]:
@@ -46,10 +47,10 @@ def spelt_out(overrides: Sequence[str]) -> list[str]:
             written.append(f"polishing.{override.removeprefix('polish.')}")
         elif override in named:
             written += [*([] if methods else [f"method={key_of(override)}"]), f"method.{override}"]
-        elif override.startswith("vec_normalize="):
+        elif key_of(override) in OF_A_MODEL:
             if not any(key_of(each) in ("model", "oracle", "method.model") for each in overrides):
                 raise ConfigError(f"{override}: of which model? Add model=FILE or oracle=FILE")
-            written.append(f"method.{override}")
+            written.append(f"method.{override.replace('vec_normalize=null', 'vec_normalize=none')}")
         elif override.startswith("oracle=") and isinstance(parse(override).value(), str):
             if not any(map(imitates, methods)):
                 raise ConfigError(f"{override}: who is to imitate it? Add {imitating()}")

@@ -25,7 +25,8 @@ def imitating_command(config: RunConfig, overrides: Sequence[str] = ()) -> str:
     words = [f"env={env.name}", "--config-dir", own[0]] if own else [f"env={env.id}"]
     words += [f"++env.kwargs.{name}={value}" for name, value in env.kwargs.items()]
     words += ["method=augtree", f"oracle={method.model}", f"depth={DEPTH}"]
-    words += [f"vec_normalize={method.vec_normalize}"] if method.vec_normalize else []
+    given = {"vec_normalize": method.vec_normalize, "output": method.output}
+    words += [f"{key}={value}" for key, value in given.items() if value]
     return f"otr-run {shlex.join(words)}"
 
 

@@ -36,10 +36,14 @@ def git_revision() -> str | None:
 
 
 def _git(*arguments: str) -> str | None:
-    """Return what git prints in this file's folder; None where it fails or is not there."""
+    """Return what git prints in this file's folder; None where it fails or is not there.
+
+    It is to write nothing there: on a full disk it would leave its lock behind, and the checkout could not be used.
+    """
+    command = ["git", "--no-optional-locks", *arguments]
     try:
         done = subprocess.run(
-            ["git", *arguments], cwd=Path(__file__).parent, capture_output=True, text=True, timeout=10, check=True
+            command, cwd=Path(__file__).parent, capture_output=True, text=True, timeout=10, check=True
         )
     except (OSError, subprocess.SubprocessError):
         return None

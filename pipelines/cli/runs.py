@@ -37,6 +37,7 @@ from pipelines.play.environments import episode_limit, registered_ids
 from pipelines.play.own_environment import check_environment, own_environment
 from pipelines.play.video import check_video
 from pipelines.runs.imitation import OTHERS, imitating_command
+from pipelines.runs.result import result_row
 from pipelines.runs.run_job import RunJob, run_job, run_jobs
 from pipelines.stages import polish
 from pipelines.stages.import_model import read_model
@@ -113,6 +114,7 @@ class RunWorkflow(Workflow):
     do = staticmethod(run_job)
     do_group = staticmethod(run_jobs)
     groups = staticmethod(fleets)
+    row = staticmethod(result_row)
     check = staticmethod(_check_later_stages)
 
     def implied(self, overrides: Sequence[str]) -> list[str]:

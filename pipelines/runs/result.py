@@ -51,6 +51,19 @@ def show_result(summary: dict[str, Any], run_dir: Path, whole: Path) -> None:
     show_finished(text, where, _title(summary), _table(summary), lines, summary["seconds"], run_dir, picture)
 
 
+def result_row(summary: dict[str, Any]) -> dict[str, str]:
+    """Return what a sweep's table shows of a run: the returns of its tree, pruned and polished, and its leaves."""
+    forms = {"tree": summary, **summary["policies"]} | ({"polished": summary["polish"]} if "polish" in summary else {})
+    shown = {"tree": "return of the tree", "pruned_tree": "of the pruned tree", "polished": "polished"}
+    returns = {what: _return(forms[form]) for form, what in shown.items() if form in forms}
+    last = summary["polish"]["n_leaves"] if "polish" in summary else summary["pruned_leaves"]
+    return {**returns, "leaves": f"{last:,}"}
+
+
+def _return(moments: dict[str, Any]) -> str:
+    return f"{moments['return_mean']:z.1f} ± {moments['return_std']:.1f}"
+
+
 def _count(n: int, what: str) -> str:
     plural = {"leaf": "leaves"}.get(what, f"{what}s")
     return f"{n} {what if n == 1 else plural}"
@@ -199,11 +212,8 @@ def _table(summary: dict[str, Any]) -> Table:
     table.add_column("leaves", justify="right")
     leaves = {"tree": _leaves(summary["n_leaves"]), "pruned_tree": f"{summary['pruned_leaves']:,}"}
     for name, moments in summary["policies"].items():
-        table.add_row(
-            name.replace("_", " "), f"{moments['return_mean']:z.1f} ± {moments['return_std']:.1f}", leaves.get(name, "")
-        )
+        table.add_row(name.replace("_", " "), _return(moments), leaves.get(name, ""))
     if "polish" in summary:
         polished = summary["polish"]
-        returns = f"{polished['return_mean']:z.1f} ± {polished['return_std']:.1f}"
-        table.add_row("polished", returns, f"{polished['n_leaves']:,}")
+        table.add_row("polished", _return(polished), f"{polished['n_leaves']:,}")
     return table

@@ -269,6 +269,10 @@ def test_failing_job_does_not_stop_a_sweep(tmp_path, launcher, runner):
     done = runner("otr-run", *PROGRAMS, f"launcher={launcher}", cwd=tmp_path)
     assert done.returncode == 1
     assert "2 jobs: 1 done, 1 failed" in done.stdout, done.stdout + done.stderr
+    (row,) = [line.split() for line in done.stdout.splitlines() if line.startswith("  mountaincar/program/")]
+    summary = json.loads(summaries["mountaincar_simplified"].read_text())
+    assert row[1:4] == [f"{summary['return_mean']:.1f}", "±", f"{summary['return_std']:.1f}"]
+    assert row[-1] == str(summary["pruned_leaves"])
     assert str(summaries["mountaincar"].parent.relative_to(tmp_path / "results")) in done.stdout
     assert summaries["mountaincar_simplified"].exists()
     (failure,) = (tmp_path / "results/failures").rglob("*.txt")

@@ -2,6 +2,7 @@
 
 import functools
 import platform
+import shlex
 import subprocess
 import sys
 from importlib import metadata
@@ -53,4 +54,4 @@ def _git(*arguments: str) -> str | None:
 def command_line() -> str:
     """Return the command that is running: the program's name without its path, and its arguments but results_dir."""
     arguments = [argument for argument in sys.argv[1:] if not argument.startswith("results_dir=")]
-    return " ".join([Path(sys.argv[0]).name, *arguments])
+    return shlex.join([Path(sys.argv[0]).name, *arguments])

@@ -93,7 +93,7 @@ def test_a_program_without_a_run(export, tmp_path):
     assert [scope["policy"](state) for state in ([0.25, 0.1], [0.25, -0.1], [9.0, 0.1])] == [[0.5], [-1.0], [1.0]]
     lander = export("env=LunarLander-v3", "program=mountaincar", "format=c")
     assert lander.returncode == 2 and "unknown name 'position'" in lander.stderr
-    own = export("env=CartPole-v1", f"program={path}", "format=c")
+    own = export("env=Acrobot-v1", f"program={path}", "format=c")
     assert own.returncode == 2 and f"{path}:1:4: unknown name 'velocity'" in own.stderr
 
 

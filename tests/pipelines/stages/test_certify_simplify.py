@@ -77,7 +77,10 @@ def test_otr_verify_accepts_what_is_true_and_names_the_leaf_of_what_is_not(comma
     lie["domain"] = {"low": [0.9, 0.09, 0.09], "high": [0.91, 0.1, 0.1]}
     (tmp_path / "smaller.json").write_text(json.dumps(lie))
     refused = command("verify", word, f"certificate={tmp_path / 'smaller.json'}")
-    assert refused.returncode == 1 and "smaller than the environment's, [-1, 1] x [-1, 1] x [-8, 8]" in refused.stderr
+    assert (
+        refused.returncode == 1
+        and "smaller than the environment's box of states, cos_angle in -1..1," in refused.stderr
+    )
     other = results / CAR_RUN / "train"
     refused = command("verify", word, f"actor={other}")
     assert refused.returncode == 1 and "the domain 3 inputs" in refused.stderr
@@ -85,7 +88,10 @@ def test_otr_verify_accepts_what_is_true_and_names_the_leaf_of_what_is_not(comma
 
 def test_a_run_without_a_certificate_is_told(command, results):
     done = command("verify", f"run={results / PENDULUM_RUN}")
-    assert done.returncode == 1 and "Add certify=true to the command that made the run" in done.stderr
+    assert (
+        done.returncode == 1
+        and f"\nRun: otr-run env=pendulum depth=6 budget=quick seed=0 results_dir={results} certify=true" in done.stderr
+    )
     missing = command("verify", f"run={results / 'runs/pendulum/otr/depth-6/quick/seed-9'}")
     assert missing.returncode == 2 and "there is no such folder" in missing.stderr
     assert command("verify").returncode == 2
@@ -95,7 +101,10 @@ def test_a_run_without_a_certificate_is_told(command, results):
 
 def test_a_tree_that_is_too_large_is_told_and_fails_nothing(command, results):
     done = certified(command, results, "certification.max_leaves=5")
-    assert "no certificate on the environment's box of states: the limit of 5 regions was met" in done.stdout
+    assert (
+        "no certificate on the environment's box of states, cos_angle in -1..1, sin_angle in -1..1, angle_rate in -8..8: the limit of 5 regions was met"
+        in done.stdout
+    )
     path = next(results.glob("runs/pendulum/otr/depth-6/quick/seed-0~*/certify/report.json"))
     assert json.loads(path.read_text())["certified"] is False
     for words in (("verify",), ("export", "tree=minimal", "format=text")):

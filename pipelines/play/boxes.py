@@ -52,13 +52,9 @@ def box_around(states: np.ndarray, margin: float) -> otr.Domain:
     return otr.Domain(low - beyond, high + beyond)
 
 
-def box_in_words(domain: otr.Domain, names: Sequence[str] | None = None) -> str:
-    """Return a box as people read it, side by side; of many sides the first ones."""
-    sides = zip((domain.low + 0.0).tolist(), (domain.high + 0.0).tolist(), strict=True)  # 0, not -0
-    if names is None:
-        words, between = [f"[{low:.4g}, {high:.4g}]" for low, high in sides], " x "
-    else:
-        named = zip(names, sides, strict=True)
-        words, between = [f"{name} in {low:.4g}..{high:.4g}" for name, (low, high) in named], ", "
+def box_in_words(domain: otr.Domain, names: Sequence[str]) -> str:
+    """Return a box as people read it, side by side as `box=` takes them; of many sides the first ones."""
+    sides = zip(names, (domain.low + 0.0).tolist(), (domain.high + 0.0).tolist(), strict=True)  # 0, not -0
+    words = [f"{name} in {low:.4g}..{high:.4g}" for name, low, high in sides]
     more = [f"{len(words) - SHOWN} more"] if len(words) > SHOWN else []
-    return between.join([*words[:SHOWN], *more])
+    return ", ".join([*words[:SHOWN], *more])

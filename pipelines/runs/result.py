@@ -89,9 +89,11 @@ def _likeness(oracle: dict[str, Any]) -> str:
 
 
 def proof_line(report: dict[str, Any], env: EnvConfig | None = None) -> str:
-    """Return what the certificate says, in words, with the names of the environment's states where it is given."""
-    domain = otr.Domain.from_dict(report)
-    where = f"{report['domain']}, {box_in_words(domain, feature_names(env, domain.n_inputs) if env else None)}"
+    """Return what the certificate says, in words; of an environment with the sides of the box, by its names."""
+    where = report["domain"]
+    if env is not None:
+        domain = otr.Domain.from_dict(report)
+        where += f", {box_in_words(domain, feature_names(env, domain.n_inputs))}"
     if not report["certified"]:
         return f"no certificate on {where}: {report['reason']}"
     spent = sum(report["seconds"].values())

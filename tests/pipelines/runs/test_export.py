@@ -169,7 +169,7 @@ def test_a_run_with_a_digest_is_told_the_command_that_made_it(export, tmp_path):
 @pytest.mark.parametrize(
     ("folder", "command"),
     [
-        ("results/runs/ant/cdt/depth-3-3/quick/seed-2", 'otr-run env=ant "depth=[3,3]" method=cdt budget=quick seed=2'),
+        ("results/runs/ant/cdt/depth-3-3/quick/seed-2", "otr-run env=ant 'depth=[3,3]' method=cdt budget=quick seed=2"),
         ("results/runs/ant/otr/depth-6/thesis-fleet/seed-0",
          "otr-run env=ant depth=6 budget=thesis trainer=fleet seed=0"),
         ("results/runs/ant/linear/depth-0/quick-ars/seed-1",

@@ -33,10 +33,12 @@ from pipelines.config.trainer import TRAINERS, FleetConfig, TrainerConfig
 from pipelines.engine.job import Job
 from pipelines.engine.store import corrupt
 from pipelines.errors import ConfigError, did_you_mean
+from pipelines.play.boxes import given_box
 from pipelines.play.environments import episode_limit, registered_ids
 from pipelines.play.own_environment import check_environment, own_environment
 from pipelines.play.video import check_video
 from pipelines.runs.imitation import OTHERS, imitating_command
+from pipelines.runs.result import result_row
 from pipelines.runs.run_job import RunJob, run_job, run_jobs
 from pipelines.stages import polish
 from pipelines.stages.import_model import read_model
@@ -86,9 +88,12 @@ def load_config(run_dir: Path, n_workers: int | None) -> RunConfig:
     return loaded
 
 
-def written_policy(env: str, program: str) -> tuple[RunConfig, otr.ObliqueTree]:
-    """Return the run that would play a program file, or a shipped program, and the policy that it says."""
-    (job,) = RUN.jobs([RUN.spelt_out([f"env={env}", f"program={quoted(program)}"])])
+def written_policy(env: str, program: str, of_env: Sequence[str] = ()) -> tuple[RunConfig, otr.ObliqueTree]:
+    """Return the run that would play a program file, or a shipped program, and the policy that it says.
+
+    `of_env` are further overrides of the environment, such as its names.
+    """
+    (job,) = RUN.jobs([RUN.spelt_out([f"env={env}", *of_env, f"program={quoted(program)}"])])
     config = job.config
     return config, policy_tree(config.program_text, config.env, program)
 
@@ -114,6 +119,7 @@ class RunWorkflow(Workflow):
     do = staticmethod(run_job)
     do_group = staticmethod(run_jobs)
     groups = staticmethod(fleets)
+    row = staticmethod(result_row)
     check = staticmethod(_check_later_stages)
 
     def implied(self, overrides: Sequence[str]) -> list[str]:
@@ -207,6 +213,8 @@ class RunWorkflow(Workflow):
         if config.env.name not in self.options("env") or any(key_of(each)[:4] == "env." for each in overrides):
             check_environment(config.env)
             episode_limit(config.env)  # refuses an environment without one, before anything runs
+        if config.certification.box is not None:
+            given_box(config.env, config.certification.box)  # refuses sides that are of no state
         if isinstance(config.method, ProgramConfig):
             text, depth = _program(config, config.method.program, overrides)
             made = self.composed([*overrides, f"depth={depth}"])

@@ -16,16 +16,17 @@ from pipelines.stages.parse import holds_tree
 GIVEN_POLICIES = {"program": "evaluated", "model": "imported"}
 TRUE = ("true", "1", "yes", "on", "y")  # as OmegaConf reads them
 OF_A_MODEL = ("vec_normalize", "output")
-SHORT = (*GIVEN_POLICIES, *OF_A_MODEL, "column")  # their keys
+SHORT = (*GIVEN_POLICIES, *OF_A_MODEL, "column", "box")  # their keys
 
 
 def spelt_out(overrides: Sequence[str]) -> list[str]:
     """Return overrides with those replaced that are short for others.
 
     `program=FILE` and `model=FILE` are a method and its policy; under a method that imitates, the model is the
-    oracle, as is `oracle=FILE`. Hydra would take a program for a choice of the group conf/program, where the
-    shipped ones lie. `column=NAME` is a method and its depth, and `polish.free=true` is `polishing.free=true`,
-    because `polish` itself is the switch. An id for which conf/env has a file stands for that file's name.
+    oracle, as is `oracle=FILE`. Hydra would take a program for a choice of the group conf/program, where the shipped
+    ones lie. `column=NAME` is a method and its depth, `box=` is `certification.box=`, and `polish.free=true` is
+    `polishing.free=true`, because `polish` itself is the switch. An id for which conf/env has a file stands for that
+    file's name.
     """
     overrides = [_of_its_kind(override) for override in _columns_spelt_out(overrides)]
     named = [override for override in overrides if key_of(override) in GIVEN_POLICIES]
@@ -43,6 +44,8 @@ def spelt_out(overrides: Sequence[str]) -> list[str]:
         if override.startswith("env="):
             env = str(parse(override).value())  # a sweep escapes the colon of module:Id
             written.append(f"env={_named_ids().get(env, env)}")
+        elif override.startswith("box="):
+            written.append(f"certification.{override}")
         elif override.startswith("polish."):
             written.append(f"polishing.{override.removeprefix('polish.')}")
         elif override in named:

@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 
 import otr
+from pipelines.engine.command_text import command_text
 from pipelines.errors import MissingInputError
 from pipelines.play.random_returns import random_returns
 from pipelines.report.cells import DECIMALS, KEY, METHOD_NAMES, SOURCE, TASK_NAMES, table_runs
@@ -47,7 +48,7 @@ def write_performance_profile(results_dir: Path, runs: pd.DataFrame) -> list[Pat
     if lines.empty:
         raise MissingInputError(
             f"{results_dir}: no method of Table 4.1 has been run on {MIN_TASKS} tasks.\n"
-            "Run: otr-run +experiment=table_4_1"
+            f"Run: {command_text('otr-run', ['+experiment=table_4_1'], results_dir)}"
         )
     path = write_file(results_dir / "figures" / "performance_profile.csv", csv_text(lines.round(DECIMALS)))
     otr.save_picture(draw_profiles(lines), path.with_suffix(".png"))

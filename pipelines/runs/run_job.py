@@ -146,7 +146,7 @@ def _run_stages(job: RunJob) -> dict[str, Any] | None:
     unasked = {extra for extra in EXTRA_STAGES if extra not in config.selected_stages}
     with opened_run(config, run_dir) as whole:
         shown = {key: value for key, value in summary.items() if key not in unasked}
-        show_result(shown, run_dir, whole)
+        show_result(shown, run_dir, whole, config.env)
         for told in (warning_below_random(config, summary), advice(config, shown, job.overrides)):
             if told:
                 print(fitted(told, columns()))

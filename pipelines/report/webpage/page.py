@@ -19,6 +19,7 @@ import pandas as pd
 
 import otr
 from pipelines.config.run import RunConfig
+from pipelines.engine.command_text import command_text
 from pipelines.engine.console import progress_lines
 from pipelines.engine.store import read_summary
 from pipelines.errors import MissingInputError, PipelineError
@@ -29,7 +30,7 @@ from pipelines.report.frames import load_fits, load_runs
 from pipelines.report.text import write_file
 from pipelines.report.webpage.front import cell_table, figures_data, name_of_cell, plain_table
 from pipelines.report.webpage.policy import policy_data
-from pipelines.runs.finished_run import place_of
+from pipelines.runs.finished_run import results_of
 
 SCRIPTS = ("vendor/d3-hierarchy.min.js", "vendor/uPlot.iife.min.js", "tree.js", "drawing.js", "view.js", "page.js")
 STYLES = ("vendor/uPlot.min.css", "page.css")
@@ -95,7 +96,8 @@ def write_results_page(results_dir: Path, out: Path, load_config: Callable[[Path
     """
     runs = load_runs(results_dir)
     if runs.empty:
-        raise MissingInputError(f"{results_dir}/runs: there is no finished run\nRun: otr-run env=pendulum depth=6")
+        command = command_text("otr-run", ["env=pendulum", "depth=6"], results_dir)
+        raise MissingInputError(f"{results_dir}/runs: there is no finished run\nRun: {command}")
     own = with_pruned_trees(table_runs(runs), runs)
     cells = table_4_1.make_cells(pd.concat([own, oracle_runs(runs)]))
     shown, policies = _a_policy_a_cell(cells, own, results_dir)
@@ -203,7 +205,9 @@ def _write(
             continue
         folder = Path(os.path.relpath(each.folder.absolute(), out.absolute().parent)).as_posix()
         run = Path(*each.folder.parts[-5:]).as_posix()
-        command = f"otr-export run={run} tree={each.form} format=NAME{place_of(each.folder)}"
+        command = command_text(
+            "otr-export", [f"run={run}", f"tree={each.form}", "format=NAME"], results_of(each.folder)
+        )
         digest = "".join(each.folder.name.partition("~")[1:])  # of the settings in which it is not as the others
         name = f"{each.name} {digest}".strip() if n_so_named[each.group, each.name] > 1 else each.name
         data |= {"about": f"{each.group}, {name}, {each.form} tree", "folder": folder, "export_command": command}

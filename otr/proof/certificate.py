@@ -45,9 +45,9 @@ class Cell:
     Of a tree with labels, `near` are the outcomes of a piece of the network with the leaf's label that the cell's
     states are near to, if that is another than its `outcomes`; then there are proofs of all its tests, and the bounds
     are sums that the domain's sides are at least. The states come to the piece `towards` (d + 1,) a point (q, 1) or in
-    a direction (p, 0), times any number; none are needed where all are in it. Where the label ties throughout the
-    piece, and is the network's nowhere in it, a sum of rows is no more than `thin` allows: its first row bounds a
-    sliver.
+    a direction (p, 0), times any number; none are needed where all are in it. Where outputs tie throughout the piece,
+    the cell is a sliver: by the sums `thin`, of test `onto` of the piece and of its negative, it is thin along the
+    input that `towards` has, and the proofs are of the tests and sides where that input has brought test `onto` to 0.
     """
 
     leaf: int
@@ -58,7 +58,8 @@ class Cell:
     empty: Sum | None = None
     near: str = ""
     towards: tuple[float | Fraction, ...] = ()
-    thin: Sum | None = None
+    thin: tuple[Sum, ...] = ()
+    onto: int = 0
 
 
 @dataclass(frozen=True, repr=False)
@@ -175,7 +176,9 @@ def _described(cell: Cell) -> dict[str, Any]:
         description["near"] = cell.near
     if cell.towards:
         description["towards"] = [_written(number) for number in cell.towards]
-    return description | ({} if cell.thin is None else {"thin": _listed(cell.thin)})
+    if cell.thin:
+        description |= {"thin": [_listed(sum_) for sum_ in cell.thin], "onto": cell.onto}
+    return description
 
 
 def _cell(description: dict[str, Any]) -> Cell:
@@ -188,7 +191,8 @@ def _cell(description: dict[str, Any]) -> Cell:
         _sum(description["empty"]) if "empty" in description else None,
         str(description.get("near", "")),
         tuple(map(_number, description.get("towards", ()))),
-        _sum(description["thin"]) if "thin" in description else None,
+        tuple(_sum(sum_) for sum_ in description.get("thin", ())),
+        int(description.get("onto", 0)),
     )
 
 

@@ -91,15 +91,15 @@ def _ways(pair: TreeAndNetwork, cell: Cell, forms: Sequence[Integers], least: Se
 def _slivers(
     checker: Checker, cell: Cell, exact: ExactCell, forms: Sequence[Integers], max_error: Fraction
 ) -> Iterator[Cell]:
-    """Yield a cell as a sliver along a row that is nowhere far from 0, by each input that brings it there."""
-    pair, zero = checker.pair, Fraction(0)
-    for name, row in exact.rows.items():
-        multipliers = largest_in_cell(pair, exact, row.numbers)[1]
-        thin = as_sum({name: 1 + multipliers.pop(name, zero)} | multipliers)
-        highest = checker.highest(cell.leaf, thin, exact.rows) * 2**pair.power
+    """Yield a cell as a sliver along a test that is nowhere far from 0, by each input that brings it there."""
+    pair = checker.pair
+    for onto, row in enumerate(forms[: pair.n_tests]):
+        thin = tuple(as_sum(largest_in_cell(pair, exact, form)[1]) for form in (-row, row))
+        farthest = max(
+            checker.shortfall(cell.leaf, form, proof, exact.rows) for form, proof in zip((row, -row), thin, strict=True)
+        )
         for axis, width in enumerate(pair.widths()):
-            slope = row.numbers[axis]
-            if slope and highest <= max_error * width * abs(slope):
+            if row[axis] and farthest * 2**pair.power <= max_error * width * abs(row[axis]):
                 towards = tuple(Fraction(i == axis) for i in range(pair.domain.n_inputs + 1))
-                brought = [brought_to(row.numbers, axis, form) for form in forms]
-                yield replace(_with_proofs(pair, cell, exact, brought), towards=towards, thin=thin)
+                brought = [brought_to(row, axis, form) for form in forms]
+                yield replace(_with_proofs(pair, cell, exact, brought), towards=towards, thin=thin, onto=onto)

@@ -153,8 +153,8 @@ class Checker:
         if pair.label(bits) != pair.tree.labels[cell.leaf]:
             return INFINITE
         forms = [*(pair.turned(bits) if cell.near else turned), *(side.numbers for side in pair.sides.values())]
-        if cell.thin is not None:
-            return self._thickness(cell, cell.thin, rows, forms)
+        if cell.thin:
+            return self._sliver(cell, rows, forms)
         least, is_above = self.least(cell, forms, rows)
         last = near.rfind("1", n)  # the test whose winner has the label; if none is won, ties have it, too
         if max(least, default=0) <= 0 and (last < 0 or is_above[last]):
@@ -207,13 +207,12 @@ class Checker:
             farthest = max(farthest, change / width)
         return max(times * farthest, ON_BOUNDARY)
 
-    def _thickness(self, cell: Cell, thin: Sum, rows: dict[str, ExactRow], forms: list[Integers]) -> Fraction:
-        """Return how far, at most, a cell's states are from where the first row of a sum is 0 and no form below 0.
+    def _sliver(self, cell: Cell, rows: dict[str, ExactRow], forms: list[Integers]) -> Fraction:
+        """Return how far a cell's states are, at most, from where test `onto` is 0 and no form is below 0.
 
         They go along the first input that `towards` names.
         """
-        highest = self.highest(cell.leaf, thin, rows)
-        row = rows[thin.rows[0]].numbers if thin.rows else forms[0]
+        row = forms[cell.onto]
         axis = next((i for i, number in enumerate(cell.towards[:-1]) if number and row[i]), -1)
         if axis < 0:
             return INFINITE
@@ -221,13 +220,11 @@ class Checker:
         for at, form in enumerate(forms):
             if self.shortfall(cell.leaf, brought_to(row, axis, form), proofs.get(at, Sum((), ())), rows) > 0:
                 return INFINITE
-        return max(highest * 2**self.pair.power / (abs(int(row[axis])) * self.pair.widths()[axis]), ON_BOUNDARY)
-
-    def highest(self, leaf: int, terms: Sum, rows: dict[str, ExactRow]) -> Fraction:
-        """Return how far above 0, at most, the first row of a sum is where rows hold."""
-        total, scale = self._total(leaf, terms, rows)
-        first = Fraction(terms.multipliers[0]) if terms.multipliers else Fraction(0)
-        return self.bounds.highest(total) / scale / first if first else INFINITE
+        farthest = max(
+            self.shortfall(cell.leaf, form, proof, rows) for form, proof in zip((row, -row), cell.thin, strict=True)
+        )
+        width = self.pair.widths()[axis] * abs(int(row[axis]))
+        return max(Fraction(farthest * 2**self.pair.power, width), ON_BOUNDARY)
 
     def shortfall(self, leaf: int, form: Integers, proof: Sum, rows: dict[str, ExactRow]) -> Fraction:
         """Return how far below 0, at most, a form is where rows hold, given the sum of them that it is to be."""
@@ -302,6 +299,8 @@ class Checker:
             and len(cell.towards) in (0, self.pair.domain.n_inputs + 1)
             and all(-math.inf < number < math.inf for number in cell.towards)
             and (not cell.towards or cell.towards[-1] >= 0)
+            and len(cell.thin) in (0, 2)
+            and 0 <= cell.onto < max(n_tests, 1)
             and (self.pair.tree.labels is None or len(cell.bounds) in (0, len(self.pair.sides)))
         )
         if cell.empty is None:

@@ -97,7 +97,7 @@ def largest_gap(pair: TreeAndNetwork, cell: ExactCell) -> list[tuple[list[Point]
     These are points of the cell's closure, and multipliers of its rows. On a domain with open sides it is largest in
     units of 1 + the size of the open inputs, which may be reached only ever farther in a direction.
     """
-    forms = pair.differences(cell.leaf, cell.forms)
+    forms = pair.differences(cell.leaf, cell.forms, cell.outcomes)
     return [largest_in_cell(pair, cell, signed) for form in forms for signed in (form, -form)]
 
 
@@ -142,7 +142,7 @@ def counterexample(pair: TreeAndNetwork, cell: ExactCell, max_error: Fraction) -
     On a domain with open sides the error is relative, and a point is looked for among few.
     """
     candidates = [cell.point]
-    for points, _ in largest_gap(pair, cell) if pair.tree.labels is None else ():
+    for points, _ in largest_gap(pair, cell):
         # The farthest point may lie on a side that the cell is without: from it, ever nearer to the point inside.
         candidates += [_between(far, cell.point, Fraction(1, 2**k)) for far in points for k in (60, 30, 10, 3, 1)]
     for point in candidates:

@@ -93,9 +93,15 @@ class TreeAndNetwork(TreeOnDomain):
         outputs = forms[self.network.n_hidden :]
         return [outputs[i] - outputs[j] if j >= 0 else outputs[i] for i, j in self.pairs(outcomes)]
 
-    def differences(self, leaf: int, forms: Integers) -> Integers:
-        """Return the forms (o, d + 1) whose largest absolute value is the difference of a leaf and the network."""
-        return np.asarray(forms[self.network.n_hidden :] - self.maps[leaf])
+    def differences(self, leaf: int, forms: Integers, outcomes: Sequence[bool]) -> Integers:
+        """Return the forms (m, d + 1) whose largest absolute value is the difference of a leaf and the network.
+
+        Of a tree with labels it is the form by which the network prefers its own label to the leaf's.
+        """
+        if self.tree.labels is None:
+            return np.asarray(forms[self.network.n_hidden :] - self.maps[leaf])
+        ours, theirs, scores = int(self.tree.labels[leaf]), self.label(outcomes), self.scores(forms)
+        return scores[theirs : theirs + 1] - scores[ours]
 
     def turned(self, outcomes: Sequence[bool]) -> list[Integers]:
         """Return the forms of all tests, each with the sign that makes it at least 0 where the outcomes hold."""

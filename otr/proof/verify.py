@@ -137,7 +137,7 @@ class Checker:
         shortfalls = [Fraction(0)] * len(turned)
         for test, proof in zip(_fixed(cell), cell.proofs, strict=True):
             shortfalls[test] = self.shortfall(cell.leaf, turned[test], proof, rows)
-        differences = pair.differences(cell.leaf, pair.forms(outcomes[:n]))
+        differences = pair.differences(cell.leaf, pair.forms(outcomes[:n]), outcomes)
         bounds = [self._bound(cell, at, form, rows) for at, form in enumerate(differences)]
         errors = self._output_errors([_few_digits(shortfall) for shortfall in shortfalls[:n]])
         return max(bound + error for bound, error in zip(bounds, errors, strict=True))

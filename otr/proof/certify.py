@@ -35,10 +35,10 @@ from otr.proof.exact_cells import (
     largest_gap,
     refused_at,
 )
-from otr.proof.exact_rows import ExactRow, TreeAndNetwork
+from otr.proof.exact_rows import ExactRow, TreeAndNetwork, rounded_up
 from otr.proof.float_cells import cells_of, empty_sum, row_names, start_of_walk
 from otr.proof.label_cells import near_cell
-from otr.proof.verify import Checker, check_cover, rounded_up
+from otr.proof.verify import Checker, check_cover
 
 
 def certify(
@@ -59,7 +59,7 @@ def certify(
         domain: a box (low, high) of which any side may be infinite; None is the network's own domain, or all of R^d.
         exact: every certificate is found and checked in exact arithmetic; accepted for those who ask for it.
         max_error: refuse a larger bound, as `Certificate.max_error` is defined, on the difference of outputs or, of
-            labels, on the distance from the boundary between them.
+            labels, on the distance from where the network has the tree's label.
         max_regions, max_seconds: refuse a longer proof, or to look for longer.
 
     Raises:

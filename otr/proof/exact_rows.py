@@ -8,6 +8,8 @@ network, in the order of `otr.PatternTree`'s bits, with the sign of its outcome.
 
 from __future__ import annotations
 
+import math
+import sys
 from collections.abc import Sequence
 from fractions import Fraction
 from typing import NamedTuple
@@ -101,7 +103,7 @@ class TreeAndNetwork(TreeOnDomain):
         if self.tree.labels is None:
             return np.asarray(forms[self.network.n_hidden :] - self.maps[leaf])
         ours, theirs, scores = int(self.tree.labels[leaf]), self.label(outcomes), self.scores(forms)
-        return scores[theirs : theirs + 1] - scores[ours]
+        return np.asarray(scores[theirs : theirs + 1] - scores[ours])
 
     def turned(self, outcomes: Sequence[bool]) -> list[Integers]:
         """Return the forms of all tests, each with the sign that makes it at least 0 where the outcomes hold."""
@@ -144,3 +146,36 @@ class TreeAndNetwork(TreeOnDomain):
     def widths(self) -> list[Fraction]:
         """Return what distances are counted in along each input: 1, or its width in the domain if that is smaller."""
         return [Fraction(width) for width in np.minimum(self.domain.high - self.domain.low, 1.0).tolist()]
+
+
+class Bounds:
+    """Bounds of affine forms over a domain; where it is open, in units of 1 + the sum of |x_i| over the open inputs."""
+
+    def __init__(self, domain: Domain, power: int) -> None:
+        """Take the forms' power of two: they are integers over 2**power."""
+        self.is_closed = np.isfinite(domain.low) & np.isfinite(domain.high)
+        low, high = (integers(np.where(self.is_closed, limits, 0.0)) for limits in (domain.low, domain.high))
+        of_limits = max(low[1], high[1])
+        self._low, self._high = common_integers((low, high), of_limits)
+        self._unit, self._scale = 2**of_limits, 2 ** (of_limits + power)
+
+    def highest(self, form: Integers, *, is_relative: bool = True) -> Fraction:
+        """Return a bound on the highest value of a form (d + 1,) of integers, in the units above.
+
+        Without `is_relative`, a form that is not constant in the open inputs has no bound.
+        """
+        f = form[:-1]
+        highest = form[-1] * self._unit + (f * np.where(f > 0, self._high, self._low)).sum()
+        open_slope = max((abs(slope) for slope in f[~self.is_closed]), default=0)
+        if open_slope and not is_relative:
+            return INFINITE
+        return Fraction(int(max(highest, open_slope * self._unit) if open_slope else highest), self._scale)
+
+
+def rounded_up(value: Fraction) -> float:
+    """Return the smallest float64 that is not below a number; infinite where all are."""
+    try:
+        nearest = float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -sys.float_info.max
+    return nearest if Fraction(nearest) >= value else math.nextafter(nearest, math.inf)

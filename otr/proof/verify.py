@@ -20,29 +20,29 @@ such that ``r_i(p, s) := a_i . p + b_i s >= m_i`` for all of them, which is a po
 so y is in Q and in the domain, and ``|y - x| <= u |p - s x|``. Of the tests, the last that is won decides whether the
 network has the label on the sides of Q, too, where it may tie.
 
-A test that splits the leaf's region needs no proof: the cells on
-both its sides are there, which are told apart by the sign of z_j^A itself, and a cell may be left out only with a sum
-of its rows that cannot be what it would have to be at a point of the cell. So every real point of the domain is in a
-proved cell.
+Where outputs tie throughout Q, so that the network has the label nowhere in it, y is to be on the boundary of a test of
+Q, and a change of one input brings the states there: what may be wrong is a sliver.
+
+A test that splits the leaf's region needs no proof: the cells on both its sides are there, which are told apart by the
+sign of z_j^A itself, and a cell may be left out only with a sum of its rows that cannot be what it would have to be at
+a point of the cell. So every real point of the domain is in a proved cell.
 """
 
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Sequence
 from fractions import Fraction
 from itertools import pairwise
 
 import numpy as np
 
-from otr.core.domain import Domain
 from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
 from otr.errors import CertificateError
-from otr.geometry.rational import Integers, common_integers, integers, without_denominators
+from otr.geometry.rational import Integers, without_denominators
 from otr.proof.certificate import Cell, Certificate, Sum
-from otr.proof.exact_rows import INFINITE, ON_BOUNDARY, ExactRow, TreeAndNetwork
+from otr.proof.exact_rows import INFINITE, ON_BOUNDARY, Bounds, ExactRow, TreeAndNetwork, rounded_up
 
 
 def verify(certificate: Certificate, tree: ObliqueTree, network: ReluNetwork) -> float:
@@ -351,30 +351,6 @@ def check_cover(leaf: int, cells: Sequence[Cell]) -> None:
         waiting += [(side, test + 1) for side in sides]
 
 
-class Bounds:
-    """Bounds of affine forms over a domain; where it is open, in units of 1 + the sum of |x_i| over the open inputs."""
-
-    def __init__(self, domain: Domain, power: int) -> None:
-        """Take the forms' power of two: they are integers over 2**power."""
-        self.is_closed = np.isfinite(domain.low) & np.isfinite(domain.high)
-        low, high = (integers(np.where(self.is_closed, limits, 0.0)) for limits in (domain.low, domain.high))
-        of_limits = max(low[1], high[1])
-        self._low, self._high = common_integers((low, high), of_limits)
-        self._unit, self._scale = 2**of_limits, 2 ** (of_limits + power)
-
-    def highest(self, form: Integers, *, is_relative: bool = True) -> Fraction:
-        """Return a bound on the highest value of a form (d + 1,) of integers, in the units above.
-
-        Without `is_relative`, a form that is not constant in the open inputs has no bound.
-        """
-        f = form[:-1]
-        highest = form[-1] * self._unit + (f * np.where(f > 0, self._high, self._low)).sum()
-        open_slope = max((abs(slope) for slope in f[~self.is_closed]), default=0)
-        if open_slope and not is_relative:
-            return INFINITE
-        return Fraction(int(max(highest, open_slope * self._unit) if open_slope else highest), self._scale)
-
-
 def _has_strict_row(terms: Sum, rows: dict[str, ExactRow]) -> bool:
     """Return whether a sum is above 0, not just at it, where its rows hold."""
     return any(rows[name].is_strict for name, weight in zip(terms.rows, terms.multipliers, strict=True) if weight > 0)
@@ -386,12 +362,3 @@ def _few_digits(value: Fraction) -> Fraction:
         return Fraction(0)
     above = rounded_up(value)
     return Fraction(above) if above < math.inf else value
-
-
-def rounded_up(value: Fraction) -> float:
-    """Return the smallest float64 that is not below a number; infinite where all are."""
-    try:
-        nearest = float(value)
-    except OverflowError:
-        return math.inf if value > 0 else -sys.float_info.max
-    return nearest if Fraction(nearest) >= value else math.nextafter(nearest, math.inf)

@@ -152,7 +152,7 @@ def test_a_way_that_does_not_lead_to_the_label_is_refused() -> None:
     at, cell = next((i, cell) for i, cell in enumerate(certificate.cells) if cell.near)
     lies = {
         "no way": replace(cell, towards=()),
-        "the other way": replace(cell, towards=tuple(-number for number in cell.towards[:-1]) + (Fraction(0),)),
+        "the other way": replace(cell, towards=(*(-number for number in cell.towards[:-1]), Fraction(0))),
         "out of the box": replace(cell, towards=(3.0, 0.0, 1.0)),
         "too short": replace(cell, towards=cell.towards[1:]),
         "not a number": replace(cell, towards=(float("nan"), *cell.towards[1:])),

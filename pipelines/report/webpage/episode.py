@@ -51,7 +51,7 @@ def record(
     playing = make_env(env)
     if n_frames:
         try:
-            playing = renderable(env, 2 * width)
+            playing = _sparing(renderable(env, 2 * width))
         except (ConfigError, PipelineError) as error:
             why_not = str(error)
 
@@ -87,6 +87,17 @@ def record(
     return episode, X
 
 
+def _sparing(env: Any) -> Any:
+    """Return MuJoCo's environment set to render in a quarter of the time, before its first picture; any other as it is.
+
+    Frames are made from pictures of twice their size, which smooths edges without several samples a pixel.
+    """
+    quality = getattr(getattr(getattr(env.unwrapped, "model", None), "vis", None), "quality", None)
+    if quality is not None:
+        quality.offsamples, quality.shadowsize = 0, 1024
+    return env
+
+
 def packed(values: NDArray[Any]) -> dict[str, Any]:
     """Return an array as JSON-able data: its type and shape, and its little-endian bytes in base64."""
     array = np.ascontiguousarray(values)
@@ -105,7 +116,9 @@ def _sprite(frames: list[NDArray[Any]], width: int) -> dict[str, Any]:
     columns = min(COLUMNS, len(frames))
     sheet = Image.new("RGB", (columns * width, -(-len(frames) // columns) * height))
     for i, frame in enumerate(frames):
-        small = Image.fromarray(frame.astype(np.uint8)).resize((width, height), Image.Resampling.LANCZOS)
+        small = Image.fromarray(frame.astype(np.uint8)).resize(
+            (width, height), Image.Resampling.LANCZOS, reducing_gap=2.0
+        )
         sheet.paste(small, (i % columns * width, i // columns * height))
     written = io.BytesIO()
     sheet.save(written, format="WEBP", quality=QUALITY, method=4)

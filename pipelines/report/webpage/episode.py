@@ -15,7 +15,6 @@ from otr.control.rollout import play_episodes
 from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.play.environments import make_env
-from pipelines.play.rollout import rollout
 from pipelines.play.video import renderable, rendered
 
 MOST_STEPS = 500  # that are kept; of a longer episode every second, third, ... step
@@ -25,13 +24,13 @@ QUALITY = 30  # of a sprite (WebP), of 100
 
 
 def record(
-    tree: otr.ObliqueTree, env: EnvConfig, seed: int, *, n_frames: int, width: int
-) -> tuple[dict[str, Any], NDArray[Any]]:
-    """Play the episode that starts from `reset(seed)` and return it as JSON-able data, and its states (k, d).
+    tree: otr.ObliqueTree, env: EnvConfig, seed: int, *, length: int, n_frames: int, width: int
+) -> dict[str, Any]:
+    """Play the episode that starts from `reset(seed)` and return it as JSON-able data.
 
     Args:
         tree: the policy; leaves are numbered as in it.
-        env, seed: the environment, and the episode.
+        env, seed, length: the environment, the episode, and its number of steps, which is known from a play before.
         n_frames: frames, at most; 0 for none. An environment that cannot be rendered here has none, and `no_frames`
             says why.
         width: of a frame, in pixels.
@@ -41,7 +40,6 @@ def record(
         `stride`-th step; the `sprite` with the frames of every `frame_stride`-th of these; the return and the number of
         all steps.
     """
-    (length,) = rollout(tree.predict, env, [seed], n_workers=1).lengths.tolist()
     stride = -(-length // MOST_STEPS)
     kept = -(-length // stride)
     frame_stride = max(1, math.ceil(kept / n_frames)) if n_frames else 0
@@ -71,7 +69,7 @@ def record(
     X = np.array(states)
     low, high = X.min(axis=0), X.max(axis=0)
     answers = np.asarray(tree.predict(X))
-    episode = {
+    return {
         "seed": seed,
         "return": float(played.returns[0]),
         "n_steps": length,
@@ -84,7 +82,6 @@ def record(
         "answers": packed(answers.astype("<f4")),
         **({"frame_stride": frame_stride, **_sprite(frames, width)} if frames else {"no_frames": _first_line(why_not)}),
     }
-    return episode, X
 
 
 def _sparing(env: Any) -> Any:

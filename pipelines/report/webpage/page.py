@@ -52,7 +52,7 @@ class Detail:
 
 
 OF_ONE = Detail(n_frames=120, frame_width=240, export_bytes=200_000, tree_bytes=None)
-# So that a page of all results is below 10 MB: of its 155 trees ten have between 1 and 20 MB of numbers.
+# So that a page of all results is below 10 MB: seven of its 147 trees have between 1 and 17 MB of numbers.
 OF_MANY = Detail(n_frames=20, frame_width=160, export_bytes=12_000, tree_bytes=300_000)
 
 

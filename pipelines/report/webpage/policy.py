@@ -14,13 +14,14 @@ from otr.core.merging import merge_equal_leaves
 from otr.programs.picture.colours import LABELS, level_colour
 from otr.programs.walk import in_printed_order
 from pipelines.config.run import RunConfig
-from pipelines.engine.seeding import evaluation_seeds
+from pipelines.engine.seeding import episode_seeds, evaluation_seeds
 from pipelines.engine.store import read_summary
 from pipelines.errors import PipelineError
+from pipelines.play.rollout import rollout
 from pipelines.play.spaces import action_names, feature_names, spaces, state_limits
 from pipelines.report.webpage.episode import packed, record
 from pipelines.report.webpage.units import unit_of
-from pipelines.runs.finished_run import place_of, title_of, tree_of, visited_states
+from pipelines.runs.finished_run import place_of, title_of, tree_of
 from pipelines.runs.result import proof_line
 
 EXPORTS: dict[str, Callable[..., str]] = {
@@ -69,8 +70,9 @@ def policy_data(
     env, space = run.env, spaces(run.env)
     names, answers = feature_names(env, tree.n_inputs), action_names(env, tree.n_answers)
     (seed,) = evaluation_seeds(run.evaluate.first_seed, 1)
-    episode, states = record(tree, env, seed, n_frames=n_frames, width=frame_width)
-    visited = np.concatenate((visited_states(run, tree, n_episodes=2), states))
+    of_pruning = episode_seeds(run.seed, "prune", min(2, run.prune.n_episodes))
+    played = rollout(tree.predict, env, [*of_pruning, seed], keep_states=True, n_workers=1)
+    visited, length = played.states, int(played.lengths[-1])
     programs = {
         language: written
         for language, write in EXPORTS.items()
@@ -85,7 +87,7 @@ def policy_data(
         "answers": answers,
         "limits": None if space.box is None else [limits.tolist() for limits in space.box],
         "tree": tree_data(tree, visited, "<f4" if tree_bytes is not None and _rounds_unseen(tree, visited) else "<f8"),
-        "episode": episode,
+        "episode": record(tree, env, seed, length=length, n_frames=n_frames, width=frame_width),
         "program": otr.to_text(tree, feature_names=names, output_names=answers)
         if tree.n_leaves <= LONGEST_PROGRAM
         else "",

@@ -155,8 +155,10 @@ def test_a_long_episode_is_thinned_and_one_without_pictures_says_why(monkeypatch
         raise PipelineError("video: it cannot be rendered here (no screen). MuJoCo needs a screen")
 
     monkeypatch.setattr("pipelines.report.webpage.episode.renderable", no_screen)
-    episode, states = record(tree, config_of(LANDER).env, 1000, n_frames=5, width=32)
-    assert len(states) == len(unpacked(episode["leaves"]))
+    env = config_of(LANDER).env
+    (length,) = rollout(tree.predict, env, [1000], n_workers=1).lengths.tolist()
+    episode = record(tree, env, 1000, length=length, n_frames=5, width=32)
+    assert len(unpacked(episode["states"])) == len(unpacked(episode["leaves"])) and episode["n_steps"] == length
     assert episode["stride"] == -(-episode["n_steps"] // 50) > 1
     assert unpacked(episode["leaves"]).shape == (-(-episode["n_steps"] // episode["stride"]),)
     assert episode["no_frames"] == "video: it cannot be rendered here (no screen)." and "sprite" not in episode

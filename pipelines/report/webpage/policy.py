@@ -14,6 +14,7 @@ from otr.core.merging import merge_equal_leaves
 from otr.programs.picture.colours import LABELS, level_colour
 from otr.programs.walk import in_printed_order
 from pipelines.config.run import RunConfig
+from pipelines.engine.command_text import command_text
 from pipelines.engine.seeding import episode_seeds, evaluation_seeds
 from pipelines.engine.store import read_summary
 from pipelines.errors import PipelineError

@@ -31,6 +31,7 @@ a point of the cell. So every real point of the domain is in a proved cell.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Sequence
 from fractions import Fraction
 from itertools import pairwise
@@ -332,12 +333,17 @@ def _proofs(cell: Cell, n_tests: int) -> list[tuple[int, Sum]]:
     return [*zip(_fixed(cell), cell.proofs, strict=True), *enumerate(cell.bounds, n_tests)]
 
 
+def _first_split(cell: Cell, after: int) -> int | None:
+    at = bisect_left(cell.splits, after)
+    return cell.splits[at] if at < len(cell.splits) else None
+
+
 def check_cover(leaf: int, cells: Sequence[Cell]) -> None:
     """Raise CertificateError unless cells are all of a leaf's region: both sides of every test that splits it."""
     waiting = [(list(cells), 0)]  # cells, and the first of the tests that may part them
     while waiting:
         cells, after = waiting.pop()
-        firsts = {next((split for split in cell.splits if split >= after), None) for cell in cells}
+        firsts = {_first_split(cell, after) for cell in cells}
         if firsts == {None} and len(cells) == 1:
             continue
         if len(firsts) != 1 or None in firsts:

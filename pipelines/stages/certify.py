@@ -13,7 +13,7 @@ from pipelines.engine.store import write_json
 from pipelines.play.actor_files import load_actor
 from pipelines.play.boxes import box_around, given_box
 from pipelines.play.rollout import rollout
-from pipelines.play.spaces import state_limits
+from pipelines.play.spaces import spaces, state_limits
 from pipelines.stages.printed_programs import and_names, write_program
 
 MARGIN = 0.05  # of the width of what was visited, on either side
@@ -102,6 +102,11 @@ def _settings(config: RunConfig) -> dict[str, Any]:
     return _USUAL(config) | ({} if box is None else {"box": list(box)})
 
 
+def _version(config: RunConfig) -> int:
+    """Return 3 for labels, whose proofs lead to where the network has them, else 2."""
+    return 3 if spaces(config.env).box is None else 2
+
+
 CERTIFY_SETTINGS = and_names(_settings)
 # Its inputs depend on the method and on polish=true: `pipelines.stages.table.stages_of` sets them.
-CERTIFY = Stage("certify", version=2, inputs=(), settings=CERTIFY_SETTINGS, run=certify)
+CERTIFY = Stage("certify", version=_version, inputs=(), settings=CERTIFY_SETTINGS, run=certify)

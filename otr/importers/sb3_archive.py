@@ -24,18 +24,16 @@ from otr.core.arrays import FloatArray
 from otr.core.head import Head
 from otr.core.heads import Argmax, ClipBox, TanhBox
 from otr.core.network import ReluNetwork
-from otr.core.smooth_network import SmoothNetwork
+from otr.core.smooth_network import ACTIVATIONS, SmoothNetwork
 from otr.core.zip_members import read_members
 from otr.errors import ArtefactError, InvalidNetworkError
-from otr.importers.chain import RELU_REMEDY
+from otr.importers.chain import RELU_REMEDY, TRAIN_RELU
 from otr.importers.pickle_record import numbers, record_of_pickle
 from otr.importers.sb3_model import require_widths
 from otr.importers.torch_modules import real_values
 
 _RELU = "<class 'torch.nn.modules.activation.ReLU'>"
 _LEAKY_RELU = "<class 'torch.nn.modules.activation.LeakyReLU'>"
-_SMOOTH = {f"<class 'torch.nn.modules.activation.{name}'>": name.lower() for name in ("Tanh", "Sigmoid", "SiLU", "ELU",
-                                                                                       "GELU")}  # fmt: skip
 _SLOPES = {_RELU: 0.0, _LEAKY_RELU: 0.01}  # of LeakyReLU torch's default
 
 # Before version 1.8, Stable-Baselines3 let actor and critic share their first layers.
@@ -70,11 +68,36 @@ def network_of_file(
 def oracle_of_file(path: Path) -> ReluNetwork | SmoothNetwork:
     """Return the actor in the zip file at `path`; `otr.importers.read_policy` documents it."""
     actor = _actor(path, None, None)
-    smooth = _SMOOTH.get(_activation(actor))
-    if len(actor.weights) == 1 or smooth is None:
+    smooth = _smooth(actor) if len(actor.weights) > 1 else ""
+    if not smooth:
         slope = _slope(actor, None) if len(actor.weights) > 1 else 0.0
         return ReluNetwork(actor.weights, actor.biases, negative_slope=slope, head=actor.head)
     return SmoothNetwork(actor.weights, actor.biases, activation=smooth, head=actor.head)
+
+
+def zip_path(path: Path) -> Path:
+    """Return the path of a saved model, whose suffix may be left out, also where a folder has that name."""
+    return path if path.is_file() or path.suffix == ".zip" else path.with_name(f"{path.name}.zip")
+
+
+def sign_of_normalisation(path: Path) -> str:
+    """Return what in a saved model shows that it was trained under VecNormalize; empty where nothing does.
+
+    Training keeps the last observation as the policy saw it, and PPO and A2C the first as the environment gave it,
+    under VecNormalize alone. SAC and its kin keep the latter in any case.
+    """
+    try:
+        data = json.loads(dict(read_members(path, str(path), ["data"], limit_bytes=_DATA_BYTES))["data"])
+        if "gae_lambda" in data and data.get("_last_original_obs") is not None:
+            return "was trained under VecNormalize"
+        seen = numbers(record_of_pickle(base64.b64decode(data["_last_obs"][":serialized:"])))
+        box = record_of_pickle(base64.b64decode(data["observation_space"][":serialized:"]))
+        low, high = (numbers(box.state[name]) for name in ("low", "high"))
+        margin = 1e-3 * (high - low)  # more than rounding
+        outside = (seen < low - margin) | (seen > high + margin)
+    except Exception:  # a foreign file can hold anything; the reader of its policy says what is wrong
+        return ""
+    return f"has seen {seen[outside][0]:g}, outside the range of its observations" if outside.any() else ""
 
 
 def _actor(path: Path, action_low: ArrayLike | None, action_high: ArrayLike | None) -> _Actor:
@@ -90,8 +113,7 @@ def _actor(path: Path, action_low: ArrayLike | None, action_high: ArrayLike | No
 
 def read_archive(path: Path) -> tuple[Tensors, dict[str, Any]]:
     """Return the tensors of `policy.pth` by name, and the JSON of `data`."""
-    if not path.exists() and path.suffix != ".zip":
-        path = path.with_name(path.name + ".zip")
+    path = zip_path(path)
     try:
         members = dict(read_members(path, str(path), ["data"], limit_bytes=_DATA_BYTES))
         members |= read_members(path, str(path), ["policy.pth"])
@@ -211,15 +233,21 @@ def readable_slope(data: dict[str, Any]) -> float | None:
     return _SLOPES.get(activation)
 
 
+def _smooth(actor: _Actor) -> str:
+    """Return the name in ACTIVATIONS of the activation; empty where it is none of them."""
+    found = re.fullmatch(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>", _activation(actor))
+    return found[1].lower() if found and found[1].lower() in ACTIVATIONS else ""
+
+
 def _slope(actor: _Actor, given: float | None) -> float:
     """Return the activation's negative slope."""
     activation = _activation(actor)
     known = _SLOPES.get(activation)
     if known is None and not (given is not None and "LeakyReLU" in activation):
-        raise InvalidNetworkError(
-            f"the activation is {activation}; "
-            + ("for this LeakyReLU, give negative_slope=" if "LeakyReLU" in activation else RELU_REMEDY)
-        )
+        remedy = RELU_REMEDY if _smooth(actor) else TRAIN_RELU
+        if "LeakyReLU" in activation:
+            remedy = "for this LeakyReLU, give negative_slope= to otr.from_sb3"
+        raise InvalidNetworkError(f"the activation is {activation}; {remedy}")
     if known is not None and given is not None and known != given:
         raise InvalidNetworkError(f"negative_slope is {given}, the file says {activation}, whose slope is {known}")
     return float(known if known is not None else given)  # type: ignore[arg-type]
@@ -235,7 +263,10 @@ def _head(data: dict[str, Any], on_policy: bool, n_outputs: int, low: ArrayLike 
         raise InvalidNetworkError(f"the actions are {kind}; only Box and Discrete (start=0) can be mapped")
     low = _limits(data, "low", n_outputs) if low is None else low
     high = _limits(data, "high", n_outputs) if high is None else high
-    return ClipBox(low, high) if on_policy else TanhBox(low, high)
+    try:
+        return ClipBox(low, high) if on_policy else TanhBox(low, high)
+    except ValueError as error:
+        raise InvalidNetworkError(f"the actions' limits: {error}; give action_low= and action_high=") from error
 
 
 def _count(data: dict[str, Any], name: str) -> int:

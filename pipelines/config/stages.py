@@ -3,7 +3,7 @@
 from dataclasses import asdict, dataclass, field
 from typing import Annotated, Any, Literal
 
-from pipelines.config.setting import AsBefore, Count, NotNegative, OneOf, Positive, Range, Seed, Share
+from pipelines.config.setting import AsBefore, Count, NotNegative, OneOf, Positive, Range, Seed, Share, Text
 
 
 @dataclass(frozen=True)
@@ -112,10 +112,17 @@ class PolishingConfig:
         return {"by": "critic", **{name: getattr(self, name) for name in common}, **asdict(self.critic)}
 
 
+_LIMIT = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?inf)"
+SIDE = rf"(\S(?:.*\S)?)\s+in\s+{_LIMIT}\s*\.\.\s*{_LIMIT}"
+Side = Annotated[str, Text(SIDE, "give the sides of a box as [angle in -0.2..0.2, velocity in -1..1]")]
+
+
 @dataclass(frozen=True)
 class CertificationConfig:
     """The minimal tree and its certificate: no tree of more leaves, nor one that takes longer to find, is proved."""
 
+    # The states for which it is proved; None is the environment's box or, where that is open, that around those visited
+    box: Annotated[list[Side] | None, AsBefore(None)] = None
     max_leaves: Count = 2**13
     max_seconds: NotNegative = 600.0
 

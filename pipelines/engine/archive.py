@@ -17,7 +17,16 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from pipelines.engine.digests import digest
-from pipelines.engine.store import ARCHIVE, archive_files, corrupt, packed_files, read_json, write_files, write_json
+from pipelines.engine.store import (
+    ARCHIVE,
+    archive_files,
+    corrupt,
+    packed_files,
+    read_json,
+    replacing,
+    write_files,
+    write_json,
+)
 from pipelines.errors import PipelineError
 
 MANIFEST = "manifest.json"
@@ -155,9 +164,8 @@ def pack(run_dir: Path, derive: Derive | None = None, leave: Collection[str] = (
         verified_manifest(run_dir / stage)
     kept = {stage: _kept(run_dir, run_dir / stage, derive) for stage in there}
     files = packed | {f"{stage}/{name}": content for stage in kept for name, content in kept[stage].items()}
-    temporary = run_dir / f".{ARCHIVE}.tmp"
-    _write_archive(temporary, files)
-    temporary.replace(run_dir / ARCHIVE)
+    with replacing(run_dir / ARCHIVE) as temporary:
+        _write_archive(temporary, files)
     if archive_files(run_dir) != files:
         raise PipelineError(f"{run_dir / ARCHIVE} does not hold what was written to it; the folders stay")
     for name in there:

@@ -23,7 +23,7 @@ from pipelines.engine.store import exists, read_json, write_csv, write_files, wr
 from pipelines.play.actor_files import actor_files, load_actor, load_oracle_network
 from pipelines.play.environments import episode_limit
 from pipelines.stages.evaluate import EPISODE_COLUMNS, episode_rows
-from pipelines.stages.evaluation_episodes import episodes_version, has_numpy_plant, moments, play_evaluation_episodes
+from pipelines.stages.evaluation_episodes import episodes_version, has_numpy_plant, moments, play_each
 from pipelines.stages.map import map_actor
 from pipelines.stages.printed_programs import and_names, write_program
 from pipelines.stages.prune import load_tree, prune
@@ -70,7 +70,7 @@ def polish(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     write_csv(out / "candidates.csv", polished.candidates, CANDIDATE_COLUMNS)
     tree: Any = otr.load(out / "tree")
     policies = {"before": before, "after": polished.policy, "pruned": tree}
-    played = {name: play_evaluation_episodes(policy.predict, config) for name, policy in policies.items()}
+    played = play_each(policies, config)
     write_csv(out / "episodes.csv", episode_rows(played["after"]), EPISODE_COLUMNS)
     write_json(
         out / "report.json",

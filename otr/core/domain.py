@@ -19,7 +19,7 @@ _FARTHEST = 1e150  # a hyperplane beyond meets nothing: of a box truly, of an op
 class Domain:
     """A box [low, high] in R^d, any side of which may be infinite; in scaled coordinates a finite one is [-1, 1].
 
-    An infinite side counts as far as 1e150: a test beyond meets nothing.
+    An infinite side counts as far as 1e150: a test beyond meets nothing. Where low is high, the input is a constant.
 
     Attributes:
         low, high: (d,) float64.
@@ -29,8 +29,8 @@ class Domain:
         """Keep the limits.
 
         Raises:
-            ValueError: a limit is NaN, low is not below high, a finite side is too wide or too narrow, or the shapes
-                differ.
+            ValueError: a limit is NaN, low is above high or an infinity, a finite side is too wide or too narrow, or
+                the shapes differ.
         """
         self.low: FloatArray = read_only(np.array(low, dtype=np.float64))
         self.high: FloatArray = read_only(np.array(high, dtype=np.float64))
@@ -38,13 +38,10 @@ class Domain:
             raise ValueError(
                 f"low has shape {self.low.shape} and high {self.high.shape}, expected (n_inputs,) for both"
             )
-        wrong = np.flatnonzero(~(self.low < self.high))
+        wrong = np.flatnonzero(~((self.low <= self.high) & (self.low < np.inf) & (self.high > -np.inf)))
         if wrong.size:
             i = int(wrong[0])
-            raise ValueError(
-                f"input {i} has the limits {self.low[i]:g} and {self.high[i]:g}, expected low < high; "
-                "a domain needs an inside"
-            )
+            raise ValueError(f"input {i} has the limits {self.low[i]:g} and {self.high[i]:g}, expected low <= high")
         finite = np.isfinite(self.low) & np.isfinite(self.high)
         limits = np.abs(np.stack((self.low, self.high)))
         wide = np.flatnonzero((np.isfinite(limits) & (limits > _WIDEST)).any(axis=0))
@@ -54,7 +51,8 @@ class Domain:
                 f"input {i} has the limits {self.low[i]:g} and {self.high[i]:g}, wider than {_WIDEST:g}; "
                 "leave such a side open: -inf, inf"
             )
-        narrow = np.flatnonzero(finite & (self.high - self.low < 2 * np.finfo(np.float64).tiny))
+        is_narrow = (self.low < self.high) & (self.high - self.low < 2 * np.finfo(np.float64).tiny)
+        narrow = np.flatnonzero(finite & is_narrow)
         if narrow.size:
             i = int(narrow[0])
             raise ValueError(
@@ -100,7 +98,12 @@ class Domain:
 
     def rows(self) -> HalfSpaces:
         """Return the finite sides as rows in scaled coordinates, one group, in the order of `sides`."""
-        return self.rows_of(self.sides()[0][None])
+        forms, _ = self.sides()
+        rows, inputs = self.rows_of(forms[None]), np.abs(forms[:, :-1]).argmax(axis=1)
+        # Of a constant input those of its scaled coordinate, which nothing depends on: so polytopes have an inside.
+        at = np.flatnonzero(self._scale[inputs] == 0)
+        rows.a[0, at, inputs[at]], rows.b[0, at] = forms[at, inputs[at]], 1.0
+        return rows
 
     def scaled(self, forms: FloatArray) -> FloatArray:
         """Return affine forms [P | v] (..., d + 1) in scaled coordinates, of the same values."""

@@ -58,7 +58,7 @@ def minimal_tree(
 
     Raises:
         TreeTooLargeError: a limit was met; the message says how far the walk came.
-        ValueError: the domain does not fit the network or has no inside, the order is unknown or X is missing.
+        ValueError: the domain does not fit the network, the order is unknown or X is missing.
     """
     if order not in ("layers", "balanced", "visits"):
         raise ValueError(f"order is {order!r}, expected 'layers', 'balanced' or 'visits'")

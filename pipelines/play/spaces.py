@@ -51,26 +51,20 @@ def _bounds(space: gym.spaces.Box) -> tuple[np.ndarray, np.ndarray]:
 
 
 def state_limits(env: EnvConfig) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the lowest and the highest state, (d,) each; None where one has no bounds, or is a PID policy's.
-
-    A number that the environment declares as constant has the least width that single precision tells from none, as a
-    domain needs an inside.
-    """
-    limits = None if env.pid is not None else spaces(env).states
-    if limits is None:
-        return None
-    low, high = limits
-    margin = np.where(low < high, 0.0, np.finfo(np.float32).eps * np.maximum(1.0, np.abs(high)))
-    return low - margin, high + margin
+    """Return the lowest and the highest state, (d,) each; None where one has no bounds, or is a PID policy's."""
+    return None if env.pid is not None else spaces(env).states
 
 
 def state_box(env: EnvConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Return middle and half width of the box of states, (d,) each; refuse states without bounds."""
+    """Return middle and half width of the box of states, (d,) each; refuse states without bounds.
+
+    The half width of a number that the environment declares as constant is 1.
+    """
     limits = state_limits(env)
     if limits is None:
         raise ConfigError(f"actor.rescale_inputs=true: the states of {env.id} have no bounds")
     low, high = limits
-    return (low + high) / 2, (high - low) / 2
+    return (low + high) / 2, np.where(low < high, (high - low) / 2, 1.0)
 
 
 def feature_names(env: EnvConfig, n_inputs: int) -> list[str]:

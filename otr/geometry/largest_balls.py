@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otr.core.arrays import BoolArray, FloatArray, IntArray
+from otr.core.clock import check_time
 from otr.core.half_spaces import HalfSpaces, rounding_of_terms
 from otr.geometry.simplex import FREE, LARGEST_RADIUS, MAX_PIVOTS, Bases, pivot
 
@@ -69,6 +70,7 @@ def largest_balls(
     parts = []
     chunk = max(64, _CHUNK_NUMBERS // (q * q))
     for start in range(0, max(n, 1), chunk):
+        check_time()
         part = slice(start, start + chunk)
         balls = _pivot_until_decided(rows, group[part], signs[part], bases.take(part), asked)
         parts.append(balls)
@@ -123,8 +125,10 @@ def _pivot_until_decided(
     gone_wrong[problems] = True
     alone = np.flatnonzero(~is_empty & (radii == 0.0) & gone_wrong)
     if len(alone):
-        solved = [_solve_alone(rows.a[g], rows.b[g], signs[i]) for i, g in
-                  zip(alone.tolist(), rows.of(group)[alone].tolist(), strict=True)]  # fmt: skip
+        solved = []
+        for i, g in zip(alone.tolist(), rows.of(group)[alone].tolist(), strict=True):
+            check_time()
+            solved.append(_solve_alone(rows.a[g], rows.b[g], signs[i]))
         centres[alone], radii[alone] = np.stack([x for x, _, _ in solved]), [radius for _, radius, _ in solved]
         done.put(alone, Bases.concatenate([basis for _, _, basis in solved]))
         at = (rows, group[alone], signs[alone])

@@ -29,6 +29,7 @@ class VerifyConfig:
     always: FreeText | None
     range: bool
     max_difference: NotNegative | None
+    max_seconds: NotNegative | None
     certificate: FreeText | None
     tree: FreeText | None
     actor: FreeText | None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from otr.core.half_spaces import HalfSpaces, rounding_of_terms
 
 Box = tuple[ArrayLike, ArrayLike]  # low (d,), high (d,)
 _WIDEST = 1e100
+_WIDE = 64  # inputs, from which on a box of them is more than few tests need
 _FARTHEST = 1e150  # a hyperplane beyond meets nothing: of a box truly, of an open side by definition
 
 
@@ -87,18 +89,28 @@ class Domain:
         inside: BoolArray = np.all((self.low <= states) & (states <= self.high), axis=1)
         return inside
 
-    def sides(self) -> tuple[FloatArray, tuple[str, ...]]:
-        """Return the finite sides as affine forms [a | b] (m, d + 1), 0 or more inside, and their names; lows first."""
+    def is_wide(self, n_tests: int) -> bool:
+        """Return whether inputs are so many more than tests that limits are better no rows of polytopes."""
+        return self.n_inputs >= max(_WIDE, 2 * n_tests)
+
+    def sides(self, *, in_box: bool = False) -> tuple[FloatArray, tuple[str, ...]]:
+        """Return the finite sides as affine forms [a | b] (m, d + 1), 0 or more inside, and their names; lows first.
+
+        With `in_box` only those of inputs of which the other side is infinite.
+        """
         identity = np.eye(self.n_inputs)
-        lows, highs = np.flatnonzero(np.isfinite(self.low)), np.flatnonzero(np.isfinite(self.high))
+        asked = np.isinf(self.low) | np.isinf(self.high) if in_box else np.ones(self.n_inputs, dtype=np.bool_)
+        lows, highs = (np.flatnonzero(np.isfinite(limits) & asked) for limits in (self.low, self.high))
         forms = np.concatenate(
             (np.column_stack((identity[lows], -self.low[lows])), np.column_stack((-identity[highs], self.high[highs])))
         )
         return forms, (*(f"low {i}" for i in lows.tolist()), *(f"high {i}" for i in highs.tolist()))
 
-    def rows(self) -> HalfSpaces:
+    def rows(self, *, in_box: bool = False) -> HalfSpaces:
         """Return the finite sides as rows in scaled coordinates, one group, in the order of `sides`."""
-        forms, _ = self.sides()
+        forms, _ = self.sides(in_box=in_box)
+        if in_box:
+            return replace(self.rows_of(forms[None]), in_box=True)
         rows, inputs = self.rows_of(forms[None]), np.abs(forms[:, :-1]).argmax(axis=1)
         # Of a constant input those of its scaled coordinate, which nothing depends on: so polytopes have an inside.
         at = np.flatnonzero(self._scale[inputs] == 0)

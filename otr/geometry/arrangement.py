@@ -24,9 +24,8 @@ from otr.core.domain import Domain
 from otr.core.half_spaces import HalfSpaces
 from otr.core.network import ReluNetwork, UnitForm
 from otr.errors import TreeTooLargeError
-from otr.geometry.largest_balls import largest_balls, rounding_at
+from otr.geometry.largest_balls import AnyBases, joined, largest_balls, rounding_at
 from otr.geometry.rational import independent_rows
-from otr.geometry.simplex import Bases
 from otr.geometry.vertices import regions_at_vertices
 
 _BLOCK = 2**13  # regions walked together; more are set aside, so that memory does not grow with their number
@@ -59,7 +58,7 @@ class Block:
     rows: HalfSpaces
     centres: FloatArray  # (n, d), inner points
     radii: FloatArray  # (n,), how far all rows are from these, in the domain's scale
-    bases: Bases  # of the linear programs
+    bases: AnyBases  # of the linear programs
     n_ahead: int = 0  # tests of this layer that are still to come; they are the last rows
 
     def take(self, regions: NDArray[np.generic] | slice) -> Block:
@@ -90,13 +89,14 @@ def _walked(walk: Walk) -> Regions:
     """Return the regions of a walk's network, in its inputs: by vertices where that is quick."""
     network, units, domain, max_regions = walk.network, walk.units, walk.domain, walk.max_regions
     is_one_layer = len(network.hidden_widths) == 1 and not network.head.n_tests(network.n_outputs)
-    if is_one_layer and seconds_left() >= _AT_VERTICES_S:
+    in_box = domain.is_wide(walk.n_bits)
+    if is_one_layer and not in_box and seconds_left() >= _AT_VERTICES_S:
         regions = _regions_of_a_layer(units, domain, network.n_hidden, max_regions)
         if regions is not None and len(regions.patterns) <= max_regions:
             return regions
-    rows = domain.rows()
+    rows = domain.rows(in_box=in_box)
     signs, group = np.ones((1, rows.n_rows), dtype=np.int8), np.zeros(1, dtype=np.int64)
-    balls = largest_balls(rows, group, signs, Bases.start(1, domain.n_inputs))
+    balls = largest_balls(rows, group, signs)
     outcomes = np.zeros((1, 0), dtype=np.bool_)
     whole = Block(group, outcomes, signs, group, rows, balls.centres, balls.radii, balls.bases)
     patterns, points = [], []
@@ -270,6 +270,6 @@ class Walk:
             block.rows,
             np.concatenate((block.centres[kept], balls.centres[found])),
             np.concatenate((margins, balls.radii[found])),
-            Bases.concatenate([block.bases.take(kept), balls.bases.take(found)]),
+            joined([block.bases.take(kept), balls.bases.take(found)]),
             block.n_ahead - 1,
         )

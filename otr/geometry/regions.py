@@ -45,9 +45,14 @@ def chunks_of_leaves(tree: ObliqueTree, domain: Domain) -> Iterator[IntArray]:
         yield np.arange(start, min(start + size, tree.n_leaves))
 
 
-def leaf_rows(tree: ObliqueTree, domain: Domain, leaves: IntArray) -> tuple[HalfSpaces, NDArray[np.int8]]:
-    """Return the rows of leaves' regions, a group each: the domain's sides, then the path's tests; and their signs."""
-    sides = domain.rows()
+def leaf_rows(
+    tree: ObliqueTree, domain: Domain, leaves: IntArray, *, in_box: bool = False
+) -> tuple[HalfSpaces, NDArray[np.int8]]:
+    """Return the rows of leaves' regions, a group each: the domain's sides, then the path's tests; and their signs.
+
+    With `in_box` the domain's box bounds the regions without rows, as `HalfSpaces` has it.
+    """
+    sides = domain.rows(in_box=in_box)
     nodes, signs = (of_paths[leaves] for of_paths in leaf_paths(tree))
     forms = np.concatenate((tree.test_forms, np.zeros((1, tree.n_inputs + 1))))[nodes]
     of_sides = np.ones((len(leaves), sides.n_rows), dtype=np.int8)

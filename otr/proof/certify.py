@@ -22,7 +22,6 @@ from otr.geometry.arrangement import Block, Walk
 from otr.geometry.largest_balls import largest_balls
 from otr.geometry.rational import Point, as_point
 from otr.geometry.regions import chunks_of_leaves, leaf_rows
-from otr.geometry.simplex import Bases
 from otr.proof.certificate import Cell, Certificate, Sum
 from otr.proof.exact_cells import ExactCell, Multipliers, counterexample, decide, find_cells, largest_gap, refused_at
 from otr.proof.exact_rows import ExactRow, TreeAndNetwork
@@ -110,7 +109,7 @@ class _Certification:
     def _cells_of_leaves(self, leaves: IntArray) -> list[Cell]:
         """Return the proved cells of some leaves."""
         rows, signs = leaf_rows(self.pair.tree, self.pair.domain, leaves)
-        balls = largest_balls(rows, np.arange(len(leaves)), signs, Bases.start(len(leaves), self.pair.domain.n_inputs))
+        balls = largest_balls(rows, np.arange(len(leaves)), signs)
         self.n_programs += len(leaves)
         names = row_names(self.pair.tree, self.pair.domain, leaves)
         cells: list[Cell] = []

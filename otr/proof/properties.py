@@ -21,7 +21,6 @@ from otr.core.tree import ObliqueTree
 from otr.geometry.largest_balls import largest_balls
 from otr.geometry.largest_values import largest_values
 from otr.geometry.regions import chunks_of_leaves, leaf_rows
-from otr.geometry.simplex import Bases
 from otr.proof.branch_and_bound import Search
 from otr.proof.exact_cells import decide, largest_over, stacked
 from otr.proof.exact_rows import TreeOnDomain
@@ -152,7 +151,7 @@ def _reached(
 ) -> tuple[IntArray, IntArray]:
     """Return which of some leaves a real point reaches: those in which a ball was found, and the thinner ones."""
     n, d = len(leaves), exact.tree.n_inputs
-    balls = largest_balls(rows, np.arange(n), signs, Bases.start(n, d))
+    balls = largest_balls(rows, np.arange(n), signs)
     undecided = np.flatnonzero(~balls.is_empty & (balls.radii == 0)).tolist()
     thin = [at for at in undecided if isinstance(decide(exact.rows_of_leaf(leaves[at]), d), tuple)]
     return np.flatnonzero(balls.radii > 0), np.array(thin, dtype=np.int64)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from otr.core.arrays import BoolArray, FloatArray, IntArray, as_batch
+from otr.core.clock import check_time
 from otr.core.mapping import map_network
 from otr.core.network import ReluNetwork, UnitForm, require_relu_network
 from otr.core.packed_bits import PackedRows, count_rows, pack_rows, unpack_rows
@@ -221,6 +222,7 @@ def tree_of_paths(
     by_path = np.argsort(paths, kind="stable")
     chunk = max(1, _CHUNK_BYTES // (8 * (d + 1) * (network.n_hidden + o)))
     for start in range(0, k, chunk):
+        check_time()
         rows = slice(start, min(start + chunk, k))
         forms = units.forms(patterns[rows, : network.n_hidden], network.negative_slope)
         M[rows], c[rows] = forms[:, network.n_hidden :, :d], forms[:, network.n_hidden :, d]

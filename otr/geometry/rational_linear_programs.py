@@ -17,6 +17,7 @@ from fractions import Fraction
 
 import numpy as np
 
+from otr.core.clock import check_time
 from otr.geometry.rational import Integers, Point
 
 _BLAND = 10  # times as many pivots as places, before the rule that cannot go round in circles
@@ -69,6 +70,7 @@ def _largest_t(rows: Integers, weights: Sequence[int], cap: Fraction) -> Optimum
     inverse, determinant = np.diag(np.array([cap.denominator] * d + [-1], dtype=object)), cap.denominator
     n_pivots = 0
     while True:
+        check_time()
         solution = -(inverse @ beta)
         margins = normals @ solution + offsets * determinant
         entering = _entering(margins.tolist(), sizes, determinant, n_pivots > _BLAND * q)

@@ -17,7 +17,7 @@ import numpy as np
 from otr.core.arrays import FloatArray
 from otr.core.domain import Domain
 from otr.core.heads import Identity
-from otr.errors import CertificateError
+from otr.errors import CertificateError, TimeLimitError
 from otr.geometry.rational import Integers, Point, as_point, integers, nearest_state
 from otr.geometry.rational_linear_programs import inner_point, largest_value
 from otr.proof.certificate import Sum
@@ -182,10 +182,13 @@ def refusal(error: CertificateError, pair: TreeAndNetwork, max_error: float) -> 
     """Return a refusal with a point of its leaf where tree and network differ, or as it was if none is found soon."""
     if error.leaf is None or not 0 <= error.leaf < pair.tree.n_leaves:
         return error
-    for cell in islice(cells_of_leaf(pair, error.leaf), _MAX_CELLS):
-        point = counterexample(pair, cell, Fraction(max_error))
-        if point is not None:
-            return refused_at(pair, error.leaf, point)
+    try:
+        for cell in islice(cells_of_leaf(pair, error.leaf), _MAX_CELLS):
+            point = counterexample(pair, cell, Fraction(max_error))
+            if point is not None:
+                return refused_at(pair, error.leaf, point)
+    except TimeLimitError:  # it is refused all the same
+        pass
     return error
 
 

@@ -16,10 +16,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from otr.core.arrays import FloatArray
 from otr.core.domain import Domain
 from otr.core.network import ReluNetwork
+from otr.core.pattern_tree import units_and_basis
 from otr.core.tree import ObliqueTree
-from otr.geometry.rational import ExactTree, ExactUnits, Integers, Point, at, common_integers, integers
+from otr.geometry.rational import Basis, ExactTree, ExactUnits, Integers, Point, common_integers, integers
 from otr.geometry.regions import leaf_paths
 
 ON_BOUNDARY = Fraction(5e-324)  # the smallest float64 above 0: labels that differ on boundaries between them alone
@@ -36,16 +38,28 @@ class ExactRow(NamedTuple):
 class TreeOnDomain(ExactTree):
     """A tree on a domain in exact arithmetic; rows and forms, and the domain's `sides`, are integers over 2**power."""
 
-    def __init__(self, tree: ObliqueTree, domain: Domain, power: int = 0) -> None:
-        """Hold all numbers as integers over 2**power, which is at least the given one."""
-        super().__init__(tree)
-        self.domain = domain
+    def __init__(
+        self,
+        tree: ObliqueTree,
+        domain: Domain,
+        power: int = 0,
+        basis: Basis | None = None,
+        columns: Sequence[int] = (),
+        *,
+        has_sides: bool = True,
+    ) -> None:
+        """Hold all numbers as integers over 2**power, which is at least the given one.
+
+        Basis and columns are `ExactTree`'s. Without `has_sides` a leaf's rows are its tests alone.
+        """
+        super().__init__(tree, basis, columns)
+        self.domain, self.has_sides = domain, has_sides
         forms, names = domain.sides()
-        sides, of_sides = integers(forms)
-        parts = [(self.tests, self.power), (self.maps, self.power), (sides, of_sides)]
-        self.power = max(power, self.power, of_sides)
-        self.tests, self.maps, sides = common_integers(parts, self.power)
-        self.sides = {name: ExactRow(row, False) for name, row in zip(names, sides, strict=True)}
+        sides, of_sides = integers(forms if has_sides else forms[:0])
+        self.raise_to(max(power, of_sides))
+        self.sides = {
+            name: ExactRow(row * 2 ** (self.power - of_sides), False) for name, row in zip(names, sides, strict=False)
+        }
         self._paths = leaf_paths(tree)
 
     def rows_of_leaf(self, leaf: int) -> dict[str, ExactRow]:
@@ -58,24 +72,33 @@ class TreeOnDomain(ExactTree):
         }
         return self.sides | tests
 
+    def written_out(self, forms: Integers) -> tuple[Integers, int]:
+        """Return forms in the inputs, (..., d + 1), and the power of two that they are over."""
+        return (
+            (forms, self.power)
+            if self.basis is None
+            else (self.basis.written_out(forms), self.power + self.basis.power)
+        )
+
     def is_inside(self, point: Point) -> bool:
         """Return whether a point is in the domain."""
         limits = zip(self.domain.low.tolist(), point, self.domain.high.tolist(), strict=True)
         return all(low <= value <= high for low, value, high in limits)
 
-    def values(self, forms: Integers, point: Point) -> list[Fraction]:
-        """Return the values of forms (m, d + 1) at a point."""
-        return at(forms, self.power, point)
-
 
 class TreeAndNetwork(TreeOnDomain):
     """A tree and a network that are said to be the same function on a domain; `n_tests` counts the network's tests."""
 
-    def __init__(self, tree: ObliqueTree, network: ReluNetwork, domain: Domain) -> None:
-        """Hold the numbers of all three as integers over one power of two."""
-        self.network, self.units = network, ExactUnits(network)
-        super().__init__(tree, domain, self.units.power)
+    def __init__(self, tree: ObliqueTree, network: ReluNetwork, domain: Domain, *, has_sides: bool = True) -> None:
+        """Hold the numbers of all three as integers over one power of two.
+
+        Without `has_sides` forms are of the rows that the network and the tree read their inputs by, if these are few.
+        """
         self.n_tests = network.n_hidden + network.head.n_tests(network.n_outputs)
+        rows, columns = (None, []) if has_sides else _common_basis(tree, network)
+        basis = None if rows is None else Basis(rows)
+        self.network, self.units = network, ExactUnits(network, basis)
+        super().__init__(tree, domain, self.units.power, basis, columns, has_sides=has_sides)
 
     def forms(self, outcomes: Sequence[bool]) -> Integers:
         """Return the forms of all units, in order, up to the first layer that `outcomes` do not feed: (n, d + 1)."""
@@ -179,3 +202,16 @@ def rounded_up(value: Fraction) -> float:
     except OverflowError:
         return math.inf if value > 0 else -sys.float_info.max
     return nearest if Fraction(nearest) >= value else math.nextafter(nearest, math.inf)
+
+
+def _common_basis(tree: ObliqueTree, network: ReluNetwork) -> tuple[FloatArray | None, list[int]]:
+    """Return the rows (r, d) by which a network reads its inputs, and which of them a tree's basis has; None if not so.
+
+    Trees that are mapped from a network have such a basis (`units_and_basis`).
+    """
+    _, rows = units_and_basis(network)
+    if rows is None or tree.basis is None:
+        return None, []
+    place = {row.tobytes(): i for i, row in reversed(list(enumerate(rows)))}
+    columns = [place.get(row.tobytes(), -1) for row in tree.basis]
+    return (None, []) if -1 in columns or len(set(columns)) < len(columns) else (rows, columns)

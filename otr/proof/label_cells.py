@@ -13,6 +13,7 @@ from itertools import islice
 
 import numpy as np
 
+from otr.core.clock import check_time
 from otr.geometry.rational import Integers, without_denominators
 from otr.geometry.rational_linear_programs import inner_point, largest_value
 from otr.proof.certificate import Cell
@@ -30,6 +31,7 @@ def near_cell(checker: Checker, cell: Cell, exact: ExactCell, max_error: Fractio
     """
     pair = checker.pair
     for outcomes in _pieces(pair, exact, max_error):
+        check_time()
         near = "".join("1" if outcome else "0" for outcome in outcomes)
         forms = [*pair.turned(outcomes), *(row.numbers for row in pair.sides.values())]
         proved = _with_proofs(pair, replace(cell, near=near), exact, forms)
@@ -94,12 +96,13 @@ def _slivers(
     """Yield a cell as a sliver along a test that is nowhere far from 0, by each input that brings it there."""
     pair = checker.pair
     for onto, row in enumerate(forms[: pair.n_tests]):
+        check_time()
         thin = tuple(as_sum(largest_in_cell(pair, exact, form)[1]) for form in (-row, row))
         farthest = max(
             checker.shortfall(cell.leaf, form, proof, exact.rows) for form, proof in zip((row, -row), thin, strict=True)
         )
         for axis, width in enumerate(pair.widths()):
-            if row[axis] and farthest * 2**pair.power <= max_error * width * abs(row[axis]):
+            if row[axis] and width and farthest * 2**pair.power <= max_error * width * abs(row[axis]):
                 towards = tuple(Fraction(i == axis) for i in range(pair.domain.n_inputs + 1))
                 brought = [brought_to(row, axis, form) for form in forms]
                 yield replace(_with_proofs(pair, cell, exact, brought), towards=towards, thin=thin, onto=onto)

@@ -38,6 +38,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from otr.core.clock import check_time, time_limit
 from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
 from otr.errors import CertificateError
@@ -46,13 +47,16 @@ from otr.proof.certificate import Cell, Certificate, Sum
 from otr.proof.exact_rows import INFINITE, ON_BOUNDARY, Bounds, ExactRow, TreeAndNetwork, rounded_up
 
 
-def verify(certificate: Certificate, tree: ObliqueTree, network: ReluNetwork) -> float:
+def verify(
+    certificate: Certificate, tree: ObliqueTree, network: ReluNetwork, *, max_seconds: float | None = None
+) -> float:
     """Check that a certificate proves that `tree` computes the same function as `network`, and return the bound.
 
     Args:
         certificate: of this tree and this network.
         tree: the tree.
         network: the network.
+        max_seconds: refuse to check for longer.
 
     Returns:
         The bound on the difference, as `Certificate.max_error` is defined; not above it.
@@ -60,6 +64,7 @@ def verify(certificate: Certificate, tree: ObliqueTree, network: ReluNetwork) ->
     Raises:
         CertificateError: something is not proved; the message names the leaf, and a point where tree and network differ
             if one is found.
+        TimeLimitError: the limit was met.
     """
     given = (certificate, tree, network)
     if not all(map(isinstance, given, (Certificate, ObliqueTree, ReluNetwork))):
@@ -67,12 +72,13 @@ def verify(certificate: Certificate, tree: ObliqueTree, network: ReluNetwork) ->
         raise TypeError(f"verify takes a Certificate, an ObliqueTree and a ReluNetwork, got {names}")
     _check_fit(certificate, tree, network)
     checker = Checker(TreeAndNetwork(tree, network, certificate.domain))
-    try:
-        return checker.run(certificate)
-    except CertificateError as error:
-        from otr.proof.exact_cells import refusal  # the solver; what is refused is refused without it
+    with time_limit(max_seconds, checker.reached):
+        try:
+            return checker.run(certificate)
+        except CertificateError as error:
+            from otr.proof.exact_cells import refusal  # the solver; what is refused is refused without it
 
-        raise refusal(error, checker.pair, certificate.max_error) from error
+            raise refusal(error, checker.pair, certificate.max_error) from error
 
 
 def _check_fit(certificate: Certificate, tree: ObliqueTree, network: ReluNetwork) -> None:
@@ -101,6 +107,11 @@ class Checker:
         """Keep the pair."""
         self.pair = pair
         self.bounds = Bounds(pair.domain, pair.power)
+        self.n_checked = 0  # leaves
+
+    def reached(self) -> str:
+        """Return how far the check came, in words."""
+        return f"{self.n_checked:,} of {self.pair.tree.n_leaves:,} leaves were checked"
 
     def run(self, certificate: Certificate) -> float:
         """Check everything and return the bound on the difference."""
@@ -114,6 +125,7 @@ class Checker:
                 raise CertificateError(f"leaf {leaf}: the certificate does not cover it", leaf)
             check_cover(leaf, by_leaf[leaf])
             for cell in by_leaf[leaf]:
+                check_time()
                 error = self.error(cell)
                 if error > Fraction(certificate.max_error):
                     raise CertificateError(
@@ -122,6 +134,7 @@ class Checker:
                         leaf,
                     )
                 worst = max(worst, error)
+            self.n_checked += 1
         return rounded_up(worst)
 
     def error(self, cell: Cell) -> Fraction:
@@ -205,7 +218,8 @@ class Checker:
                 change = max(abs(p[i] - s * limit) for limit in limits)
             else:
                 change = max(abs(p[i]), s)
-            farthest = max(farthest, change / width)
+            if change:  # of an input that is constant there is none
+                farthest = max(farthest, change / width if width else INFINITE)
         return max(times * farthest, ON_BOUNDARY)
 
     def _sliver(self, cell: Cell, rows: dict[str, ExactRow], forms: list[Integers]) -> Fraction:
@@ -214,7 +228,8 @@ class Checker:
         They go along the first input that `towards` names.
         """
         row = forms[cell.onto]
-        axis = next((i for i, number in enumerate(cell.towards[:-1]) if number and row[i]), -1)
+        widths = self.pair.widths()
+        axis = next((i for i, number in enumerate(cell.towards[:-1]) if number and row[i] and widths[i]), -1)
         if axis < 0:
             return INFINITE
         proofs = dict(_proofs(cell, self.pair.n_tests))
@@ -224,7 +239,7 @@ class Checker:
         farthest = max(
             self.shortfall(cell.leaf, form, proof, rows) for form, proof in zip((row, -row), cell.thin, strict=True)
         )
-        width = self.pair.widths()[axis] * abs(int(row[axis]))
+        width = widths[axis] * abs(int(row[axis]))
         return max(Fraction(farthest * 2**self.pair.power, width), ON_BOUNDARY)
 
     def shortfall(self, leaf: int, form: Integers, proof: Sum, rows: dict[str, ExactRow]) -> Fraction:

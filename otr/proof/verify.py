@@ -31,9 +31,12 @@ from otr.core.domain import Domain
 from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
 from otr.errors import CertificateError
-from otr.geometry.rational import Integers, common_integers, integers
+from otr.geometry.rational import Basis, Integers, common_integers, integers
 from otr.proof.certificate import Cell, Certificate, Sum
-from otr.proof.exact_rows import INFINITE, ExactRow, TreeAndNetwork
+from otr.proof.exact_rows import INFINITE, ExactRow, TreeAndNetwork, is_wide
+
+_NEGLIGIBLE = Fraction(1, 10**9)  # a difference of outputs that is not worth the sharpest bound
+_BELOW_ZERO = Fraction(-1, 10**30)
 
 
 def verify(
@@ -60,7 +63,7 @@ def verify(
         names = ", ".join(type(each).__name__ for each in given)
         raise TypeError(f"verify takes a Certificate, an ObliqueTree and a ReluNetwork, got {names}")
     _check_fit(certificate, tree, network)
-    checker = Checker(TreeAndNetwork(tree, network, certificate.domain))
+    checker = Checker(TreeAndNetwork(tree, network, certificate.domain, in_box=_is_in_box(certificate, tree, network)))
     with time_limit(max_seconds, checker.reached):
         try:
             return checker.run(certificate)
@@ -68,6 +71,16 @@ def verify(
             from otr.proof.exact_cells import refusal  # the solver; what is refused is refused without it
 
             raise refusal(error, checker.pair, certificate.max_error) from error
+
+
+def _is_in_box(certificate: Certificate, tree: ObliqueTree, network: ReluNetwork) -> bool:
+    """Return whether the sides of a box of many inputs may be no rows: no proof names one."""
+    domain = certificate.domain
+    if not is_wide(tree, network, domain):
+        return False
+    sides = set(domain.sides()[1]) - set(domain.sides(in_box=True)[1])
+    sums = (each for cell in certificate.cells for each in (*cell.proofs, *cell.bounds, cell.empty) if each is not None)
+    return not any(sides.intersection(each.rows) for each in sums)
 
 
 def _check_fit(certificate: Certificate, tree: ObliqueTree, network: ReluNetwork) -> None:
@@ -95,7 +108,7 @@ class Checker:
     def __init__(self, pair: TreeAndNetwork) -> None:
         """Keep the pair."""
         self.pair = pair
-        self.bounds = Bounds(pair.domain, pair.power)
+        self.bounds = Bounds(pair.domain, pair.power, pair.basis)
         self.n_checked = 0  # leaves
 
     def reached(self) -> str:
@@ -200,7 +213,7 @@ class Checker:
         for side, signed in enumerate((form, -form)):
             proof = cell.bounds[2 * at + side] if len(cell.bounds) > 2 * at + side else Sum((), ())
             total, scale = self._total(cell.leaf, proof, rows)
-            highest.append(self.bounds.highest(total + signed * scale) / scale)
+            highest.append(self.bounds.highest(total + signed * scale, enough=_NEGLIGIBLE * scale) / scale)
         return max(*highest, Fraction(0))
 
     def _output_errors(self, shortfalls: Sequence[Fraction]) -> list[Fraction]:
@@ -235,7 +248,7 @@ class Checker:
                 )
         ratios = [multiplier.as_integer_ratio() for multiplier in terms.multipliers]
         scale = math.lcm(*(denominator for _, denominator in ratios))
-        total = np.array([0] * (self.pair.domain.n_inputs + 1), dtype=object)
+        total = np.array([0] * (self.pair.n_coordinates + 1), dtype=object)
         for name, (numerator, denominator) in zip(terms.rows, ratios, strict=True):
             total += rows[name].numbers * (numerator * (scale // denominator))
         return total, scale
@@ -289,19 +302,31 @@ def check_cover(leaf: int, cells: Sequence[Cell], after: int = 0) -> None:
 class Bounds:
     """Bounds of affine forms over a domain; where it is open, in units of 1 + the sum of |x_i| over the open inputs."""
 
-    def __init__(self, domain: Domain, power: int) -> None:
-        """Take the forms' power of two: they are integers over 2**power."""
+    def __init__(self, domain: Domain, power: int, basis: Basis | None = None) -> None:
+        """Take the forms' power of two: they are integers over 2**power, of a basis (r, d) r + 1 of them."""
         self.is_closed = np.isfinite(domain.low) & np.isfinite(domain.high)
         low, high = (integers(np.where(self.is_closed, limits, 0.0)) for limits in (domain.low, domain.high))
         of_limits = max(low[1], high[1])
         self._low, self._high = common_integers((low, high), of_limits)
         self._unit, self._scale = 2**of_limits, 2 ** (of_limits + power)
+        self._basis = basis
+        if basis is not None:
+            self._scale *= 2**basis.power
+            sizes = abs(basis.written_out(np.eye(basis.n_rows, basis.n_rows + 1, dtype=np.int64).astype(object)))
+            self._reach = sizes[:, :-1] @ np.maximum(abs(self._low), abs(self._high))  # of each product
 
-    def highest(self, form: Integers, *, is_relative: bool = True) -> Fraction:
+    def highest(self, form: Integers, *, is_relative: bool = True, enough: Fraction = _BELOW_ZERO) -> Fraction:
         """Return a bound on the highest value of a form (d + 1,) of integers, in the units above.
 
-        Without `is_relative`, a form that is not constant in the open inputs has no bound.
+        Without `is_relative`, a form that is not constant in the open inputs has no bound. Of products of the inputs, a
+        rough bound does where it is no larger than what is `enough`.
         """
+        if self._basis is not None:
+            reach = abs(form[:-1]) @ self._reach if self.is_closed.all() else 0
+            rough = Fraction(int(form[-1] * 2**self._basis.power * self._unit + reach), self._scale)
+            if not form[:-1].any() or (self.is_closed.all() and rough <= enough):
+                return rough
+            form = self._basis.written_out(form)
         f = form[:-1]
         highest = form[-1] * self._unit + (f * np.where(f > 0, self._high, self._low)).sum()
         open_slope = max((abs(slope) for slope in f[~self.is_closed]), default=0)

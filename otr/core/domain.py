@@ -21,8 +21,8 @@ class Limits(Protocol):
 
 
 Box = tuple[ArrayLike, ArrayLike] | Limits  # low (d,), high (d,)
-_WIDEST = 1e100
-_WIDE = 64  # inputs, from which on a box of them is more than few tests need
+WIDEST = 1e100
+WIDE = 64  # inputs, from which on trees and polytopes are held by the few products of them that are asked about
 _FARTHEST = 1e150  # a hyperplane beyond meets nothing: of a box truly, of an open side by definition
 
 
@@ -54,11 +54,11 @@ class Domain:
             raise ValueError(f"input {i} has the limits {self.low[i]:g} and {self.high[i]:g}, expected low <= high")
         finite = np.isfinite(self.low) & np.isfinite(self.high)
         limits = np.abs(np.stack((self.low, self.high)))
-        wide = np.flatnonzero((np.isfinite(limits) & (limits > _WIDEST)).any(axis=0))
+        wide = np.flatnonzero((np.isfinite(limits) & (limits > WIDEST)).any(axis=0))
         if wide.size:
             i = int(wide[0])
             raise ValueError(
-                f"input {i} has the limits {self.low[i]:g} and {self.high[i]:g}, wider than {_WIDEST:g}; "
+                f"input {i} has the limits {self.low[i]:g} and {self.high[i]:g}, wider than {WIDEST:g}; "
                 "leave such a side open: -inf, inf"
             )
         is_narrow = (self.low < self.high) & (self.high - self.low < 2 * np.finfo(np.float64).tiny)
@@ -99,7 +99,7 @@ class Domain:
 
     def is_wide(self, n_tests: int) -> bool:
         """Return whether inputs are so many more than tests that limits are better no rows of polytopes."""
-        return self.n_inputs >= max(_WIDE, 2 * n_tests)
+        return self.n_inputs >= max(WIDE, 2 * n_tests)
 
     def sides(self, *, in_box: bool = False) -> tuple[FloatArray, tuple[str, ...]]:
         """Return the finite sides as affine forms [a | b] (m, d + 1), 0 or more inside, and their names; lows first.

@@ -22,8 +22,14 @@ from otr.core.half_spaces import HalfSpaces
 from otr.geometry.simplex import LARGEST_RADIUS
 
 _SMALLEST_PIVOT = 1e-9
+_PARALLEL = 1e-9
 _TILT = 1e-7  # of the objective, at most, in every input
 _FEASIBLE = 1e-11  # what a number at a place may be beyond its limits by
+
+
+_BY_PROBLEM = (
+    "a", "b", "places", "at", "inverse", "multipliers", "prices", "slopes", "states", "numbers", "bounds"
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -215,3 +221,13 @@ def highest_in_box(
     highest = np.einsum("nm,nm->n", signed, rows.b[of_group]) + np.abs(slopes[:, closed]).sum(axis=1)
     rounding = errors[:, -1] + errors[:, :-1][:, closed].sum(axis=1)
     return highest, rounding, np.abs(slopes[:, rows.is_open]), errors[:, :-1][:, rows.is_open]
+
+
+def opposite_rows(rows: HalfSpaces, group: IntArray, signs: NDArray[np.int8], asked: int) -> FloatArray:
+    """Return multipliers (n, m), half and half, of a row and of the one that is its opposite; 0 where there is none."""
+    of_group = rows.of(group)
+    cosines = np.einsum("nmd,nd->nm", rows.a[of_group], rows.a[of_group, asked]) * signs * signs[:, [asked]]
+    opposite, each = cosines.argmin(axis=1), np.arange(len(group))
+    multipliers = np.zeros(signs.shape)
+    multipliers[each, opposite] = multipliers[:, asked] = np.where(cosines[each, opposite] < -1 + _PARALLEL, 0.5, 0.0)
+    return multipliers

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from otr.core.arrays import BoolArray, FloatArray, IntArray
 from otr.core.clock import check_time
 from otr.core.half_spaces import HalfSpaces, rounding_of_terms
-from otr.geometry.balls_in_box import BoxBases, BoxSimplex, highest_in_box
+from otr.geometry.balls_in_box import BoxBases, BoxSimplex, highest_in_box, opposite_rows
 from otr.geometry.simplex import FREE, LARGEST_RADIUS, MAX_PIVOTS, Bases, pivot
 
 _ROUNDED = 1e-10  # value of a test, in units of its slope, that rounding may hide on a side that is left out
@@ -129,8 +129,13 @@ def _in_box_until_decided(
     n = len(group)
     is_empty, centres, radii = np.zeros(n, dtype=np.bool_), np.zeros((n, rows.a.shape[2])), np.zeros(n)
     done = bases.of_rows(signs.shape[1]).copied()
-    simplex, problems = BoxSimplex(rows, group, signs, bases), np.arange(n)
-    for _ in range(MAX_PIVOTS):
+    problems = np.arange(n)
+    if asked is not None:  # about a test that is a row already, often
+        done.multipliers[:] = opposite_rows(rows, group, signs, asked)
+        is_empty = _leaves_nothing_in_box(rows, group, signs, done.multipliers, asked)
+        problems = np.flatnonzero(~is_empty)
+    simplex = BoxSimplex(rows, group[problems], signs[problems], bases.take(problems))
+    for _ in range(MAX_PIVOTS if problems.size else 0):
         margin, bound, rounding = simplex.margins(), simplex.bounds, rounding_at(simplex.states)
         of_asked = simplex.multipliers[:, asked] if asked is not None else np.zeros(len(problems))
         empty = (bound < _NO_RADIUS) & (bound + _ROUNDING < _ROUNDED * of_asked)

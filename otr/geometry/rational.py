@@ -23,6 +23,8 @@ from otr.core.tree import ObliqueTree
 Integers = NDArray[Any]  # of Python's int
 Point = tuple[Fraction, ...]  # a state (d,)
 
+_AT_ONCE = 16  # rows
+
 
 def integers(values: FloatArray) -> tuple[Integers, int]:
     """Return integers and the power k of two that they are over: ``values == integers / 2**k``, exactly."""
@@ -127,7 +129,7 @@ class Basis:
 
 
 class LazyForms:
-    """Affine forms, rows of float64, as integers over 2**power; those of a row are made when it is asked for."""
+    """Affine forms, rows of float64, as integers over 2**power, made when they are asked for."""
 
     def __init__(self, linear: FloatArray, offsets: FloatArray, basis: FloatArray | None = None) -> None:
         """Take linear parts (n, ..., r) and offsets (n, ...); of ``basis @ x`` they are written out."""
@@ -144,14 +146,15 @@ class LazyForms:
         """Return the forms of a row (..., r + 1), or one of them (r + 1,)."""
         if isinstance(at, tuple):
             return np.asarray(self[at[0]][at[1]])
-        made = self._made.get(at)
+        block, row = divmod(int(at), _AT_ONCE)
+        made = self._made.get(block)
         if made is None:
-            parts = np.concatenate((self._linear[at], self._offsets[at][..., None]), axis=-1)
-            made, power = integers(parts)
+            rows = slice(block * _AT_ONCE, (block + 1) * _AT_ONCE)
+            made, power = integers(np.concatenate((self._linear[rows], self._offsets[rows][..., None]), axis=-1))
             if self._basis is not None:
                 made, power = self._basis.written_out(made), power + self._basis.power
-            made = self._made[at] = made * 2 ** (self.power - power)
-        return made
+            made = self._made[block] = made * 2 ** (self.power - power)
+        return np.asarray(made[row])
 
 
 class ExactUnits:

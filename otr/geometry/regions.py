@@ -32,14 +32,15 @@ def leaf_paths(tree: ObliqueTree) -> tuple[IntArray, NDArray[np.int8]]:
     return nodes[n_nodes:], signs[n_nodes:]
 
 
-def leaves_at_once(tree: ObliqueTree, domain: Domain) -> int:
-    """Return of how many leaves the rows take little memory."""
-    return max(1, _CHUNK_NUMBERS // ((2 * domain.n_inputs + tree.depth + 1) * (domain.n_inputs + 1)))
+def leaves_at_once(tree: ObliqueTree, domain: Domain, *, in_box: bool = False) -> int:
+    """Return of how many leaves the rows, as `leaf_rows` returns them, take little memory."""
+    n_rows = len(domain.sides(in_box=in_box)[1]) + tree.depth + 1
+    return max(1, _CHUNK_NUMBERS // (n_rows * (domain.n_inputs + 1)))
 
 
-def chunks_of_leaves(tree: ObliqueTree, domain: Domain) -> Iterator[IntArray]:
+def chunks_of_leaves(tree: ObliqueTree, domain: Domain, *, in_box: bool = False) -> Iterator[IntArray]:
     """Yield all leaves, in order, in parts whose rows take little memory; the time of the call is looked at."""
-    size = leaves_at_once(tree, domain)
+    size = leaves_at_once(tree, domain, in_box=in_box)
     for start in range(0, tree.n_leaves, size):
         check_time()
         yield np.arange(start, min(start + size, tree.n_leaves))

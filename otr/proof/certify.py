@@ -27,13 +27,13 @@ from otr.proof.exact_cells import (
     ExactCell,
     as_sum,
     counterexample,
-    decide,
+    decide_in,
     differs,
     find_cells,
     largest_gap,
     refused_at,
 )
-from otr.proof.exact_rows import ExactRow, TreeAndNetwork, rounded_up
+from otr.proof.exact_rows import ExactRow, TreeAndNetwork, is_wide, rounded_up
 from otr.proof.float_cells import cells_of, empty_sum, row_names, start_of_walk
 from otr.proof.label_cells import near_cell
 from otr.proof.verify import Checker, check_cover
@@ -76,7 +76,8 @@ def certify(
         raise ValueError(f"max_error is {max_error}, expected a finite number of at least 0")
     box = as_domain(network.domain if domain is None else domain, network.n_inputs)
     _check_fit(tree, network)
-    search = _Certification(TreeAndNetwork(tree, network, box), max_error, max_regions)
+    pair = TreeAndNetwork(tree, network, box, in_box=is_wide(tree, network, box))
+    search = _Certification(pair, max_error, max_regions)
     with time_limit(max_seconds, search.reached):
         return search.run()
 
@@ -104,7 +105,7 @@ class _Certification:
         """Return the certificate."""
         tree, domain = self.pair.tree, self.pair.domain
         cells: list[Cell] = []
-        for leaves in chunks_of_leaves(tree, domain):
+        for leaves in chunks_of_leaves(tree, domain, in_box=self.pair.in_box):
             cells += self._cells_of_leaves(leaves)
         self.n_programs += self.walk.n_linear_programs
         cells.sort(key=lambda cell: (cell.leaf, cell.outcomes))
@@ -118,10 +119,11 @@ class _Certification:
 
     def _cells_of_leaves(self, leaves: IntArray) -> list[Cell]:
         """Return the proved cells of some leaves."""
-        rows, signs = leaf_rows(self.pair.tree, self.pair.domain, leaves)
+        rows, signs = leaf_rows(self.pair.tree, self.pair.domain, leaves, in_box=self.pair.in_box)
         balls = largest_balls(rows, np.arange(len(leaves)), signs)
         self.n_programs += len(leaves)
-        names = row_names(self.pair.tree, self.pair.domain, leaves)
+        _, sides = self.pair.domain.sides(in_box=self.pair.in_box)
+        names = row_names(self.pair.tree, sides, leaves)
         cells: list[Cell] = []
         for at in np.flatnonzero(balls.radii == 0).tolist():
             check_time()
@@ -173,7 +175,7 @@ class _Certification:
             except CertificateError:
                 pass  # the sum is off by rounding, or shows no more than that
         of_leaf = self.pair.rows_of_leaf(leaf)
-        point = decide(of_leaf, self.pair.network.n_inputs)
+        point = decide_in(self.pair, of_leaf)
         self.n_programs += 1
         if not isinstance(point, tuple):
             return [Cell(leaf, "", (), empty=as_sum(point))]
@@ -187,7 +189,7 @@ class _Certification:
             better = cell if self._is_proved(cell) else self._closer(cell)
             if better is None:
                 of_leaf = self.pair.rows_of_leaf(leaf)
-                point = decide(of_leaf, self.pair.network.n_inputs)
+                point = decide_in(self.pair, of_leaf)
                 assert isinstance(point, tuple)  # the walk had an inner point
                 proved = self._exact_cells(leaf, of_leaf, point)
                 break
@@ -204,7 +206,7 @@ class _Certification:
         rows = pair.rows_of_leaf(cell.leaf)
         for split in cell.splits:
             rows[f"neuron {split}"] = ExactRow(tests[split] if outcomes[split] else -tests[split], outcomes[split])
-        point = decide(rows, pair.network.n_inputs)
+        point = decide_in(pair, rows)
         self.n_programs += 1
         if not isinstance(point, tuple):
             if not cell.splits:

@@ -19,9 +19,9 @@ from otr.core.domain import Domain
 from otr.core.heads import Identity
 from otr.errors import CertificateError, TimeLimitError
 from otr.geometry.rational import Integers, Point, as_point, integers, nearest_state
-from otr.geometry.rational_linear_programs import inner_point, largest_value
+from otr.geometry.rational_linear_programs import ExactBox, inner_point, largest_value
 from otr.proof.certificate import Sum
-from otr.proof.exact_rows import ExactRow, TreeAndNetwork
+from otr.proof.exact_rows import ExactRow, TreeAndNetwork, TreeOnDomain
 
 _MAX_CELLS = 1000  # looked at for a point that shows a refusal
 
@@ -46,8 +46,17 @@ class ExactCell:
 
 def decide(rows: dict[str, ExactRow], n_inputs: int) -> Point | Multipliers:
     """Return a point at which all rows hold, or multipliers that show that there is none."""
+    return _point_or_multipliers(rows, stacked(rows, n_inputs), None)
+
+
+def decide_in(pair: TreeOnDomain, rows: dict[str, ExactRow]) -> Point | Multipliers:
+    """Return a point of a domain at which rows in the coordinates of a pair hold, or multipliers as in `decide`."""
+    return _point_or_multipliers(rows, pair.stacked(rows), pair.box)
+
+
+def _point_or_multipliers(rows: dict[str, ExactRow], numbers: Integers, box: ExactBox | None) -> Point | Multipliers:
     names = list(rows)
-    found = inner_point(stacked(rows, n_inputs), [rows[name].is_strict for name in names])
+    found = inner_point(numbers, [rows[name].is_strict for name in names], box)
     if found.t is not None and found.t > 0 and found.point is not None:
         return found.point
     return {names[row]: multiplier for row, multiplier in found.multipliers.items()}
@@ -56,7 +65,7 @@ def decide(rows: dict[str, ExactRow], n_inputs: int) -> Point | Multipliers:
 def cells_of_leaf(pair: TreeAndNetwork, leaf: int) -> Iterator[ExactCell]:
     """Yield the network's cells in a leaf's region; none if it is empty."""
     rows = pair.rows_of_leaf(leaf)
-    point = decide(rows, pair.network.n_inputs)
+    point = decide_in(pair, rows)
     if isinstance(point, tuple):
         yield from find_cells(pair, leaf, rows, point)
 
@@ -81,7 +90,7 @@ def find_cells(pair: TreeAndNetwork, leaf: int, rows: dict[str, ExactRow], point
         near = pair.values(form[None], point)[0] > 0
         name = f"neuron {test}"
         sides = {outcome: rows | {name: ExactRow(form if outcome else -form, outcome)} for outcome in (False, True)}
-        far = decide(sides[not near], pair.network.n_inputs)
+        far = decide_in(pair, sides[not near])
         if isinstance(far, tuple):
             waiting.append(((*outcomes, not near), sides[not near], proofs, far, forms))
             waiting.append(((*outcomes, near), sides[near], proofs, point, forms))
@@ -102,17 +111,21 @@ def largest_gap(pair: TreeAndNetwork, cell: ExactCell) -> list[tuple[list[Point]
 
 
 def largest_in_cell(pair: TreeAndNetwork, cell: ExactCell, form: Integers) -> tuple[list[Point], Multipliers]:
-    """Return where a form (d + 1,) is largest in a cell, as `largest_gap` does, and what bounds it."""
-    rows, domain = stacked(cell.rows, pair.network.n_inputs), pair.domain
+    """Return where a form, in the pair's coordinates, is largest in a cell, as `largest_gap`, and what bounds it."""
+    rows, domain = pair.stacked(cell.rows), pair.domain
     names, is_open = list(cell.rows), np.isinf(domain.low) | np.isinf(domain.high)
     widest = Fraction(float(np.abs([domain.low[~is_open], domain.high[~is_open]]).max(initial=1.0)))
+    box = None if is_open.any() else pair.box
+    if is_open.any() and pair.box is not None:  # as rows, too, which no multiplier is asked for of
+        rows = np.concatenate((rows, integers(domain.sides()[0])[0]))
     if is_open.any():  # x / s for x, with |x_i| <= 1 where it is open and 0 <= s <= 1
         limits = [np.eye(len(is_open) + 2, dtype=np.int64)[i] for i in (*np.flatnonzero(is_open), len(is_open))]
         ones = np.eye(len(is_open) + 2, dtype=np.int64)[-1]
         bounds = [*(ones - limit for limit in limits), *(ones + limit for limit in limits[:-1]), limits[-1]]
         rows = np.concatenate((np.column_stack((rows, [0] * len(rows))), np.array(bounds).astype(object)))
-    numbers = [*form.tolist(), 0] if is_open.any() else form.tolist()
-    best = largest_value(rows, numbers, sum(map(abs, numbers)) * (widest + 1) + 1)
+    written = pair.written_out(form)[0].tolist()
+    numbers = [*written, 0] if is_open.any() else written
+    best = largest_value(rows, numbers, sum(map(abs, numbers)) * (widest + 1) + 1, box)
     assert best.point is not None  # the cell is not empty
     multipliers = {names[row]: multiplier for row, multiplier in best.multipliers.items() if row < len(names)}
     if not is_open.any():

@@ -5,6 +5,8 @@ What stands here is a proposal: `otr.proof.certify` checks every cell in exact a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -45,9 +47,8 @@ def empty_sum(at: int, balls: Balls, rows: HalfSpaces, names: list[str]) -> Sum:
     return _named_sum(basis.tolist(), weights.tolist(), names)
 
 
-def row_names(tree: ObliqueTree, domain: Domain, leaves: IntArray) -> dict[int, list[str]]:
+def row_names(tree: ObliqueTree, sides: Sequence[str], leaves: IntArray) -> dict[int, list[str]]:
     """Return, by leaf, the names of its region's rows: the domain's sides and the tests on its path."""
-    _, sides = domain.sides()
     paths = zip(leaves.tolist(), leaf_paths(tree)[0][leaves].tolist(), strict=True)
     return {leaf: [*sides, *(f"test {node}" for node in path)] for leaf, path in paths}
 

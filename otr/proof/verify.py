@@ -44,7 +44,9 @@ from otr.core.tree import ObliqueTree
 from otr.errors import CertificateError
 from otr.geometry.rational import Integers, without_denominators
 from otr.proof.certificate import Cell, Certificate, Sum
-from otr.proof.exact_rows import INFINITE, ON_BOUNDARY, Bounds, ExactRow, TreeAndNetwork, rounded_up
+from otr.proof.exact_rows import INFINITE, ON_BOUNDARY, Bounds, ExactRow, TreeAndNetwork, is_wide, rounded_up
+
+_NEGLIGIBLE = Fraction(1, 10**9)  # a difference of outputs that is not worth the sharpest bound
 
 
 def verify(
@@ -71,7 +73,7 @@ def verify(
         names = ", ".join(type(each).__name__ for each in given)
         raise TypeError(f"verify takes a Certificate, an ObliqueTree and a ReluNetwork, got {names}")
     _check_fit(certificate, tree, network)
-    checker = Checker(TreeAndNetwork(tree, network, certificate.domain))
+    checker = Checker(TreeAndNetwork(tree, network, certificate.domain, in_box=_is_in_box(certificate, tree, network)))
     with time_limit(max_seconds, checker.reached):
         try:
             return checker.run(certificate)
@@ -79,6 +81,16 @@ def verify(
             from otr.proof.exact_cells import refusal  # the solver; what is refused is refused without it
 
             raise refusal(error, checker.pair, certificate.max_error) from error
+
+
+def _is_in_box(certificate: Certificate, tree: ObliqueTree, network: ReluNetwork) -> bool:
+    """Return whether the sides of a box of many inputs may be no rows: no proof names one."""
+    domain = certificate.domain
+    if not is_wide(tree, network, domain):
+        return False
+    sides = set(domain.sides()[1]) - set(domain.sides(in_box=True)[1])
+    sums = (each for cell in certificate.cells for each in (*cell.proofs, *cell.bounds, cell.empty) if each is not None)
+    return not any(sides.intersection(each.rows) for each in sums)
 
 
 def _check_fit(certificate: Certificate, tree: ObliqueTree, network: ReluNetwork) -> None:
@@ -106,7 +118,7 @@ class Checker:
     def __init__(self, pair: TreeAndNetwork) -> None:
         """Keep the pair."""
         self.pair = pair
-        self.bounds = Bounds(pair.domain, pair.power)
+        self.bounds = Bounds(pair.domain, pair.power, pair.basis)
         self.n_checked = 0  # leaves
 
     def reached(self) -> str:
@@ -253,7 +265,7 @@ class Checker:
         for side, signed in enumerate((form, -form)):
             proof = cell.bounds[2 * at + side] if len(cell.bounds) > 2 * at + side else Sum((), ())
             total, scale = self._total(cell.leaf, proof, rows)
-            highest.append(self.bounds.highest(total + signed * scale) / scale)
+            highest.append(self.bounds.highest(total + signed * scale, enough=_NEGLIGIBLE * scale) / scale)
         return max(*highest, Fraction(0))
 
     def _output_errors(self, shortfalls: Sequence[Fraction]) -> list[Fraction]:
@@ -288,7 +300,7 @@ class Checker:
                 )
         ratios = [multiplier.as_integer_ratio() for multiplier in terms.multipliers]
         scale = math.lcm(*(denominator for _, denominator in ratios))
-        total = np.array([0] * (self.pair.domain.n_inputs + 1), dtype=object)
+        total = np.array([0] * (self.pair.n_coordinates + 1), dtype=object)
         for name, (numerator, denominator) in zip(terms.rows, ratios, strict=True):
             total += rows[name].numbers * (numerator * (scale // denominator))
         return total, scale

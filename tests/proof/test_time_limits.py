@@ -13,7 +13,7 @@ from otr.proof.certificate import Cell, Certificate, Sum
 from tests.core.strategies import make_network
 
 BOX = (-1.0, 1.0)
-LIMIT_S, REST_S = 1.0, 2.0  # the rest is for a step that has begun, where other processes run
+LIMIT_S, REST_S = 1.0, 1.0  # the rest is for a step that has begun
 
 
 @cache
@@ -62,8 +62,9 @@ def find_violation() -> None:
 
 
 def find_difference() -> None:
-    small = otr.map_network(make_network(np.random.default_rng(1), (3,), n_inputs=30, n_outputs=2))
-    otr.find_difference(full_tree(), small, BOX, max_difference=1e6, max_leaves=2**20, max_seconds=LIMIT_S)
+    networks = (make_network(np.random.default_rng(n), (n,), n_inputs=30, n_outputs=2) for n in (9, 3))
+    few, fewer = map(otr.map_network, networks)
+    otr.find_difference(few, fewer, BOX, max_difference=1e6, max_seconds=LIMIT_S)
 
 
 @pytest.mark.parametrize(
@@ -71,10 +72,11 @@ def find_difference() -> None:
 )
 def test_a_limit_of_time_is_kept(call: Callable[[], None]) -> None:
     full_tree()
-    began = time.monotonic()
+    constant_pair()
+    began = time.process_time()  # other processes take their part of the limit
     with pytest.raises(otr.TimeLimitError, match=r"^the limit of 1 s was met after .* s: .*; raise the limit"):
         call()
-    assert time.monotonic() - began < 1.1 * LIMIT_S + REST_S
+    assert time.process_time() - began < 1.1 * LIMIT_S + REST_S
 
 
 def test_what_was_reached_is_reported() -> None:
@@ -86,11 +88,15 @@ def test_what_was_reached_is_reported() -> None:
 
 def test_the_nearest_of_limits_within_each_other_counts() -> None:
     with time_limit(1000, lambda: "outer"):
-        with pytest.raises(otr.TimeLimitError, match="0 s was met .*inner"), time_limit(0, lambda: "inner"):
+        with pytest.raises(otr.TimeLimitError, match=r"0 s was met .*inner"), time_limit(0, lambda: "inner"):
             check_time()
         check_time()
-    with pytest.raises(otr.TimeLimitError, match="outer"), time_limit(0, lambda: "outer"):
-        with time_limit(1000, lambda: "inner"), time_limit(None, lambda: "none"):
-            check_time()
+    with (
+        pytest.raises(otr.TimeLimitError, match="outer"),
+        time_limit(0, lambda: "outer"),
+        time_limit(1000, lambda: "inner"),
+        time_limit(None, lambda: "none"),
+    ):
+        check_time()
     with pytest.raises(ValueError, match="max_seconds is -1, expected a number of at least 0, or None"):
         otr.minimal_tree(network(), BOX, max_seconds=-1)

@@ -165,8 +165,8 @@ class TreeAndNetwork(TreeOnDomain):
         if value < 0 or (value == 0 and not is_reached):
             return Fraction(0)
         form, power = self.written_out(form)
-        slopes = zip(form[:-1].tolist(), np.minimum(self.domain.high - self.domain.low, 1.0).tolist(), strict=True)
-        reach = sum((abs(slope) * Fraction(width) for slope, width in slopes if slope), Fraction(0)) / 2**power
+        widths, of_widths = integers(np.minimum(self.domain.high - self.domain.low, 1.0))
+        reach = Fraction(int(abs(form[:-1]) @ widths), 2 ** (power + of_widths))
         return max(value / reach, ON_BOUNDARY) if reach else INFINITE
 
     def label(self, outcomes: Sequence[bool]) -> int:

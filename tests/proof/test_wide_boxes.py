@@ -23,7 +23,7 @@ def names_of(certificate: otr.Certificate) -> set[str]:
 @pytest.mark.parametrize("head", ["identity", "argmax", "tanh_box"])
 @pytest.mark.parametrize("dense", [False, "input"])
 def test_a_proof_is_of_tests_alone_and_holds(head: str, dense: object, tmp_path) -> None:
-    network = make_network(np.random.default_rng(0), (5, 3), n_inputs=120, n_outputs=3, head=head, dense=dense)
+    network = make_network(np.random.default_rng(0), (4, 2), n_inputs=70, n_outputs=2, head=head, dense=dense)
     tree = otr.minimal_tree(network, BOX)
     certificate = otr.certify(tree, network, BOX)
     assert names_of(certificate) <= {"test", "neuron"} and certificate.n_empty == 0

@@ -46,7 +46,9 @@ def _spaces(env_id: str, kwargs: str) -> Spaces:
 
 
 def _bounds(space: gym.spaces.Box) -> tuple[np.ndarray, np.ndarray]:
-    return space.low.ravel().astype(np.float64), space.high.ravel().astype(np.float64)
+    bounds = np.stack((space.low.ravel(), space.high.ravel())).astype(np.float64)
+    bounds.flags.writeable = False  # they are kept for all who ask
+    return bounds[0], bounds[1]
 
 
 def state_limits(env: EnvConfig) -> tuple[np.ndarray, np.ndarray] | None:

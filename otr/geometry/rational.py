@@ -45,10 +45,14 @@ def power_of(values: FloatArray) -> int:
     return max(0, -int(exponents[values != 0].min(initial=0)))
 
 
-def without_denominators(row: Sequence[Fraction]) -> tuple[Integers, int]:
-    """Return a row times the least common multiple of its denominators, integers (n,), and that multiple."""
-    denominator = lcm(*(value.denominator for value in row))
-    return np.array([int(value * denominator) for value in row], dtype=object), denominator
+def without_denominators(row: Sequence[float | Fraction]) -> tuple[Integers, int]:
+    """Return a row times a multiple of its denominators, of fractions the least common one, and that multiple."""
+    if all(isinstance(value, float) for value in row):
+        exact, power = integers(np.array(row))
+        return exact, 1 << power
+    fractions = [Fraction(value) for value in row]
+    denominator = lcm(*(value.denominator for value in fractions))
+    return np.array([int(value * denominator) for value in fractions], dtype=object), denominator
 
 
 def common_integers(parts: Sequence[tuple[Integers, int]], power: int) -> list[Integers]:
@@ -119,8 +123,12 @@ class Basis:
 
     def products(self, point: Point) -> Point:
         """Return the rows' products with a point."""
-        forms = np.column_stack((self._rows, np.zeros(len(self._rows), dtype=np.int64).astype(object)))
-        return tuple(at(forms, self.power, point))
+        numbers, denominator = without_denominators(point)
+        return tuple(Fraction(int(product), denominator << self.power) for product in self._rows @ numbers)
+
+    def along(self, way: Integers) -> Integers:
+        """Return the rows' products with p, and s, of integers (p, s): (r + 1,), times 2**power."""
+        return np.append(self._rows @ way[:-1], way[-1] << self.power)
 
     def written_out(self, forms: Integers) -> Integers:
         """Return forms (..., r + 1) in the inputs, (..., d + 1): times 2**power."""

@@ -89,7 +89,7 @@ def _in_box(rows: Integers, weights: Sequence[int], cap: Fraction, box: ExactBox
         sides = _sides(np.flatnonzero(bounded[loose]), len(loose), limits[:, loose], unit)
         fewer = np.concatenate((np.column_stack((rows[:, loose] * unit, offsets)), sides))
         found = _largest_t(fewer, [*(weight * unit for weight in weights), *[0] * len(sides)], cap)
-        multipliers = {row: value for row, value in found.multipliers.items() if row < len(rows)}
+        multipliers = {row: value * unit for row, value in found.multipliers.items() if row < len(rows)}
         scale = lcm(*(value.denominator for value in multipliers.values()))
         slopes = sum((rows[row, :-1] * int(value * scale) for row, value in multipliers.items()), 0 * rows[0, :-1])
         gains = np.where(is_high, -slopes, slopes) * (limits[1] - limits[0])

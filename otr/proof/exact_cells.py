@@ -49,9 +49,12 @@ def decide(rows: dict[str, ExactRow], n_inputs: int) -> Point | Multipliers:
     return _point_or_multipliers(rows, stacked(rows, n_inputs), None)
 
 
-def decide_in(pair: TreeOnDomain, rows: dict[str, ExactRow]) -> Point | Multipliers:
-    """Return a point of a domain at which rows in the coordinates of a pair hold, or multipliers as in `decide`."""
-    return _point_or_multipliers(rows, pair.stacked(rows), pair.box)
+def decide_in(pair: TreeOnDomain, rows: dict[str, ExactRow], box: ExactBox | None = None) -> Point | Multipliers:
+    """Return a point of a domain at which rows in the coordinates of a pair hold, or multipliers as in `decide`.
+
+    With a box, the point is in that instead.
+    """
+    return _point_or_multipliers(rows, pair.stacked(rows), pair.box if box is None else box)
 
 
 def _point_or_multipliers(rows: dict[str, ExactRow], numbers: Integers, box: ExactBox | None) -> Point | Multipliers:
@@ -70,8 +73,10 @@ def cells_of_leaf(pair: TreeAndNetwork, leaf: int) -> Iterator[ExactCell]:
         yield from find_cells(pair, leaf, rows, point)
 
 
-def find_cells(pair: TreeAndNetwork, leaf: int, rows: dict[str, ExactRow], point: Point) -> Iterator[ExactCell]:
-    """Yield the network's cells in a leaf's region of these rows, in which a point lies, depth first."""
+def find_cells(
+    pair: TreeAndNetwork, leaf: int, rows: dict[str, ExactRow], point: Point, box: ExactBox | None = None
+) -> Iterator[ExactCell]:
+    """Yield the network's cells in a leaf's region of these rows, and of a box, in which a point lies, depth first."""
     n = pair.network.n_hidden
     starts = set(pair.network.unit_form().layer_starts)
     waiting: list[tuple[tuple[bool, ...], dict[str, ExactRow], dict[int, Multipliers], Point, Integers]] = [
@@ -90,7 +95,7 @@ def find_cells(pair: TreeAndNetwork, leaf: int, rows: dict[str, ExactRow], point
         near = pair.values(form[None], point)[0] > 0
         name = f"neuron {test}"
         sides = {outcome: rows | {name: ExactRow(form if outcome else -form, outcome)} for outcome in (False, True)}
-        far = decide_in(pair, sides[not near])
+        far = decide_in(pair, sides[not near], box)
         if isinstance(far, tuple):
             waiting.append(((*outcomes, not near), sides[not near], proofs, far, forms))
             waiting.append(((*outcomes, near), sides[near], proofs, point, forms))
@@ -182,13 +187,20 @@ def differs(pair: TreeAndNetwork, point: Point, max_error: Fraction) -> int | No
 def cells_near(pair: TreeAndNetwork, leaf: int, point: Point, distance: Fraction) -> Iterator[ExactCell]:
     """Yield the network's cells among the states of the domain that are no farther from a point, as labels count."""
     rows, unit = dict(pair.sides), pair.unit_at(point)
-    for i, (value, width) in enumerate(zip(point, pair.widths(), strict=True)):
+    reach = [distance * width * unit for width in pair.widths()]
+    if pair.in_box:  # rounded outwards
+        ends = [[float(value + sign * step) for value, step in zip(point, reach, strict=True)] for sign in (-1, 1)]
+        low, high = np.nextafter(ends[0], -np.inf), np.nextafter(ends[1], np.inf)
+        box = ExactBox(np.maximum(low, pair.domain.low), np.minimum(high, pair.domain.high))
+        yield from find_cells(pair, leaf, rows, point, box)
+        return
+    for i, (value, step) in enumerate(zip(point, reach, strict=True)):
         for sign in (1, -1):
-            limit = distance * width * unit - sign * value
+            limit = step - sign * value
             numbers = np.array([0] * len(point) + [limit.numerator], dtype=object)
             numbers[i] = sign * limit.denominator
             rows[f"near {sign} {i}"] = ExactRow(numbers, False)
-    return find_cells(pair, leaf, rows, point)
+    yield from find_cells(pair, leaf, rows, point)
 
 
 def refusal(error: CertificateError, pair: TreeAndNetwork, max_error: float) -> CertificateError:

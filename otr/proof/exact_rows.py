@@ -99,6 +99,13 @@ class TreeOnDomain(ExactTree):
         numbers = np.array([row.numbers for row in rows.values()], dtype=object)
         return self.written_out(numbers.reshape(len(rows), self.n_coordinates + 1))[0]
 
+    def along(self, forms: Sequence[Integers], way: Integers, denominator: int) -> list[Fraction]:
+        """Return ``a . p + b s`` of forms [a | b], of integers (p, s) in the inputs over a denominator."""
+        power, place = (
+            (self.power, way) if self.basis is None else (self.power + self.basis.power, self.basis.along(way))
+        )
+        return [Fraction(int(form @ place), denominator << power) for form in forms]
+
     def is_inside(self, point: Point) -> bool:
         """Return whether a point is in the domain."""
         limits = zip(self.domain.low.tolist(), point, self.domain.high.tolist(), strict=True)
@@ -251,10 +258,5 @@ def _common_basis(tree: ObliqueTree, network: ReluNetwork) -> tuple[FloatArray |
 
 
 def is_wide(tree: ObliqueTree, network: ReluNetwork, domain: Domain) -> bool:
-    """Return whether inputs are so many that proofs are about few products of them, and a box has no rows.
-
-    Not of labels, whose proofs lead states to others of the domain, within its sides.
-    """
-    return tree.labels is None and domain.is_wide(
-        tree.depth + network.n_hidden + network.head.n_tests(network.n_outputs)
-    )
+    """Return whether inputs are so many that proofs are about few products of them, and a box has no rows."""
+    return domain.is_wide(tree.depth + network.n_hidden + network.head.n_tests(network.n_outputs))

@@ -84,11 +84,14 @@ def verify(
 
 
 def _is_in_box(certificate: Certificate, tree: ObliqueTree, network: ReluNetwork) -> bool:
-    """Return whether the sides of a box of many inputs may be no rows: no proof names one."""
-    domain = certificate.domain
+    """Return whether the sides of a box of many inputs may be no rows: no proof names one or is about one."""
+    domain, has_labels = certificate.domain, tree.labels is not None
     if not is_wide(tree, network, domain):
         return False
-    sides = set(domain.sides()[1]) - set(domain.sides(in_box=True)[1])
+    of_rows = domain.sides(in_box=True)[1]
+    if has_labels and any(cell.thin or len(cell.bounds) > len(of_rows) for cell in certificate.cells):
+        return False
+    sides = set(domain.sides()[1]) - set(of_rows)
     sums = (each for cell in certificate.cells for each in (*cell.proofs, *cell.bounds, cell.empty) if each is not None)
     return not any(sides.intersection(each.rows) for each in sums)
 
@@ -119,6 +122,9 @@ class Checker:
         """Keep the pair."""
         self.pair = pair
         self.bounds = Bounds(pair.domain, pair.power, pair.basis)
+        limits = [pair.domain.low, pair.domain.high]
+        self._limits, self._unit = without_denominators(np.where(self.bounds.is_closed, limits, 0.0).ravel().tolist())
+        self._widths = list(map(float, pair.widths()))
         self.n_checked = 0  # leaves
 
     def reached(self) -> str:
@@ -199,7 +205,7 @@ class Checker:
             if at < self.pair.n_tests:
                 least[at], is_above[at] = _few_digits(shortfall), shortfall < 0 or _has_strict_row(proof, rows)
             elif self.bounds.is_closed.all():
-                least[at] = min(Fraction(0), shortfall)
+                least[at] = Fraction(min(0.0, rounded_up(shortfall)))
         return least, is_above
 
     def _way(
@@ -211,8 +217,8 @@ class Checker:
         """
         if not towards:
             return INFINITE
-        way, denominator = without_denominators([Fraction(number) for number in towards])
-        values = [Fraction(int(form @ way), denominator << self.pair.power) for form in forms]
+        way, denominator = without_denominators(towards)
+        values = self.pair.along(forms, way, denominator)
         if any(value <= 0 < m for value, m in zip(values, least, strict=True)):
             return INFINITE
         times = max((m / value for value, m in zip(values, least, strict=True) if m > 0), default=Fraction(0))
@@ -220,19 +226,37 @@ class Checker:
         may_go_on = all(value >= 0 or end > 0 for value, end in zip(values, ends, strict=True))
         if min(ends) < 0 or not (last < 0 or ends[last] > 0 or (values[last] > 0 and may_go_on)):
             return INFINITE
-        low, high = self.pair.domain.low.tolist(), self.pair.domain.high.tolist()
         slack = dict(zip(self.pair.sides, least[self.pair.n_tests :], strict=True))
-        *p, s = (Fraction(number) for number in towards)
-        farthest = Fraction(0)
-        for i, width in enumerate(self.pair.widths()):
-            if self.bounds.is_closed[i]:
-                limits = Fraction(low[i]) - slack[f"low {i}"], Fraction(high[i]) + slack[f"high {i}"]
-                change = max(abs(p[i] - s * limit) for limit in limits)
-            else:
-                change = max(abs(p[i]), s)
-            if change:  # of an input that is constant there is none
-                farthest = max(farthest, change / width if width else INFINITE)
-        return max(times * farthest, ON_BOUNDARY)
+        farthest = self._farthest(way, denominator, slack)
+        return INFINITE if farthest == INFINITE else max(times * farthest, ON_BOUNDARY)
+
+    def _farthest(self, way: Integers, denominator: int, slack: dict[str, Fraction]) -> Fraction:
+        """Return how far p is from s x, at most, at states x of the domain, in widths of inputs, of a way (p, s).
+
+        By side that is a row, all states are within by the slack, times -1. Of sides that are no rows it is infinite
+        unless p is s times a state within them, so that what is between that and x is within, too.
+        """
+        limits, unit = self._limits, self._unit
+        if any(slack.values()):
+            inwards = [
+                sign * slack[f"{end} {i}"] for end, sign in (("low", -1), ("high", 1)) for i in range(len(way) - 1)
+            ]
+            limits, unit = without_denominators(
+                [Fraction(int(limit), unit) + step for limit, step in zip(limits, inwards, strict=True)]
+            )
+        (low, high), p, s = np.split(limits, 2), way[:-1], way[-1]
+        from_low, to_high, is_closed = p * unit - s * low, s * high - p * unit, self.bounds.is_closed
+        if self.pair.in_box and (np.minimum(from_low, to_high)[is_closed] < 0).any():
+            return INFINITE
+        changes = np.where(is_closed, np.maximum(abs(from_low), abs(to_high)), np.maximum(abs(p), s) * unit)
+        farthest: dict[float, int] = {}
+        for change, width in zip(changes.tolist(), self._widths, strict=True):
+            farthest[width] = max(farthest.get(width, 0), change)
+        if farthest.pop(0.0, 0):
+            return INFINITE  # of an input that is constant
+        return max((change / Fraction(width) for width, change in farthest.items()), default=Fraction(0)) / (
+            unit * denominator
+        )
 
     def _sliver(self, cell: Cell, rows: dict[str, ExactRow], forms: list[Integers]) -> Fraction:
         """Return how far a cell's states are, at most, from where test `onto` is 0 and no form is below 0.

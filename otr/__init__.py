@@ -48,6 +48,7 @@ if TYPE_CHECKING:
         MissingExtraError as MissingExtraError,
         OtrError as OtrError,
         ProgramError as ProgramError,
+        TimeLimitError as TimeLimitError,
         TreeTooLargeError as TreeTooLargeError,
     )
     from otr.geometry.minimal_tree import minimal_tree as minimal_tree
@@ -100,7 +101,7 @@ _NAMES_OF_MODULES = {
     "core.pruning": "prune_to_k prune_unreached",
     "core.tree": "ObliqueTree",
     "errors": "ArtefactError CertificateError InvalidNetworkError InvalidTreeError MissingExtraError OtrError "
-    "ProgramError TreeTooLargeError",
+    "ProgramError TimeLimitError TreeTooLargeError",
     "geometry.minimal_tree": "minimal_tree",
     "importers": "from_onnx from_sb3 from_sklearn from_torch",
     "importers.vec_normalize": "ObservationStatistics",

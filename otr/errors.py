@@ -19,6 +19,10 @@ class TreeTooLargeError(OtrError):
     """The tree asked for has more leaves than the caller allows."""
 
 
+class TimeLimitError(TreeTooLargeError):
+    """A call took the seconds that the caller allows (`max_seconds`); the message says what it had reached."""
+
+
 class MissingExtraError(OtrError, ImportError):
     """A package is not installed that one of otr's extras brings, such as ``otr[learn]``; the message names both."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -20,14 +21,15 @@ class Limits(Protocol):
 
 
 Box = tuple[ArrayLike, ArrayLike] | Limits  # low (d,), high (d,)
-_WIDEST = 1e100
+WIDEST = 1e100
+WIDE = 64  # inputs, from which on trees and polytopes are held by the few products of them that are asked about
 _FARTHEST = 1e150  # a hyperplane beyond meets nothing: of a box truly, of an open side by definition
 
 
 class Domain:
     """A box [low, high] in R^d, any side of which may be infinite; in scaled coordinates a finite one is [-1, 1].
 
-    An infinite side counts as far as 1e150: a test beyond meets nothing.
+    An infinite side counts as far as 1e150: a test beyond meets nothing. Where low is high, the input is a constant.
 
     Attributes:
         low, high: (d,) float64.
@@ -37,8 +39,8 @@ class Domain:
         """Keep the limits.
 
         Raises:
-            ValueError: a limit is NaN, low is not below high, a finite side is too wide or too narrow, or the shapes
-                differ.
+            ValueError: a limit is NaN, low is above high or an infinity, a finite side is too wide or too narrow, or
+                the shapes differ.
         """
         self.low: FloatArray = read_only(np.array(low, dtype=np.float64))
         self.high: FloatArray = read_only(np.array(high, dtype=np.float64))
@@ -46,23 +48,21 @@ class Domain:
             raise ValueError(
                 f"low has shape {self.low.shape} and high {self.high.shape}, expected (n_inputs,) for both"
             )
-        wrong = np.flatnonzero(~(self.low < self.high))
+        wrong = np.flatnonzero(~((self.low <= self.high) & (self.low < np.inf) & (self.high > -np.inf)))
         if wrong.size:
             i = int(wrong[0])
-            raise ValueError(
-                f"input {i} has the limits {self.low[i]:g} and {self.high[i]:g}, expected low < high; "
-                "a domain needs an inside"
-            )
+            raise ValueError(f"input {i} has the limits {self.low[i]:g} and {self.high[i]:g}, expected low <= high")
         finite = np.isfinite(self.low) & np.isfinite(self.high)
         limits = np.abs(np.stack((self.low, self.high)))
-        wide = np.flatnonzero((np.isfinite(limits) & (limits > _WIDEST)).any(axis=0))
+        wide = np.flatnonzero((np.isfinite(limits) & (limits > WIDEST)).any(axis=0))
         if wide.size:
             i = int(wide[0])
             raise ValueError(
-                f"input {i} has the limits {self.low[i]:g} and {self.high[i]:g}, wider than {_WIDEST:g}; "
+                f"input {i} has the limits {self.low[i]:g} and {self.high[i]:g}, wider than {WIDEST:g}; "
                 "leave such a side open: -inf, inf"
             )
-        narrow = np.flatnonzero(finite & (self.high - self.low < 2 * np.finfo(np.float64).tiny))
+        is_narrow = (self.low < self.high) & (self.high - self.low < 2 * np.finfo(np.float64).tiny)
+        narrow = np.flatnonzero(finite & is_narrow)
         if narrow.size:
             i = int(narrow[0])
             raise ValueError(
@@ -97,18 +97,33 @@ class Domain:
         inside: BoolArray = np.all((self.low <= states) & (states <= self.high), axis=1)
         return inside
 
-    def sides(self) -> tuple[FloatArray, tuple[str, ...]]:
-        """Return the finite sides as affine forms [a | b] (m, d + 1), 0 or more inside, and their names; lows first."""
+    def is_wide(self, n_tests: int) -> bool:
+        """Return whether inputs are so many more than tests that limits are better no rows of polytopes."""
+        return self.n_inputs >= max(WIDE, 2 * n_tests)
+
+    def sides(self, *, in_box: bool = False) -> tuple[FloatArray, tuple[str, ...]]:
+        """Return the finite sides as affine forms [a | b] (m, d + 1), 0 or more inside, and their names; lows first.
+
+        With `in_box` only those of inputs of which the other side is infinite.
+        """
         identity = np.eye(self.n_inputs)
-        lows, highs = np.flatnonzero(np.isfinite(self.low)), np.flatnonzero(np.isfinite(self.high))
+        asked = np.isinf(self.low) | np.isinf(self.high) if in_box else np.ones(self.n_inputs, dtype=np.bool_)
+        lows, highs = (np.flatnonzero(np.isfinite(limits) & asked) for limits in (self.low, self.high))
         forms = np.concatenate(
             (np.column_stack((identity[lows], -self.low[lows])), np.column_stack((-identity[highs], self.high[highs])))
         )
         return forms, (*(f"low {i}" for i in lows.tolist()), *(f"high {i}" for i in highs.tolist()))
 
-    def rows(self) -> HalfSpaces:
+    def rows(self, *, in_box: bool = False) -> HalfSpaces:
         """Return the finite sides as rows in scaled coordinates, one group, in the order of `sides`."""
-        return self.rows_of(self.sides()[0][None])
+        forms, _ = self.sides(in_box=in_box)
+        if in_box:
+            return replace(self.rows_of(forms[None]), in_box=True)
+        rows, inputs = self.rows_of(forms[None]), np.abs(forms[:, :-1]).argmax(axis=1)
+        # Of a constant input those of its scaled coordinate, which nothing depends on: so polytopes have an inside.
+        at = np.flatnonzero(self._scale[inputs] == 0)
+        rows.a[0, at, inputs[at]], rows.b[0, at] = forms[at, inputs[at]], 1.0
+        return rows
 
     def scaled(self, forms: FloatArray) -> FloatArray:
         """Return affine forms [P | v] (..., d + 1) in scaled coordinates, of the same values."""

@@ -21,6 +21,7 @@ class HalfSpaces:
     lengths: FloatArray  # (n_groups, m), of the rows before they were made of unit length
     rounding: FloatArray  # (n_groups, m, d + 1), how far each number of a row [a | b] may be off
     is_open: BoolArray  # (d,) whether an input has no limits
+    in_box: bool = False  # whether the limits of the others, [-1, 1], bound every polytope without being rows
 
     @property
     def n_rows(self) -> int:
@@ -30,7 +31,7 @@ class HalfSpaces:
     def take(self, groups: IntArray | slice, rows: slice = slice(None)) -> HalfSpaces:
         """Return some groups, with some of their rows."""
         a, b, lengths, rounding = (part[groups, rows] for part in (self.a, self.b, self.lengths, self.rounding))
-        return HalfSpaces(a, b, lengths, rounding, self.is_open)
+        return HalfSpaces(a, b, lengths, rounding, self.is_open, self.in_box)
 
     def followed_by(self, other: HalfSpaces) -> HalfSpaces:
         """Return the groups, which are as many, with the rows of both; a single group is repeated."""
@@ -38,7 +39,7 @@ class HalfSpaces:
         parts = [part if len(part.b) == n else part.take(np.zeros(n, dtype=np.int64)) for part in (self, other)]
         names = ("a", "b", "lengths", "rounding")
         a, b, lengths, rounding = (np.concatenate([getattr(part, name) for part in parts], axis=1) for name in names)
-        return HalfSpaces(a, b, lengths, rounding, self.is_open)
+        return HalfSpaces(a, b, lengths, rounding, self.is_open, self.in_box)
 
     def of(self, group: IntArray) -> IntArray:
         """Return groups (n,) as indices into `a` and `b`: with a single one, every polytope is of that."""

@@ -12,7 +12,6 @@ they are taken as inputs instead (`_in_fewer_inputs`), so that wide inputs cost 
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -20,13 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otr.core.arrays import BoolArray, FloatArray, IntArray
+from otr.core.clock import check_time, seconds_left, time_limit
 from otr.core.domain import Domain
 from otr.core.half_spaces import HalfSpaces
 from otr.core.network import ReluNetwork, UnitForm
 from otr.errors import TreeTooLargeError
-from otr.geometry.largest_balls import largest_balls, rounding_at
+from otr.geometry.largest_balls import AnyBases, joined, largest_balls, rounding_at
 from otr.geometry.rational import independent_rows
-from otr.geometry.simplex import Bases
 from otr.geometry.vertices import regions_at_vertices
 
 _BLOCK = 2**13  # regions walked together; more are set aside, so that memory does not grow with their number
@@ -59,7 +58,7 @@ class Block:
     rows: HalfSpaces
     centres: FloatArray  # (n, d), inner points
     radii: FloatArray  # (n,), how far all rows are from these, in the domain's scale
-    bases: Bases  # of the linear programs
+    bases: AnyBases  # of the linear programs
     n_ahead: int = 0  # tests of this layer that are still to come; they are the last rows
 
     def take(self, regions: NDArray[np.generic] | slice) -> Block:
@@ -80,22 +79,31 @@ def find_regions(
     beyond `max_regions` or `max_seconds`.
     """
     units, domain, embedding = _in_fewer_inputs(network.unit_form(), domain)
+    walk = Walk(network, units, domain, max_regions)
+    with time_limit(max_seconds, walk.reached):
+        regions = _walked(walk)
+    return replace(regions, inner_points=regions.inner_points @ embedding)
+
+
+def _walked(walk: Walk) -> Regions:
+    """Return the regions of a walk's network, in its inputs: by vertices where that is quick."""
+    network, units, domain, max_regions = walk.network, walk.units, walk.domain, walk.max_regions
     is_one_layer = len(network.hidden_widths) == 1 and not network.head.n_tests(network.n_outputs)
-    if is_one_layer and (max_seconds is None or max_seconds >= _AT_VERTICES_S):
+    in_box = domain.is_wide(walk.n_bits)
+    if is_one_layer and not in_box and seconds_left() >= _AT_VERTICES_S:
         regions = _regions_of_a_layer(units, domain, network.n_hidden, max_regions)
         if regions is not None and len(regions.patterns) <= max_regions:
-            return replace(regions, inner_points=regions.inner_points @ embedding)
-    rows = domain.rows()
+            return regions
+    rows = domain.rows(in_box=in_box)
     signs, group = np.ones((1, rows.n_rows), dtype=np.int8), np.zeros(1, dtype=np.int64)
-    balls = largest_balls(rows, group, signs, Bases.start(1, domain.n_inputs))
+    balls = largest_balls(rows, group, signs)
     outcomes = np.zeros((1, 0), dtype=np.bool_)
     whole = Block(group, outcomes, signs, group, rows, balls.centres, balls.radii, balls.bases)
-    walk = Walk(network, units, domain, max_regions, max_seconds)
     patterns, points = [], []
     for block in walk.run(whole):
         patterns.append(block.outcomes)
         points.append(domain.unscaled(np.where(block.radii[:, None] > 0, block.centres, np.nan)))
-    return Regions(np.concatenate(patterns), np.concatenate(points) @ embedding, walk.n_tests)
+    return Regions(np.concatenate(patterns), np.concatenate(points), walk.n_tests)
 
 
 def _in_fewer_inputs(units: UnitForm, domain: Domain) -> tuple[UnitForm, Domain, FloatArray]:
@@ -149,23 +157,23 @@ def _regions_of_a_layer(units: UnitForm, domain: Domain, n_hidden: int, max_regi
 class Walk:
     """A walk through the tests of a network, from regions of the inputs to the regions of the network inside them."""
 
-    def __init__(
-        self, network: ReluNetwork, units: UnitForm, domain: Domain, max_regions: int, max_seconds: float | None
-    ) -> None:
+    def __init__(self, network: ReluNetwork, units: UnitForm, domain: Domain, max_regions: int) -> None:
         """Take the arguments of `find_regions`, and the units of the network in the inputs of the domain."""
         self.network, self.units, self.domain = network, units, domain
-        self.max_regions, self.max_seconds = max_regions, max_seconds
+        self.max_regions = max_regions
         self._sizes = UnitForm(np.abs(units.links), np.abs(units.inputs), np.abs(units.offsets), units.layer_starts)
         self.n_bits = network.n_hidden + network.head.n_tests(network.n_outputs)
         self.n_linear_programs = self.n_tests = self.n_found = 0
+        self._n_open = self._n_done = 0  # regions that are not complete, and the tests that the last of them followed
 
     def run(self, start: Block) -> Iterator[Block]:
         """Yield all regions in those of `start`, which have no outcomes yet, in blocks; errors are `find_regions`'s."""
-        self.began = time.monotonic()
         waiting = [start]
         while waiting:
             block = waiting.pop()
-            self._check_limits(block, sum(len(other.group) for other in waiting))
+            self._n_open = sum(len(other.group) for other in (block, *waiting))
+            self._n_done = block.outcomes.shape[1]
+            self._check_limits()
             if block.outcomes.shape[1] == self.n_bits:
                 self.n_found += len(block.group)
                 yield block
@@ -177,16 +185,19 @@ class Walk:
                 parts = [slice(None)] if n <= _BLOCK else [slice(n // 2), slice(n // 2, None)]
                 waiting += [block.take(part) for part in parts]
 
-    def _check_limits(self, block: Block, n_open: int) -> None:
-        seconds = time.monotonic() - self.began
-        n_regions = self.n_found + n_open + len(block.group)
-        if n_regions <= self.max_regions and (self.max_seconds is None or seconds <= self.max_seconds):
-            return
-        limit = f"{self.max_regions:,} regions" if n_regions > self.max_regions else f"{self.max_seconds:g} s"
-        raise TreeTooLargeError(
-            f"the limit of {limit} was met after {seconds:.1f} s: {self.n_found:,} regions were complete, "
-            f"{n_regions - self.n_found:,} others followed to test {block.outcomes.shape[1]} of {self.n_bits} "
-            "or less far; raise the limit, or give a smaller domain"
+    def _check_limits(self) -> None:
+        check_time()
+        if self.n_found + self._n_open > self.max_regions:
+            raise TreeTooLargeError(
+                f"the limit of {self.max_regions:,} regions was met: {self.reached()}; raise the limit, or give a "
+                "smaller domain"
+            )
+
+    def reached(self) -> str:
+        """Return how far the walk came, in words."""
+        return (
+            f"{self.n_found:,} regions were complete, {self._n_open:,} others followed to test {self._n_done} of "
+            f"{self.n_bits} or less far"
         )
 
     def _next_layer(self, block: Block) -> Iterator[Block]:
@@ -259,6 +270,6 @@ class Walk:
             block.rows,
             np.concatenate((block.centres[kept], balls.centres[found])),
             np.concatenate((margins, balls.radii[found])),
-            Bases.concatenate([block.bases.take(kept), balls.bases.take(found)]),
+            joined([block.bases.take(kept), balls.bases.take(found)]),
             block.n_ahead - 1,
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from otr.core.arrays import BoolArray, FloatArray, IntArray
+from otr.core.clock import check_time
 from otr.core.network import ReluNetwork
 from otr.core.pattern_tree import PatternTree, tree_of_paths
 from otr.core.tree import ObliqueTree
@@ -23,6 +24,7 @@ def balanced_tree(network: ReluNetwork, patterns: BoolArray, weights: FloatArray
     n_nodes = 0
     left, right = np.zeros(len(patterns) - 1, dtype=np.int64), np.zeros(len(patterns) - 1, dtype=np.int64)
     while rows.size:
+        check_time()
         sizes = np.diff(starts, append=len(rows))
         is_leaf = sizes == 1
         ids = np.where(is_leaf, ~rows[starts], n_nodes + np.cumsum(~is_leaf) - 1)

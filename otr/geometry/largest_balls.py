@@ -19,12 +19,15 @@ depends on the rounding of the pivots.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from otr.core.arrays import BoolArray, FloatArray, IntArray
+from otr.core.clock import check_time
 from otr.core.half_spaces import HalfSpaces, rounding_of_terms
+from otr.geometry.balls_in_box import BoxBases, BoxSimplex, highest_in_box, opposite_rows
 from otr.geometry.simplex import FREE, LARGEST_RADIUS, MAX_PIVOTS, Bases, pivot
 
 _ROUNDED = 1e-10  # value of a test, in units of its slope, that rounding may hide on a side that is left out
@@ -35,6 +38,8 @@ _TOUCHING = 1e-9  # radius of the largest ball in a polytope that may be a point
 _NO_RADIUS = 1e-12  # that the rounding of pivots may have left
 _NO_MULTIPLIER = 1e-14  # that rounding may have left
 _CHUNK_NUMBERS = 2**17  # of the inverses in work at a time; they should stay in the cache
+
+AnyBases = Bases | BoxBases
 
 
 @dataclass(frozen=True)
@@ -48,11 +53,15 @@ class Balls:
     is_empty: BoolArray  # (n,) whether it was shown that the polytope has no state that matters
     centres: FloatArray  # (n, d), inner points; of no meaning where the radius is 0
     radii: FloatArray  # (n,) of a ball around the centre that fits, hardly ever the largest; 0 where none was found
-    bases: Bases  # to go on from; where a polytope is empty, the proof
+    bases: AnyBases  # to go on from; where a polytope is empty, the proof
 
 
 def largest_balls(
-    rows: HalfSpaces, group: IntArray, signs: NDArray[np.int8], bases: Bases, asked: int | None = None
+    rows: HalfSpaces,
+    group: IntArray,
+    signs: NDArray[np.int8],
+    bases: AnyBases | None = None,
+    asked: int | None = None,
 ) -> Balls:
     """Return whether each polytope is empty, and a ball inside those where one is found.
 
@@ -61,25 +70,105 @@ def largest_balls(
     times the size of the rows' terms.
 
     Polytope p has the rows of group[p] with signs[p] (m,), 1, -1, or 0 where it does without the row. It starts from
-    its basis: `Bases.start`, or that of a polytope that had some of the rows with the same signs.
+    its basis: none, or that of a polytope that had some of the rows with the same signs.
     """
-    n, q = bases.rows.shape
+    n, d = len(group), rows.a.shape[2]
+    if rows.in_box:
+        return _balls_in_box(rows, group, signs, cast(BoxBases, bases or BoxBases.start(n)), asked)
+    bases, q = cast(Bases, bases or Bases.start(n, d)), d + 1
     if not signs.shape[1]:  # no rows: any ball
         return Balls(np.zeros(n, dtype=np.bool_), bases.solution[:, :-1], np.full(n, LARGEST_RADIUS), bases)
     parts = []
     chunk = max(64, _CHUNK_NUMBERS // (q * q))
     for start in range(0, max(n, 1), chunk):
+        check_time()
         part = slice(start, start + chunk)
         balls = _pivot_until_decided(rows, group[part], signs[part], bases.take(part), asked)
         parts.append(balls)
+    return _of_chunks(parts)
+
+
+def joined(parts: list[AnyBases]) -> AnyBases:
+    """Return the bases of several lists of problems, all of one kind, as one."""
+    if isinstance(parts[0], BoxBases):
+        return BoxBases.concatenate(cast(list[BoxBases], parts))
+    return Bases.concatenate(cast(list[Bases], parts))
+
+
+def _of_chunks(parts: list[Balls]) -> Balls:
     if len(parts) == 1:
         return parts[0]
     return Balls(
         np.concatenate([part.is_empty for part in parts]),
         np.concatenate([part.centres for part in parts]),
         np.concatenate([part.radii for part in parts]),
-        Bases.concatenate([part.bases for part in parts]),
+        joined([part.bases for part in parts]),
     )
+
+
+def _balls_in_box(
+    rows: HalfSpaces, group: IntArray, signs: NDArray[np.int8], bases: BoxBases, asked: int | None
+) -> Balls:
+    """Return what `largest_balls` does, of polytopes in a box whose sides are no rows."""
+    n, d = len(group), rows.a.shape[2]
+    if not signs.shape[1]:
+        return Balls(np.zeros(n, dtype=np.bool_), np.zeros((n, d)), np.full(n, LARGEST_RADIUS), bases)
+    chunk = max(16, _CHUNK_NUMBERS * 4 // (signs.shape[1] * d))
+    parts = []
+    for start in range(0, max(n, 1), chunk):
+        check_time()
+        part = slice(start, start + chunk)
+        parts.append(_in_box_until_decided(rows, group[part], signs[part], bases.take(part), asked))
+    return _of_chunks(parts)
+
+
+def _in_box_until_decided(
+    rows: HalfSpaces, group: IntArray, signs: NDArray[np.int8], bases: BoxBases, asked: int | None
+) -> Balls:
+    """Solve one chunk; what stays undecided is tried alone."""
+    n = len(group)
+    is_empty, centres, radii = np.zeros(n, dtype=np.bool_), np.zeros((n, rows.a.shape[2])), np.zeros(n)
+    done = bases.of_rows(signs.shape[1]).copied()
+    problems = np.arange(n)
+    if asked is not None:  # about a test that is a row already, often
+        done.multipliers[:] = opposite_rows(rows, group, signs, asked)
+        is_empty = _leaves_nothing_in_box(rows, group, signs, done.multipliers, asked)
+        problems = np.flatnonzero(~is_empty)
+    simplex = BoxSimplex(rows, group[problems], signs[problems], bases.take(problems))
+    for _ in range(MAX_PIVOTS if problems.size else 0):
+        margin, bound, rounding = simplex.margins(), simplex.bounds, rounding_at(simplex.states)
+        of_asked = simplex.multipliers[:, asked] if asked is not None else np.zeros(len(problems))
+        empty = (bound < _NO_RADIUS) & (bound + _ROUNDING < _ROUNDED * of_asked)
+        decided = empty | (margin > np.maximum(_GOOD_SHARE * bound, rounding)) | (margin > bound - rounding)
+        these = problems[decided]
+        is_empty[these], centres[these] = empty[decided], simplex.states[decided]
+        radii[these] = np.where(empty, 0.0, np.clip(margin, 0.0, LARGEST_RADIUS))[decided]
+        done.put(these, simplex.bases().take(decided))
+        left = np.flatnonzero(~decided)
+        problems = problems[left]
+        if not left.size:
+            break
+        simplex.take(left)
+        stuck = simplex.step()
+        problems = problems[~stuck]
+        if not problems.size:
+            break
+        simplex.take(np.flatnonzero(~stuck))
+    radii[_within_rounding(rows, group, signs, centres, radii)] = 0.0
+    is_empty &= _leaves_nothing_in_box(rows, group, signs, done.multipliers, asked)
+    for i in np.flatnonzero(~is_empty & (radii == 0.0)).tolist():
+        check_time()
+        g = rows.of(group[i : i + 1])
+        solution, multipliers = _solved_alone(rows.a[g[0]], rows.b[g[0]], signs[i], rows.is_open)
+        if solution is None:
+            continue
+        s = signs[i].astype(np.float64)
+        centres[i], done.multipliers[i] = solution[:-1], multipliers
+        radii[i] = max(0.0, np.where(s == 0, np.inf, s * (rows.a[g[0]] @ centres[i] + rows.b[g[0]])).min())
+        at = (rows, group[i : i + 1], signs[i : i + 1])
+        radii[i] *= not len(_within_rounding(*at, centres[i : i + 1], radii[i : i + 1]))
+        is_empty[i] = radii[i] == 0 and _leaves_nothing_in_box(*at, done.multipliers[i : i + 1], asked)[0]
+    return Balls(is_empty, centres, radii, done)
 
 
 def _pivot_until_decided(
@@ -123,8 +212,10 @@ def _pivot_until_decided(
     gone_wrong[problems] = True
     alone = np.flatnonzero(~is_empty & (radii == 0.0) & gone_wrong)
     if len(alone):
-        solved = [_solve_alone(rows.a[g], rows.b[g], signs[i]) for i, g in
-                  zip(alone.tolist(), rows.of(group)[alone].tolist(), strict=True)]  # fmt: skip
+        solved = []
+        for i, g in zip(alone.tolist(), rows.of(group)[alone].tolist(), strict=True):
+            check_time()
+            solved.append(_solve_alone(rows.a[g], rows.b[g], signs[i]))
         centres[alone], radii[alone] = np.stack([x for x, _, _ in solved]), [radius for _, radius, _ in solved]
         done.put(alone, Bases.concatenate([basis for _, _, basis in solved]))
         at = (rows, group[alone], signs[alone])
@@ -199,10 +290,26 @@ def _leaves_nothing(
     return np.asarray(nothing)
 
 
-def _solve_alone(a: FloatArray, b: FloatArray, signs: NDArray[np.int8]) -> tuple[FloatArray, float, Bases]:
-    """Return one polytope's centre (d,), margin and basis, by HiGHS; the margin is 0 where it finds none.
+def _leaves_nothing_in_box(
+    rows: HalfSpaces, group: IntArray, signs: NDArray[np.int8], multipliers: FloatArray, asked: int | None
+) -> BoolArray:
+    """Return whether multipliers (n, m) of rows show that there is no state that matters in the box."""
+    weights = np.where(multipliers < _NO_MULTIPLIER, 0.0, multipliers)
+    of_asked = weights[:, asked] if asked is not None else np.zeros(len(weights))
+    highest, rounding, slopes, of_slopes = highest_in_box(rows, group, signs, weights)
+    total = highest + rounding
+    nothing = (total < 0) | ((highest <= _SLACK * rounding) & (total < _ROUNDED * of_asked))
+    nothing &= weights.sum(axis=1) > 0.5
+    allowed = _ROUNDED * of_asked[:, None] * of_slopes / rounding_of_terms(rows.a.shape[2])
+    return np.asarray(nothing & (slopes + of_slopes <= allowed).all(axis=1))
 
-    The rows a (m, d), b (m,) have the signs (m,).
+
+def _solved_alone(
+    a: FloatArray, b: FloatArray, signs: NDArray[np.int8], is_open: BoolArray | None = None
+) -> tuple[FloatArray | None, FloatArray]:
+    """Return one polytope's centre and radius (d + 1,), by HiGHS, None if it fails, and the multipliers (m,).
+
+    The rows a (m, d), b (m,) have the signs (m,); inputs that are not open are in [-1, 1], None is all open.
     """
     from scipy.optimize import linprog
 
@@ -210,18 +317,32 @@ def _solve_alone(a: FloatArray, b: FloatArray, signs: NDArray[np.int8]) -> tuple
     s = signs[used].astype(np.float64)
     constraints = np.column_stack((-s[:, None] * a[used], np.ones(len(used))))
     objective = np.append(np.zeros(d), -1.0)
-    bounds = [(None, None)] * d + [(None, LARGEST_RADIUS)]
+    open_inputs = [True] * d if is_open is None else is_open.tolist()
+    bounds = [(None, None) if each else (-1.0, 1.0) for each in open_inputs] + [(None, LARGEST_RADIUS)]
     solved = linprog(objective, A_ub=constraints, b_ub=s * b[used], bounds=bounds, method="highs")
-    basis = Bases.start(1, d)
+    multipliers = np.zeros(len(signs))
     if solved.status != 0:
+        return None, multipliers
+    multipliers[used] = -np.asarray(solved.ineqlin.marginals)
+    return np.asarray(solved.x), multipliers
+
+
+def _solve_alone(a: FloatArray, b: FloatArray, signs: NDArray[np.int8]) -> tuple[FloatArray, float, Bases]:
+    """Return one polytope's centre (d,), margin and basis, by HiGHS; the margin is 0 where it finds none.
+
+    The rows a (m, d), b (m,) have the signs (m,).
+    """
+    used, d = np.flatnonzero(signs), a.shape[1]
+    solution, multipliers = _solved_alone(a, b, signs)
+    basis = Bases.start(1, d)
+    if solution is None:
         return np.zeros(d), 0.0, basis
-    margin = float((s * (a[used] @ solved.x[:d] + b[used])).min(initial=LARGEST_RADIUS))
+    margin = float((signs[used] * (a[used] @ solution[:d] + b[used])).min(initial=LARGEST_RADIUS))
     if margin > 0:
-        return solved.x[:d], margin, basis
-    multipliers = -np.asarray(solved.ineqlin.marginals)
-    largest = np.argsort(-multipliers, kind="stable")[: d + 1]
+        return solution[:d], margin, basis
+    largest = used[np.argsort(-multipliers[used], kind="stable")[: d + 1]]
     basis.rows[0], basis.inverse[0] = FREE, 0.0
-    basis.rows[0, : len(largest)] = used[largest]
+    basis.rows[0, : len(largest)] = largest
     basis.inverse[0, : len(largest), d] = multipliers[largest]
-    basis.solution[0] = solved.x
-    return solved.x[:d], 0.0, basis
+    basis.solution[0] = solution
+    return solution[:d], 0.0, basis

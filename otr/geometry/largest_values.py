@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otr.core.arrays import FloatArray, IntArray
+from otr.core.clock import check_time
 from otr.core.half_spaces import HalfSpaces
 from otr.errors import OtrError
 from otr.geometry.simplex import MAX_PIVOTS, Bases, pivot
 
+_CHUNK_NUMBERS = 2**20  # of the bases and rows in work at a time
 _FEASIBLE = 1e-11  # what a row may be violated by
 
 
@@ -31,6 +33,16 @@ def largest_values(rows: HalfSpaces, group: IntArray, signs: NDArray[np.int8], o
     The first 2 d rows are the sides of a bounded domain, as `Domain.rows` gives them; `group` and `signs` are as in
     `largest_balls`; the objectives (n, d + 1) are affine forms [f | f0] in scaled coordinates.
     """
+    d = objectives.shape[1] - 1
+    size = max(64, _CHUNK_NUMBERS // max(1, d * (d + rows.n_rows)))
+    parts = [slice(start, start + size) for start in range(0, max(len(objectives), 1), size)]
+    found = [_of_a_chunk(rows, group[part], signs[part], objectives[part]) for part in parts]
+    names = ("values", "states", "rows", "multipliers")
+    return LargestValues(*(np.concatenate([getattr(each, name) for each in found]) for name in names))
+
+
+def _of_a_chunk(rows: HalfSpaces, group: IntArray, signs: NDArray[np.int8], objectives: FloatArray) -> LargestValues:
+    """Return what `largest_values` does, of few polytopes."""
     n, d = len(objectives), objectives.shape[1] - 1
     f, f0 = objectives[:, :d], objectives[:, d]
     # The corner of the box where the objective is largest is feasible in the dual.
@@ -43,6 +55,7 @@ def largest_values(rows: HalfSpaces, group: IntArray, signs: NDArray[np.int8], o
     problems, absent, signed = np.arange(n), np.where(signs == 0, np.inf, 0.0), signs.astype(np.float64)
     whole, undecided = (rows.of(group), signed, f), list[int]()
     for _ in range(MAX_PIVOTS):
+        check_time()
         margins = rows.values(group, bases.solution) * signed + absent
         tightest = margins.argmin(axis=1)
         margin = margins[np.arange(len(margins)), tightest]
@@ -72,6 +85,7 @@ def largest_values(rows: HalfSpaces, group: IntArray, signs: NDArray[np.int8], o
         if not go_on.size:
             break
     for problem in (*undecided, *problems.tolist()):
+        check_time()
         of_group, signed, f = (each[problem] for each in whole)
         optimum = _largest_value_alone(rows.a[of_group], rows.b[of_group], signed, f)
         if optimum is not None:

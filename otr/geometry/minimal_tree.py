@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from otr.core.arrays import BoolArray, FloatArray, IntArray, as_batch
+from otr.core.clock import check_time, time_limit
 from otr.core.domain import Box, Domain, as_domain
 from otr.core.network import ReluNetwork, UnitForm, require_relu_network
 from otr.core.packed_bits import count_rows, pack_rows, unpack_rows
 from otr.core.pattern_tree import PatternTree, units_and_basis
 from otr.core.pruning import keep_leaves
 from otr.core.tree import ObliqueTree
-from otr.geometry.arrangement import find_regions
+from otr.geometry.arrangement import Regions, find_regions
 from otr.geometry.balanced_order import balanced_tree
 
 Order = Literal["layers", "balanced", "visits"]
@@ -57,8 +58,8 @@ def minimal_tree(
         max_leaves, max_seconds: refuse to build a larger tree or to look for longer.
 
     Raises:
-        TreeTooLargeError: a limit was met; the message says how far the walk came.
-        ValueError: the domain does not fit the network or has no inside, the order is unknown or X is missing.
+        TreeTooLargeError: a limit was met, of time a TimeLimitError; the message says how far the walk came.
+        ValueError: the domain does not fit the network, the order is unknown or X is missing.
     """
     if order not in ("layers", "balanced", "visits"):
         raise ValueError(f"order is {order!r}, expected 'layers', 'balanced' or 'visits'")
@@ -67,7 +68,13 @@ def minimal_tree(
     require_relu_network(network)
     box = as_domain(network.domain if domain is None else domain, network.n_inputs)
     network = network.without_dead_neurons()
-    regions = find_regions(network, box, max_regions=max_leaves, max_seconds=max_seconds)
+    with time_limit(max_seconds, lambda: "the regions were found, and their tree was being made"):
+        regions = find_regions(network, box, max_regions=max_leaves, max_seconds=max_seconds)
+        return _tree_of_regions(network, regions, order, X)
+
+
+def _tree_of_regions(network: ReluNetwork, regions: Regions, order: Order, X: ArrayLike | None) -> ObliqueTree:
+    """Return the tree of the regions of a network, as `minimal_tree` describes it."""
     if order == "layers":
         paths = PatternTree(network, regions.patterns)
         return merge_equal_leaves(paths.to_tree(), _sizes_of_terms(network, paths.patterns))
@@ -132,20 +139,18 @@ def _same_answers(
     if tree.labels is not None:
         equal: BoolArray = tree.labels[leaves] == tree.labels[others]
         return equal
-    M = tree.M_of_basis
+    M, c = tree.M_of_basis, tree.c
     # Most pairs differ by more than this; of the others the terms are sized.
-    size = max(np.abs(M).max(initial=0.0), np.abs(tree.c).max(initial=0.0))
-    slopes = np.abs(M[leaves] - M[others]).max(axis=(1, 2), initial=0.0)
-    offsets = np.abs(tree.c[leaves] - tree.c[others]).max(axis=1, initial=0.0)
-    same: BoolArray = np.maximum(slopes, offsets) <= _SAME_MAP * size
-    close = np.flatnonzero(same)
-    for start in range(0, len(close), _CHUNK):
-        at = close[start : start + _CHUNK]
-        allowed = _SAME_MAP * np.minimum(sizes_of(leaves[at]), sizes_of(others[at]))
-        between = np.concatenate(
-            (M[leaves[at]] - M[others[at]], (tree.c[leaves[at]] - tree.c[others[at]])[..., None]), 2
-        )
-        same[at] = (np.abs(between) <= allowed).all(axis=(1, 2))
+    size = _SAME_MAP * max(np.abs(M).max(initial=0.0), np.abs(c).max(initial=0.0))
+    same: BoolArray = np.zeros(len(leaves), dtype=np.bool_)
+    for start in range(0, len(leaves), _CHUNK):
+        check_time()
+        pairs = leaves[start : start + _CHUNK], others[start : start + _CHUNK]
+        between = np.abs(np.concatenate((M[pairs[0]] - M[pairs[1]], (c[pairs[0]] - c[pairs[1]])[..., None]), axis=2))
+        close = np.flatnonzero((between <= size).all(axis=(1, 2)))
+        if close.size:
+            allowed = _SAME_MAP * np.minimum(*(sizes_of(side[close]) for side in pairs))
+            same[start + close] = (between[close] <= allowed).all(axis=(1, 2))
     return same
 
 

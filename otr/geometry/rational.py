@@ -17,17 +17,20 @@ from numpy.typing import NDArray
 
 from otr.core.arrays import FloatArray
 from otr.core.network import ReluNetwork
+from otr.core.pattern_tree import units_and_basis
 from otr.core.tree import ObliqueTree
 
 Integers = NDArray[Any]  # of Python's int
 Point = tuple[Fraction, ...]  # a state (d,)
+
+_AT_ONCE = 16  # rows
 
 
 def integers(values: FloatArray) -> tuple[Integers, int]:
     """Return integers and the power k of two that they are over: ``values == integers / 2**k``, exactly."""
     mantissas, exponents = np.frexp(values)
     mantissas, exponents = (mantissas * 2.0**53).astype(np.int64), exponents.astype(np.int64) - 53
-    power = max(0, -int(exponents[mantissas != 0].min(initial=0)))
+    power = power_of(values)
     exact = np.empty(values.shape, dtype=object)
     exact.ravel()[:] = [
         mantissa << (exponent + power) if exponent + power >= 0 else mantissa >> -(exponent + power)
@@ -36,10 +39,20 @@ def integers(values: FloatArray) -> tuple[Integers, int]:
     return exact, power
 
 
-def without_denominators(row: Sequence[Fraction]) -> tuple[Integers, int]:
-    """Return a row times the least common multiple of its denominators, integers (n,), and that multiple."""
-    denominator = lcm(*(value.denominator for value in row))
-    return np.array([int(value * denominator) for value in row], dtype=object), denominator
+def power_of(values: FloatArray) -> int:
+    """Return the power of two that `integers` puts values over."""
+    exponents = np.frexp(values)[1].astype(np.int64) - 53
+    return max(0, -int(exponents[values != 0].min(initial=0)))
+
+
+def without_denominators(row: Sequence[float | Fraction]) -> tuple[Integers, int]:
+    """Return a row times a multiple of its denominators, of fractions the least common one, and that multiple."""
+    if all(isinstance(value, float) for value in row):
+        exact, power = integers(np.array(row))
+        return exact, 1 << power
+    fractions = [Fraction(value) for value in row]
+    denominator = lcm(*(value.denominator for value in fractions))
+    return np.array([int(value * denominator) for value in fractions], dtype=object), denominator
 
 
 def common_integers(parts: Sequence[tuple[Integers, int]], power: int) -> list[Integers]:
@@ -96,13 +109,69 @@ def at(forms: Integers, power: int, point: Point) -> list[Fraction]:
     return [Fraction(int(value), denominator << power) for value in forms @ x]
 
 
+class Basis:
+    """Rows of inputs that exact forms may be sums of: a form [p | v] (r + 1,) stands for ``p @ rows @ x + v``."""
+
+    def __init__(self, rows: FloatArray) -> None:
+        """Take the rows (r, d)."""
+        self._rows, self.power = integers(rows)
+
+    @property
+    def n_rows(self) -> int:
+        """Number of rows r."""
+        return len(self._rows)
+
+    def products(self, point: Point) -> Point:
+        """Return the rows' products with a point."""
+        numbers, denominator = without_denominators(point)
+        return tuple(Fraction(int(product), denominator << self.power) for product in self._rows @ numbers)
+
+    def along(self, way: Integers) -> Integers:
+        """Return the rows' products with p, and s, of integers (p, s): (r + 1,), times 2**power."""
+        return np.append(self._rows @ way[:-1], way[-1] << self.power)
+
+    def written_out(self, forms: Integers) -> Integers:
+        """Return forms (..., r + 1) in the inputs, (..., d + 1): times 2**power."""
+        p = forms[..., :-1] @ self._rows
+        return np.concatenate((p, forms[..., -1:] * 2**self.power), axis=-1)
+
+
+class LazyForms:
+    """Affine forms, rows of float64, as integers over 2**power, made when they are asked for."""
+
+    def __init__(self, linear: FloatArray, offsets: FloatArray, basis: FloatArray | None = None) -> None:
+        """Take linear parts (n, ..., r) and offsets (n, ...); of ``basis @ x`` they are written out."""
+        self._linear, self._offsets, self._made = linear, offsets, dict[int, Integers]()
+        self._basis = None if basis is None else Basis(basis)
+        of_linear = power_of(linear) + (0 if self._basis is None else self._basis.power)
+        self.power = max(of_linear, power_of(offsets))
+
+    def raise_to(self, power: int) -> None:
+        """Let the forms be over a larger power of two."""
+        self.power, self._made = power, {}
+
+    def __getitem__(self, at: int | tuple[int, int]) -> Integers:
+        """Return the forms of a row (..., r + 1), or one of them (r + 1,)."""
+        if isinstance(at, tuple):
+            return np.asarray(self[at[0]][at[1]])
+        block, row = divmod(int(at), _AT_ONCE)
+        made = self._made.get(block)
+        if made is None:
+            rows = slice(block * _AT_ONCE, (block + 1) * _AT_ONCE)
+            made, power = integers(np.concatenate((self._linear[rows], self._offsets[rows][..., None]), axis=-1))
+            if self._basis is not None:
+                made, power = self._basis.written_out(made), power + self._basis.power
+            made = self._made[block] = made * 2 ** (self.power - power)
+        return np.asarray(made[row])
+
+
 class ExactUnits:
     """A network's units as exact affine forms of its inputs, integers over 2**power, given the activation pattern."""
 
-    def __init__(self, network: ReluNetwork) -> None:
-        """Hold the numbers of a network as integers."""
-        self.network = network
-        units = network.unit_form()
+    def __init__(self, network: ReluNetwork, basis: Basis | None = None) -> None:
+        """Hold the numbers of a network as integers; of the basis that `units_and_basis` returns, if that is given."""
+        self.network, self.basis = network, basis
+        units = network.unit_form() if basis is None else units_and_basis(network)[0]
         self._links, of_links = integers(units.links)
         self._own, self._own_power = integers(np.column_stack((units.inputs, units.offsets)))
         slope, self._slope_power = integers(np.array([network.negative_slope]))
@@ -134,13 +203,15 @@ class ExactUnits:
 
     def outputs(self, point: Point) -> list[Fraction]:
         """Return the network's affine outputs at a point, in exact arithmetic."""
-        return at(self.forms(self.outcomes(point))[self.network.n_hidden :], self.power, point)
+        place = point if self.basis is None else self.basis.products(point)
+        return at(self.forms(self.outcomes(point))[self.network.n_hidden :], self.power, place)
 
     def outcomes(self, point: Point) -> list[bool]:
         """Return whether each hidden neuron is above 0 at a point, in exact arithmetic."""
         outcomes: list[bool] = []
+        place = point if self.basis is None else self.basis.products(point)
         for start, stop in self._layers[:-1]:
-            outcomes += [value > 0 for value in at(self.forms(outcomes)[start:stop], self.power, point)]
+            outcomes += [value > 0 for value in at(self.forms(outcomes)[start:stop], self.power, place)]
         return outcomes
 
 
@@ -148,31 +219,47 @@ class ExactTree:
     """A tree's tests and leaf maps as integers over 2**power.
 
     Attributes:
-        tests: (n_nodes, d + 1), [P | v].
-        maps: (n_leaves, o, d + 1), [M | c].
+        tests: by node, [P | v] (d + 1,).
+        maps: by leaf, [M | c] (o, d + 1).
         power: of two.
     """
 
-    def __init__(self, tree: ObliqueTree) -> None:
-        """Hold the numbers of a tree as integers."""
-        self.tree = tree
-        (P, of_P), (M, of_M) = integers(tree.P_of_basis), integers(tree.M_of_basis)
-        if tree.basis is not None:
-            basis, of_basis = integers(tree.basis)
-            P, M, of_P, of_M = P @ basis, M @ basis, of_P + of_basis, of_M + of_basis
-        parts = [(P, of_P), (M, of_M), integers(tree.v), integers(tree.c)]
-        self.power = max(power for _, power in parts)
-        P, M, v, c = common_integers(parts, self.power)
-        self.tests, self.maps = np.column_stack((P, v)), np.concatenate((M, c[:, :, None]), axis=2)
+    def __init__(self, tree: ObliqueTree, basis: Basis | None = None, columns: Sequence[int] = ()) -> None:
+        """Hold the numbers of a tree as integers; of a basis (r, d), in which its own has the rows `columns`, r + 1."""
+        self.tree, self.basis = tree, basis
+        P, M, own = tree.P_of_basis, tree.M_of_basis, tree.basis
+        if basis is not None:
+            P, M = (_in_columns(part, columns, basis.n_rows) for part in (P, M))
+            own = None
+        self.tests, self.maps = LazyForms(P, tree.v, own), LazyForms(M, tree.c, own)
+        self.raise_to(0)
+
+    def raise_to(self, power: int) -> None:
+        """Let all numbers be over 2**power, or a larger power if they need that."""
+        self.power = max(power, self.tests.power, self.maps.power)
+        self.tests.raise_to(self.power)
+        self.maps.raise_to(self.power)
+
+    def values(self, forms: Integers, point: Point) -> list[Fraction]:
+        """Return the values of forms (m, d + 1), or (m, r + 1) of a basis, at a point."""
+        return at(forms, self.power, point if self.basis is None else self.basis.products(point))
 
     def leaf(self, point: Point) -> int:
         """Return the leaf that a point reaches."""
         tree, reference = self.tree, 0 if self.tree.n_nodes else ~0
+        place = point if self.basis is None else self.basis.products(point)
         while reference >= 0:
-            (value,) = at(self.tests[reference : reference + 1], self.power, point)
+            (value,) = at(self.tests[reference][None], self.power, place)
             reference = int((tree.children_right if value > 0 else tree.children_left)[reference])
         return ~reference
 
     def outputs(self, leaf: int, point: Point) -> list[Fraction]:
         """Return the affine outputs of a leaf at a point."""
-        return at(self.maps[leaf], self.power, point)
+        return self.values(self.maps[leaf], point)
+
+
+def _in_columns(linear: FloatArray, columns: Sequence[int], n: int) -> FloatArray:
+    """Return linear parts (..., r) as of n rows, of which theirs are some."""
+    wider = np.zeros((*linear.shape[:-1], n))
+    wider[..., list(columns)] = linear
+    return wider

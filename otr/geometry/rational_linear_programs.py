@@ -14,10 +14,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from math import lcm
 
 import numpy as np
 
-from otr.geometry.rational import Integers, Point
+from otr.core.arrays import BoolArray, FloatArray, IntArray
+from otr.core.clock import check_time
+from otr.geometry.rational import Integers, Point, integers
 
 _BLAND = 10  # times as many pivots as places, before the rule that cannot go round in circles
 _FREE, _CAP = -2, -1  # what is tight at a place of the basis, where it is no row: x_j = 0, t = cap
@@ -36,26 +39,93 @@ class Optimum:
     multipliers: dict[int, Fraction]  # by row, above 0
 
 
-def inner_point(rows: Integers, strict: Sequence[bool]) -> Optimum:
+@dataclass(frozen=True)
+class ExactBox:
+    """Limits of inputs beside the rows of a program, which then has few numbers that are not at a limit."""
+
+    low: FloatArray  # (d,), of which both are finite, or both are not
+    high: FloatArray
+
+
+def inner_point(rows: Integers, strict: Sequence[bool], box: ExactBox | None = None) -> Optimum:
     """Return a point with ``a_i . x + b_i >= 0``, above 0 in the strict rows (m,), for integer rows [a | b] (m, d + 1).
 
     With ``t > 0`` there is a point. Else the sum of the rows with the multipliers is the same at all x, and it is below
-    0, or 0 with a strict row in it.
+    0, or 0 with a strict row in it; with a box, it is at most that at all x in it.
     """
     sizes = [max(map(abs, row[:-1]), default=0) or 1 for row in rows.tolist()]
     weights = [size if is_strict else 0 for size, is_strict in zip(sizes, strict, strict=True)]
-    return _largest_t(rows, weights, Fraction(1))
+    return _largest_t(rows, weights, Fraction(1)) if box is None else _in_box(rows, weights, Fraction(1), box)
 
 
-def largest_value(rows: Integers, form: Sequence[int], cap: Fraction) -> Optimum:
+def largest_value(rows: Integers, form: Sequence[int], cap: Fraction, box: ExactBox | None = None) -> Optimum:
     """Return the largest value t of an affine form where no row is below 0, or `cap` if it is above that.
 
     Rows (m, d + 1) and form (d + 1,) are integers. Below the cap, the form and the sum of the rows with their
-    multipliers, without its own, is t at all x.
+    multipliers, without its own, is t at all x; with a box, at most t at all x in it.
     """
     m = len(rows)
-    found = _largest_t(np.concatenate((rows, np.array([list(form)], dtype=object))), [0] * m + [1], cap)
+    both, weights = np.concatenate((rows, np.array([list(form)], dtype=object))), [0] * m + [1]
+    found = _largest_t(both, weights, cap) if box is None else _in_box(both, weights, cap, box)
     return replace(found, multipliers={row: value for row, value in found.multipliers.items() if row < m})
+
+
+def _in_box(rows: Integers, weights: Sequence[int], cap: Fraction, box: ExactBox) -> Optimum:
+    """Return the largest t in a box of many inputs: all but few are held at a limit, where the multipliers want them.
+
+    HiGHS proposes which; where the multipliers of the exact solution would have others go to the other limit, the worst
+    of these are set free, and the program is solved again.
+    """
+    bounded = np.isfinite(box.low)
+    limits, power = integers(np.where(bounded, np.stack((box.low, box.high)), 0.0))
+    free, is_high = _proposed(rows, weights, cap, box)
+    unit = 2**power
+    while True:
+        check_time()
+        held = np.flatnonzero(~free)
+        at = np.where(is_high, limits[1], limits[0])
+        offsets = rows[:, -1] * unit + rows[:, held] @ at[held]
+        loose = np.flatnonzero(free)
+        sides = _sides(np.flatnonzero(bounded[loose]), len(loose), limits[:, loose], unit)
+        fewer = np.concatenate((np.column_stack((rows[:, loose] * unit, offsets)), sides))
+        found = _largest_t(fewer, [*(weight * unit for weight in weights), *[0] * len(sides)], cap)
+        multipliers = {row: value * unit for row, value in found.multipliers.items() if row < len(rows)}
+        scale = lcm(*(value.denominator for value in multipliers.values()))
+        slopes = sum((rows[row, :-1] * int(value * scale) for row, value in multipliers.items()), 0 * rows[0, :-1])
+        gains = np.where(is_high, -slopes, slopes) * (limits[1] - limits[0])
+        wrong = [j for j in held.tolist() if gains[j] > 0]
+        if not wrong:
+            point = [Fraction(int(value), unit) for value in at]
+            for j, value in zip(loose.tolist(), found.point or (), strict=False):
+                point[j] = value
+            return Optimum(found.t, None if found.point is None else tuple(point), multipliers)
+        free[sorted(wrong, key=gains.__getitem__)[-len(rows) :]] = True
+
+
+def _sides(inputs: IntArray, d: int, limits: Integers, unit: int) -> Integers:
+    """Return the sides of some of d inputs as rows (m, d + 1), of limits (2, d) in parts of a unit."""
+    rows = np.zeros((2 * len(inputs), d + 1), dtype=np.int64).astype(object)
+    each = np.arange(len(inputs))
+    rows[each, inputs], rows[len(inputs) + each, inputs] = unit, -unit
+    rows[:, -1] = np.concatenate((-limits[0, inputs], limits[1, inputs]))
+    return rows
+
+
+def _proposed(rows: Integers, weights: Sequence[int], cap: Fraction, box: ExactBox) -> tuple[BoolArray, BoolArray]:
+    """Return which inputs are not at a limit where t is largest, and of the others which are at the higher one."""
+    from scipy.optimize import linprog
+
+    sizes = [max(map(abs, row)) or 1 for row in rows.tolist()]
+    unit = max((size // weight for size, weight in zip(sizes, weights, strict=True) if weight), default=1) or 1
+    a = np.array([[value / size for value in row] for row, size in zip(rows.tolist(), sizes, strict=True)])
+    w = [weight * unit / size for size, weight in zip(sizes, weights, strict=True)]
+    bounds = [(low, high) if np.isfinite(low) else (None, None) for low, high in zip(box.low, box.high, strict=True)]
+    objective, tops = np.append(np.zeros(len(bounds)), -1.0), [(None, float(cap / unit))]
+    solved = linprog(
+        objective, A_ub=np.column_stack((-a[:, :-1], w)), b_ub=a[:, -1], bounds=bounds + tops, method="highs"
+    )
+    x = np.where(np.isfinite(box.low), box.low, 0.0) if solved.x is None else solved.x[:-1]
+    return (box.low < x) & (x < box.high) | np.isinf(box.low), x >= box.high
 
 
 def _largest_t(rows: Integers, weights: Sequence[int], cap: Fraction) -> Optimum:
@@ -69,6 +139,7 @@ def _largest_t(rows: Integers, weights: Sequence[int], cap: Fraction) -> Optimum
     inverse, determinant = np.diag(np.array([cap.denominator] * d + [-1], dtype=object)), cap.denominator
     n_pivots = 0
     while True:
+        check_time()
         solution = -(inverse @ beta)
         margins = normals @ solution + offsets * determinant
         entering = _entering(margins.tolist(), sizes, determinant, n_pivots > _BLAND * q)

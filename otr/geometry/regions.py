@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
 from otr.core.arrays import IntArray
+from otr.core.clock import check_time
 from otr.core.domain import Domain
 from otr.core.half_spaces import HalfSpaces
 from otr.core.tree import ObliqueTree
+
+_CHUNK_NUMBERS = 2**19  # of the rows of leaves at once
 
 
 def leaf_paths(tree: ObliqueTree) -> tuple[IntArray, NDArray[np.int8]]:
@@ -27,9 +32,28 @@ def leaf_paths(tree: ObliqueTree) -> tuple[IntArray, NDArray[np.int8]]:
     return nodes[n_nodes:], signs[n_nodes:]
 
 
-def leaf_rows(tree: ObliqueTree, domain: Domain, leaves: IntArray) -> tuple[HalfSpaces, NDArray[np.int8]]:
-    """Return the rows of leaves' regions, a group each: the domain's sides, then the path's tests; and their signs."""
-    sides = domain.rows()
+def leaves_at_once(tree: ObliqueTree, domain: Domain, *, in_box: bool = False) -> int:
+    """Return of how many leaves the rows, as `leaf_rows` returns them, take little memory."""
+    n_rows = len(domain.sides(in_box=in_box)[1]) + tree.depth + 1
+    return max(1, _CHUNK_NUMBERS // (n_rows * (domain.n_inputs + 1)))
+
+
+def chunks_of_leaves(tree: ObliqueTree, domain: Domain, *, in_box: bool = False) -> Iterator[IntArray]:
+    """Yield all leaves, in order, in parts whose rows take little memory; the time of the call is looked at."""
+    size = leaves_at_once(tree, domain, in_box=in_box)
+    for start in range(0, tree.n_leaves, size):
+        check_time()
+        yield np.arange(start, min(start + size, tree.n_leaves))
+
+
+def leaf_rows(
+    tree: ObliqueTree, domain: Domain, leaves: IntArray, *, in_box: bool = False
+) -> tuple[HalfSpaces, NDArray[np.int8]]:
+    """Return the rows of leaves' regions, a group each: the domain's sides, then the path's tests; and their signs.
+
+    With `in_box` the domain's box bounds the regions without rows, as `HalfSpaces` has it.
+    """
+    sides = domain.rows(in_box=in_box)
     nodes, signs = (of_paths[leaves] for of_paths in leaf_paths(tree))
     forms = np.concatenate((tree.test_forms, np.zeros((1, tree.n_inputs + 1))))[nodes]
     of_sides = np.ones((len(leaves), sides.n_rows), dtype=np.int8)

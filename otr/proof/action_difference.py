@@ -12,7 +12,6 @@ from otr.core.tree import ObliqueTree
 from otr.geometry.largest_balls import largest_balls
 from otr.geometry.largest_values import largest_values
 from otr.geometry.regions import leaf_paths, leaf_rows
-from otr.geometry.simplex import Bases
 from otr.proof.exact_cells import decide
 from otr.proof.exact_rows import TreeOnDomain
 from otr.proof.head_bounds import require_decided
@@ -72,7 +71,7 @@ def _meetings(
     n_sides = domain.rows().n_rows
     rows = rows.followed_by(more.take(slice(None), slice(n_sides, None)))
     signs = np.concatenate((signs, more_signs[:, n_sides:]), axis=1)
-    balls = largest_balls(rows, np.arange(n_meetings), signs, Bases.start(n_meetings, tree.n_inputs))
+    balls = largest_balls(rows, np.arange(n_meetings), signs)
     counts = ~balls.is_empty
     thin = np.flatnonzero(counts & (balls.radii <= _THIN))
     if thin.size:

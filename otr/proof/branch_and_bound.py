@@ -17,11 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otr.core.arrays import FloatArray, IntArray
+from otr.core.clock import check_time
 from otr.core.half_spaces import HalfSpaces
 from otr.errors import CertificateError, OtrError
 from otr.geometry.largest_values import LargestValues, largest_values
 from otr.geometry.rational import Point, as_point, without_denominators
-from otr.geometry.regions import leaf_rows
+from otr.geometry.regions import leaf_rows, leaves_at_once
 from otr.proof.certificate import Sum
 from otr.proof.exact_cells import decide
 from otr.proof.exact_rows import ExactRow, rounded_up
@@ -36,6 +37,19 @@ class _Open:
     low: FloatArray
     high: FloatArray
 
+    def take(self, at: IntArray | slice) -> _Open:
+        """Return some of the pieces."""
+        return _Open(self.leaves[at], self.low[at], self.high[at])
+
+    def split(self, n: int) -> tuple[_Open, _Open]:
+        """Return the first n pieces, and the others."""
+        return self.take(slice(n)), self.take(slice(n, None))
+
+    def followed_by(self, other: _Open) -> _Open:
+        """Return the pieces of both."""
+        both = zip((self.leaves, self.low, self.high), (other.leaves, other.low, other.high), strict=True)
+        return _Open(*(np.concatenate(parts) for parts in both))
+
 
 class Search:
     """The search for the answer to a question."""
@@ -44,8 +58,12 @@ class Search:
         """Keep a question, and by how much a condition may fail under tanh."""
         self.question, self.tolerance = question, tolerance
         self.tree, self.domain, self.weighed = question.tree, question.domain, question.weighed
-        self.rows, self.signs = leaf_rows(self.tree, self.domain, np.arange(self.tree.n_leaves))
+        self.n_proved = 0
         self.outputs = self.tree.leaf_forms[:, self.weighed]
+
+    def reached(self) -> str:
+        """Return how far the search came, in words."""
+        return f"{self.n_proved:,} pieces of {self.question.n_leaves:,} leaves were proved, and no state was found"
 
     def run(self, max_pieces: int) -> Verdict:
         """Return the answer; raise OtrError if more than `max_pieces` pieces would have to be looked at."""
@@ -54,6 +72,7 @@ class Search:
         while len(waiting.leaves):
             if len(pieces) + len(waiting.leaves) > max_pieces:
                 raise OtrError(f"the question needs more than {max_pieces:,} pieces; ask about a smaller box")
+            waiting, later = waiting.split(leaves_at_once(self.tree, self.domain))
             rows, signs, objectives, lines = self._programs(waiting)
             best = largest_values(rows, np.arange(len(waiting.leaves)), signs, objectives)
             states = np.clip(self.domain.unscaled(best.states), self.domain.low, self.domain.high)
@@ -62,6 +81,7 @@ class Search:
                 return self._failed(failure)
             to_cut = []
             for i, leaf in enumerate(waiting.leaves.tolist()):
+                check_time()
                 piece = Piece(
                     leaf,
                     tuple(waiting.low[i].tolist()),
@@ -81,8 +101,9 @@ class Search:
                 if highest is not None:
                     bounds[len(pieces)] = highest
                 pieces.append(proved)
+                self.n_proved += 1
             at = np.array(to_cut, dtype=np.int64)
-            waiting = self._cut(_Open(waiting.leaves[at], waiting.low[at], waiting.high[at]), states[at])
+            waiting = later.followed_by(self._cut(waiting.take(at), states[at]))
         value, where = -math.inf, 0  # of no state, where nothing is given
         for place in sorted(bounds, key=bounds.__getitem__, reverse=True):
             pieces[place] = self._empty_or_same(pieces[place])
@@ -144,6 +165,7 @@ class Search:
     def _failure_among(self, leaves: IntArray, states: FloatArray) -> Point | None:
         """Return a state, of those found, where the condition fails, or None."""
         for state in states:
+            check_time()
             if self.question.fails_in_float64(state):
                 return tuple(map(Fraction, state.tolist()))
         return None
@@ -176,7 +198,7 @@ class Search:
     def _names(self, leaf: int) -> list[str]:
         """Return the names of the rows of a leaf's pieces, in the order of `_programs`."""
         of_leaf = list(self.question.rows_of_leaf(leaf))
-        filler = [""] * (self.rows.n_rows - len(of_leaf))  # of shorter paths
+        filler = [""] * (len(self.domain.sides()[1]) + self.tree.depth - len(of_leaf))  # of shorter paths
         return [
             *of_leaf, *filler, *(f"output {k} low" for k in self.weighed), *(f"output {k} high" for k in self.weighed)
         ]  # fmt: skip
@@ -192,7 +214,10 @@ class Search:
                 raise OtrError(f"{m} clipped outputs make {n * n_parts:,} pieces; weigh fewer of them at a time")
             low, high = np.array(list(product(*parts)), dtype=np.float64).reshape(n_parts, m, 2).transpose(2, 0, 1)
             return _Open(np.repeat(leaves, n_parts), np.tile(low, (n, 1)), np.tile(high, (n, 1)))
-        both = [self.question.limits(leaf) for leaf in leaves.tolist()]
+        both = []
+        for leaf in leaves.tolist():
+            check_time()
+            both.append(self.question.limits(leaf))
         low, high = (np.array([pair[side] for pair in both], dtype=np.float64).reshape(n, m) for side in (0, 1))
         return _Open(leaves, low, high)
 
@@ -214,9 +239,10 @@ class Search:
         sides = np.concatenate((-outputs, outputs), axis=1)
         sides[:, :m, -1] += np.where(np.isfinite(low), low, 0.0)
         sides[:, m:, -1] -= np.where(np.isfinite(high), high, 0.0)
-        rows = self.rows.take(leaves).followed_by(self.domain.rows_of(sides))
+        of_leaves, of_paths = leaf_rows(self.tree, self.domain, leaves)
+        rows = of_leaves.followed_by(self.domain.rows_of(sides))
         used = np.isfinite(np.concatenate((low, high), axis=1))
-        signs = np.concatenate((self.signs[leaves], np.where(used, -1, 0).astype(np.int8)), axis=1)
+        signs = np.concatenate((of_paths, np.where(used, -1, 0).astype(np.int8)), axis=1)
         return rows, signs, self.domain.scaled(objectives), lines
 
     def _cut(self, waiting: _Open, states: FloatArray) -> _Open:

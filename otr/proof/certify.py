@@ -6,36 +6,34 @@ leaf is too thin for floating point, the search is repeated in exact arithmetic 
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from fractions import Fraction
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otr.core.arrays import IntArray
+from otr.core.clock import check_time, time_limit
 from otr.core.domain import Box, Domain, as_domain
-from otr.core.half_spaces import HalfSpaces
 from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
 from otr.errors import CertificateError, TreeTooLargeError
 from otr.geometry.arrangement import Block, Walk
-from otr.geometry.largest_balls import Balls, largest_balls
+from otr.geometry.largest_balls import largest_balls
 from otr.geometry.rational import Point, as_point
-from otr.geometry.regions import leaf_rows
-from otr.geometry.simplex import Bases
-from otr.proof.certificate import Cell, Certificate
+from otr.geometry.regions import chunks_of_leaves, leaf_rows
+from otr.proof.certificate import Cell, Certificate, Sum
 from otr.proof.exact_cells import (
     ExactCell,
     as_sum,
     counterexample,
-    decide,
+    decide_in,
     differs,
     find_cells,
     largest_gap,
     refused_at,
 )
-from otr.proof.exact_rows import ExactRow, TreeAndNetwork, rounded_up
+from otr.proof.exact_rows import ExactRow, TreeAndNetwork, is_wide, rounded_up
 from otr.proof.float_cells import cells_of, empty_sum, row_names, start_of_walk
 from otr.proof.label_cells import near_cell
 from otr.proof.verify import Checker, check_cover
@@ -65,7 +63,7 @@ def certify(
     Raises:
         CertificateError: the two differ; the message names the leaf, a point of it and the answers there. Or, rarely,
             they may be the same and no proof to `max_error` was found, which the message says.
-        TreeTooLargeError: a limit was met.
+        TreeTooLargeError: a limit was met, of time a TimeLimitError.
         ValueError: the domain or the tree does not fit the network.
     """
     if not isinstance(tree, ObliqueTree) or not isinstance(network, ReluNetwork):
@@ -78,8 +76,10 @@ def certify(
         raise ValueError(f"max_error is {max_error}, expected a finite number of at least 0")
     box = as_domain(network.domain if domain is None else domain, network.n_inputs)
     _check_fit(tree, network)
-    search = _Certification(TreeAndNetwork(tree, network, box), max_error, max_regions, max_seconds)
-    return search.run()
+    pair = TreeAndNetwork(tree, network, box, in_box=is_wide(tree, network, box))
+    search = _Certification(pair, max_error, max_regions)
+    with time_limit(max_seconds, search.reached):
+        return search.run()
 
 
 def _check_fit(tree: ObliqueTree, network: ReluNetwork) -> None:
@@ -90,25 +90,24 @@ def _check_fit(tree: ObliqueTree, network: ReluNetwork) -> None:
 
 
 class _Certification:
-    def __init__(self, pair: TreeAndNetwork, max_error: float, max_regions: int, max_seconds: float | None) -> None:
+    def __init__(self, pair: TreeAndNetwork, max_error: float, max_regions: int) -> None:
         self.pair, self.checker = pair, Checker(pair)
-        self.max_error, self.max_regions, self.max_seconds = Fraction(max_error), max_regions, max_seconds
+        self.max_error, self.max_regions = Fraction(max_error), max_regions
         self.n_programs = 0
         self.errors: dict[int, Fraction] = {}  # by leaf, of the cells that are kept
-        self.began = time.monotonic()
+        self.walk = Walk(pair.network, pair.network.unit_form(), pair.domain, max_regions)
+
+    def reached(self) -> str:
+        """Return how far the search came, in words."""
+        return f"{len(self.errors):,} of {self.pair.tree.n_leaves:,} leaves had cells that are proved"
 
     def run(self) -> Certificate:
         """Return the certificate."""
         tree, domain = self.pair.tree, self.pair.domain
-        rows, signs = leaf_rows(tree, domain, np.arange(tree.n_leaves))
-        balls = largest_balls(rows, np.arange(tree.n_leaves), signs, Bases.start(tree.n_leaves, domain.n_inputs))
-        self.n_programs += tree.n_leaves
-        names = row_names(tree, domain)
         cells: list[Cell] = []
-        for leaf in np.flatnonzero(balls.radii == 0).tolist():
-            cells += self._cells_of_thin_leaf(leaf, balls, rows, names[leaf])
-        for leaf, found in self._walked(rows, signs, balls, names).items():
-            cells += self._proved(leaf, found)
+        for leaves in chunks_of_leaves(tree, domain, in_box=self.pair.in_box):
+            cells += self._cells_of_leaves(leaves)
+        self.n_programs += self.walk.n_linear_programs
         cells.sort(key=lambda cell: (cell.leaf, cell.outcomes))
         return Certificate(
             domain,
@@ -118,22 +117,34 @@ class _Certification:
             tuple(cells),
         )
 
-    def _walked(
-        self, rows: HalfSpaces, signs: NDArray[np.int8], balls: Balls, names: list[list[str]]
-    ) -> dict[int, list[Cell]]:
+    def _cells_of_leaves(self, leaves: IntArray) -> list[Cell]:
+        """Return the proved cells of some leaves."""
+        rows, signs = leaf_rows(self.pair.tree, self.pair.domain, leaves, in_box=self.pair.in_box)
+        balls = largest_balls(rows, np.arange(len(leaves)), signs)
+        self.n_programs += len(leaves)
+        _, sides = self.pair.domain.sides(in_box=self.pair.in_box)
+        names = row_names(self.pair.tree, sides, leaves)
+        cells: list[Cell] = []
+        for at in np.flatnonzero(balls.radii == 0).tolist():
+            check_time()
+            leaf = int(leaves[at])
+            shown = empty_sum(at, balls, rows, names[leaf]) if balls.is_empty[at] else None
+            cells += self._cells_of_thin_leaf(leaf, shown)
+        start = start_of_walk(leaves, rows, signs, balls)
+        for leaf, found in self._walked(start, names).items():
+            cells += self._proved(leaf, found)
+        return cells
+
+    def _walked(self, start: Block, names: dict[int, list[str]]) -> dict[int, list[Cell]]:
         """Return the cells, by leaf, that a walk in floating point finds in those that have an inner point."""
-        if not (balls.radii > 0).any():
-            return {}
-        network, domain = self.pair.network, self.pair.domain
-        walk = Walk(network, network.unit_form(), domain, self.max_regions, self.max_seconds)
         by_leaf: dict[int, list[Cell]] = {}
-        for block in walk.run(start_of_walk(rows, signs, balls)):
+        for block in self.walk.run(start) if len(start.origin) else ():
             self._check_answers(block)
-            found, n_solved = cells_of(block, names, rows.n_rows, domain, self.pair.tree.labels is not None)
+            has_labels = self.pair.tree.labels is not None
+            found, n_solved = cells_of(block, names, start.rows.n_rows, self.pair.domain, has_labels)
             self.n_programs += n_solved
             for cell in found:
                 by_leaf.setdefault(cell.leaf, []).append(cell)
-        self.n_programs += walk.n_linear_programs
         return by_leaf
 
     def _check_answers(self, block: Block) -> None:
@@ -154,17 +165,17 @@ class _Certification:
             if leaf is not None:
                 raise refused_at(self.pair, leaf, point)
 
-    def _cells_of_thin_leaf(self, leaf: int, balls: Balls, rows: HalfSpaces, names: list[str]) -> list[Cell]:
-        """Return the proof that a leaf's region is empty, or the cells in it, found in exact arithmetic."""
-        if balls.is_empty[leaf]:
-            cell = Cell(leaf, "", (), empty=empty_sum(leaf, balls, rows, names))
+    def _cells_of_thin_leaf(self, leaf: int, shown: Sum | None) -> list[Cell]:
+        """Return the proof that a leaf's region is empty, that of floating point or another, or the cells in it."""
+        if shown is not None:
+            cell = Cell(leaf, "", (), empty=shown)
             try:
                 self.checker.error(cell)
                 return [cell]
             except CertificateError:
                 pass  # the sum is off by rounding, or shows no more than that
         of_leaf = self.pair.rows_of_leaf(leaf)
-        point = decide(of_leaf, self.pair.network.n_inputs)
+        point = decide_in(self.pair, of_leaf)
         self.n_programs += 1
         if not isinstance(point, tuple):
             return [Cell(leaf, "", (), empty=as_sum(point))]
@@ -174,10 +185,11 @@ class _Certification:
         """Return a leaf's cells with proofs that hold, found again where these do not."""
         proved = []
         for cell in cells:
+            check_time()
             better = cell if self._is_proved(cell) else self._closer(cell)
             if better is None:
                 of_leaf = self.pair.rows_of_leaf(leaf)
-                point = decide(of_leaf, self.pair.network.n_inputs)
+                point = decide_in(self.pair, of_leaf)
                 assert isinstance(point, tuple)  # the walk had an inner point
                 proved = self._exact_cells(leaf, of_leaf, point)
                 break
@@ -194,7 +206,7 @@ class _Certification:
         rows = pair.rows_of_leaf(cell.leaf)
         for split in cell.splits:
             rows[f"neuron {split}"] = ExactRow(tests[split] if outcomes[split] else -tests[split], outcomes[split])
-        point = decide(rows, pair.network.n_inputs)
+        point = decide_in(pair, rows)
         self.n_programs += 1
         if not isinstance(point, tuple):
             if not cell.splits:
@@ -243,10 +255,9 @@ class _Certification:
         return cells
 
     def _check_limits(self, n_cells: int) -> None:
-        seconds = time.monotonic() - self.began
-        if n_cells > self.max_regions or (self.max_seconds is not None and seconds > self.max_seconds):
-            limit = f"{self.max_regions:,} regions" if n_cells > self.max_regions else f"{self.max_seconds:g} s"
+        check_time()
+        if n_cells > self.max_regions:
             raise TreeTooLargeError(
-                f"the limit of {limit} was met after {seconds:.1f} s among the cells of one leaf; raise max_regions or "
-                "max_seconds, or give a smaller domain"
+                f"the limit of {self.max_regions:,} regions was met among the cells of one leaf; raise the limit, or "
+                "give a smaller domain"
             )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from otr.core.clock import time_limit
 from otr.core.domain import Box, Domain
 from otr.core.head import Head
 from otr.core.heads import Argmax, ClipBox, Exp, Identity, TanhBox
@@ -20,6 +21,7 @@ def find_difference(
     *,
     max_difference: float = 0.0,
     max_leaves: int = 2**14,
+    max_seconds: float | None = None,
 ) -> Verdict:
     """Return a proof that two trees differ by no more than `max_difference` on a box, or a state where they do.
 
@@ -31,7 +33,7 @@ def find_difference(
         tree, other: with equal numbers of inputs and outputs and heads of one kind, or both with labels.
         box: bounded.
         max_difference: of labels, which are equal or not, 0.
-        max_leaves: refuse more pairs of leaves.
+        max_leaves, max_seconds: refuse more pairs of leaves, or to look for longer.
 
     Returns:
         A verdict whose `value` is the largest difference or, where it does not hold, the one at `state`. Its `action`
@@ -39,8 +41,15 @@ def find_difference(
 
     Raises:
         ValueError: the trees do not fit each other, the box is unbounded, or labels are allowed to differ.
-        TreeTooLargeError: there are more pairs of leaves.
+        TreeTooLargeError: there are more pairs of leaves, or, a TimeLimitError, the time was over.
     """
+    with time_limit(max_seconds, lambda: f"{tree.n_leaves:,} leaves were compared with {other.n_leaves:,}"):
+        return _find_difference(tree, other, box, max_difference, max_leaves)
+
+
+def _find_difference(
+    tree: ObliqueTree, other: ObliqueTree, box: Box | Domain, max_difference: float, max_leaves: int
+) -> Verdict:
     n_pairs = tree.n_leaves * other.n_leaves
     if n_pairs > max_leaves:
         raise TreeTooLargeError(

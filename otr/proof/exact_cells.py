@@ -17,11 +17,11 @@ import numpy as np
 from otr.core.arrays import FloatArray
 from otr.core.domain import Domain
 from otr.core.heads import Identity
-from otr.errors import CertificateError
+from otr.errors import CertificateError, TimeLimitError
 from otr.geometry.rational import Integers, Point, as_point, integers, nearest_state
-from otr.geometry.rational_linear_programs import inner_point, largest_value
+from otr.geometry.rational_linear_programs import ExactBox, inner_point, largest_value
 from otr.proof.certificate import Sum
-from otr.proof.exact_rows import ExactRow, TreeAndNetwork
+from otr.proof.exact_rows import ExactRow, TreeAndNetwork, TreeOnDomain
 
 _MAX_CELLS = 1000  # looked at for a point that shows a refusal
 
@@ -46,8 +46,20 @@ class ExactCell:
 
 def decide(rows: dict[str, ExactRow], n_inputs: int) -> Point | Multipliers:
     """Return a point at which all rows hold, or multipliers that show that there is none."""
+    return _point_or_multipliers(rows, stacked(rows, n_inputs), None)
+
+
+def decide_in(pair: TreeOnDomain, rows: dict[str, ExactRow], box: ExactBox | None = None) -> Point | Multipliers:
+    """Return a point of a domain at which rows in the coordinates of a pair hold, or multipliers as in `decide`.
+
+    With a box, the point is in that instead.
+    """
+    return _point_or_multipliers(rows, pair.stacked(rows), pair.box if box is None else box)
+
+
+def _point_or_multipliers(rows: dict[str, ExactRow], numbers: Integers, box: ExactBox | None) -> Point | Multipliers:
     names = list(rows)
-    found = inner_point(stacked(rows, n_inputs), [rows[name].is_strict for name in names])
+    found = inner_point(numbers, [rows[name].is_strict for name in names], box)
     if found.t is not None and found.t > 0 and found.point is not None:
         return found.point
     return {names[row]: multiplier for row, multiplier in found.multipliers.items()}
@@ -56,13 +68,15 @@ def decide(rows: dict[str, ExactRow], n_inputs: int) -> Point | Multipliers:
 def cells_of_leaf(pair: TreeAndNetwork, leaf: int) -> Iterator[ExactCell]:
     """Yield the network's cells in a leaf's region; none if it is empty."""
     rows = pair.rows_of_leaf(leaf)
-    point = decide(rows, pair.network.n_inputs)
+    point = decide_in(pair, rows)
     if isinstance(point, tuple):
         yield from find_cells(pair, leaf, rows, point)
 
 
-def find_cells(pair: TreeAndNetwork, leaf: int, rows: dict[str, ExactRow], point: Point) -> Iterator[ExactCell]:
-    """Yield the network's cells in a leaf's region of these rows, in which a point lies, depth first."""
+def find_cells(
+    pair: TreeAndNetwork, leaf: int, rows: dict[str, ExactRow], point: Point, box: ExactBox | None = None
+) -> Iterator[ExactCell]:
+    """Yield the network's cells in a leaf's region of these rows, and of a box, in which a point lies, depth first."""
     n = pair.network.n_hidden
     starts = set(pair.network.unit_form().layer_starts)
     waiting: list[tuple[tuple[bool, ...], dict[str, ExactRow], dict[int, Multipliers], Point, Integers]] = [
@@ -81,7 +95,7 @@ def find_cells(pair: TreeAndNetwork, leaf: int, rows: dict[str, ExactRow], point
         near = pair.values(form[None], point)[0] > 0
         name = f"neuron {test}"
         sides = {outcome: rows | {name: ExactRow(form if outcome else -form, outcome)} for outcome in (False, True)}
-        far = decide(sides[not near], pair.network.n_inputs)
+        far = decide_in(pair, sides[not near], box)
         if isinstance(far, tuple):
             waiting.append(((*outcomes, not near), sides[not near], proofs, far, forms))
             waiting.append(((*outcomes, near), sides[near], proofs, point, forms))
@@ -102,17 +116,21 @@ def largest_gap(pair: TreeAndNetwork, cell: ExactCell) -> list[tuple[list[Point]
 
 
 def largest_in_cell(pair: TreeAndNetwork, cell: ExactCell, form: Integers) -> tuple[list[Point], Multipliers]:
-    """Return where a form (d + 1,) is largest in a cell, as `largest_gap` does, and what bounds it."""
-    rows, domain = stacked(cell.rows, pair.network.n_inputs), pair.domain
+    """Return where a form, in the pair's coordinates, is largest in a cell, as `largest_gap`, and what bounds it."""
+    rows, domain = pair.stacked(cell.rows), pair.domain
     names, is_open = list(cell.rows), np.isinf(domain.low) | np.isinf(domain.high)
     widest = Fraction(float(np.abs([domain.low[~is_open], domain.high[~is_open]]).max(initial=1.0)))
+    box = None if is_open.any() else pair.box
+    if is_open.any() and pair.box is not None:  # as rows, too, which no multiplier is asked for of
+        rows = np.concatenate((rows, integers(domain.sides()[0])[0]))
     if is_open.any():  # x / s for x, with |x_i| <= 1 where it is open and 0 <= s <= 1
         limits = [np.eye(len(is_open) + 2, dtype=np.int64)[i] for i in (*np.flatnonzero(is_open), len(is_open))]
         ones = np.eye(len(is_open) + 2, dtype=np.int64)[-1]
         bounds = [*(ones - limit for limit in limits), *(ones + limit for limit in limits[:-1]), limits[-1]]
         rows = np.concatenate((np.column_stack((rows, [0] * len(rows))), np.array(bounds).astype(object)))
-    numbers = [*form.tolist(), 0] if is_open.any() else form.tolist()
-    best = largest_value(rows, numbers, sum(map(abs, numbers)) * (widest + 1) + 1)
+    written = pair.written_out(form)[0].tolist()
+    numbers = [*written, 0] if is_open.any() else written
+    best = largest_value(rows, numbers, sum(map(abs, numbers)) * (widest + 1) + 1, box)
     assert best.point is not None  # the cell is not empty
     multipliers = {names[row]: multiplier for row, multiplier in best.multipliers.items() if row < len(names)}
     if not is_open.any():
@@ -169,23 +187,33 @@ def differs(pair: TreeAndNetwork, point: Point, max_error: Fraction) -> int | No
 def cells_near(pair: TreeAndNetwork, leaf: int, point: Point, distance: Fraction) -> Iterator[ExactCell]:
     """Yield the network's cells among the states of the domain that are no farther from a point, as labels count."""
     rows, unit = dict(pair.sides), pair.unit_at(point)
-    for i, (value, width) in enumerate(zip(point, pair.widths(), strict=True)):
+    reach = [distance * width * unit for width in pair.widths()]
+    if pair.in_box:  # rounded outwards
+        ends = [[float(value + sign * step) for value, step in zip(point, reach, strict=True)] for sign in (-1, 1)]
+        low, high = np.nextafter(ends[0], -np.inf), np.nextafter(ends[1], np.inf)
+        box = ExactBox(np.maximum(low, pair.domain.low), np.minimum(high, pair.domain.high))
+        yield from find_cells(pair, leaf, rows, point, box)
+        return
+    for i, (value, step) in enumerate(zip(point, reach, strict=True)):
         for sign in (1, -1):
-            limit = distance * width * unit - sign * value
+            limit = step - sign * value
             numbers = np.array([0] * len(point) + [limit.numerator], dtype=object)
             numbers[i] = sign * limit.denominator
             rows[f"near {sign} {i}"] = ExactRow(numbers, False)
-    return find_cells(pair, leaf, rows, point)
+    yield from find_cells(pair, leaf, rows, point)
 
 
 def refusal(error: CertificateError, pair: TreeAndNetwork, max_error: float) -> CertificateError:
     """Return a refusal with a point of its leaf where tree and network differ, or as it was if none is found soon."""
     if error.leaf is None or not 0 <= error.leaf < pair.tree.n_leaves:
         return error
-    for cell in islice(cells_of_leaf(pair, error.leaf), _MAX_CELLS):
-        point = counterexample(pair, cell, Fraction(max_error))
-        if point is not None:
-            return refused_at(pair, error.leaf, point)
+    try:
+        for cell in islice(cells_of_leaf(pair, error.leaf), _MAX_CELLS):
+            point = counterexample(pair, cell, Fraction(max_error))
+            if point is not None:
+                return refused_at(pair, error.leaf, point)
+    except TimeLimitError:  # it is refused all the same
+        pass
     return error
 
 

@@ -16,14 +16,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from otr.core.arrays import FloatArray
 from otr.core.domain import Domain
 from otr.core.network import ReluNetwork
+from otr.core.pattern_tree import units_and_basis
 from otr.core.tree import ObliqueTree
-from otr.geometry.rational import ExactTree, ExactUnits, Integers, Point, at, common_integers, integers
+from otr.geometry.rational import Basis, ExactTree, ExactUnits, Integers, Point, common_integers, integers
+from otr.geometry.rational_linear_programs import ExactBox
 from otr.geometry.regions import leaf_paths
 
 ON_BOUNDARY = Fraction(5e-324)  # the smallest float64 above 0: labels that differ on boundaries between them alone
 INFINITE = Fraction(10) ** 999
+_BELOW_ZERO = Fraction(-1, 10**30)
 
 
 class ExactRow(NamedTuple):
@@ -36,16 +40,28 @@ class ExactRow(NamedTuple):
 class TreeOnDomain(ExactTree):
     """A tree on a domain in exact arithmetic; rows and forms, and the domain's `sides`, are integers over 2**power."""
 
-    def __init__(self, tree: ObliqueTree, domain: Domain, power: int = 0) -> None:
-        """Hold all numbers as integers over 2**power, which is at least the given one."""
-        super().__init__(tree)
-        self.domain = domain
-        forms, names = domain.sides()
+    def __init__(
+        self,
+        tree: ObliqueTree,
+        domain: Domain,
+        power: int = 0,
+        basis: Basis | None = None,
+        columns: Sequence[int] = (),
+        *,
+        in_box: bool = False,
+    ) -> None:
+        """Hold all numbers as integers over 2**power, which is at least the given one.
+
+        Basis and columns are `ExactTree`'s. With `in_box` the sides of inputs that have two are no rows.
+        """
+        super().__init__(tree, basis, columns)
+        self.domain, self.in_box = domain, in_box
+        forms, names = domain.sides(in_box=in_box)
         sides, of_sides = integers(forms)
-        parts = [(self.tests, self.power), (self.maps, self.power), (sides, of_sides)]
-        self.power = max(power, self.power, of_sides)
-        self.tests, self.maps, sides = common_integers(parts, self.power)
-        self.sides = {name: ExactRow(row, False) for name, row in zip(names, sides, strict=True)}
+        self.raise_to(max(power, of_sides))
+        self.sides = {
+            name: ExactRow(row * 2 ** (self.power - of_sides), False) for name, row in zip(names, sides, strict=True)
+        }
         self._paths = leaf_paths(tree)
 
     def rows_of_leaf(self, leaf: int) -> dict[str, ExactRow]:
@@ -58,24 +74,59 @@ class TreeOnDomain(ExactTree):
         }
         return self.sides | tests
 
+    def written_out(self, forms: Integers) -> tuple[Integers, int]:
+        """Return forms in the inputs, (..., d + 1), and the power of two that they are over."""
+        return (
+            (forms, self.power)
+            if self.basis is None
+            else (self.basis.written_out(forms), self.power + self.basis.power)
+        )
+
+    @property
+    def n_coordinates(self) -> int:
+        """Number of coefficients of a form: inputs, or rows of the basis."""
+        return self.domain.n_inputs if self.basis is None else self.basis.n_rows
+
+    @property
+    def box(self) -> ExactBox | None:
+        """The limits of inputs that have two, where these are no rows."""
+        is_open = np.isinf(self.domain.low) | np.isinf(self.domain.high)
+        low, high = np.where(is_open, -np.inf, self.domain.low), np.where(is_open, np.inf, self.domain.high)
+        return ExactBox(low, high) if self.in_box else None
+
+    def stacked(self, rows: dict[str, ExactRow]) -> Integers:
+        """Return rows as one array (m, d + 1), in the inputs."""
+        numbers = np.array([row.numbers for row in rows.values()], dtype=object)
+        return self.written_out(numbers.reshape(len(rows), self.n_coordinates + 1))[0]
+
+    def along(self, forms: Sequence[Integers], way: Integers, denominator: int) -> list[Fraction]:
+        """Return ``a . p + b s`` of forms [a | b], of integers (p, s) in the inputs over a denominator."""
+        power, place = (
+            (self.power, way) if self.basis is None else (self.power + self.basis.power, self.basis.along(way))
+        )
+        return [Fraction(int(form @ place), denominator << power) for form in forms]
+
     def is_inside(self, point: Point) -> bool:
         """Return whether a point is in the domain."""
         limits = zip(self.domain.low.tolist(), point, self.domain.high.tolist(), strict=True)
         return all(low <= value <= high for low, value, high in limits)
 
-    def values(self, forms: Integers, point: Point) -> list[Fraction]:
-        """Return the values of forms (m, d + 1) at a point."""
-        return at(forms, self.power, point)
-
 
 class TreeAndNetwork(TreeOnDomain):
     """A tree and a network that are said to be the same function on a domain; `n_tests` counts the network's tests."""
 
-    def __init__(self, tree: ObliqueTree, network: ReluNetwork, domain: Domain) -> None:
-        """Hold the numbers of all three as integers over one power of two."""
-        self.network, self.units = network, ExactUnits(network)
-        super().__init__(tree, domain, self.units.power)
+    def __init__(self, tree: ObliqueTree, network: ReluNetwork, domain: Domain, *, in_box: bool = False) -> None:
+        """Hold the numbers of all three as integers over one power of two.
+
+        With `in_box` forms are of the rows that network and tree read their inputs by, where these are few and no side
+        of the domain is a row.
+        """
         self.n_tests = network.n_hidden + network.head.n_tests(network.n_outputs)
+        of_products = in_box and not domain.sides(in_box=True)[1]
+        rows, columns = _common_basis(tree, network) if of_products else (None, [])
+        basis = None if rows is None else Basis(rows)
+        self.network, self.units = network, ExactUnits(network, basis)
+        super().__init__(tree, domain, self.units.power, basis, columns, in_box=in_box)
 
     def forms(self, outcomes: Sequence[bool]) -> Integers:
         """Return the forms of all units, in order, up to the first layer that `outcomes` do not feed: (n, d + 1)."""
@@ -151,19 +202,31 @@ class TreeAndNetwork(TreeOnDomain):
 class Bounds:
     """Bounds of affine forms over a domain; where it is open, in units of 1 + the sum of |x_i| over the open inputs."""
 
-    def __init__(self, domain: Domain, power: int) -> None:
-        """Take the forms' power of two: they are integers over 2**power."""
+    def __init__(self, domain: Domain, power: int, basis: Basis | None = None) -> None:
+        """Take the forms' power of two: they are integers over 2**power, of a basis (r, d) r + 1 of them."""
         self.is_closed = np.isfinite(domain.low) & np.isfinite(domain.high)
         low, high = (integers(np.where(self.is_closed, limits, 0.0)) for limits in (domain.low, domain.high))
         of_limits = max(low[1], high[1])
         self._low, self._high = common_integers((low, high), of_limits)
         self._unit, self._scale = 2**of_limits, 2 ** (of_limits + power)
+        self._basis = basis
+        if basis is not None:
+            self._scale *= 2**basis.power
+            sizes = abs(basis.written_out(np.eye(basis.n_rows, basis.n_rows + 1, dtype=np.int64).astype(object)))
+            self._reach = sizes[:, :-1] @ np.maximum(abs(self._low), abs(self._high))  # of each product
 
-    def highest(self, form: Integers, *, is_relative: bool = True) -> Fraction:
+    def highest(self, form: Integers, *, is_relative: bool = True, enough: Fraction = _BELOW_ZERO) -> Fraction:
         """Return a bound on the highest value of a form (d + 1,) of integers, in the units above.
 
-        Without `is_relative`, a form that is not constant in the open inputs has no bound.
+        Without `is_relative`, a form that is not constant in the open inputs has no bound. Of products of the inputs, a
+        rough bound does where it is no larger than what is `enough`.
         """
+        if self._basis is not None:
+            reach = abs(form[:-1]) @ self._reach if self.is_closed.all() else 0
+            rough = Fraction(int(form[-1] * 2**self._basis.power * self._unit + reach), self._scale)
+            if not form[:-1].any() or (self.is_closed.all() and rough <= enough):
+                return rough
+            form = self._basis.written_out(form)
         f = form[:-1]
         highest = form[-1] * self._unit + (f * np.where(f > 0, self._high, self._low)).sum()
         open_slope = max((abs(slope) for slope in f[~self.is_closed]), default=0)
@@ -179,3 +242,21 @@ def rounded_up(value: Fraction) -> float:
     except OverflowError:
         return math.inf if value > 0 else -sys.float_info.max
     return nearest if Fraction(nearest) >= value else math.nextafter(nearest, math.inf)
+
+
+def _common_basis(tree: ObliqueTree, network: ReluNetwork) -> tuple[FloatArray | None, list[int]]:
+    """Return the rows (r, d) by which a network reads its inputs, and which of them a tree's basis has; None if not so.
+
+    Trees that are mapped from a network have such a basis (`units_and_basis`).
+    """
+    _, rows = units_and_basis(network)
+    if rows is None or tree.basis is None:
+        return None, []
+    place = {row.tobytes(): i for i, row in reversed(list(enumerate(rows)))}
+    columns = [place.get(row.tobytes(), -1) for row in tree.basis]
+    return (None, []) if -1 in columns or len(set(columns)) < len(columns) else (rows, columns)
+
+
+def is_wide(tree: ObliqueTree, network: ReluNetwork, domain: Domain) -> bool:
+    """Return whether inputs are so many that proofs are about few products of them, and a box has no rows."""
+    return domain.is_wide(tree.depth + network.n_hidden + network.head.n_tests(network.n_outputs))

@@ -5,6 +5,8 @@ What stands here is a proposal: `otr.proof.certify` checks every cell in exact a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,37 +24,37 @@ _DIGITS = (3, 6)  # of multipliers, tried in this order
 _CLEAR = 1e-9  # of a row of unit length: a remainder above it shows the sign beyond rounding
 
 
-def start_of_walk(rows: HalfSpaces, signs: NDArray[np.int8], balls: Balls) -> Block:
-    """Return the regions of the leaves that have an inner point, as the start of a walk."""
-    leaves = np.flatnonzero(balls.radii > 0)
+def start_of_walk(leaves: IntArray, rows: HalfSpaces, signs: NDArray[np.int8], balls: Balls) -> Block:
+    """Return the regions of those of the leaves (n,) that have an inner point, as the start of a walk."""
+    at = np.flatnonzero(balls.radii > 0)
     return Block(
-        leaves,
-        np.zeros((len(leaves), 0), dtype=np.bool_),
-        signs[leaves],
-        np.arange(len(leaves)),
-        rows.take(leaves),
-        balls.centres[leaves],
-        balls.radii[leaves],
-        balls.bases.take(leaves),
+        leaves[at],
+        np.zeros((len(at), 0), dtype=np.bool_),
+        signs[at],
+        np.arange(len(at)),
+        rows.take(at),
+        balls.centres[at],
+        balls.radii[at],
+        balls.bases.take(at),
     )
 
 
-def empty_sum(leaf: int, balls: Balls, rows: HalfSpaces, names: list[str]) -> Sum:
-    """Return the sum that showed in floating point that a leaf's region, of the rows of group `leaf`, is empty."""
-    basis, multipliers = balls.bases.rows[leaf], balls.bases.multipliers[leaf]
+def empty_sum(at: int, balls: Balls, rows: HalfSpaces, names: list[str]) -> Sum:
+    """Return the sum that showed in floating point that a leaf's region, of the rows of group `at`, is empty."""
+    basis, multipliers = balls.bases.rows[at], balls.bases.multipliers[at]
     used = (basis >= 0) & (multipliers > _NEGLIGIBLE * multipliers.max())
-    weights = np.where(used, multipliers / rows.lengths[leaf, np.where(used, basis, 0)], 0.0)
+    weights = np.where(used, multipliers / rows.lengths[at, np.where(used, basis, 0)], 0.0)
     return _named_sum(basis.tolist(), weights.tolist(), names)
 
 
-def row_names(tree: ObliqueTree, domain: Domain) -> list[list[str]]:
-    """Return, for every leaf, the names of its region's rows: the domain's sides and the tests on its path."""
-    _, sides = domain.sides()
-    return [[*sides, *(f"test {node}" for node in path)] for path in leaf_paths(tree)[0].tolist()]
+def row_names(tree: ObliqueTree, sides: Sequence[str], leaves: IntArray) -> dict[int, list[str]]:
+    """Return, by leaf, the names of its region's rows: the domain's sides and the tests on its path."""
+    paths = zip(leaves.tolist(), leaf_paths(tree)[0][leaves].tolist(), strict=True)
+    return {leaf: [*sides, *(f"test {node}" for node in path)] for leaf, path in paths}
 
 
 def cells_of(
-    block: Block, names: list[list[str]], first: int, domain: Domain, has_labels: bool
+    block: Block, names: dict[int, list[str]], first: int, domain: Domain, has_labels: bool
 ) -> tuple[list[Cell], int]:
     """Return the cells of a finished block with their proofs, and how many linear programs these took.
 
@@ -73,7 +75,7 @@ def cells_of(
         basis, multipliers = _multipliers(block, asked, row, test, domain)
         n_programs += len(asked)
         for cell, rows, weights in zip(asked.tolist(), basis.tolist(), multipliers.tolist(), strict=True):
-            proofs[cell, test] = _named_sum(rows, weights, names[block.origin[cell]])
+            proofs[cell, test] = _named_sum(rows, weights, names[int(block.origin[cell])])
     cells, centres = [], domain.unscaled(block.centres)
     for cell in range(n):
         outcomes = "".join("1" if outcome else "0" for outcome in block.outcomes[cell])

@@ -13,7 +13,8 @@ from itertools import islice
 
 import numpy as np
 
-from otr.geometry.rational import Integers, without_denominators
+from otr.core.clock import check_time
+from otr.geometry.rational import Integers, nearest_state, without_denominators
 from otr.geometry.rational_linear_programs import inner_point, largest_value
 from otr.proof.certificate import Cell
 from otr.proof.exact_cells import ExactCell, as_sum, cells_near, largest_in_cell
@@ -30,6 +31,7 @@ def near_cell(checker: Checker, cell: Cell, exact: ExactCell, max_error: Fractio
     """
     pair = checker.pair
     for outcomes in _pieces(pair, exact, max_error):
+        check_time()
         near = "".join("1" if outcome else "0" for outcome in outcomes)
         forms = [*pair.turned(outcomes), *(row.numbers for row in pair.sides.values())]
         proved = _with_proofs(pair, replace(cell, near=near), exact, forms)
@@ -62,8 +64,22 @@ def _pieces(pair: TreeAndNetwork, exact: ExactCell, distance: Fraction) -> Itera
 def _ways(pair: TreeAndNetwork, cell: Cell, forms: Sequence[Integers], least: Sequence[Fraction]) -> Iterator[Cell]:
     """Yield a cell with the shortest way to where no form is below 0, then with one to a point well inside.
 
-    The forms are those of tests, then of the domain's sides; the values of a cell's states are not below -least.
+    The forms are those of tests, then of the domain's sides; the values of a cell's states are not below -least. In a
+    box of many inputs there are only ways to a point.
     """
+    if not pair.in_box:
+        yield from _shortest_way(pair, cell, forms, least)
+    inside = inner_point(pair.written_out(np.array(forms))[0], [True] * len(forms), pair.box).point
+    if pair.in_box and inside is not None and (state := nearest_state(inside)) is not None:
+        yield replace(cell, towards=(*state.tolist(), 1.0))
+    if inside is not None:
+        yield replace(cell, towards=(*inside, Fraction(1)))
+
+
+def _shortest_way(
+    pair: TreeAndNetwork, cell: Cell, forms: Sequence[Integers], least: Sequence[Fraction]
+) -> Iterator[Cell]:
+    """Yield a cell with the shortest way to where no form is below 0, if there is one."""
     rows = [
         [*map(Fraction, form.tolist()), Fraction(0), -value * 2**pair.power]  # over p, s, the distance e, and 1
         for form, value in zip(forms, least, strict=True)
@@ -83,9 +99,6 @@ def _ways(pair: TreeAndNetwork, cell: Cell, forms: Sequence[Integers], least: Se
     shortest = largest_value(whole, (-e).tolist(), Fraction(0))
     if shortest.point is not None:
         yield replace(cell, towards=shortest.point[: d + 1])
-    inside = inner_point(np.array(forms, dtype=object), [True] * len(forms))
-    if inside.point is not None:
-        yield replace(cell, towards=(*inside.point, Fraction(1)))
 
 
 def _slivers(
@@ -93,13 +106,16 @@ def _slivers(
 ) -> Iterator[Cell]:
     """Yield a cell as a sliver along a test that is nowhere far from 0, by each input that brings it there."""
     pair = checker.pair
+    if pair.in_box:
+        return  # the input is to stay within sides that no sum is of
     for onto, row in enumerate(forms[: pair.n_tests]):
+        check_time()
         thin = tuple(as_sum(largest_in_cell(pair, exact, form)[1]) for form in (-row, row))
         farthest = max(
             checker.shortfall(cell.leaf, form, proof, exact.rows) for form, proof in zip((row, -row), thin, strict=True)
         )
         for axis, width in enumerate(pair.widths()):
-            if row[axis] and farthest * 2**pair.power <= max_error * width * abs(row[axis]):
+            if row[axis] and width and farthest * 2**pair.power <= max_error * width * abs(row[axis]):
                 towards = tuple(Fraction(i == axis) for i in range(pair.domain.n_inputs + 1))
                 brought = [brought_to(row, axis, form) for form in forms]
                 yield replace(_with_proofs(pair, cell, exact, brought), towards=towards, thin=thin, onto=onto)

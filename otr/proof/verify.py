@@ -38,21 +38,27 @@ from itertools import pairwise
 
 import numpy as np
 
+from otr.core.clock import check_time, time_limit
 from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
 from otr.errors import CertificateError
 from otr.geometry.rational import Integers, without_denominators
 from otr.proof.certificate import Cell, Certificate, Sum
-from otr.proof.exact_rows import INFINITE, ON_BOUNDARY, Bounds, ExactRow, TreeAndNetwork, rounded_up
+from otr.proof.exact_rows import INFINITE, ON_BOUNDARY, Bounds, ExactRow, TreeAndNetwork, is_wide, rounded_up
+
+_NEGLIGIBLE = Fraction(1, 10**9)  # a difference of outputs that is not worth the sharpest bound
 
 
-def verify(certificate: Certificate, tree: ObliqueTree, network: ReluNetwork) -> float:
+def verify(
+    certificate: Certificate, tree: ObliqueTree, network: ReluNetwork, *, max_seconds: float | None = None
+) -> float:
     """Check that a certificate proves that `tree` computes the same function as `network`, and return the bound.
 
     Args:
         certificate: of this tree and this network.
         tree: the tree.
         network: the network.
+        max_seconds: refuse to check for longer.
 
     Returns:
         The bound on the difference, as `Certificate.max_error` is defined; not above it.
@@ -60,19 +66,34 @@ def verify(certificate: Certificate, tree: ObliqueTree, network: ReluNetwork) ->
     Raises:
         CertificateError: something is not proved; the message names the leaf, and a point where tree and network differ
             if one is found.
+        TimeLimitError: the limit was met.
     """
     given = (certificate, tree, network)
     if not all(map(isinstance, given, (Certificate, ObliqueTree, ReluNetwork))):
         names = ", ".join(type(each).__name__ for each in given)
         raise TypeError(f"verify takes a Certificate, an ObliqueTree and a ReluNetwork, got {names}")
     _check_fit(certificate, tree, network)
-    checker = Checker(TreeAndNetwork(tree, network, certificate.domain))
-    try:
-        return checker.run(certificate)
-    except CertificateError as error:
-        from otr.proof.exact_cells import refusal  # the solver; what is refused is refused without it
+    checker = Checker(TreeAndNetwork(tree, network, certificate.domain, in_box=_is_in_box(certificate, tree, network)))
+    with time_limit(max_seconds, checker.reached):
+        try:
+            return checker.run(certificate)
+        except CertificateError as error:
+            from otr.proof.exact_cells import refusal  # the solver; what is refused is refused without it
 
-        raise refusal(error, checker.pair, certificate.max_error) from error
+            raise refusal(error, checker.pair, certificate.max_error) from error
+
+
+def _is_in_box(certificate: Certificate, tree: ObliqueTree, network: ReluNetwork) -> bool:
+    """Return whether the sides of a box of many inputs may be no rows: no proof names one or is about one."""
+    domain, has_labels = certificate.domain, tree.labels is not None
+    if not is_wide(tree, network, domain):
+        return False
+    of_rows = domain.sides(in_box=True)[1]
+    if has_labels and any(cell.thin or len(cell.bounds) > len(of_rows) for cell in certificate.cells):
+        return False
+    sides = set(domain.sides()[1]) - set(of_rows)
+    sums = (each for cell in certificate.cells for each in (*cell.proofs, *cell.bounds, cell.empty) if each is not None)
+    return not any(sides.intersection(each.rows) for each in sums)
 
 
 def _check_fit(certificate: Certificate, tree: ObliqueTree, network: ReluNetwork) -> None:
@@ -100,7 +121,15 @@ class Checker:
     def __init__(self, pair: TreeAndNetwork) -> None:
         """Keep the pair."""
         self.pair = pair
-        self.bounds = Bounds(pair.domain, pair.power)
+        self.bounds = Bounds(pair.domain, pair.power, pair.basis)
+        limits = [pair.domain.low, pair.domain.high]
+        self._limits, self._unit = without_denominators(np.where(self.bounds.is_closed, limits, 0.0).ravel().tolist())
+        self._widths = list(map(float, pair.widths()))
+        self.n_checked = 0  # leaves
+
+    def reached(self) -> str:
+        """Return how far the check came, in words."""
+        return f"{self.n_checked:,} of {self.pair.tree.n_leaves:,} leaves were checked"
 
     def run(self, certificate: Certificate) -> float:
         """Check everything and return the bound on the difference."""
@@ -114,6 +143,7 @@ class Checker:
                 raise CertificateError(f"leaf {leaf}: the certificate does not cover it", leaf)
             check_cover(leaf, by_leaf[leaf])
             for cell in by_leaf[leaf]:
+                check_time()
                 error = self.error(cell)
                 if error > Fraction(certificate.max_error):
                     raise CertificateError(
@@ -122,6 +152,7 @@ class Checker:
                         leaf,
                     )
                 worst = max(worst, error)
+            self.n_checked += 1
         return rounded_up(worst)
 
     def error(self, cell: Cell) -> Fraction:
@@ -174,7 +205,7 @@ class Checker:
             if at < self.pair.n_tests:
                 least[at], is_above[at] = _few_digits(shortfall), shortfall < 0 or _has_strict_row(proof, rows)
             elif self.bounds.is_closed.all():
-                least[at] = min(Fraction(0), shortfall)
+                least[at] = Fraction(min(0.0, rounded_up(shortfall)))
         return least, is_above
 
     def _way(
@@ -186,8 +217,8 @@ class Checker:
         """
         if not towards:
             return INFINITE
-        way, denominator = without_denominators([Fraction(number) for number in towards])
-        values = [Fraction(int(form @ way), denominator << self.pair.power) for form in forms]
+        way, denominator = without_denominators(towards)
+        values = self.pair.along(forms, way, denominator)
         if any(value <= 0 < m for value, m in zip(values, least, strict=True)):
             return INFINITE
         times = max((m / value for value, m in zip(values, least, strict=True) if m > 0), default=Fraction(0))
@@ -195,18 +226,37 @@ class Checker:
         may_go_on = all(value >= 0 or end > 0 for value, end in zip(values, ends, strict=True))
         if min(ends) < 0 or not (last < 0 or ends[last] > 0 or (values[last] > 0 and may_go_on)):
             return INFINITE
-        low, high = self.pair.domain.low.tolist(), self.pair.domain.high.tolist()
         slack = dict(zip(self.pair.sides, least[self.pair.n_tests :], strict=True))
-        *p, s = (Fraction(number) for number in towards)
-        farthest = Fraction(0)
-        for i, width in enumerate(self.pair.widths()):
-            if self.bounds.is_closed[i]:
-                limits = Fraction(low[i]) - slack[f"low {i}"], Fraction(high[i]) + slack[f"high {i}"]
-                change = max(abs(p[i] - s * limit) for limit in limits)
-            else:
-                change = max(abs(p[i]), s)
-            farthest = max(farthest, change / width)
-        return max(times * farthest, ON_BOUNDARY)
+        farthest = self._farthest(way, denominator, slack)
+        return INFINITE if farthest == INFINITE else max(times * farthest, ON_BOUNDARY)
+
+    def _farthest(self, way: Integers, denominator: int, slack: dict[str, Fraction]) -> Fraction:
+        """Return how far p is from s x, at most, at states x of the domain, in widths of inputs, of a way (p, s).
+
+        By side that is a row, all states are within by the slack, times -1. Of sides that are no rows it is infinite
+        unless p is s times a state within them, so that what is between that and x is within, too.
+        """
+        limits, unit = self._limits, self._unit
+        if any(slack.values()):
+            inwards = [
+                sign * slack[f"{end} {i}"] for end, sign in (("low", -1), ("high", 1)) for i in range(len(way) - 1)
+            ]
+            limits, unit = without_denominators(
+                [Fraction(int(limit), unit) + step for limit, step in zip(limits, inwards, strict=True)]
+            )
+        (low, high), p, s = np.split(limits, 2), way[:-1], way[-1]
+        from_low, to_high, is_closed = p * unit - s * low, s * high - p * unit, self.bounds.is_closed
+        if self.pair.in_box and (np.minimum(from_low, to_high)[is_closed] < 0).any():
+            return INFINITE
+        changes = np.where(is_closed, np.maximum(abs(from_low), abs(to_high)), np.maximum(abs(p), s) * unit)
+        farthest: dict[float, int] = {}
+        for change, width in zip(changes.tolist(), self._widths, strict=True):
+            farthest[width] = max(farthest.get(width, 0), change)
+        if farthest.pop(0.0, 0):
+            return INFINITE  # of an input that is constant
+        return max((change / Fraction(width) for width, change in farthest.items()), default=Fraction(0)) / (
+            unit * denominator
+        )
 
     def _sliver(self, cell: Cell, rows: dict[str, ExactRow], forms: list[Integers]) -> Fraction:
         """Return how far a cell's states are, at most, from where test `onto` is 0 and no form is below 0.
@@ -214,7 +264,8 @@ class Checker:
         They go along the first input that `towards` names.
         """
         row = forms[cell.onto]
-        axis = next((i for i, number in enumerate(cell.towards[:-1]) if number and row[i]), -1)
+        widths = self.pair.widths()
+        axis = next((i for i, number in enumerate(cell.towards[:-1]) if number and row[i] and widths[i]), -1)
         if axis < 0:
             return INFINITE
         proofs = dict(_proofs(cell, self.pair.n_tests))
@@ -224,7 +275,7 @@ class Checker:
         farthest = max(
             self.shortfall(cell.leaf, form, proof, rows) for form, proof in zip((row, -row), cell.thin, strict=True)
         )
-        width = self.pair.widths()[axis] * abs(int(row[axis]))
+        width = widths[axis] * abs(int(row[axis]))
         return max(Fraction(farthest * 2**self.pair.power, width), ON_BOUNDARY)
 
     def shortfall(self, leaf: int, form: Integers, proof: Sum, rows: dict[str, ExactRow]) -> Fraction:
@@ -238,7 +289,7 @@ class Checker:
         for side, signed in enumerate((form, -form)):
             proof = cell.bounds[2 * at + side] if len(cell.bounds) > 2 * at + side else Sum((), ())
             total, scale = self._total(cell.leaf, proof, rows)
-            highest.append(self.bounds.highest(total + signed * scale) / scale)
+            highest.append(self.bounds.highest(total + signed * scale, enough=_NEGLIGIBLE * scale) / scale)
         return max(*highest, Fraction(0))
 
     def _output_errors(self, shortfalls: Sequence[Fraction]) -> list[Fraction]:
@@ -273,7 +324,7 @@ class Checker:
                 )
         ratios = [multiplier.as_integer_ratio() for multiplier in terms.multipliers]
         scale = math.lcm(*(denominator for _, denominator in ratios))
-        total = np.array([0] * (self.pair.domain.n_inputs + 1), dtype=object)
+        total = np.array([0] * (self.pair.n_coordinates + 1), dtype=object)
         for name, (numerator, denominator) in zip(terms.rows, ratios, strict=True):
             total += rows[name].numbers * (numerator * (scale // denominator))
         return total, scale

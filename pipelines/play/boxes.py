@@ -20,7 +20,7 @@ def given_box(env: EnvConfig, sides: Sequence[str]) -> otr.Domain:
     Raises:
         ConfigError: a side cannot be read, names no state or one twice, or a state without limits has no side.
     """
-    low, high = state_sides(env)
+    low, high = (limits.copy() for limits in state_sides(env))
     names = feature_names(env, len(low))
     given = dict[str, str]()
     for side in sides:

@@ -46,7 +46,9 @@ def _spaces(env_id: str, kwargs: str) -> Spaces:
 
 
 def _bounds(space: gym.spaces.Box) -> tuple[np.ndarray, np.ndarray]:
-    return space.low.ravel().astype(np.float64), space.high.ravel().astype(np.float64)
+    bounds = np.stack((space.low.ravel(), space.high.ravel())).astype(np.float64)
+    bounds.flags.writeable = False  # they are kept for all who ask
+    return bounds[0], bounds[1]
 
 
 def state_limits(env: EnvConfig) -> tuple[np.ndarray, np.ndarray] | None:
@@ -56,26 +58,23 @@ def state_limits(env: EnvConfig) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def state_sides(env: EnvConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lowest and the highest state, (d,) each; infinite without bounds, and for a PID policy's terms.
-
-    A number that the environment declares as constant has the least width that single precision tells from none, as a
-    domain needs an inside.
-    """
+    """Return the lowest and the highest state, (d,) each; infinite without bounds, and for a PID policy's terms."""
     if env.pid is not None:
         infinite = np.full(4 * spaces(env).n_inputs, np.inf)
         return -infinite, infinite
-    low, high = spaces(env).states
-    margin = np.where(low < high, 0.0, np.finfo(np.float32).eps * np.maximum(1.0, np.abs(high)))
-    return low - margin, high + margin
+    return spaces(env).states
 
 
 def state_box(env: EnvConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Return middle and half width of the box of states, (d,) each; refuse states without bounds."""
+    """Return middle and half width of the box of states, (d,) each; refuse states without bounds.
+
+    The half width of a number that the environment declares as constant is 1.
+    """
     limits = state_limits(env)
     if limits is None:
         raise ConfigError(f"actor.rescale_inputs=true: the states of {env.id} have no bounds")
     low, high = limits
-    return (low + high) / 2, (high - low) / 2
+    return (low + high) / 2, np.where(low < high, (high - low) / 2, 1.0)
 
 
 def feature_names(env: EnvConfig, n_inputs: int) -> list[str]:

@@ -35,6 +35,7 @@ class VerifyConfig:
     range: bool
     box: list[Side] | None
     max_difference: NotNegative | None
+    max_seconds: NotNegative | None
     certificate: FreeText | None
     tree: FreeText | None
     actor: FreeText | None

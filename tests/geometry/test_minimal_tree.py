@@ -308,5 +308,5 @@ def test_bad_requests_are_told() -> None:
         otr.minimal_tree(network, order="visits")
     with pytest.raises(ValueError, match="the domain has 3 inputs, expected 2"):
         otr.minimal_tree(network, ([0, 0, 0], [1, 1, 1]))
-    with pytest.raises(ValueError, match="input 1 has the limits 1 and 1"):
-        otr.minimal_tree(network, ([0, 1], [1, 1]))
+    with pytest.raises(ValueError, match="input 1 has the limits 1 and 0"):
+        otr.minimal_tree(network, ([0, 1], [1, 0]))

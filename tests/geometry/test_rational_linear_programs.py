@@ -4,7 +4,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
@@ -17,7 +17,7 @@ from otr.geometry.rational import (
     integers,
     without_denominators,
 )
-from otr.geometry.rational_linear_programs import inner_point, largest_value
+from otr.geometry.rational_linear_programs import ExactBox, inner_point, largest_value
 from tests.core.strategies import Case, cases
 
 
@@ -108,3 +108,29 @@ def test_denominators_of_any_size_are_multiplied_away(denominators):
     numbers, multiple = without_denominators(row)
     assert [Fraction(number, multiple) for number in numbers] == row
     assert multiple > 0 and {type(number) for number in numbers} == {int}
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 5), st.integers(1, 6))
+def test_a_box_that_is_no_rows_gives_the_same(seed: int, m: int, d: int) -> None:
+    rng = np.random.default_rng(seed)
+    rows = rng.integers(-3, 4, (m, d + 1)).astype(object)
+    low = rng.integers(-2, 1, d).astype(float)
+    high = low + rng.integers(0, 3, d) / 2
+    sides = np.zeros((2 * d, d + 1), dtype=np.int64).astype(object)
+    sides[:d, :d], sides[d:, :d] = 2 * np.eye(d, dtype=np.int64), -2 * np.eye(d, dtype=np.int64)
+    sides[:, d] = [*(-2 * low).astype(int).tolist(), *(2 * high).astype(int).tolist()]
+    strict = (rng.random(m) < 0.5).tolist()
+    in_box = inner_point(rows, strict, ExactBox(low, high))
+    with_rows = inner_point(np.concatenate((rows, sides)), [*strict, *[False] * (2 * d)])
+    has_point = [found.t is not None and found.t > 0 for found in (in_box, with_rows)]
+    assert has_point[0] == has_point[1] and (in_box.t is None or in_box.t == with_rows.t)
+    if has_point[0]:
+        assert all(a <= x <= b for a, x, b in zip(low.tolist(), in_box.point, high.tolist(), strict=True))
+        values = rows @ np.array([*in_box.point, 1], dtype=object)
+        assert all(value > 0 if above else value >= 0 for value, above in zip(values, strict, strict=True))
+        return
+    total = sum((rows[row] * value for row, value in in_box.multipliers.items()), np.zeros(d + 1, dtype=object))
+    limits = zip(map(Fraction, low.tolist()), map(Fraction, high.tolist()), strict=True)
+    highest = total[d] + sum(max(a * least, a * most) for a, (least, most) in zip(total[:d], limits, strict=True))
+    assert highest < 0 or (highest == 0 and any(strict[row] for row in in_box.multipliers))

@@ -29,6 +29,18 @@ def test_a_tree_of_784_inputs_takes_little_memory() -> None:
     )
 
 
+def test_a_box_of_452_inputs_takes_little_memory() -> None:
+    network = make_network(np.random.default_rng(0), (8,), n_inputs=452, n_outputs=4)
+    tracemalloc.start()
+    tree = otr.minimal_tree(network, (-1.0, 1.0))
+    certificate = otr.certify(tree, network, (-1.0, 1.0))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 150e6  # bases of 453 rows each, for every region, are 420 MB
+    assert tree.n_leaves == certificate.n_regions == 2**8
+    assert otr.verify(certificate, tree, network) == certificate.max_error < 1e-14
+
+
 def test_a_tree_in_a_basis_is_a_tree_like_any_other(tmp_path) -> None:
     network = make_network(np.random.default_rng(0), (4,), n_inputs=70, n_outputs=3, head="argmax")
     tree = otr.minimal_tree(network)

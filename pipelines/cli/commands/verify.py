@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import otr
+from otr.core.clock import time_limit
 from pipelines.cli.compose import Composer, to_object
 from pipelines.cli.overrides import without_environment
 from pipelines.cli.runs import load_config, written_policy
@@ -26,20 +27,21 @@ def do(arguments: argparse.Namespace) -> int:
     """Check a run's certificate, or answer a question about a policy, and print what is proved."""
     overrides, of_env = without_environment(arguments)
     cfg: VerifyConfig = to_object(VERIFY.compose(overrides))
-    if cfg.program is None and cfg.always is None and not cfg.range:
-        if cfg.box is not None:
-            raise ConfigError(
-                "box: a certificate is of the box that it was made for. Ask with always=CONDITION, range=true or "
-                "program=FILE, or make one of this box: otr-run ... certify=true box=..."
-            )
-        check_policy(cfg.run, None, cfg.env, of_env)
-        folder = find_run(cfg.run, cfg.results_dir)
-        print(fitted(verify_run(cfg, load_config(folder, None), folder), columns()))
-        return 0
-    try:
-        answers = _answers(cfg, of_env)
-    except (ValueError, otr.TreeTooLargeError) as error:  # the box is open, or the head or the size refused
-        raise ConfigError(str(error)) from error
+    with time_limit(cfg.max_seconds, lambda: "what is asked was not answered"):
+        if cfg.program is None and cfg.always is None and not cfg.range:
+            if cfg.box is not None:
+                raise ConfigError(
+                    "box: a certificate is of the box that it was made for. Ask with always=CONDITION, range=true or "
+                    "program=FILE, or make one of this box: otr-run ... certify=true box=..."
+                )
+            check_policy(cfg.run, None, cfg.env, of_env)
+            folder = find_run(cfg.run, cfg.results_dir)
+            print(fitted(verify_run(cfg, load_config(folder, None), folder), columns()))
+            return 0
+        try:
+            answers = _answers(cfg, of_env)
+        except (ValueError, otr.TreeTooLargeError) as error:  # the box is open, or the head, size or time refused
+            raise ConfigError(str(error)) from error
     return 0 if all(answer.holds for answer in answers) else 1
 
 

@@ -184,7 +184,9 @@ def _features(run: RunConfig, names: list[str], visited: NDArray[Any]) -> list[d
     features = []
     for i, name in enumerate(names):
         low, high = float(visited[:, i].min()), float(visited[:, i].max())
-        known = limits is not None and bool(max(abs(limits[0][i]), abs(limits[1][i])) <= WIDEST_LIMITS)
+        known = limits is not None and bool(
+            limits[0][i] < limits[1][i] and max(abs(limits[0][i]), abs(limits[1][i])) <= WIDEST_LIMITS
+        )
         if limits is not None and known:
             low, high = float(limits[0][i]), float(limits[1][i])
         else:

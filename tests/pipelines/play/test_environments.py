@@ -12,7 +12,7 @@ from pipelines.errors import ConfigError
 from pipelines.play.environments import is_made_anew, make_env
 from pipelines.play.own_environment import own_environment
 from pipelines.play.rollout import rollout
-from pipelines.play.spaces import state_limits
+from pipelines.play.spaces import state_box, state_limits
 
 FILES = sorted((CONF_DIR / "env").glob("*.yaml"))
 
@@ -55,9 +55,12 @@ def test_a_custom_environment_that_keeps_a_past_is_made_anew_which_is_said_once(
     )
 
 
-def test_a_state_that_is_declared_constant_has_a_box_with_an_inside():
-    low, high = state_limits(own_environment("tests.pipelines.own_envs:Fixed-v0", {}))
-    assert (low[0], high[0]) == (-5.0, 5.0) and 0.5 - 1e-6 < low[1] < 0.5 < high[1] < 0.5 + 1e-6
+def test_a_state_that_is_declared_constant_has_a_box_as_it_is_declared():
+    config = own_environment("tests.pipelines.own_envs:Fixed-v0", {})
+    low, high = state_limits(config)
+    assert (low.tolist(), high.tolist()) == ([-5.0, 0.5], [5.0, 0.5])
+    middle, half = state_box(config)
+    assert (middle.tolist(), half.tolist()) == ([0.0, 0.5], [5.0, 1.0])
 
 
 def test_unknown_environment_is_named():

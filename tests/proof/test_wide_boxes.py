@@ -1,0 +1,90 @@
+"""Certificates on boxes of many inputs, whose sides are no rows of the proof."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import otr
+from otr.core.domain import Domain
+from otr.proof.exact_rows import TreeAndNetwork
+from tests.core.strategies import Case, cases, make_network
+
+BOX = (-1.0, 1.0)
+
+
+def names_of(certificate: otr.Certificate) -> set[str]:
+    sums = [each for cell in certificate.cells for each in (*cell.proofs, *cell.bounds, cell.empty) if each is not None]
+    return {name.split()[0] for each in sums for name in each.rows}
+
+
+@pytest.mark.parametrize("head", ["identity", "argmax", "tanh_box"])
+@pytest.mark.parametrize("dense", [False, "input"])
+def test_a_proof_is_of_tests_alone_and_holds(head: str, dense: object, tmp_path) -> None:
+    network = make_network(np.random.default_rng(0), (4, 2), n_inputs=70, n_outputs=2, head=head, dense=dense)
+    tree = otr.minimal_tree(network, BOX)
+    certificate = otr.certify(tree, network, BOX)
+    assert names_of(certificate) <= {"test", "neuron"} and certificate.n_empty == 0
+    again = otr.load_certificate(certificate.save(tmp_path / "certificate.json"))
+    assert otr.verify(again, tree, network) == certificate.max_error < 1e-11
+    # Without its basis the tree is rounded, and proved in the inputs themselves.
+    plain = tree.replace(P=tree.P, M=tree.M)
+    assert plain.basis is None
+    assert otr.verify(replace(again, max_error=1e-11), plain, network) <= 1e-11
+    assert otr.verify(otr.certify(plain, network, BOX), plain, network) < 1e-11
+
+
+def test_what_is_wrong_is_refused_with_a_state() -> None:
+    network = make_network(np.random.default_rng(1), (5,), n_inputs=90, n_outputs=2)
+    tree = otr.minimal_tree(network, BOX)
+    certificate = otr.certify(tree, network, BOX)
+    M = tree.M_of_basis.copy()
+    M[3, 0, 0] += 1e-3
+    wrong = tree.replace(P=tree.P_of_basis, M=M, basis=tree.basis)
+    with pytest.raises(otr.CertificateError, match=r"^leaf 3: at the state \[.* not the same function") as refusal:
+        otr.verify(certificate, wrong, network)
+    pair = TreeAndNetwork(wrong, network, certificate.domain)
+    assert pair.is_inside(refusal.value.state) and pair.gap(refusal.value.state)[1] > certificate.max_error
+    with pytest.raises(otr.CertificateError, match=r"^leaf 3: at the state \["):
+        otr.certify(wrong, network, BOX)
+    cell = next(cell for cell in certificate.cells if any(proof.rows for proof in cell.proofs))
+    bare = replace(cell, proofs=tuple(replace(proof, rows=(), multipliers=()) for proof in cell.proofs))
+    others = tuple(each for each in certificate.cells if each is not cell)
+    with pytest.raises(otr.CertificateError, match=rf"^leaf {cell.leaf}:"):
+        otr.verify(replace(certificate, cells=(*others, bare)), tree, network)
+
+
+def test_a_proof_that_names_sides_is_checked_as_before() -> None:
+    network = make_network(np.random.default_rng(2), (4,), n_inputs=64, n_outputs=2)
+    tree = otr.map_network(network.replace(biases=[network.biases[0] + [0, 0, 0, 60], network.biases[1]]))
+    shifted = network.replace(biases=[network.biases[0] + [0, 0, 0, 60], network.biases[1]])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Domain, "is_wide", lambda self, n_tests: False)
+        certificate = otr.certify(tree, shifted, BOX)
+    assert {"low", "high"} <= names_of(certificate) and certificate.n_empty > 0
+    assert otr.verify(certificate, tree, shifted) == certificate.max_error
+    in_box = otr.certify(tree, shifted, BOX)
+    assert in_box.n_empty == certificate.n_empty and names_of(in_box) <= {"test", "neuron"}
+
+
+@settings(max_examples=40)
+@given(cases(max_layers=2), st.sampled_from(("box", "half open", "open", "constant")), st.booleans())
+def test_all_kinds_are_proved_where_every_box_counts_as_wide(case: Case, kind: str, is_full: bool) -> None:
+    network, d = case.network, case.network.n_inputs
+    low, high = np.full(d, -2.0), np.full(d, 2.0)
+    if kind == "half open":
+        high[0] = np.inf
+    elif kind == "open":
+        low[-1], high[-1] = -np.inf, np.inf
+    elif kind == "constant":
+        low[0] = 2.0
+    if is_full and network.head.gives_labels and kind in ("open", "half open"):
+        return  # far out a rounded test may let a leaf have states, and then one with labels has others
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Domain, "is_wide", lambda self, n_tests: True)
+        tree = otr.map_network(network) if is_full else otr.minimal_tree(network, (low, high))
+        certificate = otr.certify(tree, network, (low, high))
+        assert otr.verify(certificate, tree, network) == certificate.max_error < 1e-6
+    assert otr.verify(certificate, tree, network) < 1e-6  # the sides may still be rows

@@ -103,6 +103,11 @@ def test_a_way_out_of_the_box_is_refused() -> None:
                            head=otr.Sign())  # fmt: skip
     with pytest.raises(otr.CertificateError, match=r"^leaf 1: at the state"):
         otr.certify(tree, otr.ReluNetwork([weights], [[-1.0]], head=otr.Sign()), BOX)
+    # Where states come to the label only along the box's side, the sides are rows.
+    by_side = otr.ReluNetwork([weights], [[2e-8 - 1]], head=otr.Sign())
+    moved = tree.replace(v=np.array([3e-8 - 1]))
+    along = otr.certify(moved, by_side, BOX)
+    assert otr.verify(along, moved, by_side) == along.max_error == pytest.approx(1e-8, rel=1e-3)
     network = otr.ReluNetwork([weights], [[-0.5]], head=otr.Sign())
     certificate = otr.certify(tree, network, BOX)
     at, cell = next((i, cell) for i, cell in enumerate(certificate.cells) if cell.near)

@@ -37,6 +37,13 @@ def test_a_proof_is_of_tests_alone_and_holds(head: str, dense: object, tmp_path)
     assert otr.verify(otr.certify(plain, network, BOX), plain, network) < 1e-11
 
 
+def test_thirty_inputs_are_proved_in_seconds() -> None:
+    network = make_network(np.random.default_rng(0), (7,), n_inputs=30, n_outputs=2)
+    tree = otr.minimal_tree(network, BOX)
+    certificate = otr.certify(tree, network, BOX, max_seconds=20)
+    assert certificate.n_regions == 2**7 and otr.verify(certificate, tree, network) < 1e-13
+
+
 def test_what_is_wrong_is_refused_with_a_state() -> None:
     network = make_network(np.random.default_rng(1), (5,), n_inputs=90, n_outputs=2)
     tree = otr.minimal_tree(network, BOX)
@@ -62,7 +69,7 @@ def test_a_proof_that_names_sides_is_checked_as_before() -> None:
     tree = otr.map_network(network.replace(biases=[network.biases[0] + [0, 0, 0, 60], network.biases[1]]))
     shifted = network.replace(biases=[network.biases[0] + [0, 0, 0, 60], network.biases[1]])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Domain, "is_wide", lambda self, n_tests: False)
+        patch.setattr(Domain, "n_bounded", 0)
         certificate = otr.certify(tree, shifted, BOX)
     assert {"low", "high"} <= names_of(certificate) and certificate.n_empty > 0
     assert otr.verify(certificate, tree, shifted) == certificate.max_error
@@ -74,7 +81,7 @@ def test_a_proof_that_names_sides_is_checked_as_before() -> None:
 @given(st.integers(0, 2**32 - 1))
 def test_wrong_states_of_labels_that_are_accepted_are_near_a_tie(seed: int) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Domain, "is_wide", lambda self, n_tests: True)
+        patch.setattr(Domain, "n_bounded", 10**9)
         check_corrupted(seed, "argmax", BOX)
 
 
@@ -133,7 +140,7 @@ def test_all_kinds_are_proved_where_every_box_counts_as_wide(case: Case, kind: s
     if is_full and network.head.gives_labels and kind in ("open", "half open"):
         return  # far out a rounded test may let a leaf have states, and then one with labels has others
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Domain, "is_wide", lambda self, n_tests: True)
+        patch.setattr(Domain, "n_bounded", 10**9)
         tree = otr.map_network(network) if is_full else otr.minimal_tree(network, (low, high))
         certificate = otr.certify(tree, network, (low, high))
         assert otr.verify(certificate, tree, network) == certificate.max_error < 1e-6

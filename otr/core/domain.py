@@ -22,7 +22,6 @@ class Limits(Protocol):
 
 Box = tuple[ArrayLike, ArrayLike] | Limits  # low (d,), high (d,)
 WIDEST = 1e100
-WIDE = 64  # inputs, from which on trees and polytopes are held by the few products of them that are asked about
 _FARTHEST = 1e150  # a hyperplane beyond meets nothing: of a box truly, of an open side by definition
 
 
@@ -97,9 +96,10 @@ class Domain:
         inside: BoolArray = np.all((self.low <= states) & (states <= self.high), axis=1)
         return inside
 
-    def is_wide(self, n_tests: int) -> bool:
-        """Return whether inputs are so many more than tests that limits are better no rows of polytopes."""
-        return self.n_inputs >= max(WIDE, 2 * n_tests)
+    @property
+    def n_bounded(self) -> int:
+        """Number of inputs that have two limits."""
+        return int((np.isfinite(self.low) & np.isfinite(self.high)).sum())
 
     def sides(self, *, in_box: bool = False) -> tuple[FloatArray, tuple[str, ...]]:
         """Return the finite sides as affine forms [a | b] (m, d + 1), 0 or more inside, and their names; lows first.

@@ -14,13 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from otr.core.arrays import BoolArray, FloatArray, IntArray, as_batch
 from otr.core.clock import check_time
-from otr.core.domain import WIDE
 from otr.core.mapping import map_network
 from otr.core.network import ReluNetwork, UnitForm, require_relu_network
 from otr.core.packed_bits import PackedRows, count_rows, pack_rows, unpack_rows
 from otr.core.tree import ObliqueTree
 
 _CHUNK_STATES = 2**16
+_WIDE = 64  # inputs, from which on a tree is held in the basis of the weights on them
 _CHUNK_BYTES = 2**24
 
 
@@ -240,7 +240,7 @@ def units_and_basis(network: ReluNetwork) -> tuple[UnitForm, FloatArray | None]:
     """
     units = network.unit_form()
     reading = np.flatnonzero(units.inputs.any(axis=1))
-    if network.n_inputs < WIDE or 2 * len(reading) > network.n_inputs:
+    if network.n_inputs < _WIDE or 2 * len(reading) > network.n_inputs:
         return units, None
     products = np.zeros((len(units.inputs), len(reading)))
     products[reading, np.arange(len(reading))] = 1.0

@@ -29,6 +29,7 @@ from otr.geometry.rational import independent_rows
 from otr.geometry.vertices import regions_at_vertices
 
 _BLOCK = 2**13  # regions walked together; more are set aside, so that memory does not grow with their number
+_WIDE = 48  # inputs in a box, from which on its sides are better no rows
 _AT_VERTICES_S = 2.0  # vertices take less: with less time than that, only the walk keeps to it
 _INDEPENDENT = 1e-6  # singular value of rows whose largest number is 1: beyond, they are beyond doubt
 _CLEAR_SHARE = 0.05  # of its margin to other tests: an inner point so far from a new one is inner to its side
@@ -89,7 +90,7 @@ def _walked(walk: Walk) -> Regions:
     """Return the regions of a walk's network, in its inputs: by vertices where that is quick."""
     network, units, domain, max_regions = walk.network, walk.units, walk.domain, walk.max_regions
     is_one_layer = len(network.hidden_widths) == 1 and not network.head.n_tests(network.n_outputs)
-    in_box = domain.is_wide(walk.n_bits)
+    in_box = domain.n_bounded >= max(_WIDE, walk.n_bits)
     if is_one_layer and not in_box and seconds_left() >= _AT_VERTICES_S:
         regions = _regions_of_a_layer(units, domain, network.n_hidden, max_regions)
         if regions is not None and len(regions.patterns) <= max_regions:

@@ -129,7 +129,11 @@ class BoxSimplex:
     def _solve(self) -> None:
         """Compute everything from the places: the multipliers, what is at the places, states in the box, bounds."""
         n, _, d = self.a.shape
-        self.inverse = np.linalg.inv(self._columns(self.places))
+        try:
+            self.inverse = np.linalg.inv(self._columns(self.places))
+        except np.linalg.LinAlgError:  # of parallel rows one of which has turned: begun anew
+            self.places[np.linalg.slogdet(self._columns(self.places))[0] == 0] = ~np.arange(self.places.shape[1])
+            self.inverse = np.linalg.inv(self._columns(self.places))
         is_t = self.places == d
         self.multipliers = -np.where(is_t[:, :, None], self.inverse, 0.0).sum(axis=1)
         slopes = np.matmul(self.multipliers[:, None], self.a)[:, 0]

@@ -118,14 +118,21 @@ def _proposed(rows: Integers, weights: Sequence[int], cap: Fraction, box: ExactB
     sizes = [max(map(abs, row)) or 1 for row in rows.tolist()]
     unit = max((size // weight for size, weight in zip(sizes, weights, strict=True) if weight), default=1) or 1
     a = np.array([[value / size for value in row] for row, size in zip(rows.tolist(), sizes, strict=True)])
-    w = [weight * unit / size for size, weight in zip(sizes, weights, strict=True)]
-    bounds = [(low, high) if np.isfinite(low) else (None, None) for low, high in zip(box.low, box.high, strict=True)]
-    objective, tops = np.append(np.zeros(len(bounds)), -1.0), [(None, float(cap / unit))]
-    solved = linprog(
-        objective, A_ub=np.column_stack((-a[:, :-1], w)), b_ub=a[:, -1], bounds=bounds + tops, method="highs"
-    )
-    x = np.where(np.isfinite(box.low), box.low, 0.0) if solved.x is None else solved.x[:-1]
-    return (box.low < x) & (x < box.high) | np.isinf(box.low), x >= box.high
+    w = np.array([weight * unit / size for size, weight in zip(sizes, weights, strict=True)])
+    # In half widths z from the middle, so that a small box is no smaller than the solver's tolerances.
+    bounded = np.isfinite(box.low)
+    low, high = np.where(bounded, (box.low, box.high), 0.0)
+    half = np.where(low < high, (high - low) / 2, 1.0)
+    farthest = float(half.max(initial=0.0)) or 1.0
+    slopes, offsets = a[:, :-1] * half, a[:, -1] + a[:, :-1] @ (low + (high - low) / 2)
+    lengths = abs(slopes).max(axis=1, initial=0.0)
+    lengths = np.where(lengths > 0, lengths, 1.0)
+    bounds = [(-limit, limit) for limit in np.where(bounded, low < high, np.inf).tolist()]
+    objective, tops = np.append(np.zeros(len(bounds)), -1.0), [(None, float(cap / unit) / farthest)]
+    rows_of_z = np.column_stack((-slopes, w * farthest)) / lengths[:, None]
+    solved = linprog(objective, A_ub=rows_of_z, b_ub=offsets / lengths, bounds=bounds + tops, method="highs")
+    z = np.full(len(bounds), -1.0) if solved.x is None else solved.x[:-1]
+    return (abs(z) < 1) & (low < high) | ~bounded, z >= 1
 
 
 def _largest_t(rows: Integers, weights: Sequence[int], cap: Fraction) -> Optimum:

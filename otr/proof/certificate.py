@@ -13,13 +13,15 @@ from __future__ import annotations
 
 import json
 import os
+from bisect import bisect_left
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 from otr.core.domain import Domain
-from otr.errors import ArtefactError
+from otr.errors import ArtefactError, CertificateError
 
 SCHEMA = "otr/certificate/2"
 
@@ -163,6 +165,30 @@ def load_certificate(path: str | os.PathLike[str]) -> Certificate:
     except (OSError, ValueError, RecursionError) as error:
         raise ArtefactError(f"{path} cannot be read as JSON ({error}); certify the tree again") from error
     return Certificate.from_dict(description)
+
+
+def check_cover(leaf: int, cells: Sequence[Cell]) -> None:
+    """Raise CertificateError unless cells are all of a leaf's region: both sides of every test that splits it."""
+    waiting = [(list(cells), 0)]  # cells, and the first of the tests that may part them
+    while waiting:
+        cells, after = waiting.pop()
+        firsts = {_first_split(cell, after) for cell in cells}
+        if firsts == {None} and len(cells) == 1:
+            continue
+        if len(firsts) != 1 or None in firsts:
+            raise CertificateError(f"leaf {leaf}: its cells do not cover it; the tests that split it disagree", leaf)
+        (test,) = firsts
+        assert test is not None
+        shared = {cell.outcomes[after:test] for cell in cells}
+        sides = [[cell for cell in cells if cell.outcomes[test] == outcome] for outcome in "01"]
+        if len(shared) != 1 or not all(sides):
+            raise CertificateError(f"leaf {leaf}: its cells do not cover it; one side of test {test} is missing", leaf)
+        waiting += [(side, test + 1) for side in sides]
+
+
+def _first_split(cell: Cell, after: int) -> int | None:
+    at = bisect_left(cell.splits, after)
+    return cell.splits[at] if at < len(cell.splits) else None
 
 
 def _described(cell: Cell) -> dict[str, Any]:

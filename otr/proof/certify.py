@@ -22,7 +22,7 @@ from otr.geometry.arrangement import Block, Walk
 from otr.geometry.largest_balls import largest_balls
 from otr.geometry.rational import Point, as_point
 from otr.geometry.regions import chunks_of_leaves, leaf_rows
-from otr.proof.certificate import Cell, Certificate, Sum
+from otr.proof.certificate import Cell, Certificate, Sum, check_cover
 from otr.proof.exact_cells import (
     ExactCell,
     as_sum,
@@ -36,7 +36,9 @@ from otr.proof.exact_cells import (
 from otr.proof.exact_rows import ExactRow, TreeAndNetwork, is_wide, rounded_up
 from otr.proof.float_cells import cells_of, empty_sum, row_names, start_of_walk
 from otr.proof.label_cells import near_cell
-from otr.proof.verify import Checker, check_cover
+from otr.proof.verify import Checker
+
+_MANY_INPUTS = 128  # of which the sides are never rows
 
 
 def certify(
@@ -76,10 +78,16 @@ def certify(
         raise ValueError(f"max_error is {max_error}, expected a finite number of at least 0")
     box = as_domain(network.domain if domain is None else domain, network.n_inputs)
     _check_fit(tree, network)
-    pair = TreeAndNetwork(tree, network, box, in_box=is_wide(tree, network, box))
-    search = _Certification(pair, max_error, max_regions)
-    with time_limit(max_seconds, search.reached):
-        return search.run()
+    search = _Certification(tree, network, box, max_error, max_regions, in_box=is_wide(tree, network, box))
+    with time_limit(max_seconds, lambda: search.reached()):
+        try:
+            return search.run()
+        except CertificateError as error:
+            if error.state is not None or tree.labels is None or not search.pair.in_box or box.n_inputs > _MANY_INPUTS:
+                raise
+            # States that come to their label only along a side, or a sliver: found where the sides are rows.
+            search = _Certification(tree, network, box, max_error, max_regions, in_box=False)
+            return search.run()
 
 
 def _check_fit(tree: ObliqueTree, network: ReluNetwork) -> None:
@@ -90,8 +98,18 @@ def _check_fit(tree: ObliqueTree, network: ReluNetwork) -> None:
 
 
 class _Certification:
-    def __init__(self, pair: TreeAndNetwork, max_error: float, max_regions: int) -> None:
-        self.pair, self.checker = pair, Checker(pair)
+    def __init__(
+        self,
+        tree: ObliqueTree,
+        network: ReluNetwork,
+        domain: Domain,
+        max_error: float,
+        max_regions: int,
+        *,
+        in_box: bool,
+    ) -> None:
+        pair = self.pair = TreeAndNetwork(tree, network, domain, in_box=in_box)
+        self.checker = Checker(pair)
         self.max_error, self.max_regions = Fraction(max_error), max_regions
         self.n_programs = 0
         self.errors: dict[int, Fraction] = {}  # by leaf, of the cells that are kept

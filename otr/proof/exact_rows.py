@@ -28,6 +28,7 @@ from otr.geometry.regions import leaf_paths
 ON_BOUNDARY = Fraction(5e-324)  # the smallest float64 above 0: labels that differ on boundaries between them alone
 INFINITE = Fraction(10) ** 999
 _BELOW_ZERO = Fraction(-1, 10**30)
+_WIDE = 12  # inputs; with rows for their sides the proofs found in floating point often do not hold
 
 
 class ExactRow(NamedTuple):
@@ -258,5 +259,6 @@ def _common_basis(tree: ObliqueTree, network: ReluNetwork) -> tuple[FloatArray |
 
 
 def is_wide(tree: ObliqueTree, network: ReluNetwork, domain: Domain) -> bool:
-    """Return whether inputs are so many that proofs are about few products of them, and a box has no rows."""
-    return domain.is_wide(tree.depth + network.n_hidden + network.head.n_tests(network.n_outputs))
+    """Return whether a box is of so many inputs that its sides are no rows of proofs."""
+    n_tests = tree.depth + network.n_hidden + network.head.n_tests(network.n_outputs)
+    return domain.n_bounded >= max(_WIDE, 2 * n_tests // 3)

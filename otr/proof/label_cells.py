@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
-from itertools import islice
+from itertools import chain, islice
 
 import numpy as np
 
@@ -34,12 +34,22 @@ def near_cell(checker: Checker, cell: Cell, exact: ExactCell, max_error: Fractio
         check_time()
         near = "".join("1" if outcome else "0" for outcome in outcomes)
         forms = [*pair.turned(outcomes), *(row.numbers for row in pair.sides.values())]
+        if pair.in_box and near == cell.outcomes and not cell.near:  # the proofs may do, and only the way does not
+            found = _proved(checker, _ways(pair, cell, forms, checker.least(cell, forms, exact.rows)[0]), max_error)
+            if found is not None:
+                return found
         proved = _with_proofs(pair, replace(cell, near=near), exact, forms)
         least = checker.least(proved, forms, exact.rows)[0]
-        for other in (*_ways(pair, proved, forms, least), *_slivers(checker, proved, exact, forms, max_error)):
-            if checker.error(other) <= max_error:
-                return other
+        ways = (_ways(pair, proved, forms, least), _slivers(checker, proved, exact, forms, max_error))
+        found = _proved(checker, chain(*ways), max_error)
+        if found is not None:
+            return found
     return cell
+
+
+def _proved(checker: Checker, cells: Iterator[Cell], max_error: Fraction) -> Cell | None:
+    """Return the first of some cells that is proved to be near enough."""
+    return next((cell for cell in cells if checker.error(cell) <= max_error), None)
 
 
 def _with_proofs(pair: TreeAndNetwork, cell: Cell, exact: ExactCell, forms: Sequence[Integers]) -> Cell:

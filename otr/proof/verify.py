@@ -17,8 +17,9 @@ such that ``r_i(p, s) := a_i . p + b_i s >= m_i`` for all of them, which is a po
 
     y = (x + u p) / (1 + u s)    has    r_i(y) (1 + u s) = r_i(x) + u r_i(p, s) >= 0,
 
-so y is in Q and in the domain, and ``|y - x| <= u |p - s x|``. Of the tests, the last that is won decides whether the
-network has the label on the sides of Q, too, where it may tie.
+so y is in Q and in the domain, and ``|y - x| <= u |p - s x|``. Sides that are no rows need no proof where p is s times
+a state within them: then y is between x and that. Of the tests, the last that is won decides whether the network has
+the label on the sides of Q, too, where it may tie.
 
 Where outputs tie throughout Q, so that the network has the label nowhere in it, y is to be on the boundary of a test of
 Q, and a change of one input brings the states there: what may be wrong is a sliver.
@@ -31,7 +32,6 @@ a point of the cell. So every real point of the domain is in a proved cell.
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
 from collections.abc import Sequence
 from fractions import Fraction
 from itertools import pairwise
@@ -43,7 +43,7 @@ from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
 from otr.errors import CertificateError
 from otr.geometry.rational import Integers, without_denominators
-from otr.proof.certificate import Cell, Certificate, Sum
+from otr.proof.certificate import Cell, Certificate, Sum, check_cover
 from otr.proof.exact_rows import INFINITE, ON_BOUNDARY, Bounds, ExactRow, TreeAndNetwork, is_wide, rounded_up
 
 _NEGLIGIBLE = Fraction(1, 10**9)  # a difference of outputs that is not worth the sharpest bound
@@ -382,30 +382,6 @@ def _fixed(cell: Cell) -> list[int]:
 def _proofs(cell: Cell, n_tests: int) -> list[tuple[int, Sum]]:
     """Return the sums of a cell with labels: by test, and by n_tests + the number of a side of the domain."""
     return [*zip(_fixed(cell), cell.proofs, strict=True), *enumerate(cell.bounds, n_tests)]
-
-
-def _first_split(cell: Cell, after: int) -> int | None:
-    at = bisect_left(cell.splits, after)
-    return cell.splits[at] if at < len(cell.splits) else None
-
-
-def check_cover(leaf: int, cells: Sequence[Cell]) -> None:
-    """Raise CertificateError unless cells are all of a leaf's region: both sides of every test that splits it."""
-    waiting = [(list(cells), 0)]  # cells, and the first of the tests that may part them
-    while waiting:
-        cells, after = waiting.pop()
-        firsts = {_first_split(cell, after) for cell in cells}
-        if firsts == {None} and len(cells) == 1:
-            continue
-        if len(firsts) != 1 or None in firsts:
-            raise CertificateError(f"leaf {leaf}: its cells do not cover it; the tests that split it disagree", leaf)
-        (test,) = firsts
-        assert test is not None
-        shared = {cell.outcomes[after:test] for cell in cells}
-        sides = [[cell for cell in cells if cell.outcomes[test] == outcome] for outcome in "01"]
-        if len(shared) != 1 or not all(sides):
-            raise CertificateError(f"leaf {leaf}: its cells do not cover it; one side of test {test} is missing", leaf)
-        waiting += [(side, test + 1) for side in sides]
 
 
 def _has_strict_row(terms: Sum, rows: dict[str, ExactRow]) -> bool:

@@ -134,3 +134,15 @@ def test_a_box_that_is_no_rows_gives_the_same(seed: int, m: int, d: int) -> None
     limits = zip(map(Fraction, low.tolist()), map(Fraction, high.tolist()), strict=True)
     highest = total[d] + sum(max(a * least, a * most) for a, (least, most) in zip(total[:d], limits, strict=True))
     assert highest < 0 or (highest == 0 and any(strict[row] for row in in_box.multipliers))
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 2**32 - 1), st.integers(0, 4), st.integers(1, 4), st.sampled_from((1.0, 3.0, 2.0**-30)))
+def test_the_largest_value_in_a_box_is_a_sum_of_rows_in_it(seed: int, m: int, d: int, size: float) -> None:
+    rng = np.random.default_rng(seed)
+    rows, form = rng.integers(-3, 4, (m, d + 1)).astype(object), rng.integers(-3, 4, d + 1).astype(object)
+    rows[:, -1] = abs(rows[:, -1])  # 0 is in them
+    found = largest_value(rows, form.tolist(), Fraction(100), ExactBox(np.full(d, -size), np.full(d, size)))
+    assert form @ np.array([*found.point, 1], dtype=object) == found.t and max(map(abs, found.point)) <= size
+    total = form + sum((rows[row] * value for row, value in found.multipliers.items()), 0 * form)
+    assert total[-1] + sum(abs(total[:-1])) * Fraction(size) == found.t

@@ -14,10 +14,9 @@ from hypothesis import strategies as st
 import otr
 from otr.core.domain import as_domain
 from otr.core.network import UnitForm
-from otr.proof.certificate import Cell, Certificate, Sum
+from otr.proof.certificate import Cell, Certificate, Sum, check_cover
 from otr.proof.exact_rows import TreeAndNetwork
 from otr.proof.float_cells import _named_sum
-from otr.proof.verify import check_cover
 from tests.core.strategies import Case, cases, make_network, worked_network
 from tests.proof.test_changed_trees import BOXES
 from tests.proof.test_changed_trees import network_of as network_of_kind

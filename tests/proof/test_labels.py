@@ -165,3 +165,17 @@ def test_a_way_that_does_not_lead_to_the_label_is_refused() -> None:
         cells = (*certificate.cells[:at], lie, *certificate.cells[at + 1 :])
         with pytest.raises(otr.CertificateError, match=rf"^leaf {cell.leaf}:"):
             otr.verify(replace(certificate, cells=cells), tree, network)
+
+
+@pytest.mark.parametrize("head", ["sign", "argmax"])
+@pytest.mark.parametrize("shift", [0.0, 1e-10])
+def test_labels_on_a_box_with_constant_inputs(head: str, shift: float, tmp_path) -> None:
+    low, high = np.array([-1.0, 0.5, -1.0]), np.array([1.0, 0.5, 1.0])
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        network = make_network(rng, (3, 2), n_inputs=3, n_outputs=1 if head == "sign" else 3, head=head)
+        tree = otr.minimal_tree(network, (low, high))
+        tree = tree.replace(v=tree.v + shift)
+        certificate = otr.certify(tree, network, (low, high))
+        again = otr.load_certificate(certificate.save(tmp_path / "certificate.json"))
+        assert again == certificate and otr.verify(again, tree, network) == certificate.max_error < 1e-7

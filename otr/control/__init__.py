@@ -15,6 +15,7 @@ _MODULES = {
     "DaggerResult": "dagger.loop",
     "DaggerSettings": "dagger.loop",
     "Iterate": "dagger.loop",
+    "LinearExperts": "experts",
     "LinearModelTreeFit": "viper",
     "NdpsImitator": "ndps",
     "NdpsSettings": "ndps",

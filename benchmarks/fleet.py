@@ -32,6 +32,7 @@ from typing import Any
 
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
+from torch import nn
 
 from benchmarks.measure import Entry, alternate
 from benchmarks.training import plain_trainer
@@ -41,6 +42,7 @@ from pipelines.stages.train import fleets
 from pipelines.training.actors import actor_of
 from pipelines.training.fleet.adam import RunSettings
 from pipelines.training.fleet.fleet_run import FleetRun
+from pipelines.training.fleet.module_actors import ModuleActors
 from pipelines.training.fleet.progress import FleetProgress
 from pipelines.training.fleet.sac import FleetSac, Minibatch, Shapes
 from pipelines.training.fleet.stacked_tensors import multiply, new_stack
@@ -224,12 +226,21 @@ def learner_entries(quick: bool) -> list[Entry]:
         name = f"learner alone, {n_runs} runs a process, actor {list(actor)}"
         kinds[name], n_of[name] = learner(n_runs, actor), n_runs
     seconds = alternate(*kinds.values(), rounds=rounds, repeats=n_updates)
-    return [Entry(name, n_of[name] / each, "updates/s") for name, each in zip(kinds, seconds, strict=True)]
+    entries = [Entry(name, n_of[name] / each, "updates/s") for name, each in zip(kinds, seconds, strict=True)]
+    for n_runs in (1, 3, 5):
+        pair = learner(n_runs, (6,), as_modules=True), learner(n_runs, (6,))
+        modules, by_hand = (n_runs / each for each in alternate(*pair, rounds=rounds, repeats=n_updates))
+        name = f"learner alone, {n_runs} runs a process, actor [6], a module"
+        entries.append(Entry(name, modules, "updates/s", "by hand", by_hand))
+    return entries
 
 
-def learner(n_runs: int, actor: tuple[int, ...]) -> Callable[[], None]:
+def learner(n_runs: int, actor: tuple[int, ...], *, as_modules: bool = False) -> Callable[[], None]:
     """Return a function that does one update of each of `n_runs` runs."""
-    fleet = FleetSac(Shapes(11, 3, actor, (256, 256), 100), [RunSettings(1e-3, 0.99)] * n_runs)
+    settings = [RunSettings(1e-3, 0.99)] * n_runs
+    modules = [nn.Sequential(nn.Linear(11, *actor), nn.ReLU(), nn.Linear(*actor, 6)) for _ in settings * as_modules]
+    shapes = Shapes(11, 3, actor, (256, 256), 100)
+    fleet = FleetSac(shapes, settings, actor=ModuleActors(settings, modules) if modules else None)
     for run in range(n_runs):
         fleet.initialise(run, torch.Generator().manual_seed(run))
     batch = Minibatch(

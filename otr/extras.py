@@ -61,6 +61,7 @@ def lazy_exports(
         return value
 
     def names() -> list[str]:
-        return sorted({*vars(sys.modules[package]), *modules, *subpackages})
+        own = (name for name in vars(sys.modules[package]) if name.startswith("__"))  # not what the package imports
+        return sorted({*own, *modules, *subpackages})
 
     return load, names

@@ -1,7 +1,10 @@
 """Errors that a user can act on: the command line prints their message alone, without a traceback."""
 
 import difflib
+import re
 from collections.abc import Sequence
+
+NEAR = 0.5  # the least likeness of a name that may be meant
 
 
 class PipelineError(Exception):
@@ -32,8 +35,19 @@ def check_choice(key: str, value: str, known: Sequence[str]) -> None:
 
 def did_you_mean(name: str, known: Sequence[str], unlisted: Sequence[str] = ()) -> str:
     """Return a question with the nearest of the known names, or all of them but the `unlisted`, which are too many."""
-    near = difflib.get_close_matches(name, [*known, *unlisted], n=3, cutoff=0.5)
+    likeness = {key: _likeness(name, key) for key in (*known, *unlisted)}
+    near = sorted(likeness, key=lambda key: (*likeness[key], key), reverse=True)[:3]
+    near = [key for key in near if likeness[key][0] >= NEAR]
     near += [key for key in known if key.split(".")[-1] == name and key not in near]
     if near:
         return f" Did you mean {' or '.join(near)}?"
     return f" There are: {', '.join(known)}" if known else ""
+
+
+def _likeness(name: str, other: str) -> tuple[float, float]:
+    """Return how alike two names are, without version (-v5) and case, and letter by letter."""
+    plain, other_plain = (re.sub(r"-v\d+$", "", each.lower()) for each in (name, other))
+    return (
+        difflib.SequenceMatcher(None, other_plain, plain).ratio(),
+        difflib.SequenceMatcher(None, other, name).ratio(),
+    )

@@ -85,7 +85,7 @@ class AugTreeFit:
         rows, counts = draw_rows(len(X), weights if self.weighted else None, self.max_samples, generator)
         states, targets = np.asarray(X[rows]), np.asarray(answers[rows])
         has_labels = weights is not None
-        features = self._features(states)
+        features = self._features(states).resolved(states)
         values = features.values(states)
         if self.leaves == "linear":
             return self._linear(features, values, states, centred(targets) if has_labels else targets, counts)

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from otr.control.dagger.row_sampling import draw_rows
-from otr.control.search.state_moments import scale_of
+from otr.control.search.state_moments import CONSTANT
 from otr.control.soft_tree import SoftTree
 from otr.core.arrays import BoolArray, FloatArray, IntArray
 from otr.core.head import Head
@@ -23,7 +23,8 @@ from otr.core.tree import ObliqueTree
 _MAX_ACTIVE_SETS = 20
 _MAX_LBFGS_STEPS = 25
 _LARGE_MEAN = 10.0  # in standard deviations: Adam's updates do not reach a larger one in time
-_LEAST_SPREAD = 1e-8
+_CONSTANT = 1e-12  # deviation, compared with the largest number of a component, that rounding alone may make
+_SPREAD_OF_ZEROS = 1e-8  # what answers that are all 0 are divided by, so that what training adds to them stays small
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,7 @@ def fit_ndps(
         raise ValueError(f"{len(X)} states, {len(answers)} answers and {len(weights)} weights; give as many of each")
     X = np.asarray(X, dtype=np.float64)  # the leaves' refit counts in this type
     centre, spread = X.mean(axis=0), X.std(axis=0)
-    spread[spread < 1e-8] = 1.0
+    spread[spread <= _CONSTANT * np.abs(X).max(axis=0)] = 1.0
     problem = _StandardisedRows.of((X - centre) / spread, answers, weights / weights.mean(), head, n_outputs)
     torch_generator = torch.Generator().manual_seed(int(generator.integers(2**63)))
     if start is None:
@@ -200,7 +201,7 @@ class _StandardisedRows:
         mean, std = answers.mean(axis=0), answers.std(axis=0)
         is_far = np.abs(mean) > _LARGE_MEAN * std
         centre = np.where(is_far, mean, 0.0)
-        scale = np.where(is_far, scale_of(mean, std), np.maximum(std, _LEAST_SPREAD))
+        scale = np.where(std > CONSTANT * np.abs(mean), std, np.where(is_far, 1.0, _SPREAD_OF_ZEROS))
         low, high = (head.limits(n_outputs) if head.is_projection else None) or (-unlimited, unlimited)
         rows, low, high = ((values - centre) / scale for values in (answers, low, high))
         return cls(X, rows, weights, low, high, centre, scale)

@@ -15,7 +15,7 @@ from otr.core.arrays import FloatArray, IntArray
 from otr.core.head import Head
 from otr.core.tree import ObliqueTree
 from otr.learners.base.single_tree import class_tree
-from otr.learners.cart import from_sklearn_tree
+from otr.learners.cart import grow_cart
 from otr.learners.model_tree import LinearModelTreeRegressor
 
 Criterion = Literal["gini", "entropy"]
@@ -113,8 +113,8 @@ def fit_cart(
         max_depth=max_depth,
         min_samples_leaf=min_samples_leaf,
         random_state=int(generator.integers(2**31)),
-    ).fit(X.astype(np.float32, copy=False), targets, sample_weight=counts)
-    tree = from_sklearn_tree(model)
+    )
+    tree = grow_cart(model, X, targets, counts)
     if not is_labels:
         return tree
     shares = np.zeros((tree.n_leaves, n_outputs))  # 0 for labels that no row has

@@ -69,8 +69,8 @@ def save(tree: ObliqueTree | PatternTree, path: str | os.PathLike[str]) -> Path:
     text = json.dumps(description, indent=2, sort_keys=True) + "\n"
     # np.savez stamps every member with the same date, so its bytes depend on the arrays alone. It gets nothing else:
     # numpy 2.0 takes allow_pickle=False, which 2.1 brought, for one more array.
-    _write_atomically(npz_path, lambda file: np.savez(file, **arrays))  # type: ignore[arg-type]
-    _write_atomically(json_path, lambda file: file.write(text.encode()))
+    write_atomically(npz_path, lambda file: np.savez(file, **arrays))  # type: ignore[arg-type]
+    write_atomically(json_path, lambda file: file.write(text.encode()))
     return json_path
 
 
@@ -234,8 +234,8 @@ def _array_of(content: bytes) -> NDArray[Any]:
     return flat.reshape(shape, order="F" if is_fortran else "C").copy()  # a copy is aligned
 
 
-def _write_atomically(path: Path, write: Callable[[IO[bytes]], Any]) -> None:
-    """Write a file under a temporary name in the same folder, then rename it."""
+def write_atomically(path: Path, write: Callable[[IO[bytes]], Any]) -> None:
+    """Write a file under a temporary name in the same folder, which is removed where that fails, then rename it."""
     temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
     try:
         with temporary.open("xb") as file:

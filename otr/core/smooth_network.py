@@ -1,4 +1,4 @@
-"""Networks with smooth units, such as tanh: no tree is equal to one, but a tree can imitate it."""
+"""Networks with other units than ReLU, most of them smooth, such as tanh: none is mapped, a tree can imitate one."""
 
 from __future__ import annotations
 
@@ -15,17 +15,39 @@ from otr.core.head import Head
 from otr.core.network import ReluNetwork
 from otr.errors import InvalidNetworkError
 
+_SELU_SCALE, _SELU_ALPHA = 1.0507009873554804934193349852946, 1.6732632423543772848170429916717  # Klambauer 2017
+
+
+def _elu(z: FloatArray) -> FloatArray:
+    return np.where(z > 0, z, np.expm1(np.minimum(z, 0)))
+
+
+def _softplus(z: FloatArray) -> FloatArray:
+    return np.where(z > 20, z, np.logaddexp(0, z))  # as torch has it
+
+
+# By the names of torch's modules, with their default arguments.
 ACTIVATIONS: dict[str, Callable[[FloatArray], FloatArray]] = {
     "tanh": np.tanh,
     "sigmoid": expit,
     "silu": lambda z: z * expit(z),
-    "elu": lambda z: np.where(z > 0, z, np.expm1(np.minimum(z, 0))),
+    "elu": _elu,
     "gelu": lambda z: 0.5 * z * (1 + erf(z / np.sqrt(2))),
+    "celu": _elu,
+    "selu": lambda z: _SELU_SCALE * np.where(z > 0, z, _SELU_ALPHA * np.expm1(np.minimum(z, 0))),
+    "softplus": _softplus,
+    "softsign": lambda z: z / (1 + np.abs(z)),
+    "mish": lambda z: z * np.tanh(_softplus(z)),
+    "logsigmoid": lambda z: -np.logaddexp(0, -z),
+    "hardtanh": lambda z: np.clip(z, -1, 1),
+    "relu6": lambda z: np.clip(z, 0, 6),
+    "hardsigmoid": lambda z: np.clip(z + 3, 0, 6) / 6,
+    "hardswish": lambda z: z * np.clip(z + 3, 0, 6) / 6,
 }
 
 
 class SmoothNetwork:
-    """A network of affine layers with a smooth activation between them, as an oracle: y(x), and the head's answer.
+    """A network of affine layers with one of ACTIVATIONS between them, as an oracle: y(x), and the head's answer.
 
     Attributes:
         weights, biases: of the layers, (n_out, n_in) and (n_out,).
@@ -75,9 +97,9 @@ class SmoothNetwork:
         )
 
     def replace(self, **changes: Any) -> SmoothNetwork:
-        """Return the same network with another head or domain."""
-        arguments = {"activation": self.activation, "head": self.head, "domain": self.domain, **changes}
-        return SmoothNetwork(self.weights, self.biases, **arguments)
+        """Return the same network with other layers, or another head or domain."""
+        names = ("weights", "biases", "activation", "head", "domain")
+        return SmoothNetwork(**{name: getattr(self, name) for name in names} | changes)
 
 
 Oracle = ReluNetwork | SmoothNetwork  # what a tree can imitate

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +18,7 @@ from otr.core.io import load
 from otr.core.network import ReluNetwork
 from otr.core.pattern_tree import PatternTree
 from otr.core.smooth_network import Oracle
-from otr.errors import ArtefactError, InvalidNetworkError
+from otr.errors import ArtefactError, InvalidNetworkError, OtrError
 from otr.extras import naming_the_extra
 from otr.importers.chain import Chain, mappable
 from otr.importers.onnx_graph import chain_of_onnx
@@ -25,12 +27,31 @@ from otr.importers.sb3_model import network_of_model
 from otr.importers.sklearn_estimator import policy_of_estimator, read_skops
 from otr.importers.torch_export_graph import chain_of_export
 from otr.importers.torch_modules import network_of_module
-from otr.importers.vec_normalize import fold_observation_statistics
+from otr.importers.vec_normalize import AUTO, find_statistics, fold_observation_statistics, is_auto
 
 if TYPE_CHECKING:
     import torch
     from onnx import ModelProto
     from torch.export import ExportedProgram
+
+__all__ = ["from_onnx", "from_sb3", "from_sklearn", "from_torch", "read_policy"]
+
+
+def __dir__() -> list[str]:
+    return __all__
+
+
+@contextmanager
+def _reading(file: Any) -> Iterator[None]:
+    """Raise ArtefactError where a file fails a reader in a way that it does not foresee: changed files do in many."""
+    try:
+        yield
+    except (OtrError, ImportError):
+        raise
+    except Exception as error:
+        what = file if isinstance(file, str | os.PathLike) else "the model"
+        told = f"{what} cannot be read ({type(error).__name__}: {error})"
+        raise ArtefactError(f"{told}; it is damaged, or of another version: write it again") from error
 
 
 @naming_the_extra("otr.from_torch")
@@ -44,8 +65,9 @@ def from_torch(
     `TanhBox(-1, 1)`; a last Sigmoid needs ``head=otr.Sign()`` and a last Softmax ``head=otr.Argmax()``, since the tree
     answers with the label and not the probability.
 
-    A float64 copy of the module, in evaluation mode, is run on fixed states of several magnitudes: where it answers
-    otherwise than its layers (hooks, an overridden `forward`, the old `weight_norm`), nothing is returned.
+    Hooks, the old `weight_norm` among them, and functions in place of torch's are refused, as they may act on some
+    states alone. A float64 copy of the module, in evaluation mode, is run on fixed states of several magnitudes: where
+    it answers otherwise than its layers, nothing is returned.
 
     A module with a `forward` of its own is exported: ``torch.export.export(module, (states,))``, or the path of the
     file to which `torch.export.save` wrote that. Read is a chain of layers as `from_onnx` reads it: linear, relu,
@@ -60,13 +82,14 @@ def from_torch(
 
     Raises:
         InvalidNetworkError: a layer or an operation of another kind, named with its position; values that branch and
-            join; activations of several slopes; a module that is not what its layers say, with the largest difference;
-            tensors that are complex, sparse or expanded, or without numbers.
+            join; activations of several slopes; a hook, or a function of a module's own; a module that is not what its
+            layers say, with the largest difference; tensors that are complex, sparse or expanded, or without numbers.
         ArtefactError: a file that is missing, cut off, unpacks to more than 64 MiB, or is no torch export.
         MissingExtraError: torch is not installed; a file needs none.
     """
     if isinstance(module, str | os.PathLike):
-        return mappable(chain_of_export(Path(module)).network(head))
+        with _reading(module):
+            return mappable(chain_of_export(Path(module)).network(head))
     from torch.export import ExportedProgram, save
 
     if isinstance(module, ExportedProgram):
@@ -83,19 +106,22 @@ def from_sb3(
     action_low: ArrayLike | None = None,
     action_high: ArrayLike | None = None,
     negative_slope: float | None = None,
-    vec_normalize: Any = None,
+    vec_normalize: Any = AUTO,
 ) -> ReluNetwork:
     """Return the deterministic actor of a Stable-Baselines3 model, or of sb3-contrib's TRPO and ARS.
 
     SAC, TD3 and DDPG end in `TanhBox`, the others in `ClipBox` or, with discrete actions, `Argmax`; DQN's actor is the
     network of its action values, and of ARS `LinearPolicy` without squashed outputs is read. Stable-Baselines3 computes
-    in float32, so its answers differ from the network's by about 1e-7 of the action box. A live model is run on fixed
-    states: where it predicts otherwise than its layers, nothing is returned.
+    in float32, so its answers differ from the network's by about 1e-7 of the action box. A live model has no hooks, and
+    is run on fixed states: where it predicts otherwise than its layers, nothing is returned.
 
-    A model trained under VecNormalize expects normalised states. With `vec_normalize`, mean and variance go into the
-    first layer and the network takes raw states. VecNormalize also clips the normalised state to +-clip_obs, which the
-    network does not: it is the policy inside the box ``mean +- clip_obs * sqrt(variance + epsilon)`` and not outside.
-    That box is the network's `domain`; `network.domain.contains(X)` tells which states lie in it.
+    A model trained under VecNormalize expects normalised states. Mean and variance go into the first layer, so that the
+    network takes raw states. They are those of a live model's environment, or of the ``vecnormalize.pkl`` that lies in
+    the folder named as the zip or beside the zip, which a warning says, or of `vec_normalize`. A warning also says
+    where a zip shows that it was trained under VecNormalize and there is no such file. VecNormalize clips the
+    normalised state to +-clip_obs, which the network does not: it is the policy inside the box
+    ``mean +- clip_obs * sqrt(variance + epsilon)`` and not outside. That box is the network's `domain`;
+    `network.domain.contains(X)` tells which states lie in it.
 
     From the path of a saved model, only tensors (torch's ``weights_only`` loading), plain text and the action box's
     numbers are read, and no code in the file is run, nor in the file of statistics.
@@ -105,43 +131,51 @@ def from_sb3(
         action_low, action_high: (o,) limits of the action box in place of the model's.
         negative_slope: of LeakyReLU, for a file that does not tell; must agree with what can be known.
         vec_normalize: the path of the file that `VecNormalize.save` wrote, a live VecNormalize, or
-            `ObservationStatistics(mean, variance, epsilon, clip)`; None where the model saw raw states.
+            `ObservationStatistics(mean, variance, epsilon, clip)`; None for the network of the states that the model
+            saw, whatever these were; "auto" to find the statistics.
 
     Raises:
         InvalidNetworkError: a policy that is no ReLU network on a vector of inputs: other activations, gSDE, images,
             feature extractors, dictionaries, several discrete actions; widths other than the spaces' or the
             statistics'; or something that the file does not tell.
-        ArtefactError: a file is missing, cut off, unpacks to more than 256 MiB, or holds more than tensors in its
-            `policy.pth`, or no VecNormalize.
+        ArtefactError: a file is missing, cut off, damaged, unpacks to more than 256 MiB, or holds more than tensors in
+            its `policy.pth`, or no VecNormalize.
         MissingExtraError: torch is not installed.
     """
     if isinstance(model, str | os.PathLike):
-        network = network_of_file(Path(model), action_low, action_high, negative_slope)
+        with _reading(model):
+            network = network_of_file(Path(model), action_low, action_high, negative_slope)
+        vec_normalize = _found_beside(Path(model)) if is_auto(vec_normalize) else vec_normalize
     else:
         network = network_of_model(model, action_low, action_high)
         if negative_slope is not None and network.n_hidden and network.negative_slope != negative_slope:
             raise InvalidNetworkError(f"negative_slope is {negative_slope}, the model's is {network.negative_slope}")
+        vec_normalize = model.get_vec_normalize_env() if is_auto(vec_normalize) else vec_normalize
     return network if vec_normalize is None else fold_observation_statistics(network, vec_normalize)
 
 
 @naming_the_extra("otr.importers.read_policy")
-def read_policy(path: str | os.PathLike[str], *, vec_normalize: str | os.PathLike[str] | None = None) -> Oracle:
+def read_policy(
+    path: str | os.PathLike[str], *, vec_normalize: str | os.PathLike[str] | None = AUTO, output: str | None = None
+) -> Oracle:
     """Return the policy in a file, to be mapped to a tree or to be imitated by one.
 
     The suffix says what the file is: ``.zip`` of Stable-Baselines3 (`from_sb3`), ``.onnx`` (`from_onnx`), ``.pt2`` of
     torch (`from_torch`), ``.skops`` of scikit-learn (`from_sklearn`), ``.json`` and ``.npz`` of `otr.save`. It is read
     as these functions read it, and with the same errors, but units may be smooth, too: tanh (the default of PPO and
-    A2C in Stable-Baselines3), sigmoid, SiLU, ELU and GELU. No tree is equal to such a network. Of a model that ends in
-    a Softmax or a Sigmoid the likelier label is the answer.
+    A2C in Stable-Baselines3) and the others of `otr.core.smooth_network.ACTIVATIONS`, with torch's defaults. No tree is
+    equal to such a network. Of a model that ends in a Softmax or a Sigmoid the likelier label is the answer.
 
     Args:
         path: of the file.
-        vec_normalize: path of the file that `VecNormalize.save` wrote, for a zip whose policy was trained under one.
+        vec_normalize: path of the file that `VecNormalize.save` wrote, for a zip whose policy was trained under one; it
+            is found, or left out with None, as by `from_sb3`.
+        output: name of the output that is the policy's, of an ONNX model with several.
 
     Raises:
         InvalidNetworkError: as the functions above; a classifier whose classes are not 0, 1, ..., the actions; a saved
             tree other than a whole `PatternTree`, which stands for no network; statistics beside another file than a
-            zip.
+            zip, or `output` with another than an ONNX model.
         ArtefactError: as the functions above; or the suffix is another one.
         MissingExtraError: a package that the kind of file needs is not installed.
     """
@@ -153,14 +187,27 @@ def read_policy(path: str | os.PathLike[str], *, vec_normalize: str | os.PathLik
             "written by torch.export.save(torch.export.export(module, (states,)), 'policy.pt2'), a scikit-learn "
             "estimator by skops.io.dump(estimator, 'policy.skops')"
         )
+    if output is not None and path.suffix != ".onnx":
+        raise InvalidNetworkError(f"output={output!r} is one of several outputs of an ONNX model; {path} is none")
+    with _reading(path):
+        policy = reader(path, output)
+    if is_auto(vec_normalize):
+        vec_normalize = _found_beside(path) if path.suffix == ".zip" else None
     if vec_normalize is None:
-        return reader(path)
+        return policy
     if path.suffix != ".zip":
         raise InvalidNetworkError(f"statistics of VecNormalize belong to a Stable-Baselines3 zip, not to {path}")
-    policy = reader(path)
     if isinstance(policy, ReluNetwork):  # a call for each type, so that the type checker knows what comes back
         return fold_observation_statistics(policy, vec_normalize)
     return fold_observation_statistics(policy, vec_normalize)
+
+
+def _found_beside(model: Path) -> Path | None:
+    """Return the file of statistics beside a saved model, with a warning; None where there is none."""
+    file, told = find_statistics(model)
+    if told:
+        warnings.warn(told, stacklevel=4)
+    return file
 
 
 def _decided(chain: Chain) -> Oracle:
@@ -186,13 +233,13 @@ def _of_saved(path: Path) -> Oracle:
     raise InvalidNetworkError(f"it holds a tree of {n_leaves} leaves, which stands for no network")
 
 
-_READERS: dict[str, Callable[[Path], Oracle]] = {
-    ".zip": oracle_of_file,
-    ".onnx": lambda path: _decided(chain_of_onnx(path, None)),
-    ".pt2": lambda path: _decided(chain_of_export(path)),
-    ".skops": _of_skops,
-    ".json": _of_saved,
-    ".npz": _of_saved,
+_READERS: dict[str, Callable[[Path, str | None], Oracle]] = {
+    ".zip": lambda path, _: oracle_of_file(path),
+    ".onnx": lambda path, output: _decided(chain_of_onnx(path, output)),
+    ".pt2": lambda path, _: _decided(chain_of_export(path)),
+    ".skops": lambda path, _: _of_skops(path),
+    ".json": lambda path, _: _of_saved(path),
+    ".npz": lambda path, _: _of_saved(path),
 }
 
 
@@ -223,7 +270,8 @@ def from_onnx(
         ArtefactError: the file is missing, too large, cut off or not valid.
         MissingExtraError: onnx is not installed.
     """
-    return mappable(chain_of_onnx(model, output).network(head))
+    with _reading(model):
+        return mappable(chain_of_onnx(model, output).network(head))
 
 
 @naming_the_extra("otr.from_sklearn")
@@ -248,6 +296,7 @@ def from_sklearn(estimator: Any) -> ReluNetwork:
         ArtefactError: the file is missing, cut off, or unpacks to more than 64 MiB.
         MissingExtraError: scikit-learn, or for a file skops, is not installed.
     """
-    if isinstance(estimator, str | os.PathLike):
-        estimator = read_skops(Path(estimator))
-    return mappable(policy_of_estimator(estimator))
+    if not isinstance(estimator, str | os.PathLike):
+        return mappable(policy_of_estimator(estimator))
+    with _reading(estimator):
+        return mappable(policy_of_estimator(read_skops(Path(estimator))))

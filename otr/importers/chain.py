@@ -17,11 +17,14 @@ from otr.core.network import ReluNetwork
 from otr.core.smooth_network import Oracle, SmoothNetwork
 from otr.errors import InvalidNetworkError
 
-RELU_REMEDY = (
+TRAIN_RELU = (
     "a tree needs ReLU or LeakyReLU: train with torch.nn.ReLU (in Stable-Baselines3, "
-    "policy_kwargs=dict(activation_fn=torch.nn.ReLU)), or imitate the policy, as otr-run method=augtree does"
+    "policy_kwargs=dict(activation_fn=torch.nn.ReLU))"
 )
+# Only where `read_policy` reads the policy
+RELU_REMEDY = f"{TRAIN_RELU}, or imitate the policy, as otr-run method=augtree does"
 _LIMIT_ENTRIES = 2**24  # of a matrix: a product of thin ones can be far larger than the file
+_LIMIT_WIDTH = 2**20  # of a value: a file of a hundred bytes can declare any number of inputs
 DECIDED_BY: dict[str, Head] = {"Sigmoid": Sign(), "Softmax": Argmax(), "LogSoftmax": Argmax()}
 _UNITS_OF_ENDS = {"Tanh": "tanh", "Sigmoid": "sigmoid"}  # what an end is where another layer follows
 
@@ -64,6 +67,12 @@ class Chain:
     low: FloatArray | float = -math.inf
     high: FloatArray | float = math.inf
     is_batch: bool = True  # whether an axis of states stands before `shape`
+
+    def __post_init__(self) -> None:
+        if self.width > _LIMIT_WIDTH:
+            raise InvalidNetworkError(
+                f"there are {self.width:,} numbers for each state, the limit is {_LIMIT_WIDTH:,}; is it the right file?"
+            )
 
     @property
     def width(self) -> int:

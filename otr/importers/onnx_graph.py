@@ -178,7 +178,7 @@ _HANDLERS: dict[str, Callable[[NodeProto, Chain, list[Any], int], Chain]] = {
     "Neg": lambda node, chain, operands, opset: chain.affine(-1.0, 0.0),
     "Relu": lambda node, chain, operands, opset: chain.activation(0.0),
     "LeakyRelu": _leaky_relu,
-    **dict.fromkeys(("Tanh", "Sigmoid", "Elu", "Gelu"), _smooth),
+    **dict.fromkeys(("Tanh", "Sigmoid", "Elu", "Gelu", "Softplus", "Softsign", "Mish", "HardSwish"), _smooth),
     **dict.fromkeys(("Clip", "Max", "Min"), _clip),
     **dict.fromkeys(("ArgMax", "Softmax", "LogSoftmax"), _decision),
 }

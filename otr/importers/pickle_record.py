@@ -82,6 +82,18 @@ def numbers(value: Any) -> FloatArray:
     return np.frombuffer(_bytes(content), dtype=_number_type(dtype)).reshape(shape, order=order).astype(np.float64)
 
 
+def truth(value: Any) -> bool:
+    """Return a truth value, live or recorded, of Python or of NumPy."""
+    if isinstance(value, Record) and value.name.endswith("multiarray.scalar"):
+        dtype, content = value.arguments
+        if dtype.name != "numpy.dtype" or dtype.arguments[0] not in ("b1", "?"):
+            raise TypeError(f"a truth value of the type {dtype.arguments!r}")
+        return any(_bytes(content))
+    if not isinstance(value, bool | np.bool_ | int):
+        raise TypeError(f"{value!r} in place of a truth value")
+    return bool(value)
+
+
 def _number_type(record: Any) -> np.dtype[Any]:
     code = record.arguments[0]
     if (

@@ -24,19 +24,17 @@ from otr.core.arrays import FloatArray
 from otr.core.head import Head
 from otr.core.heads import Argmax, ClipBox, TanhBox
 from otr.core.network import ReluNetwork
-from otr.core.smooth_network import SmoothNetwork
+from otr.core.smooth_network import ACTIVATIONS, SmoothNetwork
 from otr.core.zip_members import read_members
 from otr.errors import ArtefactError, InvalidNetworkError
-from otr.importers.chain import RELU_REMEDY
+from otr.importers.chain import RELU_REMEDY, TRAIN_RELU
 from otr.importers.pickle_record import numbers, record_of_pickle
 from otr.importers.sb3_model import require_widths
 from otr.importers.torch_modules import real_values
 
 _RELU = "<class 'torch.nn.modules.activation.ReLU'>"
 _LEAKY_RELU = "<class 'torch.nn.modules.activation.LeakyReLU'>"
-_SMOOTH = {f"<class 'torch.nn.modules.activation.{name}'>": name.lower() for name in ("Tanh", "Sigmoid", "SiLU", "ELU",
-                                                                                       "GELU")}  # fmt: skip
-_LEAKY_RELU_SLOPE = 0.01  # torch's default
+_SLOPES = {_RELU: 0.0, _LEAKY_RELU: 0.01}  # of LeakyReLU torch's default
 
 # Before version 1.8, Stable-Baselines3 let actor and critic share their first layers.
 _SHARED, _POLICY = "mlp_extractor.shared_net.", "mlp_extractor.policy_net."
@@ -70,15 +68,40 @@ def network_of_file(
 def oracle_of_file(path: Path) -> ReluNetwork | SmoothNetwork:
     """Return the actor in the zip file at `path`; `otr.importers.read_policy` documents it."""
     actor = _actor(path, None, None)
-    smooth = _SMOOTH.get(_activation(actor))
-    if len(actor.weights) == 1 or smooth is None:
+    smooth = _smooth(actor) if len(actor.weights) > 1 else ""
+    if not smooth:
         slope = _slope(actor, None) if len(actor.weights) > 1 else 0.0
         return ReluNetwork(actor.weights, actor.biases, negative_slope=slope, head=actor.head)
     return SmoothNetwork(actor.weights, actor.biases, activation=smooth, head=actor.head)
 
 
+def zip_path(path: Path) -> Path:
+    """Return the path of a saved model, whose suffix may be left out, also where a folder has that name."""
+    return path if path.is_file() or path.suffix == ".zip" else path.with_name(f"{path.name}.zip")
+
+
+def sign_of_normalisation(path: Path) -> str:
+    """Return what in a saved model shows that it was trained under VecNormalize; empty where nothing does.
+
+    Training keeps the last observation as the policy saw it, and PPO and A2C the first as the environment gave it,
+    under VecNormalize alone. SAC and its kin keep the latter in any case.
+    """
+    try:
+        data = json.loads(dict(read_members(path, str(path), ["data"], limit_bytes=_DATA_BYTES))["data"])
+        if "gae_lambda" in data and data.get("_last_original_obs") is not None:
+            return "was trained under VecNormalize"
+        seen = numbers(record_of_pickle(base64.b64decode(data["_last_obs"][":serialized:"])))
+        box = record_of_pickle(base64.b64decode(data["observation_space"][":serialized:"]))
+        low, high = (numbers(box.state[name]) for name in ("low", "high"))
+        margin = 1e-3 * (high - low)  # more than rounding
+        outside = (seen < low - margin) | (seen > high + margin)
+    except Exception:  # a foreign file can hold anything; the reader of its policy says what is wrong
+        return ""
+    return f"has seen {seen[outside][0]:g}, outside the range of its observations" if outside.any() else ""
+
+
 def _actor(path: Path, action_low: ArrayLike | None, action_high: ArrayLike | None) -> _Actor:
-    tensors, data = _read(path)
+    tensors, data = read_archive(path)
     on_policy = any(name.startswith("action_net.") for name in tensors)
     _refuse_other_policies(tensors, data, _ON_POLICY_PARTS if on_policy else _OFF_POLICY_PARTS)
     weights, biases = _actor_layers(tensors, on_policy)
@@ -88,10 +111,9 @@ def _actor(path: Path, action_low: ArrayLike | None, action_high: ArrayLike | No
     return _Actor(weights, biases, head, data, on_policy)
 
 
-def _read(path: Path) -> tuple[Tensors, dict[str, Any]]:
+def read_archive(path: Path) -> tuple[Tensors, dict[str, Any]]:
     """Return the tensors of `policy.pth` by name, and the JSON of `data`."""
-    if not path.exists() and path.suffix != ".zip":
-        path = path.with_name(path.name + ".zip")
+    path = zip_path(path)
     try:
         members = dict(read_members(path, str(path), ["data"], limit_bytes=_DATA_BYTES))
         members |= read_members(path, str(path), ["policy.pth"])
@@ -100,13 +122,13 @@ def _read(path: Path) -> tuple[Tensors, dict[str, Any]]:
         raise ArtefactError(f"{path} does not exist; give the path of a saved Stable-Baselines3 model") from error
     except (ValueError, RecursionError) as error:
         raise ArtefactError(f"{path} cannot be read: data is no JSON ({error}); save the model again") from error
-    tensors = _load_tensors(members["policy.pth"], f"policy.pth in {path}")
+    tensors = load_tensors(members["policy.pth"], f"policy.pth in {path}")
     if not isinstance(data, dict):
         raise ArtefactError(f"{path} is no saved Stable-Baselines3 model: data is no dictionary")
     return tensors, data
 
 
-def _load_tensors(content: bytes, label: str) -> Tensors:
+def load_tensors(content: bytes, label: str) -> Tensors:
     """Return what torch saved, which is a zip file itself, without running anything in it."""
     import torch
 
@@ -168,7 +190,7 @@ def _actor_layers(tensors: Tensors, on_policy: bool) -> tuple[list[FloatArray], 
         parts, last = ("actor.latent_pi.",), ["actor.mu"]
     else:  # TD3, DDPG and DQN hold all layers in one Sequential
         parts, last = ("q_net.q_net." if "q_net.q_net.0.weight" in tensors else "actor.mu.",), []
-    names = [name for part in parts for name in _linear_layers(tensors, part)] + last
+    names = [name for part in parts for name in linear_layers(tensors, part)] + last
     if not names:
         raise InvalidNetworkError(f"no actor among the tensors {sorted(tensors)[:5]} ...; is this a PPO or SAC model?")
     used = {f"{name}.{kind}" for name in names for kind in ("weight", "bias")}
@@ -187,7 +209,7 @@ def _actor_layers(tensors: Tensors, on_policy: bool) -> tuple[list[FloatArray], 
     return weights, biases
 
 
-def _linear_layers(tensors: Tensors, part: str) -> list[str]:
+def linear_layers(tensors: Tensors, part: str) -> list[str]:
     """Return the names of a Sequential's layers with weights, in order."""
     found = (re.fullmatch(re.escape(part) + r"(\d+)\.weight", name) for name in tensors)
     positions = sorted(int(match[1]) for match in found if match)
@@ -205,15 +227,27 @@ def _activation(actor: _Actor) -> str:
     return str(_readable(actor.data, "policy_kwargs").get("activation_fn", default))
 
 
+def readable_slope(data: dict[str, Any]) -> float | None:
+    """Return the activation's negative slope in an off-policy model's `data`; None where it is no (leaky) ReLU's."""
+    activation = str(_readable(data, "policy_kwargs").get("activation_fn", _RELU))
+    return _SLOPES.get(activation)
+
+
+def _smooth(actor: _Actor) -> str:
+    """Return the name in ACTIVATIONS of the activation; empty where it is none of them."""
+    found = re.fullmatch(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>", _activation(actor))
+    return found[1].lower() if found and found[1].lower() in ACTIVATIONS else ""
+
+
 def _slope(actor: _Actor, given: float | None) -> float:
     """Return the activation's negative slope."""
     activation = _activation(actor)
-    known = {_RELU: 0.0, _LEAKY_RELU: _LEAKY_RELU_SLOPE}.get(activation)
+    known = _SLOPES.get(activation)
     if known is None and not (given is not None and "LeakyReLU" in activation):
-        raise InvalidNetworkError(
-            f"the activation is {activation}; "
-            + ("for this LeakyReLU, give negative_slope=" if "LeakyReLU" in activation else RELU_REMEDY)
-        )
+        remedy = RELU_REMEDY if _smooth(actor) else TRAIN_RELU
+        if "LeakyReLU" in activation:
+            remedy = "for this LeakyReLU, give negative_slope= to otr.from_sb3"
+        raise InvalidNetworkError(f"the activation is {activation}; {remedy}")
     if known is not None and given is not None and known != given:
         raise InvalidNetworkError(f"negative_slope is {given}, the file says {activation}, whose slope is {known}")
     return float(known if known is not None else given)  # type: ignore[arg-type]
@@ -229,7 +263,10 @@ def _head(data: dict[str, Any], on_policy: bool, n_outputs: int, low: ArrayLike 
         raise InvalidNetworkError(f"the actions are {kind}; only Box and Discrete (start=0) can be mapped")
     low = _limits(data, "low", n_outputs) if low is None else low
     high = _limits(data, "high", n_outputs) if high is None else high
-    return ClipBox(low, high) if on_policy else TanhBox(low, high)
+    try:
+        return ClipBox(low, high) if on_policy else TanhBox(low, high)
+    except ValueError as error:
+        raise InvalidNetworkError(f"the actions' limits: {error}; give action_low= and action_high=") from error
 
 
 def _count(data: dict[str, Any], name: str) -> int:

@@ -12,14 +12,16 @@ from otr.core.head import Head
 from otr.core.heads import Argmax, ClipBox, TanhBox
 from otr.core.network import ReluNetwork
 from otr.errors import InvalidNetworkError
-from otr.importers.torch_modules import flat_layers, network_of_layers, probe_states, reach
+from otr.importers.torch_modules import flat_layers, network_of_layers, probe_states, reach, refuse_changes
 
 _ROUNDING = 1e-5  # of the size of a sum's terms, in float32
 
 
 def network_of_model(model: Any, action_low: ArrayLike | None, action_high: ArrayLike | None) -> ReluNetwork:
     """Return the deterministic actor of a live model; `otr.from_sb3` documents arguments and errors."""
-    network = network_of_layers(_actor_layers(model), None)
+    layers = _actor_layers(model)
+    refuse_changes(model.policy, "policy")
+    network = network_of_layers(layers, None)
     head = _head(model, action_low, action_high)
     n_inputs = math.prod(model.observation_space.shape)
     space = model.action_space

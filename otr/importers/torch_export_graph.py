@@ -170,16 +170,16 @@ def _rsub(chain: Chain, own: str, given: dict[str, Any]) -> Chain:
     return chain.affine(-given.get("alpha", 1), _numbers(given["other"]))
 
 
-def _elu(chain: Chain, own: str, given: dict[str, Any]) -> Chain:
-    if any(given.get(name, 1) != 1 for name in ("alpha", "scale", "input_scale")):
-        raise InvalidNetworkError("has another alpha or scale than 1, which cannot be read")
-    return chain.activation("elu")
+def _smooth(unit: str, **defaults: float | str) -> Callable[[Chain, str, dict[str, Any]], Chain]:
+    """Return the step of a smooth unit, which is read with these arguments alone."""
 
+    def step(chain: Chain, own: str, given: dict[str, Any]) -> Chain:
+        for name, default in defaults.items():
+            if given.get(name, default) != default:
+                raise InvalidNetworkError(f"has {name}={given[name]!r}, which cannot be read; use torch's {default!r}")
+        return chain.activation(unit)
 
-def _gelu(chain: Chain, own: str, given: dict[str, Any]) -> Chain:
-    if given.get("approximate", "none") != "none":
-        raise InvalidNetworkError("is approximated, which cannot be read; use torch.nn.GELU()")
-    return chain.activation("gelu")
+    return step
 
 
 def _clip(low: str, high: str, *defaults: float | None) -> Callable[[Chain, str, dict[str, Any]], Chain]:
@@ -232,9 +232,12 @@ _HANDLERS: dict[str, Callable[[Chain, str, dict[str, Any]], Chain]] = {
     "neg": lambda chain, own, given: chain.affine(-1.0, 0.0),
     "relu": _activation(0.0),
     "leaky_relu": lambda chain, own, given: chain.activation(float(given.get("negative_slope", 0.01))),
-    **{name: _activation(name) for name in ("tanh", "sigmoid", "silu")},
-    "elu": _elu,
-    "gelu": _gelu,
+    **{name: _activation(name) for name in ("tanh", "sigmoid", "silu", "selu", "mish", "hardsigmoid", "hardswish")},
+    "log_sigmoid": _activation("logsigmoid"),
+    "elu": _smooth("elu", alpha=1, scale=1, input_scale=1),
+    "celu": _smooth("celu", alpha=1),
+    "gelu": _smooth("gelu", approximate="none"),
+    "softplus": _smooth("softplus", beta=1, threshold=20),
     **dict.fromkeys(("clamp", "clip"), _clip("min", "max")),
     "clamp_min": _clip("min", ""),
     "clamp_max": _clip("", "max"),

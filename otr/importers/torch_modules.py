@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import inspect
 from collections.abc import Iterable, Sequence
 from itertools import chain
 from typing import TYPE_CHECKING, Any
@@ -14,15 +15,17 @@ from otr.core.head import Head
 from otr.core.heads import TanhBox
 from otr.core.network import ReluNetwork
 from otr.errors import InvalidNetworkError
-from otr.importers.chain import DECIDED_BY, RELU_REMEDY, Chain, mappable, naming
+from otr.importers.chain import DECIDED_BY, RELU_REMEDY, TRAIN_RELU, Chain, mappable, naming
 
 if TYPE_CHECKING:
     import torch
 
 _NOTHING = ("Flatten", "Identity", "Dropout")  # is what these do to a vector at inference
 _LAYERS = ("Linear", "ReLU", "LeakyReLU", "Tanh", "Sigmoid", "Softmax", "LogSoftmax")
+_CALLS = ("__call__", "_call_impl", "_wrapped_call_impl")  # by which torch runs a module's forward
 _PROBES = 64  # states of each magnitude
 _MAGNITUDES = (1e-3, 1.0, 1e3, 1e6)
+_LIKELY_CAUSE = "a Softmax over another axis, or a Flatten of the states, may be the cause: take it out"
 _ROUNDING = 1e-12  # of the size of a sum's terms; float64 in networks of a thousand neurons stays below
 
 
@@ -31,6 +34,7 @@ def network_of_module(module: torch.nn.Module, head: Head | None) -> ReluNetwork
     list(flat_layers(module, "module"))  # layers of other kinds are refused by name before anything is copied
     for name, tensor in chain(module.named_parameters(), module.named_buffers()):
         _require_numbers(tensor, f"tensor {name!r}")
+    refuse_changes(module, "module")
     copied = _float64_copy(module)
     layers = list(flat_layers(copied, "module"))
     last = _kind(layers[-1][1]) if layers else ""
@@ -58,6 +62,38 @@ def flat_layers(module: Any, name: str) -> Iterable[tuple[str, Any]]:
         yield name, module
 
 
+def refuse_changes(module: Any, name: str) -> None:
+    """Raise InvalidNetworkError where a hook, or a function in place of torch's, may change what layers answer.
+
+    Whatever a module answers on some states, these can act on others. Parametrisations are modules, too.
+    """
+    import torch
+
+    on_all = torch.nn.modules.module
+    if on_all._global_forward_hooks or on_all._global_forward_pre_hooks:
+        raise InvalidNetworkError(
+            "a forward hook on all modules is registered, which may change what layers answer: call remove() of what "
+            "torch.nn.modules.module.register_module_forward_hook, or _forward_pre_hook, returned"
+        )
+    for path, part in module.named_modules():
+        where = "".join((name, *(f"[{step}]" if step.isdigit() else f".{step}" for step in path.split(".") if step)))
+        for hook in (*part._forward_pre_hooks.values(), *part._forward_hooks.values()):
+            raise InvalidNetworkError(
+                f"{where} has a forward hook ({type(hook).__name__}), which may change what it answers: remove it, by "
+                "remove() of its handle, or torch.nn.utils.remove_weight_norm or remove_spectral_norm of one of these"
+            )
+        replaced = [each for each in vars(part) if inspect.isfunction(getattr(type(part), each, None))]
+        if any(getattr(type(part), each) is not getattr(torch.nn.Module, each) for each in _CALLS):
+            replaced.append("__call__")
+        if isinstance(part, torch.nn.Sequential) and type(part).forward is not torch.nn.Sequential.forward:
+            replaced.append("forward")
+        if replaced:
+            raise InvalidNetworkError(
+                f"{where} has a {replaced[0]} of its own, which may do something else than its layers: take it out, or "
+                "give the export of a module, torch.export.export(module, (states,))"
+            )
+
+
 def network_of_layers(layers: Sequence[tuple[str, Any]], head: Head | None) -> ReluNetwork:
     """Return the network of (position, layer) pairs: Linear, ReLU and LeakyReLU."""
     first = next((layer for _, layer in layers if _kind(layer) == "Linear"), None)
@@ -73,7 +109,10 @@ def network_of_layers(layers: Sequence[tuple[str, Any]], head: Head | None) -> R
             with naming(f"{position} is {layer}, which"):
                 chain = chain.activation(float(getattr(layer, "negative_slope", 0.0)))
         else:
-            raise InvalidNetworkError(f"{position} is {layer}; {_remedy(_kind(layer))}")
+            remedy = _remedy(_kind(layer))
+            if remedy == RELU_REMEDY and any(_kind(other) in ("ReLU", "LeakyReLU") for _, other in layers):
+                remedy = TRAIN_RELU  # a network of units of two kinds cannot be imitated
+            raise InvalidNetworkError(f"{position} is {layer}; {remedy}")
     return mappable(chain.network(head))
 
 
@@ -184,12 +223,12 @@ def _require_same_answers(module: Any, network: ReluNetwork, layers: Sequence[tu
     except Exception as error:  # foreign code can fail in any way
         raise InvalidNetworkError(
             f"the module cannot be run on {len(states)} states of {network.n_inputs} inputs in float64: {error}; "
-            f"{_likely_cause(module)}"
+            f"{_LIKELY_CAUSE}"
         ) from error
     if answers.shape != expected.shape:
         raise InvalidNetworkError(
             f"the module answers {len(states)} states with shape {answers.shape}, its layers with "
-            f"{expected.shape}; {_likely_cause(module)}"
+            f"{expected.shape}; {_LIKELY_CAUSE}"
         )
     with np.errstate(invalid="ignore"):  # both may be infinite
         differences = np.where(answers == expected, 0.0, np.abs(answers - expected))
@@ -199,25 +238,5 @@ def _require_same_answers(module: Any, network: ReluNetwork, layers: Sequence[tu
         raise InvalidNetworkError(
             f"the module answers otherwise than its layers: in state {states[i].tolist()} it gives "
             f"{answers[i].tolist()}, its layers {expected[i].tolist()} (the largest difference of {len(states)} "
-            f"states: {differences[i].max():g}); {_likely_cause(module)}"
+            f"states: {differences[i].max():g}); {_LIKELY_CAUSE}"
         )
-
-
-def _likely_cause(module: Any) -> str:
-    """Return what probably makes the module do something else than its layers, and what to do."""
-    import torch
-
-    for name, part in module.named_modules():
-        where = "".join(("module", *(f"[{position}]" for position in name.split(".") if position)))
-        if part._forward_pre_hooks or part._forward_hooks:
-            hooks = [*part._forward_pre_hooks.values(), *part._forward_hooks.values()]
-            kind = type(hooks[0]).__name__
-            return (
-                f"{where} has a forward hook ({kind}): remove it, with torch.nn.utils.remove_weight_norm or "
-                "remove_spectral_norm where it is one of these"
-            )
-        if "forward" in vars(part) or (
-            isinstance(part, torch.nn.Sequential) and type(part).forward is not torch.nn.Sequential.forward
-        ):
-            return f"{where} has a forward of its own: give a Sequential that does what its layers do"
-    return "a hook on all modules, a changed __call__ or a Softmax over another axis may be the cause: take it out"

@@ -1,4 +1,4 @@
-"""The statistics of Stable-Baselines3's VecNormalize, read from its pickle without running anything in it."""
+"""The statistics of Stable-Baselines3's VecNormalize: found beside a model, and read without running their pickle."""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ from otr.core.domain import Domain
 from otr.core.network import ReluNetwork
 from otr.core.smooth_network import SmoothNetwork
 from otr.errors import ArtefactError, InvalidNetworkError
-from otr.importers.pickle_record import Record, numbers, record_of_pickle
+from otr.importers.pickle_record import Record, numbers, record_of_pickle, truth
+from otr.importers.sb3_archive import sign_of_normalisation, zip_path
 
 Network = TypeVar("Network", ReluNetwork, SmoothNetwork)
 
 _VEC_NORMALIZE = "stable_baselines3.common.vec_env.vec_normalize.VecNormalize"
-_LIMIT_BYTES = (
-    2**24
-)  # of a file that holds a few numbers for each input; what it makes takes sixty times as much memory
+_LIMIT_BYTES = 2**24  # of a file with a few numbers for each input; what it makes takes sixty times as much memory
+_FILE = "vecnormalize.pkl"  # as rl-baselines3-zoo names it
+AUTO = "auto"  # in place of statistics: those of the live model, or of the file that lies beside a saved one
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,34 @@ class ObservationStatistics:
     clip: float = 10.0
 
 
+def find_statistics(model: Path) -> tuple[Path | None, str]:
+    """Return the file of statistics that lies beside a saved model, and what a user has to know of it.
+
+    Looked for is ``vecnormalize.pkl`` in the folder that is named as the zip is (where rl-baselines3-zoo saves it), and
+    in the zip's own folder. Where there is none, the text says whether the model's file shows that one is missing; it
+    is empty where nothing does.
+    """
+    model = zip_path(model)
+    for file in (model.with_suffix("") / _FILE, model.with_name(_FILE)):
+        if file.is_file():
+            return file, (
+                f"{model} is read with the statistics of {file}, which lies beside it: its network takes raw states; "
+                "vec_normalize=FILE names another file, vec_normalize=None says that it was trained on raw states"
+            )
+    sign = sign_of_normalisation(model)
+    if not sign:
+        return None, ""
+    return None, (
+        f"{model} {sign}, so the network may expect normalised states, and no {_FILE} lies beside it; "
+        "vec_normalize=FILE names the file that VecNormalize.save wrote, vec_normalize=None says that there is none"
+    )
+
+
+def is_auto(given: Any) -> bool:
+    """Return whether statistics are to be found, and not given."""
+    return isinstance(given, str) and given == AUTO
+
+
 def fold_observation_statistics(network: Network, given: Any) -> Network:
     """Return the network on raw states; its domain is the box inside which nothing is clipped.
 
@@ -51,9 +80,10 @@ def fold_observation_statistics(network: Network, given: Any) -> Network:
         return network
     mean, variance = numbers(statistics.mean).ravel(), numbers(statistics.variance).ravel()
     if len(mean) != network.n_inputs or len(variance) != network.n_inputs:
+        where = f" in {given}" if isinstance(given, str | os.PathLike) else ""
         raise InvalidNetworkError(
-            f"the statistics are of {len(mean)} means and {len(variance)} variances, the network has "
-            f"{network.n_inputs} inputs; give the file that was saved with this model"
+            f"the statistics{where} are of {len(mean)} means and {len(variance)} variances, the network has "
+            f"{network.n_inputs} inputs; give those that were saved with this model, or vec_normalize=None"
         )
     spread = variance + float(numbers(statistics.epsilon))
     clip = float(numbers(statistics.clip))
@@ -98,7 +128,7 @@ def _statistics(given: Any) -> ObservationStatistics | None:
 def _of_vec_normalize(found: Any) -> ObservationStatistics | None:
     """Return the statistics of a VecNormalize, live or as its file records it."""
     state = _state(found)
-    if not state["norm_obs"]:
+    if not truth(state["norm_obs"]):
         return None
     if isinstance(state["obs_rms"], dict):
         raise InvalidNetworkError(

@@ -20,8 +20,9 @@ from otr.core.network import ReluNetwork
 from otr.importers import from_sklearn
 from otr.learners.base.parameters import AT_LEAST_1, CLASS_WEIGHT, Constraints, Widths, some_of
 from otr.learners.base.single_tree import GrownClassifier, GrownRegressor
+from otr.learners.base.units import Units
 from otr.learners.base.weights import ClassWeight, mean_and_divisor
-from otr.learners.cart import from_sklearn_tree
+from otr.learners.cart import grow_cart
 from otr.learners.model_tree import LinearModelTreeRegressor
 
 
@@ -52,15 +53,17 @@ class _AugTree:
         """Set `network_`, trained where none was given, and return A (m, d) and a (m,)."""
         network = self.network
         if network is None:
-            size = np.abs(X).max(axis=0).astype(np.float64)
+            units = Units.of(X)
+            Z = units.changed(X)
+            size = np.abs(Z).max(axis=0).astype(np.float64)
             size = np.where(size > 0, size, 1.0)
             mlp = mlp_class(
                 hidden_layer_sizes=self.hidden_layer_sizes, max_iter=self.mlp_max_iter, random_state=random_state
             )
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", ConvergenceWarning)
-                mlp.fit(X / size, y, weights)
-            network = from_sklearn(mlp).fold_input_normalisation(0.0, size)
+                mlp.fit(Z / size, y, weights)
+            network = from_sklearn(mlp).fold_input_normalisation(units.shift, np.ldexp(size, -units.exponent))
         self.network_, d = network, X.shape[1]
         if network.n_inputs != d or network.n_hidden == 0:
             raise ValueError(
@@ -129,7 +132,7 @@ class AugTreeClassifier(_AugTree, GrownClassifier):
             max_leaf_nodes=self.max_leaf_nodes,
             random_state=random_state,
         )
-        self.tree_ = self._named(from_sklearn_tree(cart.fit(X @ A.T + a, labels, weights)).compose(A, a))
+        self.tree_ = self._named(grow_cart(cart, X @ A.T + a, labels, weights).compose(A, a))
         return self
 
 
@@ -186,6 +189,6 @@ class AugTreeRegressor(_AugTree, GrownRegressor):
         if self.leaves == "linear":
             tree = LinearModelTreeRegressor(**options).fit(features, targets, weights).tree_
         else:
-            tree = from_sklearn_tree(DecisionTreeRegressor(**options).fit(features, targets, weights))
+            tree = grow_cart(DecisionTreeRegressor(**options), features, targets, weights)
         self.tree_ = self._named(tree.compose(A, a))
         return self

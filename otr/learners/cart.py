@@ -6,7 +6,7 @@ from dataclasses import KW_ONLY, dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from sklearn.tree import BaseDecisionTree, DecisionTreeClassifier, DecisionTreeRegressor
 from sklearn.utils.validation import check_is_fitted
 
@@ -14,6 +14,7 @@ from otr.core.tree import ObliqueTree
 from otr.learners.base.parameters import CLASS_WEIGHT, Constraints, some_of
 from otr.learners.base.single_tree import GrownClassifier, GrownRegressor, class_tree
 from otr.learners.base.tree_answers import with_names_of
+from otr.learners.base.units import Units
 from otr.learners.base.weights import ClassWeight
 
 
@@ -59,6 +60,24 @@ def from_sklearn_tree(model: BaseDecisionTree) -> ObliqueTree:
     return with_names_of(model, class_tree(tree, values) if is_classifier else tree)
 
 
+def grow_cart(
+    model: BaseDecisionTree, X: NDArray[Any], targets: NDArray[Any], weights: NDArray[Any] | None
+) -> ObliqueTree:
+    """Fit scikit-learn's tree in units in which it tells values apart (`Units`), and return it in those of the data.
+
+    Args:
+        model: the `DecisionTreeClassifier` or `DecisionTreeRegressor`; it is left fitted to data in the other units.
+        X, targets, weights: rows (n, d), labels (n,) or values (n, o), and weights (n,) or None.
+    """
+    units = Units.of(X)
+    if isinstance(model, DecisionTreeClassifier):
+        return units.restored_tests(from_sklearn_tree(model.fit(units.changed(X), targets, weights)))
+    of_targets = Units.of(targets, jointly=True)
+    model.set_params(ccp_alpha=float(np.ldexp(model.ccp_alpha, 2 * of_targets.exponent[0])))  # a squared target
+    tree = from_sklearn_tree(model.fit(units.changed(X), of_targets.changed(targets), weights))
+    return units.restored_tests(tree.replace(c=of_targets.restored(tree.c)))
+
+
 @dataclass(eq=False, repr=False)
 class _Cart:
     """The parameters of both."""
@@ -79,7 +98,7 @@ class _Cart:
 class CARTClassifier(_Cart, GrownClassifier):
     """CART classifier (Breiman et al. 1984) by scikit-learn, Gini impurity.
 
-    scikit-learn compares inputs in float32 and splits no values nearer than 1e-7: scale columns of other sizes first.
+    Columns that scikit-learn's float32 would not resolve are shifted and scaled for it (`grow_cart`).
 
     Cost: O(d n log n) for each level of the tree.
 
@@ -101,16 +120,14 @@ class CARTClassifier(_Cart, GrownClassifier):
         """Fit on X (n, d) and classes y (n,); `sample_weight` (n,) counts a row as that many."""
         X, labels, weights = self._checked_fit(X, y, sample_weight)
         parameters = self.get_params() | {"class_weight": None}  # it is in the weights
-        cart = DecisionTreeClassifier(**parameters).fit(X, labels, weights)
-        self.tree_ = self._named(from_sklearn_tree(cart))
+        self.tree_ = self._named(grow_cart(DecisionTreeClassifier(**parameters), X, labels, weights))
         return self
 
 
 class CARTRegressor(_Cart, GrownRegressor):
     """CART regressor (Breiman et al. 1984) by scikit-learn, squared error, one or several targets.
 
-    scikit-learn compares inputs in float32, splits no values nearer than 1e-7 and no node whose impurity is below
-    2e-16: scale columns and targets of other sizes first.
+    Columns and targets that scikit-learn would not resolve are shifted and scaled for it (`grow_cart`).
 
     Cost: O(d n log n) for each level of the tree.
 
@@ -125,6 +142,5 @@ class CARTRegressor(_Cart, GrownRegressor):
     def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> CARTRegressor:
         """Fit on X (n, d) and targets y, (n,) or (n, o); `sample_weight` (n,) counts a row as that many."""
         X, targets, weights = self._checked_fit(X, y, sample_weight)
-        cart = DecisionTreeRegressor(**self.get_params()).fit(X, targets, weights)
-        self.tree_ = self._named(from_sklearn_tree(cart))
+        self.tree_ = self._named(grow_cart(DecisionTreeRegressor(**self.get_params()), X, targets, weights))
         return self

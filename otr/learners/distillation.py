@@ -24,6 +24,7 @@ from sklearn.utils._param_validation import StrOptions
 
 from otr.core.arrays import FloatArray
 from otr.learners.base.parameters import AT_LEAST_0, POSITIVE, SHARE, Constraints, Settings, some_of
+from otr.learners.base.units import Units
 
 _MAX_DENSITY = 0.03  # up to it scikit-learn grows trees faster on sparse rows, on 33,000 molecules seven times
 _FORESTS = {"extra_trees": ExtraTreesRegressor, "random_forest": RandomForestRegressor}
@@ -93,9 +94,11 @@ class FittedTeacher:
     forests: list[Any]  # one for all labels, or one a label
     linear: list[Any]  # a logistic regression a label, or the one class that a label has; none without their weight
     weight_of_linear: float
+    units: Units  # in which both read rows
 
     def predict_proba(self, X: NDArray[Any]) -> FloatArray:
         """Return the probability (n, L) of class 1 for each label, of rows X (n, d)."""
+        X = self.units.changed(X)
         answers = [_mean_answers(forest.estimators_, X) for forest in self.forests]
         probabilities: FloatArray = np.concatenate(answers, axis=1).clip(0.0, 1.0)
         if self.linear:
@@ -117,13 +120,14 @@ def fit_teacher(
         groups = [(np.where(present, labels, np.nanmean(labels, axis=0)), np.ones(len(rows), dtype=np.bool_))]
     else:
         groups = [(labels[:, [label]], present[:, label]) for label in range(labels.shape[1])]
-    forests, growing = [], _for_growing(rows)
+    units = Units.of(rows)
+    forests, growing = [], _for_growing(units.changed(rows))
     for (of_group, is_seen), forest_seed in zip(groups, for_forests.generate_state(len(groups)), strict=True):
         forest = teacher.new_forest(int(forest_seed), n_jobs)
         goals = of_group[is_seen]
         forests.append(forest.fit(growing[is_seen], goals[:, 0] if goals.shape[1] == 1 else goals))
     linear = _linear_models(growing, labels, teacher.C) if teacher.weight_of_linear else []
-    return FittedTeacher(forests, linear, teacher.weight_of_linear)
+    return FittedTeacher(forests, linear, teacher.weight_of_linear, units)
 
 
 def distillation_set(

@@ -23,8 +23,9 @@ from otr.core.pruning import prune_unreached
 from otr.core.tree import ObliqueTree
 from otr.learners.base.parameters import AT_LEAST_0, AT_LEAST_1, CLASS_WEIGHT, POSITIVE, Constraints
 from otr.learners.base.single_tree import GrownClassifier, class_tree
+from otr.learners.base.units import Units
 from otr.learners.base.weights import ClassWeight
-from otr.learners.cart import from_sklearn_tree
+from otr.learners.cart import grow_cart
 from otr.learners.growing.greedy import Test, grow
 
 # Below this share of non-zeros the inputs are kept as a sparse matrix.
@@ -108,6 +109,8 @@ class TAOClassifier(GrownClassifier):
         """Fit on X (n, d) and classes y (n,); `sample_weight` (n,) counts a row as that many."""
         X, labels, weights = self._checked_fit(X, y, sample_weight)
         weights = np.ones(len(X)) if weights is None else weights
+        units = Units.of(X)
+        X = units.changed(X)
         random_state = check_random_state(self.random_state)
         start = self._initial_tree(X, labels, weights, random_state)
         alternation = _Alternation(X, labels, weights, start, self._surrogate(random_state))
@@ -123,7 +126,8 @@ class TAOClassifier(GrownClassifier):
         np.add.at(counts, (tree.apply(X), labels), weights)
         if self.leaf_values == "labels":
             counts = np.eye(len(self.classes_))[counts.argmax(axis=1)]
-        self.tree_ = self._named(class_tree(tree, counts / counts.sum(axis=1, keepdims=True)))
+        shares = counts / counts.sum(axis=1, keepdims=True)
+        self.tree_ = self._named(class_tree(units.restored_tests(tree), shares))
         return self
 
     def _initial_tree(
@@ -131,7 +135,7 @@ class TAOClassifier(GrownClassifier):
     ) -> ObliqueTree:
         if self.init == "cart":
             cart = DecisionTreeClassifier(max_depth=self.max_depth, random_state=random_state)
-            return from_sklearn_tree(cart.fit(X, labels, weights))
+            return grow_cart(cart, X, labels, weights)
 
         def halve(rows: IntArray) -> Test | None:
             if (labels[rows] == labels[rows[0]]).all():

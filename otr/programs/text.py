@@ -29,8 +29,7 @@ def to_text(
 
     Several outputs take one line each, ``name = expression``. Coefficients that are zero are left out. A PID policy's
     leaf states its gains first (`otr.PidBox`), as in Fig. 4.4; what P, I and D are stands above the program. A name
-    that is not made of words stands between backquotes, where `parse_program` reads it back whatever it holds. It
-    reads trees of up to 100 tests on a path.
+    that is not made of words stands between backquotes, where `parse_program` reads it back whatever it holds.
 
     Args:
         tree: any tree.

@@ -24,9 +24,8 @@ from otr.geometry.rational import Point, as_point, without_denominators
 from otr.geometry.regions import leaf_rows
 from otr.proof.certificate import Sum
 from otr.proof.exact_cells import decide
-from otr.proof.exact_rows import ExactRow
+from otr.proof.exact_rows import ExactRow, rounded_up
 from otr.proof.verdict import Piece, Question, Verdict
-from otr.proof.verify import rounded_up
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,13 @@ class Cell:
     proof and a remainder. Every difference of leaf and network in the cell, and its negative, is with its bound a form
     that is small over the domain; there are no bounds where the differences themselves are. No state is in a cell with
     a sum `empty`, which is nowhere above 0, and not 0 where the rows hold.
+
+    Of a tree with labels, `near` are the outcomes of a piece of the network with the leaf's label that the cell's
+    states are near to, if that is another than its `outcomes`; then there are proofs of all its tests, and the bounds
+    are sums that the domain's sides are at least. The states come to the piece `towards` (d + 1,) a point (q, 1) or in
+    a direction (p, 0), times any number; none are needed where all are in it. Where outputs tie throughout the piece,
+    the cell is a sliver: by the sums `thin`, of test `onto` of the piece and of its negative, it is thin along the
+    input that `towards` has, and the proofs are of the tests and sides where that input has brought test `onto` to 0.
     """
 
     leaf: int
@@ -49,6 +56,10 @@ class Cell:
     proofs: tuple[Sum, ...] = ()
     bounds: tuple[Sum, ...] = ()
     empty: Sum | None = None
+    near: str = ""
+    towards: tuple[float | Fraction, ...] = ()
+    thin: tuple[Sum, ...] = ()
+    onto: int = 0
 
 
 @dataclass(frozen=True, repr=False)
@@ -61,10 +72,12 @@ class Certificate:
     Attributes:
         domain: where.
         max_error: bound on the difference of any output, before the head, at every real point of the domain. Of labels
-            it is a distance: a state at which they differ is no farther from the boundary between the two, where the
-            network's outputs for them tie, each input counted in units of 1 or of its width in the domain if that is
-            smaller. It is 5e-324, the smallest float64, if they can differ on boundaries alone, and 0 if nowhere. On a
-            domain with open sides all bounds are to be multiplied by 1 + the sum of |x_i| over the open inputs.
+            it is a distance: no farther from a state with another label than the network's there are states of the
+            domain at which the network has the tree's label (the largest change of an input, each counted in units of
+            1 or of its width in the domain if that is smaller), or outputs tie for both throughout and the states are
+            in a sliver no thicker. It is 5e-324, the smallest float64, if labels can differ on boundaries alone, and 0
+            if nowhere. On a domain with open sides all bounds are to be multiplied by 1 + the sum of |x_i| over the
+            open inputs, of labels by its square.
         n_leaves, n_empty, n_regions: leaves; those that no state reaches; cells of the network in the others.
         n_linear_programs: solved to find the proof.
         cells: the proof.
@@ -157,7 +170,15 @@ def _described(cell: Cell) -> dict[str, Any]:
     if cell.empty is not None:
         return description | {"empty": _listed(cell.empty)}
     description["proofs"] = [_listed(proof) for proof in cell.proofs]
-    return description | ({"bounds": [_listed(bound) for bound in cell.bounds]} if cell.bounds else {})
+    if cell.bounds:
+        description["bounds"] = [_listed(bound) for bound in cell.bounds]
+    if cell.near:
+        description["near"] = cell.near
+    if cell.towards:
+        description["towards"] = [_written(number) for number in cell.towards]
+    if cell.thin:
+        description |= {"thin": [_listed(sum_) for sum_ in cell.thin], "onto": cell.onto}
+    return description
 
 
 def _cell(description: dict[str, Any]) -> Cell:
@@ -168,22 +189,28 @@ def _cell(description: dict[str, Any]) -> Cell:
         tuple(_sum(proof) for proof in description.get("proofs", ())),
         tuple(_sum(bound) for bound in description.get("bounds", ())),
         _sum(description["empty"]) if "empty" in description else None,
+        str(description.get("near", "")),
+        tuple(map(_number, description.get("towards", ()))),
+        tuple(_sum(sum_) for sum_ in description.get("thin", ())),
+        int(description.get("onto", 0)),
     )
 
 
 def _listed(proof: Sum) -> dict[str, float | str]:
-    """Return multipliers by row; a fraction as hexadecimal text, since its numbers may be long."""
-    return {
-        row: multiplier if isinstance(multiplier, float) else f"{multiplier.numerator:#x}/{multiplier.denominator:#x}"
-        for row, multiplier in zip(proof.rows, proof.multipliers, strict=True)
-    }
+    """Return multipliers by row."""
+    return {row: _written(multiplier) for row, multiplier in zip(proof.rows, proof.multipliers, strict=True)}
+
+
+def _written(number: float | Fraction) -> float | str:
+    """Return a number for JSON; a fraction as hexadecimal text, since its numbers may be long."""
+    return number if isinstance(number, float) else f"{number.numerator:#x}/{number.denominator:#x}"
 
 
 def _sum(description: dict[str, float | str]) -> Sum:
-    return Sum(tuple(map(str, description)), tuple(_multiplier(value) for value in description.values()))
+    return Sum(tuple(map(str, description)), tuple(map(_number, description.values())))
 
 
-def _multiplier(value: float | str) -> float | Fraction:
+def _number(value: float | str) -> float | Fraction:
     if not isinstance(value, str):
         return float(value)
     numerator, denominator = value.split("/")

@@ -24,11 +24,21 @@ from otr.geometry.largest_balls import Balls, largest_balls
 from otr.geometry.rational import Point, as_point
 from otr.geometry.regions import leaf_rows
 from otr.geometry.simplex import Bases
-from otr.proof.certificate import Cell, Certificate, Sum
-from otr.proof.exact_cells import ExactCell, Multipliers, counterexample, decide, find_cells, largest_gap, refused_at
-from otr.proof.exact_rows import ExactRow, TreeAndNetwork
+from otr.proof.certificate import Cell, Certificate
+from otr.proof.exact_cells import (
+    ExactCell,
+    as_sum,
+    counterexample,
+    decide,
+    differs,
+    find_cells,
+    largest_gap,
+    refused_at,
+)
+from otr.proof.exact_rows import ExactRow, TreeAndNetwork, rounded_up
 from otr.proof.float_cells import cells_of, empty_sum, row_names, start_of_walk
-from otr.proof.verify import Checker, check_cover, rounded_up
+from otr.proof.label_cells import near_cell
+from otr.proof.verify import Checker, check_cover
 
 
 def certify(
@@ -49,7 +59,7 @@ def certify(
         domain: a box (low, high) of which any side may be infinite; None is the network's own domain, or all of R^d.
         exact: every certificate is found and checked in exact arithmetic; accepted for those who ask for it.
         max_error: refuse a larger bound, as `Certificate.max_error` is defined, on the difference of outputs or, of
-            labels, on the distance from the boundary between them.
+            labels, on the distance from where the network has the tree's label.
         max_regions, max_seconds: refuse a longer proof, or to look for longer.
 
     Raises:
@@ -119,7 +129,7 @@ class _Certification:
         by_leaf: dict[int, list[Cell]] = {}
         for block in walk.run(start_of_walk(rows, signs, balls)):
             self._check_answers(block)
-            found, n_solved = cells_of(block, names, rows.n_rows, domain)
+            found, n_solved = cells_of(block, names, rows.n_rows, domain, self.pair.tree.labels is not None)
             self.n_programs += n_solved
             for cell in found:
                 by_leaf.setdefault(cell.leaf, []).append(cell)
@@ -127,17 +137,21 @@ class _Certification:
         return by_leaf
 
     def _check_answers(self, block: Block) -> None:
-        """Raise CertificateError if tree and network differ at an inner point of a region: the quick way to see it."""
+        """Raise CertificateError if tree and network differ at an inner point of a region: the quick way to see it.
+
+        Labels are looked at in regions that are wide: those of a sliver may be others where the network's tie.
+        """
         tree, network = self.pair.tree, self.pair.network
-        X = self.pair.domain.unscaled(block.centres)[block.radii > 0]
+        is_wide = block.radii > (0 if tree.labels is None else 2 * float(self.max_error))
+        X = self.pair.domain.unscaled(block.centres)[is_wide]
         if tree.labels is not None:
             suspect = tree.predict(X) != network.predict(X)
         else:
             suspect = np.abs(tree.forward(X) - network.forward(X)).max(axis=1, initial=0.0) > float(self.max_error)
         for x in X[suspect]:
             point = as_point(x)
-            leaf, gap = self.pair.gap(point)
-            if self.pair.is_inside(point) and gap > self.max_error * self.pair.unit_at(point):
+            leaf = differs(self.pair, point, self.max_error) if self.pair.is_inside(point) else None
+            if leaf is not None:
                 raise refused_at(self.pair, leaf, point)
 
     def _cells_of_thin_leaf(self, leaf: int, balls: Balls, rows: HalfSpaces, names: list[str]) -> list[Cell]:
@@ -153,7 +167,7 @@ class _Certification:
         point = decide(of_leaf, self.pair.network.n_inputs)
         self.n_programs += 1
         if not isinstance(point, tuple):
-            return [Cell(leaf, "", (), empty=_as_sum(point))]
+            return [Cell(leaf, "", (), empty=as_sum(point))]
         return self._exact_cells(leaf, of_leaf, point)
 
     def _proved(self, leaf: int, cells: list[Cell]) -> list[Cell]:
@@ -185,7 +199,7 @@ class _Certification:
         if not isinstance(point, tuple):
             if not cell.splits:
                 return None
-            return Cell(cell.leaf, cell.outcomes[: cell.splits[-1] + 1], cell.splits, empty=_as_sum(point))
+            return Cell(cell.leaf, cell.outcomes[: cell.splits[-1] + 1], cell.splits, empty=as_sum(point))
         bounded = self._bounded(cell, ExactCell(cell.leaf, outcomes, rows, {}, point, forms))
         return bounded if self._is_proved(bounded) else None
 
@@ -198,10 +212,12 @@ class _Certification:
         return True
 
     def _bounded(self, cell: Cell, exact: ExactCell) -> Cell:
-        """Return a cell with the bounds of its own that rational programs find."""
+        """Return a cell with what rational programs find: bounds of its own, of labels a piece that it is near to."""
+        if self.pair.tree.labels is not None:
+            return near_cell(self.checker, cell, exact, self.max_error)
         gaps = largest_gap(self.pair, exact)
         self.n_programs += len(gaps)
-        return replace(cell, bounds=tuple(_as_sum(multipliers) for _, multipliers in gaps))
+        return replace(cell, bounds=tuple(as_sum(multipliers) for _, multipliers in gaps))
 
     def _exact_cells(self, leaf: int, rows: dict[str, ExactRow], point: Point) -> list[Cell]:
         """Return the cells of a leaf's region, in exact arithmetic; raise CertificateError if one differs."""
@@ -211,7 +227,7 @@ class _Certification:
             self.n_programs += len(exact.outcomes)
             self._check_limits(len(cells))
             splits = tuple(test for test in range(len(exact.outcomes)) if test not in exact.proofs)
-            proofs = tuple(_as_sum(exact.proofs[test]) for test in sorted(exact.proofs))
+            proofs = tuple(as_sum(exact.proofs[test]) for test in sorted(exact.proofs))
             cell = Cell(leaf, "".join("1" if outcome else "0" for outcome in exact.outcomes), splits, proofs)
             if not self._is_proved(cell) and not self._is_proved(cell := self._bounded(cell, exact)):
                 found = counterexample(self.pair, exact, self.max_error)
@@ -234,7 +250,3 @@ class _Certification:
                 f"the limit of {limit} was met after {seconds:.1f} s among the cells of one leaf; raise max_regions or "
                 "max_seconds, or give a smaller domain"
             )
-
-
-def _as_sum(multipliers: Multipliers) -> Sum:
-    return Sum(tuple(multipliers), tuple(multipliers.values()))

@@ -20,6 +20,7 @@ from otr.core.heads import Identity
 from otr.errors import CertificateError
 from otr.geometry.rational import Integers, Point, as_point, integers, nearest_state
 from otr.geometry.rational_linear_programs import inner_point, largest_value
+from otr.proof.certificate import Sum
 from otr.proof.exact_rows import ExactRow, TreeAndNetwork
 
 _MAX_CELLS = 1000  # looked at for a point that shows a refusal
@@ -96,6 +97,12 @@ def largest_gap(pair: TreeAndNetwork, cell: ExactCell) -> list[tuple[list[Point]
     These are points of the cell's closure, and multipliers of its rows. On a domain with open sides it is largest in
     units of 1 + the size of the open inputs, which may be reached only ever farther in a direction.
     """
+    forms = pair.differences(cell.leaf, cell.forms, cell.outcomes)
+    return [largest_in_cell(pair, cell, signed) for form in forms for signed in (form, -form)]
+
+
+def largest_in_cell(pair: TreeAndNetwork, cell: ExactCell, form: Integers) -> tuple[list[Point], Multipliers]:
+    """Return where a form (d + 1,) is largest in a cell, as `largest_gap` does, and what bounds it."""
     rows, domain = stacked(cell.rows, pair.network.n_inputs), pair.domain
     names, is_open = list(cell.rows), np.isinf(domain.low) | np.isinf(domain.high)
     widest = Fraction(float(np.abs([domain.low[~is_open], domain.high[~is_open]]).max(initial=1.0)))
@@ -104,21 +111,17 @@ def largest_gap(pair: TreeAndNetwork, cell: ExactCell) -> list[tuple[list[Point]
         ones = np.eye(len(is_open) + 2, dtype=np.int64)[-1]
         bounds = [*(ones - limit for limit in limits), *(ones + limit for limit in limits[:-1]), limits[-1]]
         rows = np.concatenate((np.column_stack((rows, [0] * len(rows))), np.array(bounds).astype(object)))
-    found = []
-    for form in pair.differences(cell.leaf, cell.forms, cell.outcomes):
-        for signed in (form, -form):
-            numbers = [*signed.tolist(), 0] if is_open.any() else signed.tolist()
-            best = largest_value(rows, numbers, sum(map(abs, numbers)) * (widest + 1) + 1)
-            assert best.point is not None  # the cell is not empty
-            multipliers = {names[row]: multiplier for row, multiplier in best.multipliers.items() if row < len(names)}
-            points = [best.point]
-            if is_open.any():
-                *x, s = best.point
-                steps = [tuple(10**k * value for value in x) for k in (0, 3, 6, 9, 12)]
-                beyond = [tuple(a + b for a, b in zip(cell.point, step, strict=True)) for step in steps]
-                points = [tuple(value / s for value in x)] if s > 0 else beyond
-            found.append((points, multipliers))
-    return found
+    numbers = [*form.tolist(), 0] if is_open.any() else form.tolist()
+    best = largest_value(rows, numbers, sum(map(abs, numbers)) * (widest + 1) + 1)
+    assert best.point is not None  # the cell is not empty
+    multipliers = {names[row]: multiplier for row, multiplier in best.multipliers.items() if row < len(names)}
+    if not is_open.any():
+        return [best.point], multipliers
+    *x, s = best.point
+    if s > 0:
+        return [tuple(value / s for value in x)], multipliers
+    steps = [tuple(10**k * value for value in x) for k in (0, 3, 6, 9, 12)]
+    return [tuple(a + b for a, b in zip(cell.point, step, strict=True)) for step in steps], multipliers
 
 
 def largest_over(rows: Integers, form: FloatArray, domain: Domain) -> tuple[float, FloatArray]:
@@ -143,16 +146,36 @@ def counterexample(pair: TreeAndNetwork, cell: ExactCell, max_error: Fraction) -
         # The farthest point may lie on a side that the cell is without: from it, ever nearer to the point inside.
         candidates += [_between(far, cell.point, Fraction(1, 2**k)) for far in points for k in (60, 30, 10, 3, 1)]
     for point in candidates:
-        leaf, gap = pair.gap(point)
-        if leaf == cell.leaf and gap > max_error * pair.unit_at(point):
+        if differs(pair, point, max_error) == cell.leaf:
             state = nearest_state(point)
             if state is None:
                 return point
             rounded = as_point(state)
-            leaf, gap = pair.gap(rounded)
-            shows_it = leaf == cell.leaf and gap > max_error * pair.unit_at(rounded)
-            return rounded if shows_it and pair.is_inside(rounded) else point
+            shows_it = pair.is_inside(rounded) and differs(pair, rounded, max_error) == cell.leaf
+            return rounded if shows_it else point
     return None
+
+
+def differs(pair: TreeAndNetwork, point: Point, max_error: Fraction) -> int | None:
+    """Return the leaf of a point of the domain where tree and network differ by more than an error, None elsewhere."""
+    leaf, gap = pair.gap(point)
+    if pair.tree.labels is None or not gap:
+        return leaf if gap > max_error * pair.unit_at(point) else None
+    near = list(islice(cells_near(pair, leaf, point, max_error), _MAX_CELLS))
+    is_near = any(pair.label(cell.outcomes) == pair.tree.labels[leaf] for cell in near)
+    return None if is_near or len(near) == _MAX_CELLS else leaf
+
+
+def cells_near(pair: TreeAndNetwork, leaf: int, point: Point, distance: Fraction) -> Iterator[ExactCell]:
+    """Yield the network's cells among the states of the domain that are no farther from a point, as labels count."""
+    rows, unit = dict(pair.sides), pair.unit_at(point)
+    for i, (value, width) in enumerate(zip(point, pair.widths(), strict=True)):
+        for sign in (1, -1):
+            limit = distance * width * unit - sign * value
+            numbers = np.array([0] * len(point) + [limit.numerator], dtype=object)
+            numbers[i] = sign * limit.denominator
+            rows[f"near {sign} {i}"] = ExactRow(numbers, False)
+    return find_cells(pair, leaf, rows, point)
 
 
 def refusal(error: CertificateError, pair: TreeAndNetwork, max_error: float) -> CertificateError:
@@ -203,3 +226,8 @@ def _between(point: Point, other: Point, share: Fraction) -> Point:
 def stacked(rows: dict[str, ExactRow], n_inputs: int) -> Integers:
     """Return rows as one array (m, d + 1)."""
     return np.array([row.numbers for row in rows.values()], dtype=object).reshape(len(rows), n_inputs + 1)
+
+
+def as_sum(multipliers: Multipliers) -> Sum:
+    """Return multipliers by row as certificates hold them."""
+    return Sum(tuple(multipliers), tuple(multipliers.values()))

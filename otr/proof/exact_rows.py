@@ -8,6 +8,8 @@ network, in the order of `otr.PatternTree`'s bits, with the sign of its outcome.
 
 from __future__ import annotations
 
+import math
+import sys
 from collections.abc import Sequence
 from fractions import Fraction
 from typing import NamedTuple
@@ -20,7 +22,7 @@ from otr.core.tree import ObliqueTree
 from otr.geometry.rational import ExactTree, ExactUnits, Integers, Point, at, common_integers, integers
 from otr.geometry.regions import leaf_paths
 
-ON_BOUNDARY = Fraction(5e-324)  # the smallest float64 above 0: labels that differ on a boundary between them alone
+ON_BOUNDARY = Fraction(5e-324)  # the smallest float64 above 0: labels that differ on boundaries between them alone
 INFINITE = Fraction(10) ** 999
 
 
@@ -96,34 +98,25 @@ class TreeAndNetwork(TreeOnDomain):
     def differences(self, leaf: int, forms: Integers, outcomes: Sequence[bool]) -> Integers:
         """Return the forms (m, d + 1) whose largest absolute value is the difference of a leaf and the network.
 
-        Of a tree with labels it is the form by which the network prefers its own label to the leaf's, and none where
-        it has the same.
+        Of a tree with labels it is the form by which the network prefers its own label to the leaf's.
         """
         if self.tree.labels is None:
             return np.asarray(forms[self.network.n_hidden :] - self.maps[leaf])
-        ours, theirs = int(self.tree.labels[leaf]), self.label(outcomes)
-        scores = self.scores(forms)
-        return scores[:0] if ours == theirs else scores[theirs : theirs + 1] - scores[ours]
+        ours, theirs, scores = int(self.tree.labels[leaf]), self.label(outcomes), self.scores(forms)
+        return np.asarray(scores[theirs : theirs + 1] - scores[ours])
+
+    def turned(self, outcomes: Sequence[bool]) -> list[Integers]:
+        """Return the forms of all tests, each with the sign that makes it at least 0 where the outcomes hold."""
+        padded = [*outcomes, *[False] * (self.n_tests - len(outcomes))]
+        forms, n = self.forms(padded[: self.network.n_hidden]), self.network.n_hidden
+        tests = [*forms[:n], *self.head_tests(forms, padded)]
+        return [test if outcome else -test for test, outcome in zip(tests, padded, strict=True)]
 
     def scores(self, forms: Integers) -> Integers:
         """Return the forms (n_labels, d + 1) of which the largest has the network's label, of equals the first."""
         outputs = forms[self.network.n_hidden :]
         n_labels = self.network.head.n_labels(len(outputs))
         return np.concatenate((0 * outputs[: n_labels - len(outputs)], outputs))  # of Sign: 0, and the output
-
-    def beyond_boundary(self, form: Integers, value: Fraction, *, is_reached: bool) -> Fraction:
-        """Return how far beyond the boundary between two labels, where a form (d + 1,) is 0, states can be.
-
-        These are the states at which the form is at most `value`; there are none if that is below 0, or 0 and not
-        reached. The distance is the largest change of an input that the form at least needs, in units of 1 or of the
-        input's width in the domain if that is smaller; infinite for a form that does not change. Of states that are on
-        the boundary it is `ON_BOUNDARY`.
-        """
-        if value < 0 or (value == 0 and not is_reached):
-            return Fraction(0)
-        slopes = zip(form[:-1].tolist(), np.minimum(self.domain.high - self.domain.low, 1.0).tolist(), strict=True)
-        reach = sum((abs(slope) * Fraction(width) for slope, width in slopes if slope), Fraction(0)) / 2**self.power
-        return max(value / reach, ON_BOUNDARY) if reach else INFINITE
 
     def label(self, outcomes: Sequence[bool]) -> int:
         """Return the label that the network's tests lead to."""
@@ -132,20 +125,12 @@ class TreeAndNetwork(TreeOnDomain):
         return int(labels[0])
 
     def gap(self, point: Point) -> tuple[int, Fraction]:
-        """Return the leaf that a point reaches, and the difference of tree and network there.
-
-        Of labels that differ it is how far the point is beyond the boundary between them: `beyond_boundary`.
-        """
+        """Return the leaf that a point reaches, and the difference of tree and network there; of labels 0 or 1."""
         leaf = self.leaf(point)
-        if self.tree.labels is None:
-            both = zip(self.outputs(leaf, point), self.units.outputs(point), strict=True)
-            return leaf, max(abs(ours - theirs) for ours, theirs in both)
-        label, other = int(self.tree.labels[leaf]), self.label_at(point)
-        if label == other:
-            return leaf, Fraction(0)
-        scores = self.scores(self.forms(self.units.outcomes(point)))
-        form = scores[other] - scores[label]
-        return leaf, self.beyond_boundary(form, self.values(form[None], point)[0], is_reached=True)
+        if self.tree.labels is not None:
+            return leaf, Fraction(int(self.tree.labels[leaf]) != self.label_at(point))
+        both = zip(self.outputs(leaf, point), self.units.outputs(point), strict=True)
+        return leaf, max(abs(ours - theirs) for ours, theirs in both)
 
     def label_at(self, point: Point) -> int:
         """Return the network's label at a point."""
@@ -153,6 +138,44 @@ class TreeAndNetwork(TreeOnDomain):
         return max(range(len(values)), key=values.__getitem__)
 
     def unit_at(self, point: Point) -> Fraction:
-        """Return what differences are counted in: 1, or 1 + the sum of |x_i| over the open inputs."""
+        """Return what errors are counted in: 1 + the sum of |x_i| over the open inputs, of labels its square."""
         is_open = np.isinf(self.domain.low) | np.isinf(self.domain.high)
-        return Fraction(1) + sum((abs(point[i]) for i in np.flatnonzero(is_open).tolist()), Fraction(0))
+        unit = Fraction(1) + sum((abs(point[i]) for i in np.flatnonzero(is_open).tolist()), Fraction(0))
+        return unit if self.tree.labels is None else unit**2
+
+    def widths(self) -> list[Fraction]:
+        """Return what distances are counted in along each input: 1, or its width in the domain if that is smaller."""
+        return [Fraction(width) for width in np.minimum(self.domain.high - self.domain.low, 1.0).tolist()]
+
+
+class Bounds:
+    """Bounds of affine forms over a domain; where it is open, in units of 1 + the sum of |x_i| over the open inputs."""
+
+    def __init__(self, domain: Domain, power: int) -> None:
+        """Take the forms' power of two: they are integers over 2**power."""
+        self.is_closed = np.isfinite(domain.low) & np.isfinite(domain.high)
+        low, high = (integers(np.where(self.is_closed, limits, 0.0)) for limits in (domain.low, domain.high))
+        of_limits = max(low[1], high[1])
+        self._low, self._high = common_integers((low, high), of_limits)
+        self._unit, self._scale = 2**of_limits, 2 ** (of_limits + power)
+
+    def highest(self, form: Integers, *, is_relative: bool = True) -> Fraction:
+        """Return a bound on the highest value of a form (d + 1,) of integers, in the units above.
+
+        Without `is_relative`, a form that is not constant in the open inputs has no bound.
+        """
+        f = form[:-1]
+        highest = form[-1] * self._unit + (f * np.where(f > 0, self._high, self._low)).sum()
+        open_slope = max((abs(slope) for slope in f[~self.is_closed]), default=0)
+        if open_slope and not is_relative:
+            return INFINITE
+        return Fraction(int(max(highest, open_slope * self._unit) if open_slope else highest), self._scale)
+
+
+def rounded_up(value: Fraction) -> float:
+    """Return the smallest float64 that is not below a number; infinite where all are."""
+    try:
+        nearest = float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -sys.float_info.max
+    return nearest if Fraction(nearest) >= value else math.nextafter(nearest, math.inf)

@@ -51,10 +51,13 @@ def row_names(tree: ObliqueTree, domain: Domain) -> list[list[str]]:
     return [[*sides, *(f"test {node}" for node in path)] for path in leaf_paths(tree)[0].tolist()]
 
 
-def cells_of(block: Block, names: list[list[str]], first: int, domain: Domain) -> tuple[list[Cell], int]:
+def cells_of(
+    block: Block, names: list[list[str]], first: int, domain: Domain, has_labels: bool
+) -> tuple[list[Cell], int]:
     """Return the cells of a finished block with their proofs, and how many linear programs these took.
 
     `names` are those of the rows that the walk started from, by leaf; `first` is the row of the network's first test.
+    Of labels, states just beyond a piece of the network come to it towards the cell's inner point.
     """
     n, n_tests = block.outcomes.shape
     group = block.rows.of(block.group)
@@ -71,12 +74,13 @@ def cells_of(block: Block, names: list[list[str]], first: int, domain: Domain) -
         n_programs += len(asked)
         for cell, rows, weights in zip(asked.tolist(), basis.tolist(), multipliers.tolist(), strict=True):
             proofs[cell, test] = _named_sum(rows, weights, names[block.origin[cell]])
-    cells = []
+    cells, centres = [], domain.unscaled(block.centres)
     for cell in range(n):
         outcomes = "".join("1" if outcome else "0" for outcome in block.outcomes[cell])
         splits = tuple(np.flatnonzero(block.signs[cell, first:]).tolist())
         fixed = tuple(proof for proof in proofs[cell].tolist() if proof is not None)
-        cells.append(Cell(int(block.origin[cell]), outcomes, splits, fixed))
+        towards = (*centres[cell].tolist(), 1.0) if has_labels else ()
+        cells.append(Cell(int(block.origin[cell]), outcomes, splits, fixed, towards=towards))
     return cells, n_programs
 
 
@@ -126,10 +130,10 @@ def _significant(values: FloatArray, digits: int) -> FloatArray:
 
 
 def _named_sum(rows: list[int], multipliers: list[float], names: list[str]) -> Sum:
-    """Return a sum of rows, those after the names being the network's tests."""
-    chosen = sorted((row, multiplier) for row, multiplier in zip(rows, multipliers, strict=True) if multiplier > 0)
-    known = len(names)
-    return Sum(
-        tuple(names[row] if row < known else f"neuron {row - known}" for row, _ in chosen),
-        tuple(multiplier for _, multiplier in chosen),
-    )
+    """Return a sum of rows, those after the names being the network's tests; each is named once."""
+    total: dict[str, float] = {}
+    for row, multiplier in sorted(zip(rows, multipliers, strict=True)):
+        if multiplier > 0:
+            name = names[row] if row < len(names) else f"neuron {row - len(names)}"
+            total[name] = total.get(name, 0.0) + multiplier
+    return Sum(tuple(total), tuple(total.values()))

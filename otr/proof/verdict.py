@@ -12,6 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from operator import ge, le
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -329,15 +330,26 @@ def _behind(given: Sequence[HalfSpace], tree: ObliqueTree) -> ObliqueTree:
 
 def covers(pieces: Sequence[Piece], low: Sequence[float], high: Sequence[float]) -> bool:
     """Return whether pieces make up the box [low, high] of outputs: one that holds it, or the two sides of a cut."""
-    for piece in pieces:
-        lows, highs = zip(piece.low, low, strict=True), zip(piece.high, high, strict=True)
-        if all(a <= b for a, b in lows) and all(a >= b for a, b in highs):
-            return True
+    waiting = [(pieces, low, high)]
+    while waiting:
+        pieces, low, high = waiting.pop()
+        if any(all(map(le, piece.low, low)) and all(map(ge, piece.high, high)) for piece in pieces):
+            continue
+        parts = _parted(pieces, low, high)
+        if parts is None:
+            return False
+        waiting += parts
+    return True
+
+
+def _parted(
+    pieces: Sequence[Piece], low: Sequence[float], high: Sequence[float]
+) -> list[tuple[Sequence[Piece], Sequence[float], Sequence[float]]] | None:
+    """Return the two sides of a cut that no piece crosses, of pieces and of the box; None if there is none."""
     for i in range(len(low)):
         for cut in sorted({piece.high[i] for piece in pieces if low[i] < piece.high[i] < high[i]}):
             below = [piece for piece in pieces if piece.high[i] <= cut]
             above = [piece for piece in pieces if piece.low[i] >= cut]
             if len(below) + len(above) == len(pieces):
-                middle = [*high[:i], cut, *high[i + 1 :]], [*low[:i], cut, *low[i + 1 :]]
-                return covers(below, low, middle[0]) and covers(above, middle[1], high)
-    return False
+                return [(below, low, [*high[:i], cut, *high[i + 1 :]]), (above, [*low[:i], cut, *low[i + 1 :]], high)]
+    return None

@@ -8,31 +8,42 @@ s_j is its sign in A and e_j >= 0 the bound of the remainder. By induction over 
 
 with w_jk the weight from neuron k to unit j, as the activation is 1-Lipschitz and its two pieces differ by no more
 than ``(1 - negative_slope) |z|``. For an output the same sum bounds its distance from the affine map of A, and the
-leaf's map is compared with that map. Of labels what is compared are the affine maps of two outputs: the network can
-have another label than the leaf only where their difference is no larger than a bound, which is reckoned as a distance
-from where it is 0 (`TreeAndNetwork.beyond_boundary`). A test that splits the leaf's region needs no proof: the cells on
-both its sides are there, which are told apart by the sign of z_j^A itself, and a cell may be left out only with a sum
-of its rows that cannot be what it would have to be at a point of the cell. So every real point of the domain is in a
-proved cell.
+leaf's map is compared with that map.
+
+Labels are compared by distances between states. Let Q be the piece of the network, with its sides, where its tests
+have the outcomes A, and the network the leaf's label. The proofs show ``r_i(x) >= -m_i u(x)`` in the cell for every
+test r_i of A and every side of the domain, with u = 1 or, where the domain is open, 1 + the sum of |x_i|. With (p, s)
+such that ``r_i(p, s) := a_i . p + b_i s >= m_i`` for all of them, which is a point p / s of Q or a direction in it,
+
+    y = (x + u p) / (1 + u s)    has    r_i(y) (1 + u s) = r_i(x) + u r_i(p, s) >= 0,
+
+so y is in Q and in the domain, and ``|y - x| <= u |p - s x|``. Of the tests, the last that is won decides whether the
+network has the label on the sides of Q, too, where it may tie.
+
+Where outputs tie throughout Q, so that the network has the label nowhere in it, y is to be on the boundary of a test of
+Q, and a change of one input brings the states there: what may be wrong is a sliver.
+
+A test that splits the leaf's region needs no proof: the cells on both its sides are there, which are told apart by the
+sign of z_j^A itself, and a cell may be left out only with a sum of its rows that cannot be what it would have to be at
+a point of the cell. So every real point of the domain is in a proved cell.
 """
 
 from __future__ import annotations
 
 import math
-import sys
+from bisect import bisect_left
 from collections.abc import Sequence
 from fractions import Fraction
 from itertools import pairwise
 
 import numpy as np
 
-from otr.core.domain import Domain
 from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
 from otr.errors import CertificateError
-from otr.geometry.rational import Integers, common_integers, integers
+from otr.geometry.rational import Integers, without_denominators
 from otr.proof.certificate import Cell, Certificate, Sum
-from otr.proof.exact_rows import INFINITE, ExactRow, TreeAndNetwork
+from otr.proof.exact_rows import INFINITE, ON_BOUNDARY, Bounds, ExactRow, TreeAndNetwork, rounded_up
 
 
 def verify(certificate: Certificate, tree: ObliqueTree, network: ReluNetwork) -> float:
@@ -115,71 +126,111 @@ class Checker:
 
     def error(self, cell: Cell) -> Fraction:
         """Return the bound on the difference in a cell, 0 in an empty one; raise CertificateError if none is shown."""
-        outcomes, n = [outcome == "1" for outcome in cell.outcomes], self.pair.network.n_hidden
-        padded = outcomes + [False] * (self.pair.n_tests - len(outcomes))
-        forms = self.pair.forms(padded[:n])
-        tests = [*forms[:n], *self.pair.head_tests(forms, padded)]
-        turned = [test if outcome else -test for test, outcome in zip(tests, outcomes, strict=False)]
-        rows = self.pair.rows_of_leaf(cell.leaf)
+        pair, outcomes = self.pair, _bits(cell.outcomes)
+        n, turned = pair.network.n_hidden, pair.turned(outcomes)
+        rows = pair.rows_of_leaf(cell.leaf)
         rows |= {f"neuron {split}": ExactRow(turned[split], outcomes[split]) for split in cell.splits}
         if cell.empty is not None:
             self._check_empty(cell, cell.empty, rows)
             return Fraction(0)
-        shortfalls = [Fraction(0)] * len(tests)
-        is_strict = list(outcomes)  # whether every state is beyond a test's shortfall, not just at it
-        fixed = [test for test in range(len(tests)) if test not in cell.splits]
-        for test, proof in zip(fixed, cell.proofs, strict=True):
-            total, scale = self._total(cell.leaf, proof, rows)
-            shortfalls[test] = self.bounds.highest(total - turned[test] * scale) / scale
-            is_strict[test] = _has_strict_row(proof, rows)
-        differences = self.pair.differences(cell.leaf, forms, outcomes)
+        if pair.tree.labels is not None:
+            return self._distance(cell, rows, turned)
+        shortfalls = [Fraction(0)] * len(turned)
+        for test, proof in zip(_fixed(cell), cell.proofs, strict=True):
+            shortfalls[test] = self.shortfall(cell.leaf, turned[test], proof, rows)
+        differences = pair.differences(cell.leaf, pair.forms(outcomes[:n]), outcomes)
         bounds = [self._bound(cell, at, form, rows) for at, form in enumerate(differences)]
         errors = self._output_errors([_few_digits(shortfall) for shortfall in shortfalls[:n]])
-        if self.pair.tree.labels is None:
-            return max(bound + error for bound, error in zip(bounds, errors, strict=True))
-        of_tests = list(zip(outcomes[n:], shortfalls[n:], is_strict[n:], strict=True))
-        return self._label_error(cell.leaf, forms, of_tests, bounds, errors)
+        return max(bound + error for bound, error in zip(bounds, errors, strict=True))
 
-    def _label_error(
-        self,
-        leaf: int,
-        forms: Integers,
-        of_tests: list[tuple[bool, Fraction, bool]],
-        bounds: list[Fraction],
-        errors: list[Fraction],
+    def _distance(self, cell: Cell, rows: dict[str, ExactRow], turned: list[Integers]) -> Fraction:
+        """Return how far states of a cell are, at most, from the nearest at which the network has the leaf's label.
+
+        `turned` are the network's tests in the directions of the cell's outcomes.
+        """
+        pair, near = self.pair, cell.near or cell.outcomes
+        n, bits = pair.network.n_hidden, _bits(near)
+        assert pair.tree.labels is not None
+        if pair.label(bits) != pair.tree.labels[cell.leaf]:
+            return INFINITE
+        forms = [*(pair.turned(bits) if cell.near else turned), *(side.numbers for side in pair.sides.values())]
+        if cell.thin:
+            return self._sliver(cell, rows, forms)
+        least, is_above = self.least(cell, forms, rows)
+        last = near.rfind("1", n)  # the test whose winner has the label; if none is won, ties have it, too
+        if max(least, default=0) <= 0 and (last < 0 or is_above[last]):
+            return Fraction(0)
+        return self._way(cell.towards, forms, least, last)
+
+    def least(self, cell: Cell, forms: list[Integers], rows: dict[str, ExactRow]) -> tuple[list[Fraction], list[bool]]:
+        """Return how far below 0 forms are in a cell, at most, and of which a proof shows that they are above.
+
+        Of the tests it is at least 0; of the sides of a bounded domain, how far all states are within, times -1.
+        """
+        least = [Fraction(0)] * len(forms)
+        is_above = [outcome == "1" for outcome in (cell.near or cell.outcomes)]
+        for at, proof in _proofs(cell, self.pair.n_tests):
+            shortfall = self.shortfall(cell.leaf, forms[at], proof, rows)
+            if at < self.pair.n_tests:
+                least[at], is_above[at] = _few_digits(shortfall), shortfall < 0 or _has_strict_row(proof, rows)
+            elif self.bounds.is_closed.all():
+                least[at] = min(Fraction(0), shortfall)
+        return least, is_above
+
+    def _way(
+        self, towards: Sequence[float | Fraction], forms: list[Integers], least: list[Fraction], last: int
     ) -> Fraction:
-        """Return how far beyond the boundary of its label the states of a cell can be.
+        """Return how far states come that go `towards` where no form is below 0, and the last test won is above it.
 
-        `of_tests` are, of every challenge to the champion so far, whether it is won, the shortfall of that, and whether
-        it is won or lost by more than this.
+        The forms are those of the tests, then of the domain's sides; the states' own values are not below -least.
         """
-        # How far the score of each label can be above the champion's, and whether it stays below that
-        above, is_below = [Fraction(0)], [False]
-        for is_won, shortfall, is_strict in of_tests:
-            if is_won:
-                above = [value + shortfall for value in above]
-                is_below = [value or is_strict for value in is_below]
-            above.append(Fraction(0) if is_won else shortfall)
-            is_below.append(not is_won and is_strict)
-        assert self.pair.tree.labels is not None
-        label, scores = int(self.pair.tree.labels[leaf]), self.pair.scores(forms)
-        errors = [*[Fraction(0)] * (len(scores) - len(errors)), *errors]
-        beyond = [Fraction(0)]
-        for other in range(len(scores)):
-            form, error = scores[other] - scores[label], errors[other] + errors[label]
-            if other == label or self._is_below_zero(form, error):
-                continue
-            highest = above[other] + sum(bounds, Fraction(0)) + error
-            is_reached = other < label and not is_below[other]
-            beyond.append(self.pair.beyond_boundary(form, highest, is_reached=is_reached))
-        return max(beyond)
+        if not towards:
+            return INFINITE
+        way, denominator = without_denominators([Fraction(number) for number in towards])
+        values = [Fraction(int(form @ way), denominator << self.pair.power) for form in forms]
+        if any(value <= 0 < m for value, m in zip(values, least, strict=True)):
+            return INFINITE
+        times = max((m / value for value, m in zip(values, least, strict=True) if m > 0), default=Fraction(0))
+        ends = [times * value - m for value, m in zip(values, least, strict=True)]
+        may_go_on = all(value >= 0 or end > 0 for value, end in zip(values, ends, strict=True))
+        if min(ends) < 0 or not (last < 0 or ends[last] > 0 or (values[last] > 0 and may_go_on)):
+            return INFINITE
+        low, high = self.pair.domain.low.tolist(), self.pair.domain.high.tolist()
+        slack = dict(zip(self.pair.sides, least[self.pair.n_tests :], strict=True))
+        *p, s = (Fraction(number) for number in towards)
+        farthest = Fraction(0)
+        for i, width in enumerate(self.pair.widths()):
+            if self.bounds.is_closed[i]:
+                limits = Fraction(low[i]) - slack[f"low {i}"], Fraction(high[i]) + slack[f"high {i}"]
+                change = max(abs(p[i] - s * limit) for limit in limits)
+            else:
+                change = max(abs(p[i]), s)
+            farthest = max(farthest, change / width)
+        return max(times * farthest, ON_BOUNDARY)
 
-    def _is_below_zero(self, form: Integers, error: Fraction) -> bool:
-        """Return whether a form that is off by no more than an error is below 0 throughout the domain.
+    def _sliver(self, cell: Cell, rows: dict[str, ExactRow], forms: list[Integers]) -> Fraction:
+        """Return how far a cell's states are, at most, from where test `onto` is 0 and no form is below 0.
 
-        An error is in units of 1 + the size of the open inputs, so that there it would have to be 0.
+        They go along the first input that `towards` names.
         """
-        return self.bounds.highest(form) + error < 0 and (not error or bool(self.bounds.is_closed.all()))
+        row = forms[cell.onto]
+        axis = next((i for i, number in enumerate(cell.towards[:-1]) if number and row[i]), -1)
+        if axis < 0:
+            return INFINITE
+        proofs = dict(_proofs(cell, self.pair.n_tests))
+        for at, form in enumerate(forms):
+            if self.shortfall(cell.leaf, brought_to(row, axis, form), proofs.get(at, Sum((), ())), rows) > 0:
+                return INFINITE
+        farthest = max(
+            self.shortfall(cell.leaf, form, proof, rows) for form, proof in zip((row, -row), cell.thin, strict=True)
+        )
+        width = self.pair.widths()[axis] * abs(int(row[axis]))
+        return max(Fraction(farthest * 2**self.pair.power, width), ON_BOUNDARY)
+
+    def shortfall(self, leaf: int, form: Integers, proof: Sum, rows: dict[str, ExactRow]) -> Fraction:
+        """Return how far below 0, at most, a form is where rows hold, given the sum of them that it is to be."""
+        total, scale = self._total(leaf, proof, rows)
+        return self.bounds.highest(total - form * scale) / scale
 
     def _bound(self, cell: Cell, at: int, form: Integers, rows: dict[str, ExactRow]) -> Fraction:
         """Return the bound on the absolute value of difference number `at` in a cell."""
@@ -242,12 +293,19 @@ class Checker:
         n_tests, n_outcomes = self.pair.n_tests, len(cell.outcomes)
         well_formed = (
             0 <= cell.leaf < self.pair.tree.n_leaves
-            and set(cell.outcomes) <= {"0", "1"}
+            and set(cell.outcomes + cell.near) <= {"0", "1"}
             and list(cell.splits) == sorted(set(cell.splits))
             and all(0 <= split < n_outcomes for split in cell.splits)
+            and len(cell.near) in (0, n_tests)
+            and len(cell.towards) in (0, self.pair.domain.n_inputs + 1)
+            and all(-math.inf < number < math.inf for number in cell.towards)
+            and (not cell.towards or cell.towards[-1] >= 0)
+            and len(cell.thin) in (0, 2)
+            and 0 <= cell.onto < max(n_tests, 1)
+            and (self.pair.tree.labels is None or len(cell.bounds) in (0, len(self.pair.sides)))
         )
         if cell.empty is None:
-            well_formed = well_formed and n_outcomes == n_tests and len(cell.proofs) == n_tests - len(cell.splits)
+            well_formed = well_formed and n_outcomes == n_tests and len(cell.proofs) == len(list(_fixed(cell)))
         else:
             well_formed = well_formed and n_outcomes <= n_tests
         if not well_formed:
@@ -256,45 +314,47 @@ class Checker:
             )
 
 
-def check_cover(leaf: int, cells: Sequence[Cell], after: int = 0) -> None:
+def brought_to(row: Integers, axis: int, form: Integers) -> Integers:
+    """Return a form, times the size of a row's slope, as it is where an input has been changed until the row is 0."""
+    return np.asarray((form * row[axis] - row * form[axis]) * (1 if row[axis] > 0 else -1))
+
+
+def _bits(outcomes: str) -> list[bool]:
+    return [outcome == "1" for outcome in outcomes]
+
+
+def _fixed(cell: Cell) -> list[int]:
+    """Return the tests that have a proof."""
+    return [test for test in range(len(cell.outcomes)) if cell.near or test not in cell.splits]
+
+
+def _proofs(cell: Cell, n_tests: int) -> list[tuple[int, Sum]]:
+    """Return the sums of a cell with labels: by test, and by n_tests + the number of a side of the domain."""
+    return [*zip(_fixed(cell), cell.proofs, strict=True), *enumerate(cell.bounds, n_tests)]
+
+
+def _first_split(cell: Cell, after: int) -> int | None:
+    at = bisect_left(cell.splits, after)
+    return cell.splits[at] if at < len(cell.splits) else None
+
+
+def check_cover(leaf: int, cells: Sequence[Cell]) -> None:
     """Raise CertificateError unless cells are all of a leaf's region: both sides of every test that splits it."""
-    firsts = {next((split for split in cell.splits if split >= after), None) for cell in cells}
-    if firsts == {None} and len(cells) == 1:
-        return
-    if len(firsts) != 1 or None in firsts:
-        raise CertificateError(f"leaf {leaf}: its cells do not cover it; the tests that split it disagree", leaf)
-    (test,) = firsts
-    assert test is not None
-    shared = {cell.outcomes[after:test] for cell in cells}
-    sides = [[cell for cell in cells if cell.outcomes[test] == outcome] for outcome in "01"]
-    if len(shared) != 1 or not all(sides):
-        raise CertificateError(f"leaf {leaf}: its cells do not cover it; one side of test {test} is missing", leaf)
-    for side in sides:
-        check_cover(leaf, side, test + 1)
-
-
-class Bounds:
-    """Bounds of affine forms over a domain; where it is open, in units of 1 + the sum of |x_i| over the open inputs."""
-
-    def __init__(self, domain: Domain, power: int) -> None:
-        """Take the forms' power of two: they are integers over 2**power."""
-        self.is_closed = np.isfinite(domain.low) & np.isfinite(domain.high)
-        low, high = (integers(np.where(self.is_closed, limits, 0.0)) for limits in (domain.low, domain.high))
-        of_limits = max(low[1], high[1])
-        self._low, self._high = common_integers((low, high), of_limits)
-        self._unit, self._scale = 2**of_limits, 2 ** (of_limits + power)
-
-    def highest(self, form: Integers, *, is_relative: bool = True) -> Fraction:
-        """Return a bound on the highest value of a form (d + 1,) of integers, in the units above.
-
-        Without `is_relative`, a form that is not constant in the open inputs has no bound.
-        """
-        f = form[:-1]
-        highest = form[-1] * self._unit + (f * np.where(f > 0, self._high, self._low)).sum()
-        open_slope = max((abs(slope) for slope in f[~self.is_closed]), default=0)
-        if open_slope and not is_relative:
-            return INFINITE
-        return Fraction(int(max(highest, open_slope * self._unit) if open_slope else highest), self._scale)
+    waiting = [(list(cells), 0)]  # cells, and the first of the tests that may part them
+    while waiting:
+        cells, after = waiting.pop()
+        firsts = {_first_split(cell, after) for cell in cells}
+        if firsts == {None} and len(cells) == 1:
+            continue
+        if len(firsts) != 1 or None in firsts:
+            raise CertificateError(f"leaf {leaf}: its cells do not cover it; the tests that split it disagree", leaf)
+        (test,) = firsts
+        assert test is not None
+        shared = {cell.outcomes[after:test] for cell in cells}
+        sides = [[cell for cell in cells if cell.outcomes[test] == outcome] for outcome in "01"]
+        if len(shared) != 1 or not all(sides):
+            raise CertificateError(f"leaf {leaf}: its cells do not cover it; one side of test {test} is missing", leaf)
+        waiting += [(side, test + 1) for side in sides]
 
 
 def _has_strict_row(terms: Sum, rows: dict[str, ExactRow]) -> bool:
@@ -308,12 +368,3 @@ def _few_digits(value: Fraction) -> Fraction:
         return Fraction(0)
     above = rounded_up(value)
     return Fraction(above) if above < math.inf else value
-
-
-def rounded_up(value: Fraction) -> float:
-    """Return the smallest float64 that is not below a number; infinite where all are."""
-    try:
-        nearest = float(value)
-    except OverflowError:
-        return math.inf if value > 0 else -sys.float_info.max
-    return nearest if Fraction(nearest) >= value else math.nextafter(nearest, math.inf)

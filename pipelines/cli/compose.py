@@ -273,14 +273,20 @@ def schema_of(kind: type) -> DictConfig:
     such a setting is of any type, which its dataclass checks.
     """
     schema: DictConfig = OmegaConf.structured(kind)
+    _make_writable(schema)
+    return schema
+
+
+def _make_writable(schema: DictConfig) -> None:
     OmegaConf.set_readonly(schema, None)
     for key in schema:
         node = schema._get_node(key)
         if isinstance(node, DictConfig):
-            OmegaConf.set_readonly(node, None)
             if node._is_none():
+                OmegaConf.set_readonly(node, None)
                 schema.__dict__["_content"][key] = AnyNode(None, key=key, parent=schema)
-    return schema
+            else:
+                _make_writable(node)
 
 
 def _lists_of(kind: type, prefix: str = "") -> Iterator[str]:

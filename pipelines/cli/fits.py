@@ -9,6 +9,7 @@ from pipelines.config.setting import not_keyed
 from pipelines.errors import ConfigError
 from pipelines.supervised.config import LEARNERS, TUNING_ALONE, DataConfig, FitConfig, LearnerConfig, fit_folder
 from pipelines.supervised.fit_job import FitJob, fit_groups, fit_job, fit_jobs
+from pipelines.supervised.result import fit_row
 
 
 class FitWorkflow(Workflow):
@@ -23,6 +24,7 @@ class FitWorkflow(Workflow):
     do = staticmethod(fit_job)
     do_group = staticmethod(fit_jobs)
     groups = staticmethod(fit_groups)
+    row = staticmethod(fit_row)
 
     def implied(self, overrides: Sequence[str]) -> list[str]:
         """Return what parts that are drawn anew imply: no settings that were tuned on the published ones."""

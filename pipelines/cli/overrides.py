@@ -11,9 +11,11 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Glob, Override
 from hydra.errors import HydraException
 
+from pipelines.config.stages import SIDE
 from pipelines.errors import ConfigError
 
-FILES = ("program", "model", "oracle", "vec_normalize", "results_dir")  # keys of otr-run
+FILES = ("program", "model", "oracle", "vec_normalize", "output", "results_dir")  # keys of otr-run
+BOXES = ("box", "certification.box")
 SEARCH = "hydra.searchpath="
 PATHS = (
     "run",
@@ -60,13 +62,24 @@ def asked(arguments: argparse.Namespace) -> list[str]:
     Raises:
         ConfigError: there is no such folder.
     """
-    overrides = [with_path_quoted(override) for override in arguments.overrides]
+    overrides = [with_path_quoted(box_spelt_out(override)) for override in arguments.overrides]
     folder = getattr(arguments, "config_dir", None)
     if folder is None:
         return overrides
     if not folder.is_dir():
         raise ConfigError(f"--config-dir {folder}: there is no such folder")
     return [*overrides, f"{SEARCH}[{quoted(f'file://{folder.resolve()}')}]"]
+
+
+def without_environment(arguments: argparse.Namespace) -> tuple[list[str], list[str]]:
+    """Return the overrides of a command of policies, and apart from them those that say more of its environment.
+
+    These are names (`env.feature_names`), arguments (`+env.kwargs.size`) and the folder of its file (`--config-dir`).
+    """
+    paths = [path_quoted(override) for override in arguments.overrides]
+    overrides = asked(argparse.Namespace(**{**vars(arguments), "overrides": paths}))
+    of_env = [each for each in overrides if key_of(each).startswith("env.") or is_search(each)]
+    return [each for each in overrides if each not in of_env], of_env
 
 
 def is_search(override: str) -> bool:
@@ -122,6 +135,32 @@ def with_path_quoted(override: str) -> str:
     if key not in FILES or re.fullmatch(r"[\w./,-]*", value, re.ASCII) or value[:1] in ("'", '"', "[") or "(" in value:
         return override
     return f"{key}={','.join(quoted(path) for path in value.split(','))}"
+
+
+def box_spelt_out(override: str) -> str:
+    """Return ``box=[angle in -0.2..0.2, ...]``, or ``box=FILE`` with a side a line, as a list that Hydra reads."""
+    key, _, value = override.partition("=")
+    if key not in BOXES or value in ("", "null") or "],[" in value:
+        return override
+    text = value if re.search(r"\sin\s", value) else _sides_in(Path(value.strip("'\"[]")), override)
+    sides = [side.strip().strip("'\"") for side in re.split(r"[,\n]", text.strip().removeprefix("[").removesuffix("]"))]
+    written = (re.sub(SIDE, lambda m: f"{m[1]} in {_number(m[2])}..{_number(m[3])}", side) for side in sides if side)
+    return f"{key}=[{','.join(quoted(side) for side in written)}]"
+
+
+def _sides_in(path: Path, override: str) -> str:
+    """Return the sides that a file has, without comments."""
+    try:
+        return re.sub("#.*", "", path.expanduser().read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(
+            f'{override}: give sides, as box="[angle in -0.2..0.2, velocity in -1..1]", or a file with a side a line '
+            f"({getattr(error, 'strerror', None) or 'it is no UTF-8 text'})"
+        ) from error
+
+
+def _number(text: str) -> str:
+    return f"{float(text)!r}".removesuffix(".0")
 
 
 def path_quoted(override: str) -> str:

@@ -33,10 +33,12 @@ from pipelines.config.trainer import TRAINERS, FleetConfig, TrainerConfig
 from pipelines.engine.job import Job
 from pipelines.engine.store import corrupt
 from pipelines.errors import ConfigError, did_you_mean
+from pipelines.play.boxes import given_box
 from pipelines.play.environments import episode_limit, registered_ids
 from pipelines.play.own_environment import check_environment, own_environment
 from pipelines.play.video import check_video
 from pipelines.runs.imitation import OTHERS, imitating_command
+from pipelines.runs.result import result_row
 from pipelines.runs.run_job import RunJob, run_job, run_jobs
 from pipelines.stages import polish
 from pipelines.stages.import_model import read_model
@@ -51,6 +53,7 @@ OF_TRAINING = ("env", "algo", "actor", "trainer", "budget", "train", "experiment
 
 # Settings that further stages alone read, and these
 SETTINGS_OF = {"polishing": {"polish", "simplify"}, "certification": {"certify"}, "simplification": {"simplify"}}
+OF_THE_FILE = ("method.model", "method.vec_normalize", "method.output")
 NOT_TRAINED = ("train", "algo", "actor", "trainer")  # groups of which a policy that is there already hears nothing
 
 # Who trains: whoever names another than a budget's road goes a way of their own, for as long as the budget says, and
@@ -85,9 +88,12 @@ def load_config(run_dir: Path, n_workers: int | None) -> RunConfig:
     return loaded
 
 
-def written_policy(env: str, program: str) -> tuple[RunConfig, otr.ObliqueTree]:
-    """Return the run that would play a program file, or a shipped program, and the policy that it says."""
-    (job,) = RUN.jobs([RUN.spelt_out([f"env={env}", f"program={quoted(program)}"])])
+def written_policy(env: str, program: str, of_env: Sequence[str] = ()) -> tuple[RunConfig, otr.ObliqueTree]:
+    """Return the run that would play a program file, or a shipped program, and the policy that it says.
+
+    `of_env` are further overrides of the environment, such as its names.
+    """
+    (job,) = RUN.jobs([RUN.spelt_out([f"env={env}", *of_env, f"program={quoted(program)}"])])
     config = job.config
     return config, policy_tree(config.program_text, config.env, program)
 
@@ -113,6 +119,7 @@ class RunWorkflow(Workflow):
     do = staticmethod(run_job)
     do_group = staticmethod(run_jobs)
     groups = staticmethod(fleets)
+    row = staticmethod(result_row)
     check = staticmethod(_check_later_stages)
 
     def implied(self, overrides: Sequence[str]) -> list[str]:
@@ -194,6 +201,9 @@ class RunWorkflow(Workflow):
             more = f"; {n} of {len(jobs)} jobs are trained without the fleet" if n > 1 else ""
             note = f"trainer=fleet trains SAC alone: env={env} is trained {who} with algo={algo}{more}"
             print(note, file=sys.stderr, flush=True)
+        imported = [job.config.imported for job in jobs if job.config.imported is not None]
+        for note in dict.fromkeys(model.note for model in imported if model.note):
+            print(note, file=sys.stderr, flush=True)
         return jobs
 
     def job(self, overrides: Sequence[str]) -> RunJob:
@@ -203,12 +213,14 @@ class RunWorkflow(Workflow):
         if config.env.name not in self.options("env") or any(key_of(each)[:4] == "env." for each in overrides):
             check_environment(config.env)
             episode_limit(config.env)  # refuses an environment without one, before anything runs
+        if config.certification.box is not None:
+            given_box(config.env, config.certification.box)  # refuses sides that are of no state
         if isinstance(config.method, ProgramConfig):
             text, depth = _program(config, config.method.program, overrides)
             made = self.composed([*overrides, f"depth={depth}"])
             config = dataclasses.replace(made.config, program_text=text)
         elif isinstance(config.method, TakesModel) and (
-            config.method.model or config.method.vec_normalize or config.method.name == "model"
+            config.method.model or config.method.vec_normalize or config.method.output or config.method.name == "model"
         ):
             imported, widths = _model(config, overrides)
             made = self.composed([*overrides, f"{'oracle' if config.method.imitates else 'depth'}={widths}"])
@@ -322,7 +334,7 @@ def _model(config: RunConfig, overrides: Sequence[str]) -> tuple[ImportedModel, 
     if not method.model:
         raise ConfigError(f"method={method.name}: which model? Add model=FILE")
     name = "oracle" if method.imitates else "model"
-    imported = read_model(method.model, method.vec_normalize, config.env, name)
+    imported = read_model(method.model, method.vec_normalize, config.env, name, method.output)
     key, given = ("oracle", "oracle=[") if method.imitates else ("depth", "depth=")
     for override in overrides:
         if override.startswith(given):
@@ -350,7 +362,7 @@ def _of_oracle(config: RunConfig, overrides: Sequence[str]) -> list[str]:
     """
     own = [override for override in overrides if key_of(override).split(".")[0] in OF_TRAINING or is_search(override)]
     if config.imported is not None:
-        files = [override for override in overrides if key_of(override) in ("method.model", "method.vec_normalize")]
+        files = [override for override in overrides if key_of(override) in OF_THE_FILE]
         return [*own, "method=model", *files, "stages=[import]", f"seed={config.seed}"]
     if not any(key_of(override) == "trainer" for override in own):
         own.append(f"trainer={config.trainer.name}")

@@ -15,16 +15,18 @@ from pipelines.stages.parse import holds_tree
 # What stands for a method and its policy, and what is done with that.
 GIVEN_POLICIES = {"program": "evaluated", "model": "imported"}
 TRUE = ("true", "1", "yes", "on", "y")  # as OmegaConf reads them
-SHORT = (*GIVEN_POLICIES, "vec_normalize", "column")  # their keys
+OF_A_MODEL = ("vec_normalize", "output")
+SHORT = (*GIVEN_POLICIES, *OF_A_MODEL, "column", "box")  # their keys
 
 
 def spelt_out(overrides: Sequence[str]) -> list[str]:
     """Return overrides with those replaced that are short for others.
 
     `program=FILE` and `model=FILE` are a method and its policy; under a method that imitates, the model is the
-    oracle, as is `oracle=FILE`. Hydra would take a program for a choice of the group conf/program, where the
-    shipped ones lie. `column=NAME` is a method and its depth, and `polish.free=true` is `polishing.free=true`,
-    because `polish` itself is the switch. An id for which conf/env has a file stands for that file's name.
+    oracle, as is `oracle=FILE`. Hydra would take a program for a choice of the group conf/program, where the shipped
+    ones lie. `column=NAME` is a method and its depth, `box=` is `certification.box=`, and `polish.free=true` is
+    `polishing.free=true`, because `polish` itself is the switch. An id for which conf/env has a file stands for that
+    file's name.
     """
     overrides = [_of_its_kind(override) for override in _columns_spelt_out(overrides)]
     named = [override for override in overrides if key_of(override) in GIVEN_POLICIES]
@@ -42,14 +44,16 @@ def spelt_out(overrides: Sequence[str]) -> list[str]:
         if override.startswith("env="):
             env = str(parse(override).value())  # a sweep escapes the colon of module:Id
             written.append(f"env={_named_ids().get(env, env)}")
+        elif override.startswith("box="):
+            written.append(f"certification.{override}")
         elif override.startswith("polish."):
             written.append(f"polishing.{override.removeprefix('polish.')}")
         elif override in named:
             written += [*([] if methods else [f"method={key_of(override)}"]), f"method.{override}"]
-        elif override.startswith("vec_normalize="):
+        elif key_of(override) in OF_A_MODEL:
             if not any(key_of(each) in ("model", "oracle", "method.model") for each in overrides):
                 raise ConfigError(f"{override}: of which model? Add model=FILE or oracle=FILE")
-            written.append(f"method.{override}")
+            written.append(f"method.{override.replace('vec_normalize=null', 'vec_normalize=none')}")
         elif override.startswith("oracle=") and isinstance(parse(override).value(), str):
             if not any(map(imitates, methods)):
                 raise ConfigError(f"{override}: who is to imitate it? Add {imitating()}")

@@ -8,7 +8,9 @@ from pathlib import Path
 
 from pipelines.cli.overrides import quoted
 from pipelines.cli.workflow import Workflow
+from pipelines.engine.console import show_rows
 from pipelines.engine.job import disk_errors_explained
+from pipelines.engine.store import read_summary
 from pipelines.engine.sweep import GroupTask, Outcome, run_sweep
 from pipelines.errors import ConfigError
 
@@ -44,6 +46,14 @@ def do_sweep(workflow: Workflow, overrides: Sequence[str]) -> bool:
 
     outcomes = run_sweep(jobs, launch)
     failed = [outcome for outcome in outcomes if outcome.error]
+    rows = {
+        job.folder.removeprefix("runs/"): workflow.row(summary)
+        for job, outcome in zip(jobs, outcomes, strict=True)
+        if job.ends and not outcome.error and (summary := read_summary(job.run_dir))
+    }
+    if rows:
+        print()
+        show_rows("job", rows)
     print(f"\n{len(outcomes)} jobs: {len(outcomes) - len(failed)} done, {len(failed)} failed")
     for outcome in failed:
         print(f"  {outcome.folder}: {outcome.error}")

@@ -61,6 +61,7 @@ class Workflow(Composer, ABC):
     do: Callable[[Any], Any]  # does one job
     do_group: Callable[[Sequence[Any]], list[Exception | None]]  # does jobs and returns what each failed with
     groups: Callable[[Sequence[Any]], list[list[int]]]  # positions of the configurations that one process does
+    row: Callable[[dict[str, Any]], dict[str, str]]  # what a sweep's table shows of a job's summary
 
     def check(self, config: Any) -> None:
         """Raise where something that the jobs need is not installed."""

@@ -139,6 +139,14 @@ class RunConfig:
             raise ConfigError(
                 f"polishing.n_top={polishing.n_top} is more than polishing.n_directions={polishing.n_directions}"
             )
+        is_read = bool(getattr(self.method, "model", "")) and self.imported is None  # not yet
+        is_known = not is_read and (self.oracle_run is not None or not self.method.imitates)
+        if polishing.by == "critic" and self.is_polished and is_known and not self.has_critics:
+            raise ConfigError(
+                "polishing.by=critic needs the critics of the actor that the policy is made from: trainer=fleet with "
+                "algo=sac keeps them, and zips of Stable-Baselines3's SAC, TD3 and DDPG have some; use one of these, "
+                "or polishing.by=search"
+            )
         if polishing.numbers == "network" and not self.method.is_mapped:
             raise ConfigError(
                 f"polishing.numbers=network: a tree of method={self.method.name} stands for no network; leave it out"
@@ -153,6 +161,14 @@ class RunConfig:
     def is_polished(self) -> bool:
         """Whether the stages after a polish are of the polished policy."""
         return self.polish or "polish" in self.selected_stages
+
+    @property
+    def has_critics(self) -> bool:
+        """Whether the oracle, or without one the actor, is trained or imported with critics that are kept."""
+        made_by = self.oracle_run or self
+        if made_by.imported is not None:
+            return made_by.imported.critics is not None
+        return made_by.fleet is not None
 
     @property
     def polishes_network(self) -> bool:

@@ -1,9 +1,9 @@
 """The actor, and what each stage of a run is told beside the method."""
 
-from dataclasses import dataclass
-from typing import Annotated, Literal
+from dataclasses import asdict, dataclass, field
+from typing import Annotated, Any, Literal
 
-from pipelines.config.setting import AsBefore, Count, NotNegative, OneOf, Positive, Range, Seed, Share
+from pipelines.config.setting import AsBefore, Count, NotNegative, OneOf, Positive, Range, Seed, Share, Text
 
 
 @dataclass(frozen=True)
@@ -60,9 +60,27 @@ class PruneConfig:
 
 
 @dataclass(frozen=True)
-class PolishingConfig:
-    """Polishing: direct search on the return over the numbers of the finished policy (`otr.polish`)."""
+class CriticPolishConfig:
+    """A polish by critics: the soft actor-critic goes on with the finished policy in the actor's place."""
 
+    steps: Count = 60_000  # of the environment by the policy, an update each
+    # Steps that fill the replay buffer before, in which the oracle acts as it explored
+    refill_steps: Count = 50_000
+    # Share of these in which the policy itself acts: a weak one has to see what its mistakes lead to
+    student_share: Share = 0.0
+    refill_noise: NotNegative = 0.1  # standard deviation of what is added to actions in [-1, 1] while it is filled
+    noise: NotNegative = 0.1  # and from then on
+    learning_rate: Annotated[float, Range(1e-12, 10)] = 1e-3
+    batch_size: Count = 100
+
+
+@dataclass(frozen=True)
+class PolishingConfig:
+    """Polishing: the finished policy's numbers improved on its return, by direct search (`otr.polish`) or critics."""
+
+    # Null is by the critics where the method imitates an oracle that has some, else by search
+    by: Annotated[str | None, OneOf("search", "critic"), AsBefore(None)] = None
+    critic: CriticPolishConfig = field(default_factory=CriticPolishConfig)
     # Environment steps of the search, about: as many iterations as they pay for at the length that episodes have before
     steps: Count = 1_000_000
     # Whose numbers: the network's, where a tree is mapped from one, which is then mapped and pruned anew, or the pruned
@@ -84,11 +102,27 @@ class PolishingConfig:
     # Who computes the environments; None is numpy where that was compared with gymnasium, else gymnasium
     environments: Annotated[str | None, OneOf("gymnasium", "envpool", "numpy")] = None
 
+    def settings(self) -> dict[str, Any]:
+        """Return what decides a polish by search, as committed polishes are keyed by it."""
+        return {name: value for name, value in asdict(self).items() if name not in ("by", "critic")}
+
+    def settings_by_critic(self) -> dict[str, Any]:
+        """Return what decides a polish by critics."""
+        common = ("numbers", "free", "n_selection_episodes", "n_candidates", "environments")
+        return {"by": "critic", **{name: getattr(self, name) for name in common}, **asdict(self.critic)}
+
+
+_LIMIT = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?inf)"
+SIDE = rf"(\S(?:.*\S)?)\s+in\s+{_LIMIT}\s*\.\.\s*{_LIMIT}"
+Side = Annotated[str, Text(SIDE, "give the sides of a box as [angle in -0.2..0.2, velocity in -1..1]")]
+
 
 @dataclass(frozen=True)
 class CertificationConfig:
     """The minimal tree and its certificate: no tree of more leaves, nor one that takes longer to find, is proved."""
 
+    # The states for which it is proved; None is the environment's box or, where that is open, that around those visited
+    box: Annotated[list[Side] | None, AsBefore(None)] = None
     max_leaves: Count = 2**13
     max_seconds: NotNegative = 600.0
 

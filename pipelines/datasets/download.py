@@ -14,13 +14,14 @@ import urllib.error
 import urllib.request
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
 
 from pipelines.datasets.catalogue import DataFile
+from pipelines.engine.store import replacing
 from pipelines.errors import ConfigError, MissingInputError, PipelineError
 
 TIMEOUT_S = 30.0  # without a byte from the server
@@ -83,18 +84,14 @@ def keep(file: DataFile, content: bytes) -> Path:
     """Write a file into the user's own folder, packed unless it is packed already; nobody ever sees a part of it."""
     packed = file.path.endswith(".gz")
     path = own_folder() / (file.path if packed else f"{file.path}.gz")
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(content if packed else gzip.compress(content, compresslevel=6, mtime=0))
-        temporary.replace(path)
+        with replacing(path) as temporary:
+            temporary.write_bytes(content if packed else gzip.compress(content, compresslevel=6, mtime=0))
     except OSError as error:
         raise PipelineError(
             f"cannot write {path}: {error.strerror or error}\nMake room there, or set XDG_DATA_HOME to another folder."
         ) from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
     return path
 
 

@@ -17,10 +17,21 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from pipelines.engine.digests import digest
-from pipelines.engine.store import ARCHIVE, archive_files, corrupt, packed_files, read_json, write_files, write_json
+from pipelines.engine.store import (
+    ARCHIVE,
+    archive_files,
+    corrupt,
+    packed_files,
+    read_json,
+    replacing,
+    write_files,
+    write_json,
+)
 from pipelines.errors import PipelineError
 
 MANIFEST = "manifest.json"
+# What archives leave out though nothing makes it again: it serves who goes on from a result, who says how to get it.
+NOT_ARCHIVED = frozenset({"critics.safetensors"})
 MANIFEST_FIELDS = {"stage", "version", "key", "settings", "outputs", "output_digest", "seconds"}
 
 # From a run's folder and an unpacked stage of it to what the stage's archive leaves out: names and contents.
@@ -40,6 +51,8 @@ def verified_manifest(folder: Path) -> dict[str, Any]:
     """Return a finished stage's manifest after comparing every file that is kept of it with its recorded sha256."""
     manifest, packed = read_manifest(folder), packed_files(folder)
     for name, recorded in manifest["outputs"].items():
+        if name in NOT_ARCHIVED and not (folder / name).is_file():
+            continue
         if packed:
             # What is left out is compared when it is made again.
             found = bytes_digest(packed[name]) if name in packed else recorded
@@ -99,7 +112,7 @@ def _complete(run_dir: Path, folder: Path, derive: Derive) -> None:
     """
     manifest = read_manifest(folder)
     outputs = manifest["outputs"]
-    left_out = [name for name in outputs if not (folder / name).is_file()]
+    left_out = [name for name in outputs if name not in NOT_ARCHIVED and not (folder / name).is_file()]
     made = derive(run_dir, folder) if left_out else {}
     for name in left_out:
         if name not in made:
@@ -151,9 +164,8 @@ def pack(run_dir: Path, derive: Derive | None = None, leave: Collection[str] = (
         verified_manifest(run_dir / stage)
     kept = {stage: _kept(run_dir, run_dir / stage, derive) for stage in there}
     files = packed | {f"{stage}/{name}": content for stage in kept for name, content in kept[stage].items()}
-    temporary = run_dir / f".{ARCHIVE}.tmp"
-    _write_archive(temporary, files)
-    temporary.replace(run_dir / ARCHIVE)
+    with replacing(run_dir / ARCHIVE) as temporary:
+        _write_archive(temporary, files)
     if archive_files(run_dir) != files:
         raise PipelineError(f"{run_dir / ARCHIVE} does not hold what was written to it; the folders stay")
     for name in there:
@@ -166,6 +178,7 @@ def _kept(run_dir: Path, folder: Path, derive: Derive | None) -> dict[str, bytes
     outputs = verified_manifest(folder)["outputs"]
     made = derive(run_dir, folder) if derive else {}
     left_out = {name for name, content in made.items() if bytes_digest(content) == outputs.get(name)}
+    left_out |= NOT_ARCHIVED
     return {name: (folder / name).read_bytes() for name in (MANIFEST, *outputs) if name not in left_out}
 
 

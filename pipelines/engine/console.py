@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -52,6 +53,18 @@ def progress_lines(what: str, unit: str) -> Callable[[int, int], None]:
             print(f"{what}: {done:,} of {total:,} {unit}, {duration(spent)}, about {left} left", flush=True)
 
     return tell
+
+
+def show_rows(what: str, rows: Mapping[str, Mapping[str, str]]) -> None:
+    """Print a table of a line for each key, which `what` heads; a column that a row has not is empty there."""
+    table = Table(box=box.SIMPLE_HEAD)
+    table.add_column(what, overflow="fold")
+    names = list(dict.fromkeys(name for row in rows.values() for name in row))
+    for name in names:
+        table.add_column(name, justify="right", no_wrap=True)
+    for key, row in rows.items():
+        table.add_row(key, *(row.get(name, "") for name in names))
+    Console(highlight=False, width=columns()).print(table)
 
 
 def show_finished(

@@ -54,6 +54,11 @@ class Job(ABC):
     def stages(self) -> tuple[Stage, ...]:
         """The stages that are asked for, in order."""
 
+    @property
+    def ends(self) -> bool:
+        """Whether the job comes to the stage after which its summary is written."""
+        return any(stage.name == self.ends_with for stage in self.stages)
+
     def side_by_side(self) -> Self:
         """Return a job that knows that others share its terminal and its cores."""
         config = dataclasses.replace(self.config, side_by_side=True, n_workers=self.config.n_workers or 1)
@@ -109,20 +114,16 @@ def failure(do: Callable[[J], Any], job: J) -> Exception | None:
 def has_summary(job: Job) -> bool:
     """Return whether a job has its summary, whole, if it comes to the stage after which that is written."""
     try:
-        return not _ends(job) or "seconds" in read_json(job.run_dir / "summary.json")
+        return not job.ends or "seconds" in read_json(job.run_dir / "summary.json")
     except PipelineError:
         return False
-
-
-def _ends(job: Job) -> bool:
-    return any(stage.name == job.ends_with for stage in job.stages)
 
 
 def is_done(job: Job) -> bool:
     """Return whether nothing of a job is left to do, having compared every file with its recorded sha256."""
     if not has_summary(job):
         return False
-    ends = _ends(job)
+    ends = job.ends
     gone = {stage.name for stage in job.stages if _is_gone(job, stage)}
     left = [stage for stage in job.stages if stage.name not in gone]
     try:

@@ -2,6 +2,7 @@
 
 import functools
 import platform
+import shlex
 import subprocess
 import sys
 from importlib import metadata
@@ -36,10 +37,14 @@ def git_revision() -> str | None:
 
 
 def _git(*arguments: str) -> str | None:
-    """Return what git prints in this file's folder; None where it fails or is not there."""
+    """Return what git prints in this file's folder; None where it fails or is not there.
+
+    It is to write nothing there: on a full disk it would leave its lock behind, and the checkout could not be used.
+    """
+    command = ["git", "--no-optional-locks", *arguments]
     try:
         done = subprocess.run(
-            ["git", *arguments], cwd=Path(__file__).parent, capture_output=True, text=True, timeout=10, check=True
+            command, cwd=Path(__file__).parent, capture_output=True, text=True, timeout=10, check=True
         )
     except (OSError, subprocess.SubprocessError):
         return None
@@ -49,4 +54,4 @@ def _git(*arguments: str) -> str | None:
 def command_line() -> str:
     """Return the command that is running: the program's name without its path, and its arguments but results_dir."""
     arguments = [argument for argument in sys.argv[1:] if not argument.startswith("results_dir=")]
-    return " ".join([Path(sys.argv[0]).name, *arguments])
+    return shlex.join([Path(sys.argv[0]).name, *arguments])

@@ -18,7 +18,7 @@ from filelock import FileLock, Timeout
 from pipelines.engine import provenance
 from pipelines.engine.archive import MANIFEST, Derive, file_digest, opened, read_manifest, verified_manifest
 from pipelines.engine.digests import digest, setting_differences
-from pipelines.engine.store import exists, write_json
+from pipelines.engine.store import exists, unfinished, write_json
 from pipelines.errors import MissingInputError, OtherSettingsError, PipelineError
 
 
@@ -107,7 +107,7 @@ def _found_or_made(
             if twin is not None:
                 _copy_twin(twin, folder, derive)
                 return StageResult(folder, skipped=True, seconds=read_manifest(folder)["seconds"])
-            with opened(run_dir, stage.inputs, derive) as whole, _unfinished(folder) as temporary:
+            with opened(run_dir, stage.inputs, derive) as whole, unfinished(folder) as temporary:
                 origin, start = _origin(), time.monotonic()
                 stage.run({name: whole / name for name in stage.inputs}, config, temporary)
                 seconds = round(time.monotonic() - start, 3)
@@ -148,7 +148,7 @@ def run_stage_together(
         if not chosen:
             return errors
         origin, start = _origin(), time.monotonic()
-        folders = [stack.enter_context(_unfinished(folder)) for _, folder, _ in chosen]
+        folders = [stack.enter_context(unfinished(folder)) for _, folder, _ in chosen]
         failures = run([inputs[i] for i, _, _ in chosen], [requests[i][1] for i, _, _ in chosen], folders)
         share = round((time.monotonic() - start) / len(chosen), 3)
         for (i, folder, wanted), temporary, failure in zip(chosen, folders, failures, strict=True):
@@ -178,18 +178,6 @@ def stage_status(stage: Stage, folder: Path, config: Any, wanted: str | None = N
         return "other settings"
     current = manifest["version"] == stage.version_of(config) if wanted is None else manifest["key"] == wanted
     return "done" if current else "stale"
-
-
-@contextmanager
-def _unfinished(folder: Path) -> Iterator[Path]:
-    """Give an empty folder beside `folder` to write a result into; whatever is still there afterwards is removed."""
-    temporary = folder.with_name(f".{folder.name}.tmp")
-    shutil.rmtree(temporary, ignore_errors=True)
-    temporary.mkdir(parents=True)
-    try:
-        yield temporary
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def _origin() -> dict[str, Any]:
@@ -253,7 +241,7 @@ def _twin(run_dir: Path, name: str, wanted: str) -> Path | None:
 
 def _copy_twin(twin: Path, folder: Path, derive: Derive | None) -> None:
     verified_manifest(twin)
-    with _unfinished(folder) as temporary:
+    with unfinished(folder) as temporary:
         with opened(twin.parent, [twin.name], derive) as whole:
             shutil.copytree(whole / twin.name, temporary, dirs_exist_ok=True)
         _put(temporary, folder)

@@ -178,6 +178,11 @@ def episode_limit(env: EnvConfig) -> int:
 def flat_state_size(env: gym.Env) -> int:
     """Return the length of the state vector; refuse observations that are not a flat box."""
     space = env.observation_space
+    if isinstance(space, gym.spaces.Box) and len(space.shape) in (2, 3) and space.dtype == np.uint8:
+        raise ConfigError(
+            f"{_id(env)}: the observations are images, {space}, and image policies are out of scope. Accepted is a "
+            "vector of numbers, a Box of one dimension, such as the positions and speeds of what the image shows"
+        )
     if not isinstance(space, gym.spaces.Box) or len(space.shape) != 1 or space.shape[0] == 0:
         raise ConfigError(
             f"{_id(env)}: observations {space} are not a vector of numbers, a Box of one dimension, which programs "

@@ -9,8 +9,10 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+import yaml  # type: ignore[import-untyped]
 
 from otr.control.environments import INTERFACE
+from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError
 from pipelines.play.environments import make_env, told
@@ -23,7 +25,8 @@ def own_environment(env_id: str, kwargs: Mapping[str, Any]) -> EnvConfig:
     """Return the settings of an environment that conf/env has no file for.
 
     Its name is the id as a folder can have it. Names of the observation's and the action's components are those that
-    the environment's class gives as ``metadata["feature_names"]`` and ``metadata["action_names"]``, if any.
+    the environment's class gives as ``metadata["feature_names"]`` and ``metadata["action_names"]``, or conf/names.yaml
+    for it, if any.
 
     Raises:
         ConfigError: there is no such environment, its observations or actions are of a kind that no policy here has, or
@@ -33,9 +36,15 @@ def own_environment(env_id: str, kwargs: Mapping[str, Any]) -> EnvConfig:
     task = "discrete" if spaces(env).box is None else "continuous"
     made = make_env(env)
     _try_out(made, env_id)
-    features, actions = (list(made.metadata.get(key, [])) for key in ("feature_names", "action_names"))
+    names = {key: list(made.metadata.get(key, [])) for key in ("feature_names", "action_names")}
+    names = names if any(names.values()) else _names_of_class(str(made.spec and made.spec.entry_point))
     made.close()
-    return dataclasses.replace(env, task=task, kwargs={}, feature_names=features, action_names=actions)
+    return dataclasses.replace(env, task=task, kwargs={}, **names)
+
+
+def _names_of_class(entry_point: str) -> dict[str, list[str]]:
+    """Return the names that conf/names.yaml has for an environment's class, `module:Class`; none if it has not."""
+    return dict(yaml.safe_load((CONF_DIR / "names.yaml").read_text(encoding="utf-8")).get(entry_point, {}))
 
 
 def _try_out(env: gym.Env, env_id: str) -> None:

@@ -22,8 +22,7 @@ class Spaces:
     n_actions: int  # number of labels, or of the action's components
     # Least and greatest actions, (n_actions,) each; None where actions are labels
     box: tuple[np.ndarray, np.ndarray] | None
-    # Least and greatest states, (n_inputs,) each; None where one has no bounds
-    states: tuple[np.ndarray, np.ndarray] | None
+    states: tuple[np.ndarray, np.ndarray]  # least and greatest ones, (n_inputs,) each; infinite without bounds
 
 
 def spaces(env: EnvConfig) -> Spaces:
@@ -38,7 +37,7 @@ def _spaces(env_id: str, kwargs: str) -> Spaces:
     is_discrete(env)  # refuses what is neither labels nor a box
     env.close()
     assert isinstance(states, gym.spaces.Box)
-    limits = _bounds(states) if states.is_bounded() else None
+    limits = _bounds(states)
     if isinstance(actions, gym.spaces.Discrete):
         return Spaces(n_inputs, int(actions.n), None, limits)
     assert isinstance(actions, gym.spaces.Box)
@@ -51,15 +50,21 @@ def _bounds(space: gym.spaces.Box) -> tuple[np.ndarray, np.ndarray]:
 
 
 def state_limits(env: EnvConfig) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the lowest and the highest state, (d,) each; None where one has no bounds, or is a PID policy's.
+    """Return `state_sides`; None where one is infinite."""
+    low, high = state_sides(env)
+    return (low, high) if np.isfinite([low, high]).all() else None
+
+
+def state_sides(env: EnvConfig) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lowest and the highest state, (d,) each; infinite without bounds, and for a PID policy's terms.
 
     A number that the environment declares as constant has the least width that single precision tells from none, as a
     domain needs an inside.
     """
-    limits = None if env.pid is not None else spaces(env).states
-    if limits is None:
-        return None
-    low, high = limits
+    if env.pid is not None:
+        infinite = np.full(4 * spaces(env).n_inputs, np.inf)
+        return -infinite, infinite
+    low, high = spaces(env).states
     margin = np.where(low < high, 0.0, np.finfo(np.float32).eps * np.maximum(1.0, np.abs(high)))
     return low - margin, high + margin
 

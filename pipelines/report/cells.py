@@ -71,6 +71,11 @@ def variant_runs(runs: pd.DataFrame) -> pd.DataFrame:
     return _in_tables(own[(changes != "") & ~is_given & ~_is_smoke(runs)], ["changes", "oracle.hidden_widths"])
 
 
+def other_runs(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return the runs, of whatever settings and budget, in environments that no table has, pruned and polished."""
+    return runs[(runs["env"] != runs["task"]) & runs["form"].isin(["pruned_tree", "polished"])]
+
+
 def changes_but_oracle(runs: pd.DataFrame) -> "pd.Series[str]":
     """Return what settings each run changes, its oracle apart."""
     changes = runs["changes"].fillna("")

@@ -68,4 +68,5 @@ def _lines(rows: pd.DataFrame) -> list[list[str]]:
 
 def _range(values: pd.Series) -> str:
     least, greatest = values.min(), values.max()
-    return f"{least:,}" if least == greatest else f"{least:,} to {greatest:,}"
+    texts = [f"{n:,}" if n < 2**63 else f"2^{int(n).bit_length() - 1}" for n in (least, greatest)]
+    return texts[0] if least == greatest else " to ".join(texts)

@@ -10,6 +10,7 @@ import pandas as pd
 import otr
 from otr.shorten.refit_tests import RefittedTest, RefittedTree, refit_tests
 from pipelines.config.run import RunConfig
+from pipelines.engine.command_text import command_text
 from pipelines.engine.seeding import episode_seeds, evaluation_seeds
 from pipelines.engine.store import read_csv
 from pipelines.errors import MissingInputError, PipelineError
@@ -81,6 +82,9 @@ def write_figure_4_7(
     return [path, path.with_suffix(".png")]
 
 
+COMMAND = ("+experiment=figure_4_6", "budget=quick", f"method={METHOD}", f"depth={DEPTH}")  # makes such a run
+
+
 def _chosen(runs: pd.DataFrame, planned: Sequence[Planned], results_dir: Path) -> Any:
     """Return the row of the finished run with the best selection return of its tree."""
     experiment = pd.DataFrame(
@@ -90,7 +94,7 @@ def _chosen(runs: pd.DataFrame, planned: Sequence[Planned], results_dir: Path) -
     if finished.empty:
         raise MissingInputError(
             f"{results_dir}: no AugTree of depth 2 has been run on the lander.\n"
-            "Run: otr-run +experiment=figure_4_6 budget=quick method=augtree depth=2"
+            f"Run: {command_text('otr-run', COMMAND, results_dir)}"
         )
     preferred = finished[finished["oracle"] == PREFERRED_ORACLE]
     candidates = (finished if preferred.empty else preferred).itertuples()

@@ -17,7 +17,8 @@ from pipelines.engine.store import corrupt, read_json
 from pipelines.errors import PipelineError
 from pipelines.supervised.config import FitConfig
 
-# Always there, in this order; pages/runs.md and pages/fits.md say what they are.
+# Always there, in this order; pages/runs.md and pages/fits.md say what they are. A WHOLE column with a number beyond
+# int64, such as the leaves of [64, 64], has Python's integers instead (dtype object).
 TEXT, WHOLE, NUMBER = "string", "Int64", "float64"
 RUN_COLUMNS = {
     "run": TEXT, "env": TEXT, "task": TEXT, "env_id": TEXT, "method": TEXT, "depth": TEXT, "budget": TEXT,
@@ -142,4 +143,11 @@ def _frame(rows: Sequence[Mapping[str, Any]], types: Mapping[str, str]) -> pd.Da
     """Return rows under the columns of `types` and whatever else they have, that as its values' types say."""
     further = sorted({name for row in rows for name in row} - types.keys() - {"schema"})
     values = {name: [row.get(name) for row in rows] for name in (*types, *further)}
-    return pd.DataFrame({name: pd.array(column, dtype=types.get(name)) for name, column in values.items()})
+    return pd.DataFrame({name: _column(column, types.get(name)) for name, column in values.items()})
+
+
+def _column(values: list[Any], dtype: str | None) -> Any:
+    try:
+        return pd.array(values, dtype=dtype)
+    except OverflowError:  # leaves are counted beyond int64: of [64, 64] there are 2**128
+        return pd.array(values, dtype="object")

@@ -6,10 +6,8 @@ table's page shows: the table's own, and those of its methods and depths on the 
 
 from __future__ import annotations
 
-import csv
 import itertools
 import math
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +15,9 @@ import numpy as np
 import pandas as pd
 
 import otr
+from pipelines.engine.command_text import command_text
 from pipelines.errors import MissingInputError
+from pipelines.play.random_returns import random_returns
 from pipelines.report.cells import DECIMALS, KEY, METHOD_NAMES, SOURCE, TASK_NAMES, table_runs
 from pipelines.report.figures import COLOURS, DASHES, SMALL, figure_of_panels, legend_line, set_legend
 from pipelines.report.published import best_published
@@ -48,17 +48,11 @@ def write_performance_profile(results_dir: Path, runs: pd.DataFrame) -> list[Pat
     if lines.empty:
         raise MissingInputError(
             f"{results_dir}: no method of Table 4.1 has been run on {MIN_TASKS} tasks.\n"
-            "Run: otr-run +experiment=table_4_1"
+            f"Run: {command_text('otr-run', ['+experiment=table_4_1'], results_dir)}"
         )
     path = write_file(results_dir / "figures" / "performance_profile.csv", csv_text(lines.round(DECIMALS)))
     otr.save_picture(draw_profiles(lines), path.with_suffix(".png"))
     return [path, path.with_suffix(".png")]
-
-
-def random_returns() -> dict[str, float]:
-    """Return the mean return of random actions by task, as `python -m pipelines.cli.random_returns` measured it."""
-    text = (resources.files("pipelines") / "random_returns.csv").read_text(encoding="utf-8")
-    return {row["task"]: float(row["mean"]) for row in csv.DictReader(text.splitlines())}
 
 
 def scored_runs(runs: pd.DataFrame) -> pd.DataFrame:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from pipelines.config.methods import METHODS
 from pipelines.report.cells import (
     CSV_COLUMNS,
     DECIMALS,
@@ -20,6 +21,7 @@ from pipelines.report.cells import (
     beside_the_thesis,
     in_order,
     oracle_runs,
+    other_runs,
     runs_text,
     summarise,
     table_runs,
@@ -50,11 +52,12 @@ def write_table_4_1(results_dir: Path) -> list[Path]:
     markdown = page(
         "table_4_1.md",
         table=markdown_grid(HEAD, rows),
-        provenance=markdown_table(_provenance(cells, runs), empty="Nothing has been run yet."),
+        provenance=markdown_table(_provenance(cells, runs), empty="Nothing of this table has been run yet."),
         beyond=markdown_table(_beyond(cells[~table])),
         pruned=markdown_table(_pruned(every), empty="Nothing has been run yet that pruning changes."),
         least_change=f"{100 * LEAST_CHANGE:.0f} %",
-        variants=markdown_table(_variants(every), empty="Nothing has been run yet."),
+        variants=markdown_table(_variants(every), empty="No run of the table's tasks changes a setting."),
+        others=_others(other_runs(every)),
         min_runs=MIN_RUNS_FOR_INTERVAL,
     )
     advice = r"\usepackage{booktabs}; wide: use it within \resizebox or on a landscape page."
@@ -169,6 +172,21 @@ def _pruned(every: pd.DataFrame) -> list[list[str]]:
                           "" if np.isnan(alike) else f"{100 * alike:.1f} %",
                           f"{group['leaves_pruned'].mean():,.0f}"])  # fmt: skip
     return lines
+
+
+def _others(runs: pd.DataFrame) -> str:
+    """Return the section of other environments; nothing where none has been run."""
+    lines = [["Environment", "Method", "Depth", "Budget", "Changed", "Return", "Runs", "Leaves"]]
+    by = ["env", "method", "depth", "budget", "changes", "form"]
+    for (env, method, depth, budget, changes, form), group in runs.fillna({"changes": ""}).groupby(by, sort=False):
+        returns, is_polished = group["return_mean"], form == "polished"
+        spread = f" ± {returns.std():.1f}" if len(group) > 1 else ""
+        leaves = group["polish.n_leaves" if is_polished else "pruned_leaves"].mean()
+        name = METHODS[method].label + (", polished" if is_polished else "")
+        lines.append([env, name, depth, budget, f"`{changes}`" if changes else "", f"{returns.mean():z.1f}{spread}",
+                      str(len(group)), f"{leaves:,.0f}"])  # fmt: skip
+    table = markdown_table(lines)
+    return page("other_environments.md", table=table).rstrip("\n") if len(lines) > 1 else ""
 
 
 def _variants(every: pd.DataFrame) -> list[list[str]]:

@@ -1,6 +1,6 @@
 """The policy of a finished run as a program in another language, with the environment's names."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -72,9 +72,9 @@ FORMATS = {
 }
 
 
-def check_export(config: ExportConfig) -> None:
-    """Raise ConfigError where the request cannot be met, whatever the run."""
-    check_policy(config.run, config.program, config.env)
+def check_export(config: ExportConfig, of_env: Sequence[str] = ()) -> None:
+    """Raise ConfigError where the request cannot be met, whatever the run; `of_env` says more of the environment."""
+    check_policy(config.run, config.program, config.env, of_env)
     if config.program and config.tree != "pruned":
         raise ConfigError(f"tree={config.tree}: program={config.program} is one tree; leave tree={config.tree} out")
     if not config.format:
@@ -94,16 +94,21 @@ def check_export(config: ExportConfig) -> None:
                               f"these have: {', '.join(takes)}")  # fmt: skip
 
 
-def check_policy(run: str, program: str | None, env: str | None) -> None:
+def check_policy(run: str, program: str | None, env: str | None, of_env: Sequence[str] = ()) -> None:
     """Raise ConfigError unless one policy is named: a run's, or a program with the environment that has its names."""
     if not program:
         check_run(run)
-        if env:
-            raise ConfigError(f"env={env}: a run has its own environment; leave env={env} out")
+        check_no_environment(env, of_env)
     elif run:
         raise ConfigError(f"run={run} and program={program} are two policies; leave one of them out")
     elif not env:
         raise ConfigError(f"program={program}: over which environment's names? Add env=NAME")
+
+
+def check_no_environment(env: str | None, of_env: Sequence[str]) -> None:
+    """Raise ConfigError where an environment, or more of it, is named for a run, which has its own."""
+    for given in (*([f"env={env}"] if env else []), *of_env):
+        raise ConfigError(f"{given}: a run has its own environment; leave {given} out")
 
 
 def program_of(config: ExportConfig, run: RunConfig, policy: Any) -> str | bytes:

@@ -14,6 +14,7 @@ from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.methods import EXTRA_STAGES, ProgramConfig
 from pipelines.config.run import RunConfig
 from pipelines.engine.archive import MANIFEST, read_manifest, verified_manifest
+from pipelines.engine.command_text import command_text, place_of
 from pipelines.engine.seeding import episode_seeds
 from pipelines.engine.store import exists, read_json
 from pipelines.errors import ConfigError, MissingInputError, PipelineError, check_choice
@@ -69,22 +70,19 @@ def run_command(folder: Path) -> str | None:
     if not (re.fullmatch(r"depth-[\d-]+", depth) and re.fullmatch(r"seed-\d+(~[0-9a-f]+)?", seed)):
         return None
     widths = depth.removeprefix("depth-").split("-")
-    overrides = [f"env={env}", f"depth={widths[0]}" if len(widths) == 1 else f'"depth=[{",".join(widths)}]"']
+    overrides = [f"env={env}", f"depth={widths[0]}" if len(widths) == 1 else f"depth=[{','.join(widths)}]"]
     overrides += [] if method == "otr" else [f"method={method}"]
     name, *others = budget.split("-")
     overrides += [f"budget={name}", *(f"algo={other}" if other == "ars" else f"trainer={other}" for other in others)]
     number, _, digest = seed.removeprefix("seed-").partition("~")
     overrides.append(f"seed={number}")
     settings = " and the settings that made the digest ~" + digest if digest else ""
-    return f"otr-run {' '.join(overrides)}{place_of(folder)}{settings}"
+    return f"{command_text('otr-run', overrides, results_of(folder))}{settings}"
 
 
-def place_of(folder: Path) -> str:
-    """Return the words that name the results that a run's folder lies in; nothing for `results`, the default."""
-    place, here = folder.absolute().parents[4].parent, Path.cwd()
-    if place == here / "results":
-        return ""
-    return f" results_dir={shlex.quote(str(place.relative_to(here) if place.is_relative_to(here) else place))}"
+def results_of(folder: Path) -> Path:
+    """Return the folder of results that a run's folder lies in."""
+    return folder.absolute().parents[4].parent
 
 
 def command_of(folder: Path, stage: str) -> str:
@@ -97,7 +95,7 @@ def command_of(folder: Path, stage: str) -> str:
     if command and "~" not in folder.name and (CONF_DIR / "env" / f"{folder.parts[-5]}.yaml").is_file():
         return command
     if recorded.startswith("otr-run "):
-        return recorded + place_of(folder)  # which names no results_dir itself
+        return " ".join([recorded, *map(shlex.quote, place_of(results_of(folder)))])  # it names no results_dir itself
     return command or "the command that made the run"
 
 

@@ -1,15 +1,16 @@
 """The command with which a tree that people can read imitates a policy whose own tree nobody can."""
 
 import re
-import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from pipelines.config.methods import TakesModel
 from pipelines.config.run import RunConfig
+from pipelines.engine.command_text import command_text
 
 READABLE_LEAVES = 64  # the lines of a page
+NAMES = ("env.feature_names=", "env.action_names=")
 DEPTH = 3  # of the tree that is suggested
 OTHERS = "viper, lm_viper and ndps make trees of other kinds, distilled_otr a small network whose tree is exact"
 
@@ -25,8 +26,10 @@ def imitating_command(config: RunConfig, overrides: Sequence[str] = ()) -> str:
     words = [f"env={env.name}", "--config-dir", own[0]] if own else [f"env={env.id}"]
     words += [f"++env.kwargs.{name}={value}" for name, value in env.kwargs.items()]
     words += ["method=augtree", f"oracle={method.model}", f"depth={DEPTH}"]
-    words += [f"vec_normalize={method.vec_normalize}"] if method.vec_normalize else []
-    return f"otr-run {shlex.join(words)}"
+    given = {"vec_normalize": method.vec_normalize, "output": method.output}
+    words += [f"{key}={value}" for key, value in given.items() if value]
+    words += [each for each in overrides if each.startswith(NAMES)]
+    return command_text("otr-run", words, config.results_dir)
 
 
 def advice(config: RunConfig, summary: Mapping[str, Any], overrides: Sequence[str] = ()) -> str | None:

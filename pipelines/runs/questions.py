@@ -13,6 +13,7 @@ from pipelines.errors import ConfigError
 from pipelines.play.spaces import action_names, feature_names
 
 BEFORE = "if "  # of a condition, which makes it a program
+LARGEST_ACTION = 1e6  # of policies whose actions have no limits, where it is asked whether any policy keeps a condition
 ACTION = "action"  # what conditions call the label of a policy that answers labels
 
 
@@ -63,7 +64,30 @@ def always(tree: otr.ObliqueTree, condition: str, env: EnvConfig, domain: otr.Do
     if undecided:
         return Answer(None, f"undecided: {condition}; neither a state nor a proof was found where "
                       + ", or ".join(undecided))  # fmt: skip
-    return Answer(True, f"proved: {condition}")
+    return Answer(True, f"proved: {condition}{_vacuity(tree, condition, features, actions, domain)}")
+
+
+def _vacuity(tree: otr.ObliqueTree, condition: str, features: list[str], actions: list[str], domain: otr.Domain) -> str:
+    """Return that a condition which holds says nothing of the policy, as any other keeps it; nothing where it does.
+
+    Any other is one of the same labels, or whose actions are within the same limits, or a million without any.
+    """
+    labels = [None] if tree.labels is None else range(len(actions))
+    limits = None if tree.labels is not None else tree.head.limits(tree.n_outputs)
+    n_free = 0 if tree.labels is not None else len(actions)
+    low, high = limits or (np.full(n_free, -LARGEST_ACTION), np.full(n_free, LARGEST_ACTION))
+    both = otr.Domain(np.append(domain.low, low[:n_free]), np.append(domain.high, high[:n_free]))
+    anything = otr.ObliqueTree([], [], np.zeros((0, both.n_inputs)), [], np.zeros((1, 1, both.n_inputs)), [[0.0]])
+    for label in labels:
+        for rows in _ways_to_fail(_read(condition, features, actions, label), len(features), n_free):
+            given = tuple(otr.HalfSpace(np.append(row.state, row.action), row.offset, row.is_above) for row in rows)
+            nowhere = otr.Condition(np.zeros(both.n_inputs), np.zeros(1), -1.0, given)
+            if not otr.find_violation(anything, nowhere, both).holds:
+                return ""
+    return (
+        "\nThat says nothing about the policy: no state of the box can fail the condition, whatever the action is. It "
+        "is the condition and the box that exclude it"
+    )
 
 
 def ranges(tree: otr.ObliqueTree, env: EnvConfig, domain: otr.Domain) -> list[str]:
@@ -158,6 +182,12 @@ def _comparison(row: Row, names: list[str]) -> str:
     weights = [*row.state.tolist(), *row.action.tolist()]
     terms = [f"{weight:+.6g} {name}" for weight, name in zip(weights, names, strict=False) if weight]
     return f"{' '.join([*terms, f'{row.offset:+.6g}'])} {'>' if row.is_above else '<='} 0"
+
+
+def number_of(n: int, what: str) -> str:
+    """Return how many there are: 1 leaf, 1,024 leaves."""
+    plural = {"leaf": "leaves"}.get(what, f"{what}s")
+    return f"{n:,} {what if n == 1 else plural}"
 
 
 def labels_but(bound: float) -> str:

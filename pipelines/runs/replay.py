@@ -7,7 +7,8 @@ import numpy as np
 from pipelines.config.run import RunConfig
 from pipelines.engine.store import exists, read_csv
 from pipelines.stages.derived import opened_run
-from pipelines.stages.evaluate import episodes_file, load_policies, play
+from pipelines.stages.evaluate import episodes_file, load_policies
+from pipelines.stages.evaluation_episodes import play_each
 from pipelines.stages.polish import load_searched
 
 TOLERANCE = 1e-6  # of the return, relative
@@ -25,7 +26,7 @@ def replay(config: RunConfig, run_dir: Path) -> int:
         if exists(run_dir / "polish" / "episodes.csv"):
             policies["polished"] = load_searched(whole / "polish")
             recorded_in["polished"] = run_dir / "polish" / "episodes.csv"
-    played = play(policies, config)
+    played = play_each(policies, config)
     n_different = 0
     for name in played:
         recorded = np.array([float(row["return"]) for row in read_csv(recorded_in[name])])

@@ -5,13 +5,18 @@ from typing import Any
 
 from rich.table import Table
 
+import otr
+from pipelines.config.env import EnvConfig
 from pipelines.config.methods import METHODS
+from pipelines.engine.command_text import command_text
 from pipelines.engine.console import SHORT_PROGRAM, duration, show_finished
 from pipelines.engine.store import read_csv
-from pipelines.runs.questions import bound_text, labels_but
+from pipelines.play.boxes import box_in_words
+from pipelines.play.spaces import feature_names
+from pipelines.runs.questions import bound_text, labels_but, number_of
 
 
-def show_result(summary: dict[str, Any], run_dir: Path, whole: Path) -> None:
+def show_result(summary: dict[str, Any], run_dir: Path, whole: Path, env: EnvConfig) -> None:
     """Print the run's returns, sizes and times, where its artefacts lie, and its program when that is short.
 
     The program is the polished tree's where polishing gained something, and the pruned tree's otherwise.
@@ -23,7 +28,7 @@ def show_result(summary: dict[str, Any], run_dir: Path, whole: Path) -> None:
     policy = "network" if "network" in summary["policies"] else "whole tree"
     paths = "activation pattern" if policy == "network" else "leaf"
     lines = [
-        f"{_count(summary['patterns'], paths)} reached, estimated pruned depth {summary['pruned_depth']:.1f}; "
+        f"{number_of(summary['patterns'], paths)} reached, estimated pruned depth {summary['pruned_depth']:.1f}; "
         f"the pruned tree acts as the {policy} in {100 * summary['fidelity']:.2f} % of the states"
     ]
     lines += _fewer_answers(text, summary["pruned_leaves"])
@@ -37,7 +42,7 @@ def show_result(summary: dict[str, Any], run_dir: Path, whole: Path) -> None:
     if "polish" in summary:
         lines.append(_polished(summary["polish"]))
     if "certify" in summary:
-        lines.append(proof_line(summary["certify"]))
+        lines.append(proof_line(summary["certify"], env))
     if "simplify" in summary:
         lines += _simplified(summary["simplify"], whole)
     if "leaves" in summary:
@@ -45,15 +50,23 @@ def show_result(summary: dict[str, Any], run_dir: Path, whole: Path) -> None:
     for stage, name in (("video", "episode.gif"), ("mp4", "episode.mp4")):
         if stage in summary:
             lines.append(_shown(summary[stage], f"{stage}/{name}", run_dir, whole))
-    form = " tree=polished" if last == "polish" else ""
-    where = program if whole == run_dir else f"otr-export run={run_dir} format=text{form}"
+    form = ["tree=polished"] if last == "polish" else []
+    where = program if whole == run_dir else command_text("otr-export", [f"run={run_dir}", "format=text", *form])
     picture = run_dir / last / "tree.svg"
     show_finished(text, where, _title(summary), _table(summary), lines, summary["seconds"], run_dir, picture)
 
 
-def _count(n: int, what: str) -> str:
-    plural = {"leaf": "leaves"}.get(what, f"{what}s")
-    return f"{n} {what if n == 1 else plural}"
+def result_row(summary: dict[str, Any]) -> dict[str, str]:
+    """Return what a sweep's table shows of a run: the returns of its tree, pruned and polished, and its leaves."""
+    forms = {"tree": summary, **summary["policies"]} | ({"polished": summary["polish"]} if "polish" in summary else {})
+    shown = {"tree": "return of the tree", "pruned_tree": "of the pruned tree", "polished": "polished"}
+    returns = {what: _return(forms[form]) for form, what in shown.items() if form in forms}
+    last = summary["polish"]["n_leaves"] if "polish" in summary else summary["pruned_leaves"]
+    return {**returns, "leaves": f"{last:,}"}
+
+
+def _return(moments: dict[str, Any]) -> str:
+    return f"{moments['return_mean']:z.1f} ± {moments['return_std']:.1f}"
 
 
 def _fewer_answers(program: str, n_leaves: int) -> list[str]:
@@ -75,12 +88,16 @@ def _likeness(oracle: dict[str, Any]) -> str:
     return f"oracle {oracle['hidden_widths']}: the tree {like}"
 
 
-def proof_line(report: dict[str, Any]) -> str:
-    """Return what the certificate says, in words."""
+def proof_line(report: dict[str, Any], env: EnvConfig | None = None) -> str:
+    """Return what the certificate says, in words; of an environment with the sides of the box, by its names."""
+    where = report["domain"]
+    if env is not None:
+        domain = otr.Domain.from_dict(report)
+        where += f", {box_in_words(domain, feature_names(env, domain.n_inputs))}"
     if not report["certified"]:
-        return f"no certificate on {report['domain']}: {report['reason']}"
+        return f"no certificate on {where}: {report['reason']}"
     spent = sum(report["seconds"].values())
-    leaves, error = _count(report["n_leaves"], "leaf"), report["max_error"]
+    leaves, error = number_of(report["n_leaves"], "leaf"), report["max_error"]
     network = "the polished network" if report.get("policy") == "polished" else "the network"
     if not error:
         like = f"exactly {network}"
@@ -94,7 +111,7 @@ def proof_line(report: dict[str, Any]) -> str:
         else ""
     )
     return (
-        f"certificate: the minimal tree, of {leaves}, is {like} on {report['domain']}, by rational arithmetic "
+        f"certificate: the minimal tree, of {leaves}, is {like} on {where}, by rational arithmetic "
         f"({duration(spent)}); otr-verify checks it again{beyond}"
     )
 
@@ -111,10 +128,13 @@ def _polished(report: dict[str, Any]) -> str:
         confirming = f"{report['n_selection_episodes']:,} other episodes"
         outcome = f"nothing better was confirmed on {confirming}; it stays as it was"
     spent = duration(report["cpu_seconds"])
-    return (
-        f"polished: {report['n_numbers']} numbers of the {report['numbers']} searched in "
-        f"{_count(report['n_iterations'], 'iteration')}, {report['n_steps']:,} steps ({spent}); {outcome}"
-    )
+    how = f"searched in {number_of(report['n_iterations'], 'iteration')}, {report['n_steps']:,} steps"
+    if report.get("by") == "critic":
+        how = (
+            f"learnt by critics in {report['n_learning_steps']:,} steps after {report['n_refill_steps']:,} of play, "
+            f"{report['n_steps']:,} with the episodes that chose"
+        )
+    return f"polished: {report['n_numbers']} numbers of the {report['numbers']} {how} ({spent}); {outcome}"
 
 
 def _short_program(title: str, path: Path) -> list[str]:
@@ -135,7 +155,7 @@ def _simplified(report: dict[str, Any], whole: Path) -> list[str]:
     """Return the shorter program, where it is short, and what it costs."""
     same, apart = 100 * report["fidelity"], report["mean_difference"]
     within = f", to {100 * report['fidelity_tolerance']:.0f} % of its range," if report["fidelity_tolerance"] else ""
-    leaves = f"{_count(report['n_leaves_before'], 'leaf')} to {report['n_leaves']}"
+    leaves = f"{number_of(report['n_leaves_before'], 'leaf')} to {report['n_leaves']}"
     again = report.get("polished_again")
     return [
         *_short_program("simplified", whole / "simplify" / "program.txt"),
@@ -160,7 +180,7 @@ def _loss(loss: dict[str, Any]) -> str:
 def _returns_of_leaves(rows: list[dict[str, str]], run_dir: Path) -> str:
     """Return what the policy returns with fewer leaves, and what draws that."""
     returns = ", ".join(f"{int(row['n_leaves']):,}: {float(row['return_mean']):z.1f}" for row in rows)
-    return f"return by leaves kept: {returns}; otr-tabulate leaves run={run_dir}"
+    return f"return by leaves kept: {returns}; {command_text('otr-tabulate', ['leaves', f'run={run_dir}'])}"
 
 
 def _shown(report: dict[str, Any], file: str, run_dir: Path, whole: Path) -> str:
@@ -199,11 +219,8 @@ def _table(summary: dict[str, Any]) -> Table:
     table.add_column("leaves", justify="right")
     leaves = {"tree": _leaves(summary["n_leaves"]), "pruned_tree": f"{summary['pruned_leaves']:,}"}
     for name, moments in summary["policies"].items():
-        table.add_row(
-            name.replace("_", " "), f"{moments['return_mean']:z.1f} ± {moments['return_std']:.1f}", leaves.get(name, "")
-        )
+        table.add_row(name.replace("_", " "), _return(moments), leaves.get(name, ""))
     if "polish" in summary:
         polished = summary["polish"]
-        returns = f"{polished['return_mean']:z.1f} ± {polished['return_std']:.1f}"
-        table.add_row("polished", returns, f"{polished['n_leaves']:,}")
+        table.add_row("polished", _return(polished), f"{polished['n_leaves']:,}")
     return table

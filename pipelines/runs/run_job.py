@@ -22,6 +22,7 @@ from pipelines.engine.stage import Stage, run_stage_together, stage_status
 from pipelines.engine.store import read_json
 from pipelines.engine.wrapping import columns, fitted
 from pipelines.errors import ConfigError
+from pipelines.runs.below_random import warning_below_random
 from pipelines.runs.imitation import advice
 from pipelines.runs.result import show_result
 from pipelines.runs.summary import summarise
@@ -145,8 +146,9 @@ def _run_stages(job: RunJob) -> dict[str, Any] | None:
     unasked = {extra for extra in EXTRA_STAGES if extra not in config.selected_stages}
     with opened_run(config, run_dir) as whole:
         shown = {key: value for key, value in summary.items() if key not in unasked}
-        show_result(shown, run_dir, whole)
-        if told := advice(config, shown, job.overrides):
-            print(fitted(told, columns()))
+        show_result(shown, run_dir, whole, config.env)
+        for told in (warning_below_random(config, summary), advice(config, shown, job.overrides)):
+            if told:
+                print(fitted(told, columns()))
         Tracker(config).finish(summary, whole)
     return summary

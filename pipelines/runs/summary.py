@@ -60,7 +60,12 @@ def summarise(config: RunConfig, run_dir: Path) -> dict[str, Any]:
         summary["model"] = config.imported.name
     if not config.is_trained:
         summary |= {"algorithm": "none", "steps": 0}
-    return summary | {extra: read_json(run_dir / extra / "report.json") for extra in extras}
+    reports = {extra: read_json(run_dir / extra / "report.json") for extra in extras}
+    if reports.get("polish", {}).get("by") == "critic":
+        # What the policy has cost in steps of the environment, its oracle's included; not those that chose candidates
+        learnt = sum(reports["polish"][name] for name in ("n_refill_steps", "n_learning_steps"))
+        summary["total_steps"] = summary["steps"] + summary.get("imitate", {}).get("n_steps", 0) + learnt
+    return summary | reports
 
 
 def _extras(config: RunConfig, run_dir: Path) -> list[str]:

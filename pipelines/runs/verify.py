@@ -1,5 +1,6 @@
 """What is proved of a policy: a run's certificate, checked again without a solver, and a program compared."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,12 +10,16 @@ import otr
 from pipelines.config.env import EnvConfig
 from pipelines.config.run import RunConfig
 from pipelines.config.setting import Folder, FreeText, NotNegative, check_settings
+from pipelines.config.stages import Side
 from pipelines.engine.archive import opened
 from pipelines.engine.store import exists, read_json
 from pipelines.errors import ConfigError, MissingInputError, PipelineError
 from pipelines.play.actor_files import load_actor
+from pipelines.play.boxes import box_around, box_in_words, given_box
 from pipelines.play.spaces import action_names, feature_names, state_limits
-from pipelines.runs.questions import Answer, answer_in_words, bound_text, in_words, labels_but
+from pipelines.runs.finished_run import command_of, visited_states
+from pipelines.runs.questions import Answer, answer_in_words, bound_text, in_words, labels_but, number_of
+from pipelines.stages.certify import GIVEN, MARGIN
 
 MAX_DIFFERENCE = 1e-6
 
@@ -28,6 +33,7 @@ class VerifyConfig:
     env: FreeText | None
     always: FreeText | None
     range: bool
+    box: list[Side] | None
     max_difference: NotNegative | None
     certificate: FreeText | None
     tree: FreeText | None
@@ -54,25 +60,26 @@ def verify_run(config: VerifyConfig, run: RunConfig, folder: Path) -> str:
         raise MissingInputError(
             f"{path} is not there: the run has no certificate"
             + (f", as stage certify gave up: {reason}" if reason else
-               "\nAdd certify=true to the command that made the run; nothing is trained anew.")
+               f"\nRun: {command_of(folder, run.method.actor_stage)} certify=true\nNothing is trained anew.")
         )  # fmt: skip
     with opened(folder, ["certify"]) as whole:
         certificate = otr.load_certificate(config.certificate or whole / "certify" / "certificate.json")
         tree = otr.load(config.tree or whole / "certify" / "tree")
-    limits, domain = state_limits(run.env), certificate.domain
-    if limits and not ((domain.low <= limits[0]).all() and (domain.high >= limits[1]).all()):
+    limits, domain = wanted_box(run), certificate.domain
+    if limits and not ((domain.low <= limits[0].low).all() and (domain.high >= limits[0].high).all()):
         raise PipelineError(
-            f"{path} is of the box {_box(domain)}, which is smaller than the environment's, "
-            f"{_box(otr.Domain(*limits))}: it was changed, or is of another environment"
+            f"{path} is of the box {_named(domain, run.env)}, which is smaller than {limits[1]}, "
+            f"{_named(limits[0], run.env)}: it was changed, or is of another environment"
         )
     if not isinstance(tree, otr.ObliqueTree):
         raise otr.CertificateError(f"{config.tree} holds a {type(tree).__name__}, certificates are of an ObliqueTree")
     network = load_actor(Path(config.actor or folder / certified_stage(run, folder)))
     bound = otr.verify(certificate, tree, network)
-    whose = "the environment's box of states" if limits else "the box of the certificate"
+    whose = limits[1] if limits else "the box of the certificate"
+    leaves, regions = number_of(certificate.n_leaves, "leaf"), number_of(certificate.n_regions, "region")
     return (
-        f"verified: {certificate.n_leaves:,} leaves, {certificate.n_regions:,} regions of the network; on {whose}, "
-        f"{_box(domain)}, at every real point (in rational arithmetic), tree and network {_alike(bound, tree)}"
+        f"verified: {leaves}, {regions} of the network; on {whose}, {_named(domain, run.env)}, at every real point (in "
+        f"rational arithmetic), tree and network {_alike(bound, tree)}"
     )
 
 
@@ -96,29 +103,44 @@ def _alike(bound: float, tree: otr.ObliqueTree) -> str:
     return f"have the same label, but perhaps {labels_but(bound)}"
 
 
-def _box(domain: otr.Domain) -> str:
-    """Return a box as people read it."""
-    sides = zip((domain.low + 0.0).tolist(), (domain.high + 0.0).tolist(), strict=True)  # 0, not -0
-    return " x ".join(f"[{low:.4g}, {high:.4g}]" for low, high in sides)
+def _named(domain: otr.Domain, env: EnvConfig) -> str:
+    """Return a box as people read it, with the names of the environment's states."""
+    return box_in_words(domain, feature_names(env, domain.n_inputs))
 
 
-def question_domain(env: EnvConfig, folder: Path | None) -> tuple[otr.Domain, str]:
-    """Return the box of states that is asked about, and what it is; that of a run's certificate is the second choice.
+def wanted_box(run: RunConfig) -> tuple[otr.Domain, str] | None:
+    """Return the box that the user gave the run or that the environment declares, and which; None without either."""
+    if run.certification.box is not None:
+        return given_box(run.env, run.certification.box), GIVEN
+    limits = state_limits(run.env)
+    return None if limits is None else (otr.Domain(*limits), "the environment's box of states")
+
+
+def question_domain(
+    sides: Sequence[str] | None, run: RunConfig, folder: Path | None, policy: otr.ObliqueTree | None
+) -> tuple[otr.Domain, str]:
+    """Return the box of states that is asked about, and what it is.
+
+    It is that of `sides`, else the run's own or the environment's, else that of the run's certificate, else the box
+    around the states that the policy visits in a few episodes.
 
     Raises:
-        ConfigError: the environment declares no box, and no certificate has one.
+        ConfigError: a side is of no state, or there is no box and no policy that could play.
     """
-    limits = state_limits(env)
-    if limits is not None:
-        domain, what = otr.Domain(*limits), "the environment's box of states"
+    wanted = (given_box(run.env, sides), GIVEN) if sides is not None else wanted_box(run)
+    if wanted is not None:
+        domain, what = wanted
     elif folder is not None and exists(folder / "certify" / "report.json"):
-        domain, what = otr.Domain.from_dict(read_json(folder / "certify" / "report.json")), "the box of the certificate"
+        report = read_json(folder / "certify" / "report.json")
+        domain, what = otr.Domain.from_dict(report), f"{report['domain']}, as the certificate is"
     else:
-        raise ConfigError(
-            f"the states of {env.id} have no bounds, and no run with certify=true names a box of them; add "
-            "certify=true to the command that made the run"
+        assert policy is not None
+        states = visited_states(run, policy)
+        domain, what = (
+            box_around(states, MARGIN),
+            "the box around the states that it visits in a few episodes (box= asks of another)",
         )
-    return domain, f"{what}, {_box(domain)}"
+    return domain, f"{what}, {_named(domain, run.env)}"
 
 
 def compared(

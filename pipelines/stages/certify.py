@@ -5,29 +5,29 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 import otr
 from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import episode_seeds
 from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import write_json
 from pipelines.play.actor_files import load_actor
+from pipelines.play.boxes import box_around, given_box
 from pipelines.play.rollout import rollout
-from pipelines.play.spaces import state_limits
+from pipelines.play.spaces import spaces, state_limits
 from pipelines.stages.printed_programs import and_names, write_program
 
 MARGIN = 0.05  # of the width of what was visited, on either side
+GIVEN = "the given box"
 
 
 def certify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     """Write the minimal tree, its `program.txt`, `certificate.json` and `report.json`.
 
-    The domain is the box of states that the environment declares (gymnasium's observation space, which not every
-    environment keeps to) where that is bounded, else the box around the states of the pruning episodes and 5 % more on
-    either side. Where that reaches beyond the network's own domain, in which it is the policy that was trained
-    (`from_sb3`), the report has that, too. A tree or a proof that would be too large, or take too long, is told in the
-    report. After polish=true the actor is the polished one.
+    The domain is the box that is given or, without one, the box of states that the environment declares (gymnasium's
+    observation space, which not every environment keeps to) where that is bounded, else the box around the states of
+    the pruning episodes and 5 % more on either side. Where that reaches beyond the network's own domain, in which it is
+    the policy that was trained (`from_sb3`), the report has that, too. A tree or a proof that would be too large, or
+    take too long, is told in the report. After polish=true the actor is the polished one.
     """
     network = load_actor(inputs.get("polish") or inputs[config.method.actor_stage])
     domain, whence = _domain(inputs, config)
@@ -76,25 +76,37 @@ def certify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
 
 def _domain(inputs: Mapping[str, Path], config: RunConfig) -> tuple[otr.Domain, str]:
     """Return the box on which the tree is proved, and what it is."""
+    if config.certification.box is not None:
+        return given_box(config.env, config.certification.box), GIVEN
     limits = state_limits(config.env)
     if limits is not None:
         return otr.Domain(*limits), "the environment's box of states"
     policy: Any = load_actor(inputs["polish"]) if "polish" in inputs else otr.load(inputs["map"] / "tree")
     seeds = episode_seeds(config.seed, "prune", config.prune.n_episodes)
     states = rollout(policy.predict, config.env, seeds, keep_states=True, n_workers=config.n_workers).states
-    low, high = states.min(axis=0), states.max(axis=0)
-    margin = MARGIN * (high - low) + np.finfo(np.float32).eps * np.maximum(1.0, np.abs(high))
-    return otr.Domain(low - margin, high + margin), f"the box around the states of {config.prune.n_episodes} episodes"
+    return box_around(states, MARGIN), f"the box around the states of {config.prune.n_episodes} episodes"
 
 
-CERTIFY_SETTINGS = and_names(
-    picked(
-        env="env",
-        n_episodes="prune.n_episodes",
-        seed="seed",
-        max_leaves="certification.max_leaves",
-        max_seconds="certification.max_seconds",
-    )
+_USUAL = picked(
+    env="env",
+    n_episodes="prune.n_episodes",
+    seed="seed",
+    max_leaves="certification.max_leaves",
+    max_seconds="certification.max_seconds",
 )
+
+
+def _settings(config: RunConfig) -> dict[str, Any]:
+    """Return the settings of a certificate; the box only where one is given, as certificates are older than it."""
+    box = config.certification.box
+    return _USUAL(config) | ({} if box is None else {"box": list(box)})
+
+
+def _version(config: RunConfig) -> int:
+    """Return 3 for labels, whose proofs lead to where the network has them, else 2."""
+    return 3 if spaces(config.env).box is None else 2
+
+
+CERTIFY_SETTINGS = and_names(_settings)
 # Its inputs depend on the method and on polish=true: `pipelines.stages.table.stages_of` sets them.
-CERTIFY = Stage("certify", version=2, inputs=(), settings=CERTIFY_SETTINGS, run=certify)
+CERTIFY = Stage("certify", version=_version, inputs=(), settings=CERTIFY_SETTINGS, run=certify)

@@ -14,7 +14,7 @@ from pipelines.errors import PolicyMismatchError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.agreement import answers_agree
 from pipelines.play.rollout import Rollout
-from pipelines.stages.evaluation_episodes import episodes_version, moments, play_evaluation_episodes
+from pipelines.stages.evaluation_episodes import episodes_version, moments, play_each
 from pipelines.stages.oracle import load_oracle
 
 EPISODE_COLUMNS = ("episode", "seed", "return", "length", "terminated", "truncated")
@@ -63,7 +63,7 @@ def evaluate(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     """
     policies = load_policies(inputs, config)
     whole = "network" if "network" in policies else "tree"
-    played = play(policies, config, keep_states_of=whole)
+    played = play_each(policies, config)
     states = played[whole].states
     answers, outputs = policies[whole].predict(states), policies[whole].forward(states)
     if whole == "network":
@@ -89,14 +89,6 @@ def likeness(ours: np.ndarray, theirs: np.ndarray) -> dict[str, float]:
     if ours.ndim == 1:
         return {"equal_labels": float((ours == theirs).mean())}
     return {"mean_difference": float(np.abs(ours - theirs).mean())}
-
-
-def play(policies: Mapping[str, Any], config: RunConfig, keep_states_of: str = "") -> dict[str, Rollout]:
-    """Play the evaluation episodes with each policy; the states of one are kept."""
-    return {
-        name: play_evaluation_episodes(policy.predict, config, keep_states=name == keep_states_of)
-        for name, policy in policies.items()
-    }
 
 
 def episode_rows(played: Rollout) -> list[dict[str, Any]]:

@@ -5,6 +5,8 @@ of starts take a second there.
 """
 
 import itertools
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +24,24 @@ def play_evaluation_episodes(policy: Policy, config: RunConfig, *, keep_states: 
     if has_numpy_plant(config.env):
         return play_in_numpy(policy, config.env, seeds, keep_states=keep_states)
     return rollout(policy, config.env, seeds, keep_states=keep_states, n_workers=config.n_workers)
+
+
+def play_each(policies: Mapping[str, Any], config: RunConfig) -> dict[str, Rollout]:
+    """Play the evaluation episodes with each policy, states and actions kept.
+
+    A policy that does what an earlier one did, in every state of that one's episodes, has the same episodes: they are
+    not played again. A network, its tree and its pruned tree are most often such policies.
+    """
+    played: dict[str, Rollout] = {}
+    for name, policy in policies.items():
+        same = next((each for each in played.values() if _acts_as(policy, each)), None)
+        played[name] = same or play_evaluation_episodes(policy.predict, config, keep_states=True)
+    return played
+
+
+def _acts_as(policy: Any, played: Rollout) -> bool:
+    """Return whether a policy does, to the last bit that environments are given, what was done in all episodes."""
+    return np.array_equal(np.asarray(policy.predict(played.states)).astype(played.actions.dtype), played.actions)
 
 
 def episodes_version(config: RunConfig) -> int:

@@ -8,6 +8,8 @@ from typing import Any
 import otr
 from otr.core.smooth_network import Oracle
 from otr.importers import read_policy
+from otr.importers.critics import Critics, critics_of_zip
+from otr.importers.vec_normalize import find_statistics
 from pipelines.config.env import EnvConfig
 from pipelines.config.model import ImportedModel
 from pipelines.config.run import RunConfig
@@ -16,6 +18,7 @@ from pipelines.engine.store import write_files, write_json
 from pipelines.errors import ConfigError
 from pipelines.play.actor_files import actor_files
 from pipelines.play.spaces import Spaces, spaces
+from pipelines.training.critics import critics_file
 
 
 def import_settings(config: RunConfig) -> dict[str, Any]:
@@ -29,18 +32,24 @@ def import_policy(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> N
     assert config.imported is not None
     network = config.imported.policy
     write_files(actor_files(network), out)
+    if config.imported.critics is not None:
+        write_files(critics_file(config.imported.critics), out)
     widths = [int(width) for width in network.hidden_widths]
     write_json(out / "report.json", {"model": config.imported.name, "hidden_widths": widths})
 
 
-def read_model(model: str, vec_normalize: str | None, env: EnvConfig, key: str = "model") -> ImportedModel:
+def read_model(
+    model: str, vec_normalize: str | None, env: EnvConfig, key: str = "model", output: str | None = None
+) -> ImportedModel:
     """Return the policy in a file of one of the kinds that `otr.importers.read_policy` reads.
 
     Args:
         model: path of the file; a zip's suffix may be left out.
-        vec_normalize: path of the file that VecNormalize.save wrote, for a zip whose policy was trained under one.
+        vec_normalize: path of the file that VecNormalize.save wrote, for a zip whose policy was trained under one, or
+            "none"; where it is None, a file is looked for beside the zip.
         env: its observations and actions are compared with the policy's.
         key: the setting that named the file, for what an error says.
+        output: the policy's, of an ONNX model with several.
 
     Raises:
         ConfigError: there is no such file, it is of another kind, no policy can be read from it, or not for this
@@ -49,20 +58,35 @@ def read_model(model: str, vec_normalize: str | None, env: EnvConfig, key: str =
     path = Path(model).expanduser()
     if path.suffix == "" and not path.exists():  # Stable-Baselines3 adds the suffix where it is left out
         path = path.with_name(f"{path.name}.zip")
-    files = [path, *([Path(vec_normalize).expanduser()] if vec_normalize else [])]
+    statistics, note = None, ""
+    if vec_normalize is not None and vec_normalize.lower() != "none":
+        statistics = Path(vec_normalize).expanduser()
+    elif vec_normalize is None and path.suffix == ".zip" and path.is_file():
+        statistics, note = find_statistics(path)
+    files = [path, *([statistics] if statistics else [])]
     for file in files:
         if not file.is_file():
             what = "that is a folder, expected a file" if file.is_dir() else "there is no such file"
             raise ConfigError(f"{key if file is path else 'vec_normalize'}={file}: {what}")
     try:
-        network = read_policy(path, vec_normalize=files[1] if vec_normalize else None)
+        network = read_policy(path, vec_normalize=statistics, output=output)
         policy = _fitted(network, spaces(env), env)
     except (otr.OtrError, ValueError) as error:
         raise ConfigError(f"{key}={model}: {error}") from error
     if path.suffix == ".npz":  # the arrays of a policy whose JSON beside them has all else, and their digest
         files[0] = path.with_suffix(".json")
-    sha256 = hashlib.sha256(b"".join(hashlib.sha256(file.read_bytes()).digest() for file in files)).hexdigest()
-    return ImportedModel(policy, path.name, sha256)
+    read = [file.read_bytes() for file in files] + ([output.encode()] if output else [])
+    sha256 = hashlib.sha256(b"".join(hashlib.sha256(content).digest() for content in read)).hexdigest()
+    critics = None if statistics else _critics(path)
+    return ImportedModel(policy, path.name, sha256, statistics is not None, note, critics)
+
+
+def _critics(path: Path) -> Critics | None:
+    """Return the critics in a file; None where there are none, or none that can be read: the policy serves alone."""
+    try:
+        return critics_of_zip(path) if path.suffix == ".zip" else None
+    except otr.OtrError:
+        return None
 
 
 def _fitted(network: Oracle, space: Spaces, env: EnvConfig) -> Oracle:

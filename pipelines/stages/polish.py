@@ -1,9 +1,10 @@
-"""Stage polish: the numbers of a finished policy improved on its return by direct search."""
+"""Stage polish: the numbers of a finished policy improved on its return, by direct search or by an oracle's critics."""
 
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
@@ -11,19 +12,22 @@ from typing import Any, TypeVar
 import numpy as np
 
 import otr
-from otr.control.search.polish import PolishReport
+from otr.control.search.policy_numbers import policy_numbers
+from otr.control.search.polish import Episodes, Evaluate, PolishReport, best_confirmed
 from pipelines.config.run import RunConfig
+from pipelines.engine.archive import MANIFEST
 from pipelines.engine.console import duration
 from pipelines.engine.seeding import episode_seeds, stream_seed
 from pipelines.engine.stage import Stage, picked
-from pipelines.engine.store import exists, write_csv, write_files, write_json
-from pipelines.play.actor_files import actor_files, load_actor
+from pipelines.engine.store import exists, read_json, write_csv, write_files, write_json
+from pipelines.play.actor_files import actor_files, load_actor, load_oracle_network
 from pipelines.play.environments import episode_limit
 from pipelines.stages.evaluate import EPISODE_COLUMNS, episode_rows
-from pipelines.stages.evaluation_episodes import episodes_version, has_numpy_plant, moments, play_evaluation_episodes
+from pipelines.stages.evaluation_episodes import episodes_version, has_numpy_plant, moments, play_each
 from pipelines.stages.map import map_actor
 from pipelines.stages.printed_programs import and_names, write_program
 from pipelines.stages.prune import load_tree, prune
+from pipelines.training.critics import CRITICS, load_critics
 from pipelines.training.search.episodes import SearchEpisodes
 from pipelines.training.search.policy_search import search_settings
 
@@ -35,22 +39,24 @@ LONG_POLISH_S = 60.0
 NUMPY_STEPS_PER_S = {"pendulum": 4_000_000.0, "mountaincar": 300_000.0}
 STEPS_PER_S = {"lunarlander": 18_000.0, "halfcheetah": 18_000.0, "swimmer": 14_000.0, "ant": 3_500.0}
 OTHER_STEPS_PER_S = 8_000.0
+UPDATES_PER_S = 250.0  # of a small actor and its critics, a step of the environment each
 SHARE_PLAYED = 0.5  # of an episode's longest length
 CANDIDATE_COLUMNS = ("iteration", "selection_mean", "n_selection_episodes")
 
 
 def polish(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
-    """Search, and write the polished tree, `program.txt`, `candidates.csv`, `episodes.csv` and `report.json`.
+    """Improve, and write the polished tree, `program.txt`, `candidates.csv`, `episodes.csv` and `report.json`.
 
-    Of a mapped tree the network's numbers are searched, unless `polishing.numbers=tree`: then `out` has the actor's
+    Of a mapped tree the network's numbers move, unless `polishing.numbers=tree`: then `out` has the actor's
     files too, and the tree is the new network's, pruned as the stage prune does. Of any other the pruned tree's are; a
     PID policy's tree is the one with constant gains, whose leaves are affine. `episodes.csv` has the evaluation
-    episodes of the network or tree that was searched.
+    episodes of the network or tree that was polished.
     """
     actor = config.method.actor_stage
+    improved = improve_by_critic if polishes_by(config) == "critic" else partial(search, purpose="polish")
     if config.polishes_network:
         network = load_actor(inputs[actor])
-        polished: Any = search(network, config, "polish")
+        polished: Any = improved(network, config)
         write_files(actor_files(polished.policy), out)
         with TemporaryDirectory(prefix="otr-") as full:
             map_actor({actor: out}, config, Path(full))
@@ -58,13 +64,13 @@ def polish(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
         before: Any = network
     else:
         before = load_tree(inputs["prune"])
-        polished = search(before, config, "polish")
+        polished = improved(before, config)
         otr.save(polished.policy, out / "tree")
         write_program(polished.policy, config.env, out)
     write_csv(out / "candidates.csv", polished.candidates, CANDIDATE_COLUMNS)
     tree: Any = otr.load(out / "tree")
     policies = {"before": before, "after": polished.policy, "pruned": tree}
-    played = {name: play_evaluation_episodes(policy.predict, config) for name, policy in policies.items()}
+    played = play_each(policies, config)
     write_csv(out / "episodes.csv", episode_rows(played["after"]), EPISODE_COLUMNS)
     write_json(
         out / "report.json",
@@ -93,38 +99,15 @@ class Polished:
 
 def search(policy: Policy, config: RunConfig, purpose: str) -> Polished:
     """Polish a policy on its return in the run's environment; each purpose has directions and episodes of its own."""
-    polishing, began = config.polishing, time.process_time()
+    polishing, account = config.polishing, _Account(purpose)
     index = ("polish", "simplify").index(purpose)
-    reports: list[PolishReport] = []
-    announced = time.monotonic()
-
-    def announce(report: PolishReport) -> None:
-        nonlocal announced
-        reports.append(report)
-        if time.monotonic() - announced >= ANNOUNCE_S:
-            announced = time.monotonic()
-            (_, before), (iteration, now) = report.candidates[0], report.candidates[-1]
-            print(
-                f"{purpose}: iteration {iteration} of {report.n_iterations}, return {now:.1f} on the selection "
-                f"episodes, {before:.1f} before",
-                flush=True,
-            )
-
     with closing(SearchEpisodes(config.env, environments(config))) as episodes:
         seeds = np.array([episode_seeds(config.seed, "prune", config.prune.n_episodes)])
         visited = episodes.play([policy], seeds, keep_states=True)
         vectors_steps = 2 * polishing.n_directions * polishing.n_episodes * visited.lengths.mean()
-        n_steps = 0
-
-        def evaluate(policies: Sequence[Any], seeds: np.ndarray) -> np.ndarray:
-            nonlocal n_steps
-            played = episodes.play(policies, seeds)
-            n_steps += int(played.lengths.sum())
-            return played.returns
-
         polished = otr.polish(
             policy,
-            evaluate,
+            account.evaluation(episodes),
             states=visited.states,
             n_iterations=max(1, round(polishing.steps / vectors_steps)),
             settings=search_settings(config.polishing),
@@ -134,13 +117,101 @@ def search(policy: Policy, config: RunConfig, purpose: str) -> Polished:
             n_candidates=polishing.n_candidates,
             free=polishing.free and purpose == "polish",  # a shorter program stays as short
             seed=stream_seed(config.seed, "polish", index),
-            report=announce,
+            report=account.announce,
         )
-    cpu_seconds = round(time.process_time() - began, 3)
-    return Polished(polished, _told(reports[-1], config) | {"n_steps": n_steps, "cpu_seconds": cpu_seconds},
-                    [{"iteration": iteration, "selection_mean": mean,
-                      "n_selection_episodes": polishing.n_selection_episodes}
-                     for iteration, mean in reports[-1].candidates])  # fmt: skip
+    return account.polished(polished, config)
+
+
+def improve_by_critic(policy: Any, config: RunConfig) -> Polished:
+    """Polish a policy by the critics of the actor that it was made from, with the soft actor-critic.
+
+    Raises:
+        PipelineError: there are no critics.
+        ConfigError: critics improve no policy of this head.
+    """
+    from pipelines.training.critic_polish.learner import CriticPolish  # imports torch
+
+    polishing, account, folder = config.polishing, _Account("polish"), critics_folder(config)
+    critics = load_critics(folder)
+    oracle = load_oracle_network(folder) if exists(folder / "actor.json") else None
+    with (
+        closing(SearchEpisodes(config.env, environments(config))) as episodes,
+        closing(CriticPolish(policy, config, critics, oracle, environments(config))) as learning,
+    ):
+        play = Episodes(account.evaluation(episodes), stream_seed(config.seed, "polish", 0))
+        n_numbers = policy_numbers(policy, np.zeros((1, policy.n_inputs)), free=polishing.free).start.size
+        start = PolishReport(n_numbers, polishing.critic.steps, 0, ())
+        n_selection = polishing.n_selection_episodes
+        polished = best_confirmed(policy, learning.candidates(), play, start, n_selection, account.announce)
+    settings = polishing.critic
+    account.n_steps += settings.refill_steps + settings.steps
+    own = {"n_refill_steps": settings.refill_steps, "n_learning_steps": settings.steps}
+    return account.polished(polished, config, by="critic", **own)
+
+
+class _Account:
+    """What a polish has cost and come to so far."""
+
+    def __init__(self, purpose: str) -> None:
+        self._purpose, self._began, self._announced = purpose, time.process_time(), time.monotonic()
+        self._reports: list[PolishReport] = []
+        self.n_steps = 0
+
+    def evaluation(self, episodes: SearchEpisodes) -> Evaluate:
+        """Return what plays policies and counts their steps."""
+
+        def evaluate(policies: Sequence[Any], seeds: np.ndarray) -> np.ndarray:
+            played = episodes.play(policies, seeds)
+            self.n_steps += int(played.lengths.sum())
+            return played.returns
+
+        return evaluate
+
+    def announce(self, report: PolishReport) -> None:
+        """Keep what is reported, and print it every few seconds."""
+        self._reports.append(report)
+        if time.monotonic() - self._announced >= ANNOUNCE_S:
+            self._announced = time.monotonic()
+            (_, before), (iteration, now) = report.candidates[0], report.candidates[-1]
+            print(
+                f"{self._purpose}: iteration {iteration} of {report.n_iterations}, return {now:.1f} on the selection "
+                f"episodes, {before:.1f} before",
+                flush=True,
+            )
+
+    def polished(self, policy: Any, config: RunConfig, **about: Any) -> Polished:
+        """Return the policy with what is to be said of it."""
+        report, n_selection = self._reports[-1], config.polishing.n_selection_episodes
+        spent = {"n_steps": self.n_steps, "cpu_seconds": round(time.process_time() - self._began, 3)}
+        rows = [
+            {"iteration": iteration, "selection_mean": mean, "n_selection_episodes": n_selection}
+            for iteration, mean in report.candidates
+        ]
+        return Polished(policy, about | _told(report, config) | spent, rows)
+
+
+def critics_folder(config: RunConfig) -> Path:
+    """Return where the critics of a run lie: with its oracle, or with its own actor."""
+    made_by = config.oracle_run or config
+    return Path(config.results_dir) / made_by.folder / made_by.method.actor_stage
+
+
+def polishes_by(config: RunConfig) -> str:
+    """Return what polishes a run: as it is set, else "critic" where its oracle was kept with critics, else "search".
+
+    The manifest of the oracle tells that, whether the file is still there or not: results from before critics were
+    kept, and what was polished then, stay what they are.
+    """
+    if config.polishing.by is not None:
+        return config.polishing.by
+    manifest = _manifest(config)
+    has_critics = config.oracle_run is not None and exists(manifest) and CRITICS in read_json(manifest)["outputs"]
+    return "critic" if has_critics else "search"
+
+
+def _manifest(config: RunConfig) -> Path:
+    """Return the manifest of the stage that keeps a run's critics, if any."""
+    return critics_folder(config) / MANIFEST
 
 
 def environments(config: RunConfig) -> str:
@@ -149,22 +220,28 @@ def environments(config: RunConfig) -> str:
 
 
 def estimated_seconds(config: RunConfig) -> float:
-    """Return the likely time of the search on one core, its selection and confirmation episodes included."""
+    """Return the likely time of a polish on one core, its selection and confirmation episodes included."""
     polishing = config.polishing
     n_chosen = (polishing.n_candidates + 3) * polishing.n_selection_episodes
     longest = episode_limit(config.env)
     table = NUMPY_STEPS_PER_S if environments(config) == "numpy" else STEPS_PER_S
     rate = table.get(config.env.task, OTHER_STEPS_PER_S)
-    return (polishing.steps + n_chosen * longest * SHARE_PLAYED) / rate
+    n_played = n_chosen * longest * SHARE_PLAYED
+    is_to_come = config.polishing.by is None and config.oracle_run is not None and not exists(_manifest(config))
+    if (is_to_come and config.has_critics) or polishes_by(config) == "critic":
+        return (n_played + polishing.critic.refill_steps) / rate + polishing.critic.steps / UPDATES_PER_S
+    return (polishing.steps + n_played) / rate
 
 
 def announce_polish(config: RunConfig) -> None:
     """Print the likely time of a long polish."""
     seconds = estimated_seconds(config)
     if seconds >= LONG_POLISH_S:
+        by_critic = polishes_by(config) == "critic"
+        what = "critics in" if by_critic else "a search of"
+        n_steps = config.polishing.critic.steps if by_critic else config.polishing.steps
         print(
-            f"polish: a search of {config.polishing.steps:,} steps, about {duration(seconds)} on one core; one that is "
-            "stopped begins anew",
+            f"polish: {what} {n_steps:,} steps, about {duration(seconds)} on one core; one that is stopped begins anew",
             flush=True,
         )
 
@@ -201,4 +278,14 @@ POLISH_SETTINGS = picked(
     prune="prune",
     evaluate="evaluate",
 )
-POLISH = Stage("polish", version=episodes_version, inputs=(), settings=and_names(POLISH_SETTINGS), run=polish)
+
+
+def polish_settings(config: RunConfig) -> dict[str, Any]:
+    """Return what decides a polish; the critics are told by its inputs, which are made from the actor that has them."""
+    settings = POLISH_SETTINGS(config)
+    if polishes_by(config) == "critic":
+        settings["polishing"] = config.polishing.settings_by_critic()
+    return settings
+
+
+POLISH = Stage("polish", version=episodes_version, inputs=(), settings=and_names(polish_settings), run=polish)

@@ -20,10 +20,9 @@ def show_fit(summary: dict[str, Any], run_dir: Path) -> None:
     named = f"{summary['data']}, {summary['method']}{split}, seed {summary['seed']}"
     title = f"{named}: {METRICS[summary['metric']]}{over}"
     table = Table()
-    for name in (*PARTS, "leaves", "depth"):
+    for name in fit_row(summary):
         table.add_column(name, justify="right")
-    scores = ["-" if summary[part] is None else f"{summary[part]:.4f}" for part in PARTS]
-    table.add_row(*scores, f"{summary['leaves']:,.1f}".removesuffix(".0"), f"{summary['depth']:.1f}".removesuffix(".0"))
+    table.add_row(*fit_row(summary).values())
     left_out = ", ".join(f"{n} in {part}" for part, n in summary["labels_left_out"].items() if n)
     lines = [f"labels left out, for they have one class: {left_out}"] if left_out else []
     if summary["whole_test"] != summary["test"]:
@@ -33,3 +32,9 @@ def show_fit(summary: dict[str, Any], run_dir: Path) -> None:
         )
     text = read_bytes(program).decode() if exists(program) else ""
     show_finished(text, program, title, table, lines, summary["seconds"], run_dir, picture=run_dir / "fit" / "tree.png")
+
+
+def fit_row(summary: dict[str, Any]) -> dict[str, str]:
+    """Return a fit's scores on each part and its size as tables show them."""
+    scores = {part: "-" if summary[part] is None else f"{summary[part]:.4f}" for part in PARTS}
+    return scores | {name: f"{summary[name]:,.1f}".removesuffix(".0") for name in ("leaves", "depth")}

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from pipelines.engine.store import read_json, write_csv, write_files, write_json
+from pipelines.engine.store import read_json, unfinished, write_csv, write_files, write_json
 from pipelines.errors import PipelineError
 
 EVALUATION_COLUMNS = ("steps", "return_mean", "return_std", "n_episodes", "best")
@@ -82,27 +82,24 @@ def write_segment(folder: Path, history: History, counters: dict[str, int], stat
     The trainer's counters have `num_timesteps` among them; `state` is what was learnt, the files'
     names and contents.
     """
-    temporary = folder / "next"
-    shutil.rmtree(temporary, ignore_errors=True)
-    temporary.mkdir(parents=True)
-    files = state | history.best
-    for name, content in files.items():
-        with (temporary / name).open("wb") as file:
-            file.write(content)
-            os.fsync(file.fileno())  # the last checkpoint is removed once this one is in its place
-    write_json(
-        temporary / "history.json",
-        {
-            "n_segments": history.n_segments,
-            "counters": counters,
-            "progress": history.progress,
-            "evaluations": history.evaluations,
-            "best": list(history.best),
-            "sha256": {name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
-        },
-    )
-    final = folder / f"segment-{history.n_segments:06d}"
-    temporary.rename(final)
+    final, files = folder / f"segment-{history.n_segments:06d}", state | history.best
+    with unfinished(final) as temporary:
+        for name, content in files.items():
+            with (temporary / name).open("wb") as file:
+                file.write(content)
+                os.fsync(file.fileno())  # the last checkpoint is removed once this one is in its place
+        write_json(
+            temporary / "history.json",
+            {
+                "n_segments": history.n_segments,
+                "counters": counters,
+                "progress": history.progress,
+                "evaluations": history.evaluations,
+                "best": list(history.best),
+                "sha256": {name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
+            },
+        )
+        temporary.rename(final)
     for old in folder.glob("segment-*"):
         if old != final:
             shutil.rmtree(old)

@@ -41,7 +41,7 @@ class ReluActor:
 
     def exported(self, model: BaseAlgorithm) -> otr.ReluNetwork:
         """Return the model's actor as a network of the states that it was trained on."""
-        return otr.from_sb3(model)
+        return otr.from_sb3(model, vec_normalize=None)
 
     def evaluate(self, model: BaseAlgorithm) -> tuple[dict[str, bytes], Rollout]:
         """Return the files of what the actor becomes, and what came of its selection episodes."""

@@ -15,6 +15,7 @@ import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
+from pipelines.engine.store import replacing
 from pipelines.errors import PipelineError
 from pipelines.training.checkpoints import History, damaged_checkpoint, last_segment, read_segment, write_segment
 from pipelines.training.normalisation import set_statistics, statistics
@@ -66,10 +67,9 @@ def _write_replay(folder: Path, model: OffPolicyAlgorithm, start: int, segment: 
     assert buffer is not None
     end = model.num_timesteps
     rows = np.arange(max(start, end - buffer.buffer_size), end) % buffer.buffer_size
-    temporary = folder / "replay.tmp"
-    with temporary.open("wb") as file:
+    log = folder / f"replay-{segment:06d}-{end:012d}.npz"
+    with replacing(log) as temporary, temporary.open("wb") as file:
         np.savez(file, end=end, **{name: getattr(buffer, name)[rows] for name in REPLAY_ARRAYS})
-    temporary.rename(folder / f"replay-{segment:06d}-{end:012d}.npz")
     for log in folder.glob("replay-*.npz"):
         # Until the new checkpoint is in its place a kill falls back to the one at `start`, which needs its own buffer.
         if int(log.stem.split("-")[2]) <= start - buffer.buffer_size:

@@ -7,8 +7,10 @@ import torch
 import otr
 from otr.core.smooth_network import ACTIVATIONS, SmoothNetwork
 
-UNITS = {"tanh": torch.nn.Tanh, "sigmoid": torch.nn.Sigmoid, "silu": torch.nn.SiLU, "elu": torch.nn.ELU,
-         "gelu": torch.nn.GELU}  # fmt: skip
+UNITS = {name.lower(): getattr(torch.nn, name) for name in (
+    "Tanh", "Sigmoid", "SiLU", "ELU", "GELU", "CELU", "SELU", "Softplus", "Softsign", "Mish", "LogSigmoid", "Hardtanh",
+    "ReLU6", "Hardsigmoid", "Hardswish",
+)}  # fmt: skip
 
 
 def module_of(activation):
@@ -25,7 +27,7 @@ def test_it_computes_what_torch_does(activation):
     layers = [layer for layer in module if isinstance(layer, torch.nn.Linear)]
     arrays = [[getattr(layer, name).detach().numpy() for layer in layers] for name in ("weight", "bias")]
     network = SmoothNetwork(*arrays, activation=activation, head=otr.TanhBox(-2, 2))
-    X = np.random.default_rng(0).normal(scale=3, size=(50, 3))
+    X = np.random.default_rng(0).normal(scale=20, size=(50, 3))
     outputs = module(torch.tensor(X)).detach().numpy()
     np.testing.assert_allclose(network.forward(X), outputs, atol=1e-14)
     np.testing.assert_allclose(network.predict(X[0]), 2 * np.tanh(outputs[0]), atol=1e-14)

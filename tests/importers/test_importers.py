@@ -21,6 +21,12 @@ from otr.importers import read_policy
 torch.set_num_threads(1)
 
 
+@pytest.mark.parametrize("package", [otr, otr.control, otr.importers, otr.learners])
+def test_a_package_lists_its_public_names(package: object) -> None:
+    listed = {name for name in dir(package) if not name.startswith("__")}
+    assert listed == {*package.__all__} | ({"control", "importers", "learners"} if package is otr else set())
+
+
 class FourActions(gym.Env):
     """Four discrete actions, three inputs."""
 

@@ -98,7 +98,7 @@ def test_widths_are_compared_with_the_spaces(tmp_path: Path) -> None:
         otr.from_sb3(model)
 
 
-def test_a_live_model_that_predicts_something_else_is_refused() -> None:
+def test_a_live_model_that_predicts_something_else_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     for model in (
         build(SAC, WideBox(), {"qf": [8]}, [4]),
         build(PPO, WideBox(), {"vf": [8]}, [4]),
@@ -106,14 +106,22 @@ def test_a_live_model_that_predicts_something_else_is_refused() -> None:
     ):
         otr.from_sb3(model)
         last = model.policy.actor.mu if isinstance(model, SAC) else model.policy.action_net
-        hook = last.register_forward_hook(lambda _m, _i, out: -out)
-        with pytest.raises(otr.InvalidNetworkError, match="the model predicts otherwise than its layers: in state"):
+        name = "actor.mu" if isinstance(model, SAC) else "action_net"
+        for part, where in ((last, f"policy.{name}"), (model.policy, "policy")):
+            hook = part.register_forward_hook(lambda _m, _i, _out: None)
+            with pytest.raises(otr.InvalidNetworkError, match=f"^{where} has a forward hook .function., which may"):
+                otr.from_sb3(model)
+            hook.remove()
             otr.from_sb3(model)
-        hook.remove()
-        otr.from_sb3(model)
         model.policy.predict = None
-        with pytest.raises(otr.InvalidNetworkError, match="the model cannot predict 257 states of 3 inputs"):
+        with pytest.raises(otr.InvalidNetworkError, match=r"^policy has a predict of its own, which may do something"):
             otr.from_sb3(model)
+        del model.policy.predict
+        with monkeypatch.context() as patch:
+            predict = type(model.policy)._predict
+            patch.setattr(type(model.policy), "_predict", lambda *given, predict=predict, **more: 0 * predict(*given))
+            with pytest.raises(otr.InvalidNetworkError, match="the model predicts otherwise than its layers: in state"):
+                otr.from_sb3(model)
 
 
 @pytest.mark.parametrize("algorithm", [PPO, SAC])

@@ -155,7 +155,7 @@ def changed_in_place(m: Policy, x: torch.Tensor) -> torch.Tensor:
         (lambda m, x: m.two(torch.relu(m.one(x))).argmax(dim=0), "goes over the states"),
         (lambda m, x: m.two(torch.relu(m.one(x.half().float()))), "rounds the numbers to another type"),
         (lambda m, x: m.two(nn.functional.dropout(m.one(x))), r"call module.eval\(\) before the export"),
-        (lambda m, x: m.two(nn.functional.gelu(m.one(x), approximate="tanh")), "is approximated"),
+        (lambda m, x: m.two(nn.functional.gelu(m.one(x), approximate="tanh")), "has approximate='tanh', which"),
         (lambda m, x: m.two(m.one(x)) @ (m.mean[:2, None] * m.mean), "of constants cannot be read"),
         (lambda m, x: x - m.mean, "no layer with weights lies between"),
     ],

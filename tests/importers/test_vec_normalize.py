@@ -1,6 +1,8 @@
 import io
 import pickle
+import re
 import struct
+import warnings
 from pathlib import Path
 
 import gymnasium as gym
@@ -11,6 +13,7 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 import otr
+from otr.importers import read_policy
 from otr.importers.vec_normalize import ObservationStatistics
 from tests.importers.test_importers import FourActions, WideBox, build
 
@@ -73,17 +76,88 @@ def test_every_protocol_is_read(tmp_path: Path, protocol: int) -> None:
     model = build(PPO, env, {"vf": [8]}, [4])
     network = otr.from_sb3(model, vec_normalize=tmp_path / "statistics.pkl")
     np.testing.assert_array_equal(network.weights[0], otr.from_sb3(model, vec_normalize=env).weights[0])
-    np.testing.assert_allclose(network.weights[0], otr.from_sb3(model).weights[0] / np.sqrt(VARIANCE + 1e-8))
+    raw = otr.from_sb3(model, vec_normalize=None)
+    np.testing.assert_allclose(network.weights[0], raw.weights[0] / np.sqrt(VARIANCE + 1e-8))
+
+
+def test_statistics_of_a_live_model_are_folded_in() -> None:
+    env = normalised(WideBox())
+    model = build(PPO, env, {"vf": [8]}, [6])
+    X = MEAN + np.random.default_rng(0).uniform(-5, 5, (100, 3)) * np.sqrt(VARIANCE)
+    expected = model.predict(env.normalize_obs(X), deterministic=True)[0]
+    network = otr.from_sb3(model)
+    np.testing.assert_allclose(network.predict(X), expected, atol=1e-5)
+    assert network.domain is not None and network.domain.contains(X).all()
+    raw = otr.from_sb3(model, vec_normalize=None)
+    assert raw.domain is None and np.abs(raw.predict(X) - expected).max() > 0.01
+    np.testing.assert_allclose(raw.predict(env.normalize_obs(X)), expected, atol=1e-5)
+    env.norm_obs = np.bool_(False)
+    np.testing.assert_array_equal(otr.from_sb3(model).weights[0], raw.weights[0])
+
+
+@pytest.mark.parametrize("place", ["model/vecnormalize.pkl", "vecnormalize.pkl"])
+def test_statistics_beside_a_zip_are_found(tmp_path: Path, place: str) -> None:
+    env = normalised(WideBox())
+    build(PPO, env, {"vf": [8]}, [6]).save(tmp_path / "model.zip")
+    (tmp_path / place).parent.mkdir(exist_ok=True)
+    env.save(str(tmp_path / place))
+    raw = otr.from_sb3(tmp_path / "model", vec_normalize=None)
+    for read in (otr.from_sb3, read_policy):
+        with pytest.warns(UserWarning, match=rf"is read with the statistics of .*{place}, .* vec_normalize=None says"):
+            network = read(tmp_path / "model.zip")
+        np.testing.assert_allclose(network.weights[0], raw.weights[0] / np.sqrt(VARIANCE + 1e-8))
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            np.testing.assert_array_equal(
+                read(tmp_path / "model.zip", vec_normalize=None).weights[0], raw.weights[0], "none wins"
+            )
+            np.testing.assert_array_equal(
+                read(tmp_path / "model.zip", vec_normalize=tmp_path / place).weights[0], network.weights[0]
+            )
+    two = DummyVecEnv([lambda: gym.make("MountainCarContinuous-v0")])
+    VecNormalize(two).save(str(tmp_path / place))
+    with (
+        pytest.warns(UserWarning),
+        pytest.raises(otr.InvalidNetworkError, match=rf"{place} are of 2 means .* or vec_normalize=None"),
+    ):
+        otr.from_sb3(tmp_path / "model.zip")
+
+
+@pytest.mark.parametrize("algorithm", [PPO, SAC])
+def test_a_zip_shows_that_its_statistics_are_missing(tmp_path: Path, algorithm: type) -> None:
+    critic, options = ({"vf": [8]}, {"n_steps": 32, "batch_size": 32}) if algorithm is PPO else ({"qf": [8]}, {})
+    for kind, last in ((VecNormalize, [[0.3, 1.5, -2.0]]), (lambda env: env, [[0.3, 1.0, -2.0]])):
+        env = kind(DummyVecEnv([lambda: gym.make("Pendulum-v1")]))
+        model = build(algorithm, env, critic, [3], **options).learn(32)
+        model._last_obs = np.float32(last)  # [-1, 1], [-1, 1], [-8, 8] are the observations
+        model.save(tmp_path / "model")
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            otr.from_sb3(tmp_path / "model")
+            otr.from_sb3(tmp_path / "model", vec_normalize=None)
+        if kind is not VecNormalize:
+            assert not told
+            continue
+        (warned,) = told
+        sign = "was trained under VecNormalize" if algorithm is PPO else "has seen 1.5, outside the range of its obs"
+        assert re.search(rf"{sign}.* no vecnormalize.pkl lies beside it", str(warned.message))
 
 
 def test_what_is_not_normalised_or_not_clipped(tmp_path: Path) -> None:
     raw = normalised(FourActions(), norm_obs=False)
     model = build(PPO, raw, {"vf": [8]}, [4])
     raw.save(str(tmp_path / "raw.pkl"))
-    for statistics in (raw, tmp_path / "raw.pkl"):
-        network = otr.from_sb3(model, vec_normalize=statistics)
-        assert network.domain is None
-        np.testing.assert_array_equal(network.weights[0], otr.from_sb3(model).weights[0])
+    for no in (False, np.bool_(False)):
+        raw.norm_obs = no
+        raw.save(str(tmp_path / "raw.pkl"))
+        for statistics in (raw, tmp_path / "raw.pkl"):
+            network = otr.from_sb3(model, vec_normalize=statistics)
+            assert network.domain is None
+            np.testing.assert_array_equal(network.weights[0], otr.from_sb3(model).weights[0])
+    yes = normalised(FourActions())
+    yes.norm_obs = np.bool_(True)
+    yes.save(str(tmp_path / "yes.pkl"))
+    assert otr.from_sb3(model, vec_normalize=tmp_path / "yes.pkl").domain is not None
     free = otr.from_sb3(model, vec_normalize=ObservationStatistics(MEAN, VARIANCE, clip=np.inf))
     assert free.domain is None
     np.testing.assert_allclose(free.weights[0], otr.from_sb3(model).weights[0] / np.sqrt(VARIANCE + 1e-8))
@@ -171,6 +245,10 @@ def test_numbers_of_other_kinds_are_refused(tmp_path: Path) -> None:
     for wrong in (np.array([1.0, 2.0, "x"], dtype=object), np.ones(3, dtype=complex)):
         env = normalised(FourActions())
         env.obs_rms.mean = wrong
+        assert "holds no statistics of observations" in refusal(path, pickle.dumps(env))
+    for wrong in (np.array([True]), np.float64(0.0), _Bomb(tmp_path / "sentinel")):
+        env = normalised(FourActions())
+        env.norm_obs = wrong
         assert "holds no statistics of observations" in refusal(path, pickle.dumps(env))
     for wrong in ("text", None, [1.0, "x", 2.0]):
         env = normalised(FourActions())

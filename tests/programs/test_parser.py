@@ -272,10 +272,40 @@ def test_what_a_path_has_decided_is_found_however_far_above() -> None:
     np.testing.assert_array_equal(tree.predict(GRID)[:, 0], 2 * sum(GRID[:, 0] > i for i in range(6)))
 
 
-def test_a_hundred_blocks_and_brackets_within_each_other() -> None:
-    nested = "".join("    " * i + f"if x <= {i} then\n" for i in range(99)) + "    " * 99 + "return 1\nreturn 2"
-    assert parse(nested).predict([[-1.0, 0, 0], [0.5, 0, 0]])[:, 0].tolist() == [1, 2]
+def test_a_hundred_brackets_within_each_other() -> None:
     assert parse("return " + "(" * 99 + "x" + ")" * 99).predict([3.0, 0, 0]) == 3
+
+
+def a_chain_of_tests(depth: int) -> otr.ObliqueTree:
+    """Node i tests whether x is above i, and goes on on its right or, every third, on its left."""
+    goes_left = np.arange(depth) % 3 == 0
+    after = np.append(np.arange(1, depth), ~depth)
+    left, right = np.where(goes_left, after, ~np.arange(depth)), np.where(goes_left, ~np.arange(depth), after)
+    thresholds = np.where(goes_left, 2.0 * depth - np.arange(depth), np.arange(depth))
+    c = np.arange(depth + 1.0)[:, None]
+    return otr.ObliqueTree(left, right, np.tile([1.0, 0, 0], (depth, 1)), -thresholds, np.zeros((depth + 1, 1, 3)), c)
+
+
+def test_a_tree_of_hundreds_of_tests_on_a_path_is_read_back() -> None:
+    tree = a_chain_of_tests(300)
+    text = otr.to_text(tree, precision=17)
+    parsed = otr.parse_program(text, names_for(tree))
+    assert (parsed.depth, otr.to_text(parsed, precision=17)) == (300, text)
+    states = np.arange(-1.0, 700.0)[:, None] * [1.0, 0, 0]
+    np.testing.assert_array_equal(parsed.predict(states), tree.predict(states))
+
+
+@pytest.mark.parametrize(("opening", "closing"), [("then {", "}"), ("{", "}"), ("then\n", ""), (": ", "")])
+def test_thousands_of_blocks_within_each_other(opening: str, closing: str) -> None:
+    n = 5000
+    text = "".join(f"if x > {i} {opening}" for i in range(n)) + "return 1"
+    if closing:
+        text += f" {closing}" * n + "return 2"
+    else:
+        text += "\nelse return 2" * n
+    tree = otr.parse_program(text, NAMES)
+    assert tree.depth == n
+    assert tree.predict([[n + 1.0, 0, 0], [n - 1.5, 0, 0], [-1.0, 0, 0]])[:, 0].tolist() == [1, 2, 2]
 
 
 def test_a_sum_of_thousands_of_terms() -> None:

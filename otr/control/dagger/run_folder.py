@@ -6,12 +6,12 @@ import hashlib
 import json
 import os
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
 from otr.core.arrays import FloatArray
-from otr.core.io import load, save
+from otr.core.io import load, save, write_atomically
 from otr.core.network import ReluNetwork
 from otr.core.pattern_tree import PatternTree
 from otr.core.smooth_network import Oracle
@@ -44,12 +44,13 @@ class RunFolder:
     def commit(self, **changes: Any) -> None:
         """Replace dagger.json by one with the changes, atomically."""
         state = {**self.state, **changes}
-        temporary = self._state_path.with_name(f".dagger.{os.getpid()}.tmp")
-        with temporary.open("w", encoding="utf-8") as file:
-            json.dump(state, file, allow_nan=False)
+
+        def write(file: IO[bytes]) -> None:
+            file.write(json.dumps(state, allow_nan=False).encode())
             file.flush()
             os.fsync(file.fileno())
-        temporary.replace(self._state_path)
+
+        write_atomically(self._state_path, write)
         self.state = state
 
     def append(self, states: FloatArray, answers: FloatArray, weights: FloatArray | None) -> int:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from otr.core.arrays import BoolArray, FloatArray
 from otr.core.network import ReluNetwork
 from otr.core.smooth_network import Oracle
+from otr.learners.base.units import Units
 
 # Unit normals count as the same where they agree to this many decimals.
 _DECIMALS = 10
@@ -26,6 +27,10 @@ class AffineFeatures:
     def values(self, X: FloatArray) -> NDArray[np.float32]:
         """Return the features of states X (n, d), feature by feature: (m, n) float32, for a learner."""
         return (self.A @ X.T + self.a[:, None]).astype(np.float32)
+
+    def resolved(self, X: FloatArray) -> AffineFeatures:
+        """Return the features, each less what it has in common on X (n, d) where float32 would not tell it apart."""
+        return AffineFeatures(self.A, self.a - Units.of(X @ self.A.T + self.a).shift)
 
     def joined(self, other: AffineFeatures) -> AffineFeatures:
         """Return these features and then the other ones."""

@@ -33,13 +33,14 @@ class PolicyNumbers(Generic[Policy]):
 
     Attributes:
         start: (D,) the vector of the policy itself, its rows of unit size.
+        rows: its parts, the tests and the leaves of a tree, the layers of a network.
     """
 
     def __init__(
         self, original: Policy, rows: Sequence[AffineRows], rebuilt: Callable[[list[FloatArray]], Policy]
     ) -> None:
         self._original: Policy = original
-        self._rows = rows
+        self.rows = rows
         self._rebuilt: Callable[[list[FloatArray]], Policy] = rebuilt
         self.start: FloatArray = np.concatenate([each.start for each in rows])
 
@@ -50,8 +51,8 @@ class PolicyNumbers(Generic[Policy]):
             raise ValueError(f"the vector has shape {numbers.shape}, expected {self.start.shape}")
         if np.array_equal(numbers, self.start):
             return self._original
-        parts = np.split(numbers, np.cumsum([len(each.start) for each in self._rows])[:-1])
-        return self._rebuilt([each.forms(part) for each, part in zip(self._rows, parts, strict=True)])
+        parts = np.split(numbers, np.cumsum([len(each.start) for each in self.rows])[:-1])
+        return self._rebuilt([each.forms(part) for each, part in zip(self.rows, parts, strict=True)])
 
 
 def policy_numbers(policy: Policy, states: ArrayLike, *, free: bool = False) -> PolicyNumbers[Policy]:
@@ -85,6 +86,9 @@ class AffineRows:
     Attributes:
         start: (D,) the numbers that move, row by row.
         sizes: (n,) what each row is divided by.
+        original: (n, c + 1) the forms at the start.
+        moves: (n, c + 1) which numbers move.
+        means, units: (n, c) what the columns are shifted and divided by.
     """
 
     def __init__(
@@ -106,34 +110,34 @@ class AffineRows:
             spare_size: of a row of zeros where all rows are; else it is the other rows' root mean square.
             still: (n,) rows that do not move.
         """
-        self._forms = forms
-        self._moves = np.full(forms.shape, fill_value=True) if free else forms != 0
+        self.original = forms
+        self.moves = np.full(forms.shape, fill_value=True) if free else forms != 0
         if still is not None:
-            self._moves[still] = False
-        centred = self._moves[:, -1:]
+            self.moves[still] = False
+        centred = self.moves[:, -1:]
         constant = deviations <= CONSTANT * np.abs(means)
         root_mean_squares = np.hypot(means, deviations)
-        self._means = np.where(centred, means, 0.0)
-        self._units = np.where(
+        self.means = np.where(centred, means, 0.0)
+        self.units = np.where(
             centred,
             np.where(constant, 1.0, deviations),
             np.where(root_mean_squares > 0, root_mean_squares, 1.0),
         )
-        offsets = forms[:, -1] + (forms[:, :-1] * self._means).sum(axis=1)
-        scaled = np.column_stack((forms[:, :-1] * self._units, offsets))
+        offsets = forms[:, -1] + (forms[:, :-1] * self.means).sum(axis=1)
+        scaled = np.column_stack((forms[:, :-1] * self.units, offsets))
         self.sizes: FloatArray = np.linalg.norm(scaled, axis=1)
         others = self.sizes[self.sizes > 0]
         self.sizes[self.sizes == 0] = np.sqrt(np.mean(others**2)) if len(others) else spare_size
-        self.start: FloatArray = (scaled / self.sizes[:, None])[self._moves]
+        self.start: FloatArray = (scaled / self.sizes[:, None])[self.moves]
 
     def forms(self, numbers: FloatArray) -> FloatArray:
         """Return the forms (n, c + 1) with other numbers (D,)."""
-        scaled = np.zeros(self._forms.shape)
-        scaled[self._moves] = numbers
+        scaled = np.zeros(self.original.shape)
+        scaled[self.moves] = numbers
         scaled *= self.sizes[:, None]
-        coefficients = scaled[:, :-1] / self._units
-        offsets = scaled[:, -1] - (coefficients * self._means).sum(axis=1)
-        return np.where(self._moves, np.column_stack((coefficients, offsets)), self._forms)
+        coefficients = scaled[:, :-1] / self.units
+        offsets = scaled[:, -1] - (coefficients * self.means).sum(axis=1)
+        return np.where(self.moves, np.column_stack((coefficients, offsets)), self.original)
 
 
 def _tree_numbers(tree: ObliqueTree, X: FloatArray, free: bool) -> PolicyNumbers[ObliqueTree]:

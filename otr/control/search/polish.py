@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -96,13 +96,34 @@ def polish(
     if common_starts not in ("pair", "all"):
         raise ValueError(f"common_starts is {common_starts!r}, expected 'pair' or 'all'")
     numbers = policy_numbers(policy, states, free=free)
-    play = _Episodes(evaluate, seed, n_episodes, shared_by_all=common_starts == "all")
-    account = _Account(PolishReport(numbers.start.size, n_iterations, 0, ()), play, report)
+    play = Episodes(evaluate, seed, n_episodes, shared_by_all=common_starts == "all")
+    candidates = _candidates(numbers, play, settings, n_iterations, n_candidates, seed)
+    start = PolishReport(numbers.start.size, n_iterations, 0, ())
+    return best_confirmed(policy, candidates, play, start, n_selection_episodes, report)
 
+
+def best_confirmed(
+    policy: Policy,
+    candidates: Iterable[tuple[int, Policy]],
+    play: Episodes,
+    start: PolishReport,
+    n_selection_episodes: int,
+    report: Callable[[PolishReport], None] | None = None,
+) -> Policy:
+    """Return the best of a policy's successors where it is confirmed, else the policy: what every polish ends with.
+
+    Args:
+        policy: the original.
+        candidates: iteration and policy of each successor; the next one is asked for once the last has played.
+        play: the episodes.
+        start: what is reported before the first candidate.
+        n_selection_episodes, report: as in `polish`.
+    """
+    account = _Account(start, play, report)
     select = play.fixed(SELECTION_SEEDS, n_selection_episodes)
     best, best_mean = policy, float(play([policy], select).mean())
     account.add_candidate(0, best_mean)
-    for iteration, candidate in _candidates(numbers, play, settings, n_iterations, n_candidates, seed):
+    for iteration, candidate in candidates:
         mean = float(play([candidate], select).mean())
         account.add_candidate(iteration, mean)
         if mean > best_mean:
@@ -120,7 +141,7 @@ def polish(
 
 def _candidates(
     numbers: PolicyNumbers[Policy],
-    play: _Episodes,
+    play: Episodes,
     settings: SearchSettings,
     n_iterations: int,
     n_candidates: int,
@@ -139,10 +160,10 @@ def _candidates(
             yield iteration, numbers.policy(search.centre)
 
 
-class _Episodes:
+class Episodes:
     """Plays episodes, counts them, and gives their seeds."""
 
-    def __init__(self, evaluate: Evaluate, seed: int, n_episodes: int, *, shared_by_all: bool) -> None:
+    def __init__(self, evaluate: Evaluate, seed: int, n_episodes: int = 1, *, shared_by_all: bool = False) -> None:
         self._evaluate, self._seed = evaluate, seed
         self._n_episodes, self._shared_by_all = n_episodes, shared_by_all
         self.n_played = 0
@@ -176,7 +197,7 @@ class _Episodes:
 class _Account:
     """The report as it grows."""
 
-    def __init__(self, start: PolishReport, play: _Episodes, report: Callable[[PolishReport], None] | None) -> None:
+    def __init__(self, start: PolishReport, play: Episodes, report: Callable[[PolishReport], None] | None) -> None:
         self._so_far, self._play, self._report = start, play, report
 
     def add_candidate(self, iteration: int, mean: float) -> None:

@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from otr.errors import ProgramError
 from otr.programs.language.tokens import Place, Source, Token
 
-# Of blocks, brackets and operators whose right-hand side is being read. A level takes at most eight of the 1,000 calls
-# within calls that Python allows, when it is read and when it is evaluated.
+# Of brackets and operators whose right-hand side is being read, in one statement. A level takes at most eight of the
+# 1,000 calls within calls that Python allows, when it is read and when it is evaluated. Blocks take none (`result_of`).
 MAX_NESTING = 100
 
 
@@ -102,7 +102,7 @@ class Cursor:
         self._nesting += 1
         if self._nesting > MAX_NESTING:
             raise self.error(
-                f"more than {MAX_NESTING} blocks and brackets within each other; give a part a name of its own"
+                f"more than {MAX_NESTING} brackets and operators within each other; give a part a name of its own"
             )
         yield
         self._nesting -= 1

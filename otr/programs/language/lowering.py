@@ -15,6 +15,7 @@ from otr.core.heads import Argmax, ClipBox, Exp, Identity, TanhBox
 from otr.core.tree import ObliqueTree
 from otr.errors import ProgramError
 from otr.programs.language.evaluation import Evaluator, appended
+from otr.programs.language.nesting import Steps, result_of
 from otr.programs.language.paths import GrowingTree, Path
 from otr.programs.language.scope import Scope
 from otr.programs.language.syntax import Assign, Number, Return, Statement, Statements
@@ -53,14 +54,17 @@ class Lowering:
 
     def tree(self, block: Statements) -> ObliqueTree:
         """Return the tree of the statements of a whole program."""
-        for path in self.run(block, [Path((-1, 0), block[0].at)]):
+        for path in result_of(self.run(block, [Path((-1, 0), block[0].at)])):
             self.end_of_text(path)
         return self.label_tree() if self._answers_labels else self.value_tree()
 
-    def run(self, block: Statements, paths: list[Path]) -> list[Path]:
+    def run(self, block: Statements, paths: list[Path]) -> Steps[list[Path]]:
         """Do a block's statements on each path; return the paths that go on after it."""
         for statement in block:
-            paths = [after for path in paths for after in self._do(statement, path)]
+            after: list[Path] = []
+            for path in paths:
+                after += yield self._do(statement, path)
+            paths = after
         return paths
 
     def end_of_text(self, path: Path) -> None:
@@ -106,7 +110,7 @@ class Lowering:
             return ", or give values to y0, y1, ..."
         return f", or give a value to {' and '.join(self._output_names)}"
 
-    def _do(self, statement: Statement, path: Path) -> list[Path]:
+    def _do(self, statement: Statement, path: Path) -> Steps[list[Path]]:
         path.at = statement.at
         if isinstance(statement, Assign):
             worth = self._evaluator.value(statement.value, path)
@@ -119,9 +123,10 @@ class Lowering:
         undecided = [path]
         for condition, block in statement.branches:
             splits = [self._evaluator.decide(condition, own) for own in undecided]
-            after += self.run(block, [own for split in splits for own in split[0]])
+            after += yield self.run(block, [own for split in splits for own in split[0]])
             undecided = [own for split in splits for own in split[1]]
-        return after + self.run(statement.otherwise or [], undecided)
+        after += yield self.run(statement.otherwise or [], undecided)
+        return after
 
     def _return(self, statement: Return, path: Path) -> list[Path]:
         for node in statement.values if self._answers_labels else ():

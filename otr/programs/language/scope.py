@@ -40,7 +40,7 @@ class Scope:
             raise self._source.error(
                 f"unknown name {name!r}.{label if name in self._outputs else self._like(name)}", at
             )
-        for block in self._unread:
+        for block in self._unread if name in self.variables else ():
             block.pop(name, None)
 
     def assign(self, name: str, at: Place) -> None:

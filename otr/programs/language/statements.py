@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from otr.programs.language.cursor import Cursor
 from otr.programs.language.expressions import ExpressionReader
+from otr.programs.language.nesting import Steps, result_of
 from otr.programs.language.scope import Scope
 from otr.programs.language.syntax import Assign, Expression, If, Return, Statement, Statements, always_returns
 from otr.programs.language.tokens import Token
@@ -14,22 +15,24 @@ def read_program(cursor: Cursor, scope: Scope) -> Statements:
     reader = _StatementReader(cursor, scope)
     if cursor.is_at_end:
         raise cursor.error("the program is empty")
-    block = reader.lines(cursor.token.indent)
+    block = result_of(reader.lines(cursor.token.indent))
     if not cursor.is_at_end:
         raise reader.unexpected()
     return block
 
 
 class _StatementReader:
+    """Reads statements in steps (`result_of`), as blocks may be nested to any depth."""
+
     def __init__(self, cursor: Cursor, scope: Scope) -> None:
         self._cursor, self._scope = cursor, scope
         self._expressions = ExpressionReader(cursor, scope)
 
-    def lines(self, indent: int) -> Statements:
+    def lines(self, indent: int) -> Steps[Statements]:
         """Read the statements of a block whose lines are indented alike."""
         cursor, block = self._cursor, Statements()
         while not self._is_at_end() and (not cursor.token.is_first or cursor.token.indent == indent):
-            self._add_to(block)
+            yield self._add_to(block)
         if cursor.token.is_first and cursor.token.indent > indent and not self._is_at_end():
             raise self.unexpected()
         return block
@@ -47,14 +50,14 @@ class _StatementReader:
         token = self._cursor.token
         return token.kind == "stop" or (token.word in ("else", "elif", "end", "}"))
 
-    def _add_to(self, block: Statements) -> None:
+    def _add_to(self, block: Statements) -> Steps[None]:
         """Read a statement, and the semicolons after it."""
         cursor = self._cursor
         token = cursor.token
         if always_returns(block):
             line = block[-1].at.line
             raise cursor.error(f"nothing reaches this: line {line} has answered", token.at)
-        block.append(self._statement())
+        block.append((yield self._statement()))
         if self._cursor.token.word == ";":
             while cursor.token.word == ";":
                 cursor.take()
@@ -63,11 +66,12 @@ class _StatementReader:
             hint = "; write * for a product" if is_factor else ""
             raise cursor.error(f"unexpected {cursor.token} after a statement{hint}", cursor.token.at)
 
-    def _statement(self) -> Statement:
+    def _statement(self) -> Steps[Statement]:
         cursor = self._cursor
         token = cursor.begin_statement()
         if token.word == "if":
-            return self._if()
+            statement: If = yield self._if()
+            return statement
         if token.word == "return":
             cursor.take()
             return Return(self._values(), token.at)
@@ -98,11 +102,11 @@ class _StatementReader:
             values.append(self._expressions.expression())
         return values
 
-    def _if(self) -> If:
+    def _if(self) -> Steps[If]:
         cursor = self._cursor
         first = cursor.take()
         statement = If(first.at)
-        is_c_like = self._add_branch(statement, first)
+        is_c_like = yield self._add_branch(statement, first)
         while self._continues(first, "elif") or self._continues(first, "else"):
             word = cursor.begin_statement()
             cursor.take()
@@ -110,15 +114,18 @@ class _StatementReader:
                 is_announced = cursor.token.word in (":", "then")
                 if is_announced:
                     cursor.take()
-                statement.otherwise = self._block(word, is_announced or not is_c_like)
+                statement.otherwise = yield self._block(word, is_announced or not is_c_like)
                 break
             if word.text == "else":
                 cursor.take()
-            self._add_branch(statement, word)
+            yield self._add_branch(statement, word)
         if self._continues(first, "end"):
             end = cursor.take()
             if self._is_word_on_line("if", end):
                 cursor.take()
+        statement.always_returns = statement.otherwise is not None and all(
+            map(always_returns, (statement.otherwise, *(block for _, block in statement.branches)))
+        )
         return statement
 
     def _is_word_on_line(self, word: str, other: Token) -> bool:
@@ -132,7 +139,7 @@ class _StatementReader:
         is_word = token.word == word
         return is_word and (not token.is_first or token.indent >= first.indent)
 
-    def _add_branch(self, statement: If, first: Token) -> bool:
+    def _add_branch(self, statement: If, first: Token) -> Steps[bool]:
         """Read a condition and its block; return whether it is as in C, without a word or colon between the two."""
         cursor = self._cursor
         condition = self._expressions.condition()
@@ -141,7 +148,7 @@ class _StatementReader:
             cursor.take()
         elif not self._starts_block():
             raise cursor.error(f"expected 'then' or ':' after the condition, found {cursor.found}")
-        statement.branches.append((condition, self._block(first, is_announced)))
+        statement.branches.append((condition, (yield self._block(first, is_announced))))
         return not is_announced
 
     def _starts_block(self) -> bool:
@@ -150,33 +157,37 @@ class _StatementReader:
         starts = token.kind == "name" or token.word in ("return", "if")
         return token.word == "{" or (starts and self._cursor.last.word == ")")
 
-    def _block(self, owner: Token, is_announced: bool) -> Statements:
+    def _block(self, owner: Token, is_announced: bool) -> Steps[Statements]:
         """Read the block of an `if`, `elif` or `else`, its owner.
 
         Unless a colon or a word announced the block, it is in braces or one statement, as in C.
         """
         cursor = self._cursor
-        with cursor.nested(), self._scope.block():
+        with self._scope.block():
             token = cursor.token
             if token.word == "{":
-                return self._braces()
-            if self._is_at_end():
+                steps = self._braces()
+            elif self._is_at_end():
                 raise cursor.error(f"expected a statement for {owner}, found {token}", token.at)
-            if not is_announced:
-                block = Statements()
-                self._add_to(block)
-                return block
-            if not token.is_first:
-                return self._same_line()
-            if token.indent > owner.indent:
-                return self.lines(token.indent)
-            return self._unindented(owner)
+            elif not is_announced:
+                steps = self._one()
+            elif not token.is_first:
+                steps = self._same_line()
+            else:
+                steps = self.lines(token.indent) if token.indent > owner.indent else self._unindented(owner)
+            block: Statements = yield steps
+            return block
 
-    def _braces(self) -> Statements:
+    def _one(self) -> Steps[Statements]:
+        block = Statements()
+        yield self._add_to(block)
+        return block
+
+    def _braces(self) -> Steps[Statements]:
         cursor, block = self._cursor, Statements()
         opening = cursor.take()
         while not self._is_at_end():
-            self._add_to(block)
+            yield self._add_to(block)
         if cursor.token.word != "}":
             raise cursor.error(
                 f"expected '}}' for the brace of line {opening.at.line}, found {cursor.token}", cursor.token.at
@@ -186,17 +197,17 @@ class _StatementReader:
         cursor.take()
         return block
 
-    def _same_line(self) -> Statements:
+    def _same_line(self) -> Steps[Statements]:
         block = Statements()
         while not self._is_at_end() and not (block and self._cursor.token.is_first):
-            self._add_to(block)
+            yield self._add_to(block)
         return block
 
-    def _unindented(self, owner: Token) -> Statements:
+    def _unindented(self, owner: Token) -> Steps[Statements]:
         """Read a block that is indented no more than its owner: its end is an answer, `else`, `elif` or `end`."""
         cursor, block = self._cursor, Statements()
         while not self._is_at_end() and not always_returns(block):
-            self._add_to(block)
+            yield self._add_to(block)
         if not always_returns(block) and cursor.token.word not in ("else", "elif", "end"):
             raise cursor.error(
                 f"where does the block of this {owner} end? Indent its lines, put braces around them, or write 'end'",

@@ -114,6 +114,7 @@ class If:
     at: Place
     branches: list[tuple[BooleanExpression, Statements]] = field(default_factory=list)
     otherwise: Statements | None = None
+    always_returns: bool = False  # whichever condition holds
 
 
 Statement: TypeAlias = Assign | Return | If
@@ -125,10 +126,4 @@ def always_returns(block: Statements) -> bool:
     if not block:
         return False
     last = block[-1]
-    if isinstance(last, If):
-        return (
-            last.otherwise is not None
-            and always_returns(last.otherwise)
-            and all(always_returns(own) for _, own in last.branches)
-        )
-    return isinstance(last, Return)
+    return last.always_returns if isinstance(last, If) else isinstance(last, Return)

@@ -190,7 +190,7 @@ def _token(match: re.Match[str], at: Place, indent: int) -> Token:
 
 def _check_indentation(source: Source, margin: str, line: int, indented_by: dict[str, int]) -> None:
     """Refuse tabs beside spaces: which line is indented more would depend on the reader's editor."""
-    for character in margin:
+    for character in dict.fromkeys(margin):  # there may be thousands of spaces
         indented_by.setdefault(character, line)
     if len(indented_by) > 1:
         other = next(first for character, first in indented_by.items() if first != line or character != margin[0])

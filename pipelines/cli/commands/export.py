@@ -4,7 +4,7 @@ import argparse
 import sys
 
 from pipelines.cli.compose import Composer, to_object
-from pipelines.cli.overrides import path_quoted
+from pipelines.cli.overrides import without_environment
 from pipelines.cli.runs import load_config, written_policy
 from pipelines.runs.export import ExportConfig, check_export, policy_of, program_of, write_program
 from pipelines.runs.finished_run import find_run
@@ -14,10 +14,11 @@ EXPORT = Composer("export", {(None, "export_schema"): ExportConfig})
 
 def do(arguments: argparse.Namespace) -> int:
     """Print the policy of a run, or of a program that somebody wrote, or write it to a file."""
-    cfg: ExportConfig = to_object(EXPORT.compose([path_quoted(override) for override in arguments.overrides]))
-    check_export(cfg)
+    overrides, of_env = without_environment(arguments)
+    cfg: ExportConfig = to_object(EXPORT.compose(overrides))
+    check_export(cfg, of_env)
     if cfg.program:
-        run, policy = written_policy(str(cfg.env), cfg.program)
+        run, policy = written_policy(str(cfg.env), cfg.program, of_env)
     else:
         folder = find_run(cfg.run, cfg.results_dir)
         run = load_config(folder, None)

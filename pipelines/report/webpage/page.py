@@ -19,6 +19,7 @@ import pandas as pd
 
 import otr
 from pipelines.config.run import RunConfig
+from pipelines.engine.command_text import command_text
 from pipelines.engine.console import progress_lines
 from pipelines.engine.store import read_summary
 from pipelines.errors import MissingInputError, PipelineError
@@ -29,7 +30,6 @@ from pipelines.report.frames import load_fits, load_runs
 from pipelines.report.text import write_file
 from pipelines.report.webpage.front import cell_table, figures_data, name_of_cell, plain_table
 from pipelines.report.webpage.policy import policy_data
-from pipelines.runs.finished_run import place_of
 
 SCRIPTS = ("vendor/d3-hierarchy.min.js", "vendor/uPlot.iife.min.js", "tree.js", "drawing.js", "view.js", "page.js")
 STYLES = ("vendor/uPlot.min.css", "page.css")
@@ -49,10 +49,12 @@ class Detail:
     n_frames: int
     frame_width: int
     export_bytes: int
+    tree_bytes: int | None
 
 
-OF_ONE = Detail(n_frames=120, frame_width=240, export_bytes=200_000)
-OF_MANY = Detail(n_frames=20, frame_width=160, export_bytes=12_000)  # so that a page of all results is below 3 MB
+OF_ONE = Detail(n_frames=120, frame_width=240, export_bytes=200_000, tree_bytes=None)
+# So that a page of all results is below 10 MB: seven of its 147 trees have between 1 and 17 MB of numbers.
+OF_MANY = Detail(n_frames=20, frame_width=160, export_bytes=12_000, tree_bytes=300_000)
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,15 @@ class Shown:
     group: str
     folder: Path
     form: str
+
+
+@dataclass(frozen=True)
+class Policies:
+    """What a page holds of its policies: by id the compressed data, the list to choose from, and why others lack."""
+
+    blocks: dict[str, str]
+    choices: list[tuple[str, str, str]]
+    left_out: list[str]
 
 
 def write_run_page(
@@ -85,7 +96,7 @@ def write_run_page(
     detail = OF_ONE if len(shown) == 1 else OF_MANY
     title = f"{shown[0].group}: {shown[0].name}" if len(shown) == 1 else f"{len(shown)} policies"
     head = "<p>A policy as a decision tree: move the state, play the episode, copy the program. Made by otr.</p>"
-    return _write(out, title, head, "", shown, detail, load_config, {})
+    return _write(out, title, head, "", _policies(shown, detail, out, load_config), {})
 
 
 def write_results_page(results_dir: Path, out: Path, load_config: Callable[[Path], RunConfig]) -> Path:
@@ -95,15 +106,17 @@ def write_results_page(results_dir: Path, out: Path, load_config: Callable[[Path
     """
     runs = load_runs(results_dir)
     if runs.empty:
-        raise MissingInputError(f"{results_dir}/runs: there is no finished run\nRun: otr-run env=pendulum depth=6")
+        command = command_text("otr-run", ["env=pendulum", "depth=6"], results_dir)
+        raise MissingInputError(f"{results_dir}/runs: there is no finished run\nRun: {command}")
     own = with_pruned_trees(table_runs(runs), runs)
     cells = table_4_1.make_cells(pd.concat([own, oracle_runs(runs)]))
-    shown, policies = _a_policy_a_cell(cells, own, results_dir)
-    tables = [_table_4_1(cells, policies)]
+    shown, of_cells = _a_policy_a_cell(cells, own, results_dir)
     fits = load_fits(results_dir)
     if not shown and fits.empty:
         folders = [results_dir / "runs" / run for run in dict.fromkeys(runs["run"])]
         return write_run_page(folders, None, out, load_config)
+    policies = _policies(shown, OF_MANY, out, load_config)
+    tables = [_table_4_1(cells, {cell: key for cell, key in of_cells.items() if key in policies.blocks})]
     if len(fits):
         tables.append(_table_4_2(fits))
     if lines := certificate_lines(runs):
@@ -124,12 +137,12 @@ def write_results_page(results_dir: Path, out: Path, load_config: Callable[[Path
         "(Orfanos 2023). Every number is read from the runs beside this page; what was not run says so.</p>"
         f'<nav>{links}<a href="#policies">Policies</a></nav>'
     )
-    return _write(out, "otr: policies as programs", head, front, shown, OF_MANY, load_config, figures)
+    return _write(out, "otr: policies as programs", head, front, policies, figures)
 
 
 def _a_policy_a_cell(cells: pd.DataFrame, runs: pd.DataFrame, results_dir: Path) -> tuple[list[Shown], dict[Any, str]]:
-    """Return the run nearest to each cell's mean, and by a cell's key the id that it has on the page."""
-    shown, policies = list[Shown](), dict[Any, str]()
+    """Return the run nearest to each cell's mean, and by a cell's key its id; several cells may have one policy."""
+    shown, ids, policies = list[Shown](), dict[tuple[Path, str], str](), dict[Any, str]()
     for cell in cells[(cells["n_runs"] > 0) & (cells["table"] != "other")].itertuples():
         at = pd.Series(True, runs.index)
         for name in (*KEY, *SOURCE):
@@ -138,13 +151,17 @@ def _a_policy_a_cell(cells: pd.DataFrame, runs: pd.DataFrame, results_dir: Path)
         if of_cell.empty:
             continue
         nearest = of_cell.loc[(of_cell["return_mean"] - cell.mean).abs().idxmin()]
-        policies[cell.task, cell.method, cell.depth] = f"policy-{len(shown)}"
+        folder, form = results_dir / "runs" / nearest["run"], FORMS[nearest["form"]]
+        if form == "polished" and not _is_polished(folder):
+            form = "pruned"  # the same tree
+        key = policies[cell.task, cell.method, cell.depth] = ids.setdefault((folder, form), f"policy-{len(shown)}")
+        if key != f"policy-{len(shown)}":
+            continue
         name = name_of_cell(cell.task, cell.method, cell.depth).partition(": ")[2]
         told = f"{name}, {nearest['budget']}, seed {nearest['seed']}: {nearest['return_pruned']:z.1f}"
         if nearest["return_pruned"] != nearest["return_mean"]:
             told += f" (the whole tree {nearest['return_mean']:z.1f})"
-        shown.append(Shown(told, TASK_NAMES.get(cell.task, cell.task), results_dir / "runs" / nearest["run"],
-                           FORMS[nearest["form"]]))  # fmt: skip
+        shown.append(Shown(told, TASK_NAMES.get(cell.task, cell.task), folder, form))
     return shown, policies
 
 
@@ -181,44 +198,41 @@ def _table_4_2(fits: pd.DataFrame) -> str:
     )
 
 
-def _write(
-    out: Path,
-    title: str,
-    head: str,
-    front: str,
-    shown: Sequence[Shown],
-    detail: Detail,
-    load_config: Callable[[Path], RunConfig],
-    figures: dict[str, Any],
-) -> Path:
-    """Write the page; a policy that cannot be shown is left out, and the page and the terminal say why."""
-    blocks, choices, why = [], list[tuple[str, str, str]](), list[str]()
+def _policies(shown: Sequence[Shown], detail: Detail, out: Path, load_config: Callable[[Path], RunConfig]) -> Policies:
+    """Return the policies of a page; one that cannot be shown is left out, and the page and the terminal say why."""
+    policies = Policies({}, [], [])
     n_so_named = Counter((each.group, each.name) for each in shown)
     progress = progress_lines("page", "policies")
     for i, each in enumerate(shown):
         try:
             data = policy_data(load_config(each.folder), each.folder, each.form, **vars(detail))
         except PipelineError as error:
-            why.append(f"{each.group}, {each.name}: {error}")
+            policies.left_out.append(f"{each.group}, {each.name}: {error}")
             continue
         folder = Path(os.path.relpath(each.folder.absolute(), out.absolute().parent)).as_posix()
-        run = Path(*each.folder.parts[-5:]).as_posix()
-        command = f"otr-export run={run} tree={each.form} format=NAME{place_of(each.folder)}"
         digest = "".join(each.folder.name.partition("~")[1:])  # of the settings in which it is not as the others
         name = f"{each.name} {digest}".strip() if n_so_named[each.group, each.name] > 1 else each.name
-        data |= {"about": f"{each.group}, {name}, {each.form} tree", "folder": folder, "export_command": command}
-        blocks.append(_stored(f"policy-{i}", data, "policy"))
-        choices.append((f"policy-{i}", each.group, name))
+        data |= {"about": f"{each.group}, {name}, {each.form} tree", "folder": folder}
+        policies.blocks[f"policy-{i}"] = _stored(f"policy-{i}", data, "policy")
+        policies.choices.append((f"policy-{i}", each.group, name))
         progress(i + 1, len(shown))
-    if not blocks:
-        raise PipelineError("\n".join(why))
-    for line in why:
+    if not policies.blocks:
+        raise PipelineError("\n".join(policies.left_out))
+    for line in policies.left_out:
         print(f"left out: {line}")
-    if figures:
-        blocks.append(_stored("figures-data", figures, "figures"))
-    foot = f"Written by otr {otr.__version__}." + "".join(f" Left out: {escape(line)}" for line in why)
+    return policies
+
+
+def _write(out: Path, title: str, head: str, front: str, policies: Policies, figures: dict[str, Any]) -> Path:
+    blocks = [*policies.blocks.values(), *([_stored("figures-data", figures, "figures")] if figures else [])]
+    left_out = ""
+    if policies.left_out:
+        lines = "".join(f"<li>{escape(line)}</li>" for line in policies.left_out)
+        summary = f"<summary>Left out: {len(policies.left_out)}</summary>"
+        left_out = f"<details class=quiet>{summary}<ul>{lines}</ul></details>"
     parts = {
-        "title": escape(title), "head": head, "front": front, "choice": _choice(choices), "foot": foot,
+        "title": escape(title), "head": head, "front": front, "choice": _choice(policies.choices),
+        "left_out": left_out, "foot": f"Written by otr {otr.__version__}.",
         "style": _assets(STYLES), "script": _assets(SCRIPTS), "data": "\n".join(blocks),
     }  # fmt: skip
     template = (resources.files("pipelines.report.webpage") / "assets" / "page.html").read_text(encoding="utf-8")

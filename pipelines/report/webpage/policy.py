@@ -1,4 +1,4 @@
-"""A run's policy as a page shows it: the tree to the last bit, its names and ranges, an episode, and its programs."""
+"""A run's policy as a page shows it: the tree, its names and ranges, an episode, and its programs."""
 
 from __future__ import annotations
 
@@ -14,13 +14,15 @@ from otr.core.merging import merge_equal_leaves
 from otr.programs.picture.colours import LABELS, level_colour
 from otr.programs.walk import in_printed_order
 from pipelines.config.run import RunConfig
-from pipelines.engine.seeding import evaluation_seeds
+from pipelines.engine.command_text import command_text
+from pipelines.engine.seeding import episode_seeds, evaluation_seeds
 from pipelines.engine.store import read_summary
 from pipelines.errors import PipelineError
+from pipelines.play.rollout import rollout
 from pipelines.play.spaces import action_names, feature_names, spaces, state_limits
 from pipelines.report.webpage.episode import packed, record
 from pipelines.report.webpage.units import unit_of
-from pipelines.runs.finished_run import title_of, tree_of, visited_states
+from pipelines.runs.finished_run import results_of, title_of, tree_of
 from pipelines.runs.result import proof_line
 
 EXPORTS: dict[str, Callable[..., str]] = {
@@ -31,10 +33,18 @@ EXPORTS: dict[str, Callable[..., str]] = {
 WIDEST_LIMITS = 1e3  # limits of a state beyond these say nothing: the range is that of visited states
 MARGIN = 0.1  # of the range of visited states, beyond it on either side
 LONGEST_PROGRAM = 64  # leaves; a longer one is no reading, and stands in the exports
+VISIBLE = 1e-4  # of the largest answer: a page writes three digits
 
 
 def policy_data(
-    run: RunConfig, folder: Path, form: str, *, n_frames: int, frame_width: int, export_bytes: int
+    run: RunConfig,
+    folder: Path,
+    form: str,
+    *,
+    n_frames: int,
+    frame_width: int,
+    export_bytes: int,
+    tree_bytes: int | None,
 ) -> dict[str, Any]:
     """Return what a page shows of one of a run's trees, as JSON-able data.
 
@@ -45,20 +55,30 @@ def policy_data(
         form: of its trees, as `tree_of` names them.
         n_frames, frame_width: of the episode's pictures; see `record`.
         export_bytes: a longer program is left out, and the page names the command that writes it.
+        tree_bytes: most that a tree's numbers may take as float32, in which they are then held where that changes no
+            leaf and no visible answer on visited states; None for any tree, in float64.
 
     Raises:
-        PipelineError: the tree is not there, or is held as activation patterns.
+        PipelineError: the tree is not there, is held as activation patterns, or is larger.
     """
     tree = page_tree(run, folder, form)
+    n_numbers = sum(array.size for array in _numbers(tree).values())
+    if tree_bytes is not None and 4 * n_numbers > tree_bytes:
+        raise PipelineError(
+            f"its {tree.n_leaves:,} leaves would take {4e-6 * n_numbers:.1f} MB of a page, on which a policy has "
+            f"{1e-6 * tree_bytes:g}; {command_for('otr-report', folder, form)} writes its page"
+        )
     env, space = run.env, spaces(run.env)
     names, answers = feature_names(env, tree.n_inputs), action_names(env, tree.n_answers)
     (seed,) = evaluation_seeds(run.evaluate.first_seed, 1)
-    episode, states = record(tree, env, seed, n_frames=n_frames, width=frame_width)
-    visited = np.concatenate((visited_states(run, tree, n_episodes=2), states))
+    of_pruning = episode_seeds(run.seed, "prune", min(2, run.prune.n_episodes))
+    played = rollout(tree.predict, env, [*of_pruning, seed], keep_states=True, n_workers=1)
+    visited, length = played.states, int(played.lengths[-1])
     programs = {
         language: written
         for language, write in EXPORTS.items()
-        if len(written := write(tree, feature_names=names, output_names=answers)) <= export_bytes
+        if 2 * n_numbers <= export_bytes  # which no program's text undercuts
+        and len(written := write(tree, feature_names=names, output_names=answers)) <= export_bytes
     }
     return {
         "title": title_of(run, form),
@@ -67,15 +87,39 @@ def policy_data(
         "features": _features(run, names, visited),
         "answers": answers,
         "limits": None if space.box is None else [limits.tolist() for limits in space.box],
-        "tree": tree_data(tree, visited),
-        "episode": episode,
+        "tree": tree_data(tree, visited, "<f4" if tree_bytes is not None and _rounds_unseen(tree, visited) else "<f8"),
+        "episode": record(tree, env, seed, length=length, n_frames=n_frames, width=frame_width),
         "program": otr.to_text(tree, feature_names=names, output_names=answers)
         if tree.n_leaves <= LONGEST_PROGRAM
         else "",
         "exports": programs,
         "left_out": [language for language in EXPORTS if language not in programs],
+        "export_command": command_for("otr-export", folder, form, "format=NAME"),
+        "page_command": command_for("otr-report", folder, form),
         "proof": _proof(folder, form),
     }
+
+
+def command_for(program: str, folder: Path, form: str, *words: str) -> str:
+    """Return the command that gives a run's tree to one of the programs, with further words."""
+    run = Path(*folder.parts[-5:]).as_posix()
+    return command_text(program, [f"run={run}", f"tree={form}", *words], results_of(folder))
+
+
+def _numbers(tree: otr.ObliqueTree) -> dict[str, NDArray[np.float64]]:
+    """Return the arrays of numbers that a page needs; leaves with labels need none."""
+    return {"P": tree.P, "v": tree.v} | ({} if tree.labels is not None else {"M": tree.M, "c": tree.c})
+
+
+def _rounds_unseen(tree: otr.ObliqueTree, states: NDArray[Any]) -> bool:
+    """Return whether the tree in float32 takes the same leaves on states (n, d), and answers alike as far as shown."""
+    with np.errstate(over="ignore"):
+        rounded = {name: array.astype(np.float32).astype(np.float64) for name, array in _numbers(tree).items()}
+    if not all(np.isfinite(array).all() for array in rounded.values()):
+        return False
+    near, answers = tree.replace(**rounded), tree.predict(states)
+    is_near = np.allclose(near.predict(states), answers, rtol=0.0, atol=VISIBLE * float(np.abs(answers).max()))
+    return is_near and np.array_equal(near.apply(states), tree.apply(states))
 
 
 def _proof(folder: Path, form: str) -> str:
@@ -100,20 +144,17 @@ def page_tree(run: RunConfig, folder: Path, form: str) -> otr.ObliqueTree:
     return in_printed_order(merge_equal_leaves(tree))
 
 
-def tree_data(tree: otr.ObliqueTree, visited: NDArray[Any]) -> dict[str, Any]:
-    """Return a tree as JSON-able data, its float64 numbers bit by bit, with the share of states (n, d) a leaf."""
+def tree_data(tree: otr.ObliqueTree, visited: NDArray[Any], dtype: str = "<f8") -> dict[str, Any]:
+    """Return a tree as JSON-able data, its numbers as `dtype` bit by bit, with the share of states (n, d) a leaf."""
     leaves = tree.apply(visited)
     shares = np.bincount(leaves, minlength=tree.n_leaves) / max(len(leaves), 1)
     head: dict[str, Any] = {"name": tree.head.name}
     if (limits := tree.head.limits(tree.n_outputs)) is not None:
         head |= {"low": limits[0].tolist(), "high": limits[1].tolist()}
-    maps = {} if tree.labels is not None else {"M": packed(tree.M.astype("<f8")), "c": packed(tree.c.astype("<f8"))}
     return {
         "left": packed(tree.children_left.astype("<i4")),
         "right": packed(tree.children_right.astype("<i4")),
-        "P": packed(tree.P.astype("<f8")),
-        "v": packed(tree.v.astype("<f8")),
-        **maps,
+        **{name: packed(array.astype(dtype)) for name, array in _numbers(tree).items()},
         "labels": None if tree.labels is None else packed(tree.labels.astype("<i4")),
         "head": head,
         "shares": packed(shares.astype("<f4")),

@@ -4,7 +4,7 @@ Both give means and log standard deviations, (R, n_rows, 2 n_actions), and learn
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -12,10 +12,11 @@ import torch
 from torch import Tensor, nn
 
 from pipelines.config.methods import SoftConfig
-from pipelines.training.fleet.adam import AdamGroup, RunSettings, adam_groups
+from pipelines.training.fleet.adam import RunSettings, adam_groups
 from pipelines.training.fleet.mlp import Layers, StackedMlp, new_layers
+from pipelines.training.fleet.module_actors import Learning
 from pipelines.training.fleet.soft_trees import StackedTrees, stacked_trees
-from pipelines.training.fleet.stacked_tensors import multiply, new_flat, new_stack
+from pipelines.training.fleet.stacked_tensors import multiply, new_stack
 from pipelines.training.soft_trees import Shape, SoftModule, build_module, rate_share, set_phase
 
 
@@ -142,8 +143,8 @@ class SoftActors:
         self.trees: list[SoftModule] = [build_module(training.shape, n_inputs, n_actions) for _ in runs]
         shapes = {name: tuple(parameter.shape) for name, parameter in self.trees[0].named_parameters()}
         of_architecture = {name: shapes.pop(name) for name in ("architecture",) if name in shapes}
-        self._program, self._architecture = _Learning.of(runs, shapes), _Learning.of(runs, of_architecture)
-        self._log_std = _Learning.of(runs, {"weight": (n_actions, n_inputs), "bias": (n_actions,)})
+        self._program, self._architecture = Learning.of(runs, shapes), Learning.of(runs, of_architecture)
+        self._log_std = Learning.of(runs, {"weight": (n_actions, n_inputs), "bias": (n_actions,)})
         self._parameters = self._program.parameters | self._architecture.parameters
         self._gradients = self._program.gradients | self._architecture.gradients
         for run, tree in enumerate(self.trees):
@@ -232,28 +233,3 @@ class _SoftPass:
     trees: StackedTrees
     X1: Tensor  # (R, n_rows, d + 1)
     answers: Tensor  # (R, n_rows, 2 n_actions)
-
-
-@dataclass(frozen=True)
-class _Learning:
-    """Parameters of all runs that learn at the same time: stacks by name, and their optimisers."""
-
-    parameters: dict[str, Tensor]
-    gradients: dict[str, Tensor]
-    moments: dict[str, dict[str, Tensor]]  # Adam's, by torch's names for them
-    groups: list[AdamGroup]  # one, or one a run
-
-    @classmethod
-    def of(cls, runs: Sequence[RunSettings], shapes: Mapping[str, tuple[int, ...]]) -> "_Learning":
-        flats, stacks = zip(*(new_flat(len(runs), list(shapes.values())) for _ in range(4)), strict=True)
-        parameters, gradients, first, second = (dict(zip(shapes, each, strict=True)) for each in stacks)
-        groups = adam_groups(runs, flats, 0) if shapes else []
-        return cls(parameters, gradients, {"exp_avg": first, "exp_avg_sq": second}, groups)
-
-    def tensors(self, run: int) -> dict[str, Tensor]:
-        """Return views of a run's parameters and of Adam's state, by torch's names."""
-        views = {name: stack[run] for name, stack in self.parameters.items()}
-        for name in self.parameters:
-            views[f"{name}.step"] = self.groups[run if len(self.groups) > 1 else 0].steps[0]
-            views |= {f"{name}.{moment}": stacks[name][run] for moment, stacks in self.moments.items()}
-        return views

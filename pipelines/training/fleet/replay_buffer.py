@@ -59,12 +59,12 @@ def open_rows(path: Path, capacity: int, layout: RowLayout, n_steps: int, n_writ
 
 
 class FleetReplay:
-    """The replay buffers of R runs, each with its rows from `open_rows`, all of one capacity.
+    """The replay buffers of R runs, each with its rows from `open_rows`, or in memory, all of one capacity.
 
     The newest `size` transitions, at most the capacity, can be sampled.
     """
 
-    def __init__(self, files: Sequence[np.memmap], layout: RowLayout, size: int) -> None:
+    def __init__(self, files: Sequence[np.ndarray], layout: RowLayout, size: int) -> None:
         self._files, self._layout, self._size = list(files), layout, size
         self.capacity = len(files[0])
         self._rows = [torch.from_numpy(file) for file in files]
@@ -97,4 +97,5 @@ class FleetReplay:
     def flush(self) -> None:
         """Bring the rows to the disk."""
         for file in self._files:
-            file.flush()
+            if isinstance(file, np.memmap):
+                file.flush()

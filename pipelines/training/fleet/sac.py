@@ -16,7 +16,7 @@ from torch import Tensor
 from pipelines.training.fleet.actors import FleetActors, MlpActors, SoftActors, SoftTraining
 from pipelines.training.fleet.adam import RunSettings, adam_groups
 from pipelines.training.fleet.mlp import Layers, StackedMlp, new_layers
-from pipelines.training.fleet.squashed_gaussian import SquashedActions
+from pipelines.training.fleet.squashed_gaussian import ClippedActions, SquashedActions
 from pipelines.training.fleet.stacked_tensors import ROW_MULTIPLE, new_stack
 
 N_CRITICS = 2
@@ -36,6 +36,7 @@ class Shapes:
     precision: str = "fp32"  # fp32 or bf16 (see `mlp`)
     dense: bool = False  # whether the actor's layers after the first read the state, too
     soft: SoftTraining | None = None  # actors that are soft trees, in place of the layers
+    clips: bool = False  # whether actions are clipped to [-1, 1], in place of tanh
 
 
 @dataclass
@@ -52,7 +53,10 @@ class Minibatch:
 class FleetSac:
     """The learner of R runs: `act` and `update`. `load` brings what was learnt in `n_updates` before."""
 
-    def __init__(self, shapes: Shapes, runs: Sequence[RunSettings], n_updates: int = 0) -> None:
+    def __init__(
+        self, shapes: Shapes, runs: Sequence[RunSettings], n_updates: int = 0, actor: FleetActors | None = None
+    ) -> None:
+        """Make the learner's memory; `actor` stands in for the layers that the shapes describe."""
         self.shapes, self.runs = shapes, tuple(runs)
         n, rows = len(runs), shapes.batch_size
         critic_widths = (shapes.n_inputs + shapes.n_actions, *shapes.critic, 1)
@@ -61,7 +65,9 @@ class FleetSac:
             return new_layers(N_CRITICS * n, critic_widths, precision)
 
         self.actor: FleetActors
-        if shapes.soft is None:
+        if actor is not None:
+            self.actor = actor
+        elif shapes.soft is None:
             widths = (shapes.n_inputs, *shapes.actor, 2 * shapes.n_actions)
             slope, dense = shapes.negative_slope, shapes.dense
             self.actor = MlpActors(runs, widths, rows, negative_slope=slope, dense=dense, n_updates=n_updates)
@@ -82,7 +88,8 @@ class FleetSac:
         self._temperature_adam = adam_groups(runs, temperature_rows, n_updates, decays=False)
 
         self._critic_pass = StackedMlp(self.critics, rows, shapes.negative_slope)
-        self._actions = SquashedActions(n, 2 * rows, shapes.n_actions)
+        self._kind = ClippedActions if shapes.clips else SquashedActions
+        self._actions = self._kind(n, 2 * rows, shapes.n_actions)
         self._acting: SquashedActions | None = None
 
         def column(values: Sequence[float]) -> Tensor:
@@ -151,7 +158,7 @@ class FleetSac:
         """
         n, n_envs, _ = states.shape
         if self._acting is None or self._acting.actions.shape[1] != n_envs:
-            self._acting = SquashedActions(n, n_envs, self.shapes.n_actions)
+            self._acting = self._kind(n, n_envs, self.shapes.n_actions)
         return self._acting.sample(self.actor.act(states), noise).clone()
 
     def answers(self, run: int, states: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Actions of the soft actor-critic: normal ones squashed by tanh, their log-probabilities and derivatives.
+"""Actions of the soft actor-critic: normal ones squashed by tanh or clipped, their log-probabilities and derivatives.
 
 As in Stable-Baselines3: log-probabilities are corrected for tanh by log(1 - tanh(u)^2 + 1e-6), and log standard
 deviations are clipped to [-20, 2].
@@ -66,5 +66,36 @@ class SquashedActions:
         d_mean *= slope
         torch.mul(d_mean, std * noise, out=d_log_std)
         d_log_std -= share
+        raw = answers[:, :n_rows, n_actions:]
+        d_log_std *= (raw >= LOG_STD_MIN) & (raw <= LOG_STD_MAX)
+
+
+class ClippedActions(SquashedActions):
+    """The same for actions clipped to [-1, 1]; log-probabilities are those of the normal ones before the clip.
+
+    Beyond the box a mean learns inwards alone: the critic says nothing of what a clip takes away.
+    """
+
+    def sample(self, answers: Tensor, noise: Tensor | None) -> Tensor:
+        mean, log_std = answers.chunk(2, dim=2)
+        if noise is None:
+            self._slope.copy_(mean)
+        else:
+            torch.clamp(log_std, LOG_STD_MIN, LOG_STD_MAX, out=self._std).exp_()
+            torch.mul(self._std, noise, out=self._slope).add_(mean)
+        return torch.clamp(self._slope, -1.0, 1.0, out=self.actions)
+
+    def log_probability(self, answers: Tensor, noise: Tensor) -> Tensor:
+        terms = noise * noise * -0.5
+        terms -= answers[:, :, self._n_actions :].clamp(LOG_STD_MIN, LOG_STD_MAX)
+        return terms.sum(2).sub_(self._n_actions * HALF_LOG_2PI)
+
+    def gradient(self, answers: Tensor, noise: Tensor, temperature: Tensor, d_actions: Tensor, out: Tensor) -> None:
+        n_rows, n_actions = out.shape[1], self._n_actions
+        unclipped, std, noise = (tensor[:, :n_rows] for tensor in (self._slope, self._std, noise))
+        d_mean, d_log_std = out.chunk(2, dim=2)
+        torch.mul(d_actions, (unclipped.abs() <= 1.0) | (unclipped * d_actions > 0.0), out=d_mean)
+        torch.mul(d_mean, std * noise, out=d_log_std)
+        d_log_std -= (temperature / n_rows).unsqueeze(2)
         raw = answers[:, :n_rows, n_actions:]
         d_log_std *= (raw >= LOG_STD_MIN) & (raw <= LOG_STD_MAX)

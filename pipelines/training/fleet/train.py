@@ -19,6 +19,7 @@ from pipelines.engine.job import message_of
 from pipelines.errors import PipelineError
 from pipelines.play.selection import diverged
 from pipelines.training.checkpoints import progress_row
+from pipelines.training.critics import critics_file
 from pipelines.training.fleet.fleet_run import FleetRun
 from pipelines.training.fleet.progress import FleetProgress
 from pipelines.training.fleet.trainer import EnvironmentFailed, FleetTrainer, Task
@@ -81,6 +82,7 @@ def _segment(trainer: FleetTrainer, progress: FleetProgress) -> None:
             if not all(bool(torch.isfinite(tensor).all()) for tensor in run.tensors.values()):
                 raise diverged(run.n_steps, "its parameters are not finite")
             files, episodes = trainer.evaluate(r)
+            files |= critics_file(trainer.critics(r))
             # A run's seconds are its share of the fleet's, so that the runs' sum is what was spent.
             share = trained_s / len(trainer.runs)
             row = progress_row(end, start, share, np.array(returns[r]), np.array(lengths[r]))

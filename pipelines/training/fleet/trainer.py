@@ -1,5 +1,6 @@
 """A cohort of runs at the same step, stacked: collects transitions and updates, a segment at a time."""
 
+import dataclasses
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ import torch
 from torch import Tensor
 
 import otr
+from otr.importers.critics import Critics
 from otr.learners.networks.denormals import denormals_as_zero
 from pipelines.config.env import EnvConfig
 from pipelines.config.methods import SoftConfig
@@ -123,13 +125,38 @@ class FleetTrainer:
 
     def network(self, r: int) -> otr.ReluNetwork:
         """Return a run's actor."""
-        tensors, n_actions = self.runs[r].tensors, self._task.layout.n_actions
-        n_layers = len(self._config.hidden_widths) + 1
-        weights = [tensors[f"actor.weight{i}"][0].T.double().numpy() for i in range(n_layers)]
-        biases = [tensors[f"actor.bias{i}"][0, 0].double().numpy() for i in range(n_layers)]
-        weights[-1], biases[-1] = weights[-1][:n_actions], biases[-1][:n_actions]  # the means
-        actor, head = self._config.actor, otr.TanhBox(self._task.low, self._task.high)
-        return otr.ReluNetwork(weights, biases, negative_slope=actor.negative_slope, dense=actor.links, head=head)
+        both, n_actions = self._means_and_deviations(r), self._task.layout.n_actions
+        weights = [*both.weights[:-1], both.weights[-1][:n_actions]]
+        biases = [*both.biases[:-1], both.biases[-1][:n_actions]]
+        return both.replace(weights=weights, biases=biases, head=otr.TanhBox(self._task.low, self._task.high))
+
+    def critics(self, r: int) -> Critics:
+        """Return a run's critics, as they read the environment's own states."""
+        tensors, algo = self.runs[r].tensors, self.runs[r].algo
+        n_layers = len(algo.critic) + 1
+        layers, targets = (
+            [(tensors[f"{name}.weight{i}"].numpy(), tensors[f"{name}.bias{i}"].numpy()) for i in range(n_layers)]
+            for name in ("critics", "targets")
+        )
+        temperature, units = float(tensors["log_temperature"]), units_of_box(self._config)
+        critics = Critics(layers, targets, algo.gamma, self._config.actor.negative_slope, temperature)
+        if units is not None:
+            critics = critics.fold_input_normalisation(units.middle, units.scale)
+        if isinstance(self._learner.actor, SoftActors):
+            return critics  # whose actor is played as the tree that it becomes
+        both, n_actions = self._means_and_deviations(r), self._task.layout.n_actions
+        if units is not None:
+            both = both.fold_input_normalisation(units.middle, units.scale)
+        log_std = np.column_stack((both.weights[-1], both.biases[-1]))[n_actions:]
+        return dataclasses.replace(critics, log_std=log_std)
+
+    def _means_and_deviations(self, r: int) -> otr.ReluNetwork:
+        """Return a run's actor with all its outputs: means, then logarithms of standard deviations."""
+        tensors, actor = self.runs[r].tensors, self._config.actor
+        layers = range(len(self._config.hidden_widths) + 1)
+        weights = [tensors[f"actor.weight{i}"][0].T.double().numpy() for i in layers]
+        biases = [tensors[f"actor.bias{i}"][0, 0].double().numpy() for i in layers]
+        return otr.ReluNetwork(weights, biases, negative_slope=actor.negative_slope, dense=actor.links)
 
     def answers(self, r: int, states: np.ndarray) -> np.ndarray:
         """Return a run's own deterministic actions on states (n, d)."""

@@ -42,7 +42,7 @@ def test_back_and_forth_is_exact_up_to_rounding(case: Case, seed: int, share: fl
     numbers = policy_numbers(policy, visited(network.n_inputs), free=free)
     assert numbers.policy(numbers.start) is policy
     # As it would be without that short cut.
-    again = numbers._rebuilt([rows.forms(rows.start) for rows in numbers._rows])
+    again = numbers._rebuilt([rows.forms(rows.start) for rows in numbers.rows])
     for ours, theirs in zip(numbers_of(again), numbers_of(policy), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9 * max(1.0, np.abs(theirs).max(initial=0.0)))
     assert type(again) is type(policy) and again.head == policy.head

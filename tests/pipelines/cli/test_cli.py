@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+import pipelines
 from pipelines.cli.runs import run_config
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.engine.archive import file_digest
@@ -252,7 +253,8 @@ def test_full_disk_is_told_and_the_same_command_goes_on(tmp_path):
     done = subprocess.run(["bash", "-c", limited], cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert done.returncode == 1
     assert "Make room there or choose another place" in done.stderr and "Traceback" not in done.stderr
-    assert not list(tmp_path.glob("results/runs/**/train"))
+    assert not list(tmp_path.glob("results/runs/**/train")) and not list(tmp_path.rglob("*.tmp"))
+    assert not Path(pipelines.__file__).parents[1].joinpath(".git/index.lock").exists()
     assert otr_command("otr-run", *words, cwd=tmp_path).returncode == 0
     assert len(list(tmp_path.glob("results/runs/**/summary.json"))) == 1
 
@@ -267,6 +269,10 @@ def test_failing_job_does_not_stop_a_sweep(tmp_path, launcher, runner):
     done = runner("otr-run", *PROGRAMS, f"launcher={launcher}", cwd=tmp_path)
     assert done.returncode == 1
     assert "2 jobs: 1 done, 1 failed" in done.stdout, done.stdout + done.stderr
+    (row,) = [line.split() for line in done.stdout.splitlines() if line.startswith("  mountaincar/program/")]
+    summary = json.loads(summaries["mountaincar_simplified"].read_text())
+    assert row[1:4] == [f"{summary['return_mean']:.1f}", "±", f"{summary['return_std']:.1f}"]
+    assert row[-1] == str(summary["pruned_leaves"])
     assert str(summaries["mountaincar"].parent.relative_to(tmp_path / "results")) in done.stdout
     assert summaries["mountaincar_simplified"].exists()
     (failure,) = (tmp_path / "results/failures").rglob("*.txt")

@@ -12,6 +12,7 @@ import pytest
 from pipelines.cli.runs import RUN
 from pipelines.config.env import EnvConfig, _code_sha256
 from pipelines.errors import ConfigError
+from pipelines.play.spaces import feature_names, spaces
 from pipelines.stages.certify import CERTIFY
 from pipelines.stages.imitate import IMITATE
 from pipelines.stages.parse import PARSE
@@ -48,7 +49,7 @@ def job(*words):
 @pytest.mark.parametrize(
     ("word", "name", "algorithm", "features"),
     [
-        ("env=CartPole-v1", "CartPole-v1", "ppo", []),
+        ("env=CartPole-v1", "CartPole-v1", "ppo", ["position", "velocity", "angle", "angle_rate"]),
         ("env=MountainCarContinuous-v0", "mountaincar", "ddpg", ["position", "velocity"]),  # has a file
         (CART, "tests.pipelines.own_envs_Cart-v0", "sac", ["position", "velocity"]),
         (f"env={MODULE}:PushOrPull-v0", "tests.pipelines.own_envs_PushOrPull-v0", "ppo", []),
@@ -60,6 +61,16 @@ def test_an_id_is_an_environment(word, name, algorithm, features):
     assert made.config.algo.name == algorithm
     assert made.config.env.feature_names == features
     assert made.command == f"otr-run {'env=mountaincar' if name == 'mountaincar' else word} budget=quick depth=2"
+
+
+@pytest.mark.parametrize("env_id", ["Acrobot-v1", "CartPole-v0", "CartPole-v1", "MountainCar-v0"])
+def test_gymnasiums_classic_environments_have_names(env_id):
+    env = job(f"env={env_id}", "budget=smoke", "depth=2").config.env
+    sizes = spaces(env)
+    assert (len(env.feature_names), len(env.action_names)) == (sizes.n_inputs, sizes.n_actions)
+    assert env.own_names() and "x0" not in feature_names(env, sizes.n_inputs)
+    given = job(f"env={env_id}", "budget=smoke", f"env.action_names=[{','.join('abc'[: sizes.n_actions])}]").config.env
+    assert given.action_names[0] == "a" and given.feature_names == env.feature_names
 
 
 def test_the_code_of_an_own_environment_is_in_the_keys(tmp_path, monkeypatch):
@@ -144,7 +155,12 @@ def test_arguments_decide_the_kind_of_actions():
         (("env=CartPole-v7",), "Did you mean CartPole-v1"),
         (("env=no_such_module:Cart-v0",), "module no_such_module cannot be imported: there is no such module"),
         ((f"env={MODULE}:Card-v0",), f"Environment `Card` doesn't exist. Did you mean {MODULE}:Cart-v0"),
-        ((f"env={MODULE}:Images-v0",), "observations .* are not a vector of numbers"),
+        (("env=ALE/Pong-v5",), "no such environment. There are: ant, .*; besides, any registered id, as CartPole-v1"),
+        (("env=Hopper-v9",), "Did you mean Hopper-v5 or Hopper-v4"),
+        (
+            (f"env={MODULE}:Images-v0",),
+            "are images, .* out of scope. Accepted is a vector",
+        ),
         ((f"env={MODULE}:Parts-v0",), "observations .* are not a vector of numbers"),
         ((f"env={MODULE}:Cells-v0",), "observations .* are not a vector of numbers"),
         ((f"env={MODULE}:Keys-v0",), "the actions are MultiDiscrete"),

@@ -14,11 +14,13 @@ import pytest
 from pipelines.cli.pack import pack_results
 from pipelines.cli.runs import load_config
 from pipelines.engine.archive import file_digest, opened, pack, read_manifest, verified_manifest
-from pipelines.engine.store import ARCHIVE, archive_files, exists, read_csv, read_json
+from pipelines.engine.digests import digest
+from pipelines.engine.store import ARCHIVE, archive_files, exists, read_csv, read_json, write_json
 from pipelines.errors import PipelineError
 from pipelines.play.actor_files import load_actor
 from pipelines.stages.derived import derive, opened_run
 from pipelines.stages.oracle import load_oracle
+from pipelines.training.critics import CRITICS, load_critics
 from tests.committed import copy_run
 
 PENDULUM = "pendulum/otr/depth-6/quick/seed-0"
@@ -279,3 +281,32 @@ def test_processes_open_a_run_at_once(packed):
     for worker in workers:
         worker.join()
     assert first == second and first["map/tree.npz"] == read_manifest(packed / "map")["outputs"]["tree.npz"]
+
+
+def with_critics(run):
+    """Add critics to a run's training; return the digests of its files."""
+    manifest = read_manifest(run / "train")
+    (run / "train" / CRITICS).write_bytes(b"values")
+    outputs = manifest["outputs"] | {CRITICS: file_digest(run / "train" / CRITICS)}
+    write_json(run / "train/manifest.json", manifest | {"outputs": outputs, "output_digest": digest(outputs)})
+    return outputs
+
+
+def test_critics_are_not_packed_and_nobody_misses_them_but_who_asks_for_them(run):
+    outputs = with_critics(run)
+    verified_manifest(run / "train")
+    pack_run(run)
+    assert f"train/{CRITICS}" not in archive_files(run)
+    assert verified_manifest(run / "train")["outputs"] == outputs
+    with opened_run(load_config(run, None), run) as whole:
+        assert verified_manifest(whole / "train")["outputs"] == outputs  # a run that shares the stage copies it so
+        load_actor(whole / "train")
+    with pytest.raises(PipelineError, match=r"critics\.safetensors is not there.*\n.*results_dir=DIR, another folder"):
+        load_critics(run / "train")
+
+
+def test_critics_that_were_changed_are_told(run):
+    with_critics(run)
+    (run / "train" / CRITICS).write_bytes(b"other values")
+    with pytest.raises(PipelineError, match="is not what was written"):
+        verified_manifest(run / "train")

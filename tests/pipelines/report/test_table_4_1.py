@@ -419,3 +419,16 @@ def test_a_changed_setting_stands_beside_runs_of_its_own_oracle(tmp_path: Path) 
         "LunarLander", "AugTree", "4", "[64]", "`method.features=deep`", "3.0 (1 run, quick)", "2.0 (1 run, quick)",
     ]  # fmt: skip
     assert "oracle=[64]" not in text  # which is no setting of the method
+
+
+def test_runs_in_other_environments_are_shown(tmp_path: Path) -> None:
+    write_runs(tmp_path, "hopper/otr/depth-6/quick", QUICK)
+    before = write_table_4_1(tmp_path)[0].read_text(encoding="utf-8")
+    assert "Other environments" not in before
+    for seed, mean in QUICK.items():
+        policies = {"pruned_tree": {"return_mean": mean, "return_std": 1.0, "n_episodes": 100}}
+        changes = {"task": "discrete", "policies": policies, "pruned_leaves": 4}
+        write_run(tmp_path, f"CartPole-v1/otr/depth-2/smoke/seed-{seed}", 0.0, **changes)
+    row = ["CartPole-v1", "OTR", "2", "smoke", "", "130.0 ± 30.0", "3", "4"]
+    assert markdown_lines(tmp_path, "CartPole-v1") == [row]
+    assert write_table_4_1(tmp_path)[0].read_text(encoding="utf-8").startswith(before.rstrip("\n"))

@@ -19,9 +19,10 @@ from pipelines.cli.runs import load_config
 from pipelines.engine.store import read_csv, write_json
 from pipelines.errors import PipelineError
 from pipelines.play.rollout import rollout
+from pipelines.report.webpage import page as webpage
 from pipelines.report.webpage.episode import LEVELS, packed, record
 from pipelines.report.webpage.page import write_results_page, write_run_page
-from pipelines.report.webpage.policy import _proof, page_tree, tree_data
+from pipelines.report.webpage.policy import _proof, _rounds_unseen, page_tree, tree_data
 from pipelines.report.webpage.units import unit_of
 from tests.committed import RESULTS
 from tests.core.test_tree import random_tree
@@ -154,8 +155,10 @@ def test_a_long_episode_is_thinned_and_one_without_pictures_says_why(monkeypatch
         raise PipelineError("video: it cannot be rendered here (no screen). MuJoCo needs a screen")
 
     monkeypatch.setattr("pipelines.report.webpage.episode.renderable", no_screen)
-    episode, states = record(tree, config_of(LANDER).env, 1000, n_frames=5, width=32)
-    assert len(states) == len(unpacked(episode["leaves"]))
+    env = config_of(LANDER).env
+    (length,) = rollout(tree.predict, env, [1000], n_workers=1).lengths.tolist()
+    episode = record(tree, env, 1000, length=length, n_frames=5, width=32)
+    assert len(unpacked(episode["states"])) == len(unpacked(episode["leaves"])) and episode["n_steps"] == length
     assert episode["stride"] == -(-episode["n_steps"] // 50) > 1
     assert unpacked(episode["leaves"]).shape == (-(-episode["n_steps"] // episode["stride"]),)
     assert episode["no_frames"] == "video: it cannot be rendered here (no screen)." and "sprite" not in episode
@@ -172,6 +175,48 @@ def test_leaves_that_are_not_visited_have_no_share() -> None:
     X = np.random.default_rng(1).normal(size=(50, 2))
     shares = unpacked(tree_data(tree, X)["shares"])
     np.testing.assert_allclose(shares, np.bincount(tree.apply(X), minlength=tree.n_leaves) / 50, atol=1e-7)
+
+
+def test_a_tree_that_is_too_large_names_the_command_that_makes_its_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for run in (CAR, LANDER):
+        place = tmp_path / "results/runs" / run.relative_to(RESULTS / "runs")
+        place.parent.mkdir(parents=True)
+        place.symlink_to(run)
+    # The car's tree has 14 numbers; the lander's four leaves are labels, and its three tests have 27.
+    monkeypatch.setattr(webpage, "OF_MANY", dataclasses.replace(webpage.OF_MANY, tree_bytes=4 * 20, n_frames=0))
+    page = write_results_page(tmp_path / "results", tmp_path / "page.html", config_of).read_text(encoding="utf-8")
+    (policy,) = stored(page)
+    assert policy["env"] == "mountaincar" and 'data-policy="' not in page  # the lander's cell opens nothing
+    line, of_polished = re.findall(r"<li>([^<]*)</li>", page)
+    command = f"otr-report run={LANDER.relative_to(RESULTS / 'runs').as_posix()} tree=pruned results_dir={tmp_path}"
+    assert line.startswith("LunarLander, AugTree (2), quick, seed 0") and f"; {command}/results writes its page" in line
+    assert "tree=polished" in of_polished
+
+
+def test_a_policy_that_two_cells_have_is_there_once(tmp_path: Path) -> None:
+    run = tmp_path / "results/runs/mountaincar/otr/depth-1/standard-ars/seed-0"
+    run.parent.mkdir(parents=True)
+    run.symlink_to(RESULTS / "runs/mountaincar/otr/depth-1/standard-ars/seed-0")
+    assert not json.loads((run / "summary.json").read_text())["polish"]["kept"]
+    page = write_results_page(tmp_path / "results", tmp_path / "page.html", config_of).read_text(encoding="utf-8")
+    (policy,) = stored(page)
+    assert policy["form"] == "pruned"
+
+
+def test_numbers_are_rounded_where_no_visited_state_tells(tmp_path: Path) -> None:
+    page = write_run_page([CAR, LANDER], "pruned", tmp_path / "page.html", config_of).read_text(encoding="utf-8")
+    for data, folder in zip(stored(page), (CAR, LANDER), strict=True):
+        tree = page_tree(config_of(folder), folder, "pruned")
+        assert unpacked(data["tree"]["P"]).dtype == np.float32
+        np.testing.assert_array_equal(unpacked(data["tree"]["P"]), tree.P.astype(np.float32))
+    X = np.random.default_rng(0).normal(size=(50, 2))
+    tree = random_tree(np.random.default_rng(0), 9, 2, 1, 8)
+    assert _rounds_unseen(tree, X)
+    times = tree.replace(P=tree.P, v=tree.v - tree.P @ [1.7e9, 0.0])  # the same, of seconds since 1970
+    assert not _rounds_unseen(times, X + np.array([1.7e9, 0.0]))
+    assert not _rounds_unseen(tree.replace(v=tree.v + 1e300), X)
 
 
 def test_units_are_those_of_physical_environments() -> None:
@@ -248,7 +293,7 @@ def test_what_cannot_be_shown_is_named_and_the_rest_is_written(
         policy, "tree_of", lambda form, run, folder: object() if folder == CAR else real(form, run, folder)
     )
     page = write_run_page([CAR, LANDER], None, tmp_path / "page.html", config_of).read_text(encoding="utf-8")
-    assert len(stored(page)) == 1 and "Left out: mountaincar, otr, depth 1, seed 0" in page
+    assert len(stored(page)) == 1 and "Left out: 1</summary><ul><li>mountaincar, otr, depth 1, seed 0" in page
     assert "left out: mountaincar, otr, depth 1, seed 0" in capsys.readouterr().out
     with pytest.raises(PipelineError, match="too many leaves to be held as leaves"):
         write_run_page([CAR], None, tmp_path / "none.html", config_of)

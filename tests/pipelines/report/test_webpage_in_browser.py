@@ -104,7 +104,8 @@ def test_the_browser_answers_as_the_tree(ten: Path, opened: Any, i: int) -> None
     assert len(np.unique(X, axis=0)) == N_STATES
     # Sums in another order differ in the last bits: a state that lies on a test could go either way, and none does.
     np.testing.assert_array_equal([leaf for _, leaf, _ in answered], tree.apply(X))
-    np.testing.assert_allclose([answer for _, _, answer in answered], tree.predict(X), rtol=1e-9, atol=1e-12)
+    size = np.abs(tree.predict(X)).max()  # the page of several has its numbers in float32
+    np.testing.assert_allclose([answer for _, _, answer in answered], tree.predict(X), rtol=0, atol=1e-5 * size)
     assert len({leaf for _, leaf, _ in answered}) > 1 or tree.n_leaves == 1
 
 

@@ -93,7 +93,7 @@ def test_a_program_without_a_run(export, tmp_path):
     assert [scope["policy"](state) for state in ([0.25, 0.1], [0.25, -0.1], [9.0, 0.1])] == [[0.5], [-1.0], [1.0]]
     lander = export("env=LunarLander-v3", "program=mountaincar", "format=c")
     assert lander.returncode == 2 and "unknown name 'position'" in lander.stderr
-    own = export("env=CartPole-v1", f"program={path}", "format=c")
+    own = export("env=Acrobot-v1", f"program={path}", "format=c")
     assert own.returncode == 2 and f"{path}:1:4: unknown name 'velocity'" in own.stderr
 
 
@@ -169,7 +169,7 @@ def test_a_run_with_a_digest_is_told_the_command_that_made_it(export, tmp_path):
 @pytest.mark.parametrize(
     ("folder", "command"),
     [
-        ("results/runs/ant/cdt/depth-3-3/quick/seed-2", 'otr-run env=ant "depth=[3,3]" method=cdt budget=quick seed=2'),
+        ("results/runs/ant/cdt/depth-3-3/quick/seed-2", "otr-run env=ant 'depth=[3,3]' method=cdt budget=quick seed=2"),
         ("results/runs/ant/otr/depth-6/thesis-fleet/seed-0",
          "otr-run env=ant depth=6 budget=thesis trainer=fleet seed=0"),
         ("results/runs/ant/linear/depth-0/quick-ars/seed-1",

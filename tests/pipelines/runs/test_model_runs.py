@@ -1,6 +1,7 @@
 """Policies from elsewhere, from a file of Stable-Baselines3, ONNX, torch, scikit-learn or otr to a run's summary."""
 
 import json
+from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
@@ -15,11 +16,13 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 import otr
+from otr.importers import read_policy
 from pipelines.cli.overrides import with_path_quoted
 from pipelines.cli.runs import RUN
 from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError
 from pipelines.play.actor_files import load_actor, load_oracle_network
+from pipelines.runs.below_random import warning_below_random
 from pipelines.stages.import_model import read_model
 from tests.pipelines.conftest import PENDULUM, otr_command
 
@@ -45,7 +48,7 @@ def models(tmp_path_factory):
     return folder
 
 
-def _write_onnx(network, path):
+def _write_onnx(network, path, *others):
     arrays = {name: numpy_helper.from_array(array, name) for name, array in zip(
         "WbVc", (network.weights[0], network.biases[0], network.weights[1], network.biases[1]), strict=True
     )}  # fmt: skip
@@ -55,7 +58,8 @@ def _write_onnx(network, path):
         helper.make_node("Gemm", ["h", "V", "c"], ["y"], transB=1),
     ]
     x, y = (helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["n", d]) for name, d in (("x", 4), ("y", 2)))
-    graph = helper.make_graph(nodes, "policy", [x], [y], list(arrays.values()))
+    others = [helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["n", 3]) for name in others]
+    graph = helper.make_graph(nodes, "policy", [x], [y, *others], list(arrays.values()))
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     path.write_bytes(model.SerializeToString())
 
@@ -123,11 +127,78 @@ def test_statistics_are_folded_in(models):
     assert np.abs(raw.policy.predict(states) - theirs).max() > 1e-3
 
 
+@pytest.fixture
+def normalised_pendulum(models, tmp_path):
+    """A folder with a zip and its statistics, as rl-baselines3-zoo saves them."""
+    (tmp_path / "pendulum").mkdir()
+    (tmp_path / "pendulum.zip").write_bytes((models / "pendulum.zip").read_bytes())
+    (tmp_path / "pendulum/vecnormalize.pkl").write_bytes((models / "statistics.pkl").read_bytes())
+    return tmp_path
+
+
+def test_statistics_beside_a_zip_are_used_and_the_command_says_so(normalised_pendulum, capsys):
+    def asked(*words):
+        (job,) = jobs("env=Pendulum-v1", "budget=smoke", f"model={normalised_pendulum / 'pendulum.zip'}", *words)
+        return job, capsys.readouterr().err
+
+    statistics = normalised_pendulum / "pendulum/vecnormalize.pkl"
+    (found, told), (given, silent) = asked(), asked(f"vec_normalize={statistics}")
+    assert found.folder == given.folder and found.config.imported.sha256 == given.config.imported.sha256
+    assert f"is read with the statistics of {statistics}" in told and silent == ""
+    for word in ("vec_normalize=none", "vec_normalize=null", "vec_normalize=None"):
+        raw, silent = asked(word)
+        assert raw.folder != found.folder and raw.config.imported.policy.domain is None and silent == ""
+    oracle, told = asked("method=viper", "depth=3")
+    assert oracle.oracle.config.imported.sha256 == found.config.imported.sha256 and told.count("statistics of") == 1
+    statistics.unlink()
+    missing, told = asked()
+    assert missing.folder == raw.folder and "was trained under VecNormalize, so the network may expect" in told
+
+
+def test_a_policy_that_is_worse_than_random_actions(normalised_pendulum):
+    words = ("env=Pendulum-v1", f"model={normalised_pendulum / 'pendulum.zip'}", "vec_normalize=none")
+    (job,), (imitating,) = jobs(*words), jobs(*words, "method=viper")
+    for name, config in (("network", job.config), ("oracle", imitating.config)):
+        worse, better = ({"policies": {name: {"return_mean": mean}}} for mean in (-1500.0, -900.0))
+        told = warning_below_random(config, worse)
+        assert told.startswith("pendulum.zip returns -1,500.0, less than random actions do in Pendulum-v1 (-1,268.5): ")
+        assert told.endswith("vec_normalize=FILE names the file of its statistics")
+        assert warning_below_random(config, better) is None
+        with_statistics = replace(config, imported=replace(config.imported, is_normalised=True))
+        assert warning_below_random(with_statistics, worse).endswith("or with wrappers that this one lacks?")
+        assert warning_below_random(replace(config, imported=None), worse) is None
+
+
 def test_saved_networks_and_onnx_files(models):
     states = np.random.default_rng(1).normal(size=(200, 4))
     expected = otr.from_sb3(models / "relu.zip").predict(states)
     for name in ("network.json", "network.npz", "network.onnx"):
         np.testing.assert_array_equal(read_model(str(models / name), None, CART_POLE).policy.predict(states), expected)
+
+
+def test_the_output_of_an_onnx_model_with_several(models, tmp_path):
+    network = otr.from_sb3(models / "relu.zip").replace(head=otr.Identity())
+    path = tmp_path / "several.onnx"
+    _write_onnx(network, path, "h")
+    asked = "the model has several outputs; give output= one of 'y', 'h'"
+    for words in ((f"model={path}",), ("method=viper", f"oracle={path}")):
+        with pytest.raises(ConfigError, match=f"{words[-1]}: {asked}"):
+            jobs(*SMOKE, *words)
+        with pytest.raises(ConfigError, match=r"the model has no output 'x'; give output= one of 'y', 'h'"):
+            jobs(*SMOKE, *words, "output=x")
+        (job,) = jobs(*SMOKE, *words, "output=y")
+        np.testing.assert_array_equal(job.config.imported.policy.weights[1], network.weights[1])
+    with pytest.raises(ConfigError, match=r"the policy has 3 actions, CartPole-v1 has 2"):
+        jobs(*SMOKE, f"model={path}", "output=h")
+    with pytest.raises(otr.InvalidNetworkError, match=asked):
+        read_policy(path)
+    assert read_policy(path, output="h").n_outputs == 3
+    shas = {read_model(str(path), None, CART_POLE, output="y").sha256, job.oracle.config.imported.sha256}
+    assert len(shas) == 1
+    with pytest.raises(otr.InvalidNetworkError, match=r"output='y' is one of several outputs of an ONNX model; .*zip"):
+        read_policy(models / "relu.zip", output="y")
+    with pytest.raises(ConfigError, match=r"output=y: of which model. Add model=FILE"):
+        jobs(*SMOKE, "output=y")
 
 
 def test_torch_exports_and_skops_files(models):

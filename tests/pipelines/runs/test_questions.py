@@ -1,5 +1,6 @@
 """otr-verify answers questions: proved, with a state where it is otherwise, or undecided."""
 
+import dataclasses
 import functools
 import re
 
@@ -149,3 +150,52 @@ def test_bounds_are_told_rounded_up():
     assert [bound_text(bound) for bound in (1.01e-13, 2e-9, 0.0)] == ["2e-13", "2e-9", "0"]
     assert bound_text(0.12301, 3) == "0.124"
     assert labels_but(1.01e-13) == "within 2e-13 of a boundary" and labels_but(5e-324) == "on a boundary between two"
+
+
+CART_POLE = """if 0.5 th + w > 0 then push else pull
+"""
+
+
+def test_a_program_under_the_users_names_on_the_users_box(command, tmp_path):
+    (tmp_path / "cart.txt").write_text(CART_POLE)
+    words = ("env=CartPole-v1", f"program={tmp_path / 'cart.txt'}", "env.feature_names=[x,v,th,w]")
+    words = (*words, "env.action_names=[pull,push]")
+    written = command("export", *words, "format=text")
+    assert written.stdout == "if 0.5 th + w <= 0 then\n    return pull\nelse\n    return push\n", written.stderr
+    reached = command("verify", *words, "range=true")
+    assert reached.returncode == 0 and reached.stdout.startswith("reached: pull, push"), reached.stderr
+    assert "the box around the states that it visits in a few episodes (box= asks of another), x in " in reached.stdout
+    box = "box=[th in 0.1..0.2, v in -1..1, w in 0..1]"
+    done = command("verify", *words, box, "range=true", "always=action == push")
+    assert done.returncode == 0 and "never: pull\nproved: action == push\nasked" in done.stdout, done.stderr
+    assert "every real point of the given box, x in -4.8..4.8, v in -1..1, th in 0.1..0.2, w in 0..1" in done.stdout
+    lacking = command("verify", *words, "box=[th in 0.1..0.2]", "range=true")
+    assert lacking.returncode == 2 and "add v in LOW..HIGH, w in LOW..HIGH" in lacking.stderr
+    refused = command("verify", PENDULUM_RUN, "env.feature_names=[a,b,c]", f"results_dir={RESULTS}", "range=true")
+    assert refused.returncode == 2 and "a run has its own environment" in refused.stderr
+    alone = command("verify", PENDULUM_RUN, box, f"results_dir={RESULTS}")
+    assert alone.returncode == 2 and "a certificate is of the box that it was made for" in alone.stderr
+
+
+@pytest.mark.parametrize(
+    ("condition", "is_vacuous"),
+    [
+        ("torque <= 1.5", False),
+        ("torque <= 2", True),  # the clip's own limits
+        ("torque <= 1.5 or angle_rate <= 8", True),  # no state is above
+        ("torque <= 1.5 or angle_rate <= 7", False),
+        ("angle_rate <= 8", True),
+        ("not (torque > 1.5 and cos_angle + sin_angle > 2)", True),
+    ],
+)
+def test_what_any_policy_keeps_is_said_to_say_nothing(condition, is_vacuous):
+    answer = always(otr.parse_program(PROGRAM, PENDULUM.feature_names), condition, PENDULUM, BOX)
+    assert answer.holds and ("says nothing about the policy" in answer.text) is is_vacuous
+
+
+@pytest.mark.parametrize(("condition", "is_vacuous"), [("action != 2", False), ("action == 1 or w <= 1", True)])
+def test_labels_that_any_policy_may_choose(condition, is_vacuous):
+    tree = otr.parse_program("if w > 0 then 1 else 0", ["w"], labels=True, output_names=["a", "b", "c"])
+    env = dataclasses.replace(PENDULUM, feature_names=["w"], action_names=["a", "b", "c"])
+    answer = always(tree, condition, env, otr.Domain([-1.0], [1.0]))
+    assert answer.holds and ("says nothing about the policy" in answer.text) is is_vacuous

@@ -29,7 +29,7 @@ def test_the_program_shown_is_the_last_one(kept, stage, capsys):
     assert summary["polish"]["kept"]
     summary["polish"]["kept"] = kept
     with opened_run(load_config(run, 1), run) as whole:
-        show_result(summary, run, whole)
+        show_result(summary, run, whole, load_config(run, None).env)
         program = (whole / stage / "program.txt").read_text(encoding="utf-8")
     printed = capsys.readouterr().out
     assert printed.startswith(f"\n{program.rstrip()}\n") and printed.count("return ") >= 2

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 import otr
-from pipelines.config.stages import PruneConfig
-from pipelines.engine.store import write_files
+from pipelines.cli.overrides import box_spelt_out
+from pipelines.config.stages import CertificationConfig, PruneConfig
+from pipelines.engine.store import read_json, write_files
 from pipelines.play.actor_files import actor_files, load_actor
 from pipelines.play.spaces import state_limits
 from pipelines.runs.result import proof_line
-from pipelines.stages.certify import certify
+from pipelines.stages.certify import CERTIFY, certify
 from tests.committed import RESULTS, copy_run
 from tests.pipelines.conftest import HOPPER, PENDULUM
 
@@ -77,7 +78,7 @@ def test_otr_verify_accepts_what_is_true_and_names_the_leaf_of_what_is_not(comma
     lie["domain"] = {"low": [0.9, 0.09, 0.09], "high": [0.91, 0.1, 0.1]}
     (tmp_path / "smaller.json").write_text(json.dumps(lie))
     refused = command("verify", word, f"certificate={tmp_path / 'smaller.json'}")
-    assert refused.returncode == 1 and "smaller than the environment's, [-1, 1] x [-1, 1] x [-8, 8]" in refused.stderr
+    assert refused.returncode == 1 and "smaller than the environment's box of states, cos_angle in -1" in refused.stderr
     other = results / CAR_RUN / "train"
     refused = command("verify", word, f"actor={other}")
     assert refused.returncode == 1 and "the domain 3 inputs" in refused.stderr
@@ -85,7 +86,7 @@ def test_otr_verify_accepts_what_is_true_and_names_the_leaf_of_what_is_not(comma
 
 def test_a_run_without_a_certificate_is_told(command, results):
     done = command("verify", f"run={results / PENDULUM_RUN}")
-    assert done.returncode == 1 and "Add certify=true to the command that made the run" in done.stderr
+    assert done.returncode == 1 and f"budget=quick seed=0 results_dir={results} certify=true\n" in done.stderr
     missing = command("verify", f"run={results / 'runs/pendulum/otr/depth-6/quick/seed-9'}")
     assert missing.returncode == 2 and "there is no such folder" in missing.stderr
     assert command("verify").returncode == 2
@@ -95,7 +96,7 @@ def test_a_run_without_a_certificate_is_told(command, results):
 
 def test_a_tree_that_is_too_large_is_told_and_fails_nothing(command, results):
     done = certified(command, results, "certification.max_leaves=5")
-    assert "no certificate on the environment's box of states: the limit of 5 regions was met" in done.stdout
+    assert "angle_rate in -8..8: the limit of 5 regions was met" in done.stdout
     path = next(results.glob("runs/pendulum/otr/depth-6/quick/seed-0~*/certify/report.json"))
     assert json.loads(path.read_text())["certified"] is False
     for words in (("verify",), ("export", "tree=minimal", "format=text")):
@@ -181,3 +182,41 @@ def test_pid_policies_are_proved_exported_and_simplified_in_the_form_that_fits(c
     tree = otr.load(tmp_path / run / "prune/tree")
     with pytest.raises(ValueError, match="multiplies outputs"):
         otr.output_range(tree, (-1.0, 1.0))
+
+
+def test_a_given_box_is_keyed_where_it_is_given_and_is_what_is_proved(command, results, tiny):
+    usual = CERTIFY.settings(tiny())
+    boxed = tiny(certification=CertificationConfig(["angle_rate in -1..1"]))
+    assert "box" not in usual and CERTIFY.settings(boxed) == usual | {"box": ["angle_rate in -1..1"]}
+    assert "box" not in tiny().settings()["certification"]
+    done = certified(command, results, "box=[angle_rate in -1 .. 1.0, sin_angle in 0..0.5]")
+    where = "the given box, cos_angle in -1..1, sin_angle in 0..0.5, angle_rate in -1..1"
+    assert f"is exactly the network on {where}, by rational arithmetic" in done.stdout
+    (run,) = results.glob("runs/pendulum/otr/depth-6/quick/seed-0~*")
+    assert read_json(run / "certify/report.json")["low"] == [-1.0, 0.0, -1.0]
+    checked = command("verify", f"run={run}")
+    assert checked.returncode == 0 and f"on {where}, at every real point" in checked.stdout, checked.stderr
+    asked = command("verify", f"run={run}", "range=true")
+    assert asked.returncode == 0 and f"at every real point of {where}" in asked.stdout
+
+
+@pytest.mark.parametrize(
+    ("box", "told"),
+    [
+        ("[angl in -1..1]", "box: angl in -1..1: there is no such state"),
+        ("[angle_rate in 1..-1]", "1 is above -1, lower first"),
+        ("[angle_rate in 0..1, angle_rate in 0..2]", "which has a side already"),
+        ("[angle_rate between 0 and 1]", "a file with a side a line"),
+        ("[angle_rate in 0..x]", "give the sides of a box as"),
+    ],
+)
+def test_a_box_that_is_none_is_told(command, tmp_path, box, told):
+    done = command("run", "env=pendulum", "budget=smoke", "certify=true", f"box={box}", f"results_dir={tmp_path}")
+    assert done.returncode == 2 and told in done.stderr
+
+
+def test_a_box_from_a_file_is_the_same_box(tmp_path):
+    (tmp_path / "box.txt").write_text("# upright\nangle_rate in -1..1\n\ncos_angle in 0.5..1  # and near\n")
+    words = (f"box={tmp_path / 'box.txt'}", "box=[angle_rate in -1..1., cos_angle in .5..1]")
+    assert len({box_spelt_out(word) for word in words}) == 1
+    assert box_spelt_out(words[0]) == "box=['angle_rate in -1..1','cos_angle in 0.5..1']"

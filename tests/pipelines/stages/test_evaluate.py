@@ -12,8 +12,8 @@ from pipelines.engine.store import read_csv, write_files
 from pipelines.errors import PipelineError, PolicyMismatchError
 from pipelines.play.actor_files import actor_files, load_actor
 from pipelines.play.agreement import answers_agree
-from pipelines.stages.evaluate import evaluate, play
-from pipelines.stages.evaluation_episodes import moments
+from pipelines.stages.evaluate import evaluate
+from pipelines.stages.evaluation_episodes import moments, play_each
 from pipelines.stages.map import map_actor
 from pipelines.stages.prune import prune
 from tests.pipelines.play.test_rollout import PENDULUM, random_network
@@ -63,7 +63,7 @@ def test_states_outside_the_network_s_domain_are_counted(tiny, chain, tmp_path):
     out.mkdir()
     evaluate(folders, tiny(), out)
     report = json.loads((out / "report.json").read_text())
-    played = play({"network": network}, tiny(), keep_states_of="network")["network"].states
+    played = play_each({"network": network}, tiny())["network"].states
     assert report["n_outside_domain"] == (np.abs(played[:, 2]) > 2).sum() > 0
 
 
@@ -105,7 +105,7 @@ def test_wrong_tree_is_caught_with_its_state(tiny, chain, tmp_path):
 
 def test_moments_of_known_returns(tiny):
     network = random_network(PENDULUM)
-    played = play({"network": network}, tiny())["network"]
+    played = play_each({"network": network}, tiny())["network"]
     expected = np.array(played.returns)
     assert moments(played) == {"return_mean": expected.mean(), "return_std": expected.std()}
 

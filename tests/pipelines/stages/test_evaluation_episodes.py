@@ -8,7 +8,13 @@ import pytest
 import otr
 from pipelines.config.env import EnvConfig
 from pipelines.play.rollout import rollout
-from pipelines.stages.evaluation_episodes import has_numpy_plant, play_in_numpy
+from pipelines.stages.evaluation_episodes import (
+    has_numpy_plant,
+    play_each,
+    play_evaluation_episodes,
+    play_in_numpy,
+)
+from tests.pipelines.play.test_rollout import PENDULUM, random_network
 
 ENVS = {  # and an action for each: c + M . x, clipped
     "pendulum": (EnvConfig("pendulum", "pendulum", "Pendulum-v1"), [1.0, -3.0, -0.7], 2.0),
@@ -35,3 +41,25 @@ def test_the_episodes_in_numpy_are_gymnasiums(name):
 def test_an_environment_with_arguments_is_gymnasiums():
     env = ENVS["pendulum"][0]
     assert has_numpy_plant(env) and not has_numpy_plant(dataclasses.replace(env, kwargs={"g": 9.0}))
+
+
+def test_policies_that_act_alike_are_played_once(tiny, monkeypatch):
+    """The same to the last bit that an environment is given; one that differs in a single leaf is played itself."""
+    config = tiny()
+    network = random_network(PENDULUM, seed=1, width=3)
+    tree = otr.map_network(network)
+    states = play_evaluation_episodes(network.predict, config, keep_states=True).states
+    leaf = int(np.bincount(tree.apply(states)).argmax())
+    other = tree.replace(c=tree.c + 1e-3 * (np.arange(tree.n_leaves) == leaf)[:, None])
+    policies = {"network": network, "tree": tree, "other": other, "again": other}
+    alone = {name: play_evaluation_episodes(policy.predict, config).returns for name, policy in policies.items()}
+    times = []
+    monkeypatch.setattr(
+        "pipelines.stages.evaluation_episodes.play_evaluation_episodes",
+        lambda *args, **kwargs: (times.append(1), play_evaluation_episodes(*args, **kwargs))[1],
+    )
+    played = play_each(policies, config)
+    assert len(times) == 2
+    for name, returns in alone.items():
+        np.testing.assert_array_equal(played[name].returns, returns, err_msg=name)
+    assert played["other"] is played["again"] and not np.array_equal(alone["tree"], alone["other"])

@@ -24,7 +24,6 @@ from pipelines.training import sb3_checkpoints as checkpoint_module
 from pipelines.training import sb3_training
 from pipelines.training.actors import actor_of
 from pipelines.training.estimates import estimated_bytes, segment_steps
-from pipelines.training.normalisation import input_units
 from pipelines.training.sb3_models import build_model
 from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM, PPO, SAC
 from tests.pipelines.sweeps import run_until_killed
@@ -167,7 +166,7 @@ def test_an_actor_trained_on_normalised_states_reads_the_environments_own(tiny, 
     states = np.random.default_rng(0).uniform([-1, -1, -8], [1, 1, 8], (200, 3))
     seen = (states - env.obs_rms.mean) / np.sqrt(env.obs_rms.var + env.epsilon)
     assert np.abs(seen - states).max() > 3.0
-    network = otr.from_sb3(model).fold_input_normalisation(*dataclasses.astuple(input_units(model, config)))
+    network = otr.from_sb3(model)
     np.testing.assert_allclose(network.predict(states), model.predict(seen, deterministic=True)[0], atol=1e-5)
 
 

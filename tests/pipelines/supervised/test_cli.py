@@ -13,6 +13,9 @@ def test_fit_sweep_runs_and_is_found_done(tmp_path):
     done = otr_command("otr-fit", *words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "1 more seeds as one batched model" in done.stdout and "4 jobs: 4 done, 0 failed" in done.stdout
+    rows = [line.split() for line in done.stdout.splitlines() if line.startswith("  breast_cancer/")]
+    assert [row[0] for row in rows] == [f"breast_cancer/{m}/seed-{s}" for m in ("linear", "otr_16") for s in (0, 1)]
+    assert all(0.8 < float(row[3]) <= 1 for row in rows)  # on the test part
     again = otr_command("otr-fit", *words, cwd=tmp_path)
     assert again.stdout.count("done before") == 4
     table = otr_command("otr-tabulate", "table=4.2", cwd=tmp_path)

@@ -1,4 +1,4 @@
-// Trees: their numbers, bit for bit those of the run, and what they answer. No drawing here.
+// Trees: their numbers, those of the run or these as float32, and what they answer. No drawing here.
 "use strict";
 
 const ARRAYS = { f8: Float64Array, f4: Float32Array, i4: Int32Array, u2: Uint16Array, u1: Uint8Array };
@@ -15,6 +15,7 @@ class Tree {
     this.nInputs = data.P.shape[1];
     this.nNodes = data.P.shape[0];
     for (const name of ["left", "right", "P", "v", "shares"]) this[name] = unpacked(data[name]);
+    this.isRounded = data.P.dtype === "f4";
     this.nLeaves = this.shares.length;
     this.colours = data.colours;
     this.head = data.head;
@@ -30,6 +31,9 @@ class Tree {
       this.parent.set(this.right[i], i);
     }
   }
+
+  /** Return a number of the tree with all digits that it is known to. */
+  exact(number) { return String(this.isRounded ? Number(number.toPrecision(7)) : number); }
 
   get root() { return this.nNodes ? 0 : ~0; }
 

@@ -51,7 +51,9 @@ class PolicyView {
       element("div", { class: "view" },
         element("section", { class: "panel", "aria-label": "state" }, element("h3", {}, "The state, and what the policy does"),
           this.actionBox, this.sliders(), element("p", { class: "quiet" },
-            "Ranges are the environment's, or a tenth beyond what was visited where it has none.")),
+            "Ranges are the environment's, or a tenth beyond what was visited where it has none.",
+            ...(this.tree.isRounded ? [" The tree's numbers are rounded to seven digits: in visited states it takes the same leaves, and actions differ by less than 1/10,000 of the largest. ",
+              element("code", {}, data.page_command), " writes a page with all digits."] : []))),
         element("section", { class: "panel", "aria-label": "tree" }, element("h3", {}, "The tree"), this.search(), this.treeBox,
           element("h3", {}, "The path of this state"), this.pathList),
         element("section", { class: "panel wide", "aria-label": "episode" }, element("h3", {}, "A recorded episode"), ...this.player()),
@@ -126,7 +128,7 @@ class PolicyView {
       const holds = path[i + 1] === this.tree.left[node];
       const summary = element("summary", {}, `${testText(this.tree, node, this.features, 3)}: ${holds ? "yes" : "no"}, ${digits(value)}`);
       const row = termsOf(this.tree, node, this.features)
-        .map(({ weight, name }) => `${weight} ${name}`).concat(`${this.tree.v[node]}`).join("\n+ ");
+        .map(({ weight, name }) => `${this.tree.exact(weight)} ${name}`).concat(this.tree.exact(this.tree.v[node])).join("\n+ ");
       const details = element("details", { "data-node": node, open: open.has(String(node)) }, summary, element("pre", {}, `${row} ≤ 0`));
       return element("li", {}, details);
     }));

@@ -40,7 +40,9 @@ def test_a_sweep_groups_what_can_train_together(in_one_process):
         summary = read_json(run / "summary.json")
         assert (summary["trainer"], summary["budget"]) == ("fleet", "smoke")
         assert sorted(path.name for path in (run / "train").iterdir()) == [
-            "actor.json", "actor.safetensors", "evaluations.csv", "manifest.json", "progress.csv"]  # fmt: skip
+            "actor.json", "actor.safetensors", "critics.safetensors", "evaluations.csv", "manifest.json",
+            "progress.csv",
+        ]  # fmt: skip
     assert not any((results / "checkpoints").iterdir())
 
 

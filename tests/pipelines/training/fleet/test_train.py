@@ -24,6 +24,8 @@ from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import make_env
 from pipelines.runs.run_job import RunJob, run_jobs
 from pipelines.stages.train import checkpoint_folder, fleets, group_key, train_settings, trained_steps
+from pipelines.training.checkpoints import History
+from pipelines.training.critics import CRITICS, load_critics
 from pipelines.training.environments.vector_envs import Autoreset
 from pipelines.training.fleet import trainer as trainer_module
 from pipelines.training.fleet.fleet_run import FleetRun
@@ -249,7 +251,8 @@ def test_result_has_the_artefacts_of_the_other_trainer(fleet_run, tiny, tmp_path
     outs[0].mkdir()
     train_by_sb3({}, tiny(), outs[0])
     outs[1:] = trained([fleet_run()], outs[1])
-    assert [path.name for path in sorted(outs[0].iterdir())] == [path.name for path in sorted(outs[1].iterdir())]
+    names = [sorted(path.name for path in out.iterdir()) for out in outs]
+    assert sorted([*names[0], CRITICS]) == names[1]
     for name in ("evaluations.csv", "progress.csv"):
         theirs, ours = (read_csv(out / name) for out in outs)
         assert [row["steps"] for row in theirs] == [row["steps"] for row in ours]
@@ -257,6 +260,43 @@ def test_result_has_the_artefacts_of_the_other_trainer(fleet_run, tiny, tmp_path
     networks = [load_actor(out) for out in outs]
     assert networks[0].hidden_widths == networks[1].hidden_widths
     assert networks[0].head.to_dict() == networks[1].head.to_dict()
+
+
+@pytest.mark.parametrize("rescale_inputs", [False, True])
+def test_critics_are_those_of_the_kept_actor(fleet_run, tmp_path, monkeypatch, rescale_inputs):
+    config = fleet_run(actor=ActorConfig(0.0, rescale_inputs))
+    done = History.segment_done
+
+    def segment_done(history, row, files, returns):
+        done(history, row, files, returns + 1000 * (row["steps"] == 200))  # the second segment's is the best
+
+    monkeypatch.setattr(History, "segment_done", segment_done)
+    learners = {}
+    monkeypatch.setattr(FleetRun, "save", lambda run: learners.update({run.n_steps: run.tensors}))
+    (out,) = trained([config], tmp_path)
+    critics, learnt = load_critics(out), learners[200]
+    assert critics.widths == (16,) and critics.gamma == np.float32(0.99)
+    assert critics.log_temperature == pytest.approx(float(learnt["log_temperature"]))
+    states = np.random.default_rng(0).uniform(-1, 1, (50, 3)) * [1, 1, 8]
+    seen = states / [1, 1, 8] if rescale_inputs else states
+    actions = np.random.default_rng(1).uniform(-1, 1, (50, 1))
+
+    def values(layers, states):
+        read = np.column_stack((states, actions))[None]
+        for i, (weight, bias) in enumerate(layers):
+            read = (np.maximum(read, 0) if i else read) @ weight + bias
+        return read[..., 0]
+
+    for name, layers in (("critics", critics.layers), ("targets", critics.targets)):
+        theirs = [(learnt[f"{name}.weight{i}"].numpy(), learnt[f"{name}.bias{i}"].numpy()) for i in (0, 1)]
+        np.testing.assert_allclose(values(layers, states), values(theirs, seen), atol=1e-4)
+    # The deviations read the kept actor's neurons.
+    actor = load_actor(out)
+    neurons = np.maximum(states @ actor.weights[0].T + actor.biases[0], 0)
+    log_std = neurons @ critics.log_std[:, :-1].T + critics.log_std[:, -1]
+    theirs = np.maximum(seen @ learnt["actor.weight0"][0].numpy() + learnt["actor.bias0"][0].numpy(), 0)
+    theirs = theirs @ learnt["actor.weight1"][0].numpy() + learnt["actor.bias1"][0].numpy()
+    np.testing.assert_allclose(log_std[:, 0], theirs[:, 1], atol=1e-5)
 
 
 def train_until_killed(configs, outs, where):

@@ -1,0 +1,107 @@
+"""Actors that are any modules of torch, differentiated by autograd.
+
+Each run's module computes alone, on parameters that lie in the stacks of `stacked_tensors`: its bits do not depend on
+the others.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from pipelines.training.fleet.adam import AdamGroup, RunSettings, adam_groups
+from pipelines.training.fleet.stacked_tensors import new_flat, new_stack
+
+
+class ModuleActors:
+    """Modules of one shape, a run each, from states (n, d) to means and log standard deviations (n, 2 n_actions).
+
+    Attributes:
+        modules: with the parameters that they are given with; these move into the stacks.
+    """
+
+    def __init__(self, runs: Sequence[RunSettings], modules: Sequence[nn.Module]) -> None:
+        self.modules = list(modules)
+        shapes = {name: tuple(parameter.shape) for name, parameter in modules[0].named_parameters()}
+        self._learning = Learning.of(runs, shapes)
+        for run, module in enumerate(modules):
+            for name, parameter in module.named_parameters():
+                place = self._learning.parameters[name][run]
+                parameter.data = place.copy_(parameter.data)
+                parameter.grad = self._learning.gradients[name][run]
+        self._answers: list[Tensor] = []
+
+    def at_step(self, n_steps: int) -> float:
+        """Return 1: the learning rate stays."""
+        return 1.0
+
+    def forward(self, inputs: Tensor) -> Tensor:
+        with torch.enable_grad():
+            self._answers = [module(states) for module, states in zip(self.modules, inputs, strict=True)]
+        return self._stacked(self._answers)
+
+    def backward(self, inputs: Tensor, d_answers: Tensor) -> None:
+        self._learning.zero_gradients()
+        with torch.enable_grad():  # in which the first answers are a function of all
+            learnt = [answers[: d_answers.shape[1]] for answers in self._answers]
+        torch.autograd.backward(learnt, d_answers.unbind())
+
+    def step(self, rate_share: float) -> None:
+        for group in self._learning.groups:
+            group.step(rate_share)
+
+    @torch.no_grad()
+    def act(self, states: Tensor) -> Tensor:
+        return self._stacked([module(own) for module, own in zip(self.modules, states, strict=True)])
+
+    @torch.no_grad()
+    def answers(self, run: int, states: Tensor) -> Tensor:
+        answers: Tensor = self.modules[run](states)
+        return answers
+
+    def tensors(self, run: int) -> dict[str, Tensor]:
+        views = {f"actor.{name}": buffer for name, buffer in self.modules[run].named_buffers()}
+        return views | {f"actor.{name}": view for name, view in self._learning.tensors(run).items()}
+
+    def initialise(self, run: int, generator: torch.Generator) -> None:
+        """Leave the parameters that the module came with."""
+
+    @staticmethod
+    def _stacked(answers: Sequence[Tensor]) -> Tensor:
+        """Return answers in a stack, in which elementwise functions give each run the bits that it has alone."""
+        stack = new_stack(len(answers), *answers[0].shape)
+        for place, own in zip(stack, answers, strict=True):
+            place.copy_(own.detach())
+        return stack
+
+
+@dataclass(frozen=True)
+class Learning:
+    """Parameters of all runs that learn at the same time: stacks by name, and their optimisers."""
+
+    parameters: dict[str, Tensor]
+    gradients: dict[str, Tensor]
+    moments: dict[str, dict[str, Tensor]]  # Adam's, by torch's names for them
+    groups: list[AdamGroup]  # one, or one a run
+
+    @classmethod
+    def of(cls, runs: Sequence[RunSettings], shapes: Mapping[str, tuple[int, ...]]) -> "Learning":
+        """Return zeros of these shapes a run."""
+        flats, stacks = zip(*(new_flat(len(runs), list(shapes.values())) for _ in range(4)), strict=True)
+        parameters, gradients, first, second = (dict(zip(shapes, each, strict=True)) for each in stacks)
+        groups = adam_groups(runs, flats, 0) if shapes else []
+        return cls(parameters, gradients, {"exp_avg": first, "exp_avg_sq": second}, groups)
+
+    def zero_gradients(self) -> None:
+        """Make all gradients zero."""
+        for group in self.groups:
+            group.tensors[1][0].zero_()
+
+    def tensors(self, run: int) -> dict[str, Tensor]:
+        """Return views of a run's parameters and of Adam's state, by torch's names."""
+        views = {name: stack[run] for name, stack in self.parameters.items()}
+        for name in self.parameters:
+            views[f"{name}.step"] = self.groups[run if len(self.groups) > 1 else 0].steps[0]
+            views |= {f"{name}.{moment}": stacks[name][run] for moment, stacks in self.moments.items()}
+        return views

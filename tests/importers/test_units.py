@@ -1,0 +1,81 @@
+"""Which units are read, whatever the file: a refusal offers to imitate a policy where it can be read for that alone."""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from stable_baselines3 import PPO
+from torch import nn
+
+import otr
+from otr.core.smooth_network import SmoothNetwork
+from otr.importers import read_policy
+from tests.importers.test_importers import FourActions, build
+from tests.importers.test_torch_export import exported, written
+
+torch.set_num_threads(1)
+
+READ = ["CELU", "ELU", "GELU", "Hardsigmoid", "Hardswish", "Hardtanh", "LogSigmoid", "Mish", "ReLU6", "SELU", "SiLU",
+        "Sigmoid", "Softplus", "Softsign", "Tanh"]  # fmt: skip
+
+NOT_READ = ["PReLU", "RReLU", "Tanhshrink"]
+REMEDY = "imitate the policy"
+
+
+def refusal(read: Callable, path: Path) -> str:
+    with pytest.raises(otr.InvalidNetworkError) as caught:
+        read(path)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("name", [*READ, *NOT_READ])
+def test_units_of_a_zip(tmp_path: Path, name: str) -> None:
+    model = build(PPO, FourActions(), {"vf": [8]}, [6, 5], getattr(nn, name))
+    with torch.no_grad():
+        for parameter in model.policy.parameters():
+            parameter.normal_()
+    model.save(tmp_path / "model.zip")
+    assert (REMEDY in refusal(otr.from_sb3, tmp_path / "model.zip")) is (name in READ)
+    if name in NOT_READ:
+        assert REMEDY not in refusal(read_policy, tmp_path / "model.zip")
+        return
+    policy = read_policy(tmp_path / "model.zip")
+    assert isinstance(policy, SmoothNetwork) and policy.activation == name.lower()
+    X = np.random.default_rng(0).normal(scale=3, size=(200, 3)).astype(np.float32)
+    np.testing.assert_array_equal(policy.predict(X), model.predict(X, deterministic=True)[0])
+
+
+@pytest.mark.parametrize("name", [*READ, *NOT_READ])
+def test_units_of_an_export(tmp_path: Path, name: str) -> None:
+    """Not all of them can be read here; the refusal knows which."""
+    torch.manual_seed(0)
+    module = nn.Sequential(nn.Linear(3, 6), getattr(nn, name)(), nn.Linear(6, 2)).double().eval()
+    path = written(exported(module, states=torch.zeros(1, 3, dtype=torch.float64)), tmp_path / "policy.pt2")
+    if REMEDY not in refusal(otr.from_torch, path):
+        assert name in {*NOT_READ, "ReLU6", "Hardtanh", "Softsign"}
+        return
+    X = np.random.default_rng(0).normal(scale=3, size=(200, 3))
+    with torch.no_grad():
+        expected = module(torch.from_numpy(X)).numpy()
+    np.testing.assert_allclose(read_policy(path).forward(X), expected, atol=1e-12)
+
+
+def test_units_of_two_kinds_are_not_said_to_be_imitated(tmp_path: Path) -> None:
+    module = nn.Sequential(nn.Linear(3, 4), nn.Tanh(), nn.Linear(4, 4), nn.ReLU(), nn.Linear(4, 2))
+    assert REMEDY not in refusal(otr.from_torch, module)  # type: ignore[arg-type]
+    assert REMEDY not in refusal(
+        read_policy, written(exported(module, states=torch.zeros(1, 3)), tmp_path / "policy.pt2")
+    )
+    assert REMEDY in refusal(otr.from_torch, module[:3])  # type: ignore[arg-type]
+
+
+def test_a_leaky_relu_of_another_slope_has_its_remedy(tmp_path: Path) -> None:
+    model = build(PPO, FourActions(), {"vf": [8]}, [6], partial(nn.LeakyReLU, 0.2))
+    model.save(tmp_path / "model.zip")
+    for read in (otr.from_sb3, read_policy):
+        told = refusal(read, tmp_path / "model.zip")
+        assert "for this LeakyReLU, give negative_slope= to otr.from_sb3" in told and REMEDY not in told
+    assert otr.from_sb3(tmp_path / "model.zip", negative_slope=0.2).negative_slope == 0.2

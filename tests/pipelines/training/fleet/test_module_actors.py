@@ -1,0 +1,70 @@
+"""Actors that are modules: what the hand-written networks do, and every run on its own."""
+
+import torch
+from torch import Tensor, nn
+
+from pipelines.training.fleet.adam import RunSettings
+from pipelines.training.fleet.module_actors import ModuleActors
+from pipelines.training.fleet.sac import FleetSac, Shapes
+from tests.pipelines.training.fleet.autograd_sac import mlp
+from tests.pipelines.training.fleet.test_sac import N_ACTIONS, N_INPUTS, draw_batch, float64, learn, new_fleet, stacked
+
+SETTINGS = [RunSettings(1e-3, 0.99), RunSettings(1e-3, 0.97), RunSettings(3e-3, 0.9, 1e-4)]
+
+
+def actor_of(tensors: dict[str, Tensor]) -> nn.Module:
+    """Return the module of a hand-written actor's layers."""
+    return mlp([(tensors[f"actor.weight{i}"][0], tensors[f"actor.bias{i}"][0]) for i in range(2)], 0.0)
+
+
+def module_fleet(by_hand: FleetSac, runs: list[int]) -> FleetSac:
+    """Return a fleet of the same critics, whose actors are modules with the same numbers."""
+    settings = [by_hand.runs[run] for run in runs]
+    modules = [actor_of(by_hand.tensors(run)) for run in runs]
+    fleet = FleetSac(by_hand.shapes, settings, actor=ModuleActors(settings, modules))
+    for place, run in enumerate(runs):
+        theirs = by_hand.tensors(run)
+        for name, tensor in fleet.tensors(place).items():
+            if not name.startswith("actor."):
+                tensor.copy_(theirs[name])
+    fleet.refresh()
+    return fleet
+
+
+def test_modules_learn_as_networks_by_hand() -> None:
+    with float64():
+        by_hand = new_fleet(Shapes(N_INPUTS, N_ACTIONS, (6,), (16, 16), 100), [0, 1, 2], SETTINGS)
+        modules = module_fleet(by_hand, [0, 1, 2])
+        states = torch.randn(3, 5, N_INPUTS)
+        torch.testing.assert_close(modules.act(states, None), by_hand.act(states, None))
+        for fleet in (by_hand, modules):
+            learn(fleet, [0, 1, 2], 20)
+        for run in range(3):
+            ours, theirs = modules.tensors(run), by_hand.tensors(run)
+            for i in range(2):
+                found = ours[f"actor.{2 * i}.weight"].T
+                torch.testing.assert_close(found, theirs[f"actor.weight{i}"][0], rtol=1e-9, atol=1e-11)
+                found = ours[f"actor.{2 * i}.bias"]
+                torch.testing.assert_close(found, theirs[f"actor.bias{i}"][0, 0], rtol=1e-9, atol=1e-11)
+            torch.testing.assert_close(ours["critics.weight1"], theirs["critics.weight1"], rtol=1e-9, atol=1e-11)
+            torch.testing.assert_close(modules.answers(run, states[run]), by_hand.answers(run, states[run]))
+
+
+def test_a_run_in_company_is_the_run_alone_bit_for_bit_and_goes_on() -> None:
+    by_hand = new_fleet(Shapes(N_INPUTS, N_ACTIONS, (6,), (64, 64), 100), [0, 1, 2], SETTINGS)
+    together = module_fleet(by_hand, [0, 1, 2])
+    learn(together, [0, 1, 2], 30)
+    for run in range(3):
+        alone = module_fleet(by_hand, [run])
+        generator = torch.Generator().manual_seed(1000 + run)
+        for done in range(30):
+            if done == 15:  # as from a checkpoint
+                saved = {name: tensor.clone() for name, tensor in alone.tensors(0).items()}
+                alone = FleetSac(
+                    by_hand.shapes, [SETTINGS[run]], 15,
+                    actor=ModuleActors([SETTINGS[run]], [actor_of(by_hand.tensors(0))]),
+                )  # fmt: skip
+                alone.load(0, saved)
+            alone.update(*stacked([draw_batch(generator)]))
+        for name, tensor in alone.tensors(0).items():
+            assert torch.equal(tensor, together.tensors(run)[name]), name

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -58,6 +60,10 @@ class LinearExperts(nn.Module):
         weights = hard + soft - soft.detach()
         answers = (X1 @ self.experts.flatten(0, 1).t()).view(len(X1), n_experts, self.n_outputs)
         return (weights[:, :, None] * answers).sum(dim=1)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what copies and files of the module have: not the last `balance`, which belongs to its graph."""
+        return {name: value for name, value in self.__dict__.items() if name != "balance"}
 
     def substitute(self, shift: FloatArray, scale: FloatArray) -> None:
         """Rewrite the experts of x as those of u, where x = shift + scale u, both (d,), with float64 parameters."""

@@ -24,7 +24,8 @@ from pipelines.config.algo import ALGORITHMS, WIDEST_LAYER, ArsConfig, is_small
 from pipelines.config.budget import BudgetConfig
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import EnvConfig
-from pipelines.config.methods import METHODS, AugTreeConfig, MethodConfig, ProgramConfig, TakesModel
+from pipelines.config.method import MethodConfig
+from pipelines.config.methods import METHODS, AugTreeConfig, ProgramConfig, TakesModel
 from pipelines.config.model import ImportedModel
 from pipelines.config.roads import road, roads
 from pipelines.config.run import RunConfig, changes_text, run_folder

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from pipelines.cli.runs import run_config
-from pipelines.config.methods import PiPrlConfig, SdtConfig
+from pipelines.config.hardened_methods import PiPrlConfig, SdtConfig
 from pipelines.errors import ConfigError
 from tests.pipelines.conftest import PPO, otr_command
 

@@ -1,5 +1,7 @@
 """Linear experts: the tree that they are, the straight-through derivative, and how evenly they are used."""
 
+import copy
+
 import numpy as np
 import pytest
 import torch
@@ -8,6 +10,8 @@ from hypothesis import strategies as st
 
 import otr
 from otr.control import LinearExperts
+from otr.control.policy_module import policy_module
+from otr.control.search.policy_numbers import policy_numbers
 
 torch.set_num_threads(1)
 
@@ -77,6 +81,53 @@ def test_balance_is_one_where_all_are_used_alike_and_k_where_one_is() -> None:
     assert module.balance.item() == pytest.approx(1.0, abs=1e-6)
     module(torch.eye(4, dtype=torch.float64)[[0, 0, 0]])
     assert module.balance.item() == pytest.approx(4.0, abs=1e-6)
+
+
+def n_kinds(forms: np.ndarray) -> int:
+    return len(np.unique(forms.reshape(len(forms), -1), axis=0))
+
+
+def test_a_polish_moves_experts_and_tests_as_one_each() -> None:
+    """By search and by gradient: of 8 leaves and 7 nodes there stay 4 experts and 6 tests, with a number each."""
+    tree = experts(5, 4).harden(otr.TanhBox([-1, -1], [1, 1]))
+    X = np.random.default_rng(0).normal(1, 2, size=(300, 3))
+    assert (tree.n_leaves, tree.n_nodes, n_kinds(tree.leaf_forms), n_kinds(tree.test_forms)) == (8, 7, 4, 6)
+    numbers = policy_numbers(tree, X, tied=True)
+    assert numbers.start.size == (4 * 2 + 6) * 4
+    assert policy_numbers(tree, X).start.size == (8 * 2 + 7) * 4
+    searched = numbers.policy(numbers.start + np.random.default_rng(1).normal(size=numbers.start.size))
+
+    torch.set_default_dtype(torch.float64)
+    try:
+        module = policy_module(tree, X, tied=True)
+        np.testing.assert_allclose(module(torch.as_tensor(X)).detach(), tree.forward(X), atol=1e-9)
+        optimiser = torch.optim.Adam(module.parameters(), lr=0.05)
+        for _ in range(20):
+            optimiser.zero_grad()
+            (module(torch.as_tensor(X)) - torch.as_tensor(X[:, :2])).square().mean().backward()
+            optimiser.step()
+        learnt = module.policy()
+        np.testing.assert_allclose(module(torch.as_tensor(X)).detach(), learnt.forward(X), atol=1e-9)
+    finally:
+        torch.set_default_dtype(torch.float32)
+    for moved in (searched, learnt):
+        assert isinstance(moved, otr.ObliqueTree)
+        assert (moved.leaf_forms != tree.leaf_forms).any() and (moved.test_forms != tree.test_forms).any()
+        for kept, now in ((tree.leaf_forms, moved.leaf_forms), (tree.test_forms, moved.test_forms)):
+            np.testing.assert_array_equal(same(kept), same(now))
+
+
+def same(forms: np.ndarray) -> np.ndarray:
+    """Return which forms (n, ...) are equal, (n, n)."""
+    flat = forms.reshape(len(forms), -1)
+    return np.asarray((flat[:, None] == flat[None]).all(axis=2))
+
+
+def test_a_module_that_has_acted_can_be_copied() -> None:
+    module = experts(4, 3)
+    X = torch.randn(5, 3, dtype=torch.float64)
+    answers = module(X)
+    torch.testing.assert_close(copy.deepcopy(module)(X), answers)
 
 
 def test_other_units() -> None:

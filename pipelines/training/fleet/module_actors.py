@@ -60,7 +60,8 @@ class ModuleActors:
 
     @torch.no_grad()
     def act(self, states: Tensor) -> Tensor:
-        return self._stacked([module(own) for module, own in zip(self.modules, states, strict=True)])
+        inputs = new_stack(*states.shape).copy_(states)  # each run's begin as they do alone
+        return self._stacked([module(own) for module, own in zip(self.modules, inputs, strict=True)])
 
     @torch.no_grad()
     def answers(self, run: int, states: Tensor) -> Tensor:

@@ -1,16 +1,11 @@
 """Linear experts as an actor of the fleet's soft actor-critic."""
 
 import math
-from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
 
 from otr.control.experts import LinearExperts
-from pipelines.config.hardened_methods import ExpertsConfig
-from pipelines.config.run import RunConfig
-from pipelines.training.fleet.adam import RunSettings
-from pipelines.training.fleet.module_actors import ModuleActors
 
 
 class ExpertsActor(nn.Module):
@@ -36,14 +31,3 @@ class ExpertsActor(nn.Module):
         means = self.mean(states)
         self.penalty = self._balance * self.mean.balance
         return torch.cat((means, self.log_std(states)), dim=1)
-
-
-def experts_actors(
-    config: RunConfig, runs: Sequence[RunSettings], generators: Sequence[torch.Generator], n_inputs: int, n_actions: int
-) -> ModuleActors:
-    """Return the actors of runs of `method=experts` with the settings of `config`, each drawn by its generator."""
-    method = config.method
-    assert isinstance(method, ExpertsConfig)
-    return ModuleActors(
-        runs, [ExpertsActor(n_inputs, n_actions, config.depth, method.balance, each) for each in generators]
-    )

@@ -26,7 +26,7 @@ from pipelines.play.selection import compare_with_trained, play_selection_episod
 from pipelines.training.environments.backends import EQUAL_IDS, make_vector_env
 from pipelines.training.environments.vector_envs import Autoreset, Step
 from pipelines.training.estimates import learning_starts, segment_steps
-from pipelines.training.experts_actor import ExpertsActor, experts_actors
+from pipelines.training.experts_actor import ExpertsActor
 from pipelines.training.fleet.actors import SoftActors, SoftTraining
 from pipelines.training.fleet.fleet_run import FleetRun
 from pipelines.training.fleet.module_actors import ModuleActors
@@ -88,9 +88,10 @@ class FleetTrainer:
             _soft_training(config),
         )
         settings, generators = [run.settings for run in runs], [run.initial_generator() for run in runs]
-        experts = None
+        experts: ModuleActors | None = None
         if isinstance(config.method, ExpertsConfig):
-            experts = experts_actors(config, settings, generators, layout.n_inputs, layout.n_actions)
+            shape = layout.n_inputs, layout.n_actions, config.depth, config.method.balance
+            experts = ModuleActors(settings, [ExpertsActor(*shape, generator) for generator in generators])
         self._learner = FleetSac(shapes, settings, runs[0].n_updates, experts)
         for r, run in enumerate(runs):
             if run.tensors:

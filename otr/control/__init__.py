@@ -14,6 +14,7 @@ _MODULES = {
     "DaggerProgress": "dagger.loop",
     "DaggerResult": "dagger.loop",
     "DaggerSettings": "dagger.loop",
+    "ExpertsFit": "experts",
     "Iterate": "dagger.loop",
     "LinearExperts": "experts",
     "LinearModelTreeFit": "viper",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from otr.control.dagger.row_sampling import draw_rows
 from otr.control.label_leaves import argmax_leaves
+from otr.control.search.state_moments import scale_of
 from otr.control.soft_tree import LEAF_SCALE, as_numpy, initial_tests, substitute_inputs, with_ones
 from otr.core.arrays import FloatArray
 from otr.core.head import Head
@@ -91,3 +94,72 @@ class LinearExperts(nn.Module):
         return tree.replace(
             M=chosen[..., :-1], c=chosen[..., -1], labels=None, head=Identity() if head is None else head
         )
+
+
+@dataclass(frozen=True)
+class ExpertsFit:
+    """The fit of a DAgger run whose imitators are linear experts, for oracles of continuous actions.
+
+    Over rows drawn alike from the data, Adam minimises half the squared difference of the actions, in units of half
+    their box, with `balance` times `LinearExperts.balance`. An answer at the box's edge asks for the edge or anything
+    beyond, as the head clips it. States are standardised for the fit, constants only centred.
+
+    Attributes:
+        head: the box of the actions (`ClipBox`).
+        n_experts: K.
+        max_samples: rows drawn for a fit, each as likely.
+        n_updates: of Adam, whose learning rate falls linearly to zero.
+        batch_size: rows an update.
+        learning_rate: of the first update.
+        balance: weight of how unevenly the experts are used.
+    """
+
+    head: Head
+    n_experts: int
+    max_samples: int = 25_000
+    n_updates: int = 3_000
+    batch_size: int = 256
+    learning_rate: float = 0.01
+    balance: float = 0.01
+
+    def __call__(
+        self, X: FloatArray, answers: FloatArray, weights: FloatArray | None, generator: np.random.Generator
+    ) -> ObliqueTree:
+        """Return the tree of experts fitted to states X (n, d) and what `run_dagger` says of them.
+
+        Raises:
+            ValueError: the oracle answers with labels, or its actions have no finite box.
+        """
+        box = None if self.head.gives_labels else self.head.limits(answers.shape[1])
+        if box is None or not np.isfinite(box).all():
+            raise ValueError(f"the head is {self.head!r}, expected a ClipBox with finite limits")
+        low, high = box
+        rows, _ = draw_rows(len(X), None, self.max_samples, generator)
+        states, middle, half = np.asarray(X[rows]), (high + low) / 2, (high - low) / 2
+        mean = states.mean(axis=0)
+        scale = scale_of(mean, states.std(axis=0))
+        wanted = np.clip((answers[rows] - middle) / half, -1.0, 1.0)
+        module = self._fitted((states - mean) / scale, wanted, int(generator.integers(2**63)))
+        module.substitute(-mean / scale, 1.0 / scale)
+        with torch.no_grad():
+            module.experts.mul_(torch.as_tensor(half)[:, None])
+            module.experts[..., -1] += torch.as_tensor(middle)
+        return module.harden(self.head)
+
+    def _fitted(self, states: FloatArray, wanted: FloatArray, seed: int) -> LinearExperts:
+        """Return the experts of standardised states (n, d) for actions (n, o) in [-1, 1]."""
+        generator = torch.Generator().manual_seed(seed)
+        X, Y = (torch.as_tensor(each, dtype=torch.float32) for each in (states, wanted))
+        module = LinearExperts(X.shape[1], Y.shape[1], self.n_experts, generator=generator)
+        optimiser = torch.optim.Adam(module.parameters(), lr=self.learning_rate)
+        for done in range(self.n_updates):
+            optimiser.param_groups[0]["lr"] = self.learning_rate * (1 - done / self.n_updates)
+            chosen = torch.randint(len(X), (self.batch_size,), generator=generator)
+            goal = Y[chosen]
+            errors = module(X[chosen]) - goal
+            beyond = ((goal >= 1) & (errors > 0)) | ((goal <= -1) & (errors < 0))
+            loss = 0.5 * errors.masked_fill(beyond, 0.0).square().mean() + self.balance * module.balance
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+        return module

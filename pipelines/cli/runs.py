@@ -35,7 +35,7 @@ from pipelines.engine.job import Job
 from pipelines.engine.store import corrupt
 from pipelines.errors import ConfigError, did_you_mean
 from pipelines.play.boxes import given_box
-from pipelines.play.environments import episode_limit, registered_ids
+from pipelines.play.environments import episode_limit, is_discrete, make_env, registered_ids
 from pipelines.play.own_environment import check_environment, own_environment
 from pipelines.play.video import check_video
 from pipelines.runs.imitation import OTHERS, imitating_command
@@ -101,6 +101,10 @@ def written_policy(env: str, program: str, of_env: Sequence[str] = ()) -> tuple[
 
 def _check_later_stages(config: RunConfig) -> None:
     """Raise ConfigError where what comes after the training, or beside it, lacks a package or cannot be done."""
+    if config.method.continuous_only and is_discrete(make_env(config.env)):
+        raise ConfigError(
+            f"method={config.method.name} has continuous actions, but those of {config.env.id} are labels"
+        )
     check_tracking(config)
     check_video(config)
     if "polish" in config.selected_stages:

@@ -19,6 +19,15 @@ ON_POLICY_STEPS = [
 EXPERTS = (2, 16)  # at least and at most; their tree has up to 2**15 leaves
 
 
+def check_n_experts(method: str, depth: Any) -> None:
+    """Raise ConfigError for a depth that is no number of experts."""
+    least, most = EXPERTS
+    if not (isinstance(depth, int) and least <= depth <= most):
+        raise ConfigError(
+            f"depth={depth!r}: of method={method} it is the number of experts; give {least} to {most} (depth=8)"
+        )
+
+
 @dataclass(frozen=True)
 class HardenedConfig(GrownConfig):
     """A method whose actor is a module that hardens into a tree."""
@@ -117,6 +126,7 @@ class ExpertsConfig(HardenedConfig):
 
     label = "Experts"
     fleet_only = True
+    continuous_only = True
     ties_repeats = True
 
     @classmethod
@@ -130,11 +140,7 @@ class ExpertsConfig(HardenedConfig):
 
     def check_depth(self, depth: Any) -> None:
         """Refuse all but a number of experts."""
-        least, most = EXPERTS
-        if not (isinstance(depth, int) and least <= depth <= most):
-            raise ConfigError(
-                f"depth={depth!r}: of method=experts it is the number of experts; give {least} to {most} (depth=8)"
-            )
+        check_n_experts(self.name, depth)
 
     def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
         """Refuse algorithms that train no experts."""

@@ -39,6 +39,7 @@ class MethodConfig:
     is_trained: ClassVar[bool] = True
     decides_training: ClassVar[bool] = False  # whether the settings of the method decide what is trained
     fleet_only: ClassVar[bool] = False  # whether its actors are trained by trainer=fleet alone
+    continuous_only: ClassVar[bool] = False  # whether its actions are real numbers, never labels
     ties_repeats: ClassVar[bool] = False  # whether tests and leaves that its tree repeats stay alike in a polish
 
     @classmethod

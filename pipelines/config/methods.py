@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar
 
 from pipelines.config.algo import AlgoConfig, DdpgConfig
 from pipelines.config.env import PidTerms
-from pipelines.config.hardened_methods import CdtConfig, ExpertsConfig, PiPrlConfig, SdtConfig
+from pipelines.config.hardened_methods import CdtConfig, ExpertsConfig, PiPrlConfig, SdtConfig, check_n_experts
 from pipelines.config.method import GrownConfig, Hardness, Leaves, MethodConfig
 from pipelines.config.setting import DERIVED, AsBefore, Count, FreeText, NotNegative, OneOf, Positive, Range
 from pipelines.config.stages import ActorConfig
@@ -222,6 +222,26 @@ class NdpsConfig(ImitatingTreeConfig):
 
 
 @dataclass(frozen=True)
+class DistilledExpertsConfig(ImitatingTreeConfig):
+    """Linear experts fitted to an oracle of continuous actions; the names are those of `otr.control.ExpertsFit`."""
+
+    max_samples: Count
+    n_updates: Count
+    batch_size: Count
+    learning_rate: Annotated[float, Range(1e-12, 10)]
+    balance: NotNegative
+
+    label = "Experts, distilled"
+    continuous_only = True
+    ties_repeats = True
+    fit_s = 2.0
+
+    def check_depth(self, depth: Any) -> None:
+        """Refuse all but a number of experts."""
+        check_n_experts(self.name, depth)
+
+
+@dataclass(frozen=True)
 class ProgramConfig(MethodConfig):
     """A program that somebody wrote: `program` is a file, or a name under conf/program."""
 
@@ -242,6 +262,7 @@ METHODS: dict[str, type[MethodConfig]] = {
     "augtree": AugTreeConfig,
     "ndps": NdpsConfig,
     "distilled_otr": DistilledConfig,
+    "distilled_experts": DistilledExpertsConfig,
     "sdt": SdtConfig,
     "cdt": CdtConfig,
     "pi_prl": PiPrlConfig,

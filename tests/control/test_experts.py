@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import otr
-from otr.control import LinearExperts
+from otr.control import ExpertsFit, LinearExperts
 from otr.control.policy_module import policy_module
 from otr.control.search.policy_numbers import policy_numbers
 
@@ -137,3 +137,22 @@ def test_other_units() -> None:
     U = np.random.default_rng(0).normal(size=(50, 3))
     ours = module(torch.as_tensor(shift + scale * U)).detach()
     torch.testing.assert_close(other(torch.as_tensor(U)).detach(), ours, rtol=1e-9, atol=1e-9)
+
+
+def test_experts_are_fitted_to_an_oracle_s_actions_within_their_box() -> None:
+    """Of three experts that they are meant to find again, with inputs of many units, one constant."""
+    box = otr.ClipBox([-2.0, -1.0], [2.0, 3.0])
+    oracle = experts(6, 3).harden(box)
+    unit = np.random.default_rng(0).normal(size=(3000, 3))
+    scale, mean = np.array([1.0, 50.0, 0.01]), np.array([0.0, 200.0, -1.0])
+    X, answers = np.column_stack((unit * scale + mean, np.full(3000, 7.0))), oracle.predict(unit)
+    assert 0.1 < np.mean((answers == [-2, -1]) | (answers == [2, 3])) < 0.7
+    fit = ExpertsFit(box, 3, n_updates=1500)
+    tree = fit(X, answers, None, np.random.default_rng(1))
+    linear = ExpertsFit(box, 1, n_updates=1500)(X, answers, None, np.random.default_rng(1))
+    errors = [np.mean((each.predict(X) - answers) ** 2) for each in (tree, linear)]
+    assert errors[0] < 0.2 * errors[1] and tree.n_leaves <= 4 and tree.head == box
+    again = fit(X, answers, None, np.random.default_rng(1))
+    np.testing.assert_array_equal(again.leaf_forms, tree.leaf_forms)
+    with pytest.raises(ValueError, match="expected a ClipBox with finite limits"):
+        ExpertsFit(otr.Argmax(), 3)(X, answers, None, np.random.default_rng(1))

@@ -152,3 +152,26 @@ def test_experts_are_polished_as_what_they_are(tmp_path, by):
     assert n_kinds[0] == n_kinds[1] <= 4 and n_tests[0] == n_tests[1] <= 6
     assert before.n_leaves > n_kinds[0]
     assert json.loads((made / "polish/report.json").read_text())["n_numbers"] == 4 * (n_kinds[0] + n_tests[0])
+
+
+def test_experts_that_imitate_are_polished_by_their_oracle_s_critics(tmp_path):
+    words = ("env=pendulum", "method=distilled_experts", "depth=3", "trainer=fleet", "algo.critic=[16]", "oracle=[16]",
+             "budget=smoke", "n_workers=1", "method.n_updates=50", "polish=true", "polishing.n_selection_episodes=4",
+             "polishing.n_candidates=1", "polishing.critic.batch_size=32")  # fmt: skip
+    done = otr_command("otr-run", *words, cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "numbers of the tree learnt by critics" in done.stdout
+    (made,) = tmp_path.glob("results/runs/pendulum/distilled_experts/depth-3/smoke-fleet/seed-0~*")
+    summary = json.loads((made / "summary.json").read_text())
+    assert list(summary["policies"]) == ["oracle", "tree", "pruned_tree"]
+    tree = otr.load(made / "imitate/tree")
+    assert tree.head == otr.ClipBox([-2.0], [2.0]) and len(np.unique(tree.leaf_forms, axis=0)) == 3
+    again = otr_command("otr-run", *words, cwd=tmp_path)
+    assert again.stdout.count("done before") == 5
+
+
+@pytest.mark.parametrize("method", ["experts", "distilled_experts"])
+def test_experts_of_labels_are_refused_before_anything_is_trained(tmp_path, method):
+    done = otr_command("otr-run", "env=lunarlander", f"method={method}", "depth=3", "budget=smoke", cwd=tmp_path)
+    assert done.returncode == 2 and not list(tmp_path.glob("results/*"))
+    assert f"method={method} has continuous actions, but those of LunarLander-v3 are labels" in done.stderr

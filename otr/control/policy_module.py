@@ -6,7 +6,8 @@ tree's output is that of its leaves weighed by
     w = onehot(leaf reached) + p - stop(p),    p_k = product over the tests on the path to leaf k of sigmoid(-+beta z)
 
 so a leaf learns in the states that reach it, and a test what its other side would give. Numbers are those of
-`otr.control.search.policy_numbers`: rows of unit size over standardised states. What is zero stays zero unless `free`.
+`otr.control.search.policy_numbers`: rows of unit size over standardised states. What is zero stays zero unless `free`;
+tests and leaves of a tree that are equal stay equal where they are `tied`.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
@@ -44,6 +46,8 @@ class MovingRows(nn.Module):
         super().__init__()
         self._rows = rows
         moves, sizes = rows.moves, rows.sizes[:, None]
+        is_tied = bool((rows.same_as != np.arange(len(moves))).any())
+        self._same_as = torch.from_numpy(rows.same_as) if is_tied else None
         start = torch.zeros(moves.shape, dtype=torch.float64)
         start[torch.from_numpy(moves)] = torch.from_numpy(rows.start)
         self.numbers = nn.Parameter(start.to(torch.get_default_dtype()))
@@ -60,7 +64,10 @@ class MovingRows(nn.Module):
         """Return coefficients (n, c) and offsets (n,)."""
         coefficients = self.numbers[:, :-1] * self._factors
         offsets = self.numbers[:, -1] * self._offset_factors - (coefficients * self._means).sum(1)
-        return coefficients + self._still[:, :-1], offsets + self._still[:, -1]
+        coefficients, offsets = coefficients + self._still[:, :-1], offsets + self._still[:, -1]
+        return (
+            (coefficients, offsets) if self._same_as is None else (coefficients[self._same_as], offsets[self._same_as])
+        )
 
     def moving(self) -> Tensor:
         """Return the numbers that move, (D,) in float64, row by row."""
@@ -72,13 +79,16 @@ class PolicyModule(nn.Module):
 
     rows: nn.ModuleList
 
-    def __init__(self, policy: ObliqueTree | ReluNetwork, states: ArrayLike, *, free: bool = False) -> None:
+    def __init__(
+        self, policy: ObliqueTree | ReluNetwork, states: ArrayLike, *, free: bool = False, tied: bool = False
+    ) -> None:
         """Take the numbers of a policy.
 
         Args:
             policy: whose numbers learn.
             states: (n, d) states that it visits, whose means and standard deviations are the units of its inputs.
             free: whether coefficients and offsets that are zero learn, too.
+            tied: whether a tree's tests that are equal, and its leaves that are, stay equal.
 
         Raises:
             ValueError: the policy answers with labels, or the states are none of its own.
@@ -87,7 +97,7 @@ class PolicyModule(nn.Module):
         if policy.head.gives_labels:
             raise ValueError(f"the policy answers with labels ({policy.head!r}), which have no gradient")
         given: Any = policy
-        self._numbers: PolicyNumbers[Any] = policy_numbers(given, states, free=free)
+        self._numbers: PolicyNumbers[Any] = policy_numbers(given, states, free=free, tied=tied)
         self.rows = nn.ModuleList(MovingRows(each) for each in self._numbers.rows)
 
     def policy(self) -> ObliqueTree | ReluNetwork:
@@ -137,8 +147,16 @@ class TreeModule(PolicyModule):
     _left: Tensor
     _right: Tensor
 
-    def __init__(self, tree: ObliqueTree, states: ArrayLike, *, free: bool = False, hardness: float = HARDNESS) -> None:
-        super().__init__(tree, states, free=free)
+    def __init__(
+        self,
+        tree: ObliqueTree,
+        states: ArrayLike,
+        *,
+        free: bool = False,
+        tied: bool = False,
+        hardness: float = HARDNESS,
+    ) -> None:
+        super().__init__(tree, states, free=free, tied=tied)
         self._shape, self._hardness = tree.M.shape[:2], hardness
         left, right = _paths(tree)
         self.register_buffer("_left", left, persistent=False)
@@ -194,7 +212,10 @@ def _paths(tree: ObliqueTree) -> tuple[Tensor, Tensor]:
     return left, right
 
 
-def policy_module(policy: ObliqueTree | ReluNetwork, states: ArrayLike, *, free: bool = False) -> PolicyModule:
+def policy_module(
+    policy: ObliqueTree | ReluNetwork, states: ArrayLike, *, free: bool = False, tied: bool = False
+) -> PolicyModule:
     """Return the module of a tree or a network; see `PolicyModule`."""
-    kind = TreeModule if isinstance(policy, ObliqueTree) else NetworkModule
-    return kind(policy, states, free=free)  # type: ignore[arg-type]
+    if isinstance(policy, ObliqueTree):
+        return TreeModule(policy, states, free=free, tied=tied)
+    return NetworkModule(policy, states, free=free)

@@ -83,7 +83,7 @@ class SoftTree(nn.Module):
         """Return the outputs (n, o) for states X (n, d)."""
         if self.affine_leaves:
             return affine_leaves(self.tests, self.leaves, X, self.beta)
-        _, reached = path_probabilities(_left_probabilities(self.tests, _with_ones(X), self.beta))
+        _, reached = path_probabilities(_left_probabilities(self.tests, with_ones(X), self.beta))
         return reached.t() @ self.leaves
 
     def harden(self, head: Head | None = None, *, axis_aligned: bool = False) -> ObliqueTree:
@@ -118,7 +118,7 @@ class SoftTree(nn.Module):
 
 def affine_leaves(tests: Tensor, leaves: Tensor, X: Tensor, beta: Tensor) -> Tensor:
     """Return the outputs (n, o) of a soft tree with affine leaves for states X (n, d), arguments as in `SoftTree`."""
-    outputs: Tensor = _AffineLeaves.apply(tests, leaves, _with_ones(X), beta)  # type: ignore[no-untyped-call]
+    outputs: Tensor = _AffineLeaves.apply(tests, leaves, with_ones(X), beta)  # type: ignore[no-untyped-call]
     return outputs
 
 
@@ -171,7 +171,7 @@ def initial_tests(n_tests: int, n_inputs: int, generator: torch.Generator | None
     return torch.empty(n_tests, n_inputs + 1).uniform_(-bound, bound, generator=generator)
 
 
-def _with_ones(X: Tensor) -> Tensor:
+def with_ones(X: Tensor) -> Tensor:
     """Return states X (n, d) with a last column of ones (n, d + 1), which the offsets multiply."""
     return torch.cat((X, X.new_ones(len(X), 1)), dim=1)
 

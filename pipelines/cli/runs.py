@@ -24,7 +24,8 @@ from pipelines.config.algo import ALGORITHMS, WIDEST_LAYER, ArsConfig, is_small
 from pipelines.config.budget import BudgetConfig
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import EnvConfig
-from pipelines.config.methods import METHODS, AugTreeConfig, MethodConfig, ProgramConfig, TakesModel
+from pipelines.config.method import MethodConfig
+from pipelines.config.methods import METHODS, AugTreeConfig, ProgramConfig, TakesModel
 from pipelines.config.model import ImportedModel
 from pipelines.config.roads import road, roads
 from pipelines.config.run import RunConfig, changes_text, run_folder
@@ -34,7 +35,7 @@ from pipelines.engine.job import Job
 from pipelines.engine.store import corrupt
 from pipelines.errors import ConfigError, did_you_mean
 from pipelines.play.boxes import given_box
-from pipelines.play.environments import episode_limit, registered_ids
+from pipelines.play.environments import episode_limit, is_discrete, make_env, registered_ids
 from pipelines.play.own_environment import check_environment, own_environment
 from pipelines.play.video import check_video
 from pipelines.runs.imitation import OTHERS, imitating_command
@@ -100,6 +101,10 @@ def written_policy(env: str, program: str, of_env: Sequence[str] = ()) -> tuple[
 
 def _check_later_stages(config: RunConfig) -> None:
     """Raise ConfigError where what comes after the training, or beside it, lacks a package or cannot be done."""
+    if config.method.continuous_only and is_discrete(make_env(config.env)):
+        raise ConfigError(
+            f"method={config.method.name} has continuous actions, but those of {config.env.id} are labels"
+        )
     check_tracking(config)
     check_video(config)
     if "polish" in config.selected_stages:

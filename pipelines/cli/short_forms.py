@@ -8,7 +8,8 @@ from omegaconf import OmegaConf
 
 from pipelines.cli.overrides import key_of, parse
 from pipelines.config.conf_dir import CONF_DIR
-from pipelines.config.methods import EXTRA_STAGES, METHODS, MethodConfig
+from pipelines.config.method import MethodConfig
+from pipelines.config.methods import EXTRA_STAGES, METHODS
 from pipelines.errors import ConfigError, did_you_mean
 from pipelines.stages.parse import holds_tree
 

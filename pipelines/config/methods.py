@@ -1,77 +1,24 @@
 """The methods, a class each: its settings (a file of conf/method) and everything else that follows from the choice.
 
 The tree of a run is made by one stage: `map` from the actor, trained or imported, `imitate` from an oracle, `harden`
-from a soft tree, `parse` from a program. What comes after that stage is the same for all methods.
+from a trained soft tree or experts, `parse` from a program. What comes after that stage is the same for all methods.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
 
-from pipelines.config.algo import AlgoConfig, DdpgConfig, OnPolicyConfig, PpoConfig, SacConfig
-from pipelines.config.conf_dir import CONF_DIR
+from pipelines.config.algo import AlgoConfig, DdpgConfig
 from pipelines.config.env import PidTerms
-from pipelines.config.setting import DERIVED, AsBefore, Count, FreeText, NotNegative, OneOf, Positive, Range, Share
+from pipelines.config.hardened_methods import CdtConfig, ExpertsConfig, PiPrlConfig, SdtConfig, check_n_experts
+from pipelines.config.method import GrownConfig, Hardness, Leaves, MethodConfig
+from pipelines.config.setting import DERIVED, AsBefore, Count, FreeText, NotNegative, OneOf, Positive, Range
 from pipelines.config.stages import ActorConfig
 from pipelines.errors import ConfigError
 
 # After all others, where polish=true, certify=true and so on ask for them
 EXTRA_STAGES = ("polish", "certify", "simplify", "leaves", "video", "mp4")
-# Soft trees learn with other numbers of steps (conf/budget).
-ON_POLICY_STEPS = [
-    'train.steps="${budget.on_policy_steps.${env.task}}"',
-    'train.eval_interval_steps="${budget.on_policy_interval_steps}"',
-]
-# So does direct search, whose actors have a linear map beside their neurons.
-SEARCH_STEPS = [
-    *(f'train.{name}="${{budget.search.${{env.task}}.{name}}}"'
-      for name in ("steps", "eval_interval_steps", "n_selection_episodes")),
-    "actor.dense=input",
-    "actor.rescale_inputs=false",  # states are normalised by what is visited
-]  # fmt: skip
-Leaves = Annotated[str, OneOf("constant", "linear")]
 Criterion = Annotated[str, OneOf("gini", "entropy")]
-Hardness = Annotated[float, Range(1e-6, 1e6)]
-
-
-@dataclass(frozen=True)
-class MethodConfig:
-    """What every method has. The attributes of the class are facts of the method, not settings."""
-
-    name: FreeText  # the name of the method
-
-    label: ClassVar[str]  # what tables call it
-    # Further forms of its policy that are evaluated beside the tree, each with what tables call it
-    forms: ClassVar[Mapping[str, str]] = {}
-    stages: ClassVar[tuple[str, ...]]  # its stages in order, without the extra ones
-    tree_stage: ClassVar[str]  # the stage that makes its tree
-    actor_stage: ClassVar[str] = "train"  # the stage that makes its actor, where there is one
-    is_mapped: ClassVar[bool] = False  # whether the tree is a trained network's, which it can be proved equal to
-    imitates: ClassVar[bool] = False  # whether the tree imitates an oracle, which is trained first
-    # Whether something is trained; not where the policy is a program that somebody wrote, or a model from elsewhere
-    is_trained: ClassVar[bool] = True
-    decides_training: ClassVar[bool] = False  # whether the settings of the method decide what is trained
-
-    @classmethod
-    def implied(cls, given: Mapping[str, str]) -> list[str]:
-        """Return the overrides that the choice of this method implies; they stand before those that are given."""
-        return list(SEARCH_STEPS) if given.get("algo", "").startswith("ars") else []
-
-    @property
-    def pid_terms(self) -> PidTerms | None:
-        """What a PID policy observes in place of the state; None for all other methods."""
-        return None
-
-    def check_depth(self, depth: Any) -> None:
-        """Raise ConfigError if the method makes no tree of this depth."""
-
-    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
-        """Raise ConfigError if the method cannot be used with this algorithm, this actor or this oracle."""
-        if isinstance(algo, PpoConfig) and algo.use_sde:
-            soft = ", ".join(name for name, method in METHODS.items() if issubclass(method, SoftConfig))
-            raise ConfigError(
-                f"algo.use_sde=true: actors of method={self.name} cannot be read after it; leave it out, or use {soft}"
-            )
 
 
 @dataclass(frozen=True)
@@ -168,18 +115,6 @@ class PidConfig(MappedConfig):
             raise ConfigError(f"method=pid is trained by algo=ddpg_pid, not {algo.name}")
         if actor.rescale_inputs:
             raise ConfigError("actor.rescale_inputs=true: method=pid reads the state and its errors in their own units")
-
-
-@dataclass(frozen=True)
-class GrownConfig(MethodConfig):
-    """A method that grows a tree, whose `depth` is the number of tests on the longest path."""
-
-    def check_depth(self, depth: Any) -> None:
-        """Refuse all but a number of tests."""
-        if not isinstance(depth, int) or depth == 0:
-            raise ConfigError(
-                f"depth={depth!r}: method={self.name} grows a tree; give the tests on its longest path (depth=6)"
-            )
 
 
 @dataclass(frozen=True)
@@ -287,87 +222,23 @@ class NdpsConfig(ImitatingTreeConfig):
 
 
 @dataclass(frozen=True)
-class SoftConfig(GrownConfig):
-    """A method whose actor is a soft tree, trained by policy gradient."""
+class DistilledExpertsConfig(ImitatingTreeConfig):
+    """Linear experts fitted to an oracle of continuous actions; the names are those of `otr.control.ExpertsFit`."""
 
-    beta_first: Hardness  # how hard its tests are at first and at last, growing geometrically
-    beta_last: Hardness
-    anneal_until: Share  # the fraction of the steps at which beta has reached its last value
-    learning_rate_end: Share  # what is left of the algorithm's learning rate at the end, a fraction; it falls linearly
+    max_samples: Count
+    n_updates: Count
+    batch_size: Count
+    learning_rate: Annotated[float, Range(1e-12, 10)]
+    balance: NotNegative
 
-    forms: ClassVar[Mapping[str, str]] = {"soft": "soft", "discretised": "discretised"}
-    stages = ("train", "harden", "prune", "evaluate")
-    tree_stage = "harden"
-    decides_training = True
-
-    @classmethod
-    def implied(cls, given: Mapping[str, str]) -> list[str]:
-        """Return the steps of soft trees, and the algorithm that the environment has for them, where none is given."""
-        if given.get("algo") == "sac":  # whose steps are the budget's own
-            return []
-        implied = list(ON_POLICY_STEPS)
-        if "algo" not in given:
-            own = (f"ppo_{given['method']}_{given.get('env', '')}", f"ppo_tree_{given.get('env', '')}")
-            files = (name for name in own if (CONF_DIR / "algo" / f"{name}.yaml").is_file())
-            implied.append(f"algo={next(files, 'ppo_tree')}")
-        return implied
-
-    def tree_options(self, depth: Any) -> dict[str, Any]:
-        """Return what the class of the soft tree takes beside the numbers of inputs and outputs."""
-        raise NotImplementedError
-
-    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
-        """Refuse algorithms that train no soft trees."""
-        if not isinstance(algo, OnPolicyConfig | SacConfig):
-            raise ConfigError(
-                f"method={self.name} is trained by algo=ppo_tree, algo=trpo_tree or algo=sac, not {algo.name}"
-            )
-
-
-@dataclass(frozen=True)
-class SdtConfig(SoftConfig):
-    """A soft decision tree (Silva et al. 2020), with constant or affine leaves."""
-
-    leaves: Leaves
-
-    label = "SDT"
-
-    def tree_options(self, depth: Any) -> dict[str, Any]:
-        """Return the options of `otr.control.soft_tree.SoftTree`."""
-        return {"depth": depth, "affine_leaves": self.leaves == "linear"}
-
-
-@dataclass(frozen=True)
-class CdtConfig(SoftConfig):
-    """A cascading decision tree (Ding et al. 2020) with `n_features` features between its two trees."""
-
-    n_features: Annotated[int, Range(1, 1024)]
-
-    label = "CDT"
-
-    def tree_options(self, depth: Any) -> dict[str, Any]:
-        """Return the options of `otr.control.cdt.CascadingTree`."""
-        return {"feature_depth": depth[0], "n_features": self.n_features, "decision_depth": depth[1]}
+    label = "Experts, distilled"
+    continuous_only = True
+    ties_repeats = True
+    fit_s = 2.0
 
     def check_depth(self, depth: Any) -> None:
-        """Refuse all but two depths."""
-        if not (isinstance(depth, list) and len(depth) == 2):
-            raise ConfigError(f"depth={depth!r}: method=cdt has two trees; give both depths, as depth=[3,3]")
-
-
-@dataclass(frozen=True)
-class PiPrlConfig(SoftConfig):
-    """pi-PRL (Qiu & Zhu 2022): `discretise_at` is the fraction of the steps at which the structure is chosen."""
-
-    structure_penalty: Annotated[float, Range(0, 100)]
-    discretise_at: Share
-
-    label = "π-PRL"
-    forms: ClassVar[Mapping[str, str]] = {"soft": "relaxed"}
-
-    def tree_options(self, depth: Any) -> dict[str, Any]:
-        """Return the options of `otr.control.pi_prl.RelaxedProgram`."""
-        return {"depth": depth, "structure_penalty": self.structure_penalty}
+        """Refuse all but a number of experts."""
+        check_n_experts(self.name, depth)
 
 
 @dataclass(frozen=True)
@@ -391,9 +262,11 @@ METHODS: dict[str, type[MethodConfig]] = {
     "augtree": AugTreeConfig,
     "ndps": NdpsConfig,
     "distilled_otr": DistilledConfig,
+    "distilled_experts": DistilledExpertsConfig,
     "sdt": SdtConfig,
     "cdt": CdtConfig,
     "pi_prl": PiPrlConfig,
+    "experts": ExpertsConfig,
     "program": ProgramConfig,
     "model": ModelConfig,
 }

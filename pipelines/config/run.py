@@ -6,10 +6,12 @@ import json
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
 
-from pipelines.config.algo import AlgoConfig, ArsConfig, SacConfig
+from pipelines.config.algo import AlgoConfig, ArsConfig, PpoConfig, SacConfig
 from pipelines.config.budget import BudgetConfig
 from pipelines.config.env import EnvConfig
-from pipelines.config.methods import EXTRA_STAGES, METHODS, MethodConfig
+from pipelines.config.hardened_methods import SoftConfig
+from pipelines.config.method import MethodConfig
+from pipelines.config.methods import EXTRA_STAGES, METHODS
 from pipelines.config.model import ImportedModel
 from pipelines.config.setting import (
     DERIVED,
@@ -115,6 +117,21 @@ class RunConfig:
                 )
         if self.fleet:
             self.fleet.check(self.algo)
+        elif self.method.fleet_only:
+            raise ConfigError(
+                f"method={self.method.name} is trained by trainer=fleet, not trainer={self.trainer.name}; "
+                "leave trainer out"
+            )
+        self._check_noise()
+
+    def _check_noise(self) -> None:
+        """Refuse exploration after which an actor cannot be read."""
+        if isinstance(self.algo, PpoConfig) and self.algo.use_sde and not isinstance(self.method, SoftConfig):
+            soft = ", ".join(name for name, method in METHODS.items() if issubclass(method, SoftConfig))
+            raise ConfigError(
+                f"algo.use_sde=true: actors of method={self.method.name} cannot be read after it; "
+                f"leave it out, or use {soft}"
+            )
 
     def _check_stages(self) -> None:
         """Refuse stages that the method does not have, and none at all."""

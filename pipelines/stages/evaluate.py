@@ -33,7 +33,7 @@ def load_policies(inputs: Mapping[str, Path], config: RunConfig) -> dict[str, An
     gains averaged. A program's tree stands for nothing else.
     """
     policies: dict[str, Any] = {}
-    if "harden" in inputs:
+    if "soft" in config.method.forms:
         from pipelines.training.soft_trees import SoftPolicy, load_soft  # imports torch
 
         hard: Any = otr.load(inputs["harden"] / "tree")

@@ -1,4 +1,4 @@
-"""Stage harden: the trained soft tree with its tests decided, which is the policy from here on."""
+"""Stage harden: the tree that a trained soft tree or experts become, which is the policy from here on."""
 
 from collections.abc import Mapping
 from pathlib import Path

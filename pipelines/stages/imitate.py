@@ -14,6 +14,7 @@ from otr.core.smooth_network import Oracle
 from pipelines.config.methods import (
     AugTreeConfig,
     DistilledConfig,
+    DistilledExpertsConfig,
     ImitatingConfig,
     LmViperConfig,
     NdpsConfig,
@@ -120,10 +121,22 @@ def _fit(config: RunConfig, oracle: Oracle, folder: Path) -> TreeFit:
         head = oracle.head if oracle.head.gives_labels else box_of(oracle.head)
         options["dense"] = "input" if method.dense == "input" else False
         return StudentFit(head, config.hidden_widths, **options)
+    if isinstance(method, DistilledExpertsConfig):
+        return _experts(config.depth, oracle, options)
     if isinstance(method, NdpsConfig):
         return _ndps(method, config.depth, oracle, folder)
     assert isinstance(method, AugTreeConfig)
     return AugTreeFit(oracle, config.depth, **options)
+
+
+def _experts(n_experts: int, oracle: Oracle, options: dict[str, Any]) -> TreeFit:
+    import torch
+
+    from otr.control.experts import ExpertsFit
+    from otr.control.viper import box_of
+
+    torch.set_num_threads(1)
+    return ExpertsFit(box_of(oracle.head), n_experts, **options)
 
 
 def _ndps(method: NdpsConfig, depth: int, oracle: Oracle, folder: Path) -> TreeFit:

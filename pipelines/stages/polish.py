@@ -116,6 +116,7 @@ def search(policy: Policy, config: RunConfig, purpose: str) -> Polished:
             n_selection_episodes=polishing.n_selection_episodes,
             n_candidates=polishing.n_candidates,
             free=polishing.free and purpose == "polish",  # a shorter program stays as short
+            tied=config.method.ties_repeats,
             seed=stream_seed(config.seed, "polish", index),
             report=account.announce,
         )
@@ -139,8 +140,9 @@ def improve_by_critic(policy: Any, config: RunConfig) -> Polished:
         closing(CriticPolish(policy, config, critics, oracle, environments(config))) as learning,
     ):
         play = Episodes(account.evaluation(episodes), stream_seed(config.seed, "polish", 0))
-        n_numbers = policy_numbers(policy, np.zeros((1, policy.n_inputs)), free=polishing.free).start.size
-        start = PolishReport(n_numbers, polishing.critic.steps, 0, ())
+        spread = np.zeros((1, policy.n_inputs))
+        numbers = policy_numbers(policy, spread, free=polishing.free, tied=config.method.ties_repeats)
+        start = PolishReport(numbers.start.size, polishing.critic.steps, 0, ())
         n_selection = polishing.n_selection_episodes
         polished = best_confirmed(policy, learning.candidates(), play, start, n_selection, account.announce)
     settings = polishing.critic

@@ -1,6 +1,8 @@
 """Which kind of actor a run trains by Stable-Baselines3."""
 
-from pipelines.config.methods import MethodConfig, PidConfig, SoftConfig
+from pipelines.config.hardened_methods import SoftConfig
+from pipelines.config.method import MethodConfig
+from pipelines.config.methods import PidConfig
 from pipelines.config.run import RunConfig
 from pipelines.training.pid_actor import PidActor
 from pipelines.training.relu_actor import ReluActor

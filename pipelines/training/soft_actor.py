@@ -20,7 +20,7 @@ from torch import nn
 
 import otr
 from pipelines.config.algo import SacConfig
-from pipelines.config.methods import SoftConfig
+from pipelines.config.hardened_methods import SoftConfig
 from pipelines.play.rollout import Rollout
 from pipelines.play.selection import diverged
 from pipelines.training.normalisation import input_units

@@ -1,4 +1,4 @@
-"""Soft trees as modules of torch: which one a run trains, what changes as it learns, its files, its hard tree."""
+"""Modules that harden into trees: which one a run trains, what changes as it learns, its files, its hard tree."""
 
 import copy
 import json
@@ -15,10 +15,11 @@ from safetensors.torch import save as safetensors_bytes
 
 import otr
 from otr.control.cdt import CascadingTree
+from otr.control.experts import LinearExperts
 from otr.control.pi_prl import RelaxedProgram
 from otr.control.soft_tree import SoftTree
 from pipelines.config.algo import SacConfig
-from pipelines.config.methods import PiPrlConfig, SoftConfig
+from pipelines.config.hardened_methods import HardenedConfig, PiPrlConfig, SoftConfig
 from pipelines.config.run import RunConfig
 from pipelines.engine.store import corrupt, json_text, read_json
 from pipelines.errors import ConfigError
@@ -29,28 +30,30 @@ SCHEMA = "otr/soft/1"
 SAC_TURN = 2_048  # steps of pi-PRL's program, then as many of its architecture, where rollouts are one step
 
 SoftModule = SoftTree | CascadingTree | RelaxedProgram
+HardeningModule = SoftModule | LinearExperts
 
 
 @dataclass(frozen=True)
 class Shape:
     """What module an actor is."""
 
-    kind: str  # sdt, cdt or pi_prl
+    kind: str  # sdt, cdt, pi_prl or experts
     options: dict[str, Any]  # what its class takes beside the numbers of inputs and outputs
 
 
-_MODULES: dict[str, type[SoftModule]] = {"sdt": SoftTree, "cdt": CascadingTree, "pi_prl": RelaxedProgram}
+_SOFT: dict[str, type[SoftModule]] = {"sdt": SoftTree, "cdt": CascadingTree, "pi_prl": RelaxedProgram}
+_MODULES: dict[str, type[HardeningModule]] = {**_SOFT, "experts": LinearExperts}
 
 
 def shape_of(config: RunConfig) -> Shape:
     """Return the module that a run's method and depth ask for."""
-    assert isinstance(config.method, SoftConfig)
-    return Shape(config.method.name, config.method.tree_options(config.depth))
+    assert isinstance(config.method, HardenedConfig)
+    return Shape(config.method.name, config.method.module_options(config.depth))
 
 
 def build_module(shape: Shape, n_inputs: int, n_outputs: int, generator: torch.Generator | None = None) -> SoftModule:
-    """Return a fresh module; without a generator drawn from torch's own, as all of a Stable-Baselines3 policy is."""
-    return _MODULES[shape.kind](n_inputs, n_outputs, generator=generator, **shape.options)
+    """Return a fresh soft tree; without a generator drawn from torch's own, as all of Stable-Baselines3's policy is."""
+    return _SOFT[shape.kind](n_inputs, n_outputs, generator=generator, **shape.options)
 
 
 def set_phase(module: SoftModule, method: SoftConfig, n_steps: int, of_steps: int, turn: int = SAC_TURN) -> None:
@@ -75,7 +78,7 @@ def rate_share(method: SoftConfig, n_steps: int, of_steps: int) -> float:
 
 
 def play_selection(
-    module: SoftModule, config: RunConfig, action_space: "gym.Space[Any]", units: InputUnits | None
+    module: HardeningModule, config: RunConfig, action_space: "gym.Space[Any]", units: InputUnits | None
 ) -> tuple[dict[str, bytes], Rollout]:
     """Return a module's files, as it reads the environment's own states, and its hard tree's selection episodes.
 
@@ -87,7 +90,7 @@ def play_selection(
     return soft_files(module, shape_of(config)), play_episodes(tree.predict, config)
 
 
-def own_units(module: SoftModule, units: InputUnits | None) -> SoftModule:
+def own_units(module: HardeningModule, units: InputUnits | None) -> HardeningModule:
     """Return a copy of a module that reads the environment's own states, whatever units it was trained in."""
     module = copy.deepcopy(module)
     if units is not None:
@@ -96,21 +99,21 @@ def own_units(module: SoftModule, units: InputUnits | None) -> SoftModule:
 
 
 def harden(
-    module: SoftModule, action_space: "gym.Space[Any]", *, is_squashed: bool = False, axis_aligned: bool = False
+    module: HardeningModule, action_space: "gym.Space[Any]", *, is_squashed: bool = False, axis_aligned: bool = False
 ) -> otr.ObliqueTree:
     """Return the hard tree as a policy: labels for discrete actions; continuous ones are clipped to their box.
 
     `is_squashed`: tanh leads them into the box instead, as it does those of SAC's actors.
     """
     head = _head(action_space, is_squashed)
-    if not isinstance(module, RelaxedProgram):
+    if not isinstance(module, RelaxedProgram | LinearExperts):
         return module.harden(head, axis_aligned=axis_aligned)
     if axis_aligned:
-        raise ConfigError("pi-PRL's programs have oblique tests; there is no axis-aligned form of them")
+        raise ConfigError("pi-PRL's programs and experts have oblique tests; there is no axis-aligned form of them")
     return module.harden(head)
 
 
-def soft_files(module: SoftModule, shape: Shape) -> dict[str, bytes]:
+def soft_files(module: HardeningModule, shape: Shape) -> dict[str, bytes]:
     """Return `soft.safetensors` (all parameters and buffers) and `soft.json` (what they belong to)."""
     tensors = {name: tensor.detach().contiguous() for name, tensor in module.state_dict().items()}
     about = {"schema": SCHEMA, "kind": shape.kind, "n_inputs": module.n_inputs, "n_outputs": module.n_outputs}
@@ -118,13 +121,13 @@ def soft_files(module: SoftModule, shape: Shape) -> dict[str, bytes]:
     return {"soft.safetensors": safetensors_bytes(tensors), "soft.json": text.encode()}
 
 
-def load_soft(folder: Path) -> SoftModule:
+def load_soft(folder: Path) -> HardeningModule:
     """Return the module of `soft_files`; a truncated or foreign file is an error that names it."""
     about = read_json(folder / "soft.json")
     try:
         if about["schema"] != SCHEMA:
             raise ValueError(f"schema {about['schema']!r} where {SCHEMA!r} was expected")
-        module = build_module(Shape(about["kind"], about["options"]), about["n_inputs"], about["n_outputs"])
+        module = _MODULES[about["kind"]](about["n_inputs"], about["n_outputs"], **about["options"])
         module.load_state_dict(load_file(folder / "soft.safetensors"))
     except (OSError, SafetensorError, KeyError, TypeError, ValueError, RuntimeError, json.JSONDecodeError) as error:
         raise corrupt(folder / "soft.safetensors", error) from error
@@ -139,7 +142,7 @@ class SoftPolicy:
     the episodes on the number of workers.
     """
 
-    module: SoftModule
+    module: HardeningModule
     head: otr.Head
 
     def __post_init__(self) -> None:

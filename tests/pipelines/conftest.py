@@ -17,7 +17,8 @@ from pipelines import cli
 from pipelines.config.algo import ArsConfig, PpoConfig, SacConfig
 from pipelines.config.budget import BudgetConfig
 from pipelines.config.env import EnvConfig
-from pipelines.config.methods import MappedConfig, PiPrlConfig
+from pipelines.config.hardened_methods import PiPrlConfig
+from pipelines.config.methods import MappedConfig
 from pipelines.config.run import RunConfig
 from pipelines.config.stages import ActorConfig, EvaluateConfig, MapConfig, PruneConfig, TrainConfig
 

@@ -7,7 +7,7 @@ It is written for standardised states and divided by its size there:
 
 and theta is searched, while the size r stays. ReLU is positively homogeneous, so what reads a neuron reads it divided
 by its size. What is zero stays zero unless `free`: a row without an offset is not centred, and reads x divided by its
-root mean square.
+root mean square. A tree of `otr.control.LinearExperts` repeats its tests and leaves, which are one each where `tied`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from otr.core.arrays import BoolArray, FloatArray, as_batch
+from otr.core.arrays import BoolArray, FloatArray, IntArray, as_batch
 from otr.core.head import Head
 from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
@@ -55,7 +55,9 @@ class PolicyNumbers(Generic[Policy]):
         return self._rebuilt([each.forms(part) for each, part in zip(self.rows, parts, strict=True)])
 
 
-def policy_numbers(policy: Policy, states: ArrayLike, *, free: bool = False) -> PolicyNumbers[Policy]:
+def policy_numbers(
+    policy: Policy, states: ArrayLike, *, free: bool = False, tied: bool = False
+) -> PolicyNumbers[Policy]:
     """Return the numbers of a policy that are searched: tests and leaves of a tree, all layers of a network.
 
     Of a tree with labels only the tests are. The outputs of a `PidBox` that are the terms P, I, D stay as they are.
@@ -64,6 +66,7 @@ def policy_numbers(policy: Policy, states: ArrayLike, *, free: bool = False) -> 
         policy: a tree or a network.
         states: (n, d) states that it visits, whose means and standard deviations are the units of its inputs.
         free: whether coefficients and offsets that are zero move, too.
+        tied: whether a tree's tests that are equal, and its leaves that are, stay equal.
 
     Raises:
         TypeError: the policy is neither.
@@ -77,7 +80,9 @@ def policy_numbers(policy: Policy, states: ArrayLike, *, free: bool = False) -> 
     X = as_batch(states, policy.n_inputs)
     if not len(X) or not np.isfinite(X).all():
         raise ValueError("there are no states, or numbers that are not finite; give those that the policy visits")
-    return _tree_numbers(policy, X, free) if isinstance(policy, ObliqueTree) else _network_numbers(policy, X, free)
+    return (
+        _tree_numbers(policy, X, free, tied) if isinstance(policy, ObliqueTree) else _network_numbers(policy, X, free)
+    )
 
 
 class AffineRows:
@@ -88,6 +93,7 @@ class AffineRows:
         sizes: (n,) what each row is divided by.
         original: (n, c + 1) the forms at the start.
         moves: (n, c + 1) which numbers move.
+        same_as: (n,) the row whose form each one has, itself where it is not tied to an earlier one.
         means, units: (n, c) what the columns are shifted and divided by.
     """
 
@@ -100,6 +106,7 @@ class AffineRows:
         free: bool,
         spare_size: float = 1.0,
         still: BoolArray | None = None,
+        same_as: IntArray | None = None,
     ) -> None:
         """Take the units of the columns, (c,) each.
 
@@ -109,11 +116,14 @@ class AffineRows:
             free: whether zeros move, too.
             spare_size: of a row of zeros where all rows are; else it is the other rows' root mean square.
             still: (n,) rows that do not move.
+            same_as: (n,) the row whose form each one has; None for itself.
         """
         self.original = forms
+        self.same_as: IntArray = np.arange(len(forms)) if same_as is None else same_as
         self.moves = np.full(forms.shape, fill_value=True) if free else forms != 0
         if still is not None:
             self.moves[still] = False
+        self.moves[self.same_as != np.arange(len(forms))] = False
         centred = self.moves[:, -1:]
         constant = deviations <= CONSTANT * np.abs(means)
         root_mean_squares = np.hypot(means, deviations)
@@ -137,12 +147,13 @@ class AffineRows:
         scaled *= self.sizes[:, None]
         coefficients = scaled[:, :-1] / self.units
         offsets = scaled[:, -1] - (coefficients * self.means).sum(axis=1)
-        return np.where(self.moves, np.column_stack((coefficients, offsets)), self.original)
+        rows: FloatArray = np.where(self.moves, np.column_stack((coefficients, offsets)), self.original)
+        return rows[self.same_as]
 
 
-def _tree_numbers(tree: ObliqueTree, X: FloatArray, free: bool) -> PolicyNumbers[ObliqueTree]:
+def _tree_numbers(tree: ObliqueTree, X: FloatArray, free: bool, tied: bool) -> PolicyNumbers[ObliqueTree]:
     units = X.mean(axis=0), X.std(axis=0)
-    rows = [AffineRows(tree.test_forms, *units, free=free)]
+    rows = [AffineRows(tree.test_forms, *units, free=free, same_as=_first_equal(tree.test_forms) if tied else None)]
     if tree.labels is None:
         n_leaves, o, d = tree.M.shape
         rows.append(
@@ -152,6 +163,7 @@ def _tree_numbers(tree: ObliqueTree, X: FloatArray, free: bool) -> PolicyNumbers
                 free=free,
                 spare_size=_output_size(tree.head, o),
                 still=np.tile(_terms(tree.head, o), n_leaves),
+                same_as=(o * _first_equal(tree.leaf_forms)[:, None] + np.arange(o)).ravel() if tied else None,
             )
         )
 
@@ -163,6 +175,13 @@ def _tree_numbers(tree: ObliqueTree, X: FloatArray, free: bool) -> PolicyNumbers
         return tree.replace(**changes)
 
     return PolicyNumbers(tree, rows, rebuilt)
+
+
+def _first_equal(forms: FloatArray) -> IntArray:
+    """Return the first of the forms (n, ...) that each one is equal to, (n,)."""
+    _, first, kinds = np.unique(forms.reshape(len(forms), -1), axis=0, return_index=True, return_inverse=True)
+    same_as: IntArray = first[kinds.ravel()]  # of numpy 2.0 the inverse is a column
+    return same_as
 
 
 def _network_numbers(network: ReluNetwork, X: FloatArray, free: bool) -> PolicyNumbers[ReluNetwork]:

@@ -60,6 +60,7 @@ def polish(
     n_selection_episodes: int = 100,
     n_candidates: int = 20,
     free: bool = False,
+    tied: bool = False,
     seed: int = 0,
     report: Callable[[PolishReport], None] | None = None,
 ) -> Policy:
@@ -82,6 +83,7 @@ def polish(
         n_selection_episodes: of each candidate; as many more confirm the best.
         n_candidates: how many of the search's iterates are candidates, the last one among them.
         free: whether coefficients that are zero move, too.
+        tied: whether a tree's tests that are equal, and its leaves that are, stay equal.
         seed: of directions and episodes.
         report: called after every candidate, and at the end.
 
@@ -95,7 +97,7 @@ def polish(
             raise ValueError(f"{name} is {count}, expected at least 1")
     if common_starts not in ("pair", "all"):
         raise ValueError(f"common_starts is {common_starts!r}, expected 'pair' or 'all'")
-    numbers = policy_numbers(policy, states, free=free)
+    numbers = policy_numbers(policy, states, free=free, tied=tied)
     play = Episodes(evaluate, seed, n_episodes, shared_by_all=common_starts == "all")
     candidates = _candidates(numbers, play, settings, n_iterations, n_candidates, seed)
     start = PolishReport(numbers.start.size, n_iterations, 0, ())

@@ -54,6 +54,7 @@ class CriticPolish:
         check_head(policy.head)
         self._policy, self._critics, self._settings = policy, critics, config.polishing.critic
         self._n_candidates, self._free = config.polishing.n_candidates, config.polishing.free
+        self._tied = config.method.ties_repeats
         self._oracle = None if oracle is None else OraclePlay(oracle, critics)
         self._seeds = stream_seeds(3, config.seed, "polish", STREAM_ELEMENT)
         self._env = Autoreset(make_vector_env(config.env, 1, environments))
@@ -122,7 +123,7 @@ class CriticPolish:
         """Return the learner of a policy that reads what states (n, d) have visited."""
         settings, critics = self._settings, self._critics
         log_stds = None if self._oracle is None else self._oracle.log_stds(states)
-        self._actor = PolicyActor(self._policy, states, log_stds, free=self._free)
+        self._actor = PolicyActor(self._policy, states, log_stds, free=self._free, tied=self._tied)
         runs = [RunSettings(settings.learning_rate, critics.gamma)]
         shapes = Shapes(
             self._layout.n_inputs, self._layout.n_actions, (), critics.widths, settings.batch_size,

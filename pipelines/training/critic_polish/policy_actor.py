@@ -30,7 +30,13 @@ class PolicyActor(nn.Module):
     _scale: Tensor
 
     def __init__(
-        self, policy: otr.ObliqueTree | otr.ReluNetwork, states: np.ndarray, log_stds: np.ndarray | None, *, free: bool
+        self,
+        policy: otr.ObliqueTree | otr.ReluNetwork,
+        states: np.ndarray,
+        log_stds: np.ndarray | None,
+        *,
+        free: bool,
+        tied: bool = False,
     ) -> None:
         """Take a policy's numbers.
 
@@ -39,12 +45,13 @@ class PolicyActor(nn.Module):
             states: (n, d) float, visited; their moments are the units of its inputs.
             log_stds: (n, n_actions), what the deviations in these states are to begin with; None for a constant.
             free: whether coefficients that are zero learn, too.
+            tied: whether a tree's tests that are equal, and its leaves that are, stay equal.
         """
         super().__init__()
         check_head(policy.head)
         limits = policy.head.limits(policy.n_outputs)
         assert limits is not None
-        self.policy = policy_module(policy, states, free=free)
+        self.policy = policy_module(policy, states, free=free, tied=tied)
         self._is_clipped = is_clipped(policy.head)
         mean, scale = states.mean(axis=0), scale_of(states.mean(axis=0), states.std(axis=0))
         for name, values in (("_low", limits[0]), ("_high", limits[1]), ("_mean", mean), ("_scale", scale)):

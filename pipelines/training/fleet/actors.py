@@ -11,7 +11,7 @@ from typing import Protocol
 import torch
 from torch import Tensor, nn
 
-from pipelines.config.methods import SoftConfig
+from pipelines.config.hardened_methods import SoftConfig
 from pipelines.training.fleet.adam import RunSettings, adam_groups
 from pipelines.training.fleet.mlp import Layers, StackedMlp, new_layers
 from pipelines.training.fleet.module_actors import Learning

@@ -17,6 +17,9 @@ from pipelines.training.fleet.stacked_tensors import new_flat, new_stack
 class ModuleActors:
     """Modules of one shape, a run each, from states (n, d) to means and log standard deviations (n, 2 n_actions).
 
+    A module that has a `penalty`, a number () that its last call left, adds it to its actor's loss. Of an update that
+    is a call on the states and their successors together.
+
     Attributes:
         modules: with the parameters that they are given with; these move into the stacks.
     """
@@ -31,6 +34,7 @@ class ModuleActors:
                 parameter.data = place.copy_(parameter.data)
                 parameter.grad = self._learning.gradients[name][run]
         self._answers: list[Tensor] = []
+        self._penalties: list[Tensor] = []
 
     def at_step(self, n_steps: int) -> float:
         """Return 1: the learning rate stays."""
@@ -39,13 +43,16 @@ class ModuleActors:
     def forward(self, inputs: Tensor) -> Tensor:
         with torch.enable_grad():
             self._answers = [module(states) for module, states in zip(self.modules, inputs, strict=True)]
+        penalties = [getattr(module, "penalty", None) for module in self.modules]
+        self._penalties = [penalty for penalty in penalties if penalty is not None]
         return self._stacked(self._answers)
 
     def backward(self, inputs: Tensor, d_answers: Tensor) -> None:
         self._learning.zero_gradients()
         with torch.enable_grad():  # in which the first answers are a function of all
             learnt = [answers[: d_answers.shape[1]] for answers in self._answers]
-        torch.autograd.backward(learnt, d_answers.unbind())
+        of_answers: list[Tensor | None] = [*d_answers.unbind()]
+        torch.autograd.backward([*learnt, *self._penalties], of_answers + [None] * len(self._penalties))
 
     def step(self, rate_share: float) -> None:
         for group in self._learning.groups:
@@ -53,7 +60,8 @@ class ModuleActors:
 
     @torch.no_grad()
     def act(self, states: Tensor) -> Tensor:
-        return self._stacked([module(own) for module, own in zip(self.modules, states, strict=True)])
+        inputs = new_stack(*states.shape).copy_(states)  # each run's begin as they do alone
+        return self._stacked([module(own) for module, own in zip(self.modules, inputs, strict=True)])
 
     @torch.no_grad()
     def answers(self, run: int, states: Tensor) -> Tensor:

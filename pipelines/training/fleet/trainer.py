@@ -15,7 +15,7 @@ import otr
 from otr.importers.critics import Critics
 from otr.learners.networks.denormals import denormals_as_zero
 from pipelines.config.env import EnvConfig
-from pipelines.config.methods import SoftConfig
+from pipelines.config.hardened_methods import ExpertsConfig, SoftConfig
 from pipelines.config.run import RunConfig
 from pipelines.config.trainer import FleetConfig
 from pipelines.errors import ConfigError
@@ -26,13 +26,15 @@ from pipelines.play.selection import compare_with_trained, play_selection_episod
 from pipelines.training.environments.backends import EQUAL_IDS, make_vector_env
 from pipelines.training.environments.vector_envs import Autoreset, Step
 from pipelines.training.estimates import learning_starts, segment_steps
+from pipelines.training.experts_actor import ExpertsActor
 from pipelines.training.fleet.actors import SoftActors, SoftTraining
 from pipelines.training.fleet.fleet_run import FleetRun
+from pipelines.training.fleet.module_actors import ModuleActors
 from pipelines.training.fleet.progress import FleetProgress
 from pipelines.training.fleet.random_streams import Draws, Streams
 from pipelines.training.fleet.replay_buffer import FleetReplay, RowLayout
 from pipelines.training.fleet.sac import FleetSac, Shapes
-from pipelines.training.soft_trees import play_selection, shape_of
+from pipelines.training.soft_trees import HardeningModule, play_selection, shape_of
 
 Given = TypeVar("Given")
 Answer = TypeVar("Answer")
@@ -85,12 +87,17 @@ class FleetTrainer:
             bool(config.actor.links),
             _soft_training(config),
         )
-        self._learner = FleetSac(shapes, [run.settings for run in runs], runs[0].n_updates)
+        settings, generators = [run.settings for run in runs], [run.initial_generator() for run in runs]
+        experts: ModuleActors | None = None
+        if isinstance(config.method, ExpertsConfig):
+            shape = layout.n_inputs, layout.n_actions, config.depth, config.method.balance
+            experts = ModuleActors(settings, [ExpertsActor(*shape, generator) for generator in generators])
+        self._learner = FleetSac(shapes, settings, runs[0].n_updates, experts)
         for r, run in enumerate(runs):
             if run.tensors:
                 self._learner.load(r, run.tensors)
             else:
-                self._learner.initialise(r, run.initial_generator())
+                self._learner.initialise(r, generators[r])
         self._replay = FleetReplay([run.rows for run in runs], layout, runs[0].buffer_size)
         self._env = _vector_env(config, len(runs) * self._n_envs)  # each segment starts it anew
         noise_std = [run.algo.action_noise_std * (run.algo.action_noise == "normal") for run in runs]
@@ -117,11 +124,20 @@ class FleetTrainer:
         """
         config, task = self.runs[r].config, self._task
         units = units_of_box(config)
-        if isinstance(self._learner.actor, SoftActors):
-            return play_selection(self._learner.actor.trees[r], config, gym.spaces.Box(task.low, task.high), units)
+        module = self._hardening(r)
+        if module is not None:
+            return play_selection(module, config, gym.spaces.Box(task.low, task.high), units)
         network, episodes = play_selection_episodes(self.network(r), config, units)
         compare_with_trained(network, functools.partial(self.answers, r), episodes.states, units)
         return actor_files(network), episodes
+
+    def _hardening(self, r: int) -> HardeningModule | None:
+        """Return the module that becomes a run's tree; None of a network."""
+        actor = self._learner.actor
+        if isinstance(actor, SoftActors):
+            return actor.trees[r]
+        module = actor.modules[r] if isinstance(actor, ModuleActors) else None
+        return module.mean if isinstance(module, ExpertsActor) else None
 
     def network(self, r: int) -> otr.ReluNetwork:
         """Return a run's actor."""
@@ -142,7 +158,7 @@ class FleetTrainer:
         critics = Critics(layers, targets, algo.gamma, self._config.actor.negative_slope, temperature)
         if units is not None:
             critics = critics.fold_input_normalisation(units.middle, units.scale)
-        if isinstance(self._learner.actor, SoftActors):
+        if self._hardening(r) is not None:
             return critics  # whose actor is played as the tree that it becomes
         both, n_actions = self._means_and_deviations(r), self._task.layout.n_actions
         if units is not None:

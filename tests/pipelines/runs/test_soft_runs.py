@@ -2,11 +2,14 @@
 
 import json
 
+import numpy as np
 import pytest
 
-from pipelines.cli.runs import run_config
-from pipelines.config.methods import PiPrlConfig, SdtConfig
+import otr
+from pipelines.cli.runs import RUN, run_config
+from pipelines.config.hardened_methods import PiPrlConfig, SdtConfig
 from pipelines.errors import ConfigError
+from pipelines.stages.train import train_settings
 from tests.pipelines.conftest import PPO, otr_command
 
 SDT = SdtConfig("sdt", 1.0, 20.0, 0.8, 0.05, "constant")
@@ -19,9 +22,10 @@ SDT = SdtConfig("sdt", 1.0, 20.0, 0.8, 0.05, "constant")
         (("env=pendulum", "method=cdt", "depth=[1,2]"), ["soft", "tree", "pruned_tree", "discretised"]),
         (("env=pendulum", "method=pi_prl", "depth=2", "algo=trpo_tree"), ["soft", "tree", "pruned_tree"]),
         (("env=pendulum", "method=pi_prl", "depth=2", "algo=sac"), ["soft", "tree", "pruned_tree"]),
+        (("env=pendulum", "method=experts", "depth=3"), ["tree", "pruned_tree"]),
         (("env=pendulum", "method=linear", "depth=0", "algo=ars"), ["network", "tree", "pruned_tree"]),
     ],
-    ids=["sdt", "cdt", "pi_prl", "pi_prl-sac", "ars"],
+    ids=["sdt", "cdt", "pi_prl", "pi_prl-sac", "experts", "ars"],
 )
 def test_every_form_is_played(tmp_path, words, forms):
     done = otr_command("otr-run", *words, "budget=smoke", "n_workers=1", cwd=tmp_path)
@@ -103,3 +107,71 @@ def test_random_search_lies_beside_the_gradient(tiny):
     assert config.algo.environments == "numpy"  # the pendulum's own settings of the search
     with pytest.raises(ConfigError, match="algo=ars searches small networks"):
         run_config(["env=pendulum", "depth=[64]", "algo=ars", "budget=quick"])
+
+
+@pytest.mark.parametrize("budget", ["standard", "thesis", "quick"])
+def test_experts_bring_soft_actor_critic_and_the_fleet(budget):
+    (job,) = RUN.jobs([["env=bipedalwalker", "method=experts", "depth=8", f"budget={budget}"]])
+    config = job.config
+    assert (config.algo.name, config.trainer_name, config.method.balance) == ("sac", "fleet", 0.01)
+    assert config.train.steps == config.budget.steps["bipedalwalker"]
+    assert job.folder == f"runs/bipedalwalker/experts/depth-8/{budget}-fleet/seed-0"
+    assert train_settings(config)["method"] == {"name": "experts", "balance": 0.01}
+    (spelt_out,) = RUN.jobs([[*job.overrides, "algo=sac", "trainer=fleet"]])
+    assert spelt_out.folder == job.folder
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("depth=1",), "depth=1: of method=experts it is the number of experts; give 2 to 16"),
+        (("depth=17",), "depth=17: of method=experts"),
+        (("depth=[3,3]",), "depth=.3, 3.: of method=experts"),
+        (("algo=td3",), "method=experts is trained by algo=sac, not td3"),
+        (("trainer=sb3",), "method=experts is trained by trainer=fleet, not trainer=sb3"),
+        (("method.balance=-1",), "method.balance=-1.0 is not at least 0"),
+    ],
+)
+def test_what_experts_are_refused_for(words, message):
+    with pytest.raises(ConfigError, match=message):
+        run_config(["env=pendulum", "method=experts", "budget=quick", *words])
+
+
+@pytest.mark.parametrize("by", ["critic", "search"])
+def test_experts_are_polished_as_what_they_are(tmp_path, by):
+    """Four experts and six tests of four numbers each, however often the tree repeats them."""
+    words = ("env=pendulum", "method=experts", "depth=4", "budget=smoke", "n_workers=1", "prune.n_episodes=20",
+             "polish=true", f"polishing.by={by}", "polishing.n_selection_episodes=4", "polishing.n_directions=2",
+             "polishing.n_top=2", "polishing.n_candidates=1", "polishing.critic.batch_size=32")  # fmt: skip
+    done = otr_command("otr-run", *words, cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (made,) = tmp_path.glob("results/runs/pendulum/experts/depth-4/smoke-fleet/seed-0~*")
+    before, after = (otr.load(made / stage / "tree") for stage in ("prune", "polish"))
+    n_kinds = [len(np.unique(tree.leaf_forms.reshape(tree.n_leaves, -1), axis=0)) for tree in (before, after)]
+    n_tests = [len(np.unique(tree.test_forms, axis=0)) for tree in (before, after)]
+    assert n_kinds[0] == n_kinds[1] <= 4 and n_tests[0] == n_tests[1] <= 6
+    assert before.n_leaves > n_kinds[0]
+    assert json.loads((made / "polish/report.json").read_text())["n_numbers"] == 4 * (n_kinds[0] + n_tests[0])
+
+
+def test_experts_that_imitate_are_polished_by_their_oracle_s_critics(tmp_path):
+    words = ("env=pendulum", "method=distilled_experts", "depth=3", "trainer=fleet", "algo.critic=[16]", "oracle=[16]",
+             "budget=smoke", "n_workers=1", "method.n_updates=50", "polish=true", "polishing.n_selection_episodes=4",
+             "polishing.n_candidates=1", "polishing.critic.batch_size=32")  # fmt: skip
+    done = otr_command("otr-run", *words, cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "numbers of the tree learnt by critics" in done.stdout
+    (made,) = tmp_path.glob("results/runs/pendulum/distilled_experts/depth-3/smoke-fleet/seed-0~*")
+    summary = json.loads((made / "summary.json").read_text())
+    assert list(summary["policies"]) == ["oracle", "tree", "pruned_tree"]
+    tree = otr.load(made / "imitate/tree")
+    assert tree.head == otr.ClipBox([-2.0], [2.0]) and len(np.unique(tree.leaf_forms, axis=0)) == 3
+    again = otr_command("otr-run", *words, cwd=tmp_path)
+    assert again.stdout.count("done before") == 5
+
+
+@pytest.mark.parametrize("method", ["experts", "distilled_experts"])
+def test_experts_of_labels_are_refused_before_anything_is_trained(tmp_path, method):
+    done = otr_command("otr-run", "env=lunarlander", f"method={method}", "depth=3", "budget=smoke", cwd=tmp_path)
+    assert done.returncode == 2 and not list(tmp_path.glob("results/*"))
+    assert f"method={method} has continuous actions, but those of LunarLander-v3 are labels" in done.stderr

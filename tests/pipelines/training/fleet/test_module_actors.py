@@ -68,3 +68,24 @@ def test_a_run_in_company_is_the_run_alone_bit_for_bit_and_goes_on() -> None:
             alone.update(*stacked([draw_batch(generator)]))
         for name, tensor in alone.tensors(0).items():
             assert torch.equal(tensor, together.tensors(run)[name]), name
+
+
+class Penalised(nn.Linear):
+    """A linear actor whose loss has the sum of its squared weights besides."""
+
+    def forward(self, states: Tensor) -> Tensor:
+        self.penalty = 0.3 * self.weight.square().sum()
+        return super().forward(states)
+
+
+def test_a_module_s_penalty_is_part_of_its_loss() -> None:
+    with float64():
+        modules = [Penalised(N_INPUTS, 2 * N_ACTIONS) for _ in range(2)]
+        actors = ModuleActors(SETTINGS[:2], modules)
+        inputs, d_answers = torch.randn(2, 8, N_INPUTS), torch.randn(2, 4, 2 * N_ACTIONS)
+        actors.forward(inputs)
+        actors.backward(inputs, d_answers)
+        for module, states, derivative in zip(modules, inputs, d_answers, strict=True):
+            assert module.weight.grad is not None and module.bias.grad is not None
+            torch.testing.assert_close(module.weight.grad, derivative.T @ states[:4] + 0.6 * module.weight.detach())
+            torch.testing.assert_close(module.bias.grad, derivative.sum(0))

@@ -1,0 +1,148 @@
+"""Methods whose actor is a module of torch that hardens into a tree: soft trees, and experts behind a hard router."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+from pipelines.config.algo import AlgoConfig, OnPolicyConfig, SacConfig
+from pipelines.config.conf_dir import CONF_DIR
+from pipelines.config.method import GrownConfig, Hardness, Leaves
+from pipelines.config.setting import NotNegative, Range, Share
+from pipelines.config.stages import ActorConfig
+from pipelines.errors import ConfigError
+
+# Soft trees learn with other numbers of steps (conf/budget).
+ON_POLICY_STEPS = [
+    'train.steps="${budget.on_policy_steps.${env.task}}"',
+    'train.eval_interval_steps="${budget.on_policy_interval_steps}"',
+]
+EXPERTS = (2, 16)  # at least and at most; their tree has up to 2**15 leaves
+
+
+def check_n_experts(method: str, depth: Any) -> None:
+    """Raise ConfigError for a depth that is no number of experts."""
+    least, most = EXPERTS
+    if not (isinstance(depth, int) and least <= depth <= most):
+        raise ConfigError(
+            f"depth={depth!r}: of method={method} it is the number of experts; give {least} to {most} (depth=8)"
+        )
+
+
+@dataclass(frozen=True)
+class HardenedConfig(GrownConfig):
+    """A method whose actor is a module that hardens into a tree."""
+
+    stages = ("train", "harden", "prune", "evaluate")
+    tree_stage = "harden"
+    decides_training = True
+
+    def module_options(self, depth: Any) -> dict[str, Any]:
+        """Return what the class of the module takes beside the numbers of inputs and outputs."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class SoftConfig(HardenedConfig):
+    """A method whose actor is a soft tree, trained by policy gradient."""
+
+    beta_first: Hardness  # how hard its tests are at first and at last, growing geometrically
+    beta_last: Hardness
+    anneal_until: Share  # the fraction of the steps at which beta has reached its last value
+    learning_rate_end: Share  # what is left of the algorithm's learning rate at the end, a fraction; it falls linearly
+
+    forms: ClassVar[Mapping[str, str]] = {"soft": "soft", "discretised": "discretised"}
+
+    @classmethod
+    def implied(cls, given: Mapping[str, str]) -> list[str]:
+        """Return the steps of soft trees, and the algorithm that the environment has for them, where none is given."""
+        if given.get("algo") == "sac":  # whose steps are the budget's own
+            return []
+        implied = list(ON_POLICY_STEPS)
+        if "algo" not in given:
+            own = (f"ppo_{given['method']}_{given.get('env', '')}", f"ppo_tree_{given.get('env', '')}")
+            files = (name for name in own if (CONF_DIR / "algo" / f"{name}.yaml").is_file())
+            implied.append(f"algo={next(files, 'ppo_tree')}")
+        return implied
+
+    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
+        """Refuse algorithms that train no soft trees."""
+        if not isinstance(algo, OnPolicyConfig | SacConfig):
+            raise ConfigError(
+                f"method={self.name} is trained by algo=ppo_tree, algo=trpo_tree or algo=sac, not {algo.name}"
+            )
+
+
+@dataclass(frozen=True)
+class SdtConfig(SoftConfig):
+    """A soft decision tree (Silva et al. 2020), with constant or affine leaves."""
+
+    leaves: Leaves
+
+    label = "SDT"
+
+    def module_options(self, depth: Any) -> dict[str, Any]:
+        """Return the options of `otr.control.soft_tree.SoftTree`."""
+        return {"depth": depth, "affine_leaves": self.leaves == "linear"}
+
+
+@dataclass(frozen=True)
+class CdtConfig(SoftConfig):
+    """A cascading decision tree (Ding et al. 2020) with `n_features` features between its two trees."""
+
+    n_features: Annotated[int, Range(1, 1024)]
+
+    label = "CDT"
+
+    def module_options(self, depth: Any) -> dict[str, Any]:
+        """Return the options of `otr.control.cdt.CascadingTree`."""
+        return {"feature_depth": depth[0], "n_features": self.n_features, "decision_depth": depth[1]}
+
+    def check_depth(self, depth: Any) -> None:
+        """Refuse all but two depths."""
+        if not (isinstance(depth, list) and len(depth) == 2):
+            raise ConfigError(f"depth={depth!r}: method=cdt has two trees; give both depths, as depth=[3,3]")
+
+
+@dataclass(frozen=True)
+class PiPrlConfig(SoftConfig):
+    """pi-PRL (Qiu & Zhu 2022): `discretise_at` is the fraction of the steps at which the structure is chosen."""
+
+    structure_penalty: Annotated[float, Range(0, 100)]
+    discretise_at: Share
+
+    label = "π-PRL"
+    forms: ClassVar[Mapping[str, str]] = {"soft": "relaxed"}
+
+    def module_options(self, depth: Any) -> dict[str, Any]:
+        """Return the options of `otr.control.pi_prl.RelaxedProgram`."""
+        return {"depth": depth, "structure_penalty": self.structure_penalty}
+
+
+@dataclass(frozen=True)
+class ExpertsConfig(HardenedConfig):
+    """Linear experts, `depth` of them, of which a hard linear router lets one act (SMoSE, AAAI 2025)."""
+
+    balance: NotNegative  # weight of `otr.control.LinearExperts.balance`, how unevenly they are used, in the loss
+
+    label = "Experts"
+    fleet_only = True
+    continuous_only = True
+    ties_repeats = True
+
+    @classmethod
+    def implied(cls, given: Mapping[str, str]) -> list[str]:
+        """Return the algorithm and the trainer, the only ones that there are."""
+        return ["algo=sac", "trainer=fleet"]
+
+    def module_options(self, depth: Any) -> dict[str, Any]:
+        """Return the options of `otr.control.LinearExperts`."""
+        return {"n_experts": depth}
+
+    def check_depth(self, depth: Any) -> None:
+        """Refuse all but a number of experts."""
+        check_n_experts(self.name, depth)
+
+    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
+        """Refuse algorithms that train no experts."""
+        if not isinstance(algo, SacConfig):
+            raise ConfigError(f"method=experts is trained by algo=sac, not {algo.name}; leave algo out")

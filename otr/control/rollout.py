@@ -181,13 +181,7 @@ def play_episodes(
         states = [start(env, int(seeds[i])) for i, env in enumerate(envs)]
         while envs:
             batch = np.array(states)
-            if not np.isfinite(batch).all():
-                slot = int((~np.isfinite(batch).all(axis=1)).argmax())
-                i = episode[slot]
-                raise ValueError(
-                    f"the observation of the episode of seed {seeds[i]} at step {lengths[i]} is not finite: "
-                    f"{batch[slot].tolist()}"
-                )
+            _require_finite(batch, episode, seeds, lengths)
             actions = to_env(policy(batch), len(batch))
             for slot in range(len(envs) - 1, -1, -1):  # backwards, so that a finished slot can be removed
                 env, i = envs[slot], episode[slot]
@@ -213,6 +207,17 @@ def play_episodes(
     kept = np.array([state for one in visited for state in one]).reshape(-1, n_inputs)
     taken = np.array([action for one in done for action in one] or no_actions, dtype=no_actions.dtype)
     return Rollout(np.array(seeds), returns, lengths, terminated, truncated, kept, taken)
+
+
+def _require_finite(states: FloatArray, episode: Sequence[int], seeds: Sequence[int], lengths: IntArray) -> None:
+    """Raise ValueError where one of the states (n, d) is not finite; `episode` (n,) says whose each is."""
+    if not np.isfinite(states).all():
+        slot = int((~np.isfinite(states).all(axis=1)).argmax())
+        i = episode[slot]
+        raise ValueError(
+            f"the observation of the episode of seed {seeds[i]} at step {lengths[i]} is not finite: "
+            f"{states[slot].tolist()}"
+        )
 
 
 def _function(policy: Any) -> Policy:

@@ -125,6 +125,7 @@ class NetworkModule(PolicyModule):
         self._slope, self._dense = network.negative_slope, network.dense
 
     def forward(self, X: Tensor) -> Tensor:
+        """Return the affine outputs (n, o) of states (n, d)."""
         *hidden, last = self._moving
         activations: list[Tensor] = []
         for rows in hidden:
@@ -163,6 +164,7 @@ class TreeModule(PolicyModule):
         self.register_buffer("_right", right, persistent=False)
 
     def forward(self, X: Tensor) -> Tensor:
+        """Return the affine outputs (n, o) of states (n, d): of the leaf that each reaches."""
         P, v = self._moving[0]()
         z = functional.linear(X, P, v)
         n_leaves, o = self._shape

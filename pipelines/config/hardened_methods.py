@@ -37,7 +37,7 @@ class HardenedConfig(GrownConfig):
     decides_training = True
 
     def module_options(self, depth: Any) -> dict[str, Any]:
-        """Return what the class of the module takes beside the numbers of inputs and outputs."""
+        """Return what the class of the module takes in addition to the numbers of inputs and outputs."""
         raise NotImplementedError
 
 

@@ -25,8 +25,8 @@ from pipelines.engine.provenance import git_revision, versions
 from pipelines.engine.store import write_json
 
 NAMES = (
-    "mapping", "prediction", "evaluation", "training", "fleet", "search", "polish", "sweeps", "supervised", "control",
-    "exact", "latency",
+    "mapping", "prediction", "evaluation", "training", "fleet", "search", "polish", "shrink", "sweeps", "supervised",
+    "control", "exact", "latency",
 )  # fmt: skip
 
 

@@ -46,6 +46,9 @@ SOURCES = (
 def load_curves(run_dirs: Sequence[Path], load_config: Callable[[Path], RunConfig]) -> pd.DataFrame:
     """Return a row for each judged policy of stages train and imitate, finished or under way.
 
+    A run that critics have polished has rows of that polish instead, by all the environment steps that went into it:
+    its oracle's, the imitation's and those that filled the replay buffer. Its first is the imitator.
+
     Columns: `panel` (the environment), `label` (method, depth, budget and what else is set, the steps apart, which a
     curve shows), `run` (the folder), `spent` in units of
     `unit`, `mean` and `std` (of the return; NaN where no deviation is kept), `chosen`, `final`, the return of the tree
@@ -62,7 +65,13 @@ def load_curves(run_dirs: Sequence[Path], load_config: Callable[[Path], RunConfi
     rows: list[dict[str, Any]] = []
     for run_dir in run_dirs:
         place = panel_and_label(run_dir, but=["train.steps"])
-        final = read_summary(run_dir).get("return_mean")
+        summary = read_summary(run_dir)
+        final = summary.get("return_mean")
+        if summary.get("polish", {}).get("by") == "critic":
+            final = summary["polish"]["return_mean"]
+            about = {**place, "run": str(run_dir), "unit": STEPS, "std": float("nan"), "final": final, **FINISHED}
+            rows += [about | row for row in _rows_of_polish(run_dir, summary)]
+            continue
         for stage, file, unit, spent, mean, std, chosen in SOURCES:
             judged: Sequence[Mapping[str, Any]]
             if exists(run_dir / stage / file):
@@ -84,6 +93,22 @@ def load_curves(run_dirs: Sequence[Path], load_config: Callable[[Path], RunConfi
             "under way begins with its first evaluation, and programs (method=program) are not trained"
         )
     return pd.DataFrame(rows)
+
+
+def _rows_of_polish(run_dir: Path, summary: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return what was spent on each candidate of a polish by critics, its return, and whether it was kept."""
+    polish = summary["polish"]
+    learnt_from = summary["total_steps"] - polish["n_learning_steps"]
+    last = polish["best_iteration"] if polish["kept"] else 0
+    return [
+        {
+            "spent": float(learnt_from + iteration if iteration else learnt_from - polish["n_refill_steps"]),
+            "mean": float(row["selection_mean"]),
+            "chosen": iteration == last,
+        }
+        for row in read_csv(run_dir / "polish" / "candidates.csv")
+        for iteration in [int(row["iteration"])]
+    ]
 
 
 def rows_under_way(

@@ -71,10 +71,11 @@ def make_cells(runs: pd.DataFrame) -> pd.DataFrame:
     A cell is of one budget and trainer: the first with two runs or more in the order of `in_order`, else the first. Its
     `table` is 4.1, text or other.
     """
+    runs = runs.assign(total_steps=runs.get("total_steps", float("nan")))
     found = in_order(summarise(
         runs, [*KEY, *SOURCE], "return_mean", best=("return_mean", "max"), n_episodes=("n_episodes", "min"),
         most_episodes=("n_episodes", "max"), pruned_depth=("pruned_depth", lambda depths: depths.mean(skipna=False)),
-        oracle=("oracle.hidden_widths", "first"),
+        oracle=("oracle.hidden_widths", "first"), total_steps=("total_steps", "mean"),
     ), SOURCE).sort_values("n_runs", key=lambda n: n == 1, kind="stable")  # fmt: skip
     rest = found.duplicated(KEY)
     text = {*found[KEY].itertuples(index=False, name=None), *TEXT} - {*TABLE}
@@ -110,6 +111,8 @@ def _notes(cell: Any, also: list[str]) -> Iterable[str]:
     elif cell.pruned_depth >= 0 and (cell.table == "text" or cell.depth == "32"):
         theirs = cell.published_pruned_depth
         yield f"pruned depth {cell.pruned_depth:.1f}" + (f" (published {theirs})" if theirs else "")
+    if cell.method.endswith("-polished") and cell.total_steps >= 0:
+        yield f"polished by its oracle's critics: {cell.total_steps:,.0f} steps in all, the oracle's included"
     if cell.n_runs and cell.n_episodes != cell.most_episodes:
         yield f"episodes differ between runs: {cell.n_episodes:.0f} to {cell.most_episodes:.0f}"
     yield from also

@@ -41,6 +41,8 @@ def show_result(summary: dict[str, Any], run_dir: Path, whole: Path, env: EnvCon
         lines.append(_likeness(summary["oracle"]))
     if "polish" in summary:
         lines.append(_polished(summary["polish"]))
+    if "total_steps" in summary:
+        lines.append(f"{summary['total_steps']:,} steps of the environment in all: {steps_in_words(summary)}")
     if "certify" in summary:
         lines.append(proof_line(summary["certify"], env))
     if "simplify" in summary:
@@ -135,6 +137,14 @@ def _polished(report: dict[str, Any]) -> str:
             f"{report['n_steps']:,} with the episodes that chose"
         )
     return f"polished: {report['n_numbers']} numbers of the {report['numbers']} {how} ({spent}); {outcome}"
+
+
+def steps_in_words(summary: dict[str, Any]) -> str:
+    """Return the environment steps that a policy polished by critics has cost, its oracle's first."""
+    imitation, polish = summary.get("imitate", {}).get("n_steps", 0), summary["polish"]
+    actor = polish["n_refill_steps"] + polish["n_learning_steps"]
+    parts = {"of the oracle": summary["steps"], "of the imitation": imitation, "of the actor": actor}
+    return ", ".join(f"{number:,} {what}" for what, number in parts.items() if number)
 
 
 def _short_program(title: str, path: Path) -> list[str]:

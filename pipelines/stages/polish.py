@@ -148,7 +148,7 @@ def improve_by_critic(policy: Any, config: RunConfig) -> Polished:
     settings = polishing.critic
     account.n_steps += settings.refill_steps + settings.steps
     own = {"n_refill_steps": settings.refill_steps, "n_learning_steps": settings.steps}
-    return account.polished(polished, config, by="critic", **own)
+    return account.polished(polished, config, by="critic", **own, candidate_seconds=account.candidate_seconds)
 
 
 class _Account:
@@ -157,6 +157,7 @@ class _Account:
     def __init__(self, purpose: str) -> None:
         self._purpose, self._began, self._announced = purpose, time.process_time(), time.monotonic()
         self._reports: list[PolishReport] = []
+        self._seconds: list[float] = []  # of CPU, at each candidate
         self.n_steps = 0
 
     def evaluation(self, episodes: SearchEpisodes) -> Evaluate:
@@ -172,6 +173,7 @@ class _Account:
     def announce(self, report: PolishReport) -> None:
         """Keep what is reported, and print it every few seconds."""
         self._reports.append(report)
+        self._seconds.append(round(time.process_time() - self._began, 3))
         if time.monotonic() - self._announced >= ANNOUNCE_S:
             self._announced = time.monotonic()
             (_, before), (iteration, now) = report.candidates[0], report.candidates[-1]
@@ -180,6 +182,11 @@ class _Account:
                 f"episodes, {before:.1f} before",
                 flush=True,
             )
+
+    @property
+    def candidate_seconds(self) -> list[float]:
+        """The seconds of CPU at which each candidate had played, the original first."""
+        return self._seconds[: len(self._reports[-1].candidates)]
 
     def polished(self, policy: Any, config: RunConfig, **about: Any) -> Polished:
         """Return the policy with what is to be said of it."""

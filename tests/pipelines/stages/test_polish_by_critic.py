@@ -10,6 +10,7 @@ import torch
 from stable_baselines3 import PPO, SAC, TD3
 
 import otr
+from benchmarks import shrink
 from pipelines.cli.pack import pack_results
 from pipelines.cli.runs import RUN, load_config
 from pipelines.config.stages import PolishingConfig
@@ -17,6 +18,8 @@ from pipelines.engine.stage import stage_status
 from pipelines.engine.store import read_json
 from pipelines.errors import ConfigError
 from pipelines.play.actor_files import load_actor
+from pipelines.play.random_returns import random_returns
+from pipelines.report.learning_curves import STEPS, load_curves
 from pipelines.runs.replay import replay
 from pipelines.stages.polish import POLISH, estimated_seconds, polish_settings, polishes_by
 from pipelines.stages.table import stages_of
@@ -59,6 +62,9 @@ def test_oracle_student_and_polish_come_of_one_command(shrunk, monkeypatch):
     assert episodes in (12, 20) and report["n_steps"] == 200 + 20 + 200 * episodes
     assert summary["steps"] == 300 and summary["total_steps"] == 300 + summary["imitate"]["n_steps"] + 220
     assert "learnt by critics in 20 steps after 200 of play" in printed
+    imitation = summary["imitate"]["n_steps"]
+    all_steps = f"{520 + imitation:,} steps of the environment in all: 300 of the oracle, {imitation:,} of the"
+    assert f"{all_steps} imitation, 220 of the actor" in " ".join(printed.split())
     network, tree = load_actor(made / "polish"), otr.load(made / "polish/tree")
     assert network.head == load_actor(made / "imitate").head and network.hidden_widths == (4,)
     X = np.random.default_rng(0).uniform([-1, -1, -8], [1, 1, 8], (100, 3))
@@ -66,6 +72,32 @@ def test_oracle_student_and_polish_come_of_one_command(shrunk, monkeypatch):
     assert tree.n_leaves == report["n_leaves"] <= 16
     assert replay(load_config(made, 1), made) == 0
     assert "polish: done before" in run(folder, *words)
+
+
+def test_the_way_of_a_shrunk_policy_is_drawn_by_all_its_steps_and_timed_from_its_oracle(shrunk, monkeypatch):
+    folder, *_ = shrunk
+    (made,) = folder.glob("results/runs/pendulum/distilled_otr/depth-4/smoke-fleet/seed-0~*")
+    summary = read_json(made / "summary.json")
+    curves = load_curves([made], lambda path: load_config(path, 1))
+    imitated = 300 + summary["imitate"]["n_steps"]
+    assert curves["spent"].tolist() == [imitated, imitated + 210, imitated + 220] and set(curves["unit"]) == {STEPS}
+    assert curves["chosen"].sum() == 1 and curves["final"].iloc[0] == summary["polish"]["return_mean"]
+    monkeypatch.setenv("OTR_RESULTS_DIR", str(folder / "results"))
+    times = summary["polish"]["candidate_seconds"]
+    assert len(times) == 3 and times == sorted(times)
+    oracle = {"policies": {"oracle": {"return_mean": curves["mean"].iloc[1]}}}
+    run = shrink.shrunk_run(made, summary | oracle, "group")
+    third = next(i for i, mean in enumerate(curves["mean"]) if share(mean, curves["mean"].iloc[1]) >= 0.9)
+    assert run.minutes == (summary["seconds"]["imitate"] + times[third]) / 60
+    (entry,) = [each for each in shrink.measure(quick=False) if each.unit == "return"]
+    assert entry.value == summary["polish"]["return_mean"]
+    assert entry.peer_value == summary["policies"]["oracle"]["return_mean"]
+
+
+def share(mean, oracle):
+    """Return how far a return is from random actions to the oracle's."""
+    least = random_returns()["pendulum"]
+    return (mean - least) / (oracle - least)
 
 
 def test_what_is_packed_without_critics_stays_done_and_tells_who_asks_for_them(shrunk, tmp_path):

@@ -30,7 +30,7 @@ from pipelines.config.model import ImportedModel
 from pipelines.config.roads import road, roads
 from pipelines.config.run import RunConfig, changes_text, run_folder
 from pipelines.config.setting import not_keyed
-from pipelines.config.trainer import TRAINERS, FleetConfig, TrainerConfig
+from pipelines.config.trainer import SHRINK, TRAINERS, FleetConfig, TrainerConfig
 from pipelines.engine.job import Job
 from pipelines.engine.store import corrupt
 from pipelines.errors import ConfigError, did_you_mean
@@ -137,6 +137,8 @@ class RunWorkflow(Workflow):
         if leaves_it:  # what is said of an algorithm is said of the road's
             words = [override for override in words if not override.startswith("algo.")]
         given |= dict(override.split("=", 1) for override in words)
+        if given.get("trainer") == SHRINK and "algo" not in given:
+            words = [*words, "algo=sac"]
         file = _own_env_file(given.get("env", ""), overrides)
         of_file = settings_of_env_file(file) if file else {}
         by_method = METHODS.get(given.get("method", "otr"), MethodConfig).implied(of_file | given)
@@ -366,6 +368,8 @@ def _of_oracle(config: RunConfig, overrides: Sequence[str]) -> list[str]:
     imported by method=model.
     """
     own = [override for override in overrides if key_of(override).split(".")[0] in OF_TRAINING or is_search(override)]
+    if config.trainer.name == SHRINK:  # which a fleet's oracle is for
+        own = [*(override for override in own if key_of(override) != "trainer"), "trainer=fleet"]
     if config.imported is not None:
         files = [override for override in overrides if key_of(override) in OF_THE_FILE]
         return [*own, "method=model", *files, "stages=[import]", f"seed={config.seed}"]

@@ -11,7 +11,7 @@ from pipelines.config.budget import BudgetConfig
 from pipelines.config.env import EnvConfig
 from pipelines.config.hardened_methods import SoftConfig
 from pipelines.config.method import MethodConfig
-from pipelines.config.methods import EXTRA_STAGES, METHODS
+from pipelines.config.methods import EXTRA_STAGES, METHODS, DistilledConfig, DistilledExpertsConfig
 from pipelines.config.model import ImportedModel
 from pipelines.config.setting import (
     DERIVED,
@@ -37,7 +37,7 @@ from pipelines.config.stages import (
     SimplificationConfig,
     TrainConfig,
 )
-from pipelines.config.trainer import FleetConfig, TrainerConfig
+from pipelines.config.trainer import SHRINK, FleetConfig, TrainerConfig
 from pipelines.engine.digests import differences_suffix, setting_differences
 from pipelines.engine.seeding import FIRST_STREAM_SEED
 from pipelines.errors import ConfigError
@@ -115,6 +115,11 @@ class RunConfig:
                     f"actor.dense={self.actor.dense}: trainer=sb3 trains layered actors; use algo=ars, or algo=sac "
                     "with trainer=fleet"
                 )
+        if self.trainer.name == SHRINK and not isinstance(self.method, DistilledConfig | DistilledExpertsConfig):
+            raise ConfigError(
+                f"trainer=shrink makes a small policy out of a large one, which method={self.method.name} does not; use "
+                "method=distilled_otr or method=distilled_experts"
+            )
         if self.fleet:
             self.fleet.check(self.algo)
         elif self.method.fleet_only:

@@ -44,4 +44,5 @@ class FleetConfig(TrainerConfig):
             raise ConfigError(f"trainer={self.name} has no ornstein_uhlenbeck noise; use algo.action_noise=normal")
 
 
+SHRINK = "shrink"  # conf/trainer/shrink.yaml: the fleet's oracle, imitated briefly and polished by its critics
 TRAINERS: dict[str, type[TrainerConfig]] = {"sb3": TrainerConfig, "fleet": FleetConfig}

@@ -100,6 +100,21 @@ def share(mean, oracle):
     return (mean - least) / (oracle - least)
 
 
+def test_trainer_shrink_is_a_fleet_s_oracle_a_short_imitation_and_a_polish_by_critics(shrunk):
+    folder, *_ = shrunk
+    words = ("env=pendulum", "trainer=shrink", "algo.critic=[16]", "oracle=[16]", "depth=3")
+    printed = run(folder, *words, "method=distilled_otr", "imitate.n_episodes=1")
+    assert "numbers of the network learnt by critics" in printed
+    (made,) = folder.glob("results/runs/pendulum/distilled_otr/depth-3/smoke-shrink/seed-0~*")
+    assert read_json(made / "imitate/report.json")["n_rows"] == 5 * 200
+    assert "/smoke-fleet/seed-0~" in read_json(made / "oracle/oracle.json")["folder"]
+    (job,) = RUN.jobs([["env=bipedalwalker", "method=distilled_experts", "trainer=shrink"]])
+    assert job.run_dir.parts[-2:] == ("standard-shrink", "seed-0") and job.config.algo.name == "sac"
+    assert job.oracle.run_dir.parts[-3:] == ("depth-256-256", "standard-fleet", "seed-0")
+    with pytest.raises(ConfigError, match="trainer=shrink makes a small policy out of a large one, which method=ndps"):
+        RUN.jobs([["env=pendulum", "method=ndps", "trainer=shrink"]])
+
+
 def test_what_is_packed_without_critics_stays_done_and_tells_who_asks_for_them(shrunk, tmp_path):
     folder, words, _ = shrunk
     shutil.copytree(folder / "results", tmp_path / "results")

@@ -123,7 +123,7 @@ def search(policy: Policy, config: RunConfig, purpose: str) -> Polished:
             seed=stream_seed(config.seed, "polish", index),
             report=account.announce,
         )
-    return account.polished(polished, config, **account.halvings(config))
+    return account.polished(polished, config, **account.size(config))
 
 
 def improve_by_critic(policy: Any, config: RunConfig) -> Polished:
@@ -184,9 +184,9 @@ class _Account:
                 flush=True,
             )
 
-    def halvings(self, config: RunConfig) -> dict[str, int]:
-        """Return how often the scale was halved, where it is by sensitivity."""
-        return {} if config.polishing.scale == "uniform" else {"n_halvings": self._reports[-1].n_halvings}
+    def size(self, config: RunConfig) -> dict[str, float]:
+        """Return the size of a scale by sensitivity."""
+        return {} if config.polishing.scale == "uniform" else {"size": self._reports[-1].size}
 
     def polished(self, policy: Any, config: RunConfig, **about: Any) -> Polished:
         """Return the policy with what is to be said of it."""

@@ -25,9 +25,9 @@ SETTINGS = SearchSettings(
 SEARCH_SEEDS = (2**20, 2**30)
 SELECTION_SEEDS = (2**30, 2**30 + 2**29)
 CONFIRMATION_SEEDS = (2**30 + 2**29, 2**31)
-# Of a scale by sensitivity: the share of the return that the median of the first vectors may lose, and how often the
-# scale is halved for that
-MOST_LOST, MOST_HALVINGS = 0.05, 10
+# Of a scale by sensitivity: what it is multiplied by at first, halved up to so many times until the median of the first
+# vectors loses less than that share of the return
+FIRST_SIZE, MOST_HALVINGS, MOST_LOST = 8.0, 12, 0.05
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class PolishReport:
         confirmation: mean returns of the original and of the best candidate on the confirmation episodes; None before
             these are played, and where no candidate is better than the original on the selection episodes.
         kept: whether the best candidate is the polished policy, at the end.
-        n_halvings: how often a scale by sensitivity was halved.
+        size: what a scale by sensitivity is multiplied by, so that vectors lose little.
     """
 
     n_numbers: int
@@ -51,7 +51,7 @@ class PolishReport:
     candidates: tuple[tuple[int, float], ...]
     confirmation: tuple[float, float] | None = None
     kept: bool = False
-    n_halvings: int = 0
+    size: float = 1.0
 
 
 def polish(
@@ -86,8 +86,8 @@ def polish(
         n_iterations: of the search, each of ``2 * settings.n_directions * n_episodes`` episodes.
         settings: of the search; step and noise are in units of a row's size, times the scale.
         scale: of all numbers 1, or by sensitivity: smaller where the actions react more
-            (`otr.control.search.sensitivity`), so that noise is what all numbers together change the actions by, and
-            halved until the median of the first vectors loses less than 5 % of the return.
+            (`otr.control.search.sensitivity`), of a size that is found: the largest of 8, 4, 2 and so on at which
+            the median of the first vectors loses less than 5 % of the return.
         n_episodes: of every vector tried.
         common_starts: who shares the starts of an iteration, the two policies of a direction or all.
         n_selection_episodes: of each candidate; as many more confirm the best.
@@ -112,11 +112,11 @@ def polish(
         raise ValueError(f"scale is {scale!r}, expected 'uniform' or 'sensitivity'")
     numbers = policy_numbers(policy, states, free=free, tied=tied)
     play = Episodes(evaluate, seed, n_episodes, shared_by_all=common_starts == "all")
-    search, n_halvings = DirectSearch(numbers.start, settings, seed), 0
+    search, size = DirectSearch(numbers.start, settings, seed), 1.0
     if scale == "sensitivity":
-        search, n_halvings = _bearable(numbers, play, settings, seed, sensitivity_scale(numbers, states))
+        search, size = _bearable(numbers, play, settings, seed, sensitivity_scale(numbers, states))
     candidates = _candidates(numbers, play, search, n_iterations, n_candidates)
-    start = PolishReport(numbers.start.size, n_iterations, 0, (), n_halvings=n_halvings)
+    start = PolishReport(numbers.start.size, n_iterations, 0, (), size=size)
     return best_confirmed(policy, candidates, play, start, n_selection_episodes, report)
 
 
@@ -178,16 +178,16 @@ def _candidates(
 
 def _bearable(
     numbers: PolicyNumbers[Policy], play: Episodes, settings: SearchSettings, seed: int, scale: FloatArray
-) -> tuple[DirectSearch, int]:
-    """Return the search whose first vectors' median loses little, and how often its scale was halved for that."""
+) -> tuple[DirectSearch, float]:
+    """Return the search of the largest size at which the median of the first vectors loses little, and the size."""
     starts = play.of_iteration(0, 2 * settings.n_directions)
     before = play([numbers.policy(numbers.start)], starts.reshape(1, -1)).reshape(starts.shape)
-    for n_halvings in range(MOST_HALVINGS + 1):
-        search = DirectSearch(numbers.start, settings, seed, scale / 2**n_halvings)
+    for size in FIRST_SIZE / 2.0 ** np.arange(MOST_HALVINGS + 1):
+        search = DirectSearch(numbers.start, settings, seed, size * scale)
         returns = play([numbers.policy(vector) for vector in search.ask()], starts)
         if np.median((before - returns).mean(axis=1)) < MOST_LOST * abs(before.mean()):
             break
-    return search, n_halvings
+    return search, float(size)
 
 
 class Episodes:

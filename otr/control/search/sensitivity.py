@@ -14,6 +14,7 @@ from otr.core.tree import ObliqueTree
 STEP = 0.03  # of the differences, in units of a row's size: enough that a few states change the side of a tree's test
 MOST_STATES = 1000
 MOST_MEDIANS = 3.0  # the greatest scale, in medians
+ROUNDING = 1e-9  # share of the greatest reaction; what is below may be the rounding of a policy written anew
 
 
 def sensitivity_scale(numbers: PolicyNumbers[Any], states: ArrayLike) -> FloatArray:
@@ -21,7 +22,7 @@ def sensitivity_scale(numbers: PolicyNumbers[Any], states: ArrayLike) -> FloatAr
 
     The scale of number i is 1 / (sqrt(D) rms |da / dtheta_i|) over the states, actions a in units of half their range
     (safe mutations by rescaling, Lehman et al. 2018); at most three times the median of those that change an action.
-    Derivatives are finite differences.
+    Derivatives are finite differences, so that a tree's tests have one, too.
 
     Args:
         numbers: of the policy.
@@ -45,7 +46,7 @@ def sensitivity_scale(numbers: PolicyNumbers[Any], states: ArrayLike) -> FloatAr
         vector[i] += STEP
         change = (numbers.policy(vector).predict(X) - actions) / sizes
         reactions[i] = np.sqrt(np.square(change).sum(axis=1).mean()) / STEP
-    reacts = reactions > 0
+    reacts = reactions > ROUNDING * reactions.max(initial=0.0)
     if not reacts.any():
         return np.ones_like(reactions)
     scale = 1.0 / np.where(reacts, reactions, np.inf) / np.sqrt(len(reactions))

@@ -24,7 +24,7 @@ def test_of_a_linear_policy_it_is_the_analytic_one(seed: int, d: int, o: int, cl
     """d(action of row k) / d theta is r_k s and, of the offset, r_k: s standardised, rms 1, in half ranges."""
     rng = np.random.default_rng(seed)
     X = rng.normal(size=(200, d)) * rng.uniform(0.1, 10.0, d) + rng.normal(size=d)
-    W, b = rng.normal(size=(o, d)), rng.normal(size=o)
+    W, b = rng.normal(size=(o, d)) * 10.0 ** -np.arange(o)[:, None], rng.normal(size=o) * 10.0 ** -np.arange(o)
     half = np.full(o, 1e6) if clipped else np.ones(o)
     policy = otr.ReluNetwork([W], [b], head=otr.ClipBox(-half, half) if clipped else otr.Identity())
     sizes = np.hypot(np.linalg.norm(W * X.std(axis=0), axis=1), W @ X.mean(axis=0) + b)

@@ -41,12 +41,11 @@ from pipelines.play.video import check_video
 from pipelines.runs.imitation import OTHERS, imitating_command
 from pipelines.runs.result import result_row
 from pipelines.runs.run_job import RunJob, run_job, run_jobs
-from pipelines.stages import polish
 from pipelines.stages.import_model import read_model
 from pipelines.stages.parse import policy_tree, read_program
+from pipelines.stages.polish import check_polish
 from pipelines.stages.train import fleets
 from pipelines.tracking.tracker import check_tracking
-from pipelines.training.environments.backends import check_environments
 
 # The groups and keys that decide how an oracle is trained, and where and how that is done.
 OF_TRAINING = ("env", "algo", "actor", "trainer", "budget", "train", "experiment", "results_dir", "n_workers",
@@ -108,7 +107,7 @@ def _check_later_stages(config: RunConfig) -> None:
     check_tracking(config)
     check_video(config)
     if "polish" in config.selected_stages:
-        check_environments(config.env, polish.environments(config))
+        check_polish(config)
 
 
 class RunWorkflow(Workflow):

@@ -3,7 +3,18 @@
 from dataclasses import asdict, dataclass, field
 from typing import Annotated, Any, Literal
 
-from pipelines.config.setting import AsBefore, Count, NotNegative, OneOf, Positive, Range, Seed, Share, Text
+from pipelines.config.setting import (
+    AsBefore,
+    Count,
+    NotNegative,
+    OneOf,
+    Positive,
+    Range,
+    Seed,
+    Share,
+    Text,
+    keyed_settings,
+)
 
 
 @dataclass(frozen=True)
@@ -94,6 +105,8 @@ class PolishingConfig:
     step_size_end: Share = 0.05
     noise_end: Share = 0.2
     momentum: Annotated[float, Range(0, 1, open=True)] = 0.0
+    # What step and noise of each number are multiplied by: 1, or less where the actions react more to it
+    scale: Annotated[str, OneOf("uniform", "sensitivity"), AsBefore("uniform")] = "uniform"
     n_episodes: Count = 1  # of every vector tried
     # Who shares the starts of an iteration: the two policies of a direction, or all
     common_starts: Annotated[str, OneOf("pair", "all")] = "pair"
@@ -104,7 +117,7 @@ class PolishingConfig:
 
     def settings(self) -> dict[str, Any]:
         """Return what decides a polish by search, as committed polishes are keyed by it."""
-        return {name: value for name, value in asdict(self).items() if name not in ("by", "critic")}
+        return {name: value for name, value in keyed_settings(self).items() if name not in ("by", "critic")}
 
     def settings_by_critic(self) -> dict[str, Any]:
         """Return what decides a polish by critics."""

@@ -20,14 +20,16 @@ from pipelines.engine.console import duration
 from pipelines.engine.seeding import episode_seeds, stream_seed
 from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import exists, read_json, write_csv, write_files, write_json
+from pipelines.errors import ConfigError
 from pipelines.play.actor_files import actor_files, load_actor, load_oracle_network
-from pipelines.play.environments import episode_limit
+from pipelines.play.environments import episode_limit, is_discrete, make_env
 from pipelines.stages.evaluate import EPISODE_COLUMNS, episode_rows
 from pipelines.stages.evaluation_episodes import episodes_version, has_numpy_plant, moments, play_each
 from pipelines.stages.map import map_actor
 from pipelines.stages.printed_programs import and_names, write_program
 from pipelines.stages.prune import load_tree, prune
 from pipelines.training.critics import CRITICS, load_critics
+from pipelines.training.environments.backends import check_environments
 from pipelines.training.search.episodes import SearchEpisodes
 from pipelines.training.search.policy_search import search_settings
 
@@ -110,7 +112,8 @@ def search(policy: Policy, config: RunConfig, purpose: str) -> Polished:
             account.evaluation(episodes),
             states=visited.states,
             n_iterations=max(1, round(polishing.steps / vectors_steps)),
-            settings=search_settings(config.polishing),
+            settings=search_settings(polishing),
+            scale="sensitivity" if polishing.scale == "sensitivity" else "uniform",
             n_episodes=polishing.n_episodes,
             common_starts="all" if polishing.common_starts == "all" else "pair",
             n_selection_episodes=polishing.n_selection_episodes,
@@ -120,7 +123,7 @@ def search(policy: Policy, config: RunConfig, purpose: str) -> Polished:
             seed=stream_seed(config.seed, "polish", index),
             report=account.announce,
         )
-    return account.polished(polished, config)
+    return account.polished(polished, config, **account.size(config))
 
 
 def improve_by_critic(policy: Any, config: RunConfig) -> Polished:
@@ -188,6 +191,10 @@ class _Account:
         """The seconds of CPU at which each candidate had played, the original first."""
         return self._seconds[: len(self._reports[-1].candidates)]
 
+    def size(self, config: RunConfig) -> dict[str, float]:
+        """Return the size of a scale by sensitivity."""
+        return {} if config.polishing.scale == "uniform" else {"size": self._reports[-1].size}
+
     def polished(self, policy: Any, config: RunConfig, **about: Any) -> Polished:
         """Return the policy with what is to be said of it."""
         report, n_selection = self._reports[-1], config.polishing.n_selection_episodes
@@ -218,6 +225,29 @@ def polishes_by(config: RunConfig) -> str:
     return "critic" if has_critics else "search"
 
 
+def will_polish_by(config: RunConfig) -> str:
+    """Return what polishes a run once its oracle is there."""
+    is_to_come = config.polishing.by is None and config.oracle_run is not None and not exists(_manifest(config))
+    return "critic" if is_to_come and config.has_critics else polishes_by(config)
+
+
+def check_polish(config: RunConfig) -> None:
+    """Raise ConfigError where a run's polish cannot be done as it is set."""
+    check_environments(config.env, environments(config))
+    if config.polishing.scale == "uniform":
+        return
+    if will_polish_by(config) == "critic":
+        raise ConfigError(
+            "polishing.scale=sensitivity is of a search, and critics polish this run: give one of "
+            "polishing.by=search and polishing.scale=uniform"
+        )
+    if is_discrete(make_env(config.env)):
+        raise ConfigError(
+            f"polishing.scale=sensitivity is for continuous actions, and those of {config.env.id} are labels; "
+            "leave it out"
+        )
+
+
 def _manifest(config: RunConfig) -> Path:
     """Return the manifest of the stage that keeps a run's critics, if any."""
     return critics_folder(config) / MANIFEST
@@ -236,8 +266,7 @@ def estimated_seconds(config: RunConfig) -> float:
     table = NUMPY_STEPS_PER_S if environments(config) == "numpy" else STEPS_PER_S
     rate = table.get(config.env.task, OTHER_STEPS_PER_S)
     n_played = n_chosen * longest * SHARE_PLAYED
-    is_to_come = config.polishing.by is None and config.oracle_run is not None and not exists(_manifest(config))
-    if (is_to_come and config.has_critics) or polishes_by(config) == "critic":
+    if will_polish_by(config) == "critic":
         return (n_played + polishing.critic.refill_steps) / rate + polishing.critic.steps / UPDATES_PER_S
     return (polishing.steps + n_played) / rate
 

@@ -58,6 +58,8 @@ class DirectSearch:
     over the b directions with the greatest max(r_i+, r_i-); sigma is the standard deviation of their 2b returns. With
     momentum mu the step is the weighted mean ``velocity = mu * velocity + (1 - mu) * step`` of the steps so far.
 
+    A scale for each number multiplies its part of all directions, and so noise and step alike.
+
     The directions of an iteration depend on the seed and its number alone, so `centre`, `velocity` and `n_iterations`
     are all there is to keep.
 
@@ -68,13 +70,13 @@ class DirectSearch:
         n_iterations: how many were told.
     """
 
-    def __init__(self, centre: ArrayLike, settings: SearchSettings, seed: int) -> None:
-        """Begin at `centre` (D,)."""
+    def __init__(self, centre: ArrayLike, settings: SearchSettings, seed: int, scale: ArrayLike = 1.0) -> None:
+        """Begin at `centre` (D,), with a scale for each number (D,) or one for all."""
         self.settings = settings
         self.centre: FloatArray = np.array(centre, dtype=np.float64)
         self.velocity: FloatArray = np.zeros_like(self.centre)
         self.n_iterations = 0
-        self._seed = seed
+        self._seed, self._scale = seed, np.asarray(scale, dtype=np.float64)
         self._step_size = settings.step_size
 
     def ask(self, done: float = 0.0) -> FloatArray:
@@ -113,7 +115,8 @@ class DirectSearch:
     def _directions(self) -> FloatArray:
         """Return the iteration's directions (n_directions, D), the same whenever they are asked for."""
         generator = np.random.default_rng([self._seed, self.n_iterations])
-        return generator.standard_normal((self.settings.n_directions, len(self.centre)))
+        directions = generator.standard_normal((self.settings.n_directions, len(self.centre)))
+        return np.asarray(directions * self._scale)
 
 
 def _fallen(end: float, done: float) -> float:

@@ -97,6 +97,40 @@ def test_a_tree_of_any_method_is_polished_and_what_is_zero_stays(tiny, tmp_path)
     assert (again / "candidates.csv").read_bytes() == (out / "candidates.csv").read_bytes()
 
 
+def test_a_scale_by_sensitivity_reports_its_size_and_is_keyed(tiny, tmp_path):
+    folder, out = tmp_path / "prune", tmp_path / "out"
+    for each in (folder, out):
+        each.mkdir()
+    linear(folder, 0.1)
+    polishing = dataclasses.replace(SHORT, scale="sensitivity", steps=100_000)
+    config = tiny(method=ViperConfig("viper", 100, 1), polishing=polishing)
+    polish({"prune": folder}, config, out)
+    report = read_json(out / "report.json")
+    assert report["size"] in [8.0 / 2**n for n in range(13)]
+    assert report["n_iterations"] == 1 and report["n_numbers"] == 1
+    n_sets = 3 + np.log2(8.0 / report["size"])  # of 16 policies: the start, each size, the iteration
+    n_chosen = 2 if report["confirmation_return"] is None else 4
+    assert report["n_episodes_played"] == n_sets * 16 * 32 + n_chosen * 200
+    # Runs from before there was a scale keep their folders and keys.
+    plain = tiny(polishing=SHORT)
+    assert "scale" not in plain.settings()["polishing"] and "scale" not in plain.polishing.settings()
+    assert config.settings()["polishing"]["scale"] == config.polishing.settings()["scale"] == "sensitivity"
+
+
+@pytest.mark.parametrize(("words", "told"), [
+    (("env=lunarlander", "budget=quick"), "is for continuous actions, and those of LunarLander-v3 are labels"),
+    (("env=pendulum", "method=distilled_otr", "trainer=fleet"), "is of a search, and critics polish this run"),
+])  # fmt: skip
+def test_a_scale_by_sensitivity_is_refused_before_anything_is_done(words, told, tmp_path):
+    words = [*words, "polish=true", "polishing.scale=sensitivity", f"results_dir={tmp_path}"]
+    (job,) = RUN.jobs(RUN.expand(words, False))
+    with pytest.raises(ConfigError, match=told):
+        RUN.check(job.config)
+    if "method=distilled_otr" in words:
+        (searched,) = RUN.jobs(RUN.expand([*words, "polishing.by=search"], False))
+        RUN.check(searched.config)
+
+
 def test_a_mapped_tree_is_polished_as_its_network_proved_and_exported(command, results, capsys):
     run = results / "runs" / PENDULUM_RUN
     printed = pendulum(command, results, "polish=true", "certify=true", *SHORT_WORDS)

@@ -185,7 +185,7 @@ def test_committed_polishes_keep_their_keys(tmp_path):
     assert polishes_by(config) == "search"
     assert stage_status(POLISH, made / "polish", config) == "done"
     keyed = polish_settings(config)["polishing"]
-    assert "by" not in keyed and "critic" not in keyed and keyed["n_directions"] == config.polishing.n_directions
+    assert not {"by", "critic", "scale"} & set(keyed) and keyed["n_directions"] == config.polishing.n_directions
     # What is set for critics alone does not change it, and a polish by critics hears of nothing else.
     other = dataclasses.replace(config.polishing, critic=dataclasses.replace(config.polishing.critic, noise=0.3))
     assert stage_status(POLISH, made / "polish", dataclasses.replace(config, polishing=other)) == "done"

@@ -117,8 +117,8 @@ class RunConfig:
                 )
         if self.trainer.name == SHRINK and not isinstance(self.method, DistilledConfig | DistilledExpertsConfig):
             raise ConfigError(
-                f"trainer=shrink makes a small policy out of a large one, which method={self.method.name} does not; use "
-                "method=distilled_otr or method=distilled_experts"
+                f"trainer=shrink makes a small policy out of a large one, which method={self.method.name} does not; "
+                "use method=distilled_otr or method=distilled_experts"
             )
         if self.fleet:
             self.fleet.check(self.algo)

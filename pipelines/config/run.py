@@ -115,9 +115,9 @@ class RunConfig:
                     f"actor.dense={self.actor.dense}: trainer=sb3 trains layered actors; use algo=ars, or algo=sac "
                     "with trainer=fleet"
                 )
-        if self.fleet:
-            self.fleet.check(self.algo)
-        elif self.method.fleet_only:
+        if self.is_trained and isinstance(self.algo, SacConfig):
+            self.trainer.check(self.algo)
+        if self.method.fleet_only and not self.fleet:
             raise ConfigError(
                 f"method={self.method.name} is trained by trainer=fleet, not trainer={self.trainer.name}; "
                 "leave trainer out"

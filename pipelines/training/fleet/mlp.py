@@ -104,7 +104,6 @@ class StackedMlp:
         self._slope = negative_slope
         self._dense = dense
         self._layer_norm = layer_norm
-        self._moments: dict[int, list[tuple[Tensor, Tensor]]] = {}  # of a layer, a network's: means and 1 / deviations
         self._n_back_rows = n_rows if n_back_rows is None else n_back_rows
         self._stacks: dict[tuple[str, int], Tensor] = {}
         # What a layer gives out has the type of what the next one multiplies.
@@ -206,26 +205,25 @@ class StackedMlp:
             self._stacks[use, layer] = new_stack(self._n_networks, *shape, dtype=dtype)
         return self._stacks[use, layer]
 
-    def _normalise(self, i: int, affine: Tensor, out: Tensor) -> None:
-        """Write what layer i's affine map gave, normalised, into `out`; each network alone, for its bits."""
-        self._moments[i] = []
-        for one, place in zip(affine, out, strict=True):
-            normalised, mean, inverse_std = torch.native_layer_norm(one, [one.shape[1]], None, None, NORM_EPSILON)
-            place.copy_(normalised)
-            self._moments[i].append((mean, inverse_std))
+    def _normalise(self, i: int, values: Tensor, out: Tensor) -> None:
+        """Normalise what layer i's affine map gave, h, in place: z = (h - mean) / std; copy it into `out`."""
+        mean, inverse_std = (self._stack(use, i, (self.n_rows, 1), values.dtype) for use in ("mean", "inverse std"))
+        values.sub_(torch.sum(values, 2, keepdim=True, out=mean).div_(values.shape[2]))
+        torch.linalg.vector_norm(values, dim=2, keepdim=True, out=inverse_std)
+        inverse_std.square_().div_(values.shape[2]).add_(NORM_EPSILON).rsqrt_()
+        out.copy_(values.mul_(inverse_std))
 
     def _normalise_backward(self, i: int, delta: Tensor) -> None:
-        """Turn the derivative by layer i's normalised values, in place, into that by its affine map's.
-
-        Of z = (h - mean) / std that is (d - mean(d) - z mean(d z)) / std.
-        """
-        affine = self._stacks["affine", i][:, : self._n_back_rows]
-        for one, d, moments in zip(affine, delta, self._moments[i], strict=True):
-            mean, inverse_std = (each[: self._n_back_rows] for each in moments)
-            d_affine, *_ = torch.ops.aten.native_layer_norm_backward(
-                d.to(one.dtype), one, [one.shape[1]], mean, inverse_std, None, None, [True, False, False]
-            )
-            d.copy_(d_affine)
+        """Turn the derivative d by layer i's z, in place, into that by h: (d - mean(d) - z mean(d z)) / std."""
+        z, inverse_std = (self._stacks[use, i][:, : self._n_back_rows] for use in ("affine", "inverse std"))
+        shape, n_neurons = delta.shape[1:], delta.shape[2]
+        d = delta if delta.dtype == z.dtype else self._stack("d", i, shape, z.dtype).copy_(delta)
+        mean_d, mean_dz = (self._stack(use, i, (self._n_back_rows, 1), z.dtype) for use in ("mean d", "mean dz"))
+        torch.sum(d, 2, keepdim=True, out=mean_d).div_(n_neurons)
+        product = torch.mul(d, z, out=self._stack("dz", i, shape, z.dtype))
+        torch.sum(product, 2, keepdim=True, out=mean_dz).div_(n_neurons)
+        d.sub_(mean_d).sub_(torch.mul(z, mean_dz, out=product))
+        torch.mul(d, inverse_std, out=delta)
 
     def _activate(self, values: Tensor) -> None:
         if self._slope == 0.0:

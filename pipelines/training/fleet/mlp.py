@@ -7,8 +7,8 @@ cache. A network's bits do not depend on how many there are (`stacked_tensors`).
 With `dense`, layers after the first read the inputs beside the activations before them: concat(a, x), as in
 `otr.ReluNetwork` with `dense="input"`.
 
-With `layer_norm`, what a hidden layer's affine map gives for an input is brought to mean 0 and variance 1 over its neurons
-before the activation (Ba et al. 2016), without learnt gains and offsets: the weights and biases before it say as much.
+With `layer_norm`, what a hidden layer's affine map gives for an input has mean 0 and variance 1 over the neurons before
+the activation (Ba et al. 2016). There are no learnt gains and offsets: the layer's weights and biases express them.
 
 With `precision="bf16"` the products between wide layers, where almost all arithmetic is, take bfloat16 factors and sum
 in float32; parameters, first and last layers and everything elementwise stay float32.

@@ -1,7 +1,7 @@
 """The algorithm that trains a run: a file of conf/algo."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import MISSING, dataclass, field, fields
 from typing import Annotated, Any, ClassVar
 
 from pipelines.config.setting import (
@@ -17,7 +17,7 @@ from pipelines.config.setting import (
     Text,
     Width,
 )
-from pipelines.config.stages import ActorConfig
+from pipelines.config.stages import ActorConfig, ActorValue
 from pipelines.errors import ConfigError
 
 MOST_LAYERS, WIDEST_LAYER = 2, 32  # of an actor that is searched
@@ -196,13 +196,29 @@ class ContinuousConfig(OffPolicyConfig):
 
 @dataclass(frozen=True)
 class SacConfig(ContinuousConfig):
-    """Soft actor-critic. `ent_coef` is `auto`, or a number as a string for a fixed temperature."""
+    """Soft actor-critic. `ent_coef` is `auto`, or a number as a string for a fixed temperature.
+
+    The settings after it are of `trainer=fleet` alone.
+    """
 
     ent_coef: Annotated[
         str, Text(r"auto|([0-9]+\.?[0-9]*|\.[0-9]+)(e-?[0-9]+)?", "use auto, or a number for a fixed temperature")
     ]
+    # Of the critics; None is `learning_rate`, which then is the actor's and the temperature's
+    critic_learning_rate: Annotated[float | None, Range(1e-12, 10), AsBefore(None)] = None
+    learning_rate_end: Annotated[float, Range(0, 1), AsBefore(1.0)] = 1.0  # share of both at the end, reached linearly
+    # "layer": each hidden layer of the critics is normalised before its activation (Ba et al. 2016), without gains
+    critic_norm: Annotated[str, OneOf("none", "layer"), AsBefore("none")] = "none"
+    # What the actor climbs: the lesser of the critics' values, or their mean (Mastikhina et al. 2025, for small actors)
+    actor_value: ActorValue = "min"
+    actor_delay: Annotated[int, Range(1), AsBefore(1)] = 1  # updates of the critics for each of actor and temperature
 
     steps_per_s = 145.0
+
+    @classmethod
+    def of_fleets(cls) -> dict[str, Any]:
+        """Return the settings that other trainers do not have, with the values that mean what these do."""
+        return {each.name: each.default for each in fields(cls) if each.default is not MISSING}
 
 
 @dataclass(frozen=True)

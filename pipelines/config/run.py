@@ -120,9 +120,9 @@ class RunConfig:
                 f"trainer=shrink makes a small policy out of a large one, which method={self.method.name} does not; "
                 "use method=distilled_otr or method=distilled_experts"
             )
-        if self.fleet:
-            self.fleet.check(self.algo)
-        elif self.method.fleet_only:
+        if self.is_trained and isinstance(self.algo, SacConfig):
+            self.trainer.check(self.algo)
+        if self.method.fleet_only and not self.fleet:
             raise ConfigError(
                 f"method={self.method.name} is trained by trainer=fleet, not trainer={self.trainer.name}; "
                 "leave trainer out"

@@ -1,6 +1,6 @@
 """The actor, and what each stage of a run is told beside the method."""
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 from pipelines.config.setting import (
@@ -70,6 +70,10 @@ class PruneConfig:
     k: Count | None
 
 
+# What an actor climbs: the lesser of two critics' values, or their mean
+ActorValue = Annotated[str, OneOf("min", "mean"), AsBefore("min")]
+
+
 @dataclass(frozen=True)
 class CriticPolishConfig:
     """A polish by critics: the soft actor-critic goes on with the finished policy in the actor's place."""
@@ -83,6 +87,7 @@ class CriticPolishConfig:
     noise: NotNegative = 0.1  # and from then on
     learning_rate: Annotated[float, Range(1e-12, 10)] = 1e-3
     batch_size: Count = 100
+    actor_value: ActorValue = "min"
 
 
 @dataclass(frozen=True)
@@ -122,7 +127,7 @@ class PolishingConfig:
     def settings_by_critic(self) -> dict[str, Any]:
         """Return what decides a polish by critics."""
         common = ("numbers", "free", "n_selection_episodes", "n_candidates", "environments")
-        return {"by": "critic", **{name: getattr(self, name) for name in common}, **asdict(self.critic)}
+        return {"by": "critic", **{name: getattr(self, name) for name in common}, **keyed_settings(self.critic)}
 
 
 _LIMIT = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?inf)"

@@ -19,7 +19,8 @@ VERSION = 1
 FLEET_VERSION = 1  # of the fleet trainer alone; part of its runs' settings
 LONG_RUN_S = 60.0
 # What runs of a fleet may differ in: a row of each stack has its own.
-OWN_SETTINGS = ("learning_rate", "gamma", "weight_decay", "ent_coef", "action_noise", "action_noise_std")
+OWN_SETTINGS = ("learning_rate", "critic_learning_rate", "gamma", "weight_decay", "ent_coef", "action_noise",
+                "action_noise_std")  # fmt: skip
 
 
 def train_settings(config: RunConfig) -> dict[str, Any]:

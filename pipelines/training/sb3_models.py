@@ -49,7 +49,7 @@ ALGORITHMS: dict[type[AlgoConfig], type[BaseAlgorithm]] = {
 }
 # The settings of an algorithm that its class has not, under that name or at all; all others are passed on.
 OTHER_SETTINGS = ("name", "critic", "weight_decay", "n_envs", "normalise", "action_noise_std", "action_noise_dt",
-                  "exploration_fraction", "exploration_final_eps")  # fmt: skip
+                  "exploration_fraction", "exploration_final_eps", *SacConfig.of_fleets())  # fmt: skip
 
 
 def build_model(config: RunConfig, seed: int) -> BaseAlgorithm:

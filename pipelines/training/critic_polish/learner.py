@@ -82,11 +82,11 @@ class CriticPolish:
                 for t in range(start, end):
                     ahead = t % streams.n_steps_ahead
                     if ahead == 0:
-                        draws = streams.draw()
+                        draws = streams.draw(streams.n_steps_ahead)
                         counts = settings.refill_steps + t + 1 + torch.arange(streams.n_steps_ahead)
                         positions = self._replay.positions(draws.fractions, counts)
                     self._step(learner.act, draws.policy[:, ahead], settings.noise * draws.exploration[:, ahead])
-                    learner.update(self._replay.gather(positions[:, ahead, 0]), draws.updates[:, ahead, 0])
+                    learner.update(self._replay.gather(positions[:, ahead]), draws.updates[:, ahead])
             if not all(bool(torch.isfinite(each).all()) for each in learner.tensors(0).values()):
                 print(f"polish: numbers are no longer finite after {end:,} steps, which ends the polish", flush=True)
                 return
@@ -127,7 +127,8 @@ class CriticPolish:
         runs = [RunSettings(settings.learning_rate, critics.gamma)]
         shapes = Shapes(
             self._layout.n_inputs, self._layout.n_actions, (), critics.widths, settings.batch_size,
-            critics.negative_slope, clips=is_clipped(self._policy.head),
+            critics.negative_slope, clips=is_clipped(self._policy.head), layer_norm=critics.layer_norm,
+            actor_value=settings.actor_value,
         )  # fmt: skip
         learner = FleetSac(shapes, runs, actor=ModuleActors(runs, [self._actor]))
         for ours, theirs in ((learner.critics, critics.layers), (learner.targets, critics.targets)):

@@ -78,7 +78,8 @@ class FleetRun:
         """What the learner takes for this run alone."""
         algo = self.algo
         temperature = None if algo.ent_coef == "auto" else float(algo.ent_coef)
-        return RunSettings(algo.learning_rate, algo.gamma, algo.weight_decay, temperature)
+        rates = algo.learning_rate, algo.critic_learning_rate
+        return RunSettings(rates[0], algo.gamma, algo.weight_decay, temperature, rates[1])
 
     @property
     def is_finished(self) -> bool:

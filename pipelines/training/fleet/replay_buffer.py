@@ -79,10 +79,10 @@ class FleetReplay:
         """Return the rows that uniform fractions in [0, 1) choose.
 
         Args:
-            fractions: (R, N, E, B), float64.
-            n_transitions: (N,), how many transitions each run has at each of N steps; the newest `size` count.
+            fractions: (R, U, B), float64.
+            n_transitions: (U,), how many transitions each run has at each of U updates; the newest `size` count.
         """
-        counts = n_transitions.view(1, -1, 1, 1)
+        counts = n_transitions.view(1, -1, 1)
         sampled = counts.clamp(max=self._size)
         chosen = torch.minimum((fractions * sampled).long(), sampled - 1)  # a product may round up to the whole
         return (chosen + (counts - sampled)) % self.capacity

@@ -37,6 +37,9 @@ class Shapes:
     dense: bool = False  # whether the actor's layers after the first read the state, too
     soft: SoftTraining | None = None  # actors that are soft trees, in place of the layers
     clips: bool = False  # whether actions are clipped to [-1, 1], in place of tanh
+    layer_norm: bool = False  # whether the critics' hidden layers are normalised (see `mlp`)
+    actor_value: str = "min"  # what the actor climbs: the min or the mean of the two critics' values
+    actor_delay: int = 1  # updates of the critics for each of actor and temperature
 
 
 @dataclass
@@ -58,7 +61,7 @@ class FleetSac:
     ) -> None:
         """Make the learner's memory; `actor` stands in for the layers that the shapes describe."""
         self.shapes, self.runs = shapes, tuple(runs)
-        n, rows = len(runs), shapes.batch_size
+        n, rows, n_actor_updates = len(runs), shapes.batch_size, n_updates // shapes.actor_delay
         critic_widths = (shapes.n_inputs + shapes.n_actions, *shapes.critic, 1)
 
         def critics(precision: str = "fp32") -> Layers:
@@ -70,7 +73,7 @@ class FleetSac:
         elif shapes.soft is None:
             widths = (shapes.n_inputs, *shapes.actor, 2 * shapes.n_actions)
             slope, dense = shapes.negative_slope, shapes.dense
-            self.actor = MlpActors(runs, widths, rows, negative_slope=slope, dense=dense, n_updates=n_updates)
+            self.actor = MlpActors(runs, widths, rows, negative_slope=slope, dense=dense, n_updates=n_actor_updates)
         else:
             self.actor = SoftActors(runs, shapes.soft, shapes.n_inputs, shapes.n_actions, rows)
         self.critics, self.targets = critics(shapes.precision), critics(shapes.precision)
@@ -84,10 +87,11 @@ class FleetSac:
         self.critic_gradients, *self.critic_moments = (critics() for _ in range(3))
         self._rate_share = 1.0
         critic_stacks = [self.critics, self.critic_gradients, *self.critic_moments]
-        self._critic_adam = adam_groups(runs, [layers.flat for layers in critic_stacks], n_updates, n_each=N_CRITICS)
-        self._temperature_adam = adam_groups(runs, temperature_rows, n_updates, decays=False)
+        of_critics, flats = [run.of_critics for run in runs], [layers.flat for layers in critic_stacks]
+        self._critic_adam = adam_groups(of_critics, flats, n_updates, n_each=N_CRITICS)
+        self._temperature_adam = adam_groups(runs, temperature_rows, n_actor_updates, decays=False)
 
-        self._critic_pass = StackedMlp(self.critics, rows, shapes.negative_slope)
+        self._critic_pass = StackedMlp(self.critics, rows, shapes.negative_slope, layer_norm=shapes.layer_norm)
         self._kind = ClippedActions if shapes.clips else SquashedActions
         self._actions = self._kind(n, 2 * rows, shapes.n_actions)
         self._acting: SquashedActions | None = None
@@ -167,9 +171,9 @@ class FleetSac:
 
     # -- learning -------------------------------------------------------------------------------------------------
 
-    def at_step(self, n_steps: int) -> None:
-        """Make ready for the updates after so many steps of the environment."""
-        self._rate_share = self.actor.at_step(n_steps)
+    def at_step(self, n_steps: int, rate_share: float = 1.0) -> None:
+        """Make ready for the updates after so many steps of the environment, at a share of the learning rates."""
+        self._rate_share = rate_share * self.actor.at_step(n_steps)
 
     @torch.no_grad()
     def update(self, batch: Minibatch, noise: Tensor) -> None:
@@ -179,22 +183,36 @@ class FleetSac:
             batch: the transitions.
             noise: (R, 2 B, n_actions), standard normal, for the actions in the states and, below, in their successors.
         """
-        shapes, n, rows = self.shapes, len(self.runs), self.shapes.batch_size
-        d = shapes.n_inputs
+        rows = self.shapes.batch_size
         self._actor_inputs[:, :rows] = batch.states
         self._actor_inputs[:, rows:] = batch.next_states
         answers = self.actor.forward(self._actor_inputs)
         actions = self._actions.sample(answers, noise)
         log_probability = self._actions.log_probability(answers, noise)
         temperature = self._temperature_rows[0].exp()[:, :1]
+        self._update_critics(batch, actions[:, rows:], temperature * log_probability[:, rows:])
+        if self.n_updates % self.shapes.actor_delay == 0:
+            d_actions = self._d_actions(actions[:, :rows])
+            self._actions.gradient(answers, noise, temperature, d_actions, self._d_actor)
+            self.actor.backward(self._actor_inputs, self._d_actor)
+            target_entropy = -float(self.shapes.n_actions)
+            mean_log_probability = log_probability[:, :rows].mean(1)
+            torch.mul(mean_log_probability + target_entropy, -self._automatic, out=self._temperature_gradient)
+            self.actor.step(self._rate_share)
+            for group in self._temperature_adam:
+                group.step(self._rate_share)
+        self.targets.flat.lerp_(self.critics.flat, self.shapes.tau)
+        self.targets.refresh()
 
-        # Critics, against the targets' least value of the next state.
+    def _update_critics(self, batch: Minibatch, next_actions: Tensor, costs: Tensor) -> None:
+        """Step the critics towards the targets' least value of the next actions, less their entropy's costs (R, B)."""
+        n, rows, d = len(self.runs), self.shapes.batch_size, self.shapes.n_inputs
         target_inputs, critic_inputs, d_critics = (
             stack.view(n, N_CRITICS, rows, -1) for stack in (self._target_inputs, self._critic_inputs, self._d_critics)
         )
         target_inputs[..., :d] = batch.next_states.unsqueeze(1)
-        target_inputs[..., d:] = actions[:, rows:].unsqueeze(1)
-        values = self._values(self.targets, self._target_inputs).amin(1) - temperature * log_probability[:, rows:]
+        target_inputs[..., d:] = next_actions.unsqueeze(1)
+        values = self._values(self.targets, self._target_inputs).amin(1) - costs
         goal = batch.rewards + batch.continues * self._gamma * values
         critic_inputs[..., :d] = batch.states.unsqueeze(1)
         critic_inputs[..., d:] = batch.actions.unsqueeze(1)
@@ -205,24 +223,22 @@ class FleetSac:
             group.step(self._rate_share)
         self.critics.refresh()
 
-        # Actor and temperature, against the critics just updated.
-        critic_inputs[..., d:] = actions[:, :rows].unsqueeze(1)
-        first, second = self._values(self.critics, self._critic_inputs).unbind(1)
-        torch.mul(first <= second, -1 / rows, out=d_critics[:, 0, :, 0])
-        torch.sub(-1 / rows, d_critics[:, 0], out=d_critics[:, 1])
+    def _d_actions(self, actions: Tensor) -> Tensor:
+        """Return the derivative of the actor's loss by its actions (R, B, n_actions), through the critics' values.
+
+        The states are those of the critics' last update.
+        """
+        n, rows, d = len(self.runs), self.shapes.batch_size, self.shapes.n_inputs
+        self._critic_inputs.view(n, N_CRITICS, rows, -1)[..., d:] = actions.unsqueeze(1)
+        values, d_critics = self._values(self.critics, self._critic_inputs), self._d_critics.view(n, N_CRITICS, rows)
+        if self.shapes.actor_value == "mean":
+            d_critics.fill_(-1 / (N_CRITICS * rows))
+        else:
+            torch.mul(values[:, 0] <= values[:, 1], -1 / rows, out=d_critics[:, 0])
+            torch.sub(-1 / rows, d_critics[:, 0], out=d_critics[:, 1])
         d_actions = self._critic_pass.backward(self.critics, self._critic_inputs, self._d_critics, None, d)
         assert d_actions is not None
-        d_actions = d_actions.view(n, N_CRITICS, rows, -1).sum(1)
-        self._actions.gradient(answers, noise, temperature, d_actions, self._d_actor)
-        self.actor.backward(self._actor_inputs, self._d_actor)
-        target_entropy = -float(shapes.n_actions)
-        mean_log_probability = log_probability[:, :rows].mean(1)
-        torch.mul(mean_log_probability + target_entropy, -self._automatic, out=self._temperature_gradient)
-        self.actor.step(self._rate_share)
-        for group in self._temperature_adam:
-            group.step(self._rate_share)
-        self.targets.flat.lerp_(self.critics.flat, shapes.tau)
-        self.targets.refresh()
+        return d_actions.view(n, N_CRITICS, rows, -1).sum(1)
 
     def _values(self, layers: Layers, inputs: Tensor) -> Tensor:
         """Return the critics' values, (R, 2, B)."""

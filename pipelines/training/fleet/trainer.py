@@ -86,6 +86,9 @@ class FleetTrainer:
             config.fleet.precision,
             bool(config.actor.links),
             _soft_training(config),
+            layer_norm=algo.critic_norm == "layer",
+            actor_value=algo.actor_value,
+            actor_delay=algo.actor_delay,
         )
         settings, generators = [run.settings for run in runs], [run.initial_generator() for run in runs]
         experts: ModuleActors | None = None
@@ -155,7 +158,8 @@ class FleetTrainer:
             for name in ("critics", "targets")
         )
         temperature, units = float(tensors["log_temperature"]), units_of_box(self._config)
-        critics = Critics(layers, targets, algo.gamma, self._config.actor.negative_slope, temperature)
+        slope, layer_norm = self._config.actor.negative_slope, algo.critic_norm == "layer"
+        critics = Critics(layers, targets, algo.gamma, slope, temperature, layer_norm=layer_norm)
         if units is not None:
             critics = critics.fold_input_normalisation(units.middle, units.scale)
         if self._hardening(r) is not None:
@@ -202,21 +206,36 @@ class FleetTrainer:
                 ahead = t % streams.n_steps_ahead
                 done = start + t * n_envs  # transitions of each run before this step
                 if ahead == 0:
-                    draws = streams.draw()
-                    counts = done + n_envs * (1 + torch.arange(streams.n_steps_ahead))
+                    n_updates, counts = self._updates(done, streams.n_steps_ahead)
+                    draws, next_update = streams.draw(len(counts)), 0
                     positions = self._replay.positions(draws.fractions, counts)
                 scaled = self._act(states, draws, ahead, random=done < first_update)
                 step = self._asked(self._env.step, self._env_actions(scaled))
                 self._replay.add(done, torch.cat([states, scaled, *self._outcome(step)], dim=2))
+                updates = range(next_update, next_update := next_update + n_updates[ahead])
                 if done + n_envs > first_update:
-                    self._learner.at_step(done)
-                    for e in range(n_envs):
-                        self._learner.update(self._replay.gather(positions[:, ahead, e]), draws.updates[:, ahead, e])
+                    self._learner.at_step(done, self._rate_share(done))
+                    for u in updates:
+                        self._learner.update(self._replay.gather(positions[:, u]), draws.updates[:, u])
                 states = self._by_run(step.states)
                 episodes.add(step)
                 progress.at_more_steps(n_runs * (t + 1) * n_envs)
             self._replay.flush()
             return start + n_vector_steps * n_envs, episodes.returns, episodes.lengths
+
+    def _updates(self, done: int, n_vector_steps: int) -> tuple[list[int], Tensor]:
+        """Return how many updates follow each vector step after `done` transitions, and each one's transitions (U,).
+
+        `gradient_steps` updates follow every `train_freq`-th transition of the run, wherever its segments begin.
+        """
+        algo, n_envs = self.runs[0].algo, self._n_envs
+        ends = done + n_envs * (1 + torch.arange(n_vector_steps))
+        n_updates = algo.gradient_steps * (ends // algo.train_freq - (ends - n_envs) // algo.train_freq)
+        return n_updates.tolist(), ends.repeat_interleave(n_updates)
+
+    def _rate_share(self, done: int) -> float:
+        """Return the share of the learning rates after `done` steps, which falls linearly to the end's."""
+        return 1.0 - (1.0 - self.runs[0].algo.learning_rate_end) * done / self._config.train.steps
 
     @staticmethod
     def _asked(call: Callable[[Given], Answer], argument: Given) -> Answer:

@@ -172,6 +172,17 @@ def test_ddpg_s_critic_stands_for_both_and_gets_a_temperature(learning):
         np.testing.assert_array_equal(weight[0], weight[1])
 
 
+def test_normalised_critics_and_their_mean_reach_the_learner(learning):
+    oracle, policy = network(otr.TanhBox(LOW, HIGH), (8,)), network(otr.TanhBox(LOW, HIGH))
+    mean = dataclasses.replace(SHORT, critic=dataclasses.replace(SHORT.critic, actor_value="mean"))
+    kinds = [(new_critics(), SHORT), (new_critics(layer_norm=True), SHORT), (new_critics(), mean)]
+    shapes = [learning(policy, oracle, *kind)._filled().shapes for kind in kinds]
+    assert [(each.layer_norm, each.actor_value) for each in shapes] == [(False, "min"), (True, "min"), (False, "mean")]
+    plain, *others = (list(learning(policy, oracle, *kind).candidates())[-1][1].predict(states()) for kind in kinds)
+    assert not any(np.array_equal(plain, other) for other in others)
+    assert "actor_value" not in SHORT.settings_by_critic() and mean.settings_by_critic()["actor_value"] == "mean"
+
+
 def test_learning_that_diverges_ends_and_leaves_what_came_before(learning, capsys):
     settings = CriticPolishConfig(60, 100, batch_size=32, learning_rate=10.0)
     critics = new_critics(layers=[(np.full((2, 4, 16), 1e20), np.zeros((2, 1, 16))), new_critics().layers[1]])

@@ -17,19 +17,27 @@ class Dense(nn.Sequential):
         read = x
         for module in self:
             y = module(read)
-            read = y if isinstance(module, nn.Linear) else torch.cat([y, x], 1)
+            read = torch.cat([y, x], 1) if isinstance(module, nn.LeakyReLU) else y
         return y
 
 
-def mlp(layers: list[tuple[Tensor, Tensor]], slope: float, dense: bool = False) -> nn.Sequential:
+def mlp(
+    layers: list[tuple[Tensor, Tensor]], slope: float, dense: bool = False, layer_norm: bool = False
+) -> nn.Sequential:
     """Return a (leaky) ReLU network with a copy of the given weights (w_in, w_out) and biases (1, w_out)."""
     modules: list[nn.Module] = []
     for weight, bias in layers:
         linear = nn.Linear(*weight.shape)
         linear.weight.data.copy_(weight.T)
         linear.bias.data.copy_(bias[0])
-        modules += [linear, nn.LeakyReLU(slope)]
-    return (Dense if dense else nn.Sequential)(*modules[:-1])
+        norm = [nn.LayerNorm(len(linear.weight), elementwise_affine=False)] if layer_norm else []
+        modules += [linear, *norm, nn.LeakyReLU(slope)]
+    return (Dense if dense else nn.Sequential)(*modules[: -2 if layer_norm else -1])
+
+
+def linears(network: nn.Module) -> list[nn.Linear]:
+    """Return the layers of a network that have weights."""
+    return [module for module in network.modules() if isinstance(module, nn.Linear)]
 
 
 class AutogradSac:
@@ -41,7 +49,9 @@ class AutogradSac:
         def network(name: str, row: int) -> nn.Sequential:
             n_layers = sum(key.startswith(f"{name}.weight") for key in tensors)
             layers = [(tensors[f"{name}.weight{i}"][row], tensors[f"{name}.bias{i}"][row]) for i in range(n_layers)]
-            return mlp(layers, self.shapes.negative_slope, self.shapes.dense and name == "actor")
+            is_actor = name == "actor"
+            dense, layer_norm = self.shapes.dense and is_actor, self.shapes.layer_norm and not is_actor
+            return mlp(layers, self.shapes.negative_slope, dense, layer_norm)
 
         self.actor = network("actor", 0)
         self.critics, self.targets = (
@@ -50,9 +60,11 @@ class AutogradSac:
         self.log_temperature = tensors["log_temperature"].clone().requires_grad_()
         self.gamma, self.learns_temperature = run.gamma, run.temperature is None
         rate, decay = run.learning_rate, run.weight_decay
-        self.of_critics = torch.optim.Adam(self.critics.parameters(), rate, weight_decay=decay)
+        critic_rate = run.critic_learning_rate or rate
+        self.of_critics = torch.optim.Adam(self.critics.parameters(), critic_rate, weight_decay=decay)
         self.of_actor = torch.optim.Adam(self.actor.parameters(), rate, weight_decay=decay)
         self.of_temperature = torch.optim.Adam([self.log_temperature], rate)
+        self.n_updates, self.rate_share = 0, 1.0
 
     def act(self, states: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
         """Return actions (B, a) and their log-probabilities (B,)."""
@@ -62,9 +74,9 @@ class AutogradSac:
         actions = unsquashed.tanh()
         return actions, (normal.log_prob(unsquashed) - torch.log(1 - actions**2 + 1e-6)).sum(1)
 
-    def least_value(self, critics: nn.ModuleList, states: Tensor, actions: Tensor) -> Tensor:
-        """Return the lesser of the two critics' values, (B,)."""
-        return torch.cat([critic(torch.cat([states, actions], 1)) for critic in critics], 1).amin(1)
+    def values(self, critics: nn.ModuleList, states: Tensor, actions: Tensor) -> Tensor:
+        """Return the two critics' values, (B, 2)."""
+        return torch.cat([critic(torch.cat([states, actions], 1)) for critic in critics], 1)
 
     def update(self, batch: Minibatch, noise: Tensor) -> None:
         """Do one update with the transitions of run 0; the gradients stay in the parameters."""
@@ -73,16 +85,19 @@ class AutogradSac:
         temperature = self.log_temperature.detach().exp()
         with torch.no_grad():
             next_actions, next_log_probability = self.act(next_states, next_noise)
-            value = self.least_value(self.targets, next_states, next_actions) - temperature * next_log_probability
+            value = self.values(self.targets, next_states, next_actions).amin(1) - temperature * next_log_probability
             goal = rewards + continues * self.gamma * value
         policy_actions, log_probability = self.act(states, noise)  # of the actor before its step
         inputs = torch.cat([states, actions], 1)
         self.step(self.of_critics, sum(0.5 * ((c(inputs)[:, 0] - goal) ** 2).mean() for c in self.critics))
-        values = self.least_value(self.critics, states, policy_actions)
-        self.step(self.of_actor, (temperature * log_probability - values).mean())
-        if self.learns_temperature:
-            target_entropy = -actions.shape[1]
-            self.step(self.of_temperature, -(self.log_temperature * (log_probability.detach() + target_entropy)).mean())
+        self.n_updates += 1
+        if self.n_updates % self.shapes.actor_delay == 0:
+            both = self.values(self.critics, states, policy_actions)
+            values = both.mean(1) if self.shapes.actor_value == "mean" else both.amin(1)
+            self.step(self.of_actor, (temperature * log_probability - values).mean())
+            if self.learns_temperature:
+                surplus = log_probability.detach() - actions.shape[1]
+                self.step(self.of_temperature, -(self.log_temperature * surplus).mean())
         with torch.no_grad():
             for target, parameter in zip(self.targets.parameters(), self.critics.parameters(), strict=True):
                 target.lerp_(parameter, self.shapes.tau)
@@ -92,4 +107,6 @@ class AutogradSac:
         parameters = optimiser.param_groups[0]["params"]
         for parameter, gradient in zip(parameters, torch.autograd.grad(loss, parameters), strict=True):
             parameter.grad = gradient
+        (group,) = optimiser.param_groups
+        group["lr"] = group.setdefault("first_lr", group["lr"]) * self.rate_share
         optimiser.step()

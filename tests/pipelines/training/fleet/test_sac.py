@@ -19,13 +19,13 @@ from torch import Tensor
 
 from pipelines.training.fleet.actors import SoftTraining
 from pipelines.training.fleet.adam import RunSettings
-from pipelines.training.fleet.mlp import Layers
+from pipelines.training.fleet.mlp import Layers, StackedMlp, new_layers
 from pipelines.training.fleet.sac import FleetSac, Minibatch, Shapes
 from pipelines.training.fleet.stacked_tensors import multiply, new_stack
 from pipelines.training.soft_actor import SoftSacPolicy, soft_module
 from pipelines.training.soft_trees import Shape, rate_share, set_phase
 from tests.pipelines.conftest import PI_PRL
-from tests.pipelines.training.fleet.autograd_sac import AutogradSac
+from tests.pipelines.training.fleet.autograd_sac import AutogradSac, linears, mlp
 
 N_INPUTS, N_ACTIONS, BATCH = 11, 3, 100
 # 50 updates, 200 steps after each: two turns of the program, two of the architecture, the structure chosen
@@ -65,11 +65,11 @@ def stacked(drawn: list[tuple[Minibatch, Tensor]]) -> tuple[Minibatch, Tensor]:
     return batch, torch.stack([noise for _, noise in drawn])
 
 
-def learn(fleet: FleetSac, seeds: list[int], n_updates: int) -> None:
+def learn(fleet: FleetSac, seeds: list[int], n_updates: int, rate_end: float = 1.0) -> None:
     """Update every run of a fleet on batches of its own stream."""
     generators = [torch.Generator().manual_seed(1000 + seed) for seed in seeds]
     for n_done in range(n_updates):
-        fleet.at_step(200 * n_done)
+        fleet.at_step(200 * n_done, 1 - (1 - rate_end) * n_done / n_updates)
         fleet.update(*stacked([draw_batch(generator) for generator in generators]))
 
 
@@ -153,30 +153,79 @@ def test_gradients_are_those_of_autograd(
     actor: tuple[int, ...], slope: float, decay: float, temperature: float | None, dense: bool
 ) -> None:
     shapes = Shapes(N_INPUTS, N_ACTIONS, actor, (64, 64), BATCH, negative_slope=slope, tau=0.01, dense=dense)
+    assert_learns_as_autograd(shapes, RunSettings(1e-3, 0.98, decay, temperature))
+
+
+# What is off by default: of shapes, and of a run's settings
+OPTIONS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "layer norm": ({"layer_norm": True}, {}),
+    "mean": ({"actor_value": "mean"}, {}),
+    "delay": ({"actor_delay": 3}, {}),
+    "critic's rate": ({}, {"critic_learning_rate": 3e-4}),
+    "all": ({"layer_norm": True, "actor_value": "mean", "actor_delay": 2}, {"critic_learning_rate": 3e-3}),
+}
+
+
+@pytest.mark.parametrize("falling", [False, True], ids=["constant", "falling"])
+@pytest.mark.parametrize("option", OPTIONS)
+def test_options_are_those_of_autograd(option: str, falling: bool) -> None:
+    of_shapes, of_run = OPTIONS[option]
+    shapes = Shapes(N_INPUTS, N_ACTIONS, (6,), (64, 48), BATCH, negative_slope=0.05, tau=0.01, **of_shapes)
+    assert_learns_as_autograd(shapes, RunSettings(1e-3, 0.98, **of_run), falling)
+
+
+@pytest.mark.parametrize("dense", [False, True], ids=["layered", "dense"])
+def test_normalised_layers_have_the_derivatives_of_autograd(dense: bool) -> None:
+    with float64():
+        layers, gradients = (new_layers(2, (5, 16, 8, 3), dense=dense) for _ in range(2))
+        layers.initialise(slice(0, 2), torch.Generator().manual_seed(0))
+        inputs, d_outputs = new_stack(2, 7, 5).normal_(), new_stack(2, 4, 3).normal_()
+        network = StackedMlp(layers, 7, n_back_rows=4, dense=dense, layer_norm=True)
+        outputs = network.forward(layers, inputs)
+        d_inputs = network.backward(layers, inputs, d_outputs, gradients, 2)
+        for i in range(2):
+            theirs = mlp(
+                [(weight[i], bias[i]) for weight, bias in zip(layers.weights, layers.biases, strict=True)],
+                0.0, dense, layer_norm=True,
+            )  # fmt: skip
+            read = inputs[i].clone().requires_grad_()
+            answers = theirs(read)
+            assert_equal_numbers(outputs[i], answers.detach())
+            answers[:4].backward(d_outputs[i])
+            assert_gradients(gradients.only(i), [theirs])
+            if not dense:
+                assert d_inputs is not None and read.grad is not None
+                assert_equal_numbers(d_inputs[i], read.grad[:4, 2:])
+
+
+def assert_learns_as_autograd(shapes: Shapes, settings: RunSettings, falling: bool = False) -> None:
+    """Check the gradients of twenty updates, and what they lead to."""
     generator = torch.Generator().manual_seed(4)
     with float64():
-        fleet = new_fleet(shapes, [0], [RunSettings(1e-3, 0.98, decay, temperature)])
+        fleet = new_fleet(shapes, [0], [settings])
         oracle = AutogradSac(fleet)
-        for _ in range(20):
+        for n_done in range(20):
             batch, noise = stacked([draw_batch(generator)])
+            oracle.rate_share = 1 - falling * n_done / 20
+            fleet.at_step(n_done, oracle.rate_share)
             fleet.update(batch, noise)
             oracle.update(batch, noise)
-            assert_gradients(fleet.actor.gradients, [oracle.actor])
             assert_gradients(fleet.critic_gradients, list(oracle.critics))
-            if temperature is None:
+            if fleet.n_updates >= shapes.actor_delay:
+                assert_gradients(fleet.actor.gradients, [oracle.actor])
+            if settings.temperature is None and fleet.n_updates >= shapes.actor_delay:
                 assert_equal_numbers(fleet._temperature_gradient, oracle.log_temperature.grad)
     learnt = {name: tensor for name, tensor in fleet.tensors(0).items() if "moment" not in name}
     assert_equal_numbers(learnt["log_temperature"], oracle.log_temperature.detach())
     for row in (0, 1):
-        assert_equal_numbers(learnt["targets.weight1"][row], oracle.targets[row][2].weight.detach().T)
+        assert_equal_numbers(learnt["targets.weight1"][row], linears(oracle.targets[row])[1].weight.detach().T)
+    assert_equal_numbers(learnt["actor.weight0"][0], linears(oracle.actor)[0].weight.detach().T)
 
 
 def assert_gradients(ours: Layers, networks: list[torch.nn.Module]) -> None:
     """Check the gradients of a stack against those of its networks."""
     for row, network in enumerate(networks):
-        linears = [layer for layer in network if isinstance(layer, torch.nn.Linear)]
-        assert len(linears) == len(ours.weights)
-        for weight, bias, linear in zip(ours.weights, ours.biases, linears, strict=True):
+        for weight, bias, linear in zip(ours.weights, ours.biases, linears(network), strict=True):
             assert linear.weight.grad.norm() > 1e-4
             assert_equal_numbers(weight[row], linear.weight.grad.T)
             assert_equal_numbers(bias[row, 0], linear.bias.grad)
@@ -300,6 +349,26 @@ def test_a_run_of_a_fleet_is_the_run_alone_bit_for_bit(
         assert_same(alone, together, run)
         assert torch.equal(alone.act(states[run : run + 1], noise[run : run + 1])[0], actions[run])
     assert_same(alone, alike, 1)
+
+
+@pytest.mark.parametrize("precision", ["fp32", "bf16"])
+@pytest.mark.parametrize("option", OPTIONS)
+def test_options_leave_a_run_alone_and_go_on_from_what_it_had_learnt(option: str, precision: str) -> None:
+    of_shapes, of_run = OPTIONS[option]
+    shapes = Shapes(N_INPUTS, N_ACTIONS, (6,), (100, 65), BATCH, precision=precision, **of_shapes)
+    settings = [RunSettings(1e-3, 0.99), *[RunSettings(1e-3, 0.9, 1e-2, **of_run)] * 2]
+    together, alone = new_fleet(shapes, [0, 1, 2], settings), new_fleet(shapes, [1], settings[1:2])
+    learn(together, [0, 1, 2], 13, 0.1)
+    learn(alone, [1], 13, 0.1)
+    assert_same(alone, together, 1)
+    again = FleetSac(shapes, settings, together.n_updates)
+    for run in range(3):
+        again.load(run, {name: tensor.clone() for name, tensor in together.tensors(run).items()})
+    for fleet in (together, again):
+        learn(fleet, [7, 8, 9], 8, 0.1)
+    for run in range(3):
+        for name, tensor in together.tensors(run).items():
+            assert torch.equal(tensor, again.tensors(run)[name]), name
 
 
 def test_a_run_stays_itself_in_hundreds_of_updates() -> None:

@@ -14,6 +14,7 @@ import pytest
 import torch
 
 import otr
+from pipelines.config.algo import SacConfig
 from pipelines.config.env import EnvConfig
 from pipelines.config.stages import ActorConfig, TrainConfig
 from pipelines.config.trainer import FleetConfig
@@ -30,6 +31,7 @@ from pipelines.training.environments.vector_envs import Autoreset
 from pipelines.training.fleet import trainer as trainer_module
 from pipelines.training.fleet.fleet_run import FleetRun
 from pipelines.training.fleet.progress import FleetProgress
+from pipelines.training.fleet.random_streams import Streams
 from pipelines.training.fleet.train import _segment, train_fleet
 from pipelines.training.fleet.trainer import FleetTrainer, Task, uses_envpool
 from pipelines.training.soft_trees import harden, load_soft
@@ -38,6 +40,10 @@ from tests.pipelines.sweeps import run_until_killed
 
 FLEET = FleetConfig("fleet", 1, "fp32", "gymnasium", 5)
 WRAPPING_SAC = dataclasses.replace(SAC, buffer_size=150)  # wraps round within 300 steps
+EVERYTHING = dataclasses.replace(
+    WRAPPING_SAC, critic=[16, 8], learning_rate_end=0.2, critic_learning_rate=3e-4, critic_norm="layer", actor_delay=3,
+    actor_value="mean", train_freq=32, gradient_steps=20,
+)  # fmt: skip
 RESULTS = ("actor.safetensors", "actor.json", "evaluations.csv")
 
 
@@ -75,10 +81,10 @@ def same(one, other):
     return all((one / name).read_bytes() == (other / name).read_bytes() for name in RESULTS)
 
 
-@pytest.mark.parametrize("n_envs", [1, 4])
-def test_a_run_in_company_is_the_run_alone(fleet_run, tmp_path, n_envs):
-    fleet = dataclasses.replace(FLEET, n_envs=n_envs)
-    configs = [fleet_run(seed=seed, trainer=fleet, env=HOPPER, results_dir=str(tmp_path / "r1")) for seed in (0, 1, 2)]
+@pytest.mark.parametrize(("n_envs", "algo"), [(1, WRAPPING_SAC), (4, WRAPPING_SAC), (1, EVERYTHING)])
+def test_a_run_in_company_is_the_run_alone(fleet_run, tmp_path, n_envs, algo):
+    changes = {"trainer": dataclasses.replace(FLEET, n_envs=n_envs), "algo": algo, "env": HOPPER}
+    configs = [fleet_run(seed=seed, **changes, results_dir=str(tmp_path / "r1")) for seed in (0, 1, 2)]
     together = trained(configs, tmp_path / "together")
     alone = trained([dataclasses.replace(configs[1], results_dir=str(tmp_path / "r2"))], tmp_path / "alone")
     assert same(together[1], alone[0])
@@ -262,9 +268,10 @@ def test_result_has_the_artefacts_of_the_other_trainer(fleet_run, tiny, tmp_path
     assert networks[0].head.to_dict() == networks[1].head.to_dict()
 
 
-@pytest.mark.parametrize("rescale_inputs", [False, True])
-def test_critics_are_those_of_the_kept_actor(fleet_run, tmp_path, monkeypatch, rescale_inputs):
-    config = fleet_run(actor=ActorConfig(0.0, rescale_inputs))
+@pytest.mark.parametrize(("rescale_inputs", "norm"), [(False, "none"), (True, "none"), (True, "layer")])
+def test_critics_are_those_of_the_kept_actor(fleet_run, tmp_path, monkeypatch, rescale_inputs, norm):
+    algo = dataclasses.replace(WRAPPING_SAC, critic_norm=norm)
+    config = fleet_run(actor=ActorConfig(0.0, rescale_inputs), algo=algo)
     done = History.segment_done
 
     def segment_done(history, row, files, returns):
@@ -275,7 +282,8 @@ def test_critics_are_those_of_the_kept_actor(fleet_run, tmp_path, monkeypatch, r
     monkeypatch.setattr(FleetRun, "save", lambda run: learners.update({run.n_steps: run.tensors}))
     (out,) = trained([config], tmp_path)
     critics, learnt = load_critics(out), learners[200]
-    assert critics.widths == (16,) and critics.gamma == np.float32(0.99)
+    assert critics.widths == (16,) and critics.gamma == np.float32(0.99) and critics.layer_norm == (norm == "layer")
+    assert (b"layer_norm" in (out / CRITICS).read_bytes()) == critics.layer_norm  # files without are as before
     assert critics.log_temperature == pytest.approx(float(learnt["log_temperature"]))
     states = np.random.default_rng(0).uniform(-1, 1, (50, 3)) * [1, 1, 8]
     seen = states / [1, 1, 8] if rescale_inputs else states
@@ -285,6 +293,8 @@ def test_critics_are_those_of_the_kept_actor(fleet_run, tmp_path, monkeypatch, r
         read = np.column_stack((states, actions))[None]
         for i, (weight, bias) in enumerate(layers):
             read = (np.maximum(read, 0) if i else read) @ weight + bias
+            if critics.layer_norm and i < len(layers) - 1:
+                read = (read - read.mean(2, keepdims=True)) / np.sqrt(read.var(2, keepdims=True) + 1e-5)
         return read[..., 0]
 
     for name, layers in (("critics", critics.layers), ("targets", critics.targets)):
@@ -322,10 +332,12 @@ def train_until_killed(configs, outs, where):
     train_all(configs, outs)
 
 
-@pytest.mark.parametrize("where", ["in a segment", "between two runs' checkpoints"])
-def test_killed_and_resumed_equals_uninterrupted(fleet_run, tmp_path, where):
+@pytest.mark.parametrize(("where", "algo"), [
+    ("in a segment", WRAPPING_SAC), ("between two runs' checkpoints", WRAPPING_SAC), ("in a segment", EVERYTHING),
+])  # fmt: skip
+def test_killed_and_resumed_equals_uninterrupted(fleet_run, tmp_path, where, algo):
     results = [str(tmp_path / name) for name in ("alone", "killed")]
-    alone, killed = ([fleet_run(seed=seed, results_dir=folder) for seed in (0, 1)] for folder in results)
+    alone, killed = ([fleet_run(seed=seed, algo=algo, results_dir=folder) for seed in (0, 1)] for folder in results)
     expected = trained(alone, tmp_path / "expected")
     outs = [tmp_path / "a", tmp_path / "b"]
     for out in outs:
@@ -422,6 +434,51 @@ def test_replay_rows_are_what_the_environments_did(fleet_run, env, n_envs, monke
     assert trainer.n_updates == end - 100
 
 
+@pytest.mark.parametrize(("n_envs", "segment", "expected"), [(1, 100, 60), (1, 50, 60), (4, 100, 60), (3, 50, 60)])
+def test_updates_come_in_bursts_wherever_segments_begin(fleet_run, tmp_path, monkeypatch, n_envs, segment, expected):
+    seen = []
+    update, step = trainer_module.FleetSac.update, Autoreset.step
+    monkeypatch.setattr(trainer_module.FleetSac, "update", lambda *own: (seen.append("update"), update(*own))[1])
+    monkeypatch.setattr(Autoreset, "step", lambda *own: (seen.append("step"), step(*own))[1])
+    algo = dataclasses.replace(SAC, train_freq=64, gradient_steps=20)
+    changes = {"trainer": dataclasses.replace(FLEET, n_envs=n_envs), "train": TrainConfig(300, segment, 1, 100)}
+    trained([fleet_run(algo=algo, **changes)], tmp_path)
+    n_steps = np.cumsum([each == "step" for each in seen]) * n_envs
+    at = [int(n) for n, each in zip(n_steps, seen, strict=True) if each == "update"]
+    first = [-(-n // n_envs) * n_envs for n in (128, 192, 256)]  # the first step of all environments after so many
+    assert at == [n for n in first for _ in range(20)] and len(at) == expected
+
+
+def test_random_numbers_are_drawn_in_the_order_in_which_they_ever_were():
+    """First those of the steps, then those of the updates: what a run drew before updates came in bursts, it draws."""
+    draws, generator = Streams([7], 2, 5, 3).draw(32), torch.Generator().manual_seed(7)
+    expected = {
+        "policy": torch.empty(16, 2, 3).normal_(generator=generator),
+        "exploration": torch.empty(16, 2, 3).normal_(generator=generator),
+        "actions": torch.empty(16, 2, 3).uniform_(generator=generator) * 2 - 1,
+        "updates": torch.empty(16, 2, 10, 3).normal_(generator=generator),
+        "fractions": torch.empty(16, 2, 5, dtype=torch.float64).uniform_(generator=generator),
+    }
+    for name, numbers in expected.items():
+        found = getattr(draws, name)[0]
+        assert torch.equal(found.reshape(numbers.shape), numbers), name
+
+
+def test_learning_rates_fall_linearly_over_all_steps(fleet_run, tmp_path, monkeypatch):
+    shares = {}
+    at_step = trainer_module.FleetSac.at_step
+
+    def noting(learner, n_steps, share):
+        at_step(learner, n_steps, share)
+        (group,) = learner._critic_adam
+        shares[n_steps] = learner._rate_share, group.learning_rate
+
+    monkeypatch.setattr(trainer_module.FleetSac, "at_step", noting)
+    trained([fleet_run(algo=EVERYTHING)], tmp_path)
+    assert shares[150] == (pytest.approx(0.6), 3e-4)
+    assert shares[299] == (pytest.approx(0.2 + 0.8 / 300), 3e-4) and list(shares) == list(range(100, 300))
+
+
 def test_first_actions_are_random_then_the_policys(fleet_run):
     quiet = dataclasses.replace(SAC, action_noise="none")
     config = fleet_run(algo=quiet, train=TrainConfig(200, 200, 1, 100))
@@ -443,7 +500,7 @@ def test_what_can_train_together(fleet_run, tiny):
     def seeds(n, **changes):
         return [fleet_run(seed=seed, **changes) for seed in range(n)]
 
-    faster = dataclasses.replace(WRAPPING_SAC, learning_rate=3e-3, gamma=0.9, ent_coef="0.1")
+    faster = dataclasses.replace(WRAPPING_SAC, learning_rate=3e-3, critic_learning_rate=1e-3, gamma=0.9, ent_coef="0.1")
     assert group_key(fleet_run()) == group_key(fleet_run(seed=7, algo=faster))
     for change in (
         {"depth": 5},
@@ -451,6 +508,10 @@ def test_what_can_train_together(fleet_run, tiny):
         {"algo": dataclasses.replace(WRAPPING_SAC, batch_size=16)},
         {"algo": dataclasses.replace(WRAPPING_SAC, critic=[8])},
         {"algo": dataclasses.replace(WRAPPING_SAC, tau=0.01)},
+        {"algo": dataclasses.replace(WRAPPING_SAC, critic_norm="layer")},
+        {"algo": dataclasses.replace(WRAPPING_SAC, actor_value="mean")},
+        {"algo": dataclasses.replace(WRAPPING_SAC, actor_delay=2)},
+        {"algo": dataclasses.replace(WRAPPING_SAC, learning_rate_end=0.5)},
         {"trainer": dataclasses.replace(FLEET, precision="bf16")},
         {"train": TrainConfig(300, 50, 2, 100)},
     ):
@@ -474,7 +535,6 @@ def test_trainer_is_part_of_the_key_and_of_the_folder(fleet_run, tiny):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"algo": dataclasses.replace(SAC, train_freq=4)}, "leave both at 1"),
         ({"algo": dataclasses.replace(SAC, ent_coef="0")}, "give auto or a number above 0"),
         ({"algo": dataclasses.replace(SAC, action_noise="ornstein_uhlenbeck")}, "use algo.action_noise=normal"),
         ({"trainer": dataclasses.replace(FLEET, precision="fp16")}, "use one of fp32, bf16"),
@@ -484,6 +544,16 @@ def test_trainer_is_part_of_the_key_and_of_the_folder(fleet_run, tiny):
 def test_what_a_fleet_cannot_do_is_refused(fleet_run, changes, message):
     with pytest.raises(ConfigError, match=message):
         fleet_run(**changes)
+
+
+@pytest.mark.parametrize("name", SacConfig.of_fleets())
+def test_what_fleets_alone_have_is_keyed_where_it_is_set_and_refused_for_others(fleet_run, tiny, name):
+    value = getattr(EVERYTHING, name)
+    algo = dataclasses.replace(SAC, **{name: value})
+    assert fleet_run(algo=algo).settings()["algo"][name] == value
+    assert name not in fleet_run(algo=SAC).settings()["algo"]
+    with pytest.raises(ConfigError, match=rf"algo\.{name}={value}: trainer=sb3 has no such setting.*trainer=fleet"):
+        tiny(algo=algo)
 
 
 def test_envpool_steps_what_it_computes_as_gymnasium_does():

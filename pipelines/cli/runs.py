@@ -81,6 +81,7 @@ def load_config(run_dir: Path, n_workers: int | None) -> RunConfig:
         schema.algo = schema_of(ALGORITHMS[cfg.algo.name])
         schema.method = schema_of(METHODS[cfg.method.name])
         if "trainer" in cfg:  # there was one trainer only before
+            cfg.trainer.pop("environments", None)  # of fleets; committed ones have gymnasium's, which are all there are
             schema.trainer = schema_of(FleetConfig if "n_envs" in cfg.trainer else TrainerConfig)
         loaded = to_object(OmegaConf.merge(schema, cfg, {"n_workers": n_workers}))
     except (OSError, KeyError, UnicodeDecodeError, yaml.YAMLError, OmegaConfBaseException, ConfigError) as error:

@@ -2,15 +2,11 @@
 
 from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError
-from pipelines.training.environments import classic_control, envpool_envs
-from pipelines.training.environments.classic_control import ClassicControlVectorEnv
-from pipelines.training.environments.envpool_envs import EnvPoolVectorEnv
+from pipelines.training.environments.classic_control import EQUAL_IDS, ClassicControlVectorEnv
 from pipelines.training.environments.gymnasium_envs import GymnasiumVectorEnv
 from pipelines.training.environments.vector_envs import VectorEnv
 
-# The ids that each implementation beside gymnasium's own computes as gymnasium does
-EQUAL_IDS = {"envpool": envpool_envs.EQUAL_IDS, "numpy": classic_control.EQUAL_IDS}
-ENVIRONMENTS = ("gymnasium", *EQUAL_IDS)
+ENVIRONMENTS = ("gymnasium", "numpy")
 
 
 def make_vector_env(env: EnvConfig, n_envs: int, environments: str, *, rescale_inputs: bool = False) -> VectorEnv:
@@ -25,22 +21,21 @@ def make_vector_env(env: EnvConfig, n_envs: int, environments: str, *, rescale_i
     Raises:
         ConfigError: `environments` was not compared with gymnasium for this one, the message names those it was; or
             does not rescale states.
-        PipelineError: a package is missing.
     """
     check_environments(env, environments)
     if environments == "gymnasium":
         return GymnasiumVectorEnv(env, n_envs, rescale_inputs=rescale_inputs)
     if rescale_inputs:
         raise ConfigError(f"actor.rescale_inputs=true: environments={environments} does not rescale states")
-    return (EnvPoolVectorEnv if environments == "envpool" else ClassicControlVectorEnv)(env, n_envs)
+    return ClassicControlVectorEnv(env, n_envs)
 
 
 def check_environments(env: EnvConfig, environments: str) -> None:
     """Raise ConfigError unless `environments`, of ENVIRONMENTS, computes this one as gymnasium does."""
     if environments not in ENVIRONMENTS:
         raise ConfigError(f"environments={environments}: use one of {', '.join(ENVIRONMENTS)}")
-    if environments != "gymnasium" and env.id not in EQUAL_IDS[environments]:
+    if environments != "gymnasium" and env.id not in EQUAL_IDS:
         raise ConfigError(
             f"environments={environments}: {env.id} is not among those that were compared with gymnasium's "
-            f"({', '.join(EQUAL_IDS[environments])}); use environments=gymnasium"
+            f"({', '.join(EQUAL_IDS)}); use environments=gymnasium"
         )

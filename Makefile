@@ -17,8 +17,8 @@ help:  ## list the targets
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@
 
-# MLflow, RDKit and a browser: large, and wanted by the tests of tracking=mlflow, the rebuilding of data sets and the page
-# alone. The browser is the machine's Chromium or Chrome, else Playwright's, else the distribution's.
+# RDKit and a browser: large, and wanted by the tests of the rebuilding of data sets and of the page alone. The browser is
+# the machine's Chromium or Chrome, else Playwright's, else the distribution's.
 .venv/.installed-all: .venv/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test-all]'
 	command -v chromium chromium-browser google-chrome > /dev/null || $(BIN)/playwright install chromium \

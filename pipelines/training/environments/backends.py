@@ -9,25 +9,19 @@ from pipelines.training.environments.vector_envs import VectorEnv
 ENVIRONMENTS = ("gymnasium", "numpy")
 
 
-def make_vector_env(env: EnvConfig, n_envs: int, environments: str, *, rescale_inputs: bool = False) -> VectorEnv:
+def make_vector_env(env: EnvConfig, n_envs: int, environments: str) -> VectorEnv:
     """Return environments side by side.
 
     Args:
         env: which one.
         n_envs: how many, 1 or more.
         environments: who computes them, of ENVIRONMENTS.
-        rescale_inputs: whether states are rescaled from their box to [-1, 1].
 
     Raises:
-        ConfigError: `environments` was not compared with gymnasium for this one, the message names those it was; or
-            does not rescale states.
+        ConfigError: `environments` was not compared with gymnasium for this one; the message names those it was.
     """
     check_environments(env, environments)
-    if environments == "gymnasium":
-        return GymnasiumVectorEnv(env, n_envs, rescale_inputs=rescale_inputs)
-    if rescale_inputs:
-        raise ConfigError(f"actor.rescale_inputs=true: environments={environments} does not rescale states")
-    return ClassicControlVectorEnv(env, n_envs)
+    return (GymnasiumVectorEnv if environments == "gymnasium" else ClassicControlVectorEnv)(env, n_envs)
 
 
 def check_environments(env: EnvConfig, environments: str) -> None:

@@ -17,9 +17,8 @@ help:  ## list the targets
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@
 
-# MLflow, EnvPool, RDKit and a browser: large, and wanted by the tests of tracking=mlflow, trainer.environments=envpool, the
-# rebuilding of data sets and the page alone (EnvPool is 300 MB to fetch and 740 MB on disk, with the assets of environments
-# that are not ours). The browser is the machine's Chromium or Chrome, else Playwright's, else the distribution's.
+# Dask, RDKit and a browser: for the tests of launcher=dask, of data sets made anew and of the page alone. The browser is
+# the machine's Chromium or Chrome, else Playwright's, else the distribution's.
 .venv/.installed-all: .venv/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test-all]'
 	command -v chromium chromium-browser google-chrome > /dev/null || $(BIN)/playwright install chromium \

@@ -23,6 +23,8 @@ from hydra.plugins.sweeper import Sweeper
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
 
+from pipelines.errors import ConfigError
+
 
 @dataclass
 class OtrSweeperConf:
@@ -64,6 +66,8 @@ class OtrSweeper(Sweeper):
                 (folder / str(number)).write_bytes(pickle.dumps(task))
             name = settings.runtime.choices["hydra/launcher"]
             call = _CallPickled(str(folder), name != "basic", os.getpid() if name == "joblib" else None)
+            if settings.launcher.get("backend") == "dask":
+                return _by_dask(call, len(self.tasks))
             launcher = Plugins.instance().instantiate_launcher(self.context, call, self.config)
             if outlives:
                 n_jobs = sum(len(task.jobs) for task in self.tasks)
@@ -98,8 +102,35 @@ class _CallPickled:
     parent: int | None
 
     def __call__(self, config: DictConfig) -> Any:
-        task: Callable[[bool], Any] = pickle.loads((Path(self.folder) / str(HydraConfig.get().job.num)).read_bytes())
-        result = task(self.side_by_side)
+        result = self.do(HydraConfig.get().job.num)
         if self.parent not in (None, os.getpid(), os.getppid()):
             os._exit(0)
         return result
+
+    def do(self, number: int) -> Any:
+        task: Callable[[bool], Any] = pickle.loads((Path(self.folder) / str(number)).read_bytes())
+        return task(self.side_by_side)
+
+
+def _by_dask(call: _CallPickled, n_tasks: int) -> list[Any]:
+    """Return what the tasks return, done by the workers of the cluster at DASK_SCHEDULER_ADDRESS.
+
+    Hydra's launcher takes joblib's own processes whatever its `backend` says. All tasks go to the scheduler at once, so
+    that workers that join later have their share.
+    """
+    from distributed import Client
+    from joblib import Parallel, delayed, parallel_config
+
+    address = os.environ.get("DASK_SCHEDULER_ADDRESS")
+    if not address:
+        raise ConfigError(
+            "launcher=dask: DASK_SCHEDULER_ADDRESS is not set. Start `dask scheduler`, and on every node `dask worker "
+            "tcp://HOST:8786 --nworkers N --nthreads 1`, then export DASK_SCHEDULER_ADDRESS=tcp://HOST:8786"
+        )
+    try:
+        client = Client(address)
+    except OSError as error:
+        raise ConfigError(f"launcher=dask: no scheduler answers at {address} ({error})") from error
+    with client, parallel_config("dask", client=client):
+        results: list[Any] = Parallel(batch_size=1, pre_dispatch="all")(delayed(call.do)(i) for i in range(n_tasks))
+    return results

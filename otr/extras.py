@@ -19,7 +19,6 @@ _EXTRAS = {
     "skops": ("skops", "learn"),
     "sklearn": ("scikit-learn", "learn"),
     "torch": ("torch", "learn"),
-    "imageio_ffmpeg": ("imageio-ffmpeg", "mp4"),
     "hydra": ("hydra-core", "run"),
     "sb3_contrib": ("sb3-contrib", "run"),
     "stable_baselines3": ("stable-baselines3", "run"),

@@ -27,11 +27,6 @@ _TILT = 1e-7  # of the objective, at most, in every input
 _FEASIBLE = 1e-11  # what a number at a place may be beyond its limits by
 
 
-_BY_PROBLEM = (
-    "a", "b", "places", "at", "inverse", "multipliers", "prices", "slopes", "states", "numbers", "bounds"
-)  # fmt: skip
-
-
 @dataclass(frozen=True)
 class BoxBases:
     """Where the simplex method stands in n problems of m rows each."""

@@ -112,8 +112,9 @@ def from_sb3(
 
     SAC, TD3 and DDPG end in `TanhBox`, the others in `ClipBox` or, with discrete actions, `Argmax`; DQN's actor is the
     network of its action values, and of ARS `LinearPolicy` without squashed outputs is read. Stable-Baselines3 computes
-    in float32, so its answers differ from the network's by about 1e-7 of the action box. A live model has no hooks, and
-    is run on fixed states: where it predicts otherwise than its layers, nothing is returned.
+    in float32, so its answers differ from the network's by about 1e-7 of the action box. A live model has no hooks. It
+    is read as `model.save` writes it, and is run on fixed states: where it predicts otherwise than its layers, nothing
+    is returned.
 
     A model trained under VecNormalize expects normalised states. Mean and variance go into the first layer, so that the
     network takes raw states. They are those of a live model's environment, or of the ``vecnormalize.pkl`` that lies in
@@ -147,9 +148,8 @@ def from_sb3(
             network = network_of_file(Path(model), action_low, action_high, negative_slope)
         vec_normalize = _found_beside(Path(model)) if is_auto(vec_normalize) else vec_normalize
     else:
-        network = network_of_model(model, action_low, action_high)
-        if negative_slope is not None and network.n_hidden and network.negative_slope != negative_slope:
-            raise InvalidNetworkError(f"negative_slope is {negative_slope}, the model's is {network.negative_slope}")
+        with _reading(model):
+            network = network_of_model(model, action_low, action_high, negative_slope)
         vec_normalize = model.get_vec_normalize_env() if is_auto(vec_normalize) else vec_normalize
     return network if vec_normalize is None else fold_observation_statistics(network, vec_normalize)
 

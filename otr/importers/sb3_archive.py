@@ -15,7 +15,7 @@ import pickle
 import re
 import zipfile
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,7 +29,6 @@ from otr.core.zip_members import read_members
 from otr.errors import ArtefactError, InvalidNetworkError
 from otr.importers.chain import RELU_REMEDY, TRAIN_RELU
 from otr.importers.pickle_record import numbers, record_of_pickle
-from otr.importers.sb3_model import require_widths
 from otr.importers.torch_modules import real_values
 
 _RELU = "<class 'torch.nn.modules.activation.ReLU'>"
@@ -57,10 +56,10 @@ class _Actor(NamedTuple):
 
 
 def network_of_file(
-    path: Path, action_low: ArrayLike | None, action_high: ArrayLike | None, negative_slope: float | None
+    file: Path | IO[bytes], action_low: ArrayLike | None, action_high: ArrayLike | None, negative_slope: float | None
 ) -> ReluNetwork:
-    """Return the actor in the zip file at `path`; `otr.from_sb3` documents arguments and errors."""
-    actor = _actor(path, action_low, action_high)
+    """Return the actor in a zip file; `otr.from_sb3` documents arguments and errors."""
+    actor = _actor(file, action_low, action_high)
     slope = _slope(actor, negative_slope) if len(actor.weights) > 1 else 0.0
     return ReluNetwork(actor.weights, actor.biases, negative_slope=slope, head=actor.head)
 
@@ -100,23 +99,38 @@ def sign_of_normalisation(path: Path) -> str:
     return f"has seen {seen[outside][0]:g}, outside the range of its observations" if outside.any() else ""
 
 
-def _actor(path: Path, action_low: ArrayLike | None, action_high: ArrayLike | None) -> _Actor:
-    tensors, data = read_archive(path)
+def _actor(file: Path | IO[bytes], action_low: ArrayLike | None, action_high: ArrayLike | None) -> _Actor:
+    tensors, data = read_archive(file)
     on_policy = any(name.startswith("action_net.") for name in tensors)
     _refuse_other_policies(tensors, data, _ON_POLICY_PARTS if on_policy else _OFF_POLICY_PARTS)
     weights, biases = _actor_layers(tensors, on_policy)
     head = _head(data, on_policy, len(biases[-1]), action_low, action_high)
     n_observed, n_actions = _count(data, "observation_space"), _count(data, "action_space")
-    require_widths(weights[0].shape[1], len(biases[-1]), n_observed, n_actions)
+    _require_widths(weights[0].shape[1], len(biases[-1]), n_observed, n_actions)
     return _Actor(weights, biases, head, data, on_policy)
 
 
-def read_archive(path: Path) -> tuple[Tensors, dict[str, Any]]:
+def _require_widths(n_inputs: int, n_outputs: int, n_observed: int, n_actions: int) -> None:
+    """Raise InvalidNetworkError unless an actor is as wide as the model's observations and actions."""
+    if n_inputs != n_observed:
+        raise InvalidNetworkError(
+            f"the actor reads {n_inputs} inputs, the observation space has {n_observed} numbers; "
+            "the model does not fit its own spaces: save it again, or train it on this environment"
+        )
+    if n_outputs != n_actions:
+        raise InvalidNetworkError(
+            f"the actor has {n_outputs} outputs, the action space has {n_actions} actions; "
+            "the model does not fit its own spaces: save it again, or train it on this environment"
+        )
+
+
+def read_archive(file: Path | IO[bytes]) -> tuple[Tensors, dict[str, Any]]:
     """Return the tensors of `policy.pth` by name, and the JSON of `data`."""
-    path = zip_path(path)
+    file = zip_path(file) if isinstance(file, Path) else file
+    path = str(file) if isinstance(file, Path) else "the model"
     try:
-        members = dict(read_members(path, str(path), ["data"], limit_bytes=_DATA_BYTES))
-        members |= read_members(path, str(path), ["policy.pth"])
+        members = dict(read_members(file, path, ["data"], limit_bytes=_DATA_BYTES))
+        members |= read_members(file, path, ["policy.pth"])
         data = json.loads(members["data"])
     except FileNotFoundError as error:
         raise ArtefactError(f"{path} does not exist; give the path of a saved Stable-Baselines3 model") from error

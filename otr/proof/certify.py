@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from fractions import Fraction
-from typing import Literal
 
 import numpy as np
 
@@ -46,7 +45,6 @@ def certify(
     network: ReluNetwork,
     domain: Domain | Box | None = None,
     *,
-    exact: Literal[True] = True,
     max_error: float = 1e-6,
     max_regions: int = 2**16,
     max_seconds: float | None = None,
@@ -57,7 +55,6 @@ def certify(
         tree: any tree, with the network's numbers of inputs and outputs and its head.
         network: the network.
         domain: a box (low, high) of which any side may be infinite; None is the network's own domain, or all of R^d.
-        exact: every certificate is found and checked in exact arithmetic; accepted for those who ask for it.
         max_error: refuse a larger bound, as `Certificate.max_error` is defined, on the difference of outputs or, of
             labels, on the distance from where the network has the tree's label.
         max_regions, max_seconds: refuse a longer proof, or to look for longer.
@@ -72,8 +69,6 @@ def certify(
         raise TypeError(
             f"certify takes an ObliqueTree and its ReluNetwork, got {type(tree).__name__} and {type(network).__name__}"
         )
-    if exact is not True:
-        raise ValueError(f"exact is {exact!r}; every certificate is in exact arithmetic, leave the argument out")
     if not 0 <= max_error < np.inf:
         raise ValueError(f"max_error is {max_error}, expected a finite number of at least 0")
     box = as_domain(network.domain if domain is None else domain, network.n_inputs)

@@ -75,11 +75,13 @@ def run_config(overrides: Sequence[str]) -> RunConfig:
 def load_config(run_dir: Path, n_workers: int | None) -> RunConfig:
     """Return the configuration that a finished run was made with."""
     try:
-        cfg = OmegaConf.load(run_dir / "config.yaml")
+        cfg = DictConfig(OmegaConf.load(run_dir / "config.yaml"))
+        cfg.pop("mp4", None)  # a further stage that is no more
         schema = schema_of(RunConfig)
         schema.algo = schema_of(ALGORITHMS[cfg.algo.name])
         schema.method = schema_of(METHODS[cfg.method.name])
-        if "trainer" in cfg:  # there was one trainer only before
+        if isinstance(cfg.get("trainer"), DictConfig):  # there was one trainer only before
+            cfg.trainer.pop("environments", None)  # of fleets; committed ones have gymnasium's, which are all there are
             schema.trainer = schema_of(FleetConfig if "n_envs" in cfg.trainer else TrainerConfig)
         loaded = to_object(OmegaConf.merge(schema, cfg, {"n_workers": n_workers}))
     except (OSError, KeyError, UnicodeDecodeError, yaml.YAMLError, OmegaConfBaseException, ConfigError) as error:

@@ -16,9 +16,7 @@ from pipelines.errors import ConfigError
 
 # What a job depends on outside of its configuration; a cluster's processes have not inherited it. No secrets here: they
 # would be written to disk.
-CARRIED_VARIABLES = (
-    "OTR_RESULTS_DIR", "OTR_DATA_DIR", "XDG_DATA_HOME", "MLFLOW_TRACKING_URI", "MLFLOW_EXPERIMENT_NAME",
-)  # fmt: skip
+CARRIED_VARIABLES = ("OTR_RESULTS_DIR", "OTR_DATA_DIR", "XDG_DATA_HOME")
 
 
 def do_sweep(workflow: Workflow, overrides: Sequence[str]) -> bool:

@@ -78,8 +78,8 @@ class ArsConfig(AlgoConfig):
     # least; 1 for none to choose from
     n_starts: Count
     start_steps: Count
-    # Who computes the environments: gymnasium, envpool (an extra) or numpy, for those that were compared with gymnasium
-    environments: Annotated[str, OneOf("gymnasium", "envpool", "numpy")]
+    # Who computes the environments: gymnasium, or numpy for those that were compared with gymnasium
+    environments: Annotated[str, OneOf("gymnasium", "numpy")]
     expected_steps_per_s: Annotated[float, Range(1), EXECUTION]
 
     @property

@@ -17,7 +17,7 @@ from pipelines.config.stages import ActorConfig
 from pipelines.errors import ConfigError
 
 # After all others, where polish=true, certify=true and so on ask for them
-EXTRA_STAGES = ("polish", "certify", "simplify", "leaves", "video", "mp4")
+EXTRA_STAGES = ("polish", "certify", "simplify", "leaves", "video")
 Criterion = Annotated[str, OneOf("gini", "entropy")]
 
 

@@ -72,8 +72,7 @@ class RunConfig:
     simplify: Annotated[bool, EXECUTION] = False  # whether to do a further stage, a shorter program
     leaves: Annotated[bool, EXECUTION] = False  # whether to do a further stage, the return against the leaves kept
     video: Annotated[bool, EXECUTION] = False  # whether to do a further stage, an episode as a GIF
-    mp4: Annotated[bool, EXECUTION] = False  # whether to do a further stage, the same episode as an MP4
-    tracking: Annotated[str, OneOf("none", "tensorboard", "mlflow"), EXECUTION] = "none"  # where the run is logged, too
+    tracking: Annotated[str, OneOf("none", "tensorboard"), EXECUTION] = "none"  # where the run is logged, too
     # Hidden widths of the network that is imitated, trained or imported
     oracle: Annotated[list[OracleWidth], OnlyWhere("imitates")] = field(default_factory=lambda: [256, 256])
     imitate: Annotated[ImitateConfig, OnlyWhere("imitates")] = field(default_factory=ImitateConfig)

@@ -118,7 +118,7 @@ class PolishingConfig:
     n_selection_episodes: Count = 100  # of each candidate; as many more confirm the best
     n_candidates: Count = 20
     # Who computes the environments; None is numpy where that was compared with gymnasium, else gymnasium
-    environments: Annotated[str | None, OneOf("gymnasium", "envpool", "numpy")] = None
+    environments: Annotated[str | None, OneOf("gymnasium", "numpy")] = None
 
     def settings(self) -> dict[str, Any]:
         """Return what decides a polish by search, as committed polishes are keyed by it."""

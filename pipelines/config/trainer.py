@@ -30,8 +30,6 @@ class FleetConfig(TrainerConfig):
 
     n_envs: Annotated[int, Range(1, 4096)]  # environments a run; `algo.train_freq` counts the steps of all of them
     precision: Annotated[str, OneOf("fp32", "bf16")]  # fp32, or bf16 for the products between wide layers
-    # Gymnasium, or envpool (an extra) for the environments that it computes as gymnasium does
-    environments: Annotated[str, OneOf("gymnasium", "envpool")]
     # Runs that are trained as one at most; how they are grouped changes no run on the CPU
     runs_per_process: Annotated[int, Range(1, 4096), EXECUTION]
 

@@ -15,14 +15,12 @@ from pipelines.engine.job import Job, is_done, message_of, record_failure
 from pipelines.errors import ConfigError
 
 FUTILE_ROUNDS = 3  # rounds in a row that lose a worker and finish no job, before a sweep gives up
-LOST_WORKERS = {  # what joblib, submitit and Ray raise where a process or node doing a job has died
-    "BrokenProcessPool", "UncompletedJobError", "NodeDiedError", "ObjectLostError", "OutOfMemoryError",
-    "WorkerCrashedError",
-}  # fmt: skip
-LAUNCHERS = {  # those that are not always there: the module that a launcher needs and the extra that brings it
-    "submitit_local": ("submitit", "slurm"),
-    "slurm": ("submitit", "slurm"),
-    "ray": ("ray", "ray"),
+# What joblib, submitit and Dask raise where a process or node doing a job has died
+LOST_WORKERS = {"BrokenProcessPool", "UncompletedJobError", "KilledWorker"}
+LAUNCHERS = {  # those that are not always there: the modules that a launcher needs and the extra that brings them
+    "submitit_local": (("submitit", "hydra_plugins.hydra_submitit_launcher"), "slurm"),
+    "slurm": (("submitit", "hydra_plugins.hydra_submitit_launcher"), "slurm"),
+    "dask": (("distributed",), "dask"),
 }
 
 
@@ -36,9 +34,9 @@ class Outcome:
 
 
 def check_launcher(name: str) -> None:
-    """Raise ConfigError, naming the extra, where the launcher's plugin is not installed."""
-    module, extra = LAUNCHERS.get(name, (None, None))
-    if module and not (find_spec(module) and find_spec(f"hydra_plugins.hydra_{module}_launcher")):
+    """Raise ConfigError, naming the extra, where what a launcher needs is not installed."""
+    modules, extra = LAUNCHERS.get(name, ((), None))
+    if not all(find_spec(module) for module in modules):
         raise ConfigError(f"launcher={name} needs the extra {extra}: pip install 'otr[{extra}]'")
 
 

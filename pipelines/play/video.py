@@ -1,14 +1,11 @@
-"""An episode of a tree as a GIF or an MP4: what gymnasium renders, and below it the leaf that acts and what it does."""
+"""An episode of a tree as a GIF: what gymnasium renders, and below it the leaf that acts and what it does."""
 
 from __future__ import annotations
 
 import dataclasses
 import os
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +16,6 @@ import numpy as np
 import otr
 from otr.control.rollout import play_episodes
 from otr.core.merging import merge_equal_leaves
-from otr.extras import naming_the_extra
 from otr.programs.names import label_name
 from otr.programs.picture.colours import label_colours, level_colour
 from otr.programs.walk import in_printed_order
@@ -35,8 +31,7 @@ if TYPE_CHECKING:
 
 MOST_FRAMES, FRAMES_A_SECOND = 250, 25
 WIDTH, TEXT, BAND, STRIP = 480, 13, 42, 12  # pixels: of a picture, of letters, below it, and right of it
-COLOURS = 96  # of a GIF
-QUALITY = 7  # of an MP4, of 10
+COLOURS = 96
 
 
 @dataclass(frozen=True)
@@ -50,45 +45,40 @@ class Episode:
 
 
 def write_video(tree: otr.ObliqueTree, env_config: EnvConfig, seed: int, path: Path) -> Episode:
-    """Play the episode that starts from `reset(seed)` and write it in real time, as GIF or as MP4, as the path ends.
+    """Play the episode that starts from `reset(seed)` and write it in real time as a GIF.
 
-    A GIF has at most MOST_FRAMES frames: those of a long episode stand for more steps each, and so for more time.
+    It has at most MOST_FRAMES frames: those of a long episode stand for more steps each, and so for more time.
     The strip on the right has the leaves' colours, from the first leaf at the top to the last, and a mark at the one
     that acts: those of `otr.to_svg`, but that of several actions the first colours it.
 
     Raises:
         PipelineError: the environment cannot be rendered here; says what to do.
-        MissingExtraError: the path is an MP4's, and imageio-ffmpeg is not installed.
     """
     tree = in_printed_order(merge_equal_leaves(tree))
     env = gym.wrappers.RecordEpisodeStatistics(renderable(env_config))
     names = action_names(env_config, tree.n_answers)
     frames_a_second = float(env.metadata.get("render_fps") or 30)
     (length,) = rollout(tree.predict, env_config, [seed], n_workers=1).lengths.tolist()
-    is_gif, n_frames = path.suffix == ".gif", 0
-    stride = max(1, round(frames_a_second / FRAMES_A_SECOND), -(-length // MOST_FRAMES) if is_gif else 1)
+    stride = max(1, round(frames_a_second / FRAMES_A_SECOND), -(-length // MOST_FRAMES))
+    frames: list[Image] = []
 
     def acting(states: np.ndarray) -> np.ndarray:
-        nonlocal n_frames
         answers, step = np.asarray(tree.predict(states)), env.episode_lengths
         if step % stride == 0:
             shown, leaf = rendered(env, env_config), int(tree.apply(states)[0])
-            add(_frame(shown, tree, leaf, answers[0], names, step, env.episode_returns))
-            n_frames += 1
-            if n_frames % 50 == 0:
+            frames.append(_frame(shown, tree, leaf, answers[0], names, step, env.episode_returns))
+            if len(frames) % 50 == 0:
                 print(f"video: step {step:,} of {length:,}", flush=True)
         return answers
 
-    with (_gif if is_gif else _mp4)(path, stride / frames_a_second) as add:
-        played = play_episodes(lambda: env, acting, [seed])
-    return Episode(float(played.returns[0]), int(played.lengths[0]), n_frames, stride)
+    played = play_episodes(lambda: env, acting, [seed])
+    _write_gif(path, frames, stride / frames_a_second)
+    return Episode(float(played.returns[0]), int(played.lengths[0]), len(frames), stride)
 
 
 def check_video(config: RunConfig) -> None:
-    """Raise ConfigError where an MP4's package is missing, or the environment cannot be rendered: a frame is tried."""
-    if "mp4" in config.selected_stages and not find_spec("imageio_ffmpeg"):
-        raise ConfigError("mp4=true needs the extra mp4: pip install 'otr[mp4]'; video=true writes a GIF without it")
-    if {"video", "mp4"} & set(config.selected_stages):
+    """Raise ConfigError where a video is asked for and the environment cannot be rendered: a frame is tried."""
+    if "video" in config.selected_stages:
         env = renderable(config.env)
         try:
             env.reset(seed=0)
@@ -99,40 +89,10 @@ def check_video(config: RunConfig) -> None:
             env.close()
 
 
-@contextmanager
-def _gif(path: Path, frame_s: float) -> Iterator[Callable[[Image], None]]:
-    """Give a function that adds a frame, which is shown for so long, to a GIF."""
-    from PIL import Image
-
-    frames: list[Image.Image] = []
-    yield lambda frame: frames.append(frame.quantize(COLOURS, dither=Image.Dither.NONE))
+def _write_gif(path: Path, frames: list[Image], frame_s: float) -> None:
     ends = [round(100 * frame_s * i) for i in range(len(frames) + 1)]  # a GIF counts hundredths of a second
     shown_ms = [10 * (end - start) for start, end in pairwise(ends)]
     frames[0].save(path, format="GIF", save_all=True, append_images=frames[1:], duration=shown_ms, loop=0)
-
-
-@contextmanager
-def _mp4(path: Path, frame_s: float) -> Iterator[Callable[[Image], None]]:
-    """Give a function that adds a frame, which is shown for so long, to an MP4 (H.264); all frames have one size."""
-    with naming_the_extra("an episode as MP4"):
-        from imageio_ffmpeg import write_frames
-
-    file: Any = None
-
-    def add(frame: Image) -> None:
-        nonlocal file
-        if file is None:
-            file = write_frames(
-                str(path), frame.size, fps=1 / frame_s, quality=QUALITY, macro_block_size=2, ffmpeg_log_level="error"
-            )
-            file.send(None)
-        file.send(frame.tobytes())
-
-    try:
-        yield add
-    finally:
-        if file is not None:
-            file.close()
 
 
 def renderable(env_config: EnvConfig, width: int = WIDTH) -> Any:
@@ -150,7 +110,7 @@ def renderable(env_config: EnvConfig, width: int = WIDTH) -> Any:
     if "rgb_array" not in modes:
         raise ConfigError(
             f"video: {env_config.id} renders {', '.join(modes) or 'nothing'}, and a video needs rgb_array: give the "
-            'environment metadata["render_modes"] with it and a render_mode, or leave video=true and mp4=true out'
+            'environment metadata["render_modes"] with it and a render_mode, or leave video=true out'
         )
     env: Any = make_env(dataclasses.replace(env_config, kwargs=kwargs))
     if is_mujoco:
@@ -172,7 +132,7 @@ def rendered(env: Any, env_config: EnvConfig) -> np.ndarray:
         raise PipelineError(
             f"video: {env_config.id} cannot be rendered here ({type(error).__name__}: {error}). MuJoCo needs "
             "OpenGL: MUJOCO_GL=egl with a GPU's driver or Mesa, MUJOCO_GL=osmesa with libosmesa, or a screen. Without "
-            "video=true or mp4=true all else is done; the same command with it adds the video later"
+            "video=true all else is done; the same command with it adds the video later"
         ) from error
     return np.asarray(shown)
 
@@ -181,9 +141,10 @@ def _frame(
     shown: np.ndarray, tree: otr.ObliqueTree, leaf: int, answer: np.ndarray, names: list[str], step: int, total: float
 ) -> Image:
     from PIL import Image, ImageDraw, ImageFont
+    from PIL.Image import Dither
 
     picture = Image.fromarray(shown.astype(np.uint8))
-    height = 2 * round(picture.height * WIDTH / picture.width / 2)  # even, as H.264 wants it
+    height = round(picture.height * WIDTH / picture.width)
     frame = Image.new("RGB", (WIDTH + STRIP + 16, height + BAND), "#ffffff")
     frame.paste(picture.resize((WIDTH, height)), (0, 0))
     draw, font = ImageDraw.Draw(frame), ImageFont.load_default(TEXT)
@@ -194,7 +155,7 @@ def _frame(
     draw.text((26, height + 4), _fitting(does, font), fill="#1a1a1a", font=font)
     draw.text((26, height + 21), f"step {step:,}, return {total:.1f}", fill="#5b6570", font=font)
     _draw_strip(draw, tree, leaf, colour, height + BAND)
-    return frame
+    return frame.quantize(COLOURS, dither=Dither.NONE)
 
 
 def _in_words(answer: np.ndarray, names: list[str]) -> str:

@@ -49,9 +49,8 @@ def show_result(summary: dict[str, Any], run_dir: Path, whole: Path, env: EnvCon
         lines += _simplified(summary["simplify"], whole)
     if "leaves" in summary:
         lines.append(_returns_of_leaves(read_csv(whole / "leaves" / "returns.csv"), run_dir))
-    for stage, name in (("video", "episode.gif"), ("mp4", "episode.mp4")):
-        if stage in summary:
-            lines.append(_shown(summary[stage], f"{stage}/{name}", run_dir, whole))
+    if "video" in summary:
+        lines.append(_shown(summary["video"], run_dir, whole))
     form = ["tree=polished"] if last == "polish" else []
     where = program if whole == run_dir else command_text("otr-export", [f"run={run_dir}", "format=text", *form])
     picture = run_dir / last / "tree.svg"
@@ -193,8 +192,9 @@ def _returns_of_leaves(rows: list[dict[str, str]], run_dir: Path) -> str:
     return f"return by leaves kept: {returns}; {command_text('otr-tabulate', ['leaves', f'run={run_dir}'])}"
 
 
-def _shown(report: dict[str, Any], file: str, run_dir: Path, whole: Path) -> str:
+def _shown(report: dict[str, Any], run_dir: Path, whole: Path) -> str:
     """Return which episode a video shows, and where it lies."""
+    file = "video/episode.gif"
     where = f"{run_dir}/{file}" if whole == run_dir else f"in {run_dir}/stages.tar.xz: {file}"
     return f"video: the episode of seed {report['seed']}, return {report['return']:.1f}: {where}"
 

@@ -17,13 +17,13 @@ from pipelines.stages.polish import POLISH
 from pipelines.stages.prune import PRUNE
 from pipelines.stages.simplify import SIMPLIFY
 from pipelines.stages.train import TRAIN
-from pipelines.stages.video import MP4, VIDEO
+from pipelines.stages.video import VIDEO
 
 STAGES: dict[str, Stage] = {
     stage.name: stage
     for stage in (
         *(TRAIN, IMPORT, ORACLE, MAP, HARDEN, IMITATE, PARSE, PRUNE, EVALUATE),
-        *(POLISH, CERTIFY, SIMPLIFY, LEAVES, VIDEO, MP4),
+        *(POLISH, CERTIFY, SIMPLIFY, LEAVES, VIDEO),
     )
 }
 
@@ -45,6 +45,6 @@ def stages_of(method: str, *, polished: bool = False) -> dict[str, Stage]:
         "certify": dataclasses.replace(CERTIFY, inputs=(actor, "map")),
     }
     if polished:
-        after = (CERTIFY, SIMPLIFY, LEAVES, VIDEO, MP4)
+        after = (CERTIFY, SIMPLIFY, LEAVES, VIDEO)
         rows |= {stage.name: dataclasses.replace(stage, inputs=("polish",)) for stage in after}
     return {name: rows[name] for name in (*names, *EXTRA_STAGES)}

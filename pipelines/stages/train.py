@@ -31,7 +31,8 @@ def train_settings(config: RunConfig) -> dict[str, Any]:
     if config.method.decides_training:
         kept["method"] = everything["method"]
     if config.fleet:
-        kept["trainer"] = {**everything["trainer"], "version": FLEET_VERSION}
+        # "environments" was a setting; committed runs, whose keys have it, are all gymnasium's.
+        kept["trainer"] = {**everything["trainer"], "environments": "gymnasium", "version": FLEET_VERSION}
     return {"env": env, "hidden_widths": everything["depth"], **kept}
 
 

@@ -1,7 +1,6 @@
-"""Stages video and mp4: one evaluated episode as a GIF or as an MP4, with the leaf that acts."""
+"""Stage video: one evaluated episode as a GIF, with the leaf that acts."""
 
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 
 from pipelines.config.run import RunConfig
@@ -12,11 +11,11 @@ from pipelines.play.video import write_video
 from pipelines.stages.prune import load_tree
 
 
-def video(inputs: Mapping[str, Path], config: RunConfig, out: Path, *, name: str) -> None:
-    """Write the first evaluation episode of the pruned tree, or of the polished one, into a file of that name."""
+def video(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
+    """Write the first evaluation episode of the pruned tree, or of the polished one, as `episode.gif`."""
     tree = load_tree(inputs.get("polish") or inputs["prune"])
     (seed,) = evaluation_seeds(config.evaluate.first_seed, 1)
-    shown = write_video(tree, config.env, seed, out / name)
+    shown = write_video(tree, config.env, seed, out / "episode.gif")
     write_json(
         out / "report.json",
         {
@@ -30,7 +29,4 @@ def video(inputs: Mapping[str, Path], config: RunConfig, out: Path, *, name: str
 
 
 VIDEO_SETTINGS = picked(env="env", first_seed="evaluate.first_seed")
-VIDEO, MP4 = (
-    Stage(name, version=1, inputs=("prune",), settings=VIDEO_SETTINGS, run=partial(video, name=file))
-    for name, file in (("video", "episode.gif"), ("mp4", "episode.mp4"))
-)
+VIDEO = Stage("video", version=1, inputs=("prune",), settings=VIDEO_SETTINGS, run=video)

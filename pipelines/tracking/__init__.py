@@ -1,1 +1,1 @@
-"""Runs logged to TensorBoard or MLflow while they train; tracking is write-only and never affects a run."""
+"""Runs logged to TensorBoard while they train; tracking is write-only and never affects a run."""

@@ -1,4 +1,4 @@
-"""Runs logged to TensorBoard or MLflow as well: settings, learning curves as they grow, final returns, artefacts.
+"""Runs logged to TensorBoard as well: settings, learning curves as they grow, final returns, the program.
 
 Tracking is write-only and never affects a run. A tracker that fails is named once and given up until the run's end,
 where what it has missed is logged from the run's files.
@@ -6,7 +6,6 @@ where what it has missed is logged from the run's files.
 
 import functools
 import json
-import os
 from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -16,10 +15,9 @@ from pipelines.config.run import RunConfig
 from pipelines.engine.digests import digest, flat
 from pipelines.engine.store import read_csv
 from pipelines.errors import ConfigError
-from pipelines.tracking.backends import Mlflow, TensorBoard
+from pipelines.tracking.event_files import TensorBoard
 
 Row = Mapping[str, Any]
-SERVER_VARIABLE = "MLFLOW_TRACKING_URI"
 
 
 def check_tracking(config: RunConfig) -> None:
@@ -27,11 +25,6 @@ def check_tracking(config: RunConfig) -> None:
     name = config.tracking
     if name != "none" and not find_spec(name):
         raise ConfigError(f"tracking={name} needs the extra {name}: pip install 'otr[{name}]'")
-    if name == "mlflow" and not os.environ.get(SERVER_VARIABLE):
-        raise ConfigError(
-            f"tracking=mlflow: {SERVER_VARIABLE} is not set. Start a server (mlflow server --port 5000), then "
-            f"export {SERVER_VARIABLE}=http://127.0.0.1:5000"
-        )
 
 
 class Tracker:
@@ -39,7 +32,7 @@ class Tracker:
 
     def __init__(self, config: RunConfig) -> None:
         self._config = config
-        self._backend: TensorBoard | Mlflow | None = None
+        self._backend: TensorBoard | None = None
         self._last_step = 0
         self._is_off = config.tracking == "none"
 
@@ -60,7 +53,7 @@ class Tracker:
     def _log_segment(self, progress: Row, evaluation: Row) -> None:
         step = int(progress["steps"])
         if self._backend is None:
-            self._backend = _open_backend(self._config)
+            self._backend = TensorBoard(self._config, _parameters(self._config))
             if self._backend.result() is not None:  # complete, but here it is being trained: made anew
                 self._backend.start(_parameters(self._config))
             self._last_step = self._backend.last_step()
@@ -69,7 +62,7 @@ class Tracker:
             self._last_step = step
 
     def _complete(self, summary: Mapping[str, Any], run_dir: Path) -> None:
-        backend = _open_backend(self._config)
+        backend = TensorBoard(self._config, _parameters(self._config))
         result = digest(summary)  # a stage that is added later changes it
         if backend.result() == result:
             return
@@ -101,11 +94,6 @@ def _warn_once(tracker: str, folder: str, reason: str) -> None:
         "command logs what is missing",
         flush=True,
     )
-
-
-def _open_backend(config: RunConfig) -> TensorBoard | Mlflow:
-    kind = Mlflow if config.tracking == "mlflow" else TensorBoard
-    return kind(config, _parameters(config))
 
 
 def _parameters(config: RunConfig) -> dict[str, str]:

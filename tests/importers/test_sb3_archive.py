@@ -1,8 +1,10 @@
 """Files of Stable-Baselines3 that hold more, less or something else than a policy of today's layout."""
 
+import functools
 import io
 import json
 import struct
+import threading
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -134,6 +136,20 @@ def test_a_model_that_was_trained_is_read_and_stays_as_it_is(algorithm: type) ->
         network = otr.from_sb3(model)
         assert [part.training for part in model.policy.modules()] == before
         assert_predicts_as(model, network)
+
+
+def test_what_a_live_model_does_otherwise_than_its_file_says_is_read_or_refused() -> None:
+    leaky = build(SAC, WideBox(), {"qf": [8]}, [4, 4], functools.partial(nn.LeakyReLU, negative_slope=0.2))
+    network = otr.from_sb3(leaky)  # its file does not say the slope
+    assert network.negative_slope == 0.2
+    assert_predicts_as(leaky, network)
+    model = build(SAC, WideBox(), {"qf": [8]}, [4, 4])
+    model.policy.actor.latent_pi[1] = nn.Tanh()
+    with pytest.raises(otr.InvalidNetworkError, match="the model predicts otherwise than its layers: in state"):
+        otr.from_sb3(model)
+    model.lock = threading.Lock()
+    with pytest.raises(otr.InvalidNetworkError, match=r"model\.save fails, .* cannot pickle '_thread\.lock' object"):
+        otr.from_sb3(model)
 
 
 def replaced(name: str, tensor: object) -> Callable[[dict], dict]:

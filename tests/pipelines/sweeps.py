@@ -46,11 +46,11 @@ def times_made(printed):
     return {stage: len(re.findall(rf"{stage}: [\d.]+ (?:s|min)", printed)) for stage in STAGES}
 
 
-def start(*words, cwd, python=sys.executable, **environment):
-    """Start otr-run, of another environment where its Python is given; the caller waits for it."""
+def start(*words, cwd, **environment):
+    """Start otr-run; the caller waits for it."""
     code = "import sys; sys.argv[0] = 'otr-run'; from pipelines.cli import run; run()"
     return subprocess.Popen(
-        [python, "-c", code, *words],
+        [sys.executable, "-c", code, *words],
         cwd=cwd,
         env={**os.environ, **environment},
         stdout=subprocess.PIPE,

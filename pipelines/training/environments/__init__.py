@@ -1,1 +1,1 @@
-"""Environments side by side, for training: gymnasium's own, EnvPool's, and plants in numpy, behind one interface."""
+"""Environments side by side, for training: gymnasium's own, and plants in numpy, behind one interface."""

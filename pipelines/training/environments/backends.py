@@ -2,45 +2,34 @@
 
 from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError
-from pipelines.training.environments import classic_control, envpool_envs
-from pipelines.training.environments.classic_control import ClassicControlVectorEnv
-from pipelines.training.environments.envpool_envs import EnvPoolVectorEnv
+from pipelines.training.environments.classic_control import EQUAL_IDS, ClassicControlVectorEnv
 from pipelines.training.environments.gymnasium_envs import GymnasiumVectorEnv
 from pipelines.training.environments.vector_envs import VectorEnv
 
-# The ids that each implementation beside gymnasium's own computes as gymnasium does
-EQUAL_IDS = {"envpool": envpool_envs.EQUAL_IDS, "numpy": classic_control.EQUAL_IDS}
-ENVIRONMENTS = ("gymnasium", *EQUAL_IDS)
+ENVIRONMENTS = ("gymnasium", "numpy")
 
 
-def make_vector_env(env: EnvConfig, n_envs: int, environments: str, *, rescale_inputs: bool = False) -> VectorEnv:
+def make_vector_env(env: EnvConfig, n_envs: int, environments: str) -> VectorEnv:
     """Return environments side by side.
 
     Args:
         env: which one.
         n_envs: how many, 1 or more.
         environments: who computes them, of ENVIRONMENTS.
-        rescale_inputs: whether states are rescaled from their box to [-1, 1].
 
     Raises:
-        ConfigError: `environments` was not compared with gymnasium for this one, the message names those it was; or
-            does not rescale states.
-        PipelineError: a package is missing.
+        ConfigError: `environments` was not compared with gymnasium for this one; the message names those it was.
     """
     check_environments(env, environments)
-    if environments == "gymnasium":
-        return GymnasiumVectorEnv(env, n_envs, rescale_inputs=rescale_inputs)
-    if rescale_inputs:
-        raise ConfigError(f"actor.rescale_inputs=true: environments={environments} does not rescale states")
-    return (EnvPoolVectorEnv if environments == "envpool" else ClassicControlVectorEnv)(env, n_envs)
+    return (GymnasiumVectorEnv if environments == "gymnasium" else ClassicControlVectorEnv)(env, n_envs)
 
 
 def check_environments(env: EnvConfig, environments: str) -> None:
     """Raise ConfigError unless `environments`, of ENVIRONMENTS, computes this one as gymnasium does."""
     if environments not in ENVIRONMENTS:
         raise ConfigError(f"environments={environments}: use one of {', '.join(ENVIRONMENTS)}")
-    if environments != "gymnasium" and env.id not in EQUAL_IDS[environments]:
+    if environments != "gymnasium" and env.id not in EQUAL_IDS:
         raise ConfigError(
             f"environments={environments}: {env.id} is not among those that were compared with gymnasium's "
-            f"({', '.join(EQUAL_IDS[environments])}); use environments=gymnasium"
+            f"({', '.join(EQUAL_IDS)}); use environments=gymnasium"
         )

@@ -112,7 +112,7 @@ class ClassicControlVectorEnv:
         Raises:
             ConfigError: the environment has arguments other than its time limit, or a PID policy's states.
         """
-        self._max_episode_steps = time_limit(env, "numpy")
+        self._max_episode_steps = time_limit(env)
         self._plant = _PLANTS[env.id]()
         self.n_envs = n_envs
         self._state = np.empty((2, n_envs))

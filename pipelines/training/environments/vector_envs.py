@@ -102,8 +102,8 @@ class Autoreset:
         self._envs.close()
 
 
-def time_limit(env: EnvConfig, environments: str) -> int:
-    """Return the most steps of an episode; refuse what the other implementation was not compared with.
+def time_limit(env: EnvConfig) -> int:
+    """Return the most steps of an episode; refuse what the implementation in numpy was not compared with.
 
     Raises:
         ConfigError: `env.kwargs` has more than `max_episode_steps`, or the states are a PID policy's.
@@ -111,11 +111,11 @@ def time_limit(env: EnvConfig, environments: str) -> int:
     others = sorted(env.kwargs.keys() - {"max_episode_steps"})
     if others:
         raise ConfigError(
-            f"environments={environments}: {env.id} is compared without arguments, but env.kwargs has "
+            f"environments=numpy: {env.id} is compared without arguments, but env.kwargs has "
             f"{', '.join(others)}; use environments=gymnasium"
         )
     if env.pid is not None:
-        raise ConfigError(f"environments={environments} has no states of PID policies; use environments=gymnasium")
+        raise ConfigError("environments=numpy has no states of PID policies; use environments=gymnasium")
     limit: int | None = env.kwargs.get("max_episode_steps") or spec_of(env.id).max_episode_steps
     assert limit is not None  # every environment that was compared has one
     return limit

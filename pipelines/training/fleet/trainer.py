@@ -14,16 +14,14 @@ from torch import Tensor
 import otr
 from otr.importers.critics import Critics
 from otr.learners.networks.denormals import denormals_as_zero
-from pipelines.config.env import EnvConfig
 from pipelines.config.hardened_methods import ExpertsConfig, SoftConfig
 from pipelines.config.run import RunConfig
-from pipelines.config.trainer import FleetConfig
 from pipelines.errors import ConfigError
 from pipelines.play.actor_files import actor_files
 from pipelines.play.environments import flat_state_size, is_discrete, make_env
 from pipelines.play.rollout import Rollout
 from pipelines.play.selection import compare_with_trained, play_selection_episodes, units_of_box
-from pipelines.training.environments.backends import EQUAL_IDS, make_vector_env
+from pipelines.training.environments.gymnasium_envs import GymnasiumVectorEnv
 from pipelines.training.environments.vector_envs import Autoreset, Step
 from pipelines.training.estimates import learning_starts, segment_steps
 from pipelines.training.experts_actor import ExpertsActor
@@ -300,13 +298,6 @@ def _soft_training(config: RunConfig) -> SoftTraining | None:
     return SoftTraining(shape_of(config), config.method, config.train.steps)
 
 
-def uses_envpool(env: EnvConfig, fleet: FleetConfig) -> bool:
-    """Return whether EnvPool steps an environment: where it is asked for and computes what gymnasium does."""
-    return fleet.environments == "envpool" and env.id in EQUAL_IDS["envpool"]
-
-
 def _vector_env(config: RunConfig, n_envs: int) -> Autoreset:
     """Return the environments of a run's fleet, side by side."""
-    assert config.fleet is not None
-    environments = "envpool" if uses_envpool(config.env, config.fleet) else "gymnasium"
-    return Autoreset(make_vector_env(config.env, n_envs, environments, rescale_inputs=config.actor.rescale_inputs))
+    return Autoreset(GymnasiumVectorEnv(config.env, n_envs, rescale_inputs=config.actor.rescale_inputs))

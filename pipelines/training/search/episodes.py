@@ -14,7 +14,7 @@ from pipelines.training.environments.backends import make_vector_env
 from pipelines.training.environments.vector_envs import VectorEnv
 
 # Episodes under way at a time; a step of the numpy plants costs the same for hundreds of them.
-MOST_AT_ONCE = {"gymnasium": 256, "envpool": 256, "numpy": 8192}
+MOST_AT_ONCE = {"gymnasium": 256, "numpy": 8192}
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class SearchEpisodes:
 
         Args:
             env: the environment.
-            environments: who computes it, "gymnasium", "envpool" or "numpy".
+            environments: who computes it, "gymnasium" or "numpy".
             alive_bonus: taken off every step's reward, so that standing still is not what is found first.
         """
         self._env, self._environments, self._alive_bonus = env, environments, alive_bonus

@@ -36,10 +36,9 @@ def train_by_search(config: RunConfig, checkpoints: Path, out: Path) -> None:
     run = SearchRun(config, checkpoints)
     tracker = Tracker(config)
     tracker.catch_up(run.history.progress, run.history.evaluations)
-    environments = "gymnasium" if config.algo.environments == "envpool" else config.algo.environments
     with (
         closing(SearchEpisodes(config.env, config.algo.environments, config.algo.alive_bonus)) as episodes,
-        closing(SearchEpisodes(config.env, environments)) as selection,
+        closing(SearchEpisodes(config.env, config.algo.environments)) as selection,
         TrainingProgress(config, run.n_steps) as progress,
     ):
         while run.n_steps < config.train.steps:

@@ -109,9 +109,9 @@ def test_one_process_of_joblib_s_does_all_jobs(tmp_path):
 
 
 def test_missing_plugin_is_told_on_the_command_line(tmp_path):
-    done = otr_command("otr-run", "-m", "env=pendulum", "depth=1,2", "launcher=ray", cwd=tmp_path)
+    done = otr_command("otr-run", "-m", "env=pendulum", "depth=1,2", "launcher=dask", cwd=tmp_path)
     assert done.returncode == 2
-    assert "launcher=ray needs the extra ray: pip install 'otr[ray]'" in done.stderr
+    assert "launcher=dask needs the extra dask: pip install 'otr[dask]'" in done.stderr
 
 
 def test_jobs_file_does_the_jobs_that_are_left(tmp_path):

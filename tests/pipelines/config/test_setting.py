@@ -223,5 +223,5 @@ def test_execution_and_settings_that_are_as_before_are_not_keyed():
 
 def test_what_a_run_is_not_keyed_by():
     execution = {"results_dir", "stages", "n_workers", "side_by_side", "debug", "polish", "certify", "simplify",
-                 "leaves", "video", "mp4", "tracking"}  # fmt: skip
+                 "leaves", "video", "tracking"}  # fmt: skip
     assert set(not_keyed(RunConfig)) == execution | {"program_text", "imported", "folder", "changes", "oracle_run"}

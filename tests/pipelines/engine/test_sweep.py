@@ -105,7 +105,7 @@ def test_a_summary_has_the_further_stages_that_are_done_and_no_others(tiny):
     assert "certify" not in run_job(RunJob(tiny(), "runs/one", ""))
 
 
-@pytest.mark.parametrize(("launcher", "extra"), [("slurm", "slurm"), ("submitit_local", "slurm"), ("ray", "ray")])
+@pytest.mark.parametrize(("launcher", "extra"), [("slurm", "slurm"), ("submitit_local", "slurm"), ("dask", "dask")])
 def test_missing_plugin_names_the_extra(monkeypatch, launcher, extra):
     monkeypatch.setattr("pipelines.engine.sweep.find_spec", lambda name: None)
     with pytest.raises(ConfigError, match=re.escape(f"pip install 'otr[{extra}]'")):

@@ -1,11 +1,9 @@
-"""Episodes as GIFs and MP4s: what is played, how many frames there are, and what is told where nothing is rendered."""
+"""Episodes as GIFs: what is played, how many frames there are, and what is told where nothing is rendered."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from imageio_ffmpeg import count_frames_and_secs, read_frames
 from PIL import Image
 
 import otr
@@ -43,32 +41,6 @@ def test_long_episodes_are_thinned_out(monkeypatch: pytest.MonkeyPatch, tmp_path
             gif.seek(frame)
             shown_ms.append(gif.info["duration"])
         assert len(shown_ms) == 20 and set(shown_ms) == {330, 340} and sum(shown_ms) == 6670  # 200 steps, 30 a second
-
-
-def test_an_mp4_is_not_thinned_out_further(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(video, "MOST_FRAMES", 4)  # of a GIF alone
-    monkeypatch.setattr(video, "FRAMES_A_SECOND", 3)
-    tree, path = committed_tree("pendulum/otr/depth-6/quick/seed-0"), tmp_path / "a.mp4"
-    shown = write_video(tree, PENDULUM, 3, path)
-    assert (shown.n_steps, shown.n_frames, shown.stride) == (200, 20, 10)
-    assert count_frames_and_secs(path) == (20, pytest.approx(200 / 30, abs=0.05))
-    frames = read_frames(path, pix_fmt="rgb24")
-    width, height = next(frames)["size"]
-    first, *_, last = (np.frombuffer(frame, np.uint8).reshape(height, width, 3) for frame in frames)
-    assert (width, height) == (video.WIDTH + video.STRIP + 16, video.WIDTH + video.BAND)
-    assert np.abs(first.astype(float) - last).max() > 100 and first[5, 5].min() > 240  # the pole moves over white
-
-
-def test_an_mp4_names_its_extra_before_anything_runs(command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
-    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    monkeypatch.setattr(video, "find_spec", lambda name: None)
-    for words in (["mp4=true"], ["stages=[mp4]"]):
-        refused = command("run", "env=mountaincar", *words, f"results_dir={tmp_path / 'new'}")
-        assert refused.returncode == 2 and "mp4=true needs the extra mp4: pip install 'otr[mp4]'" in refused.stderr
-    assert not (tmp_path / "new").exists()
-    tree = otr.ObliqueTree([], [], np.zeros((0, 3)), [], np.zeros((1, 1, 3)), np.zeros((1, 1)))
-    with pytest.raises(otr.MissingExtraError, match="an episode as MP4 needs imageio-ffmpeg, which is not installed"):
-        write_video(tree, PENDULUM, 0, tmp_path / "a.mp4")
 
 
 def test_what_cannot_be_rendered_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -1,14 +1,6 @@
-"""Trackers: what they are given, what a resumed or finished run adds, and what one that fails costs (nothing)."""
+"""The tracker: what it is given, what a resumed or finished run adds, and what one that fails costs (nothing)."""
 
-import contextlib
 import dataclasses
-import json
-import os
-import re
-import socket
-import subprocess
-import sys
-import urllib.request
 from pathlib import Path
 
 import pytest
@@ -19,7 +11,6 @@ from pipelines.errors import ConfigError
 from pipelines.runs.run_job import RunJob, run_job
 from pipelines.tracking import tracker as tracking
 from pipelines.tracking.tracker import Tracker, check_tracking
-from tests.pipelines.sweeps import start, wait_for
 
 FOLDER = "runs/pendulum/otr/depth-4/smoke/seed-0"
 
@@ -30,7 +21,7 @@ class FakeBackend:
     def __init__(self):
         self.started, self.rows, self.final, self.known_result, self.fails = 0, [], [], None, False
 
-    def __call__(self, config):
+    def __call__(self, config, parameters):
         if self.fails:
             raise ConnectionError("no server there")
         return self
@@ -58,7 +49,7 @@ class FakeBackend:
 @pytest.fixture
 def backend(monkeypatch):
     fake = FakeBackend()
-    monkeypatch.setattr(tracking, "_open_backend", fake)
+    monkeypatch.setattr(tracking, "TensorBoard", fake)
     tracking._warn_once.cache_clear()
     return fake
 
@@ -145,29 +136,21 @@ def test_tracker_that_fails_midway_catches_up_at_the_end(backend, tracked):
 
 
 def test_tracking_is_no_part_of_a_run(tiny):
-    tracked = tiny(tracking="mlflow", folder=FOLDER)
+    tracked = tiny(tracking="tensorboard", folder=FOLDER)
     assert tracked.settings() == tiny().settings()
     assert run_folder(tracked, tiny()) == FOLDER
 
 
 def test_unknown_tracker_is_refused(tiny):
-    with pytest.raises(ConfigError, match="tracking=wandb: use one of none, tensorboard, mlflow"):
+    with pytest.raises(ConfigError, match="tracking=wandb: use one of none, tensorboard"):
         tiny(tracking="wandb")
 
 
-@pytest.mark.parametrize("name", ["tensorboard", "mlflow"])
-def test_missing_extra_is_named(tiny, monkeypatch, name):
+def test_missing_extra_is_named(tiny, monkeypatch):
     monkeypatch.setattr(tracking, "find_spec", lambda module: None)
-    with pytest.raises(ConfigError, match=re.escape(f"pip install 'otr[{name}]'")):
-        check_tracking(tiny(tracking=name))
+    with pytest.raises(ConfigError, match=r"pip install 'otr\[tensorboard\]'"):
+        check_tracking(tiny(tracking="tensorboard"))
     check_tracking(tiny())
-
-
-def test_mlflow_needs_to_be_told_its_server(tiny, monkeypatch):
-    monkeypatch.setattr(tracking, "find_spec", lambda module: module)
-    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
-    with pytest.raises(ConfigError, match="mlflow server"):
-        check_tracking(tiny(tracking="mlflow"))
 
 
 def test_tensorboard_reads_the_curves(tracked):
@@ -197,70 +180,3 @@ def test_a_run_without_a_printed_program_is_logged(tracked, capsys):
     assert "does not work" not in capsys.readouterr().out
     note = Path(tracked.config.results_dir) / "tensorboard" / FOLDER.removeprefix("runs/") / "logged.json"
     assert read_json(note)["result"] is not None
-
-
-@pytest.fixture
-def server(tmp_path):
-    """A real MLflow server on this machine."""
-    pytest.importorskip("mlflow")
-    with contextlib.closing(socket.socket()) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    store = ("--backend-store-uri", f"sqlite:///{tmp_path}/mlflow.db", "--artifacts-destination", str(tmp_path / "art"))
-    command = [sys.executable, "-m", "mlflow", "server", "--host", "127.0.0.1", "--port", str(port), "--workers", "1"]
-    environment = {**os.environ, "MLFLOW_DISABLE_TELEMETRY": "true"}
-    with (
-        (tmp_path / "server.log").open("w") as log,
-        subprocess.Popen(
-            [*command, *store], cwd=tmp_path, env=environment, stdout=log, stderr=log, start_new_session=True
-        ) as process,
-    ):
-        address = f"http://127.0.0.1:{port}"
-
-        def answers():
-            with contextlib.suppress(OSError), urllib.request.urlopen(f"{address}/health", timeout=5) as answer:
-                return answer.status == 200
-
-        wait_for(answers)
-        yield address
-        os.killpg(process.pid, 15)
-
-
-@pytest.mark.slow
-def test_mlflow_server_has_everything_of_a_killed_and_resumed_run(server, tmp_path):
-    from mlflow import MlflowClient
-
-    words = ("env=pendulum", "depth=3", "budget=smoke", "train.steps=1000", "train.eval_interval_steps=200")
-    words = (*words, "tracking=mlflow")
-    results = tmp_path / "results"
-    with start(*words, cwd=tmp_path, MLFLOW_TRACKING_URI=server) as killed:
-        wait_for(lambda: list(results.glob("checkpoints/*/segment-000002")))
-        killed.kill()
-    again = start(*words, cwd=tmp_path, MLFLOW_TRACKING_URI=server)
-    printed, _ = again.communicate(timeout=300)
-    assert again.returncode == 0, printed
-    assert "going on from step" in printed and "does not work" not in printed
-    (run_dir,) = (path.parent for path in results.glob("runs/**/summary.json"))
-
-    client = MlflowClient(server)
-    experiment = client.get_experiment_by_name("otr")
-    (run,) = client.search_runs([experiment.experiment_id])
-    assert run.info.status == "FINISHED"
-    assert (run.data.params["depth"], run.data.params["algo.name"]) == ("[3]", "sac")
-    assert run.data.params["train.steps"] == "1000"
-    rows = read_csv(run_dir / "train" / "evaluations.csv")
-    history = client.get_metric_history(run.info.run_id, "selection/return_mean")
-    assert [(point.step, point.value) for point in history] == [
-        (int(row["steps"]), float(row["return_mean"])) for row in rows
-    ]
-    summary = json.loads((run_dir / "summary.json").read_text())
-    assert run.data.metrics["final/return_mean"] == summary["return_mean"]
-    files = ("train/actor.safetensors", "prune/program.txt", "prune/tree.npz", "evaluate/episodes.csv", "config.yaml")
-    for name in files:
-        copy = client.download_artifacts(run.info.run_id, name, str(tmp_path))
-        assert Path(copy).read_bytes() == (run_dir / name).read_bytes()
-
-    finished = start(*words, cwd=tmp_path, MLFLOW_TRACKING_URI=server)
-    assert finished.wait(timeout=120) == 0
-    (same,) = client.search_runs([experiment.experiment_id])
-    assert (same.info.run_id, same.info.end_time) == (run.info.run_id, run.info.end_time)

@@ -1,16 +1,11 @@
 """Environments side by side: what a step returns where an episode ends; neighbours change nothing."""
 
-import sys
-
 import numpy as np
 import pytest
-import yaml
 
-from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import EnvConfig
-from pipelines.errors import ConfigError, PipelineError
+from pipelines.errors import ConfigError
 from pipelines.play.environments import make_env
-from pipelines.training.environments.envpool_envs import EQUAL_IDS, EnvPoolVectorEnv
 from pipelines.training.environments.gymnasium_envs import GymnasiumVectorEnv
 from pipelines.training.environments.vector_envs import Autoreset, Step
 
@@ -154,19 +149,3 @@ def test_an_environment_of_ones_own_gets_actions_of_its_space_and_others_as_they
         env.step = lambda action: taken.append(action) or (np.zeros(11), 0.0, False, False, {})
     hoppers.step(np.full((2, 3), 0.1))
     assert [action.dtype for action in taken] == [np.float64, np.float64]
-
-
-def test_envpool_knows_what_it_can_do():
-    """The refusal comes before EnvPool is looked for, so that it is the same where it is not installed."""
-    ids = [yaml.safe_load(path.read_text())["env"]["id"] for path in sorted((CONF_DIR / "env").glob("*.yaml"))]
-    mujoco = {i for i in ids if "mujoco" in make_env(EnvConfig(i, i, i)).spec.entry_point}
-    assert mujoco == {*EQUAL_IDS, "Ant-v4", "Ant-v5"} and len(mujoco) == 12
-    with pytest.raises(ConfigError, match=r"env\.kwargs has healthy_reward"):
-        limited = {"max_episode_steps": 5, "healthy_reward": 2.0}
-        EnvPoolVectorEnv(EnvConfig("hopper", "hopper", "Hopper-v5", limited), 2)
-
-
-def test_missing_envpool_names_the_extra(monkeypatch):
-    monkeypatch.setitem(sys.modules, "envpool", None)
-    with pytest.raises(PipelineError, match=r"pip install '\.\[fleet\]'"):
-        EnvPoolVectorEnv(HOPPER, 2)

@@ -9,7 +9,7 @@ from pipelines.config.env import EnvConfig, PidTerms
 from pipelines.errors import ConfigError
 from pipelines.play.environments import make_env
 from pipelines.play.spaces import spaces
-from pipelines.training.environments.backends import EQUAL_IDS, make_vector_env
+from pipelines.training.environments.backends import make_vector_env
 from pipelines.training.environments.vector_envs import VectorEnv
 
 
@@ -22,14 +22,11 @@ CASES = [
     ("gymnasium", "LunarLander-v3"),
     ("numpy", "MountainCarContinuous-v0"),
     ("numpy", "Pendulum-v1"),
-    *(("envpool", f"{name}-v4") for name in ("HalfCheetah", "Hopper", "Swimmer", "Walker2d")),
 ]
 
 
 @pytest.fixture(params=CASES, ids="-".join)
 def case(request) -> tuple[str, str]:
-    if request.param[0] == "envpool":
-        pytest.importorskip("envpool", reason="the extra fleet is not installed; make test-all installs it")
     return request.param
 
 
@@ -125,15 +122,12 @@ def test_first_states_and_outcomes_are_the_callers_to_keep(case):
 
 
 def test_what_was_not_compared_is_refused():
-    with pytest.raises(ConfigError, match=r"envpool: Ant-v4 is not .* \(HalfCheetah-v4, .*use environments=gymnasium"):
-        make_vector_env(config("Ant-v4"), 2, "envpool")
-    with pytest.raises(ConfigError, match=r"\(MountainCarContinuous-v0, Pendulum-v1\)"):
+    with pytest.raises(ConfigError, match=r"Hopper-v4 is not .* \(MountainCarContinuous-v0, Pendulum-v1\); use env"):
         make_vector_env(config("Hopper-v4"), 2, "numpy")
     with pytest.raises(ConfigError, match=r"environments=numpy: Pendulum-v1 .* has g; use environments=gymnasium"):
         make_vector_env(config("Pendulum-v1", g=9.81, max_episode_steps=5), 2, "numpy")
-    with pytest.raises(ConfigError, match="use one of gymnasium, envpool, numpy"):
+    with pytest.raises(ConfigError, match="use one of gymnasium, numpy"):
         make_vector_env(config("Hopper-v4"), 2, "jax")
     with pytest.raises(ConfigError, match="states of PID policies"):
         pid = dataclasses.replace(config("Pendulum-v1"), pid=PidTerms((1.0, 0.0, 0.0), 2))
         make_vector_env(pid, 2, "numpy")
-    assert sorted(EQUAL_IDS["numpy"]) == ["MountainCarContinuous-v0", "Pendulum-v1"]

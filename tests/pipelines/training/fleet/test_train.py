@@ -33,12 +33,12 @@ from pipelines.training.fleet.fleet_run import FleetRun
 from pipelines.training.fleet.progress import FleetProgress
 from pipelines.training.fleet.random_streams import Streams
 from pipelines.training.fleet.train import _segment, train_fleet
-from pipelines.training.fleet.trainer import FleetTrainer, Task, uses_envpool
+from pipelines.training.fleet.trainer import FleetTrainer, Task
 from pipelines.training.soft_trees import harden, load_soft
 from tests.pipelines.conftest import HOPPER, LANDER, PI_PRL, PPO, SAC
 from tests.pipelines.sweeps import run_until_killed
 
-FLEET = FleetConfig("fleet", 1, "fp32", "gymnasium", 5)
+FLEET = FleetConfig("fleet", 1, "fp32", 5)
 WRAPPING_SAC = dataclasses.replace(SAC, buffer_size=150)  # wraps round within 300 steps
 EVERYTHING = dataclasses.replace(
     WRAPPING_SAC, critic=[16, 8], learning_rate_end=0.2, critic_learning_rate=3e-4, critic_norm="layer", actor_delay=3,
@@ -556,21 +556,9 @@ def test_what_fleets_alone_have_is_keyed_where_it_is_set_and_refused_for_others(
         tiny(algo=algo)
 
 
-def test_envpool_steps_what_it_computes_as_gymnasium_does():
-    pooled = dataclasses.replace(FLEET, environments="envpool")
-    ant = dataclasses.replace(HOPPER, id="Ant-v4")
-    assert [uses_envpool(env, pooled) for env in (HOPPER, ant, LANDER)] == [True, False, False]
-    assert not uses_envpool(HOPPER, FLEET)
-
-
 def test_what_cannot_be_is_refused_before_anything_runs(fleet_run, tmp_path):
     with pytest.raises(ConfigError, match="needs continuous actions"):
         trained([fleet_run(env=LANDER)], tmp_path / "lander")
-    pooled = fleet_run(
-        trainer=dataclasses.replace(FLEET, environments="envpool"), env=HOPPER, actor=ActorConfig(0.0, True)
-    )
-    with pytest.raises(ConfigError, match="environments=envpool does not rescale"):
-        trained([pooled], tmp_path / "pooled")
 
 
 def test_rescaled_states_are_folded_into_the_actor(fleet_run, tmp_path):

@@ -29,8 +29,7 @@ def docstrings(module: Path) -> Iterator[str]:
 
 def text_of(file: Path) -> str:
     if file.suffix == ".md":
-        text = file.read_text(encoding="utf-8")
-        return text.split("\n## ")[1] if file.name == "CHANGELOG.md" else text  # older entries speak of older names
+        return file.read_text(encoding="utf-8")
     return "\n".join(docstrings(file))
 
 

@@ -27,7 +27,7 @@ from pipelines.runs.imitation import advice
 from pipelines.runs.result import show_result
 from pipelines.runs.summary import summarise
 from pipelines.stages.derived import derive, opened_run
-from pipelines.stages.polish import announce_polish
+from pipelines.stages.polish import announce_polish, check_critics
 from pipelines.stages.table import stages_of
 from pipelines.stages.train import TRAIN, announce_training, train_together
 from pipelines.tracking.tracker import Tracker
@@ -120,6 +120,8 @@ def _is_as_measured(config: RunConfig) -> bool:
 def _run_stages(job: RunJob) -> dict[str, Any] | None:
     config, run_dir = job.config, job.run_dir
     print(f"{run_dir}", flush=True)
+    if any(stage.name == "polish" for stage in job.stages):
+        check_critics(config)
     run_dir.mkdir(parents=True, exist_ok=True)
     decisive = [stage for stage in job.stages if stage.name in ("train", "imitate")]
     if any(stage_status(stage, run_dir / stage.name, config) == "missing" for stage in decisive):

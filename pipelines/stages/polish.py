@@ -212,6 +212,13 @@ def critics_folder(config: RunConfig) -> Path:
     return Path(config.results_dir) / made_by.folder / made_by.method.actor_stage
 
 
+def check_critics(config: RunConfig) -> None:
+    """Raise PipelineError where critics are to polish a run that their finished training no longer has."""
+    is_polished = exists(Path(config.results_dir) / config.folder / "polish" / MANIFEST)
+    if not is_polished and exists(_manifest(config)) and polishes_by(config) == "critic":
+        load_critics(critics_folder(config))
+
+
 def polishes_by(config: RunConfig) -> str:
     """Return what polishes a run: as it is set, else "critic" where its oracle was kept with critics, else "search".
 

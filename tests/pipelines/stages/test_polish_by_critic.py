@@ -126,6 +126,7 @@ def test_what_is_packed_without_critics_stays_done_and_tells_who_asks_for_them(s
     assert done.returncode == 1
     assert "critics.safetensors is not there" in done.stdout + done.stderr
     assert "results_dir=DIR, another folder" in done.stdout + done.stderr
+    assert "imitate" not in done.stdout  # before anything runs
 
 
 def test_a_search_is_asked_for_by_name(shrunk):

@@ -108,13 +108,15 @@ def from_sb3(
     negative_slope: float | None = None,
     vec_normalize: Any = AUTO,
 ) -> ReluNetwork:
-    """Return the deterministic actor of a Stable-Baselines3 model, or of sb3-contrib's TRPO and ARS.
+    """Return the deterministic actor of a Stable-Baselines3 model, or of sb3-contrib's.
 
-    SAC, TD3 and DDPG end in `TanhBox`, the others in `ClipBox` or, with discrete actions, `Argmax`; DQN's actor is the
-    network of its action values, and of ARS `LinearPolicy` without squashed outputs is read. Stable-Baselines3 computes
-    in float32, so its answers differ from the network's by about 1e-7 of the action box. A live model has no hooks. It
-    is read as `model.save` writes it, and is run on fixed states: where it predicts otherwise than its layers, nothing
-    is returned.
+    That is the policy on a vector of PPO, A2C, TRPO, SAC, TD3, DDPG, DQN, TQC, QR-DQN, CrossQ, ARS and MaskablePPO,
+    which is read without its masks, as a warning says. Actions that tanh squashes end in `TanhBox`, others in `ClipBox`
+    or, with discrete actions, `Argmax`; DQN's actor is the network of its action values, QR-DQN's of their means over
+    the quantiles. Batch normalisation is folded into the layer after it; where gSDE clips the mean, a layer of ReLU
+    units does. Stable-Baselines3 computes in float32, so its answers differ from the network's by about 1e-7 of the
+    action box. A live model has no hooks. It is read as `model.save` writes it, and is run on fixed states: where it
+    predicts otherwise than its layers, nothing is returned.
 
     A model trained under VecNormalize expects normalised states. Mean and variance go into the first layer, so that the
     network takes raw states. They are those of a live model's environment, or of the ``vecnormalize.pkl`` that lies in
@@ -136,7 +138,7 @@ def from_sb3(
             saw, whatever these were; "auto" to find the statistics.
 
     Raises:
-        InvalidNetworkError: a policy that is no ReLU network on a vector of inputs: other activations, gSDE, images,
+        InvalidNetworkError: a policy that is no ReLU network on a vector of inputs: other activations, images,
             feature extractors, dictionaries, several discrete actions; widths other than the spaces' or the
             statistics'; or something that the file does not tell.
         ArtefactError: a file is missing, cut off, damaged, unpacks to more than 256 MiB, or holds more than tensors in

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from otr.core.arrays import FloatArray
 from otr.core.zip_members import read_members
 from otr.errors import ArtefactError
-from otr.importers.sb3_archive import Tensors, linear_layers, load_tensors, read_archive, readable_slope
+from otr.importers.sb3_archive import load_tensors, read_archive, readable_slope
+from otr.importers.sb3_layers import Tensors, linear_layers
 from otr.importers.torch_modules import real_values
 
 Layers = list[tuple[NDArray[Any], NDArray[Any]]]  # weights (n_critics, w_in, w_out), biases (n_critics, 1, w_out)
@@ -58,7 +59,7 @@ class Critics:
 
 
 def critics_of_zip(path: Path) -> Critics | None:
-    """Return the critics in a zip file of Stable-Baselines3's SAC, TD3 or DDPG, read without running code from it.
+    """Return the critics in a zip file of Stable-Baselines3's SAC, TD3, DDPG or TQC, read without running code from it.
 
     None where it has none (PPO, DQN), critics that are no (leaky) ReLU networks, or no discount.
 
@@ -68,9 +69,10 @@ def critics_of_zip(path: Path) -> Critics | None:
     """
     tensors, data = read_archive(path)
     slope = readable_slope(data)
+    is_normalised = any(name.endswith(".ra_mean") for name in tensors)  # CrossQ's
     n_critics = sum(name.startswith("critic.qf") and name.endswith(".0.weight") for name in tensors)
     gamma = data.get("gamma")
-    if not n_critics or slope is None or not isinstance(gamma, int | float):
+    if not n_critics or is_normalised or slope is None or not isinstance(gamma, int | float):
         return None
     log_std = None
     if "actor.log_std.weight" in tensors:
@@ -81,14 +83,17 @@ def critics_of_zip(path: Path) -> Critics | None:
 
 
 def _layers(tensors: Tensors, part: str, n_critics: int) -> Layers:
+    """Return critics' layers; of TQC's quantiles their mean."""
     names = [linear_layers(tensors, f"{part}.qf{critic}.") for critic in range(n_critics)]
-    return [
+    layers = [
         (
             np.stack([real_values(tensors[f"{name}.weight"], name).T for name in layer]),
             np.stack([real_values(tensors[f"{name}.bias"], name)[None] for name in layer]),
         )
         for layer in zip(*names, strict=True)
     ]
+    weight, bias = layers[-1]
+    return [*layers[:-1], (weight.mean(axis=2, keepdims=True), bias.mean(axis=2, keepdims=True))]
 
 
 def _log_temperature(path: Path, data: dict[str, object]) -> float | None:

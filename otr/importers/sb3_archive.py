@@ -13,11 +13,11 @@ import json
 import math
 import pickle
 import re
+import warnings
 import zipfile
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from otr.core.arrays import FloatArray
@@ -29,20 +29,20 @@ from otr.core.zip_members import read_members
 from otr.errors import ArtefactError, InvalidNetworkError
 from otr.importers.chain import RELU_REMEDY, TRAIN_RELU
 from otr.importers.pickle_record import numbers, record_of_pickle
-from otr.importers.torch_modules import real_values
+from otr.importers.sb3_layers import Tensors, actor_layers, has_limited_mean, is_on_policy, is_searched
 
 _RELU = "<class 'torch.nn.modules.activation.ReLU'>"
+_TANH = "<class 'torch.nn.modules.activation.Tanh'>"
 _LEAKY_RELU = "<class 'torch.nn.modules.activation.LeakyReLU'>"
 _SLOPES = {_RELU: 0.0, _LEAKY_RELU: 0.01}  # of LeakyReLU torch's default
 
-# Before version 1.8, Stable-Baselines3 let actor and critic share their first layers.
-_SHARED, _POLICY = "mlp_extractor.shared_net.", "mlp_extractor.policy_net."
-_ON_POLICY_PARTS = (_SHARED, _POLICY, "mlp_extractor.value_net.", "action_net.", "value_net.", "log_std")
-_OFF_POLICY_PARTS = ("actor.latent_pi.", "actor.mu.", "actor.log_std.", "actor_target.", "critic.", "critic_target.",
-                     "q_net.q_net.", "q_net_target.")  # fmt: skip
+_PARTS = ("mlp_extractor.shared_net.", "mlp_extractor.policy_net.", "mlp_extractor.value_net.", "action_net.",
+          "value_net.", "log_std", "actor.latent_pi.", "actor.mu.", "actor.log_std", "actor_target.", "critic.",
+          "critic_target.", "q_net.q_net.", "q_net_target.", "quantile_net.quantile_net.",
+          "quantile_net_target.")  # fmt: skip
+_MODULES = r"stable_baselines3\.(common|dqn|sac|td3)|sb3_contrib\.(ars|common\.maskable|crossq|qrdqn|tqc)"
+_GSDE_MEAN_LIMIT = 2.0  # the default of SAC's and TQC's clip_mean
 _DATA_BYTES = 2**24  # of text; its lists and dictionaries take twenty times as much memory
-
-Tensors = dict[str, Any]
 
 
 class _Actor(NamedTuple):
@@ -52,7 +52,7 @@ class _Actor(NamedTuple):
     biases: list[FloatArray]
     head: Head
     data: dict[str, Any]
-    on_policy: bool
+    usual_units: str  # the activation where nothing is said
 
 
 def network_of_file(
@@ -101,13 +101,28 @@ def sign_of_normalisation(path: Path) -> str:
 
 def _actor(file: Path | IO[bytes], action_low: ArrayLike | None, action_high: ArrayLike | None) -> _Actor:
     tensors, data = read_archive(file)
-    on_policy = any(name.startswith("action_net.") for name in tensors)
-    _refuse_other_policies(tensors, data, _ON_POLICY_PARTS if on_policy else _OFF_POLICY_PARTS)
-    weights, biases = _actor_layers(tensors, on_policy)
-    head = _head(data, on_policy, len(biases[-1]), action_low, action_high)
+    _refuse_other_policies(tensors, data)
     n_observed, n_actions = _count(data, "observation_space"), _count(data, "action_space")
+    mean_limit = float(_readable(data, "policy_kwargs").get("clip_mean", _GSDE_MEAN_LIMIT))
+    weights, biases = actor_layers(tensors, n_actions, mean_limit)
+    usual_units = _TANH if is_on_policy(tensors) else _RELU
+    units = str(_readable(data, "policy_kwargs").get("activation_fn", usual_units))
+    if has_limited_mean(tensors) and mean_limit > 0 and units != _RELU:
+        raise InvalidNetworkError(
+            f"gSDE clips the mean of the actions at {mean_limit:g}, which ReLU units can do, and {units} cannot; "
+            "train with use_sde=False"
+        )
+    head = _head(data, _is_squashed(tensors, data), n_actions, action_low, action_high)
     _require_widths(weights[0].shape[1], len(biases[-1]), n_observed, n_actions)
-    return _Actor(weights, biases, head, data, on_policy)
+    return _Actor(weights, biases, head, data, usual_units)
+
+
+def _is_squashed(tensors: Tensors, data: dict[str, Any]) -> bool:
+    """Return whether tanh leads the actions into their box, and no clip."""
+    usual = not is_on_policy(tensors)
+    if is_searched(tensors):  # ARS's MlpPolicy squashes, its LinearPolicy does not
+        usual = "ARSLinearPolicy.__init__" not in str(_readable(data, "policy_class").get("__init__"))
+    return bool(_readable(data, "policy_kwargs").get("squash_output", usual))
 
 
 def _require_widths(n_inputs: int, n_outputs: int, n_observed: int, n_actions: int) -> None:
@@ -164,81 +179,39 @@ def load_tensors(content: bytes, label: str) -> Tensors:
     return tensors
 
 
-def _refuse_other_policies(tensors: Tensors, data: dict[str, Any], parts: tuple[str, ...]) -> None:
-    """Raise InvalidNetworkError unless the policy is an MlpPolicy on a vector, as far as the file tells."""
-    if data.get("use_sde"):
-        raise InvalidNetworkError("the model uses gSDE; train with use_sde=False")
-    others = sorted(name for name in tensors if not name.startswith(parts))
+def _refuse_other_policies(tensors: Tensors, data: dict[str, Any]) -> None:
+    """Raise InvalidNetworkError unless the policy is an MlpPolicy on a vector, as far as the file tells.
+
+    Of MaskablePPO a warning says that the masks are left out.
+    """
+    others = sorted(name for name in tensors if not name.startswith(_PARTS))
     if others:
         raise InvalidNetworkError(
-            f"the policy has the tensor {others[0]!r}; only PPO, A2C, TRPO, DQN, SAC, TD3 and DDPG with "
-            "'MlpPolicy' and ARS with 'LinearPolicy', and no feature extractor with weights, can be mapped"
+            f"the policy has the tensor {others[0]!r}; only 'MlpPolicy' of PPO, A2C, TRPO, DQN, SAC, TD3, DDPG, TQC, "
+            "QR-DQN, CrossQ, MaskablePPO and ARS, and ARS's 'LinearPolicy', without weights in a feature extractor, "
+            "can be mapped"
         )
-    policy_class = _readable(data, "policy_class")
-    module = policy_class.get("__module__", "")
-    is_linear = tensors.keys() <= {"action_net.0.weight", "action_net.0.bias"}
-    expected = r"sb3_contrib\.ars\.policies" if is_linear else r"stable_baselines3\.(common|dqn|sac|td3)\.policies"
-    if not re.fullmatch(expected, str(module)):
+    module = str(_readable(data, "policy_class").get("__module__", ""))
+    if not re.fullmatch(rf"({_MODULES})\.policies", module):
         raise InvalidNetworkError(
             f"the policy's class is from {module!r}; train with 'MlpPolicy', or ARS with 'LinearPolicy'"
         )
-    # ARS's MlpPolicy without hidden layers has the same tensors, but squashes its outputs where nothing is said.
-    if is_linear and "ARSLinearPolicy.__init__" not in str(policy_class.get("__init__")):
-        raise InvalidNetworkError("the policy is a ARSPolicy; train with 'LinearPolicy'")
-    if is_linear and _readable(data, "policy_kwargs").get("squash_output"):
-        raise InvalidNetworkError("the policy squashes its outputs; train with squash_output=False")
     extractor = str(_readable(data, "policy_kwargs").get("features_extractor_class", "FlattenExtractor"))
     if "stable_baselines3.common.torch_layers.FlattenExtractor" not in extractor and extractor != "FlattenExtractor":
         raise InvalidNetworkError(f"the policy has the feature extractor {extractor}; leave it at FlattenExtractor")
     space = _readable(data, "observation_space")
     if "spaces.box.Box" not in str(space.get(":type:")) or len(space.get("_shape") or ()) > 2:
         raise InvalidNetworkError(f"the observations are {space.get(':type:')}; only vectors of inputs can be mapped")
-
-
-def _actor_layers(tensors: Tensors, on_policy: bool) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Return the actor's weights and biases, in order of the layers."""
-    parts: tuple[str, ...]
-    if on_policy:
-        parts, last = (_SHARED, _POLICY), ["action_net.0" if "action_net.0.weight" in tensors else "action_net"]
-    elif "actor.mu.weight" in tensors:
-        parts, last = ("actor.latent_pi.",), ["actor.mu"]
-    else:  # TD3, DDPG and DQN hold all layers in one Sequential
-        parts, last = ("q_net.q_net." if "q_net.q_net.0.weight" in tensors else "actor.mu.",), []
-    names = [name for part in parts for name in linear_layers(tensors, part)] + last
-    if not names:
-        raise InvalidNetworkError(f"no actor among the tensors {sorted(tensors)[:5]} ...; is this a PPO or SAC model?")
-    used = {f"{name}.{kind}" for name in names for kind in ("weight", "bias")}
-    unused = sorted(name for name in tensors if name.startswith((*parts, *last)) and name not in used)
-    if unused:
-        raise InvalidNetworkError(f"the actor has the tensor {unused[0]!r}, which no Linear layer has; use 'MlpPolicy'")
-    optional = {"action_net.0.bias"}  # ARS's LinearPolicy
-    missing = sorted(used - tensors.keys() - optional)
-    if missing:
-        raise InvalidNetworkError(f"the actor's tensor {missing[0]!r} is missing; is this a PPO, SAC or TD3 model?")
-    weights = [real_values(tensors[f"{name}.weight"], f"{name}.weight") for name in names]
-    biases = [
-        real_values(tensors[f"{name}.bias"], f"{name}.bias") if f"{name}.bias" in tensors else np.zeros(len(W))
-        for name, W in zip(names, weights, strict=True)
-    ]
-    return weights, biases
-
-
-def linear_layers(tensors: Tensors, part: str) -> list[str]:
-    """Return the names of a Sequential's layers with weights, in order."""
-    found = (re.fullmatch(re.escape(part) + r"(\d+)\.weight", name) for name in tensors)
-    positions = sorted(int(match[1]) for match in found if match)
-    # create_mlp alternates Linear and activation; anything else, such as a normalisation layer, shows in the numbers.
-    if positions != list(range(0, 2 * len(positions), 2)):
-        raise InvalidNetworkError(f"the layers {part}* with weights are {positions}, expected 0, 2, 4, ...")
-    return [f"{part}{position}" for position in positions]
+    if "maskable" in module:
+        note = "the policy was trained with action masks; it is read without: it may choose what a mask would forbid"
+        warnings.warn(note, stacklevel=4)
 
 
 def _activation(actor: _Actor) -> str:
     """Return the name of the activation's class, from the readable account of `policy_kwargs`."""
     if not isinstance(actor.data.get("policy_kwargs"), dict):
         raise InvalidNetworkError("the file does not tell the policy's arguments, nor so the activation; save it again")
-    default = "<class 'torch.nn.modules.activation.Tanh'>" if actor.on_policy else _RELU
-    return str(_readable(actor.data, "policy_kwargs").get("activation_fn", default))
+    return str(_readable(actor.data, "policy_kwargs").get("activation_fn", actor.usual_units))
 
 
 def readable_slope(data: dict[str, Any]) -> float | None:
@@ -267,7 +240,7 @@ def _slope(actor: _Actor, given: float | None) -> float:
     return float(known if known is not None else given)  # type: ignore[arg-type]
 
 
-def _head(data: dict[str, Any], on_policy: bool, n_outputs: int, low: ArrayLike | None, high: ArrayLike | None) -> Head:
+def _head(data: dict[str, Any], squashed: bool, n_outputs: int, low: ArrayLike | None, high: ArrayLike | None) -> Head:
     """Return the head that the readable account of the action space asks for."""
     space = _readable(data, "action_space")
     kind = str(space.get(":type:"))
@@ -278,7 +251,7 @@ def _head(data: dict[str, Any], on_policy: bool, n_outputs: int, low: ArrayLike 
     low = _limits(data, "low", n_outputs) if low is None else low
     high = _limits(data, "high", n_outputs) if high is None else high
     try:
-        return ClipBox(low, high) if on_policy else TanhBox(low, high)
+        return TanhBox(low, high) if squashed else ClipBox(low, high)
     except ValueError as error:
         raise InvalidNetworkError(f"the actions' limits: {error}; give action_low= and action_high=") from error
 

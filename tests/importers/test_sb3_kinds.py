@@ -1,0 +1,135 @@
+"""Every kind of policy on a vector that Stable-Baselines3 and sb3-contrib have is read as what it predicts."""
+
+import io
+import zipfile
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from gymnasium.wrappers import FlattenObservation
+from sb3_contrib import ARS, QRDQN, TQC, TRPO, CrossQ, MaskablePPO
+from stable_baselines3 import PPO, SAC
+
+import otr
+from otr.importers.critics import critics_of_zip
+
+torch.set_num_threads(1)
+RELU = {"activation_fn": torch.nn.ReLU, "net_arch": [8, 5]}
+LAYERS = {"net_arch": [8, 5]}
+PENDULUM, CART = "Pendulum-v1", "CartPole-v1"
+KINDS = {
+    "PPO with gSDE": (PPO, PENDULUM, RELU, {"use_sde": True}),
+    "PPO with gSDE, squashed": (PPO, PENDULUM, RELU | {"squash_output": True}, {"use_sde": True}),
+    "SAC with gSDE": (SAC, PENDULUM, LAYERS, {"use_sde": True}),
+    "SAC with gSDE, unlimited": (SAC, PENDULUM, LAYERS | {"clip_mean": 0.0}, {"use_sde": True}),
+    "TQC": (TQC, PENDULUM, LAYERS, {}),
+    "TQC with gSDE": (TQC, PENDULUM, LAYERS | {"clip_mean": 0.5}, {"use_sde": True}),
+    "TRPO": (TRPO, CART, RELU, {}),
+    "CrossQ": (CrossQ, PENDULUM, LAYERS, {}),
+    "QR-DQN": (QRDQN, CART, LAYERS | {"n_quantiles": 7}, {}),
+    "ARS": (ARS, PENDULUM, LAYERS, {}),
+    "ARS, clipped": (ARS, PENDULUM, LAYERS | {"squash_output": False}, {}),
+    "ARS of labels": (ARS, CART, LAYERS, {}),
+    "ARS without layers": (ARS, PENDULUM, {"net_arch": []}, {}),
+}
+
+
+def drawn(algorithm, env, policy_kwargs, **settings):
+    """Return a model with numbers so large that every limit and every unit comes into play."""
+    buffer = {} if algorithm in (PPO, ARS, TRPO, MaskablePPO) else {"buffer_size": 10}
+    policy = dict(policy_kwargs)
+    model = algorithm("MlpPolicy", env, policy_kwargs=policy, seed=0, device="cpu", **buffer, **settings)
+    generator = torch.Generator().manual_seed(0)
+    with torch.no_grad():
+        for name, tensor in model.policy.state_dict().items():
+            if tensor.is_floating_point():
+                tensor.normal_(generator=generator)
+                if name.endswith("ra_var"):
+                    tensor.abs_()
+    return model
+
+
+def assert_same(model, network):
+    X = np.random.default_rng(0).normal(size=(300, network.n_inputs)).astype(np.float32)
+    acted, _ = model.predict(X, deterministic=True)
+    found = network.predict(X)
+    np.testing.assert_allclose(found.reshape(acted.shape), acted, atol=2e-5)
+    assert len(np.unique(acted)) > 1
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_policy_is_what_it_predicts(kind, tmp_path):
+    algorithm, env, policy_kwargs, settings = KINDS[kind]
+    model = drawn(algorithm, env, policy_kwargs, **settings)
+    model.save(tmp_path / "policy")
+    for network in (otr.from_sb3(tmp_path / "policy"), otr.from_sb3(model)):
+        assert_same(model, network)
+        tree = otr.map_network(network) if network.n_hidden < 14 else None
+        if tree is not None:
+            X = np.random.default_rng(1).normal(size=(50, network.n_inputs))
+            np.testing.assert_allclose(tree.predict(X), network.predict(X), atol=1e-9)
+
+
+def test_a_mean_that_gsde_clips_stays_within_its_limits(tmp_path):
+    network = otr.from_sb3(drawn(SAC, PENDULUM, LAYERS, use_sde=True))
+    outputs = network.forward(100 * np.random.default_rng(0).normal(size=(200, 3)))
+    assert outputs.min() == -2 and outputs.max() == 2
+
+
+def test_the_names_of_sb3_contrib_1_3_are_read(tmp_path):
+    model = ARS("LinearPolicy", CART, zero_policy=False, seed=0, device="cpu")
+    model.policy.action_net[0].weight.data.normal_()
+    model.save(tmp_path / "new.zip")
+    with zipfile.ZipFile(tmp_path / "new.zip") as new, zipfile.ZipFile(tmp_path / "old.zip", "w") as old:
+        tensors = torch.load(io.BytesIO(new.read("policy.pth")), weights_only=True)
+        file = io.BytesIO()
+        torch.save({name.replace("action_net.0.", "action_net."): tensor for name, tensor in tensors.items()}, file)
+        for name in new.namelist():
+            old.writestr(name, file.getvalue() if name == "policy.pth" else new.read(name))
+    assert_same(model, otr.from_sb3(tmp_path / "old.zip"))
+
+
+class Masked(FlattenObservation):
+    """CartPole, whose actions are all allowed."""
+
+    def action_masks(self):
+        return np.ones(2, dtype=bool)
+
+
+def test_masks_are_left_out_and_that_is_said(tmp_path):
+    model = drawn(MaskablePPO, Masked(gym.make(CART)), RELU)
+    model.save(tmp_path / "policy")
+    with pytest.warns(UserWarning, match="trained with action masks; it is read without"):
+        network = otr.from_sb3(tmp_path / "policy")
+    assert_same(model, network)
+
+
+def test_a_quantile_critic_is_read_as_its_mean_and_a_normalised_one_is_not(tmp_path):
+    model = drawn(TQC, PENDULUM, LAYERS)
+    model.save(tmp_path / "tqc.zip")
+    critics = critics_of_zip(tmp_path / "tqc.zip")
+    X = torch.randn(20, 3)
+    actions = torch.rand(20, 1) * 2 - 1
+    with torch.no_grad():
+        wanted = model.critic(X, actions).mean(dim=2)  # (20, 2), of the quantiles
+    values = torch.cat((X, actions), dim=1).double().numpy()[None]
+    for i, (weight, bias) in enumerate(critics.layers):
+        values = values @ weight + bias
+        values = np.maximum(values, 0) if i + 1 < len(critics.layers) else values
+    np.testing.assert_allclose(values[:, :, 0].T, wanted.numpy(), rtol=1e-4, atol=1e-4)
+    drawn(CrossQ, PENDULUM, LAYERS).save(tmp_path / "crossq.zip")
+    assert critics_of_zip(tmp_path / "crossq.zip") is None
+
+
+def test_other_policies_say_what_can_be_read(tmp_path):
+    model = drawn(PPO, PENDULUM, RELU)
+    model.save(tmp_path / "policy.zip")
+    with zipfile.ZipFile(tmp_path / "policy.zip") as given, zipfile.ZipFile(tmp_path / "other.zip", "w") as other:
+        tensors = torch.load(io.BytesIO(given.read("policy.pth")), weights_only=True)
+        file = io.BytesIO()
+        torch.save(tensors | {"lstm_actor.weight_ih_l0": torch.zeros(2, 2)}, file)
+        for name in given.namelist():
+            other.writestr(name, file.getvalue() if name == "policy.pth" else given.read(name))
+    with pytest.raises(otr.InvalidNetworkError, match="the tensor 'lstm_actor.*; only 'MlpPolicy' of"):
+        otr.from_sb3(tmp_path / "other.zip")

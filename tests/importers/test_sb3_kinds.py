@@ -131,5 +131,5 @@ def test_other_policies_say_what_can_be_read(tmp_path):
         torch.save(tensors | {"lstm_actor.weight_ih_l0": torch.zeros(2, 2)}, file)
         for name in given.namelist():
             other.writestr(name, file.getvalue() if name == "policy.pth" else given.read(name))
-    with pytest.raises(otr.InvalidNetworkError, match="the tensor 'lstm_actor.*; only 'MlpPolicy' of"):
+    with pytest.raises(otr.InvalidNetworkError, match=r"the tensor 'lstm_actor.*; only 'MlpPolicy' of"):
         otr.from_sb3(tmp_path / "other.zip")

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from otr.core.mapping import map_network as map_network
     from otr.core.network import ReluNetwork as ReluNetwork
     from otr.core.pattern_tree import PatternTree as PatternTree
-    from otr.core.pruning import prune_to_k as prune_to_k, prune_unreached as prune_unreached
+    from otr.core.pruning import prune_to_k as prune_to_k, prune_unreached as prune_unreached, tree as tree
     from otr.core.tree import ObliqueTree as ObliqueTree
     from otr.errors import (
         ArtefactError as ArtefactError,
@@ -57,6 +57,7 @@ if TYPE_CHECKING:
         from_sb3 as from_sb3,
         from_sklearn as from_sklearn,
         from_torch as from_torch,
+        read_policy as read_policy,
     )
     from otr.importers.vec_normalize import ObservationStatistics as ObservationStatistics
     from otr.programs.c.source import to_c as to_c
@@ -98,12 +99,12 @@ _NAMES_OF_MODULES = {
     "core.mapping": "map_network",
     "core.network": "ReluNetwork",
     "core.pattern_tree": "PatternTree",
-    "core.pruning": "prune_to_k prune_unreached",
+    "core.pruning": "prune_to_k prune_unreached tree",
     "core.tree": "ObliqueTree",
     "errors": "ArtefactError CertificateError InvalidNetworkError InvalidTreeError MissingExtraError OtrError "
     "ProgramError TimeLimitError TreeTooLargeError",
     "geometry.minimal_tree": "minimal_tree",
-    "importers": "from_onnx from_sb3 from_sklearn from_torch",
+    "importers": "from_onnx from_sb3 from_sklearn from_torch read_policy",
     "importers.vec_normalize": "ObservationStatistics",
     "programs.c.source": "to_c",
     "programs.dot": "to_dot",

@@ -31,7 +31,7 @@ def map_network(network: ReluNetwork, *, max_leaves: int = 2**16) -> ObliqueTree
 
     Raises:
         TypeError: `network` is no ReluNetwork.
-        TreeTooLargeError: names the depth, the limit, and `PatternTree` as the way to hold the tree.
+        TreeTooLargeError: names the depth, the limit, and `otr.tree` as the call that works.
     """
     require_relu_network(network)
     n, d, o = network.n_hidden, network.n_inputs, network.n_outputs
@@ -39,7 +39,7 @@ def map_network(network: ReluNetwork, *, max_leaves: int = 2**16) -> ObliqueTree
     if 2**depth > max_leaves:
         raise TreeTooLargeError(
             f"the full tree of {n} hidden neurons has depth {depth} and 2**{depth} leaves, the limit is {max_leaves}; "
-            "raise max_leaves, or hold the tree as PatternTree(network), observe states and prune it"
+            "use otr.tree(network, states), which has the paths that states take, or raise max_leaves"
         )
     P, v = np.empty((2**depth - 1, d)), np.empty(2**depth - 1)
     M, c = _grow_hidden_levels(network, P, v)

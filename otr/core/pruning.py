@@ -8,8 +8,37 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from otr.core.arrays import BoolArray, FloatArray, IntArray, as_batch
+from otr.core.network import ReluNetwork, require_relu_network
 from otr.core.pattern_tree import PatternTree
 from otr.core.tree import ObliqueTree, require_tree
+
+
+def tree(network: ReluNetwork, X: ArrayLike) -> ObliqueTree:
+    """Return the tree of the paths that states take through a network of any width: there it is the network.
+
+    It is `prune_unreached` of the network's `PatternTree`, and holds no more leaves than there are states. Elsewhere it
+    follows the tests that are left; `certify` of a `minimal_tree` is for what holds at every state of a box.
+
+    Args:
+        network: the policy.
+        X: (n, d) states, at least one, such as `rollout(...).states`.
+
+    Raises:
+        TypeError: `network` is no ReluNetwork.
+        ValueError: X is empty or of the wrong width.
+
+    Examples:
+        >>> import otr, numpy as np
+        >>> generator = np.random.default_rng(0)
+        >>> wide = otr.ReluNetwork([generator.normal(size=s) for s in ((64, 3), (64, 64), (1, 64))],
+        ...                        [generator.normal(size=64), generator.normal(size=64), np.zeros(1)])
+        >>> states = generator.normal(size=(20, 3)) / 10
+        >>> found = otr.tree(wide, states)
+        >>> found.n_leaves <= 20, bool(np.allclose(found.predict(states), wide.predict(states)))
+        (True, True)
+    """
+    require_relu_network(network)
+    return prune_unreached(PatternTree(network), X)
 
 
 def prune_unreached(tree: ObliqueTree | PatternTree, X: ArrayLike) -> ObliqueTree:

@@ -69,7 +69,7 @@ def test_a_linear_model_is_one_leaf() -> None:
 def test_a_tree_too_large_is_refused() -> None:
     net = make_network(np.random.default_rng(0), (17,))
     with pytest.raises(
-        otr.TreeTooLargeError, match=r"17 hidden neurons .* 2\*\*17 leaves, the limit is 65536.*PatternTree"
+        otr.TreeTooLargeError, match=r"17 hidden neurons .* 2\*\*17 leaves, the limit is 65536.*otr\.tree"
     ):
         otr.map_network(net)
     assert otr.map_network(net, max_leaves=2**17).n_leaves == 2**17

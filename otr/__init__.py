@@ -19,6 +19,7 @@ from otr.extras import lazy_exports
 # isort: off
 if TYPE_CHECKING:
     from otr import control as control, importers as importers, learners as learners
+    from otr.control.imitate import imitate as imitate
     from otr.control.rollout import Rollout as Rollout, evaluate as evaluate, rollout as rollout
     from otr.control.search.direct_search import SearchSettings as SearchSettings
     from otr.control.search.polish import polish as polish
@@ -89,6 +90,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _NAMES_OF_MODULES = {
+    "control.imitate": "imitate",
     "control.rollout": "Rollout evaluate rollout",
     "control.search.direct_search": "SearchSettings",
     "control.search.polish": "polish",

@@ -312,6 +312,6 @@ def require_relu_network(network: object) -> None:
     """Raise TypeError for anything but a ReluNetwork."""
     if not isinstance(network, ReluNetwork):
         raise TypeError(
-            f"network is a {type(network).__name__}, expected a ReluNetwork; a PatternTree has .network, and no tree "
-            "equals a network of smooth units"
+            f"network is a {type(network).__name__}, expected a ReluNetwork; a PatternTree has .network; no tree "
+            "equals a network of smooth units; a tree can imitate it: otr.imitate(policy, env)"
         )

@@ -27,7 +27,6 @@ def module_fleet(by_hand: FleetSac, runs: list[int]) -> FleetSac:
         for name, tensor in fleet.tensors(place).items():
             if not name.startswith("actor."):
                 tensor.copy_(theirs[name])
-    fleet.refresh()
     return fleet
 
 

@@ -38,7 +38,7 @@ from pipelines.training.soft_trees import harden, load_soft
 from tests.pipelines.conftest import HOPPER, LANDER, PI_PRL, PPO, SAC
 from tests.pipelines.sweeps import run_until_killed
 
-FLEET = FleetConfig("fleet", 1, "fp32", 5)
+FLEET = FleetConfig("fleet", 1, 5)
 WRAPPING_SAC = dataclasses.replace(SAC, buffer_size=150)  # wraps round within 300 steps
 EVERYTHING = dataclasses.replace(
     WRAPPING_SAC, critic=[16, 8], learning_rate_end=0.2, critic_learning_rate=3e-4, critic_norm="layer", actor_delay=3,
@@ -512,7 +512,7 @@ def test_what_can_train_together(fleet_run, tiny):
         {"algo": dataclasses.replace(WRAPPING_SAC, actor_value="mean")},
         {"algo": dataclasses.replace(WRAPPING_SAC, actor_delay=2)},
         {"algo": dataclasses.replace(WRAPPING_SAC, learning_rate_end=0.5)},
-        {"trainer": dataclasses.replace(FLEET, precision="bf16")},
+        {"trainer": dataclasses.replace(FLEET, n_envs=2)},
         {"train": TrainConfig(300, 50, 2, 100)},
     ):
         assert group_key(fleet_run(**change)) != group_key(fleet_run()), change
@@ -537,7 +537,6 @@ def test_trainer_is_part_of_the_key_and_of_the_folder(fleet_run, tiny):
     [
         ({"algo": dataclasses.replace(SAC, ent_coef="0")}, "give auto or a number above 0"),
         ({"algo": dataclasses.replace(SAC, action_noise="ornstein_uhlenbeck")}, "use algo.action_noise=normal"),
-        ({"trainer": dataclasses.replace(FLEET, precision="fp16")}, "use one of fp32, bf16"),
         ({"trainer": dataclasses.replace(FLEET, n_envs=0)}, "trainer.n_envs=0"),
     ],
 )

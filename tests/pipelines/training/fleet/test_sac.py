@@ -340,25 +340,6 @@ def test_a_run_of_a_fleet_is_the_run_alone_bit_for_bit(
     assert_same(alone, alike, 1)
 
 
-@pytest.mark.parametrize("option", OPTIONS)
-def test_options_leave_a_run_alone_and_go_on_from_what_it_had_learnt(option: str) -> None:
-    of_shapes, of_run = OPTIONS[option]
-    shapes = Shapes(N_INPUTS, N_ACTIONS, (6,), (100, 65), BATCH, **of_shapes)
-    settings = [RunSettings(1e-3, 0.99), *[RunSettings(1e-3, 0.9, 1e-2, **of_run)] * 2]
-    together, alone = new_fleet(shapes, [0, 1, 2], settings), new_fleet(shapes, [1], settings[1:2])
-    learn(together, [0, 1, 2], 13, 0.1)
-    learn(alone, [1], 13, 0.1)
-    assert_same(alone, together, 1)
-    again = FleetSac(shapes, settings, together.n_updates)
-    for run in range(3):
-        again.load(run, {name: tensor.clone() for name, tensor in together.tensors(run).items()})
-    for fleet in (together, again):
-        learn(fleet, [7, 8, 9], 8, 0.1)
-    for run in range(3):
-        for name, tensor in together.tensors(run).items():
-            assert torch.equal(tensor, again.tensors(run)[name]), name
-
-
 def test_a_run_stays_itself_in_hundreds_of_updates() -> None:
     shapes = Shapes(N_INPUTS, N_ACTIONS, (6,), (32, 32), BATCH)
     together, alone = new_fleet(shapes, [5, 6]), new_fleet(shapes, [6])
@@ -395,28 +376,6 @@ def test_a_run_that_diverges_leaves_the_others_as_they_are() -> None:
     learn(alone, [1], 20)
     assert fleet.tensors(0)["actor.weight0"].isnan().all()
     assert_same(alone, fleet, 1)
-
-
-def test_single_precision_leads_nearly_the_same_way() -> None:
-    shapes = Shapes(N_INPUTS, N_ACTIONS, (6,), (256, 256), BATCH)
-    fleet = new_fleet(shapes, [0])
-    with float64():
-        exact = FleetSac(shapes, fleet.runs)
-    exact.load(0, fleet.tensors(0))
-    start = {name: tensor.clone() for name, tensor in exact.tensors(0).items()}
-    generator = torch.Generator().manual_seed(1000)
-    for _ in range(20):
-        batch, noise = stacked([draw_batch(generator)])
-        fleet.update(batch, noise)
-        doubles = Minibatch(*(getattr(batch, field.name).double() for field in dataclasses.fields(batch)))
-        with float64():  # as whose numbers its workspace is made
-            exact.update(doubles, noise.double())
-    differences = {
-        name: float((tensor - fleet.tensors(0)[name]).norm() / (tensor - start[name]).norm())
-        for name, tensor in exact.tensors(0).items()
-        if "moment" not in name
-    }
-    assert 0 < max(differences.values()) < 0.05, differences
 
 
 def test_acting_is_the_actor_that_stable_baselines3_would_export() -> None:

@@ -40,37 +40,6 @@ def write_figure_4_6(runs, results_dir):
     return figure_4_6.write_figure_4_6(load_runs(results_dir), runs, "quick", results_dir)
 
 
-def test_the_linear_policies_stand_at_depth_0_of_each_panel(tmp_path):
-    runs = [planned(oracle, "augtree", 2, 0) for oracle in ("[32]", "[64,64]")]
-    for run in runs:
-        finish(run, tmp_path, 100.0)
-    for seed, value in enumerate((10.0, 20.0)):
-        write_run(tmp_path, f"lunarlander/linear/depth-0/quick/seed-{seed}", value)
-    write_run(tmp_path, "lunarlander/linear/depth-0/thesis/seed-0", 500.0)
-    table, _, svg = write_figure_4_6(runs, tmp_path)
-    first, *others = (list(row.values()) for row in read_csv(table))
-    assert first[:5] == ["", "linear", "0", "15.0", "7.071068"] and first[7:] == ["2", "100", "quick", "", ""]
-    assert [row[:2] for row in others] == [["[32]", "augtree"], ["[64,64]", "augtree"]]
-    assert "Linear" in svg.read_text()
-
-
-def test_linear_policies_that_imitate_stand_at_depth_0_of_their_oracles_panel(tmp_path):
-    runs = [planned(oracle, "augtree", 2, 0) for oracle in ("[64,64]", "[32]")]
-    for run, oracle_mean in zip(runs, (250.0, 270.0), strict=True):
-        finish(run, tmp_path, 100.0, oracle_mean)
-    for oracle, value in (("[32]", 10.0), ("[32]", 30.0), ("[64,64]", 50.0), ("[8]", 70.0)):
-        finish(planned(oracle, "distilled_otr", 0, int(value)), tmp_path, value, changes=f"oracle={oracle}")
-    finish(planned("[32]", "distilled_otr", 0, 1), tmp_path, 900.0, changes="method.ridge=1, oracle=[32]")
-    finish(planned("[32]", "distilled_otr", 2, 2), tmp_path, 900.0)
-    table, _, svg = write_figure_4_6(runs, tmp_path)
-    linear = [list(row.values()) for row in read_csv(table)][:2]
-    assert [row[:4] for row in linear] == [
-        ["[64,64]", "distilled-otr", "0", "50.0"], ["[32]", "distilled-otr", "0", "20.0"],
-    ]  # fmt: skip
-    assert [row[7:] for row in linear] == [["1", "100", "quick", "250.0", ""], ["2", "100", "quick", "270.0", ""]]
-    assert "Linear (imitating)" in svg.read_text() and "Linear (no oracle)" not in svg.read_text()
-
-
 def test_without_runs_there_is_the_csv_alone(tmp_path):
     (path,) = write_figure_4_6([planned("[32]", "viper", 2, 0)], tmp_path)
     assert read_csv(path)[0]["note"] == "not run"

@@ -12,11 +12,10 @@ from otr.control import constant_gains
 from pipelines.cli.runs import run_config
 from pipelines.config.env import EnvConfig, PidTerms
 from pipelines.config.methods import PidConfig
-from pipelines.errors import ConfigError, PolicyMismatchError
+from pipelines.errors import ConfigError
 from pipelines.play.environments import make_env
 from pipelines.play.pid_environment import PidObservation
 from pipelines.play.rollout import rollout
-from pipelines.play.selection import compare_with_trained
 from pipelines.play.spaces import feature_names
 from pipelines.stages.train import train_settings
 from pipelines.training.actors import actor_of
@@ -24,7 +23,7 @@ from pipelines.training.sb3_models import build_model
 from tests.control.pids import thesis_policy
 from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM, otr_command, otr_succeeds
 from tests.pipelines.own_envs import Cart
-from tests.pipelines.stages.test_train import DDPG
+from tests.pipelines.stages.test_train import DDPG, assert_is_what_was_trained
 
 PID = PidConfig("pid", [1.0, 0.0, 0.0], 3, 2.5, 4.0, 0.01)
 PID_PENDULUM = dataclasses.replace(PENDULUM, pid=PidTerms((1.0, 0.0, 0.0), 3))
@@ -118,17 +117,7 @@ def test_exported_network_is_the_trained_actor(pid, depth, slope):
     model = build_model(config, 0)
     network = actor_of(config).exported(model)
     assert network.n_hidden == sum(config.hidden_widths) and network.negative_slope == slope
-    states = np.random.default_rng(0).normal(size=(200, 12))
-
-    def trained(seen: np.ndarray) -> np.ndarray:
-        return model.predict(seen, deterministic=True)[0]
-
-    compare_with_trained(network, trained, states, units=None)
-    weights = [weight.copy() for weight in network.weights]
-    weights[-1][-1, 0] += 1e-3
-    other = otr.ReluNetwork(weights, network.biases, dense=network.dense, negative_slope=slope, head=network.head)
-    with pytest.raises(PolicyMismatchError, match="in state"):
-        compare_with_trained(other, trained, states, units=None)
+    assert_is_what_was_trained(network, model)
 
 
 def test_penalty_is_in_the_gradient_of_the_output_weights_alone(pid):

@@ -10,7 +10,6 @@ from pipelines.cli.runs import RUN
 from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError
 from pipelines.stages.parse import policy_tree, read_program, shipped_programs
-from pipelines.stages.printed_programs import program_text
 from tests.pipelines.conftest import PENDULUM, otr_command, otr_succeeds
 
 MOUNTAIN_CAR = EnvConfig(
@@ -194,10 +193,3 @@ def test_shipped_programs_are_listed_and_fit_their_environments():
         text = read_program(name, MOUNTAIN_CAR)
         assert text.startswith("# env=mountaincar")
         assert policy_tree(text, MOUNTAIN_CAR, name).n_leaves == 2
-
-
-def test_what_a_run_prints_is_read_again():
-    tree = policy_tree(read_program("mountaincar", MOUNTAIN_CAR), MOUNTAIN_CAR, "p")
-    again = policy_tree(program_text(tree, MOUNTAIN_CAR), MOUNTAIN_CAR, "p")
-    assert again.head == tree.head
-    np.testing.assert_allclose(again.c, tree.c, rtol=1e-3)

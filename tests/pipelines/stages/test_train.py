@@ -137,20 +137,23 @@ def test_labels_are_trained_with_ppo_only(tiny, tmp_path):
         build_model(tiny(env=LANDER), 0)
 
 
-def test_network_that_is_not_the_policy_is_caught(tiny):
-    model = build_model(tiny(), 0)
-    network = otr.from_sb3(model)
-    states = np.random.default_rng(0).normal(size=(50, 3))
+def assert_is_what_was_trained(network, model):
+    """Check that a network is a model's actor, and that one with another last weight is caught."""
+    states = np.random.default_rng(0).normal(size=(200, network.n_inputs))
 
-    def trained(seen: np.ndarray) -> np.ndarray:
+    def trained(seen):
         return model.predict(seen, deterministic=True)[0]
 
     compare_with_trained(network, trained, states, units=None)
     weights = [weight.copy() for weight in network.weights]
-    weights[-1][0, 0] += 1e-3
-    other = otr.ReluNetwork(weights, network.biases, head=network.head)
+    weights[-1][-1, 0] += 1e-3
     with pytest.raises(PolicyMismatchError, match="in state"):
-        compare_with_trained(other, trained, states, units=None)
+        compare_with_trained(network.replace(weights=weights), trained, states, units=None)
+
+
+def test_network_that_is_not_the_policy_is_caught(tiny):
+    model = build_model(tiny(), 0)
+    assert_is_what_was_trained(otr.from_sb3(model), model)
 
 
 def test_segments_of_ppo_are_whole_rollouts(tiny):

@@ -11,8 +11,7 @@ and in stacks like theirs, without a single addition, activation, transition or 
 So do fleets whose actors are pi-PRL's relaxed programs of depth 6, against one run of such a program under
 Stable-Baselines3, as `trainer=sb3` trains it, and against the networks' fleets.
 
-Targets: 2.2 times the peer and 0.6 of the floor in float32, 3 times the peer with bfloat16 products, ahead of SBX;
-programs 2.2 times their peer and 0.7 of the networks.
+Targets: 2.2 times the peer, 0.6 of the floor, ahead of SBX; programs 2.2 times their peer and 0.7 of the networks.
 
 SBX (Stable-Baselines3 in JAX) needs packages of its own: it is measured where OTR_SBX_PYTHON names the python of an
 environment that has `sbx-rl`, `gymnasium[mujoco]` and nothing of ours; `benchmarks/sbx_peer.py` runs there.
@@ -67,10 +66,6 @@ def measure(quick: bool) -> list[Entry]:
         "programs": fleet_rate(n_steps, *PROGRAMS),
         "sb3 program": program_peer_rate(n_steps),
     }
-    if is_faster_in_bf16():
-        sides["bf16"] = fleet_rate(n_steps, "trainer.precision=bf16")
-    else:
-        print("fleet: this processor does not multiply bfloat16 faster than float32; left out", flush=True)
     if sbx:
         sides["sbx"] = lambda: sbx_rate(sbx, 5 * n_steps)
     best = dict.fromkeys(sides, 0.0)
@@ -98,19 +93,9 @@ def measure(quick: bool) -> list[Entry]:
         ),
         Entry(f"{ours}, fp32, programs", best["programs"], unit, "networks", best["fp32"], "ratio >= 0.7"),
     ]
-    if "bf16" in best:
-        entries.append(Entry(f"{ours}, bf16", best["bf16"], unit, sb3, best["sb3"], "ratio >= 3"))
     if sbx:
         entries.insert(1, Entry(f"{ours}, fp32", best["fp32"], unit, "SBX SAC, one run", best["sbx"], "ratio >= 1"))
     return entries + learner_entries(quick)
-
-
-def is_faster_in_bf16() -> bool:
-    """Return whether the processor multiplies bfloat16 faster than float32; emulated, a round takes minutes."""
-    inputs, weights = torch.randn(100, 256), torch.randn(256, 256)
-    halves = inputs.bfloat16(), weights.bfloat16()
-    whole, half = alternate(lambda: torch.mm(inputs, weights), lambda: torch.mm(*halves), rounds=3, repeats=20)
-    return half < whole
 
 
 def run_config(n_steps: int, *overrides: str) -> RunConfig:

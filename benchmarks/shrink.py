@@ -7,6 +7,8 @@ the evaluation episodes; a candidate's return is that over the selection episode
 
 An entry has the mean of the minutes over the seeds that got there, and says how many did; another the polished return
 over the evaluation episodes against the oracle's.
+
+Target: none is set.
 """
 
 from collections.abc import Sequence

@@ -20,7 +20,7 @@ from pipelines.stages.derived import opened_run
 from pipelines.stages.oracle import load_oracle
 from pipelines.stages.train import train_settings
 from tests.committed import RESULTS
-from tests.pipelines.conftest import otr_command
+from tests.pipelines.conftest import otr_succeeds
 
 SUMMARIES = sorted((RESULTS / "runs").glob("*/*/depth-*/**/summary.json"))
 FITS = sorted((RESULTS / "runs").glob("*/*/seed-*/summary.json"))
@@ -58,8 +58,7 @@ def test_committed_tables_are_those_of_the_committed_runs(table, tmp_path, monke
 )
 def test_committed_figures_are_those_of_the_committed_runs(figure, file, tmp_path):
     (tmp_path / "runs").symlink_to(RESULTS / "runs")
-    done = otr_command("otr-tabulate", f"figure={figure}", f"results_dir={tmp_path}", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    otr_succeeds("otr-tabulate", f"figure={figure}", f"results_dir={tmp_path}", cwd=tmp_path)
     assert (tmp_path / "figures" / file).read_text() == (RESULTS / "figures" / file).read_text()
 
 

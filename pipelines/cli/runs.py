@@ -81,7 +81,11 @@ def load_config(run_dir: Path, n_workers: int | None) -> RunConfig:
         schema.algo = schema_of(ALGORITHMS[cfg.algo.name])
         schema.method = schema_of(METHODS[cfg.method.name])
         if isinstance(cfg.get("trainer"), DictConfig):  # there was one trainer only before
-            cfg.trainer.pop("environments", None)  # of fleets; committed ones have gymnasium's, which are all there are
+            for name in (
+                "environments",
+                "precision",
+            ):  # of fleets, once; committed ones have what is left: gymnasium, fp32
+                cfg.trainer.pop(name, None)
             schema.trainer = schema_of(FleetConfig if "n_envs" in cfg.trainer else TrainerConfig)
         loaded = to_object(OmegaConf.merge(schema, cfg, {"n_workers": n_workers}))
     except (OSError, KeyError, UnicodeDecodeError, yaml.YAMLError, OmegaConfBaseException, ConfigError) as error:

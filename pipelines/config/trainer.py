@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from pipelines.config.algo import SacConfig
-from pipelines.config.setting import EXECUTION, FreeText, OneOf, Range
+from pipelines.config.setting import EXECUTION, FreeText, Range
 from pipelines.errors import ConfigError
 
 
@@ -29,7 +29,6 @@ class FleetConfig(TrainerConfig):
     """Many runs of SAC trained as one (`pipelines/training/fleet`); Stable-Baselines3 trains all other algorithms."""
 
     n_envs: Annotated[int, Range(1, 4096)]  # environments a run; `algo.train_freq` counts the steps of all of them
-    precision: Annotated[str, OneOf("fp32", "bf16")]  # fp32, or bf16 for the products between wide layers
     # Runs that are trained as one at most; how they are grouped changes no run on the CPU
     runs_per_process: Annotated[int, Range(1, 4096), EXECUTION]
 

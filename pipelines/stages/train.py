@@ -31,8 +31,9 @@ def train_settings(config: RunConfig) -> dict[str, Any]:
     if config.method.decides_training:
         kept["method"] = everything["method"]
     if config.fleet:
-        # "environments" was a setting; committed runs, whose keys have it, are all gymnasium's.
-        kept["trainer"] = {**everything["trainer"], "environments": "gymnasium", "version": FLEET_VERSION}
+        # These two were settings; committed runs, whose keys have them, all have these values.
+        former = {"environments": "gymnasium", "precision": "fp32"}
+        kept["trainer"] = {**everything["trainer"], **former, "version": FLEET_VERSION}
     return {"env": env, "hidden_widths": everything["depth"], **kept}
 
 

@@ -68,13 +68,6 @@ def test_cart_follows_the_weights():
     assert CartFit(1)(X, outputs, (X[:, 0] > 0.6).astype(float), generator()).labels.tolist() == [0]
 
 
-def test_cart_keeps_to_its_depth_and_tests_single_inputs():
-    X, outputs, weights = labelled(oblique_oracle())
-    tree = CartFit(4)(X, outputs, weights, generator())
-    assert tree.depth == 4
-    assert ((tree.P != 0).sum(axis=1) == 1).all()
-
-
 def test_a_linear_oracle_is_one_leaf_of_a_linear_model_tree():
     oracle = otr.ReluNetwork(
         [np.array([[1.0, -2.0], [0.5, 1.0], [-1.0, 0.0]])], [np.array([0.1, 0.0, -0.2])], head=otr.Argmax()

@@ -2,6 +2,7 @@ import ast
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -29,10 +30,17 @@ def test_subpackages_that_the_documents_name_are_there_after_import_otr_alone(na
     assert f"otr.{subpackage}" not in modules_after("import otr; dir(otr)")
 
 
-def test_everything_exported_exists() -> None:
-    for name in otr.__all__:
-        assert getattr(otr, name).__doc__
-    assert {*otr.__all__, "__version__"} <= set(dir(otr))
+@pytest.mark.parametrize("package", [otr, otr.learners])
+def test_everything_exported_exists(package: ModuleType) -> None:
+    for name in package.__all__:
+        assert getattr(package, name).__doc__
+    assert set(package.__all__) <= set(dir(package))
+    with pytest.raises(AttributeError, match="no attribute 'CHART'"):
+        package.CHART  # noqa: B018
+
+
+def test_a_misspelt_name_has_a_suggestion() -> None:
+    assert "__version__" in dir(otr)
     with pytest.raises(AttributeError, match=r"no attribute 'map_netwrok'; did you mean map_network\?$"):
         otr.map_netwrok  # type: ignore[attr-defined]  # noqa: B018
 
@@ -49,9 +57,11 @@ def test_type_checkers_know_every_exported_name_from_the_module_that_it_is_loade
     assert told == {name: f"otr.{module}" for name, module in otr._MODULES.items()} | subpackages
 
 
-def test_no_module_of_the_package_has_the_name_of_something_exported() -> None:
+@pytest.mark.parametrize("package", [otr, otr.control, otr.learners])
+def test_no_module_of_a_package_has_the_name_of_something_exported(package: ModuleType) -> None:
     """Importing such a module would put it in the place of what is exported."""
-    assert not {path.stem for path in Path(otr.__file__).parent.iterdir()} & set(otr.__all__)
+    assert package.__file__
+    assert not {path.stem for path in Path(package.__file__).parent.iterdir()} & set(package.__all__)
 
 
 def test_errors_share_a_base() -> None:

@@ -104,6 +104,13 @@ def otr_command(program: str, *words: str, cwd: Path, **environment: str) -> Don
     return Done(code or 0, stdout.getvalue(), stderr.getvalue())
 
 
+def otr_succeeds(program: str, *words: str, cwd: Path, **environment: str) -> Done:
+    """Do the same, and check that it succeeds."""
+    done = otr_command(program, *words, cwd=cwd, **environment)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done
+
+
 @pytest.fixture
 def command() -> Callable[..., Done]:
     """Return what gives a command, without its "otr-", in this process and folder."""

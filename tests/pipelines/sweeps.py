@@ -1,8 +1,10 @@
 """Helpers of the tests of sweeps and kills: start a process, wait for it, count what it made."""
 
+import itertools
 import json
 import multiprocessing
 import os
+import pkgutil
 import re
 import signal
 import subprocess
@@ -28,6 +30,31 @@ def run_until_killed(function, *args):
     child.start()
     child.join(timeout=120)
     assert child.exitcode == -signal.SIGKILL
+
+
+def do_until_killed(jobs, where, n, after=False):
+    """Do jobs in a process that ends itself by SIGKILL before, or after, the nth call of the function `where`."""
+    run_until_killed(_do_and_die, jobs, where, n, after)
+
+
+def _do_and_die(jobs, where, n, after):
+    from pipelines.runs.run_job import run_jobs
+
+    place, name = where.rsplit(".", 1)
+    owner, calls = pkgutil.resolve_name(place), itertools.count(1)
+    function = getattr(owner, name)
+
+    def dying(*args, **options):
+        is_last = next(calls) == n
+        if is_last and not after:
+            os.kill(os.getpid(), signal.SIGKILL)
+        result = function(*args, **options)
+        if is_last:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return result
+
+    setattr(owner, name, dying)
+    run_jobs(jobs)
 
 
 def digests(results):

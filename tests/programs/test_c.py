@@ -200,19 +200,6 @@ def test_a_pattern_tree_is_its_network_or_its_paths() -> None:
     assert otr.to_c(paths) == otr.to_c(paths.to_tree())
 
 
-def test_names_stay_in_the_comment(tmp_path: Path) -> None:
-    names = ["end */ int oops;", "line\nbreak /* open"]
-    source = otr.to_c(POLICIES["worked"], name="named", feature_names=names, output_names=["trigraph ??/"])
-    assert "x[0]  end * / int oops;" in source and "x[1]  line break / * open" in source
-    compiled({"named": source}, tmp_path)
-
-
-@pytest.mark.parametrize("name", ["9", "int", "a-b", "tanh", "", "main"])
-def test_a_bad_name_is_refused(name: str) -> None:
-    with pytest.raises(ValueError, match="cannot be the name of a C function"):
-        otr.to_c(POLICIES["worked"], name=name)
-
-
 def tiny_test() -> otr.ObliqueTree:
     """Return a tree that tells x > 0 by a number that single precision does not hold."""
     return otr.ObliqueTree([-1], [-2], [[1e-50]], [0.0], np.zeros((2, 1, 1)), [[-1.0], [1.0]])

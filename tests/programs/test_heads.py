@@ -13,17 +13,8 @@ import otr.programs
 import otr.proof
 from otr.core.heads import HEADS
 from otr.programs.names import shown_names
+from tests.core.test_head import KNOWN
 
-LOW, HIGH = np.array([-1.0, 0.0]), np.array([1.0, 4.0])
-MADE: dict[str, tuple[otr.Head, int]] = {  # a head of each kind and its number of outputs
-    "identity": (otr.Identity(), 2),
-    "exp": (otr.Exp(), 2),
-    "tanh_box": (otr.TanhBox(LOW, HIGH), 2),
-    "clip_box": (otr.ClipBox(LOW, HIGH), 2),
-    "pid_box": (otr.PidBox(LOW, HIGH), 9),
-    "sign": (otr.Sign(), 1),
-    "argmax": (otr.Argmax(), 3),
-}
 FORMATS: dict[str, Callable[[otr.ObliqueTree], object]] = {
     name: getattr(otr, name) for name in otr.__all__ if name.startswith("to_")
 }
@@ -49,7 +40,7 @@ def leaf_of(head: otr.Head, n_outputs: int) -> otr.ObliqueTree:
 
 
 def test_there_is_a_head_of_every_kind_to_try() -> None:
-    assert {name: type(head) for name, (head, _) in MADE.items()} == HEADS
+    assert {name: type(head) for name, (head, _) in KNOWN.items()} == HEADS
 
 
 def test_every_format_has_an_entry_for_every_head() -> None:
@@ -66,7 +57,7 @@ def test_proofs_have_an_entry_for_every_head_that_acts_by_output() -> None:
 
 @pytest.mark.parametrize("name", sorted(HEADS))
 def test_every_format_writes_a_tree_of_every_head(name: str) -> None:
-    tree = leaf_of(*MADE[name])
+    tree = leaf_of(*KNOWN[name])
     for write in FORMATS.values():
         assert write(tree)
     scope: dict[str, Any] = {}

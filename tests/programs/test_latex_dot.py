@@ -103,17 +103,6 @@ def test_a_large_graph_is_written() -> None:
     assert otr.to_dot(chain(3000)).count("->") == 6000
 
 
-@pytest.mark.skipif(shutil.which("dot") is None, reason="Graphviz is not installed")
-def test_graphviz_draws_it(tmp_path: Path) -> None:
-    n = len(HARD_NAMES)
-    hard = otr.ObliqueTree([~0], [~1], np.arange(1.0, n + 1)[None], [1e-9], np.ones((2, n, n)), np.ones((2, n)))
-    texts = [otr.to_dot(hard, feature_names=HARD_NAMES, output_names=HARD_NAMES, max_terms=20)]
-    texts += [otr.to_dot(tree) for tree in (*POLICIES.values(), committed("lander"))]
-    done = subprocess.run(["dot", "-Tsvg"], input="".join(texts).encode(), capture_output=True, check=False)
-    assert done.returncode == 0 and not done.stderr, done.stderr.decode()
-    assert done.stdout.count(b"<svg") == len(texts)
-
-
 @pytest.mark.parametrize("write", [otr.to_latex, otr.to_dot])
 def test_bad_arguments_are_refused(write) -> None:
     with pytest.raises(ValueError, match="precision is 0, expected at least 1"):

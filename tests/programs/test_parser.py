@@ -233,14 +233,6 @@ def test_without_braces_or_words_a_block_is_one_statement_as_in_c() -> None:
         parse("if (x > 0)\n    u = 1;\n    w = 2;\nreturn 0;")
 
 
-def test_elif_chains_are_not_nested() -> None:
-    n = 300
-    lines = [f"{'if' if i == 0 else ('elif', 'else if')[i % 2]} x <= {i} then return {i}" for i in range(n)]
-    tree = parse("\n".join([*lines, f"else return {n}"]))
-    assert tree.depth == n
-    assert tree.predict([[-5.0, 0, 0], [7.5, 0, 0], [1000.0, 0, 0]])[:, 0].tolist() == [0, 8, n]
-
-
 def elif_chain(n: int) -> str:
     lines = [f"{'elif' if i else 'if'} x <= {i} then return {i}" for i in range(n)]
     return "\n".join([*lines, f"else return {n}"])
@@ -270,10 +262,6 @@ def test_what_a_path_has_decided_is_found_however_far_above() -> None:
     tree = otr.parse_program(f"u = 0\n{doors}\n{doors}\nreturn u", NAMES)
     assert tree.n_leaves == 2**6
     np.testing.assert_array_equal(tree.predict(GRID)[:, 0], 2 * sum(GRID[:, 0] > i for i in range(6)))
-
-
-def test_a_hundred_brackets_within_each_other() -> None:
-    assert parse("return " + "(" * 99 + "x" + ")" * 99).predict([3.0, 0, 0]) == 3
 
 
 def a_chain_of_tests(depth: int) -> otr.ObliqueTree:
@@ -391,21 +379,3 @@ def test_names_that_are_no_words() -> None:
     names = ["left contact", "left contact 2", "C#N", "2nd angle", "θ"]
     tree = otr.parse_program("return 2 left contact 2 - 3 left contact + C#N + 4 2nd angle + 2θ # C#N", names)
     assert tree.M[0, 0].tolist() == [-3, 2, 1, 4, 2]
-
-
-def test_a_parsed_tree_is_saved_and_loaded(tmp_path) -> None:
-    for text, options in (("return clip(x, -1, 1)", {}), ("if x > 0 then a else b", {"labels": True})):
-        tree = parse(text, output_names=["a", "b"] if options else None, **options)
-        otr.save(tree, tmp_path / "tree")
-        loaded = otr.load(tmp_path / "tree")
-        assert loaded.head == tree.head
-        np.testing.assert_array_equal(loaded.predict(GRID), tree.predict(GRID))
-
-
-@settings(max_examples=20)
-@given(cases(heads=("identity",), max_layers=2))
-def test_pruning_a_parsed_tree(case: Case) -> None:
-    tree = otr.map_network(case.network)
-    parsed = otr.parse_program(otr.to_text(tree, precision=17), names_for(tree))
-    pruned = otr.prune_unreached(parsed, case.states)
-    np.testing.assert_array_equal(pruned.predict(case.states[0]), parsed.predict(case.states[0]))

@@ -81,14 +81,6 @@ def test_labels_carry_their_names() -> None:
     assert "return 2  # main engine\n" in program
 
 
-def test_names_that_mean_something_to_the_program() -> None:
-    tree = POLICIES["wide_tanh"]
-    for name in ("tanh", "state", "max", "policy", "lambda", "outputs", "map", "float"):
-        for names in ({"feature_names": [name]}, {"output_names": [name]}):
-            answer = function(otr.to_python(tree, **names))
-            np.testing.assert_allclose(answer([0.001]), tree.predict([0.001]), rtol=1e-12)
-
-
 @pytest.mark.parametrize("max_nested_depth", [64, 0], ids=["nested", "tables"])
 def test_numbers_of_float32_are_computed_with_in_float64(monkeypatch, max_nested_depth: int) -> None:
     """In float32 the input is 0.1 and goes left; it is a little more."""

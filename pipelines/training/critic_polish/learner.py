@@ -135,7 +135,6 @@ class CriticPolish:
             _take_over(ours, theirs)
         given = critics.log_temperature
         learner.log_temperature[0] = np.log(TEMPERATURE) if given is None else given
-        learner.refresh()
         return learner
 
     def _replay_states(self) -> np.ndarray:

@@ -9,9 +9,6 @@ With `dense`, layers after the first read the inputs beside the activations befo
 
 With `layer_norm`, what a hidden layer's affine map gives for an input has mean 0 and variance 1 over the neurons before
 the activation (Ba et al. 2016). There are no learnt gains and offsets: the layer's weights and biases express them.
-
-With `precision="bf16"` the products between wide layers, where almost all arithmetic is, take bfloat16 factors and sum
-in float32; parameters, first and last layers and everything elementwise stay float32.
 """
 
 import itertools
@@ -24,7 +21,6 @@ from torch import Tensor
 
 from pipelines.training.fleet.stacked_tensors import multiply, new_flat, new_stack
 
-WIDE = 64  # layers at least this wide on both sides take part in precision="bf16"
 NORM_EPSILON = 1e-5  # added to variances, as torch's LayerNorm does
 
 
@@ -37,12 +33,11 @@ class Layers:
     # dense, those after the first have w0 rows more
     weights: list[Tensor]
     biases: list[Tensor]  # (n, 1, w[i+1]) each
-    factors: list[Tensor]  # the weights as they enter products: the weights themselves, or their bfloat16 copies
 
     def only(self, network: int) -> "Layers":
         """Return one network as a stack of its own, in the same memory."""
         one = slice(network, network + 1)
-        parts = ([tensor[one] for tensor in tensors] for tensors in (self.weights, self.biases, self.factors))
+        parts = ([tensor[one] for tensor in tensors] for tensors in (self.weights, self.biases))
         return Layers(self.flat[one], *parts)
 
     def named(self, networks: slice) -> dict[str, Tensor]:
@@ -57,32 +52,19 @@ class Layers:
             for view in (weight[networks], bias[networks]):
                 view.copy_((2 * torch.rand(view.shape, generator=generator) - 1) * limit)
 
-    def refresh(self) -> None:
-        """Bring the bfloat16 copies up to date; to be called after every change of the weights."""
-        for factor, weight in zip(self.factors, self.weights, strict=True):
-            if factor is not weight:
-                factor.copy_(weight)
 
-
-def new_layers(n: int, widths: Sequence[int], precision: str = "fp32", dense: bool = False) -> Layers:
+def new_layers(n: int, widths: Sequence[int], dense: bool = False) -> Layers:
     """Return a stack of n networks, all zeros, of torch's default type (float32 unless a test sets another)."""
     shapes = [(w_in + dense * (i > 0) * widths[0], w_out) for i, (w_in, w_out) in enumerate(itertools.pairwise(widths))]
     flat, tensors = new_flat(n, [*shapes, *((1, w_out) for w_out in widths[1:])])
-    weights, biases = tensors[: len(shapes)], tensors[len(shapes) :]
-    factors = [
-        new_stack(n, *weight.shape[1:], dtype=torch.bfloat16)
-        if precision == "bf16" and 0 < i < len(shapes) - 1 and min(weight.shape[1:]) >= WIDE
-        else weight
-        for i, weight in enumerate(weights)
-    ]
-    return Layers(flat, weights, biases, factors)
+    return Layers(flat, tensors[: len(shapes)], tensors[len(shapes) :])
 
 
 class StackedMlp:
     """The workspace for n (leaky) ReLU networks of one shape on `n_rows` inputs each.
 
     Args:
-        layers: any stack of the shape that will pass through; only its shapes and types matter.
+        layers: any stack of the shape that will pass through; only its shapes matter.
         n_rows: inputs per network.
         negative_slope: 0 is ReLU.
         n_back_rows: the first so many inputs take part in `backward`; None for all.
@@ -106,15 +88,10 @@ class StackedMlp:
         self._layer_norm = layer_norm
         self._n_back_rows = n_rows if n_back_rows is None else n_back_rows
         self._stacks: dict[tuple[str, int], Tensor] = {}
-        # What a layer gives out has the type of what the next one multiplies.
-        types = [factor.dtype for factor in layers.factors[1:]] + [layers.flat.dtype]
-        self._outputs = [
-            self._stack("output", i, (n_rows, weight.shape[2]), dtype)
-            for i, (weight, dtype) in enumerate(zip(layers.weights, types, strict=True))
-        ]
+        self._outputs = [self._stack("output", i, (n_rows, weight.shape[2])) for i, weight in enumerate(layers.weights)]
         # What the layers after the first read, by the layer before them
         self._read = [
-            self._stack("read", i, (n_rows, weight.shape[1]), layers.flat.dtype) if dense else output
+            self._stack("read", i, (n_rows, weight.shape[1])) if dense else output
             for i, (weight, output) in enumerate(zip(layers.weights[1:], self._outputs, strict=False))
         ]
 
@@ -130,12 +107,10 @@ class StackedMlp:
         """
         x = inputs
         last = len(self._outputs) - 1
-        for i, (factor, bias, output) in enumerate(zip(layers.factors, layers.biases, self._outputs, strict=True)):
+        for i, (weight, bias, output) in enumerate(zip(layers.weights, layers.biases, self._outputs, strict=True)):
             is_normed = self._layer_norm and i < last
-            affine = self._stack("affine", i, output.shape[1:], bias.dtype) if is_normed else output
-            same = factor.dtype == affine.dtype
-            product = affine if same else self._stack("product", i, output.shape[1:], factor.dtype)
-            torch.add(multiply(x, factor, product), bias, out=affine)
+            affine = self._stack("affine", i, output.shape[1:]) if is_normed else output
+            torch.add(multiply(x, weight, affine), bias, out=affine)
             if is_normed:
                 self._normalise(i, affine, output)
             if i < last:
@@ -170,17 +145,15 @@ class StackedMlp:
         delta = d_outputs
         for i in reversed(range(len(layers.weights))):
             x = (self._read[i - 1] if i else inputs)[:, : self._n_back_rows]
-            factor = layers.factors[i]
-            if delta.dtype != factor.dtype:
-                delta = self._stack("copy", i, delta.shape[1:], factor.dtype).copy_(delta)
             if gradients is not None:
-                self._weight_gradient(i, x, delta, gradients)
+                multiply(x.transpose(1, 2), delta, gradients.weights[i])
+                torch.sum(delta, 1, keepdim=True, out=gradients.biases[i])
             if i == 0 and inputs_from is None:
                 return None
             output = self._outputs[i - 1][:, : self._n_back_rows]
-            factor = factor[:, : output.shape[2]] if i else factor[:, inputs_from:]
-            below = self._stack("delta", i, (self._n_back_rows, factor.shape[1]), factor.dtype)
-            multiply(delta, factor.transpose(1, 2), below)
+            weight = layers.weights[i][:, : output.shape[2]] if i else layers.weights[i][:, inputs_from:]
+            below = self._stack("delta", i, (self._n_back_rows, weight.shape[1]))
+            multiply(delta, weight.transpose(1, 2), below)
             if i == 0:
                 return below
             self._activate_backward(below, output)
@@ -189,25 +162,15 @@ class StackedMlp:
             delta = below
         raise AssertionError("a network has layers")
 
-    def _weight_gradient(self, i: int, x: Tensor, delta: Tensor, gradients: Layers) -> None:
-        """Write the derivatives by layer i's weights and biases."""
-        weight = gradients.weights[i]
-        if delta.dtype == weight.dtype:
-            multiply(x.transpose(1, 2), delta, weight)
-        else:
-            product = self._stack("weight", i, weight.shape[1:], delta.dtype)
-            weight.copy_(multiply(x.transpose(1, 2), delta, product))
-        torch.sum(delta, 1, keepdim=True, dtype=weight.dtype, out=gradients.biases[i])
-
-    def _stack(self, use: str, layer: int, shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
+    def _stack(self, use: str, layer: int, shape: tuple[int, ...]) -> Tensor:
         """Return the memory of a use in a layer, (n, *shape), made the first time."""
         if (use, layer) not in self._stacks:
-            self._stacks[use, layer] = new_stack(self._n_networks, *shape, dtype=dtype)
+            self._stacks[use, layer] = new_stack(self._n_networks, *shape)
         return self._stacks[use, layer]
 
     def _normalise(self, i: int, values: Tensor, out: Tensor) -> None:
         """Normalise what layer i's affine map gave, h, in place: z = (h - mean) / std; copy it into `out`."""
-        mean, inverse_std = (self._stack(use, i, (self.n_rows, 1), values.dtype) for use in ("mean", "inverse std"))
+        mean, inverse_std = (self._stack(use, i, (self.n_rows, 1)) for use in ("mean", "inverse std"))
         values.sub_(torch.sum(values, 2, keepdim=True, out=mean).div_(values.shape[2]))
         torch.linalg.vector_norm(values, dim=2, keepdim=True, out=inverse_std)
         inverse_std.square_().div_(values.shape[2]).add_(NORM_EPSILON).rsqrt_()
@@ -217,13 +180,11 @@ class StackedMlp:
         """Turn the derivative d by layer i's z, in place, into that by h: (d - mean(d) - z mean(d z)) / std."""
         z, inverse_std = (self._stacks[use, i][:, : self._n_back_rows] for use in ("affine", "inverse std"))
         shape, n_neurons = delta.shape[1:], delta.shape[2]
-        d = delta if delta.dtype == z.dtype else self._stack("d", i, shape, z.dtype).copy_(delta)
-        mean_d, mean_dz = (self._stack(use, i, (self._n_back_rows, 1), z.dtype) for use in ("mean d", "mean dz"))
-        torch.sum(d, 2, keepdim=True, out=mean_d).div_(n_neurons)
-        product = torch.mul(d, z, out=self._stack("dz", i, shape, z.dtype))
+        mean_d, mean_dz = (self._stack(use, i, (self._n_back_rows, 1)) for use in ("mean d", "mean dz"))
+        torch.sum(delta, 2, keepdim=True, out=mean_d).div_(n_neurons)
+        product = torch.mul(delta, z, out=self._stack("dz", i, shape))
         torch.sum(product, 2, keepdim=True, out=mean_dz).div_(n_neurons)
-        d.sub_(mean_d).sub_(torch.mul(z, mean_dz, out=product))
-        torch.mul(d, inverse_std, out=delta)
+        delta.sub_(mean_d).sub_(torch.mul(z, mean_dz, out=product)).mul_(inverse_std)
 
     def _activate(self, values: Tensor) -> None:
         if self._slope == 0.0:

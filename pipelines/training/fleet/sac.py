@@ -33,7 +33,6 @@ class Shapes:
     batch_size: int  # transitions an update
     negative_slope: float = 0.0  # of the actor's and critics' activation
     tau: float = 0.005  # share of the online critics that goes into their targets at each update
-    precision: str = "fp32"  # fp32 or bf16 (see `mlp`)
     dense: bool = False  # whether the actor's layers after the first read the state, too
     soft: SoftTraining | None = None  # actors that are soft trees, in place of the layers
     clips: bool = False  # whether actions are clipped to [-1, 1], in place of tanh
@@ -64,9 +63,6 @@ class FleetSac:
         n, rows, n_actor_updates = len(runs), shapes.batch_size, n_updates // shapes.actor_delay
         critic_widths = (shapes.n_inputs + shapes.n_actions, *shapes.critic, 1)
 
-        def critics(precision: str = "fp32") -> Layers:
-            return new_layers(N_CRITICS * n, critic_widths, precision)
-
         self.actor: FleetActors
         if actor is not None:
             self.actor = actor
@@ -76,15 +72,16 @@ class FleetSac:
             self.actor = MlpActors(runs, widths, rows, negative_slope=slope, dense=dense, n_updates=n_actor_updates)
         else:
             self.actor = SoftActors(runs, shapes.soft, shapes.n_inputs, shapes.n_actions, rows)
-        self.critics, self.targets = critics(shapes.precision), critics(shapes.precision)
+        # Gradients and Adam's two moments have the layout of the parameters.
+        self.critics, self.targets, self.critic_gradients, *self.critic_moments = (
+            new_layers(N_CRITICS * n, critic_widths) for _ in range(5)
+        )
         # A run's temperature, its gradient and its moments begin rows of their own, as its parameters do.
         temperature_rows = [torch.zeros(n, ROW_MULTIPLE) for _ in range(4)]
         self.log_temperature, self._temperature_gradient, *self.temperature_moments = (
             rows[:, 0] for rows in temperature_rows
         )
         self._temperature_rows = temperature_rows
-        # Gradients and Adam's two moments have the layout of the parameters.
-        self.critic_gradients, *self.critic_moments = (critics() for _ in range(3))
         self._rate_share = 1.0
         critic_stacks = [self.critics, self.critic_gradients, *self.critic_moments]
         of_critics, flats = [run.of_critics for run in runs], [layers.flat for layers in critic_stacks]
@@ -133,23 +130,16 @@ class FleetSac:
         temperature = self.runs[run].temperature
         self.log_temperature[run] = 0.0 if temperature is None else math.log(temperature)
         self.targets.flat[critics] = self.critics.flat[critics]
-        self.refresh()
 
     def load(self, run: int, saved: dict[str, Tensor]) -> None:
         """Take over what a run had learnt, as `tensors` named it; to be called before the first update."""
         for name, tensor in self.tensors(run).items():
             tensor.copy_(saved[name])
-        self.refresh()
 
     @property
     def n_updates(self) -> int:
         """Updates done, those of earlier learners included."""
         return int(self._critic_adam[0].steps[0])
-
-    def refresh(self) -> None:
-        """Take over parameters that were written from outside."""
-        for layers in (self.critics, self.targets):
-            layers.refresh()
 
     # -- acting ---------------------------------------------------------------------------------------------------
 
@@ -202,7 +192,6 @@ class FleetSac:
             for group in self._temperature_adam:
                 group.step(self._rate_share)
         self.targets.flat.lerp_(self.critics.flat, self.shapes.tau)
-        self.targets.refresh()
 
     def _update_critics(self, batch: Minibatch, next_actions: Tensor, costs: Tensor) -> None:
         """Step the critics towards the targets' least value of the next actions, less their entropy's costs (R, B)."""
@@ -221,7 +210,6 @@ class FleetSac:
         self._critic_pass.backward(self.critics, self._critic_inputs, self._d_critics, self.critic_gradients)
         for group in self._critic_adam:
             group.step(self._rate_share)
-        self.critics.refresh()
 
     def _d_actions(self, actions: Tensor) -> Tensor:
         """Return the derivative of the actor's loss by its actions (R, B, n_actions), through the critics' values.

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-ROW_MULTIPLE = 64  # elements: 64 bytes in every type, and what a vectorised loop takes at a time
+ROW_MULTIPLE = 64  # elements: 64 bytes or more, and what a vectorised loop takes at a time
 
 
 def padded(n_elements: int) -> int:
@@ -22,10 +22,10 @@ def padded(n_elements: int) -> int:
     return (n_elements // ROW_MULTIPLE + 1) * ROW_MULTIPLE
 
 
-def new_stack(n: int, *shape: int, dtype: torch.dtype | None = None) -> Tensor:
-    """Return zeros (n, *shape) with a gap behind each of the n; of torch's default type where none is given."""
+def new_stack(n: int, *shape: int) -> Tensor:
+    """Return zeros (n, *shape) with a gap behind each of the n."""
     size = math.prod(shape)
-    return torch.zeros(n, padded(size), dtype=dtype)[:, :size].view(n, *shape)
+    return torch.zeros(n, padded(size))[:, :size].view(n, *shape)
 
 
 def new_flat(n: int, shapes: Sequence[Sequence[int]]) -> tuple[Tensor, list[Tensor]]:

@@ -81,7 +81,6 @@ class FleetTrainer:
             algo.batch_size,
             config.actor.negative_slope,
             algo.tau,
-            config.fleet.precision,
             bool(config.actor.links),
             _soft_training(config),
             layer_norm=algo.critic_norm == "layer",

@@ -206,7 +206,7 @@ def test_replay_finds_an_episode_that_was_changed(finished, tmp_path):
         (("env=pendulum", "train.steps=1e6"), 2, "train.steps=1000000.0: give a whole number"),
         (("env=pendulum", "trainer=flet"), 2, "Did you mean fleet"),
         (("env=pendulum", "trainer=fleet", "trainer.n_env=3"), 2, "Did you mean trainer.n_envs"),
-        (("env=pendulum", "trainer=fleet", "trainer.precision=fp8"), 2, "use one of fp32, bf16"),
+        (("env=pendulum", "trainer=fleet", "trainer.n_envs=0"), 2, "trainer.n_envs=0"),
     ],
 )
 def test_bad_requests_are_one_clear_message(tmp_path, words, code, told):

@@ -94,4 +94,4 @@ def test_names_of_features_must_fit_the_policy(tiny):
 
 def test_the_committed_runs_of_a_fleet_can_be_loaded():
     config = load_config(RESULTS / "runs/pendulum/otr/depth-6/quick-fleet/seed-0", None)
-    assert config.fleet is not None and config.fleet.precision == "fp32"
+    assert config.fleet is not None and config.fleet.n_envs == 1

@@ -42,14 +42,6 @@ def test_runs_of_other_seeds_share_a_line(tmp_path):
     ]  # fmt: skip
 
 
-def test_the_certificate_of_a_polished_network_has_a_line_of_its_own(tmp_path):
-    add(tmp_path, "pendulum/otr/depth-6/quick/seed-0", **PROVED)
-    add(tmp_path, "pendulum/otr/depth-6/quick/seed-1", **PROVED | {"policy": "polished"})
-    write_certificates(tmp_path)
-    assert [line[1] for line in lines_of(tmp_path)] == ["OTR", "OTR, polished"]
-    assert [row["method"] for row in read_csv(tmp_path / "tables/certificates.csv")] == ["otr", "otr-polished"]
-
-
 @pytest.mark.parametrize(("bound", "printed"), [(0.0, "0"), (0.5, "0.5"), (9.3e-13, "1e-12"), (0.26, "0.3")])
 def test_no_bound_is_rounded_down(bound, printed, tmp_path):
     add(tmp_path, "pendulum/otr/depth-6/quick/seed-0", **PROVED | {"max_error": bound})

@@ -50,17 +50,6 @@ def test_a_policy_stands_beside_the_linear_row_and_otr(tmp_path):
     assert "## Hopper\n" in markdown and "| VIPER  | 6     |" in markdown and "| -17.5" in markdown
 
 
-def test_linear_policies_that_imitate_are_a_rival_of_all_but_linear_ones(tmp_path):
-    for method, shift in (("linear/depth-0", 0.0), ("distilled_otr/depth-0", 7.0), ("ndps/depth-2", 9.0)):
-        played(tmp_path, f"lunarlander/{method}/quick/seed-0", shift)
-    _, found = rows(tmp_path)
-    assert {key: float(row["difference"]) for key, row in found.items() if len(key) == 3} == {
-        ("distilled-otr", "quick", "linear"): 7.0,
-        ("ndps", "quick", "linear"): 9.0,
-        ("ndps", "quick", "distilled-otr"): 2.0,
-    }
-
-
 def test_a_rival_of_the_same_budget_is_taken_else_the_most_runs(tmp_path):
     played(tmp_path, "hopper/linear/depth-0/thesis/seed-0", 0.0)
     for seed in range(2):
@@ -71,34 +60,6 @@ def test_a_rival_of_the_same_budget_is_taken_else_the_most_runs(tmp_path):
     assert found["otr", "thesis", "linear"]["rival_budget"] == "thesis"
     other = found["otr", "standard-ars", "linear"]
     assert (other["rival_budget"], other["n_starts"], float(other["difference"])) == ("quick", "30", 4.0)
-
-
-def test_a_rival_by_another_trainer_is_taken_where_it_is_the_tables(tmp_path):
-    for seed in range(2):
-        played(tmp_path, f"hopper/otr/depth-6/standard/seed-{seed}", 5.0)
-        played(tmp_path, f"hopper/otr/depth-6/standard-fleet/seed-{seed}", -5.0)
-        played(tmp_path, f"hopper/viper/depth-6/standard-fleet/seed-{seed}", 0.0)
-    for seed in range(3):  # more than Table 4.1's two, which come first there
-        played(tmp_path, f"hopper/otr/depth-6/standard-ars/seed-{seed}", 9.0)
-    _, found = rows(tmp_path)
-    assert found["viper", "standard-fleet", "otr"]["rival_budget"] == "standard"
-    assert found["viper", "standard-fleet", "otr", "standard-fleet"]["n_rival_runs"] == "2"  # its own, beside it
-    assert ("viper", "standard-fleet", "otr", "standard-ars") not in found
-
-
-def test_forms_of_the_same_runs_are_paired_run_by_run(tmp_path):
-    for seed in range(5):
-        before, after = 100.0 * seed, 100.0 * seed + 1.0 + seed % 2
-        moments = {"return_mean": 1019.5 + after, "n_episodes": 40}
-        run = f"hopper/otr/depth-6/quick/seed-{seed}"
-        write_run(tmp_path, run, 1019.5 + before, n_episodes=40, polish=moments)
-        played(tmp_path, run, before)
-        played(tmp_path, run, after, form="polish")
-    polished = rows(tmp_path)[1]["otr-polished", "quick", "otr"]
-    assert float(polished["probability"]) == 1.0  # of all pairs it would be .6
-    half = 2.7764451 * np.std([1.0, 2.0, 1.0, 2.0, 1.0], ddof=1) / np.sqrt(5)
-    interval = [float(polished[name]) for name in ("runs_low", "runs_high")]
-    assert interval == pytest.approx([1.4 - half, 1.4 + half], abs=1e-5)
 
 
 def test_forms_are_paired_where_some_runs_have_both(tmp_path):
@@ -118,17 +79,6 @@ def test_forms_are_paired_where_some_runs_have_both(tmp_path):
     half = 2.7764451 * np.std([2.0, 1.0, 2.0, 1.0, 2.0], ddof=1) / np.sqrt(5)
     interval = [float(polished[name]) for name in ("runs_low", "runs_high")]
     assert interval == pytest.approx([1.6 - half, 1.6 + half], abs=1e-5)
-
-
-def test_a_polished_policy_has_its_own_episodes(tmp_path):
-    played(tmp_path, "hopper/linear/depth-0/quick/seed-0", 0.0)
-    moments = {"return_mean": 1026.5, "n_episodes": 40}
-    write_run(tmp_path, "hopper/otr/depth-6/quick/seed-0", 1022.5, n_episodes=40, polish=moments)
-    played(tmp_path, "hopper/otr/depth-6/quick/seed-0", 3.0)
-    played(tmp_path, "hopper/otr/depth-6/quick/seed-0", 7.0, form="polish")
-    _, found = rows(tmp_path)
-    assert float(found["otr-polished", "quick", "linear"]["difference"]) == 7.0
-    assert float(found["otr-polished", "quick", "otr"]["difference"]) == 4.0
 
 
 def test_a_polished_policy_stands_beside_the_polished_rival(tmp_path):

@@ -7,7 +7,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import otr
 from pipelines.report.figures import auc_against_leaves
 
 
@@ -88,12 +87,6 @@ def test_a_panel_for_every_data_set(n, shown, tmp_path):
     labelled = [panel.get_title(loc="left") for panel in figure.axes if panel.get_xlabel()]
     n_columns = {4: 2, 5: 3}.get(n, n)
     assert labelled == [f"data{i}" for i in range(n - n_columns, n)]
-
-
-def test_it_is_saved_the_same_every_time(tmp_path):
-    for name in "ab":
-        otr.save_picture(auc_against_leaves(ROWS), tmp_path / f"{name}.svg")
-    assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
 
 
 def test_rows_that_cannot_be_drawn_are_refused():

@@ -10,8 +10,6 @@ import pytest
 
 from pipelines.engine.store import read_csv
 from pipelines.errors import PipelineError
-from pipelines.report.cells import CSV_COLUMNS
-from pipelines.report.published import Published, published
 from pipelines.report.table_4_1 import write_table_4_1
 from tests.pipelines.report.conftest import write_run
 
@@ -52,12 +50,6 @@ def test_cell_has_mean_std_interval_and_published_number(tmp_path: Path) -> None
     }  # fmt: skip
 
 
-def test_five_runs_have_an_interval(tmp_path: Path) -> None:
-    write_runs(tmp_path, "hopper/otr/depth-6/quick", {seed: 100.0 + 10 * seed for seed in range(5)})
-    # Mean 120, standard error sqrt(250 / 5); the 97.5 % quantile of Student's t with 4 degrees of freedom is 2.7764.
-    assert (hopper(tmp_path)["ci_low"], hopper(tmp_path)["ci_high"]) == ("100.367568", "139.632432")
-
-
 def test_one_run_has_no_std_and_two_have_no_interval(tmp_path: Path) -> None:
     write_run(tmp_path, "hopper/otr/depth-6/quick/seed-0", 100.0)
     write_runs(tmp_path, "hopper/viper/depth-6/quick", {0: 100.0, 1: 102.0})
@@ -67,21 +59,6 @@ def test_one_run_has_no_std_and_two_have_no_interval(tmp_path: Path) -> None:
     assert [two[name] for name in ("mean", "std", "ci_low", "ci_high", "n_runs")] == ["101.0", "1.414214", "", "", "2"]
 
 
-def test_csv_has_the_thesis_rows_and_columns_in_order(tmp_path: Path) -> None:
-    rows = read_csv(write_table_4_1(tmp_path)[1])
-    assert tuple(rows[0]) == CSV_COLUMNS
-    assert list(dict.fromkeys(row["task"] for row in rows if row["table"] == "4.1")) == [
-        "reacher", "walker2d", "hopper", "halfcheetah", "ant", "swimmer", "bipedalwalker", "pendulum",
-    ]  # fmt: skip
-    assert [(row["method"], row["depth"]) for row in rows[:8]] == [
-        ("linear", "0"), ("oracle", ""), ("viper", "6"), ("lm-viper", "6"), ("ndps", "6"), ("pi-prl", "6"),
-        ("otr", "6"), ("otr", "32"),
-    ]  # fmt: skip
-    assert len(rows) == 8 * 8 + 7
-    assert all((row["n_runs"], row["mean"], row["budget"], row["note"][:7]) == ("0", "", "", "not run") for row in rows)
-    assert all((row["published_mean"] == "") == (row["method"] in ("linear", "oracle")) for row in rows)
-
-
 def test_fewest_episodes_are_given_and_a_difference_is_noted(tmp_path: Path) -> None:
     write_run(tmp_path, "hopper/otr/depth-6/quick/seed-0", 1.0)
     write_run(tmp_path, "hopper/otr/depth-6/quick/seed-1", 1.0, n_episodes=40)
@@ -89,44 +66,10 @@ def test_fewest_episodes_are_given_and_a_difference_is_noted(tmp_path: Path) -> 
     assert hopper(tmp_path)["note"] == "episodes differ between runs: 40 to 100"
 
 
-def test_pruned_depth_is_averaged_over_runs_and_set_beside_the_published(tmp_path: Path) -> None:
-    write_run(tmp_path, "hopper/otr/depth-32/quick/seed-0", 100.0, pruned_depth=8.0)
-    write_run(tmp_path, "hopper/otr/depth-32/quick/seed-1", 104.0, pruned_depth=9.0)
-    assert csv_cells(tmp_path)["4.1", "hopper", "otr", "32"]["note"] == "pruned depth 8.5 (published 9.6)"
-    assert markdown_lines(tmp_path, "Hopper")[0][-1] == "102.0 ± 2.8 [8.5] (2 runs, quick)"
-    write_run(tmp_path, "hopper/otr/depth-32/quick/seed-2", 102.0, pruned_depth=None)
-    assert markdown_lines(tmp_path, "Hopper")[0][-1] == "102.0 ± 2.0 (3 runs, quick)"
-
-
 # --- oracles ------------------------------------------------------------------------------------------------------
 
 
-def test_the_oracle_s_own_return_stands_beside_those_that_imitate_it(tmp_path: Path) -> None:
-    for method, share in (("viper", 0.5), ("ndps", 0.9)):
-        for seed, mean in QUICK.items():
-            own = {"oracle": {"return_mean": 2 * mean, "n_episodes": 100}}
-            run = f"hopper/{method}/depth-6/quick/seed-{seed}"
-            write_run(tmp_path, run, share * mean, policies=own, oracle={"hidden_widths": [256, 256]})
-    cell = csv_cells(tmp_path)["4.1", "hopper", "oracle", ""]
-    assert (cell["mean"], cell["std"], cell["n_runs"]) == ("260.0", "60.0", "3")  # each oracle once
-    assert cell["note"] == "hidden layers [256,256]"
-    ours = markdown_lines(tmp_path, "Hopper")[0]
-    assert ours[3] == "260.0 ± 60.0 of [256, 256] (3 runs, quick)"
-    assert ours[6] == "117.0 ± 27.0 (3 runs, quick)"
-
-
 # --- forms --------------------------------------------------------------------------------------------------------
-
-
-def test_a_polished_policy_has_a_row_beyond_the_table_and_the_tree_keeps_its_cell(tmp_path: Path) -> None:
-    for seed, mean in QUICK.items():
-        polish = {"return_mean": mean + 60.0, "return_std": 1.0, "n_episodes": 100, "kept": True}
-        write_run(tmp_path, f"hopper/otr/depth-6/quick/seed-{seed}", mean, polish=polish)
-    assert hopper(tmp_path)["mean"] == "130.0"
-    row = csv_cells(tmp_path)["text", "hopper", "otr-polished", "6"]
-    assert (row["mean"], row["std"], row["n_runs"], row["budget"]) == ("190.0", "30.0", "3", "quick")
-    lines = [line for line in markdown_lines(tmp_path, "Hopper") if line[1] == "OTR, polished"]
-    assert [line[2:4] for line in lines] == [["6", "190.0 ± 30.0 (3 runs, quick)"]]
 
 
 # --- which runs count ---------------------------------------------------------------------------------------------
@@ -189,119 +132,7 @@ def test_otr_of_depth_0_is_the_linear_policy_and_a_seed_counts_once(tmp_path: Pa
     assert (cell["mean"], cell["n_runs"]) == ("15.0", "2")
 
 
-def test_folder_names_with_underscores_are_the_thesis_methods(tmp_path: Path) -> None:
-    write_run(tmp_path, "hopper/lm_viper/depth-6/quick/seed-0", 11.0)
-    write_run(tmp_path, "hopper/pi_prl/depth-6/quick/seed-0", 12.0)
-    cells = csv_cells(tmp_path)
-    assert cells["4.1", "hopper", "lm-viper", "6"]["mean"] == "11.0"
-    assert cells["4.1", "hopper", "pi-prl", "6"]["mean"] == "12.0"
-    assert "adaptation" in (tmp_path / "tables/table_4_1.md").read_text(encoding="utf-8")
-
-
-def test_runs_beyond_the_table_are_listed_against_the_text(tmp_path: Path) -> None:
-    write_run(tmp_path, "lunarlander/otr/depth-2/quick/seed-0", 240.0)
-    write_run(tmp_path, "lunarlander/otr/depth-5/quick/seed-0", 250.0)  # its tree has depth 8: nothing published
-    write_run(tmp_path, "mountaincar/otr/depth-1/quick/seed-0", 93.0)
-    write_run(tmp_path, "hopper/otr/depth-8-8/quick/seed-0", 70.0)
-    write_run(tmp_path, "hopper/otr/depth-12/quick/seed-0", 80.0)
-    rows = [row for row in read_csv(write_table_4_1(tmp_path)[1]) if row["table"] == "text"]
-    columns = ("task", "method", "depth", "mean", "published_mean", "published_std")
-    assert [tuple(row[name] for name in columns) for row in rows] == [
-        ("hopper", "otr", "8-8", "70.0", "", ""),
-        ("hopper", "otr", "12", "80.0", "", ""),
-        ("pendulum", "pid", "1", "", "-162.6", ""),
-        ("mountaincar", "otr", "1", "93.0", "92.8", ""),
-        ("lunarlander", "augtree", "2", "", "249.1", ""),
-        ("lunarlander", "cdt", "3-3", "", "100", ""),
-        ("lunarlander", "otr", "2", "240.0", "269.0", "16.6"),
-        ("lunarlander", "otr", "5", "250.0", "", ""),
-        ("lunarlander", "sdt-discrete", "5", "", "-88.0", "20.4"),
-        ("lunarlander", "sdt-soft", "5", "", "97.8", "10.5"),
-    ]
-    assert rows[6]["note"].startswith("published as a tree of depth 5")
-    assert markdown_lines(tmp_path, "MountainCar")[-1][:5] == ["MountainCar", "OTR", "1", "93.0 (1 run, quick)", "92.8"]
-
-
-def test_soft_and_discretised_values_stand_beside_the_tree(tmp_path: Path) -> None:
-    policies = {
-        "soft": {"return_mean": 90.0, "n_episodes": 100},
-        "discretised": {"return_mean": -80.0, "n_episodes": 50},
-    }
-    write_run(tmp_path, "lunarlander/sdt/depth-5/quick/seed-0", 30.0, policies=policies)
-    write_run(tmp_path, "lunarlander/cdt/depth-2-2/quick/seed-0", 40.0, policies={"soft": policies["soft"]})
-    write_run(tmp_path, "lunarlander/augtree/depth-2/quick/seed-0", 210.0)
-    cells = csv_cells(tmp_path)
-    columns = ("mean", "published_mean", "n_episodes")
-    assert {key[2:]: tuple(row[name] for name in columns) for key, row in cells.items() if key[1] == "lunarlander"} == {
-        ("augtree", "2"): ("210.0", "249.1", "100"),
-        ("cdt", "2-2"): ("40.0", "100", "100"),
-        ("cdt", "3-3"): ("", "100", ""),
-        ("cdt-soft", "2-2"): ("90.0", "", "100"),
-        ("otr", "2"): ("", "269.0", ""),
-        ("sdt", "5"): ("30.0", "", "100"),
-        ("sdt-discrete", "5"): ("-80.0", "-88.0", "50"),
-        ("sdt-soft", "5"): ("90.0", "97.8", "100"),
-    }
-    assert "Figure 4.7" in cells["text", "lunarlander", "augtree", "2"]["note"]
-    assert ["LunarLander", "SDT, soft", "5"] in [line[:3] for line in markdown_lines(tmp_path, "LunarLander")]
-
-
-def test_best_pid_policy_stands_beside_the_one_published(tmp_path: Path) -> None:
-    for seed, mean in enumerate((-170.0, -155.0, -165.0)):
-        policies = {"constant_gains": {"return_mean": 2 * mean, "n_episodes": 1000}}
-        write_run(tmp_path, f"pendulum/pid/depth-1/quick/seed-{seed}", mean, policies=policies)
-    cells = csv_cells(tmp_path)
-    pid, constant = cells["text", "pendulum", "pid", "1"], cells["text", "pendulum", "pid-constant", "1"]
-    assert (float(pid["mean"]), pid["published_mean"]) == (pytest.approx(-490 / 3, abs=1e-5), "-162.6")
-    assert "published: the one policy of Figure 4.4; the best run: -155.0" in pid["note"]
-    assert (float(constant["mean"]), constant["published_mean"]) == (pytest.approx(-980 / 3, abs=1e-5), "")
-
-
 # --- text ---------------------------------------------------------------------------------------------------------
-
-
-def test_markdown_sets_ours_over_the_thesis(tmp_path: Path) -> None:
-    write_runs(tmp_path, "pendulum/otr/depth-6/quick", {0: -150.0, 1: -160.0, 2: -161.6})
-    write_runs(tmp_path, "reacher/otr/depth-6/quick", {0: -5.0, 1: -5.1})
-    ours = markdown_lines(tmp_path, "Pendulum")[0]
-    assert ours[1:9] == ["ours", *["not run"] * 6, "-157.2 ± 6.3 (3 runs, quick)"]
-    assert markdown_lines(tmp_path, "Reacher")[0][8] == "-5.05 ± 0.07 (2 runs, quick)"
-    published_line = markdown_lines(tmp_path, "")[-1]
-    assert published_line[1:5] == ["thesis", "-", "-", "-196.3 ± 21.8"]
-    assert published_line[8:] == ["-138.3 ± 1.0", "-135.0 ± 1.2 [8.4]"]
-
-
-def test_trees_that_return_otherwise_once_pruned_are_listed(tmp_path: Path) -> None:
-    def policies(mean: float) -> dict[str, dict[str, float]]:
-        return {
-            name: {"return_mean": each, "n_episodes": 100} for name, each in (("tree", 100.0), ("pruned_tree", mean))
-        }
-
-    for seed, pruned in ((0, 100.0), (1, 96.0)):
-        changes = {"policies": policies(pruned), "fidelity": 0.9 + 0.1 * seed, "pruned_leaves": 7}
-        write_run(tmp_path, f"hopper/otr/depth-32/quick/seed-{seed}", 100.0, **changes)
-        write_run(tmp_path, f"hopper/otr/depth-6/quick/seed-{seed}", 100.0, policies=policies(99.5))
-        # Changes that cancel each other are listed, too, and so are those of polished networks.
-        moments = {"return_mean": 50.0, "return_mean_pruned": 60.0, "n_leaves": 9, "n_episodes": 100}
-        changes = {"policies": policies(98.0 + 4 * seed), "polish": moments, "pruned_leaves": 8}
-        write_run(tmp_path, f"hopper/otr/depth-8/quick/seed-{seed}", 100.0, **changes)
-    page = write_table_4_1(tmp_path)[0].read_text(encoding="utf-8")
-    listed = [line for line in page.partition("## Once pruned")[2].splitlines() if line.startswith("| Hopper")]
-    assert [[cell.strip() for cell in line.split("|")[1:-1]] for line in listed] == [
-        ["Hopper", "OTR", "8", "100.0 (2 runs, quick)", "100.0", "-2.0, +2.0 %", "", "8"],
-        ["Hopper", "OTR", "32", "100.0 (2 runs, quick)", "98.0", "+0.0, -4.0 %", "95.0 %", "7"],
-        ["Hopper", "OTR, polished", "8", "50.0 (2 runs, quick)", "60.0", "+20.0, +20.0 %", "", "9"],
-    ]  # fmt: skip
-
-
-def test_provenance_tells_what_was_run(tmp_path: Path) -> None:
-    write_runs(tmp_path, "hopper/otr/depth-6/quick", QUICK)
-    write_run(tmp_path, "hopper/otr/depth-32/thesis/seed-0", 1.0, steps=4_000_000, n_episodes=50)
-    lines = [line for line in markdown_lines(tmp_path, "Hopper") if line[1] in ("quick", "thesis")]
-    assert lines == [
-        ["Hopper", "thesis", "sb3", "4,000,000", "SAC", "50", "hopper-id", "1.4.0", "1"],
-        ["Hopper", "quick", "sb3", "100,000", "SAC", "100", "hopper-id", "1.4.0", "3"],
-    ]
 
 
 def test_same_runs_give_the_same_bytes(tmp_path: Path) -> None:
@@ -313,17 +144,6 @@ def test_same_runs_give_the_same_bytes(tmp_path: Path) -> None:
     assert sorted(path.name for path in (tmp_path / "a/tables").iterdir()) == [
         "table_4_1.csv", "table_4_1.md", "table_4_1.tex",
     ]  # fmt: skip
-
-
-def test_latex_is_escaped_and_every_line_has_ten_columns(tmp_path: Path) -> None:
-    write_runs(tmp_path, "pendulum/otr/depth-6/my_budget", {0: -150.0, 1: -160.0})
-    text = write_table_4_1(tmp_path)[2].read_text(encoding="utf-8")
-    body = [line for line in text.splitlines() if line.endswith(r"\\")]
-    assert len(body) == 1 + 8 * 2 + 1
-    assert all(line.count("&") == 9 for line in body)
-    assert r"$-$155.0 $\pm$ 7.1" in text
-    assert r"2 runs, my\_budget" in text
-    assert not re.search("[±π–]", "".join(body))
 
 
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="pdflatex is not installed")
@@ -370,55 +190,12 @@ def test_broken_summary_is_an_error_that_names_it(tmp_path: Path, text: str) -> 
 # --- published numbers and imports --------------------------------------------------------------------------------
 
 
-def test_published_numbers() -> None:
-    numbers = published()
-    assert len(numbers) == 85 + 11  # one of them is of 12 depths
-    assert numbers["4.1", "hopper", "otr", "6"] == Published("3641.5", "126.9", "10", "")
-    assert numbers["4.1", "halfcheetah", "otr", "32"] == Published("10307.9", "1320.6", "10", "11.2")
-    assert numbers["4.1", "reacher", "viper", "6"] == Published("-6.31", "0.3", "10", "")
-    assert numbers["4.1", "ant", "pi-prl", "6"] == Published("5679.7", "844.3", "3", "")
-    note = "published as a tree of depth 5: 2 hidden neurons and the tests of the actions"
-    assert numbers["text", "lunarlander", "otr", "2"] == Published("269.0", "16.6", "5", "", note)
-    assert sum(float(number.mean) for key, number in numbers.items() if key[0] == "4.1") == pytest.approx(103130.31)
-
-
-def test_runs_with_other_settings_stand_beside_those_without(tmp_path: Path) -> None:
-    write_runs(tmp_path, "lunarlander/ndps/depth-2/quick", QUICK)
-    changed = {seed: {0: 90.0, 1: 110.0}[seed] for seed in (0, 1)}
-    for seed, return_mean in changed.items():
-        run = f"lunarlander/ndps/depth-2/quick/seed-{seed}~0123abcd"
-        write_run(tmp_path, run, return_mean, changes="method.leaves=constant")
-    text = write_table_4_1(tmp_path)[0].read_text(encoding="utf-8")
-    assert [line for line in text.partition("## With other settings")[2].splitlines() if "NDPS" in line] == [
-        "| LunarLander | NDPS   | 2     |        | `method.leaves=constant` | 100.0 ± 14.1 (2 runs, quick) | "
-        "130.0 ± 30.0 (3 runs, quick) |"
-    ]
-    assert "0123abcd" not in text
-
-
 def test_each_side_has_its_own_pruned_depth(tmp_path: Path) -> None:
     write_run(tmp_path, "ant/otr/depth-32/standard/seed-0", 5.0, pruned_depth=8.0)
     write_run(tmp_path, "ant/otr/depth-32/standard/seed-0~0123abcd", 4.0, pruned_depth=9.0, changes="actor.dense=none")
     text = write_table_4_1(tmp_path)[0].read_text(encoding="utf-8")
     (line,) = [line for line in text.splitlines() if "actor.dense" in line]
     assert "4.0 [9.0] (1 run" in line and "5.0 [8.0] (1 run" in line
-
-
-def test_a_changed_setting_stands_beside_runs_of_its_own_oracle(tmp_path: Path) -> None:
-    for digest, changes, width, mean in (
-        ("", "", 256, 1.0),
-        ("~0123abcd", "oracle=[64]", 64, 2.0),
-        ("~9876abcd", "method.features=deep, oracle=[64]", 64, 3.0),
-    ):
-        policies = {name: {"return_mean": mean, "n_episodes": 100} for name in ("tree", "oracle")}
-        own = {"policies": policies, "oracle": {"hidden_widths": [width]}, "changes": changes}
-        write_run(tmp_path, f"lunarlander/augtree/depth-4/quick/seed-0{digest}", mean, **own)
-    text = write_table_4_1(tmp_path)[0].read_text(encoding="utf-8")
-    (line,) = [row for row in text.splitlines() if "features=deep" in row]
-    assert [cell.strip() for cell in line.strip("|").split("|")] == [
-        "LunarLander", "AugTree", "4", "[64]", "`method.features=deep`", "3.0 (1 run, quick)", "2.0 (1 run, quick)",
-    ]  # fmt: skip
-    assert "oracle=[64]" not in text  # which is no setting of the method
 
 
 def test_runs_in_other_environments_are_shown(tmp_path: Path) -> None:

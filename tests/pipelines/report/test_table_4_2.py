@@ -84,50 +84,12 @@ def test_the_network_stands_in_its_own_column_and_differences_are_paired(results
     assert -1 < low <= difference <= high < 0  # linear is always right here, OTR is not
 
 
-def test_the_same_fits_give_the_same_bytes(results):
-    before = [path.read_bytes() for path in write_table_4_2(results)]
-    assert [path.read_bytes() for path in write_table_4_2(results)] == before
-
-
 def test_fits_with_other_settings_are_left_out(results):
     add_fit(results, "bace", "otr", 3, 0.1).rename(results / "runs/bace/otr/seed-3~0123abcd")
     path = results / "runs/bace/otr/seed-3~0123abcd/summary.json"
     assert path.is_file() and len(load_fits(results)) == 8
     cells = make_cells(load_fits(results)).set_index(["task", "method"])
     assert cells.loc[("bace", "otr"), "n_runs"] == 3
-
-
-def test_parts_drawn_anew_stand_apart_with_differences_on_the_same_split(results):
-    before = write_table_4_2(results)[1].read_bytes()
-    for split, (linear, otr) in enumerate([(0.70, 0.74), (0.80, 0.82), (0.60, 0.66), (0.75, 0.77), (0.65, 0.71)]):
-        add_fit(results, "bace", "linear_tuned", 0, linear, split=split)
-        add_fit(results, "bace", "otr", 0, otr, split=split, leaves=10.0)
-    markdown, table, *_ = write_table_4_2(results)
-    lines = [line for line in markdown.read_text().splitlines() if "0, 1, 2, 3, 4" in line]
-    assert [[cell.strip() for cell in line.split("|")[2:6]] for line in lines] == [
-        ["Linear (depth 0)", "0.700 ± 0.079", "", "100.0"],
-        ["OTR", "0.740 ± 0.060", "+0.040 (+0.008 to +0.072)", "10.0"],
-    ]
-    assert table.read_bytes() == before  # the cells are of the published parts alone
-
-
-def test_what_was_tuned_is_told(results):
-    folder = add_fit(results, "tox21", "cart", 0, 0.65, seconds={"tune": 2.0})
-    (folder / "tune").mkdir()
-    method = {
-        "grid": [{"max_depth": [2, 3, 4]}, {"drop": [0.0, 0.25, 0.5], "wide": [True]}],
-        "tuned_for": "label",
-        "tuning_seeds": [1000],
-    }
-    (folder / "tune" / "manifest.json").write_text(json.dumps({"settings": {"method": method}}))
-    chosen = [
-        {"label": name, "settings": {"max_depth": depth}, "valid": depth / 8}
-        for name, depth in zip("abc", (2, 4, 2), strict=True)
-    ]
-    (folder / "tune" / "chosen.json").write_text(json.dumps(chosen))
-    text = write_table_4_2(results)[0].read_text()
-    assert "one of\n    * max_depth 2 to 4\n    * drop 0.0 / 0.25 / 0.5, wide true\n" in text
-    assert "| 0.333 | max_depth 2 (2); max_depth 4 (1)" in text  # the mean over labels of what each scored
 
 
 def test_foreign_summaries_are_refused(results):

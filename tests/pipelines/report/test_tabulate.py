@@ -11,7 +11,7 @@ from pipelines.errors import ConfigError
 from pipelines.report import load_runs
 from pipelines.report.frames import FIT_COLUMNS, RUN_COLUMNS
 from pipelines.report.tabulate import FIGURES, TABLES, reports_of, write_fits, write_runs
-from tests.pipelines.conftest import otr_command
+from tests.pipelines.conftest import otr_command, otr_succeeds
 from tests.pipelines.report.conftest import write_run
 
 
@@ -77,8 +77,7 @@ def test_a_run_has_a_row_for_each_form_of_its_policy(tmp_path: Path) -> None:
 
 def test_all_leaves_out_a_figure_without_runs_and_says_so(tmp_path: Path) -> None:
     write_run(tmp_path / "results", "hopper/otr/depth-6/quick/seed-0", 3.5)
-    done = otr_command("otr-tabulate", "all", "budget=smoke", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = otr_succeeds("otr-tabulate", "all", "budget=smoke", cwd=tmp_path)
     assert "4.7 is left out" in done.stderr and "otr-run +experiment=figure_4_6" in done.stderr
     assert "profile is left out" in done.stderr and "otr-run +experiment=table_4_1" in done.stderr
     assert len(list((tmp_path / "results/tables").iterdir())) == 10
@@ -95,8 +94,3 @@ def test_tabulating_imports_no_torch_and_no_hydra() -> None:
     code = f"import sys, pipelines.report.tabulate; print(*{heavy} & {{*sys.modules}})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == ""
-
-
-def test_reproduce_table_writes_all_in_one_process() -> None:
-    makefile = (Path(__file__).parents[3] / "Makefile").read_text(encoding="utf-8")
-    assert "otr-tabulate all" in makefile

@@ -26,7 +26,7 @@ from pipelines.report.webpage.policy import _proof, _rounds_unseen, page_tree, t
 from pipelines.report.webpage.units import unit_of
 from tests.committed import RESULTS
 from tests.core.test_tree import random_tree
-from tests.pipelines.conftest import HOPPER, PENDULUM, otr_command
+from tests.pipelines.conftest import HOPPER, PENDULUM, otr_command, otr_succeeds
 
 CAR, LANDER, PID = (
     RESULTS / "runs" / run
@@ -301,8 +301,7 @@ def test_what_cannot_be_shown_is_named_and_the_rest_is_written(
 
 
 def test_the_command_names_the_file_and_refuses_what_it_cannot_show(tmp_path: Path) -> None:
-    done = otr_command("otr-report", f"run={CAR}", "out=car.html", cwd=tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
+    done = otr_succeeds("otr-report", f"run={CAR}", "out=car.html", cwd=tmp_path)
     assert re.search(r"^car\.html: 0\.\d MB, open it in any browser$", done.stdout, re.M)
     for words, told in (
         (["tree=pruned"], "of which run? Add run=FOLDER"),

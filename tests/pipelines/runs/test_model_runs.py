@@ -24,7 +24,7 @@ from pipelines.errors import ConfigError
 from pipelines.play.actor_files import load_actor, load_oracle_network
 from pipelines.runs.below_random import warning_below_random
 from pipelines.stages.import_model import read_model
-from tests.pipelines.conftest import PENDULUM, otr_command
+from tests.pipelines.conftest import PENDULUM, otr_command, otr_succeeds
 
 CART_POLE = EnvConfig("CartPole-v1", "discrete", "CartPole-v1")
 SMOKE = ("env=CartPole-v1", "budget=smoke", "n_workers=1")
@@ -78,8 +78,7 @@ def test_an_oracle_from_a_file_takes_the_place_of_one_that_a_fleet_trains(models
 def test_a_zip_is_a_run_like_others(models):
     names = ("env.feature_names=[x,v,angle,rate]", "env.action_names=[left,right]")
     words = (*SMOKE, "model=relu.zip", "certify=true", "polish=true", *names)
-    done = otr_command("otr-run", *words, cwd=models)
-    assert done.returncode == 0, done.stdout + done.stderr
+    done = otr_succeeds("otr-run", *words, cwd=models)
     (run,) = models.glob("results/runs/CartPole-v1/model/depth-3/smoke/seed-0~*")
     summary = json.loads((run / "summary.json").read_text())
     told = [summary[name] for name in ("model", "algorithm", "trainer", "steps")]
@@ -225,8 +224,7 @@ def test_torch_exports_and_skops_files(models):
 def test_a_saved_tree_is_a_program(models):
     tree = otr.map_network(otr.from_sb3(models / "relu.zip"))
     otr.save(tree, models / "tree.json")
-    done = otr_command("otr-run", *SMOKE, "model=tree.json", cwd=models)
-    assert done.returncode == 0, done.stderr
+    otr_succeeds("otr-run", *SMOKE, "model=tree.json", cwd=models)
     (run,) = models.glob("results/runs/CartPole-v1/program/*/smoke/seed-0~*")
     states = np.random.default_rng(2).normal(size=(500, 4))
     np.testing.assert_array_equal(otr.load(run / "parse/tree").predict(states), tree.predict(states))
@@ -239,8 +237,7 @@ def test_a_tanh_policy_is_an_oracle(models):
     refused = otr_command("otr-run", *SMOKE, "model=tanh.zip", cwd=models)
     assert refused.returncode == 2 and refused.stdout == ""
     assert refused.stderr.endswith("  otr-run env=CartPole-v1 method=augtree oracle=tanh.zip depth=3\n")
-    done = otr_command("otr-run", *SMOKE, *words, cwd=models)
-    assert done.returncode == 0, done.stdout + done.stderr
+    otr_succeeds("otr-run", *SMOKE, *words, cwd=models)
     (run,) = models.glob("results/runs/CartPole-v1/augtree/depth-3/smoke/seed-0~*")
     (imported,) = models.glob("results/runs/CartPole-v1/model/depth-5-5/smoke/seed-0~*")
     states = np.random.default_rng(3).normal(size=(500, 4))
@@ -255,8 +252,7 @@ def test_a_tanh_policy_is_an_oracle(models):
 
 def test_a_network_distilled_from_an_oracle_is_mapped_proved_and_polished(models):
     words = ("method=distilled_otr", "oracle=tanh.zip", "depth=2", "method.n_updates=20", "certify=true", "polish=true")
-    done = otr_command("otr-run", *SMOKE, *words, cwd=models)
-    assert done.returncode == 0, done.stdout + done.stderr
+    done = otr_succeeds("otr-run", *SMOKE, *words, cwd=models)
     (run,) = models.glob("results/runs/CartPole-v1/distilled_otr/depth-2/smoke/seed-0~*")
     network = load_actor(run / "imitate")
     assert network.hidden_widths == (2,) and network.dense == "input" and isinstance(network.head, otr.Argmax)
@@ -317,10 +313,9 @@ def test_a_binary_classifier_of_scikit_learn_has_both_labels_names(tmp_path):
     X = np.random.default_rng(0).normal(size=(300, 4))
     mlp = MLPClassifier([3], max_iter=300, random_state=0).fit(X, (X @ [0.3, 0.5, 8, 2] > 0).astype(int))
     skops.io.dump(mlp, tmp_path / "cart.skops")
-    done = otr_command(
+    done = otr_succeeds(
         "otr-run", *SMOKE, "model=cart.skops", "certify=true", "env.action_names=[left,right]", cwd=tmp_path
     )
-    assert done.returncode == 0, done.stdout + done.stderr
     (run,) = tmp_path.glob("results/runs/CartPole-v1/model/depth-3/smoke/seed-0~*")
     whole = (run / "map/program.txt").read_text()
     assert "return left" in whole and "return right" in whole and "certificate: " in done.stdout
@@ -332,6 +327,5 @@ def test_a_proof_that_is_too_long_is_told_and_all_else_is_kept(models, monkeypat
     def too_long():
         raise otr.TreeTooLargeError("the limit of 65,536 regions was met")
 
-    done = otr_command("otr-run", *SMOKE, "model=relu.zip", "certify=true", cwd=models)
-    assert done.returncode == 0, done.stdout + done.stderr
+    done = otr_succeeds("otr-run", *SMOKE, "model=relu.zip", "certify=true", cwd=models)
     assert "no certificate on the box" in done.stdout and "the limit of 65,536 regions was met" in done.stdout

@@ -12,21 +12,18 @@ from otr.control import constant_gains
 from pipelines.cli.runs import run_config
 from pipelines.config.env import EnvConfig, PidTerms
 from pipelines.config.methods import PidConfig
-from pipelines.errors import ConfigError, PolicyMismatchError
-from pipelines.play.actor_files import load_actor
+from pipelines.errors import ConfigError
 from pipelines.play.environments import make_env
 from pipelines.play.pid_environment import PidObservation
 from pipelines.play.rollout import rollout
-from pipelines.play.selection import compare_with_trained
 from pipelines.play.spaces import feature_names
-from pipelines.stages.train import TRAIN, train_settings, trained_steps
+from pipelines.stages.train import train_settings
 from pipelines.training.actors import actor_of
 from pipelines.training.sb3_models import build_model
 from tests.control.pids import thesis_policy
-from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM, otr_command
+from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM, otr_command, otr_succeeds
 from tests.pipelines.own_envs import Cart
-from tests.pipelines.stages.test_train import DDPG, train_until_killed
-from tests.pipelines.sweeps import run_until_killed
+from tests.pipelines.stages.test_train import DDPG, assert_is_what_was_trained
 
 PID = PidConfig("pid", [1.0, 0.0, 0.0], 3, 2.5, 4.0, 0.01)
 PID_PENDULUM = dataclasses.replace(PENDULUM, pid=PidTerms((1.0, 0.0, 0.0), 3))
@@ -120,17 +117,7 @@ def test_exported_network_is_the_trained_actor(pid, depth, slope):
     model = build_model(config, 0)
     network = actor_of(config).exported(model)
     assert network.n_hidden == sum(config.hidden_widths) and network.negative_slope == slope
-    states = np.random.default_rng(0).normal(size=(200, 12))
-
-    def trained(seen: np.ndarray) -> np.ndarray:
-        return model.predict(seen, deterministic=True)[0]
-
-    compare_with_trained(network, trained, states, units=None)
-    weights = [weight.copy() for weight in network.weights]
-    weights[-1][-1, 0] += 1e-3
-    other = otr.ReluNetwork(weights, network.biases, dense=network.dense, negative_slope=slope, head=network.head)
-    with pytest.raises(PolicyMismatchError, match="in state"):
-        compare_with_trained(other, trained, states, units=None)
+    assert_is_what_was_trained(network, model)
 
 
 def test_penalty_is_in_the_gradient_of_the_output_weights_alone(pid):
@@ -173,21 +160,6 @@ def test_small_output_weights_become_zero(pid):
     assert actor.exported(model).weights[-1][9:12, 0].tolist() == pytest.approx([0.0, 0.0, 0.011])
 
 
-def test_killed_and_resumed_equals_uninterrupted(pid, tmp_path):
-    alone = pid(results_dir=str(tmp_path / "alone"))
-    killed = dataclasses.replace(alone, results_dir=str(tmp_path / "killed"))
-    outs = [tmp_path / "out-alone", tmp_path / "out-killed"]
-    for out in outs:
-        out.mkdir()
-    TRAIN.run({}, alone, outs[0])
-    run_until_killed(train_until_killed, killed, outs[1], "after saving")
-    assert 0 < trained_steps(killed) < 300
-    TRAIN.run({}, killed, outs[1])
-    for name in ("actor.safetensors", "actor.json", "evaluations.csv"):
-        assert (outs[0] / name).read_bytes() == (outs[1] / name).read_bytes(), name
-    assert load_actor(outs[0]).head == otr.PidBox([-2.0], [2.0])
-
-
 def test_terms_and_penalty_are_part_of_a_training_s_key(pid, tiny):
     keys = [
         train_settings(pid(method=dataclasses.replace(PID, **changes)))
@@ -202,8 +174,7 @@ def test_terms_and_penalty_are_part_of_a_training_s_key(pid, tiny):
 
 def test_every_form_is_played(tmp_path):
     words = ("env=pendulum", "method=pid", "budget=smoke", "n_workers=1")
-    done = otr_command("otr-run", *words, cwd=tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
+    otr_succeeds("otr-run", *words, cwd=tmp_path)
     run_dir = tmp_path / "results/runs/pendulum/pid/depth-1/smoke/seed-0"
     summary = json.loads((run_dir / "summary.json").read_text())
     assert list(summary["policies"]) == ["network", "tree", "pruned_tree", "constant_gains"]

@@ -10,7 +10,7 @@ from pipelines.cli.runs import RUN, run_config
 from pipelines.config.hardened_methods import PiPrlConfig, SdtConfig
 from pipelines.errors import ConfigError
 from pipelines.stages.train import train_settings
-from tests.pipelines.conftest import PPO, otr_command
+from tests.pipelines.conftest import PPO, otr_command, otr_succeeds
 
 SDT = SdtConfig("sdt", 1.0, 20.0, 0.8, 0.05, "constant")
 
@@ -28,8 +28,7 @@ SDT = SdtConfig("sdt", 1.0, 20.0, 0.8, 0.05, "constant")
     ids=["sdt", "cdt", "pi_prl", "pi_prl-sac", "experts", "ars"],
 )
 def test_every_form_is_played(tmp_path, words, forms):
-    done = otr_command("otr-run", *words, "budget=smoke", "n_workers=1", cwd=tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
+    otr_succeeds("otr-run", *words, "budget=smoke", "n_workers=1", cwd=tmp_path)
     (path,) = tmp_path.glob("results/runs/*/*/*/*/*/summary.json")
     summary = json.loads(path.read_text())
     assert list(summary["policies"]) == forms
@@ -143,8 +142,7 @@ def test_experts_are_polished_as_what_they_are(tmp_path, by):
     words = ("env=pendulum", "method=experts", "depth=4", "budget=smoke", "n_workers=1", "prune.n_episodes=20",
              "polish=true", f"polishing.by={by}", "polishing.n_selection_episodes=4", "polishing.n_directions=2",
              "polishing.n_top=2", "polishing.n_candidates=1", "polishing.critic.batch_size=32")  # fmt: skip
-    done = otr_command("otr-run", *words, cwd=tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
+    otr_succeeds("otr-run", *words, cwd=tmp_path)
     (made,) = tmp_path.glob("results/runs/pendulum/experts/depth-4/smoke-fleet/seed-0~*")
     before, after = (otr.load(made / stage / "tree") for stage in ("prune", "polish"))
     n_kinds = [len(np.unique(tree.leaf_forms.reshape(tree.n_leaves, -1), axis=0)) for tree in (before, after)]
@@ -158,8 +156,7 @@ def test_experts_that_imitate_are_polished_by_their_oracle_s_critics(tmp_path):
     words = ("env=pendulum", "method=distilled_experts", "depth=3", "trainer=fleet", "algo.critic=[16]", "oracle=[16]",
              "budget=smoke", "n_workers=1", "method.n_updates=50", "polish=true", "polishing.n_selection_episodes=4",
              "polishing.n_candidates=1", "polishing.critic.batch_size=32")  # fmt: skip
-    done = otr_command("otr-run", *words, cwd=tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
+    done = otr_succeeds("otr-run", *words, cwd=tmp_path)
     assert "numbers of the tree learnt by critics" in done.stdout
     (made,) = tmp_path.glob("results/runs/pendulum/distilled_experts/depth-3/smoke-fleet/seed-0~*")
     summary = json.loads((made / "summary.json").read_text())

@@ -13,7 +13,7 @@ from pipelines.errors import PipelineError, PolicyMismatchError
 from pipelines.play.actor_files import actor_files, load_actor
 from pipelines.play.agreement import answers_agree
 from pipelines.stages.evaluate import evaluate
-from pipelines.stages.evaluation_episodes import moments, play_each
+from pipelines.stages.evaluation_episodes import play_each
 from pipelines.stages.map import map_actor
 from pipelines.stages.prune import prune
 from tests.pipelines.play.test_rollout import PENDULUM, random_network
@@ -101,13 +101,6 @@ def test_wrong_tree_is_caught_with_its_state(tiny, chain, tmp_path):
     out.mkdir()
     with pytest.raises(PolicyMismatchError, match=r"network and tree differ in \d+ of 600 states; the first is \["):
         evaluate(folders, config, out)
-
-
-def test_moments_of_known_returns(tiny):
-    network = random_network(PENDULUM)
-    played = play_each({"network": network}, tiny())["network"]
-    expected = np.array(played.returns)
-    assert moments(played) == {"return_mean": expected.mean(), "return_std": expected.std()}
 
 
 def test_agreement_is_relative_and_forgives_ties_of_labels():

@@ -6,21 +6,15 @@ import shutil
 import numpy as np
 import pytest
 
-import otr
-from pipelines.config.methods import AugTreeConfig, MappedConfig, NdpsConfig, ViperConfig
-from pipelines.config.run import RunConfig
+from pipelines.config.methods import AugTreeConfig, NdpsConfig, ViperConfig
 from pipelines.config.stages import ImitateConfig
-from pipelines.engine.digests import digest
 from pipelines.engine.seeding import FIRST_STREAM_SEED, STREAMS, episode_seeds
-from pipelines.engine.stage import file_digest
-from pipelines.engine.store import read_csv, write_files, write_json
+from pipelines.engine.store import read_csv
 from pipelines.errors import ConfigError, PipelineError
-from pipelines.play.actor_files import actor_files
 from pipelines.stages import imitate as stage
 from pipelines.stages.evaluate import likeness
-from pipelines.stages.oracle import load_oracle, refer
-from tests.pipelines.conftest import PENDULUM, otr_command
-from tests.pipelines.play.test_rollout import random_network
+from pipelines.stages.oracle import load_oracle
+from tests.pipelines.conftest import otr_command, otr_succeeds
 
 SWEEP = ("-m", "env=lunarlander", "method=viper,augtree", "depth=2", "oracle=[8]", "budget=smoke")
 NDPS = NdpsConfig("ndps", 500, 30, 10, 64, 0.02, 1.0, 20.0, 1.0)
@@ -30,8 +24,7 @@ NDPS = NdpsConfig("ndps", 500, 30, 10, 64, 0.02, 1.0, 20.0, 1.0)
 def finished(tmp_path_factory):
     """Two methods with one oracle, and what the sweep printed."""
     folder = tmp_path_factory.mktemp("imitated")
-    done = otr_command("otr-run", *SWEEP, cwd=folder)
-    assert done.returncode == 0, done.stdout + done.stderr
+    done = otr_succeeds("otr-run", *SWEEP, cwd=folder)
     return folder, done.stdout
 
 
@@ -81,8 +74,7 @@ def test_second_time_nothing_is_done(finished):
 
 def test_recorded_episodes_come_back(finished):
     folder, _ = finished
-    done = otr_command("otr-tabulate", "table=4.1", "evaluate=true", cwd=folder)
-    assert done.returncode == 0, done.stderr
+    done = otr_succeeds("otr-tabulate", "table=4.1", "evaluate=true", cwd=folder)
     assert done.stdout.count("as recorded") == 6
 
 
@@ -95,8 +87,7 @@ def test_plan_trains_a_shared_oracle_once(tmp_path):
 
 def test_fleet_trains_several_oracles_at_once(tmp_path):
     words = ("-m", "env=pendulum", "method=viper", "depth=2", "oracle=[8]", "seed=0,1", "budget=smoke", "trainer=fleet")
-    done = otr_command("otr-run", *words, cwd=tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
+    done = otr_succeeds("otr-run", *words, cwd=tmp_path)
     assert "pendulum, 2 runs" in done.stdout
     assert len(list(tmp_path.glob("results/runs/pendulum/otr/depth-8/smoke-fleet/seed-*/train/manifest.json"))) == 2
 
@@ -123,79 +114,17 @@ def test_what_is_refused(tiny, changes, words):
         tiny(**{"method": ViperConfig("viper", 100, 1), **changes})
 
 
-@pytest.fixture
-def task(tiny, tmp_path):
-    """A run of NDPS on the pendulum and the folders of its oracle, which is a random network."""
-    folder = tmp_path / "results/runs/pendulum/otr/depth-6/smoke/seed-0/train"
-    folder.mkdir(parents=True)
-    write_files(actor_files(random_network(PENDULUM, seed=1, width=6)), folder)
-    (folder / "evaluations.csv").write_text("steps,return_mean\n100,-5.0\n")
-    outputs = {path.name: file_digest(path) for path in folder.iterdir()}
-    write_json(
-        folder / "manifest.json",
-        {"stage": "train", "version": 1, "key": "k", "settings": {}, "outputs": outputs, "seconds": 1.0,
-         "output_digest": digest(outputs)},
-    )  # fmt: skip
-    trained = tiny(method=MappedConfig("otr"), depth=[6], folder="runs/pendulum/otr/depth-6/smoke/seed-0")
-    config = tiny(method=NDPS, depth=2, oracle=[6], imitate=ImitateConfig(2, 3, 2, 4), oracle_run=trained)
-    reference = tmp_path / "oracle"
-    reference.mkdir()
-    refer({}, config, reference)
-    outputs = {path.name: file_digest(path) for path in reference.iterdir()}
-    write_json(
-        reference / "manifest.json",
-        {"stage": "oracle", "version": 1, "key": "k", "settings": {}, "outputs": outputs, "seconds": 0.0,
-         "output_digest": digest(outputs)},
-    )  # fmt: skip
-    return config, {"oracle": reference}
-
-
-def imitated(config: RunConfig, inputs, out):
-    out.mkdir(exist_ok=True)
-    stage.imitate(inputs, config, out)
-    tree = otr.load(out / "tree")
-    assert isinstance(tree, otr.ObliqueTree)
-    return tree
-
-
-@pytest.mark.parametrize("n_calls", [2, 4, 6])
-def test_a_killed_run_ends_as_if_it_had_not_been(task, tmp_path, monkeypatch, n_calls):
-    config, inputs = task
-    whole = imitated(config, inputs, tmp_path / "whole")
-    shutil.rmtree(tmp_path / "results/checkpoints")
-    play, calls = stage.rollout, []
-
-    def killed(*args, **kwargs):
-        calls.append(1)
-        if len(calls) == n_calls:
-            raise KeyboardInterrupt
-        return play(*args, **kwargs)
-
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(stage, "rollout", killed)
-        imitated(config, inputs, tmp_path / "again")
-    resumed = []
-    with monkeypatch.context() as patch:
-        patch.setattr(stage, "rollout", lambda *a, **k: (resumed.append(1), play(*a, **k))[1])
-        again = imitated(config, inputs, tmp_path / "again")
-    np.testing.assert_array_equal(again.P, whole.P)
-    np.testing.assert_array_equal(again.M, whole.M)
-    first = read_csv(tmp_path / "whole/iterates.csv")
-    second = read_csv(tmp_path / "again/iterates.csv")
-    assert [row["selection_mean"] for row in first] == [row["selection_mean"] for row in second]
-    assert len(resumed) < 8  # what was played before the kill is not played again
-
-
-def test_an_oracle_that_was_replaced_is_not_taken_for_the_old_one(task, tmp_path):
-    _, inputs = task
-    folder = tmp_path / "results/runs/pendulum/otr/depth-6/smoke/seed-0/train"
+def test_an_oracle_that_was_replaced_is_not_taken_for_the_old_one(finished, tmp_path):
+    shutil.copytree(finished[0] / "results", tmp_path / "results")
+    reference, results = runs(tmp_path)["viper"] / "oracle", tmp_path / "results"
+    folder = results / "runs/lunarlander/otr/depth-8/smoke/seed-0/train"
     about = json.loads((folder / "manifest.json").read_text())
     (folder / "manifest.json").write_text(json.dumps({**about, "output_digest": "other"}))
     with pytest.raises(PipelineError, match="another oracle"):
-        load_oracle(inputs["oracle"], tmp_path / "results")
+        load_oracle(reference, results)
     shutil.rmtree(folder)
     with pytest.raises(PipelineError, match="is gone"):
-        load_oracle(inputs["oracle"], tmp_path / "results")
+        load_oracle(reference, results)
 
 
 def test_no_episode_serves_two_purposes():

@@ -25,7 +25,7 @@ from pipelines.stages.polish import POLISH, estimated_seconds, polish_settings, 
 from pipelines.stages.table import stages_of
 from pipelines.training.critics import CRITICS
 from tests.committed import copy_run
-from tests.pipelines.conftest import otr_command
+from tests.pipelines.conftest import otr_command, otr_succeeds
 
 torch.set_num_threads(1)
 SHORT = (
@@ -36,8 +36,7 @@ FLEET = ("env=pendulum", "trainer=fleet", "algo.critic=[16]")
 
 
 def run(folder, *words):
-    done = otr_command("otr-run", *SHORT, *words, cwd=folder)
-    assert done.returncode == 0, done.stdout + done.stderr
+    done = otr_succeeds("otr-run", *SHORT, *words, cwd=folder)
     return done.stdout
 
 

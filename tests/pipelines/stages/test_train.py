@@ -1,9 +1,7 @@
-"""Training: a run killed with SIGKILL and resumed equals one that was left alone, bit for bit."""
+"""Training by Stable-Baselines3: what its checkpoints, its actor and its settings are."""
 
 import dataclasses
-import os
 import re
-import signal
 
 import numpy as np
 import pytest
@@ -18,6 +16,7 @@ from pipelines.errors import ConfigError, PipelineError, PolicyMismatchError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.rollout import rollout
 from pipelines.play.selection import compare_with_trained
+from pipelines.runs.run_job import RunJob
 from pipelines.stages.table import STAGES
 from pipelines.stages.train import TRAIN, checkpoint_folder, train_settings, trained_steps
 from pipelines.training import sb3_checkpoints as checkpoint_module
@@ -25,8 +24,8 @@ from pipelines.training import sb3_training
 from pipelines.training.actors import actor_of
 from pipelines.training.estimates import estimated_bytes, segment_steps
 from pipelines.training.sb3_models import build_model
-from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM, PPO, SAC
-from tests.pipelines.sweeps import run_until_killed
+from tests.pipelines.conftest import HOPPER, LANDER, PPO, SAC
+from tests.pipelines.sweeps import do_until_killed
 
 DDPG = DdpgConfig("ddpg", 1e-3, 32, 0.99, [16], 0.0, 150, 50, 0.005, 1, 1, "ornstein_uhlenbeck", 0.5, 0.3)
 TD3 = Td3Config("td3", 1e-3, 32, 0.99, [16], 0.0, 1000, 50, 0.005, 1, 1, "normal", 0.1, 0.01, 2, 0.2, 0.5)
@@ -37,63 +36,16 @@ ALGORITHMS = {"dqn": DQN, "sac": SMALL_BUFFER_SAC, "ddpg": DDPG, "td3": TD3, "pp
               "normalised ppo": dataclasses.replace(PPO, normalise=True)}  # fmt: skip
 
 
-def train_until_killed(config, out, where):
-    """Train in this process and die by SIGKILL at the named moment of the second segment."""
-    save, write_replay = checkpoint_module.save_checkpoint, checkpoint_module._write_replay
-
-    def die():
-        os.kill(os.getpid(), signal.SIGKILL)
-
-    def dying_save(folder, model, history, replay_start):
-        if where == "before saving" and history.n_segments == 2:
-            die()
-        save(folder, model, history, replay_start)
-        if where == "after saving" and history.n_segments == 2:
-            die()
-
-    def dying_replay(folder, model, start, segment):
-        write_replay(folder, model, start, segment)
-        if where == "between replay and model" and segment == 2:
-            die()
-
-    sb3_training.save_checkpoint = dying_save
-    checkpoint_module._write_replay = dying_replay
-    TRAIN.run({}, config, out)
-
-
-@pytest.mark.parametrize(
-    ("algorithm", "where"),
-    [
-        ("sac", "before saving"),
-        ("sac", "after saving"),
-        ("sac", "between replay and model"),
-        ("ddpg", "after saving"),
-        ("td3", "between replay and model"),
-        ("dqn", "after saving"),
-        ("ppo", "before saving"),
-        ("ppo", "after saving"),
-        ("normalised ppo", "after saving"),
-    ],
-)
-def test_killed_and_resumed_equals_uninterrupted(tiny, tmp_path, algorithm, where):
-    env = LANDER if algorithm == "dqn" else PENDULUM
-    alone = tiny(env=env, algo=ALGORITHMS[algorithm], results_dir=str(tmp_path / "alone"))
-    killed = dataclasses.replace(alone, results_dir=str(tmp_path / "killed"))
-    outs = [tmp_path / "out-alone", tmp_path / "out-killed"]
-    for out in outs:
-        out.mkdir()
-    TRAIN.run({}, alone, outs[0])
-    run_until_killed(train_until_killed, killed, outs[1], where)
-    assert 0 < trained_steps(killed) < 300
-    TRAIN.run({}, killed, outs[1])
-    for name in ("actor.safetensors", "actor.json", "evaluations.csv"):
-        assert (outs[0] / name).read_bytes() == (outs[1] / name).read_bytes(), name
+def killed(config):
+    """Train until the second checkpoint is there, and no further."""
+    job = RunJob(dataclasses.replace(config, stages=["train"]), "runs/killed", "")
+    do_until_killed([job], "pipelines.training.sb3_training.save_checkpoint", 2, after=True)
 
 
 def test_a_replay_buffer_that_is_gone_is_told(tiny, tmp_path):
     config, out = tiny(algo=SMALL_BUFFER_SAC), tmp_path / "out"
     out.mkdir()
-    run_until_killed(train_until_killed, config, out, "after saving")
+    killed(config)
     logs = sorted(checkpoint_folder(config).glob("replay-*.npz"))
     logs[-1].unlink()
     with pytest.raises(PipelineError, match=r"100 of 150 transitions of the replay buffer are gone; bring the replay"):
@@ -112,7 +64,7 @@ def test_a_replay_buffer_that_is_gone_is_told(tiny, tmp_path):
 def test_a_damaged_checkpoint_is_told_before_anything_goes_on_from_it(tiny, tmp_path, pattern, told, share):
     config, out = tiny(algo=SMALL_BUFFER_SAC), tmp_path / "out"
     out.mkdir()
-    run_until_killed(train_until_killed, config, out, "after saving")
+    killed(config)
     folder = checkpoint_folder(config)
     for path in folder.glob(pattern):
         path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
@@ -185,20 +137,23 @@ def test_labels_are_trained_with_ppo_only(tiny, tmp_path):
         build_model(tiny(env=LANDER), 0)
 
 
-def test_network_that_is_not_the_policy_is_caught(tiny):
-    model = build_model(tiny(), 0)
-    network = otr.from_sb3(model)
-    states = np.random.default_rng(0).normal(size=(50, 3))
+def assert_is_what_was_trained(network, model):
+    """Check that a network is a model's actor, and that one with another last weight is caught."""
+    states = np.random.default_rng(0).normal(size=(200, network.n_inputs))
 
-    def trained(seen: np.ndarray) -> np.ndarray:
+    def trained(seen):
         return model.predict(seen, deterministic=True)[0]
 
     compare_with_trained(network, trained, states, units=None)
     weights = [weight.copy() for weight in network.weights]
-    weights[-1][0, 0] += 1e-3
-    other = otr.ReluNetwork(weights, network.biases, head=network.head)
+    weights[-1][-1, 0] += 1e-3
     with pytest.raises(PolicyMismatchError, match="in state"):
-        compare_with_trained(other, trained, states, units=None)
+        compare_with_trained(network.replace(weights=weights), trained, states, units=None)
+
+
+def test_network_that_is_not_the_policy_is_caught(tiny):
+    model = build_model(tiny(), 0)
+    assert_is_what_was_trained(otr.from_sb3(model), model)
 
 
 def test_segments_of_ppo_are_whole_rollouts(tiny):

@@ -4,14 +4,13 @@ import pytest
 
 from pipelines.cli.fits import FIT
 from pipelines.report import load_fits
-from tests.pipelines.conftest import otr_command
+from tests.pipelines.conftest import otr_command, otr_succeeds
 from tests.pipelines.datasets.conftest import real_data as real_data  # a fixture
 
 
 def test_fit_sweep_runs_and_is_found_done(tmp_path):
     words = ("-m", "data=breast_cancer", "method=linear,otr_16", "seed=range(0,2)")
-    done = otr_command("otr-fit", *words, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = otr_succeeds("otr-fit", *words, cwd=tmp_path)
     assert "1 more seeds as one batched model" in done.stdout and "4 jobs: 4 done, 0 failed" in done.stdout
     rows = [line.split() for line in done.stdout.splitlines() if line.startswith("  breast_cancer/")]
     assert [row[0] for row in rows] == [f"breast_cancer/{m}/seed-{s}" for m in ("linear", "otr_16") for s in (0, 1)]
@@ -68,8 +67,7 @@ def test_missing_data_is_told_once_for_all_seeds(tmp_path):
 
 def test_parts_drawn_anew(tmp_path, real_data):
     words = ("-m", "data=bace", "method=cart", "method.grid=[]", "method.max_depth=2", "data.split=range(0,2)")
-    done = otr_command("otr-fit", *words, cwd=tmp_path, OTR_DATA_DIR=str(real_data))
-    assert done.returncode == 0, done.stderr
+    done = otr_succeeds("otr-fit", *words, cwd=tmp_path, OTR_DATA_DIR=str(real_data))
     assert "bace, cart, split 1, seed 0: AUC" in done.stdout
     (run_dir,) = tmp_path.glob("results/runs/bace/cart/split-1/seed-0~*")
     first, second = load_fits(tmp_path / "results").itertuples()

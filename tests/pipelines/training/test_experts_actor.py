@@ -5,19 +5,15 @@ import pytest
 import torch
 
 import otr
-from pipelines.config.hardened_methods import ExpertsConfig
 from pipelines.config.stages import ActorConfig, TrainConfig
 from pipelines.play.environments import make_env
 from pipelines.play.rollout import rollout
 from pipelines.training.experts_actor import ExpertsActor
 from pipelines.training.fleet.trainer import FleetTrainer
 from pipelines.training.soft_trees import SoftPolicy, harden, load_soft
-from tests.pipelines.conftest import HOPPER
-from tests.pipelines.sweeps import run_until_killed
-from tests.pipelines.training.fleet.test_train import fleet_run, train_all, train_until_killed, trained
+from tests.pipelines.training.fleet.test_train import EXPERTS, fleet_run, trained
 
 __all__ = ["fleet_run"]
-EXPERTS = ExpertsConfig("experts", 0.01)
 RESULTS = ("soft.safetensors", "soft.json", "evaluations.csv")
 
 
@@ -25,10 +21,6 @@ RESULTS = ("soft.safetensors", "soft.json", "evaluations.csv")
 def experts_run(fleet_run):
     """Return a function that makes a run of three experts."""
     return lambda **changes: fleet_run(**{"method": EXPERTS, "depth": 3, **changes})
-
-
-def same(one, other):
-    return all((one / name).read_bytes() == (other / name).read_bytes() for name in RESULTS)
 
 
 def test_an_actor_gives_means_and_deviations_and_pays_for_imbalance():
@@ -40,22 +32,6 @@ def test_an_actor_gives_means_and_deviations_and_pays_for_imbalance():
     assert actor.penalty.item() == pytest.approx(0.5 * actor.mean.balance.item())
     again = ExpertsActor(3, 2, 4, 0.5, torch.Generator().manual_seed(0))
     torch.testing.assert_close(again(states), answers, rtol=0, atol=0)
-
-
-def test_runs_are_killed_and_resumed_and_alone_what_they_are_in_company(experts_run, tmp_path):
-    results = [str(tmp_path / name) for name in ("company", "killed", "alone")]
-    company, killed, alone = (
-        [experts_run(seed=seed, env=HOPPER, results_dir=folder) for seed in (0, 1)] for folder in results
-    )
-    expected = trained(company, tmp_path / "expected")
-    (single,) = trained(alone[1:], tmp_path / "single")
-    assert same(single, expected[1]) and not same(expected[0], expected[1])
-    outs = [tmp_path / "a", tmp_path / "b"]
-    for out in outs:
-        out.mkdir()
-    run_until_killed(train_until_killed, killed, outs, "in a segment")
-    assert train_all(killed, outs) == [None, None]
-    assert all(same(*pair) for pair in zip(expected, outs, strict=True))
 
 
 @pytest.mark.parametrize("rescale_inputs", [False, True])

@@ -18,7 +18,6 @@ from pipelines.cli.runs import run_config
 from pipelines.engine.store import write_files
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.training.normalisation import input_units, normalised
-from pipelines.training.sb3_checkpoints import load_checkpoint, save_checkpoint
 from pipelines.training.sb3_models import build_model
 from pipelines.training.soft_actor import (
     SoftActorCriticPolicy,
@@ -91,26 +90,6 @@ def start_rollout(model: BaseAlgorithm, n_steps_done: int, **changes: float) -> 
 
 def parameters(model: BaseAlgorithm) -> dict[str, torch.Tensor]:
     return {name: tensor.clone() for name, tensor in model.policy.state_dict().items()}
-
-
-@pytest.mark.parametrize(
-    ("env_id", "algorithm"),
-    [("CartPole-v1", PPO), ("Pendulum-v1", PPO), pytest.param("Pendulum-v1", SAC, marks=pytest.mark.slow)],
-)  # SAC's schedule is one, of which test_the_phases_of_pi_prl_under_sac plays every turn
-@ids
-def test_a_resumed_run_is_the_run(tmp_path: Path, actor: Shape, env_id: str, algorithm: type) -> None:
-    whole = make_model(actor, env_id, algorithm)
-    for segment in range(4):
-        learn_segment(whole, env_id, segment)
-    for segment in range(4):  # a new process a segment, as it were
-        model = make_model(actor, env_id, algorithm)
-        history = load_checkpoint(tmp_path, model)
-        learn_segment(model, env_id, segment)
-        history.n_segments += 1
-        save_checkpoint(tmp_path, model, history, segment * ROLLOUT)
-    for name, tensor in parameters(whole).items():
-        assert torch.equal(tensor, parameters(model)[name]), name
-    assert model.num_timesteps == whole.num_timesteps == 4 * ROLLOUT
 
 
 @pytest.mark.parametrize("algorithm", [PPO, TRPO])

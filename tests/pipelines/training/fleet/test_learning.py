@@ -17,7 +17,7 @@ from pipelines.training.fleet.train import train_fleet
 THESIS_SAC = SacConfig(
     "sac", 1e-3, 100, 0.99, [256, 256], 0.0, 1_000_000, 1_000, 0.005, 1, 1, "normal", 0.1, 0.01, "auto"
 )
-FLEET = FleetConfig("fleet", 1, "fp32", 5)
+FLEET = FleetConfig("fleet", 1, 5)
 SEEDS = range(5)
 STEPS, INTERVAL = 6_000, 1_000
 RANDOM_RETURN, LEARNT_RETURN = -1_000, -350

@@ -7,7 +7,7 @@ from pipelines.training.fleet.adam import RunSettings
 from pipelines.training.fleet.module_actors import ModuleActors
 from pipelines.training.fleet.sac import FleetSac, Shapes
 from tests.pipelines.training.fleet.autograd_sac import mlp
-from tests.pipelines.training.fleet.test_sac import N_ACTIONS, N_INPUTS, draw_batch, float64, learn, new_fleet, stacked
+from tests.pipelines.training.fleet.test_sac import N_ACTIONS, N_INPUTS, float64, learn, new_fleet
 
 SETTINGS = [RunSettings(1e-3, 0.99), RunSettings(1e-3, 0.97), RunSettings(3e-3, 0.9, 1e-4)]
 
@@ -27,7 +27,6 @@ def module_fleet(by_hand: FleetSac, runs: list[int]) -> FleetSac:
         for name, tensor in fleet.tensors(place).items():
             if not name.startswith("actor."):
                 tensor.copy_(theirs[name])
-    fleet.refresh()
     return fleet
 
 
@@ -48,26 +47,6 @@ def test_modules_learn_as_networks_by_hand() -> None:
                 torch.testing.assert_close(found, theirs[f"actor.bias{i}"][0, 0], rtol=1e-9, atol=1e-11)
             torch.testing.assert_close(ours["critics.weight1"], theirs["critics.weight1"], rtol=1e-9, atol=1e-11)
             torch.testing.assert_close(modules.answers(run, states[run]), by_hand.answers(run, states[run]))
-
-
-def test_a_run_in_company_is_the_run_alone_bit_for_bit_and_goes_on() -> None:
-    by_hand = new_fleet(Shapes(N_INPUTS, N_ACTIONS, (6,), (64, 64), 100), [0, 1, 2], SETTINGS)
-    together = module_fleet(by_hand, [0, 1, 2])
-    learn(together, [0, 1, 2], 30)
-    for run in range(3):
-        alone = module_fleet(by_hand, [run])
-        generator = torch.Generator().manual_seed(1000 + run)
-        for done in range(30):
-            if done == 15:  # as from a checkpoint
-                saved = {name: tensor.clone() for name, tensor in alone.tensors(0).items()}
-                alone = FleetSac(
-                    by_hand.shapes, [SETTINGS[run]], 15,
-                    actor=ModuleActors([SETTINGS[run]], [actor_of(by_hand.tensors(0))]),
-                )  # fmt: skip
-                alone.load(0, saved)
-            alone.update(*stacked([draw_batch(generator)]))
-        for name, tensor in alone.tensors(0).items():
-            assert torch.equal(tensor, together.tensors(run)[name]), name
 
 
 class Penalised(nn.Linear):

@@ -1,9 +1,7 @@
 """Sweeps of fleets: grouped by themselves, under launchers, killed, diverging, and written down as commands."""
 
 import json
-import os
 import re
-import signal
 from pathlib import Path
 
 import pytest
@@ -12,8 +10,8 @@ from pipelines.engine.stage import run_stage_together
 from pipelines.engine.store import read_json
 from pipelines.runs.run_job import RunJob, run_jobs
 from pipelines.stages.table import STAGES
-from tests.pipelines.conftest import otr_command
-from tests.pipelines.sweeps import children, digests, start, wait_for
+from tests.pipelines.conftest import otr_command, otr_succeeds
+from tests.pipelines.sweeps import digests
 from tests.pipelines.training.fleet.test_train import FLEET, WRAPPING_SAC
 
 WORDS = ("-m", "env=pendulum", "depth=2,3", "seed=0,1,2", "budget=smoke", "trainer=fleet")
@@ -23,8 +21,7 @@ WORDS = ("-m", "env=pendulum", "depth=2,3", "seed=0,1,2", "budget=smoke", "train
 def in_one_process(tmp_path_factory):
     """The results of a sweep of two fleets, one after the other, and what it printed."""
     folder = tmp_path_factory.mktemp("fleets")
-    done = otr_command("otr-run", *WORDS, cwd=folder)
-    assert done.returncode == 0, done.stderr
+    done = otr_succeeds("otr-run", *WORDS, cwd=folder)
     return folder / "results", done.stdout
 
 
@@ -48,41 +45,12 @@ def test_a_sweep_groups_what_can_train_together(in_one_process):
 
 def test_one_run_alone_and_other_company_leave_the_same_bytes(in_one_process, tmp_path):
     results, _ = in_one_process
-    alone = otr_command("otr-run", *WORDS[1:2], "depth=3", "seed=1", *WORDS[4:], cwd=tmp_path)
-    assert alone.returncode == 0, alone.stderr
+    otr_succeeds("otr-run", *WORDS[1:2], "depth=3", "seed=1", *WORDS[4:], cwd=tmp_path)
     pairs = otr_command("otr-run", *WORDS[:2], "depth=2", *WORDS[3:], "trainer.runs_per_process=2", cwd=tmp_path)
     assert "pendulum, 2 runs" in pairs.stdout, pairs.stderr
     expected, found = digests(results), digests(tmp_path / "results")
     assert len(found) == len(expected) // 6 * 4
     assert found.items() <= expected.items()
-
-
-@pytest.mark.slow  # test_train.py kills a fleet and resumes it, tests/pipelines/test_sweep.py kills a sweep's worker
-def test_a_killed_worker_costs_a_segment_of_its_fleet(in_one_process, tmp_path):
-    results = tmp_path / "results"
-    words = (*WORDS, "launcher=joblib", "hydra.launcher.n_jobs=2")
-    with start(*words, cwd=tmp_path) as sweep:
-        wait_for(lambda: list(results.glob("checkpoints/*/segment-*")))
-        workers = wait_for(lambda: children(sweep.pid, "LokyProcess"))
-        os.kill(workers[0], signal.SIGKILL)
-        printed, _ = sweep.communicate(timeout=300)
-    assert sweep.returncode == 0, printed
-    assert "a worker was lost" in printed
-    assert "6 jobs: 6 done, 0 failed" in printed
-    assert digests(results) == digests(in_one_process[0])
-
-
-@pytest.mark.slow  # test_train.py shows the same without the command line
-def test_run_that_diverges_fails_alone(tmp_path):
-    words = ("-m", "env=pendulum", "depth=2", "algo.learning_rate=1e-3,10", "budget=smoke", "trainer=fleet")
-    swept = otr_command("otr-run", *words, "algo.gamma=1.0", "train.steps=1500", cwd=tmp_path)
-    assert "pendulum, 2 runs" in swept.stdout
-    if "2 done" in swept.stdout:
-        pytest.skip("a learning rate of 10 did not diverge on this processor")
-    assert swept.returncode == 1
-    assert "2 jobs: 1 done, 1 failed" in swept.stdout
-    assert "try a smaller algo.learning_rate" in swept.stdout + swept.stderr
-    assert len(list((tmp_path / "results").glob("runs/**/summary.json"))) == 1
 
 
 def job(config, tmp_path):
@@ -114,8 +82,7 @@ def test_finished_and_busy_runs_are_left_out_of_a_fleet(tiny, tmp_path):
 
 
 def test_a_fleet_is_one_command_in_a_file_of_jobs(tmp_path):
-    planned = otr_command("otr-plan", *WORDS[:3], "seed=range(0,7)", *WORDS[4:], "--jobs", "jobs.txt", cwd=tmp_path)
-    assert planned.returncode == 0, planned.stderr
+    otr_succeeds("otr-plan", *WORDS[:3], "seed=range(0,7)", *WORDS[4:], "--jobs", "jobs.txt", cwd=tmp_path)
     lines = (tmp_path / "jobs.txt").read_text().splitlines()
     assert [re.findall(r"depth=\S+ seed=\S+", line)[0] for line in lines] == [
         "depth=2 seed=0,1,2", "depth=2 seed=3,4,5,6", "depth=3 seed=0,1,2", "depth=3 seed=3,4,5,6"]  # fmt: skip

@@ -1,8 +1,6 @@
 """Training by direct search: it learns, keeps the best, chooses among its first searches, and survives a kill."""
 
 import dataclasses
-import os
-import signal
 
 import numpy as np
 import pytest
@@ -13,11 +11,10 @@ from pipelines.engine.store import read_csv
 from pipelines.errors import ConfigError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.rollout import rollout
-from pipelines.stages.train import checkpoint_folder, trained_steps
+from pipelines.stages.train import checkpoint_folder
 from pipelines.training.search import train as train_module
 from pipelines.training.search.train import SearchRun, train_by_search
 from tests.pipelines.conftest import ARS
-from tests.pipelines.sweeps import run_until_killed
 
 CARTPOLE = EnvConfig("cartpole", "cartpole", "CartPole-v1")
 RESULTS = ("actor.safetensors", "actor.json", "evaluations.csv")
@@ -40,20 +37,6 @@ def train(config, out):
     return out
 
 
-def train_until_killed(config, out):
-    """Train, and end this process by SIGKILL with the second checkpoint."""
-    save, n_saved = SearchRun.save, [0]
-
-    def save_and_die(run):
-        save(run)
-        n_saved[0] += 1
-        if n_saved[0] == 2:
-            os.kill(os.getpid(), signal.SIGKILL)
-
-    SearchRun.save = save_and_die
-    train_by_search(config, checkpoint_folder(config), out)
-
-
 def test_learns_and_keeps_the_best_evaluation(search_run, tmp_path):
     out = train(search_run(train=TrainConfig(20_000, 2_000, 5, 0)), tmp_path / "out")
     evaluations = read_csv(out / "evaluations.csv")
@@ -63,21 +46,6 @@ def test_learns_and_keeps_the_best_evaluation(search_run, tmp_path):
     network = load_actor(out)
     assert rollout(network.predict, CARTPOLE, range(20)).returns.mean() > 250
     assert network.dense == "input" and network.n_hidden == 4
-
-
-def test_goes_on_bit_for_bit_after_a_kill(search_run, tmp_path):
-    config = search_run(algo=dataclasses.replace(ARS, n_starts=2, start_steps=800))
-    whole = train(config, tmp_path / "whole")
-    for segment in checkpoint_folder(config).glob("segment-*"):
-        for file in segment.iterdir():
-            file.unlink()
-        segment.rmdir()
-
-    run_until_killed(train_until_killed, config, tmp_path / "killed")
-    assert 0 < trained_steps(config) < 3_000
-    again = train(config, tmp_path / "again")
-    for name in RESULTS:
-        assert (again / name).read_bytes() == (whole / name).read_bytes(), name
 
 
 @pytest.mark.parametrize("start_steps", [600, 50_000])  # the second: more than the run's 20,000 have room for

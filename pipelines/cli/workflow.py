@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from pipelines.cli.compose import Composer, to_object
 from pipelines.cli.overrides import combinations, is_of_launching, is_search, key_of, parse
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.engine.console import counted
+from pipelines.engine.digests import setting_differences
 from pipelines.engine.job import Job
 from pipelines.errors import ConfigError
 
@@ -125,6 +126,25 @@ class Workflow(Composer, ABC):
             settings = self.settings_of_hydra([*own, f"+experiment/{name}={budget}"])
         parameters = [f"{key}={value}" for key, value in (settings.sweeper.params or {}).items()]
         return str(settings.mode).endswith("MULTIRUN"), parameters
+
+    def differences(self, config: Any, overrides: Sequence[str], named: Container[str] = ()) -> dict[str, list[Any]]:
+        """Return what overrides change that the folder of a job does not name, as {setting: [value, usual one]}.
+
+        The usual settings are those of the same options without the values, which Hydra need not compose again. Options
+        stand for themselves, and so do values where their options do not go together without them. `named` are options
+        that the folder names besides.
+        """
+        changing = [override for override in overrides if override not in named and not self.is_plain(override)]
+        values = [override for override in changing if self.is_value(override)]
+        found = dict[str, list[Any]]()
+        if values:
+            try:
+                usual = self.composed([override for override in overrides if override not in values]).config
+                found = setting_differences(config.settings(), usual.settings())
+            except ConfigError:
+                values = []
+        options = (override for override in changing if override not in values)
+        return found | {key_of(override): [override.partition("=")[2], None] for override in options}
 
     @functools.cache  # noqa: B019 - as above
     def is_plain(self, override: str) -> bool:

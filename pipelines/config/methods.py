@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
 
-from pipelines.config.algo import AlgoConfig, DdpgConfig
+from pipelines.config.algo import WIDEST_LAYER, AlgoConfig, DdpgConfig
 from pipelines.config.env import PidTerms
 from pipelines.config.hardened_methods import CdtConfig, ExpertsConfig, PiPrlConfig, SdtConfig, check_n_experts
 from pipelines.config.method import GrownConfig, Hardness, Leaves, MethodConfig
@@ -123,6 +123,12 @@ class ImitatingConfig(TakesModel, MethodConfig):
 
     imitates = True
     fit_s: ClassVar[float]  # seconds of one fit at depth 6, measured on the lander
+
+    @classmethod
+    def implied(cls, given: Mapping[str, str]) -> list[str]:
+        """Return what direct search implies, with the widest oracle that it trains."""
+        search = super().implied(given)
+        return [*search, f"oracle=[{WIDEST_LAYER}]"] if search else []
 
     def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
         """Refuse an oracle that is no network."""

@@ -22,10 +22,9 @@ from pipelines.config.algo import ALGORITHMS, ArsConfig, is_small
 from pipelines.config.budget import BudgetConfig
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import EnvConfig
-from pipelines.config.method import MethodConfig
 from pipelines.config.methods import METHODS, AugTreeConfig, ProgramConfig, TakesModel
 from pipelines.config.model import ImportedModel
-from pipelines.config.recipe import OF_TRAINING, recipe, remaining
+from pipelines.config.recipe import OF_TRAINING, TRAINED_BY, always_implied, recipe, remaining
 from pipelines.config.run import RunConfig, changes_text, run_folder
 from pipelines.config.setting import not_keyed
 from pipelines.config.trainer import SHRINK, TRAINERS, FleetConfig, TrainerConfig
@@ -133,12 +132,9 @@ class RunWorkflow(Workflow):
         given = _by_key(overrides)
         words = remaining(recipe(given), given)
         given |= _by_key(words)
-        if given.get("trainer") == SHRINK and "algo" not in given:
-            words.append("algo=sac")
         file = _own_env_file(given.get("env", ""), overrides)
         of_file = settings_of_env_file(file) if file else {}
-        by_method = METHODS.get(given.get("method", "otr"), MethodConfig).implied(of_file | given)
-        return [*words, *(override for override in by_method if key_of(override) not in of_file)]
+        return [*words, *always_implied(of_file | given)]
 
     def check_option(self, group: str, value: str, overrides: Sequence[str] = ()) -> None:
         """Take any environment that is registered with gymnasium beside those that have a file."""
@@ -169,16 +165,22 @@ class RunWorkflow(Workflow):
         return super()._compose_exactly(overrides)
 
     def spelt_out(self, overrides: Sequence[str]) -> list[str]:
-        """Return overrides with those replaced that are short for others."""
-        return spelt_out(overrides)
+        """Return overrides with those replaced that are short for others, after those of the recipe `default`.
+
+        That is for commands that name neither a method nor who trains, and it may name both.
+        """
+        words = spelt_out(overrides)
+        given = _by_key(words)
+        if not given.keys().isdisjoint(("method", "experiment", *TRAINED_BY)):
+            return words
+        return [*remaining(recipe(given, "default"), given), *words]
 
     def expand(self, overrides: Sequence[str], multirun: bool) -> list[list[str]]:
         """Return the overrides of every job; refuse settings of imitation or training where no job does that."""
         jobs = super().expand(overrides, multirun)
         words = [override for own in jobs for override in own]
         vain = [override for override in words if key_of(override) == "oracle" or override.startswith("imitate.")]
-        implied = (override for own in jobs if vain for override in self.implied(own))  # such as a recipe's method
-        if vain and not any(imitates(each) or key_of(each) == "experiment" for each in (*words, *implied)):
+        if vain and not any(imitates(override) or key_of(override) == "experiment" for override in words):
             raise ConfigError(f"{vain[0]}: nothing is imitated. Add {imitating()}, or leave {vain[0]} out")
         for own in jobs:
             policies = [override for override in own if key_of(override) in ("method.model", "method.program")]
@@ -250,7 +252,7 @@ class RunWorkflow(Workflow):
 
 def _by_key(overrides: Sequence[str]) -> dict[str, str]:
     """Return the values of overrides by key."""
-    return dict(override.split("=", 1) for override in overrides if "=" in override)
+    return {key_of(override): override.partition("=")[2] for override in overrides}
 
 
 def _own_env_file(env: str, overrides: Sequence[str]) -> Path | None:

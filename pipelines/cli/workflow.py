@@ -26,6 +26,7 @@ class Composed:
 
     config: Any
     yaml: str
+    uses_seed: bool  # whether another seed may change another setting, so that it has to be composed anew
 
     def with_seed(self, seed: int) -> "Composed":
         """Return the same with another seed."""
@@ -54,7 +55,7 @@ class Workflow(Composer, ABC):
         if not seeds:
             return self._made[others]
         seed = parse(seeds[-1]).value()
-        if type(seed) is not int or _uses_seed(others):
+        if type(seed) is not int or self._made[others].uses_seed:
             return _composed(self.compose(overrides))
         return self._made[others].with_seed(seed)
 
@@ -172,11 +173,5 @@ def _check_shared_folders(jobs: Sequence[Job]) -> None:
 
 
 def _composed(cfg: DictConfig) -> Composed:
-    return Composed(to_object(cfg), OmegaConf.to_yaml(cfg, resolve=True))
-
-
-@functools.cache
-def _uses_seed(overrides: tuple[str, ...]) -> bool:
-    """Return whether a setting may depend on the seed, so that another seed has to be composed anew."""
-    files = (path.read_text(encoding="utf-8") for path in CONF_DIR.rglob("*.yaml"))
-    return any(re.search(r"\$[^}\n]*seed", text) for text in (*overrides, *files))
+    uses_seed = re.search(r"\$[^}\n]*seed", OmegaConf.to_yaml(cfg)) is not None
+    return Composed(to_object(cfg), OmegaConf.to_yaml(cfg, resolve=True), uses_seed)

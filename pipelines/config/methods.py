@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
 
-from pipelines.config.algo import WIDEST_LAYER, AlgoConfig, DdpgConfig
+from pipelines.config.algo import AlgoConfig, DdpgConfig
 from pipelines.config.env import PidTerms
 from pipelines.config.hardened_methods import CdtConfig, ExpertsConfig, PiPrlConfig, SdtConfig, check_n_experts
 from pipelines.config.method import GrownConfig, Hardness, Leaves, MethodConfig
@@ -57,11 +57,6 @@ class LinearPolicyConfig(MappedConfig):
 
     label = "Linear"
 
-    @classmethod
-    def implied(cls, given: Mapping[str, str]) -> list[str]:
-        """Return the depth of 0."""
-        return [*super().implied(given), "depth=0"]
-
     def check_depth(self, depth: Any) -> None:
         """Refuse hidden neurons."""
         if depth != 0:
@@ -86,24 +81,6 @@ class PidConfig(MappedConfig):
     forms: ClassVar[Mapping[str, str]] = {"constant_gains": "constant gains"}
     decides_training = True
 
-    @classmethod
-    def implied(cls, given: Mapping[str, str]) -> list[str]:
-        """Return the depth of 1 with which the thesis trains PID policies, their budget, and algo=ddpg_pid."""
-        budget = [
-            f'train.{name}="${{budget.pid.{name}}}"'
-            for name in ("steps", "eval_interval_steps", "n_selection_episodes")
-        ]
-        algo = [] if "algo" in given else ["algo=ddpg_pid"]
-        evaluation = 'evaluate.n_episodes="${budget.pid.n_evaluation_episodes}"'
-        # Their environment is gymnasium's, which is slower than the pendulum's own in numpy.
-        polishing = [
-            'polishing.steps="${budget.pid.polish_steps}"',
-            "polishing.n_episodes=4",
-            "polishing.n_selection_episodes=100",
-        ]
-        units = "actor.rescale_inputs=false"  # states and errors are read in their own
-        return [*super().implied(given), "depth=1", units, evaluation, *budget, *polishing, *algo]
-
     @property
     def pid_terms(self) -> PidTerms:
         """The goal and the length of the integral's window."""
@@ -123,12 +100,6 @@ class ImitatingConfig(TakesModel, MethodConfig):
 
     imitates = True
     fit_s: ClassVar[float]  # seconds of one fit at depth 6, measured on the lander
-
-    @classmethod
-    def implied(cls, given: Mapping[str, str]) -> list[str]:
-        """Return what direct search implies, with the widest oracle that it trains."""
-        search = super().implied(given)
-        return [*search, f"oracle=[{WIDEST_LAYER}]"] if search else []
 
     def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
         """Refuse an oracle that is no network."""

@@ -226,9 +226,8 @@ class RunConfig:
     @property
     def budget_level(self) -> str:
         """The budget's name in the run's folder, with who trained where that is no gradient by Stable-Baselines3."""
-        if isinstance(self.algo, ArsConfig):
-            return f"{self.budget.name}-{self.algo.name}"
-        return f"{self.budget.name}-{self.fleet.name}" if self.fleet else self.budget.name
+        who = self.trainer_name
+        return self.budget.name if who in ("sb3", "none") else f"{self.budget.name}-{who}"
 
     @property
     def selected_stages(self) -> tuple[str, ...]:

@@ -132,7 +132,7 @@ class RunWorkflow(Workflow):
         given = _by_key(overrides)
         words = remaining(recipe(given), given)
         given |= _by_key(words)
-        file = _own_env_file(given.get("env", ""), overrides)
+        file = _env_file(given.get("env", ""), overrides)
         of_file = settings_of_env_file(file) if file else {}
         return [*words, *always_implied(of_file | given)]
 
@@ -141,7 +141,7 @@ class RunWorkflow(Workflow):
         known = self.options(group, overrides)
         if group != "env" or value in known:
             super().check_option(group, value, overrides)
-            file = _own_env_file(value, overrides) if group == "env" else None
+            file = _env_file(value, overrides) if group == "env" else None
             if file:
                 check_env_file(file)
         elif ":" not in value and value not in registered_ids():
@@ -255,9 +255,9 @@ def _by_key(overrides: Sequence[str]) -> dict[str, str]:
     return {key_of(override): override.partition("=")[2] for override in overrides}
 
 
-def _own_env_file(env: str, overrides: Sequence[str]) -> Path | None:
-    """Return the file of an environment in the folders that a command names; None where it is not there."""
-    files = (folder / "env" / f"{env}.yaml" for folder in searched_folders(overrides))
+def _env_file(env: str, overrides: Sequence[str], *others: Path) -> Path | None:
+    """Return the file of an environment in the folders that a command names, or in others; None where there is none."""
+    files = (folder / "env" / f"{env}.yaml" for folder in (*searched_folders(overrides), *others))
     return next((file for file in files if file.is_file()), None)
 
 
@@ -279,14 +279,19 @@ def _env_kwargs(overrides: Sequence[str]) -> dict[str, Any]:
 
 
 def _named(config: RunConfig, overrides: Sequence[str]) -> list[str]:
-    """Return the algorithms and trainers that a run's folder names, and those of the recipe.
+    """Return the algorithms and trainers that a run's folder names: who trains, and what would train it unasked.
 
     A trainer that does not train the run is named as Stable-Baselines3, which trains it, unless the recipe has that.
     """
-    words = recipe(_by_key(overrides))
-    algo = "algo=ars" if isinstance(config.algo, ArsConfig) else "algo=sac" if config.fleet else ""
-    is_named = config.fleet is not None or "trainer=sb3" not in words
-    return [algo, *words, *(override for override in overrides if override.startswith("trainer=") and is_named)]
+    given, others = _by_key(overrides), [override for override in overrides if not override.startswith("algo=")]
+    named = ["trainer=sb3", "algo=ars" if isinstance(config.algo, ArsConfig) else "algo=sac" if config.fleet else ""]
+    if "algo" in given:
+        file = _env_file(given["env"], overrides, CONF_DIR)
+        of_env = settings_of_env_file(file) if file else {}
+        named.append([f"algo={of_env.get('algo')}", *(o for o in RUN.implied(others) if key_of(o) == "algo")][-1])
+    if "trainer" in given and (config.fleet is not None or "trainer=sb3" not in recipe(given)):
+        named.append(f"trainer={given['trainer']}")
+    return named
 
 
 def _program(config: RunConfig, program: str, overrides: Sequence[str]) -> tuple[str, int]:

@@ -93,7 +93,7 @@ class Composer:
         Hydra composes each choice of options once. Values are put into a copy, as Hydra puts them.
         """
         overrides = [self.with_list(override) for override in overrides]
-        values = [override for override in overrides if self._is_value(override)]
+        values = [override for override in overrides if self.is_value(override)]
         others = [override for override in overrides if override not in values]
         found = tuple(sorted(others))
         if found not in self._composed:
@@ -106,7 +106,7 @@ class Composer:
             return self._compose(overrides)  # which explains that there is no such key
         return cfg
 
-    def _is_value(self, override: str) -> bool:
+    def is_value(self, override: str) -> bool:
         """Return whether an override sets a value, and decides nothing of what else there is."""
         key, equals, _ = override.partition("=")
         top = key.partition(".")[0]

@@ -36,12 +36,7 @@ class FitWorkflow(Workflow):
         made = self.composed(overrides)
         config: FitConfig = made.config
         _check_tuning(config.method, overrides)
-        baseline = config
-        if not all(map(self.is_plain, overrides)):
-            split = [] if config.data.split is None else [f"data.split={config.data.split}"]
-            named = self.composed([f"data={config.data.name}", f"method={config.method.name}", *split])
-            baseline = dataclasses.replace(named.config, seed=config.seed)
-        folder = fit_folder(config, baseline)
+        folder = fit_folder(config, self.differences(config, overrides))
         return FitJob(dataclasses.replace(config, folder=folder), folder, made.yaml, tuple(overrides))
 
 

@@ -1,6 +1,7 @@
 """Hydra's overrides as text: how they are read and quoted, and which jobs a sweep over them has."""
 
 import argparse
+import functools
 import itertools
 import re
 from collections.abc import Iterable, Sequence
@@ -29,6 +30,7 @@ PATHS = (
 )  # keys of otr-export and otr-verify
 
 
+@functools.cache
 def parse(override: str) -> Override:
     """Return an override as Hydra reads it; ConfigError where it is no key=value, or has no end of values."""
     key, equals, _ = override.partition("=")

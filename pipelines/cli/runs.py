@@ -1,11 +1,9 @@
 """The overrides of `otr-run`, `otr-plan` and the figures: from them to jobs."""
 
 import dataclasses
-import functools
 import re
 import sys
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,14 +18,13 @@ from pipelines.cli.env_files import check_env_file, settings_of_env_file
 from pipelines.cli.overrides import is_search, key_of, parse, quoted, searched_folders
 from pipelines.cli.short_forms import SHORT, imitates, imitating, spelt_out
 from pipelines.cli.workflow import Workflow
-from pipelines.config.algo import ALGORITHMS, WIDEST_LAYER, ArsConfig, is_small
+from pipelines.config.algo import ALGORITHMS, ArsConfig, is_small
 from pipelines.config.budget import BudgetConfig
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import EnvConfig
-from pipelines.config.method import MethodConfig
 from pipelines.config.methods import METHODS, AugTreeConfig, ProgramConfig, TakesModel
 from pipelines.config.model import ImportedModel
-from pipelines.config.roads import road, roads
+from pipelines.config.recipe import OF_TRAINING, TRAINED_BY, always_implied, recipe, remaining
 from pipelines.config.run import RunConfig, changes_text, run_folder
 from pipelines.config.setting import not_keyed
 from pipelines.config.trainer import SHRINK, TRAINERS, FleetConfig, TrainerConfig
@@ -48,21 +45,23 @@ from pipelines.stages.train import fleets
 from pipelines.tracking.tracker import check_tracking
 
 # The groups and keys that decide how an oracle is trained, and where and how that is done.
-OF_TRAINING = ("env", "algo", "actor", "trainer", "budget", "train", "experiment", "results_dir", "n_workers",
-               "side_by_side", "debug", "tracking")  # fmt: skip
+OF_ORACLES = (
+    *OF_TRAINING,
+    "env",
+    "budget",
+    "experiment",
+    "results_dir",
+    "n_workers",
+    "side_by_side",
+    "debug",
+    "tracking",
+)
 
 # Settings that further stages alone read, and these
 SETTINGS_OF = {"polishing": {"polish", "simplify"}, "certification": {"certify"}, "simplification": {"simplify"}}
 OF_THE_FILE = ("method.model", "method.vec_normalize", "method.output")
-NOT_TRAINED = ("train", "algo", "actor", "trainer")  # groups of which a policy that is there already hears nothing
 
-# Who trains: whoever names another than a budget's road goes a way of their own, for as long as the budget says, and
-# trains an oracle of the usual size.
-TRAINED_BY = {"algo", "trainer"}
-OF_A_WAY = TRAINED_BY | {"oracle", "actor.dense", "train.steps", "train.eval_interval_steps"}
-
-
-# For roads: what they say of small actors is not said of oracles, nor of the linear policy.
+# For recipes: what they say of small actors is not said of oracles, nor of the linear policy.
 OmegaConf.register_new_resolver("dense_if_small", lambda depth: "input" if is_small(depth) else "none", replace=True)
 
 
@@ -124,7 +123,7 @@ class RunWorkflow(Workflow):
     anything = "pendulum"
     short = SHORT
     decisive = ("env.",)  # an environment without a file is made, to be asked
-    naming = ("env", "method", "budget", "trainer", "depth", "seed")
+    naming = ("env", "method", "budget", "depth", "seed")
     harmless = not_keyed(RunConfig)
     do = staticmethod(run_job)
     do_group = staticmethod(run_jobs)
@@ -134,27 +133,19 @@ class RunWorkflow(Workflow):
 
     def implied(self, overrides: Sequence[str]) -> list[str]:
         """Return the overrides that the choice of budget, method, environment and algorithm implies."""
-        given = dict(override.split("=", 1) for override in overrides if "=" in override)
-        words = _road(given)
-        leaves_it = any(f"{key}={given[key]}" not in words for key in TRAINED_BY & given.keys())
-        taken = {*given, *OF_A_WAY} if leaves_it else given.keys()
-        words = [override for override in words if key_of(override) not in taken]
-        if leaves_it:  # what is said of an algorithm is said of the road's
-            words = [override for override in words if not override.startswith("algo.")]
-        given |= dict(override.split("=", 1) for override in words)
-        if given.get("trainer") == SHRINK and "algo" not in given:
-            words = [*words, "algo=sac"]
-        file = _own_env_file(given.get("env", ""), overrides)
+        given = _by_key(overrides)
+        words = remaining(recipe(given), given)
+        given |= _by_key(words)
+        file = _env_file(given.get("env", ""), overrides)
         of_file = settings_of_env_file(file) if file else {}
-        by_method = METHODS.get(given.get("method", "otr"), MethodConfig).implied(of_file | given)
-        return [*words, *(override for override in by_method if key_of(override) not in of_file)]
+        return [*words, *always_implied(of_file | given)]
 
     def check_option(self, group: str, value: str, overrides: Sequence[str] = ()) -> None:
         """Take any environment that is registered with gymnasium beside those that have a file."""
         known = self.options(group, overrides)
         if group != "env" or value in known:
             super().check_option(group, value, overrides)
-            file = _own_env_file(value, overrides) if group == "env" else None
+            file = _env_file(value, overrides) if group == "env" else None
             if file:
                 check_env_file(file)
         elif ":" not in value and value not in registered_ids():
@@ -178,8 +169,15 @@ class RunWorkflow(Workflow):
         return super()._compose_exactly(overrides)
 
     def spelt_out(self, overrides: Sequence[str]) -> list[str]:
-        """Return overrides with those replaced that are short for others."""
-        return spelt_out(overrides)
+        """Return overrides with those replaced that are short for others, after those of the recipe `default`.
+
+        That is for commands that name neither a method nor who trains, and it may name both.
+        """
+        words = spelt_out(overrides)
+        given = _by_key(words)
+        if not given.keys().isdisjoint(("method", "experiment", *TRAINED_BY)):
+            return words
+        return [*remaining(recipe(given, "default"), given), *words]
 
     def expand(self, overrides: Sequence[str], multirun: bool) -> list[list[str]]:
         """Return the overrides of every job; refuse settings of imitation or training where no job does that."""
@@ -190,7 +188,7 @@ class RunWorkflow(Workflow):
             raise ConfigError(f"{vain[0]}: nothing is imitated. Add {imitating()}, or leave {vain[0]} out")
         for own in jobs:
             policies = [override for override in own if key_of(override) in ("method.model", "method.program")]
-            vain = [override for override in own if key_of(override).partition(".")[0] in NOT_TRAINED]
+            vain = [override for override in own if key_of(override).partition(".")[0] in OF_TRAINING]
             if policies and vain:
                 policy = policies[0].removeprefix("method.")
                 raise ConfigError(f"{vain[0]}: nothing is trained, as {policy} is there already; leave {vain[0]} out")
@@ -220,7 +218,8 @@ class RunWorkflow(Workflow):
 
     def job(self, overrides: Sequence[str]) -> RunJob:
         """Return the run with these overrides, and the run that trains its oracle."""
-        made = self.composed(overrides)
+        words = list(overrides)
+        made = self.composed(words)
         config: RunConfig = made.config
         if config.env.name not in self.options("env") or any(key_of(each)[:4] == "env." for each in overrides):
             check_environment(config.env)
@@ -229,57 +228,40 @@ class RunWorkflow(Workflow):
             given_box(config.env, config.certification.box)  # refuses sides that are of no state
         if isinstance(config.method, ProgramConfig):
             text, depth = _program(config, config.method.program, overrides)
-            made = self.composed([*overrides, f"depth={depth}"])
+            words.append(f"depth={depth}")
+            made = self.composed(words)
             config = dataclasses.replace(made.config, program_text=text)
         elif isinstance(config.method, TakesModel) and (
             config.method.model or config.method.vec_normalize or config.method.output or config.method.name == "model"
         ):
             imported, widths = _model(config, overrides)
-            made = self.composed([*overrides, f"{'oracle' if config.method.imitates else 'depth'}={widths}"])
+            words.append(f"{'oracle' if config.method.imitates else 'depth'}={widths}")
+            made = self.composed(words)
             config = dataclasses.replace(made.config, imported=imported)
         oracle = self.job(_of_oracle(config, overrides)) if config.method.imitates else None
-        is_usual = all(map(self.is_plain, overrides))
+        differences = self.differences(config, words, _named(config, overrides))
+        if config.imported is not None:
+            differences.pop("trainer", None)  # whoever trains is not asked
         if isinstance(config.trainer, FleetConfig) and not config.fleet:  # which trains SAC alone: named in vain
-            is_usual, config = False, dataclasses.replace(config, trainer=TrainerConfig("sb3"))
-        baseline = config if is_usual else self._baseline(config, overrides)
-        folder = run_folder(config, baseline)
+            config = dataclasses.replace(config, trainer=TrainerConfig("sb3"))
+        folder = run_folder(config, differences)
         config = dataclasses.replace(
             config,
             folder=folder,
-            changes=changes_text(config, baseline),
+            changes=changes_text(config, differences),
             oracle_run=oracle.config if oracle else None,
         )
         return RunJob(config, folder, made.yaml, tuple(overrides), oracle)
 
-    def _baseline(self, config: RunConfig, overrides: Sequence[str]) -> RunConfig:
-        """Return what the same env, method, depth, budget, trainer and seed give without any other override.
 
-        Of an algorithm that a road of the budget names it is the run of that road. A run that is no other than this
-        is compared with the one whose folder has no digest: that of no override, or of the trainer's alone.
-        """
-        env = [override for override in overrides if override.startswith("env=") or is_search(override)]
-        place = [*env, f"method={config.method.name}", f"budget={config.budget.name}", f"depth={config.depth}",
-                 f"seed={config.seed}"]  # fmt: skip
-        trainer, way = f"trainer={config.trainer.name}", list[str]()
-        if isinstance(config.algo, ArsConfig):
-            way = ["algo=ars"]
-            if config.method.imitates:
-                way.append(f"oracle=[{WIDEST_LAYER}]")  # as the roads have it: no larger network is searched
-        elif not all(map(self.is_plain, overrides)):
-            way = _way(config)
-        baseline: RunConfig = self.composed([*place, trainer, *way]).config
-        if config.settings() == baseline.settings():
-            for plain in (place, [*place, trainer]):
-                with suppress(ConfigError):  # of a budget's road that does not train this network
-                    usual: RunConfig = self.composed(plain).config
-                    if usual.budget_level == config.budget_level:
-                        return usual
-        return baseline
+def _by_key(overrides: Sequence[str]) -> dict[str, str]:
+    """Return the values of overrides by key."""
+    return {key_of(override): override.partition("=")[2] for override in overrides}
 
 
-def _own_env_file(env: str, overrides: Sequence[str]) -> Path | None:
-    """Return the file of an environment in the folders that a command names; None where it is not there."""
-    files = (folder / "env" / f"{env}.yaml" for folder in searched_folders(overrides))
+def _env_file(env: str, overrides: Sequence[str], *others: Path) -> Path | None:
+    """Return the file of an environment in the folders that a command names, or in others; None where there is none."""
+    files = (folder / "env" / f"{env}.yaml" for folder in (*searched_folders(overrides), *others))
     return next((file for file in files if file.is_file()), None)
 
 
@@ -300,30 +282,20 @@ def _env_kwargs(overrides: Sequence[str]) -> dict[str, Any]:
     return {key_of(override).removeprefix("env.kwargs."): parse(override).value() for override in given}
 
 
-def _way(config: RunConfig) -> list[str]:
-    """Return what a budget's roads in an environment say of training by a run's algorithm and trainer, but the trainer.
+def _named(config: RunConfig, overrides: Sequence[str]) -> list[str]:
+    """Return the algorithms and trainers that a run's folder names: who trains, and what would train it unasked.
 
-    The method's own road stands before those of others, as an oracle is trained by its imitator's. As a rule nothing
-    is said of the environment's own algorithm.
+    A trainer that does not train the run is named as Stable-Baselines3, which trains it, unless the recipe has that.
     """
-    for method in (config.method.name, *roads(config.budget.name).overrides):
-        words = road(config.budget.name, method, config.env.name)
-        given = dict(override.split("=", 1) for override in words)
-        algorithm = given.get("algo", "").partition("_")[0]  # ppo_normalised is PPO
-        if (algorithm, given.get("trainer")) == (config.algo.name, config.trainer.name):
-            return [override for override in words if key_of(override) in OF_A_WAY - {"trainer"}]
-    return []
-
-
-def _road(given: Mapping[str, str]) -> Sequence[str]:
-    """Return the overrides with which the budget that is given does the method in the environment."""
-    return road(given.get("budget", _default_budget()), given.get("method", "otr"), given.get("env", ""))
-
-
-@functools.cache
-def _default_budget() -> str:
-    """Return the budget that conf/run.yaml names."""
-    return next(str(entry.budget) for entry in OmegaConf.load(CONF_DIR / "run.yaml").defaults if "budget" in entry)
+    given, others = _by_key(overrides), [override for override in overrides if not override.startswith("algo=")]
+    named = ["trainer=sb3", "algo=ars" if isinstance(config.algo, ArsConfig) else "algo=sac" if config.fleet else ""]
+    if "algo" in given:
+        file = _env_file(given["env"], overrides, CONF_DIR)
+        of_env = settings_of_env_file(file) if file else {}
+        named.append([f"algo={of_env.get('algo')}", *(o for o in RUN.implied(others) if key_of(o) == "algo")][-1])
+    if "trainer" in given and (config.fleet is not None or "trainer=sb3" not in recipe(given)):
+        named.append(f"trainer={given['trainer']}")
+    return named
 
 
 def _program(config: RunConfig, program: str, overrides: Sequence[str]) -> tuple[str, int]:
@@ -369,10 +341,10 @@ def _model(config: RunConfig, overrides: Sequence[str]) -> tuple[ImportedModel, 
 def _of_oracle(config: RunConfig, overrides: Sequence[str]) -> list[str]:
     """Return the overrides of the run that trains an oracle: the oracle's layers are the depth of method=otr.
 
-    Its trainer, or the search, is the imitating run's, which may be on a budget's road. An oracle from a file is
+    Its trainer, or the search, is the imitating run's, which may be a recipe's. An oracle from a file is
     imported by method=model.
     """
-    own = [override for override in overrides if key_of(override).split(".")[0] in OF_TRAINING or is_search(override)]
+    own = [override for override in overrides if key_of(override).split(".")[0] in OF_ORACLES or is_search(override)]
     if config.trainer.name == SHRINK:  # which a fleet's oracle is for
         own = [*(override for override in own if key_of(override) != "trainer"), "trainer=fleet"]
     if config.imported is not None:

@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from pipelines.cli.compose import Composer, to_object
 from pipelines.cli.overrides import combinations, is_of_launching, is_search, key_of, parse
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.engine.console import counted
+from pipelines.engine.digests import setting_differences
 from pipelines.engine.job import Job
 from pipelines.errors import ConfigError
 
@@ -25,6 +26,7 @@ class Composed:
 
     config: Any
     yaml: str
+    uses_seed: bool  # whether another seed may change another setting, so that it has to be composed anew
 
     def with_seed(self, seed: int) -> "Composed":
         """Return the same with another seed."""
@@ -53,7 +55,7 @@ class Workflow(Composer, ABC):
         if not seeds:
             return self._made[others]
         seed = parse(seeds[-1]).value()
-        if type(seed) is not int or _uses_seed(others):
+        if type(seed) is not int or self._made[others].uses_seed:
             return _composed(self.compose(overrides))
         return self._made[others].with_seed(seed)
 
@@ -126,6 +128,25 @@ class Workflow(Composer, ABC):
         parameters = [f"{key}={value}" for key, value in (settings.sweeper.params or {}).items()]
         return str(settings.mode).endswith("MULTIRUN"), parameters
 
+    def differences(self, config: Any, overrides: Sequence[str], named: Container[str] = ()) -> dict[str, list[Any]]:
+        """Return what overrides change that the folder of a job does not name, as {setting: [value, usual one]}.
+
+        The usual settings are those of the same options without the values, which Hydra need not compose again. Options
+        stand for themselves, and so do values where their options do not go together without them. `named` are options
+        that the folder names besides.
+        """
+        changing = [override for override in overrides if override not in named and not self.is_plain(override)]
+        values = [override for override in changing if self.is_value(override)]
+        found = dict[str, list[Any]]()
+        if values:
+            try:
+                usual = self.composed([override for override in overrides if override not in values]).config
+                found = setting_differences(config.settings(), usual.settings())
+            except ConfigError:
+                values = []
+        options = (override for override in changing if override not in values)
+        return found | {key_of(override): [override.partition("=")[2], None] for override in options}
+
     @functools.cache  # noqa: B019 - as above
     def is_plain(self, override: str) -> bool:
         """Return whether an override changes nothing of what comes out but what the folder of a job names."""
@@ -152,11 +173,5 @@ def _check_shared_folders(jobs: Sequence[Job]) -> None:
 
 
 def _composed(cfg: DictConfig) -> Composed:
-    return Composed(to_object(cfg), OmegaConf.to_yaml(cfg, resolve=True))
-
-
-@functools.cache
-def _uses_seed(overrides: tuple[str, ...]) -> bool:
-    """Return whether a setting may depend on the seed, so that another seed has to be composed anew."""
-    files = (path.read_text(encoding="utf-8") for path in CONF_DIR.rglob("*.yaml"))
-    return any(re.search(r"\$[^}\n]*seed", text) for text in (*overrides, *files))
+    uses_seed = re.search(r"\$[^}\n]*seed", OmegaConf.to_yaml(cfg)) is not None
+    return Composed(to_object(cfg), OmegaConf.to_yaml(cfg, resolve=True), uses_seed)

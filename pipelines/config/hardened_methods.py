@@ -5,17 +5,11 @@ from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
 from pipelines.config.algo import AlgoConfig, OnPolicyConfig, SacConfig
-from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.method import GrownConfig, Hardness, Leaves
 from pipelines.config.setting import NotNegative, Range, Share
 from pipelines.config.stages import ActorConfig
 from pipelines.errors import ConfigError
 
-# Soft trees learn with other numbers of steps (conf/budget).
-ON_POLICY_STEPS = [
-    'train.steps="${budget.on_policy_steps.${env.task}}"',
-    'train.eval_interval_steps="${budget.on_policy_interval_steps}"',
-]
 EXPERTS = (2, 16)  # at least and at most; their tree has up to 2**15 leaves
 
 
@@ -51,18 +45,6 @@ class SoftConfig(HardenedConfig):
     learning_rate_end: Share  # what is left of the algorithm's learning rate at the end, a fraction; it falls linearly
 
     forms: ClassVar[Mapping[str, str]] = {"soft": "soft", "discretised": "discretised"}
-
-    @classmethod
-    def implied(cls, given: Mapping[str, str]) -> list[str]:
-        """Return the steps of soft trees, and the algorithm that the environment has for them, where none is given."""
-        if given.get("algo") == "sac":  # whose steps are the budget's own
-            return []
-        implied = list(ON_POLICY_STEPS)
-        if "algo" not in given:
-            own = (f"ppo_{given['method']}_{given.get('env', '')}", f"ppo_tree_{given.get('env', '')}")
-            files = (name for name in own if (CONF_DIR / "algo" / f"{name}.yaml").is_file())
-            implied.append(f"algo={next(files, 'ppo_tree')}")
-        return implied
 
     def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
         """Refuse algorithms that train no soft trees."""
@@ -128,11 +110,6 @@ class ExpertsConfig(HardenedConfig):
     fleet_only = True
     continuous_only = True
     ties_repeats = True
-
-    @classmethod
-    def implied(cls, given: Mapping[str, str]) -> list[str]:
-        """Return the algorithm and the trainer, the only ones that there are."""
-        return ["algo=sac", "trainer=fleet"]
 
     def module_options(self, depth: Any) -> dict[str, Any]:
         """Return the options of `otr.control.LinearExperts`."""

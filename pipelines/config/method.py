@@ -10,13 +10,6 @@ from pipelines.config.setting import FreeText, OneOf, Range
 from pipelines.config.stages import ActorConfig
 from pipelines.errors import ConfigError
 
-# Direct search learns with other numbers of steps (conf/budget); its actors have a linear map beside their neurons.
-SEARCH_STEPS = [
-    *(f'train.{name}="${{budget.search.${{env.task}}.{name}}}"'
-      for name in ("steps", "eval_interval_steps", "n_selection_episodes")),
-    "actor.dense=input",
-    "actor.rescale_inputs=false",  # states are normalised by what is visited
-]  # fmt: skip
 Leaves = Annotated[str, OneOf("constant", "linear")]
 Hardness = Annotated[float, Range(1e-6, 1e6)]
 
@@ -41,11 +34,6 @@ class MethodConfig:
     fleet_only: ClassVar[bool] = False  # whether its actors are trained by trainer=fleet alone
     continuous_only: ClassVar[bool] = False  # whether its actions are real numbers, never labels
     ties_repeats: ClassVar[bool] = False  # whether tests and leaves that its tree repeats stay alike in a polish
-
-    @classmethod
-    def implied(cls, given: Mapping[str, str]) -> list[str]:
-        """Return the overrides that the choice of this method implies; they stand before those that are given."""
-        return list(SEARCH_STEPS) if given.get("algo", "").startswith("ars") else []
 
     @property
     def pid_terms(self) -> PidTerms | None:

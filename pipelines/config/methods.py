@@ -57,11 +57,6 @@ class LinearPolicyConfig(MappedConfig):
 
     label = "Linear"
 
-    @classmethod
-    def implied(cls, given: Mapping[str, str]) -> list[str]:
-        """Return the depth of 0."""
-        return [*super().implied(given), "depth=0"]
-
     def check_depth(self, depth: Any) -> None:
         """Refuse hidden neurons."""
         if depth != 0:
@@ -85,24 +80,6 @@ class PidConfig(MappedConfig):
     label = "PID"
     forms: ClassVar[Mapping[str, str]] = {"constant_gains": "constant gains"}
     decides_training = True
-
-    @classmethod
-    def implied(cls, given: Mapping[str, str]) -> list[str]:
-        """Return the depth of 1 with which the thesis trains PID policies, their budget, and algo=ddpg_pid."""
-        budget = [
-            f'train.{name}="${{budget.pid.{name}}}"'
-            for name in ("steps", "eval_interval_steps", "n_selection_episodes")
-        ]
-        algo = [] if "algo" in given else ["algo=ddpg_pid"]
-        evaluation = 'evaluate.n_episodes="${budget.pid.n_evaluation_episodes}"'
-        # Their environment is gymnasium's, which is slower than the pendulum's own in numpy.
-        polishing = [
-            'polishing.steps="${budget.pid.polish_steps}"',
-            "polishing.n_episodes=4",
-            "polishing.n_selection_episodes=100",
-        ]
-        units = "actor.rescale_inputs=false"  # states and errors are read in their own
-        return [*super().implied(given), "depth=1", units, evaluation, *budget, *polishing, *algo]
 
     @property
     def pid_terms(self) -> PidTerms:

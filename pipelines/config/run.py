@@ -3,6 +3,7 @@
 import dataclasses
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
 
@@ -38,7 +39,7 @@ from pipelines.config.stages import (
     TrainConfig,
 )
 from pipelines.config.trainer import SHRINK, FleetConfig, TrainerConfig
-from pipelines.engine.digests import differences_suffix, setting_differences
+from pipelines.engine.digests import differences_suffix
 from pipelines.engine.seeding import FIRST_STREAM_SEED
 from pipelines.errors import ConfigError
 
@@ -225,9 +226,8 @@ class RunConfig:
     @property
     def budget_level(self) -> str:
         """The budget's name in the run's folder, with who trained where that is no gradient by Stable-Baselines3."""
-        if isinstance(self.algo, ArsConfig):
-            return f"{self.budget.name}-{self.algo.name}"
-        return f"{self.budget.name}-{self.fleet.name}" if self.fleet else self.budget.name
+        who = self.trainer_name
+        return self.budget.name if who in ("sb3", "none") else f"{self.budget.name}-{who}"
 
     @property
     def selected_stages(self) -> tuple[str, ...]:
@@ -253,21 +253,18 @@ class RunConfig:
         return plain
 
 
-def run_folder(config: RunConfig, baseline: RunConfig) -> str:
+def run_folder(config: RunConfig, differences: Mapping[str, list[Any]]) -> str:
     """Return the run's folder below `results_dir`: `runs/<env>/<method>/depth-<d>/<budget>/seed-<s>[~<digest>]`.
 
-    `baseline` is what the same env, method, depth, budget and seed give without any other override; whatever differs
-    from it goes into the digest, so that other settings never share a folder.
+    `differences` are {setting: [value, usual one]} of what a command sets that no other part of the name says.
     """
     depth = "-".join(str(width) for width in config.hidden_widths) or "0"
     place = f"{config.env.name}/{config.method.name}/depth-{depth}/{config.budget_level}"
-    suffix = "" if config is baseline else differences_suffix(config.settings(), baseline.settings())
-    return f"runs/{place}/seed-{config.seed}{suffix}"
+    return f"runs/{place}/seed-{config.seed}{differences_suffix(differences)}"
 
 
-def changes_text(config: RunConfig, baseline: RunConfig) -> str:
-    """Return what differs from the baseline, as overrides: `method.leaves=constant, oracle=[32]`; mostly nothing."""
-    differences = {} if config is baseline else setting_differences(config.settings(), baseline.settings())
+def changes_text(config: RunConfig, differences: Mapping[str, list[Any]]) -> str:
+    """Return the differences as overrides: `method.leaves=constant, oracle=[32]`; mostly nothing."""
     told = {key: _not_keyed(config, key) if new is None else new for key, (new, _) in differences.items()}
     return ", ".join(f"{key}={_as_override(value)}" for key, value in told.items())
 

@@ -24,9 +24,8 @@ def setting_differences(new: dict[str, Any], old: dict[str, Any], prefix: str = 
     return found
 
 
-def differences_suffix(new: dict[str, Any], old: dict[str, Any]) -> str:
+def differences_suffix(differences: Mapping[str, Any]) -> str:
     """Return what the name of a folder ends with where settings differ from the usual ones: `~<digest>`, or nothing."""
-    differences = setting_differences(new, old)
     return f"~{digest(differences)[:8]}" if differences else ""
 
 

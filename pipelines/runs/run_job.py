@@ -7,8 +7,6 @@ from functools import partial
 from typing import Any, Self
 
 from pipelines.config.methods import EXTRA_STAGES
-from pipelines.config.roads import road, roads
-from pipelines.config.run import RunConfig
 from pipelines.engine.job import (
     Job,
     disk_errors_explained,
@@ -97,24 +95,8 @@ def _train_together(jobs: Sequence[RunJob]) -> list[Exception | None]:
         job.run_dir.mkdir(parents=True, exist_ok=True)
         write_config(job)
     if missing:
-        announce_return(missing[0].config)
         announce_training([job.config for job in missing])
     return run_stage_together(TRAIN, [(job.run_dir, job.config) for job in jobs], train_together)
-
-
-def announce_return(config: RunConfig) -> None:
-    """Print what runs as this one returned, where they were measured (conf/roads)."""
-    expected = roads(config.budget.name).expected.get(config.method.name, {}).get(config.env.task)
-    if expected and _is_as_measured(config):
-        print(f"expect {expected} (budget={config.budget.name}, as measured)", flush=True)
-
-
-def _is_as_measured(config: RunConfig) -> bool:
-    """Return whether a run goes the road of its budget and changes no setting."""
-    words = road(config.budget.name, config.method.name, config.env.task)
-    trainer = next((name for name in ("ars", "fleet") if f"algo={name}" in words or f"trainer={name}" in words), "sb3")
-    is_small = len(config.hidden_widths) <= 1  # larger ones are trained to be imitated
-    return config.trainer_name == trainer and is_small and not config.changes
 
 
 def _run_stages(job: RunJob) -> dict[str, Any] | None:
@@ -123,9 +105,6 @@ def _run_stages(job: RunJob) -> dict[str, Any] | None:
     if any(stage.name == "polish" for stage in job.stages):
         check_critics(config)
     run_dir.mkdir(parents=True, exist_ok=True)
-    decisive = [stage for stage in job.stages if stage.name in ("train", "imitate")]
-    if any(stage_status(stage, run_dir / stage.name, config) == "missing" for stage in decisive):
-        announce_return(config)
     for stage in job.stages:
         if stage.name == "oracle" and job.oracle and stage_status(stage, run_dir / "oracle", config) != "done":
             _run_stages(job.oracle)

@@ -271,14 +271,13 @@ def fit_settings(config: FitConfig) -> dict[str, Any]:
     return {"data": settings["data"], "seed": settings["seed"], "method": method}
 
 
-def fit_folder(config: FitConfig, baseline: FitConfig) -> str:
+def fit_folder(config: FitConfig, differences: dict[str, list[Any]]) -> str:
     """Return the fit's folder below `results_dir`: `runs/<data>/<method>[/split-<k>]/seed-<s>[~<digest>]`.
 
-    `baseline` is what the same data, split, method and seed give without any other override.
+    `differences` are {setting: [value, usual one]} of what a command sets that no other part of the name says.
     """
-    suffix = differences_suffix(config.settings(), baseline.settings())
     split = "" if config.data.split is None else f"/split-{config.data.split}"
-    return f"runs/{config.data.name}/{config.method.name}{split}/seed-{config.seed}{suffix}"
+    return f"runs/{config.data.name}/{config.method.name}{split}/seed-{config.seed}{differences_suffix(differences)}"
 
 
 def _is_taught(method: LearnerConfig) -> bool:

@@ -14,7 +14,7 @@ from pipelines.cli.overrides import runs_listed
 from pipelines.cli.runs import RUN, load_config, run_config
 from pipelines.config.budget import BudgetConfig
 from pipelines.config.setting import Count, Folder, FreeText, check_settings
-from pipelines.engine.digests import differences_suffix
+from pipelines.engine.digests import differences_suffix, setting_differences
 from pipelines.errors import ConfigError, MissingInputError
 from pipelines.runs.replay import replay
 
@@ -105,7 +105,7 @@ def _planned(budget: str) -> list["Planned"]:
     for overrides in jobs:
         given = dict(override.split("=", 1) for override in overrides)
         oracle = json.loads(given["oracle"])
-        seed = f"seed-{given['seed']}{differences_suffix({'oracle': oracle}, {'oracle': usual})}"
+        seed = f"seed-{given['seed']}{differences_suffix(setting_differences({'oracle': oracle}, {'oracle': usual}))}"
         run = f"{ENVIRONMENT}/{given['method']}/depth-{given['depth']}/{budget}/{seed}"
         planned.append(Planned(given["oracle"], given["method"], int(given["depth"]), run))
     return planned

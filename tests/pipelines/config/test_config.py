@@ -17,9 +17,9 @@ RESULTS = Path(__file__).parents[3] / "results"
 
 
 def test_folder_names_env_method_depth_budget_and_seed(tiny):
-    assert run_folder(tiny(), tiny()) == "runs/pendulum/otr/depth-4/smoke/seed-0"
+    assert run_folder(tiny(), {}) == "runs/pendulum/otr/depth-4/smoke/seed-0"
     several = tiny(depth=[8, 3], seed=12)
-    assert run_folder(several, several) == "runs/pendulum/otr/depth-8-3/smoke/seed-12"
+    assert run_folder(several, {}) == "runs/pendulum/otr/depth-8-3/smoke/seed-12"
 
 
 def test_other_overrides_get_a_folder_of_their_own(tiny):
@@ -27,7 +27,10 @@ def test_other_overrides_get_a_folder_of_their_own(tiny):
     changed = tiny(algo=dataclasses.replace(plain.algo, gamma=0.9))
     again = tiny(algo=dataclasses.replace(plain.algo, gamma=0.9))
     other = tiny(algo=dataclasses.replace(plain.algo, gamma=0.8))
-    folders = [run_folder(config, plain) for config in (plain, changed, again, other)]
+    differences = [
+        setting_differences(config.settings(), plain.settings()) for config in (plain, changed, again, other)
+    ]
+    folders = [run_folder(plain, each) for each in differences]
     assert folders[1].startswith("runs/pendulum/otr/depth-4/smoke/seed-0~")
     assert folders[1] == folders[2]
     assert len(set(folders)) == 3
@@ -35,7 +38,7 @@ def test_other_overrides_get_a_folder_of_their_own(tiny):
 
 def test_execution_settings_do_not_change_the_folder(tiny):
     moved = tiny(results_dir="elsewhere", n_workers=2, debug=True, stages=["map"])
-    assert run_folder(moved, tiny()) == run_folder(tiny(), tiny())
+    assert run_folder(moved, {}) == run_folder(tiny(), {})
     assert moved.settings() == tiny().settings()
 
 
@@ -52,7 +55,7 @@ def test_depths_that_are_no_networks_are_refused(tiny, depth):
 
 def test_depth_zero_is_the_linear_policy(tiny):
     assert tiny(depth=0).hidden_widths == ()
-    assert run_folder(tiny(depth=0), tiny(depth=0)).endswith("depth-0/smoke/seed-0")
+    assert run_folder(tiny(depth=0), {}).endswith("depth-0/smoke/seed-0")
 
 
 @pytest.mark.parametrize(

@@ -70,7 +70,7 @@ def jobs(*words):
 
 
 def test_an_oracle_from_a_file_takes_the_place_of_one_that_a_fleet_trains(models):
-    (job,) = jobs("env=pendulum", "method=viper", f"oracle={models / 'pendulum.zip'}")  # the standard road's trainer
+    (job,) = jobs("env=pendulum", "method=viper", f"oracle={models / 'pendulum.zip'}")  # the standard recipe's trainer
     assert job.folder.startswith("runs/pendulum/viper/depth-6/standard/seed-0~") and "trainer" not in job.config.changes
     assert job.config.trainer_name == "none"
 

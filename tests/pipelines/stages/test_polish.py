@@ -180,8 +180,8 @@ def test_what_is_listed_beside_polish_is_of_the_polished_policy(tiny):
         assert certify.inputs == ("polish",)
         with pytest.raises(ConfigError, match=r"polishing\.numbers=tree with certify=true"):
             tiny(**asked, polishing=dataclasses.replace(SHORT, numbers="tree"))
-    for by_road, inputs in ((True, ("polish",)), (False, ("train", "map"))):  # a budget's road may have polish=true
-        (certify,) = RunJob(tiny(stages=["certify"], polish=by_road), "runs/one", "").stages
+    for by_recipe, inputs in ((True, ("polish",)), (False, ("train", "map"))):  # a budget's recipe may have polish=true
+        (certify,) = RunJob(tiny(stages=["certify"], polish=by_recipe), "runs/one", "").stages
         assert certify.inputs == inputs
 
 

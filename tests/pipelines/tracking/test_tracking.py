@@ -138,7 +138,7 @@ def test_tracker_that_fails_midway_catches_up_at_the_end(backend, tracked):
 def test_tracking_is_no_part_of_a_run(tiny):
     tracked = tiny(tracking="tensorboard", folder=FOLDER)
     assert tracked.settings() == tiny().settings()
-    assert run_folder(tracked, tiny()) == FOLDER
+    assert run_folder(tracked, {}) == FOLDER
 
 
 def test_unknown_tracker_is_refused(tiny):

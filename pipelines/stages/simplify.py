@@ -16,9 +16,8 @@ from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import episode_seeds
 from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import write_csv, write_json
-from pipelines.play.rollout import rollout
+from pipelines.play.episodes import moments, play_evaluation, play_seeds
 from pipelines.play.spaces import spaces, state_limits
-from pipelines.stages.evaluation_episodes import moments, play_evaluation_episodes
 from pipelines.stages.polish import search
 from pipelines.stages.printed_programs import and_names, write_picture, write_program
 from pipelines.stages.prune import load_tree
@@ -43,7 +42,7 @@ def simplify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     """
     tree = load_tree(inputs.get("polish") or inputs["prune"])
     seeds = episode_seeds(config.seed, "simplify", config.simplification.n_episodes, 0)
-    before = rollout(tree.predict, config.env, seeds, keep_states=True, n_workers=config.n_workers)
+    before = play_seeds(tree.predict, config.env, seeds, keep_states=True, n_workers=config.n_workers)
     judge = _Judge(config, seeds, before.returns)
     again: dict[str, Any] = {}
     if config.simplification.action_bound is not None:
@@ -64,7 +63,7 @@ def _polished_again(simpler: Simplification, config: RunConfig) -> tuple[Simplif
     # The constants of a tree without a clip lie within the actions, and are to stay there.
     clipped = simpler.tree if box is None else simpler.tree.replace(head=simpler.tree.head.clipped_to(*box))
     polished = search(clipped, config, "simplify")
-    played = play_evaluation_episodes(simpler.tree.predict, config)
+    played = play_evaluation(simpler.tree.predict, config)
     report = {"polished_again": polished.report | moments(played, "_before")}
     if not polished.report["kept"]:
         return simpler, report
@@ -112,7 +111,7 @@ def _simplest(
 def _fresh_judge(tree: otr.ObliqueTree, config: RunConfig, index: int) -> "_Judge":
     """Return a judge whose episodes decide nothing while a shorter tree is searched for."""
     seeds = episode_seeds(config.seed, "simplify", config.simplification.n_episodes, index)
-    return _Judge(config, seeds, rollout(tree.predict, config.env, seeds, n_workers=config.n_workers).returns)
+    return _Judge(config, seeds, play_seeds(tree.predict, config.env, seeds, n_workers=config.n_workers).returns)
 
 
 class _Judge:
@@ -146,7 +145,7 @@ class _Judge:
         """Return how much less the tree earns than the original, episode by episode."""
         if start == stop:
             return np.zeros(0)
-        played = rollout(tree.predict, self.config.env, self.seeds[start:stop], n_workers=self.config.n_workers)
+        played = play_seeds(tree.predict, self.config.env, self.seeds[start:stop], n_workers=self.config.n_workers)
         self.n_played += stop - start
         return np.asarray(self.returns[start:stop] - played.returns)
 
@@ -170,8 +169,8 @@ def _report(
     out: Path,
 ) -> None:
     """Play the evaluation episodes with both trees and write what came out."""
-    before = play_evaluation_episodes(tree.predict, config, keep_states=True)
-    after = play_evaluation_episodes(simpler.tree.predict, config)
+    before = play_evaluation(tree.predict, config, keep_states=True)
+    after = play_evaluation(simpler.tree.predict, config)
     states = before.states
     ours, theirs = (np.asarray(each.predict(states), dtype=np.float64) for each in (simpler.tree, tree))
     box = spaces(config.env).box

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import otr
-from otr.control.rollout import play_episodes
+from otr.control.environments import GymnasiumVectorEnv
+from otr.control.rollout import play_side_by_side
 from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.play.environments import make_env
@@ -53,7 +54,7 @@ def record(
         except (ConfigError, PipelineError) as error:
             why_not = str(error)
 
-    def acting(batch: NDArray[Any]) -> NDArray[Any]:
+    def acting(batch: NDArray[Any], _: NDArray[Any]) -> NDArray[Any]:
         nonlocal step, why_not
         if step % stride == 0:
             if n_frames and not why_not and len(states) % frame_stride == 0:
@@ -65,7 +66,8 @@ def record(
         step += 1
         return np.asarray(tree.predict(batch))
 
-    played = play_episodes(lambda: playing, acting, [seed])
+    played = play_side_by_side(GymnasiumVectorEnv(lambda: playing), acting, [seed])
+    playing.close()
     X = np.array(states)
     low, high = X.min(axis=0), X.max(axis=0)
     answers = np.asarray(tree.predict(X))

@@ -20,7 +20,7 @@ from pipelines.stages import imitate as stage
 from pipelines.stages.evaluate import likeness
 from pipelines.stages.oracle import load_oracle, refer
 from tests.pipelines.conftest import PENDULUM, otr_command
-from tests.pipelines.play.test_rollout import random_network
+from tests.pipelines.play.test_episodes import random_network
 
 SWEEP = ("-m", "env=lunarlander", "method=viper,augtree", "depth=2", "oracle=[8]", "budget=smoke")
 NDPS = NdpsConfig("ndps", 500, 30, 10, 64, 0.02, 1.0, 20.0, 1.0)
@@ -163,7 +163,7 @@ def test_a_killed_run_ends_as_if_it_had_not_been(task, tmp_path, monkeypatch, n_
     config, inputs = task
     whole = imitated(config, inputs, tmp_path / "whole")
     shutil.rmtree(tmp_path / "results/checkpoints")
-    play, calls = stage.rollout, []
+    play, calls = stage.play_seeds, []
 
     def killed(*args, **kwargs):
         calls.append(1)
@@ -172,11 +172,11 @@ def test_a_killed_run_ends_as_if_it_had_not_been(task, tmp_path, monkeypatch, n_
         return play(*args, **kwargs)
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(stage, "rollout", killed)
+        patch.setattr(stage, "play_seeds", killed)
         imitated(config, inputs, tmp_path / "again")
     resumed = []
     with monkeypatch.context() as patch:
-        patch.setattr(stage, "rollout", lambda *a, **k: (resumed.append(1), play(*a, **k))[1])
+        patch.setattr(stage, "play_seeds", lambda *a, **k: (resumed.append(1), play(*a, **k))[1])
         again = imitated(config, inputs, tmp_path / "again")
     np.testing.assert_array_equal(again.P, whole.P)
     np.testing.assert_array_equal(again.M, whole.M)

@@ -1,4 +1,4 @@
-"""Evaluation: episodes of Hopper by `pipelines.play.rollout`, against Stable-Baselines3's `evaluate_policy`.
+"""Evaluation: episodes of Hopper by `pipelines.play.episodes`, against Stable-Baselines3's `evaluate_policy`.
 
 Both play 100 episodes of the same policy on the same environment, and are compared in environment steps a second, since
 the two draw other starts and so other lengths. The policy is the committed one of depth 6 where there is one, else

@@ -30,7 +30,7 @@ from pipelines.engine.seeding import FIRST_STREAM_SEED
 from pipelines.engine.store import exists
 from pipelines.play.actor_files import load_actor
 from pipelines.play.episodes import Player, play_seeds
-from pipelines.stages.derived import opened_run
+from pipelines.runs.derived import opened_run
 from pipelines.stages.polish import environments, load_searched, load_tree
 
 N_EPISODES = {"LunarLander-v3": 1_000, "Pendulum-v1": 5_000, "MountainCarContinuous-v0": 1_000}

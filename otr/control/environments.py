@@ -44,22 +44,15 @@ class VectorEnv(Protocol):
     """
 
     def reset(self, seeds: Sequence[int] | None, envs: IntArray | None = None) -> FloatArray:
-        """Start an episode in some environments, and return their first states (k, d).
+        """Start an episode in environments `envs` (k,), and return their first states (k, d).
 
-        Args:
-            seeds: (k,) whole numbers from 0 to 2**32 - 1, of the environments' random streams; equal ones give equal
-                episodes. None for the next episode in each one's stream, as gymnasium's reset() gives it.
-            envs: (k,) distinct indices; None for the first k, which are all that play from here on.
+        `seeds` (k,) from 0 to 2**32 - 1 start their random streams anew; None goes on in them, as gymnasium's reset()
+        does. Without `envs` these are the first k, which are all that play from here on.
         """
         ...
 
     def step(self, actions: NDArray[Any], envs: IntArray | None = None) -> Stepped:
-        """Do a step of some environments, or of all; the others stay as they are.
-
-        Args:
-            actions: (k, a) in the environment's units, or (k,) labels.
-            envs: (k,) distinct indices; None for all that play.
-        """
+        """Do a step of environments `envs` (k,), or of all that play, with actions (k, a) or labels (k,)."""
         ...
 
     def close(self) -> None:
@@ -71,29 +64,23 @@ class GymnasiumVectorEnv:
     """Gymnasium environments one after the other in this process (`VectorEnv`), made when they are first started.
 
     A plain loop: `SyncVectorEnv` takes 7 to 10 % longer on ten hoppers, and cannot step some of its environments.
+
+    Attributes:
+        first: the first environment.
     """
 
     def __init__(self, make: Make, *, reads_answers: bool = True) -> None:
-        """Make the first environment.
+        """Make the first environment; ValueError where observations are no Box, or actions neither a Box nor labels.
 
-        Args:
-            make: makes a new environment each time.
-            reads_answers: whether actions are checked and rounded to the action space's own type, as `answer_reader`
-                does; else the environments get them as they are.
-
-        Raises:
-            ValueError: the observations are no Box, or the actions neither a Box nor labels.
+        With `reads_answers` actions are checked and rounded to the action space's own type (`answer_reader`); else the
+        environments get them as they are.
         """
-        self._make, self._envs, self._n_playing = make, [make()], 0
-        self._read = answer_reader(self._envs[0])
-        self._reads_answers, self._discrete = reads_answers, isinstance(self._envs[0].action_space, gym.spaces.Discrete)
-        self._shape = self._envs[0].observation_space.shape or ()
+        self.first = make()
+        self._make, self._envs, self._n_playing = make, [self.first], 0
+        self._read = answer_reader(self.first)
+        self._reads_answers, self._discrete = reads_answers, isinstance(self.first.action_space, gym.spaces.Discrete)
+        self._shape = self.first.observation_space.shape or ()
         self._n_inputs = math.prod(self._shape)
-
-    @property
-    def first(self) -> gym.Env[Any, Any]:
-        """One of the environments."""
-        return self._envs[0]
 
     def reset(self, seeds: Sequence[int] | None, envs: IntArray | None = None) -> FloatArray:
         given = [None] * (self._n_playing if envs is None else len(envs)) if seeds is None else list(seeds)

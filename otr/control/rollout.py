@@ -167,19 +167,14 @@ def play_side_by_side(
         policy: answers the states of the episodes that go on; these are numbered in the order of their seeds.
         seeds: (n,), one for each episode.
         n_envs: how many play at a time, at most; all of them by default.
-        max_steps: of an episode, which is truncated there, at least 1; None for the environments' own limit alone.
+        max_steps: of an episode, which is truncated there; None for the environments' own limit alone.
         alive_bonus: is taken off every step's reward.
-        keep_steps: whether states and actions are kept.
-        sort_steps: whether they come episode after episode; else as they were played.
+        keep_steps, sort_steps: whether states and actions are kept, and come episode after episode, else as played.
 
     Raises:
         ValueError: there are no seeds, or states or returns are not finite.
     """
-    n = len(seeds)
-    if n == 0:
-        raise ValueError("there are no seeds; give one for each episode")
-    if max_steps is not None and max_steps < 1:
-        raise ValueError(f"max_steps is {max_steps}, expected 1 or more")
+    n = _n_seeds(seeds, max_steps)
     returns, lengths = np.zeros(n), np.zeros(n, dtype=np.int64)
     terminated, truncated = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
     kept: list[tuple[IntArray, FloatArray, NDArray[Any]]] = []  # episodes, states and actions of each step
@@ -199,23 +194,28 @@ def play_side_by_side(
         if not ended.any():
             continue
         over = episodes[ended]
-        _require_finite_returns(returns, over, seeds)
+        for i in over[~np.isfinite(returns[over])]:
+            raise ValueError(f"the rewards of the episode of seed {seeds[i]} add up to {returns[i]}")
         terminated[over] = stepped.terminated[ended]
         truncated[over] = stepped.truncated[ended] | ~terminated[over]
         episodes = episodes.copy()
-        for i in np.flatnonzero(ended)[::-1][
-            : n - n_started
-        ]:  # backwards: batches, and so last bits, stay as they were
-            states[i] = envs.reset([seeds[n_started]], slots[[i]])[0]
-            episodes[i], ended[i], n_started = n_started, False, n_started + 1
+        # Backwards: batches, and with them the last bits of answers, are those of committed runs.
+        for i, started in zip(np.flatnonzero(ended)[::-1], range(n_started, n), strict=False):
+            states[i] = envs.reset([seeds[started]], slots[[i]])[0]
+            episodes[i], ended[i], n_started = started, False, started + 1
         slots, episodes, states = slots[~ended], episodes[~ended], states[~ended]
-    visited, actions = states[:0], stepped.actions[:0]
-    if keep_steps:
-        played, visited, actions = (np.concatenate(parts) for parts in zip(*kept, strict=True))
-        if sort_steps:
-            order = np.argsort(played, kind="stable")
-            visited, actions = visited[order], actions[order]
-    return Rollout(np.array(seeds), returns, lengths, terminated, truncated, visited, actions)
+    steps = zip(*(kept or [(episodes, states, stepped.actions[:0])]), strict=True)
+    played, visited, actions = (np.concatenate(parts) for parts in steps)
+    order = np.argsort(played, kind="stable") if sort_steps else slice(None)
+    return Rollout(np.array(seeds), returns, lengths, terminated, truncated, visited[order], actions[order])
+
+
+def _n_seeds(seeds: Sequence[int], max_steps: int | None) -> int:
+    if len(seeds) == 0:
+        raise ValueError("there are no seeds; give one for each episode")
+    if max_steps is not None and max_steps < 1:
+        raise ValueError(f"max_steps is {max_steps}, expected 1 or more")
+    return len(seeds)
 
 
 def _require_finite(states: FloatArray, episodes: IntArray, seeds: Sequence[int], lengths: IntArray) -> None:
@@ -227,11 +227,6 @@ def _require_finite(states: FloatArray, episodes: IntArray, seeds: Sequence[int]
             f"the observation of the episode of seed {seeds[i]} at step {lengths[i]} is not finite: "
             f"{states[row].tolist()}"
         )
-
-
-def _require_finite_returns(returns: FloatArray, over: IntArray, seeds: Sequence[int]) -> None:
-    for i in over[~np.isfinite(returns[over])]:
-        raise ValueError(f"the rewards of the episode of seed {seeds[i]} add up to {returns[i]}")
 
 
 def _function(policy: Any) -> Policy:

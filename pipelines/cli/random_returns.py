@@ -24,7 +24,7 @@ from pipelines.report.cells import TASK_NAMES
 SEEDS = range(1000, 1100)  # of the actions, and of the episodes: the starts on which policies are evaluated
 
 
-def random_returns(env: EnvConfig) -> np.ndarray:
+def play_randomly(env: EnvConfig) -> np.ndarray:
     """Return the return of an episode a seed, whose actions are drawn uniformly from the action space."""
     with closing(GymnasiumVectorEnv(partial(make_env, env))) as envs:
         spaces = [copy.deepcopy(envs.first.action_space) for _ in SEEDS]
@@ -36,7 +36,7 @@ def random_returns(env: EnvConfig) -> np.ndarray:
 
 def _row(task: str) -> dict[str, Any]:
     env = run_config([f"env={task}"]).env
-    returns = random_returns(env)
+    returns = play_randomly(env)
     moments = {"mean": round(np.mean(returns), 3), "std": round(np.std(returns), 3)}
     seeds = {"first_seed": SEEDS[0], "n_episodes": len(SEEDS)}
     return {"task": task, "env_id": env.id, **moments, **seeds, "gymnasium": version("gymnasium")}

@@ -93,10 +93,7 @@ EQUAL_IDS = tuple(_PLANTS)
 
 
 class ClassicControlVectorEnv:
-    """Environments of EQUAL_IDS as arrays (`VectorEnv`); actions are rounded to float32, their space's type.
-
-    All are started at once, as many as there are seeds.
-    """
+    """Environments of EQUAL_IDS as arrays (`VectorEnv`), which are started all at once; actions are float32."""
 
     def __init__(self, env: EnvConfig) -> None:
         """Prepare an environment that `check_environments` allows."""

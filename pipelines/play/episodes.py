@@ -1,8 +1,7 @@
 """Episodes of deterministic policies in a run's environment: of a policy on some seeds, or of many policies at a time.
 
 All are played by `otr.control.rollout.play_side_by_side`. An episode depends on its policy and its seed and nothing
-else, so the order and the number of processes change the time alone, not the result. What each kind of episode decides,
-and from which stream its seeds are, is in docs/decisions/episodes-and-seeds.md.
+else, so the order and the number of processes change the time alone, not the result.
 """
 
 import multiprocessing
@@ -82,14 +81,9 @@ def playing_seconds(env: EnvConfig, n_episodes: int, environments: str = "gymnas
     return (n_steps + n_episodes * episode_limit(env) * SHARE_PLAYED) / table.get(env.task, OTHER_STEPS_PER_S)
 
 
-def available_cores() -> int:
-    """Return the number of cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
-
-
 def _n_workers(env: EnvConfig, n_episodes: int) -> int:
-    n_steps = n_episodes * episode_limit(env)
-    return max(1, min(available_cores(), n_episodes, n_steps // STEPS_WORTH_A_PROCESS))
+    n_cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+    return max(1, min(n_cores, n_episodes, n_episodes * episode_limit(env) // STEPS_WORTH_A_PROCESS))
 
 
 def _play(
@@ -162,11 +156,7 @@ class Played(NamedTuple):
 
 
 class Player:
-    """Plays many policies of one shape at a time, as a search does, in environments that are made once.
-
-    Attributes:
-        n_steps: environment steps so far.
-    """
+    """Plays many policies of one shape at a time, as a search does, and counts the environment steps, `n_steps`."""
 
     def __init__(self, env: EnvConfig, environments: str) -> None:
         """Prepare an environment, which "gymnasium" or "numpy" computes."""
@@ -205,10 +195,8 @@ class Player:
             )
             for some in (seeds[:, start : start + width] for start in range(0, m, width))
         ]
-        returns, lengths = (
-            np.concatenate([getattr(part, name).reshape(k, -1) for part in parts], axis=1)
-            for name in ("returns", "lengths")
-        )
+        both = [(part.returns.reshape(k, -1), part.lengths.reshape(k, -1)) for part in parts]
+        returns, lengths = (np.concatenate(each, axis=1) for each in zip(*both, strict=True))
         self.n_steps += int(lengths.sum())
         return Played(returns, lengths, np.concatenate([part.states for part in parts]))
 

@@ -17,16 +17,12 @@ from pipelines.play.spaces import make_training_env
 
 
 def make_vector_env(env: EnvConfig, environments: str, *, rescale_inputs: bool = False) -> VectorEnv:
-    """Return environments in which a policy is trained or searched for.
+    """Return environments in which a policy is trained or searched for, which "gymnasium" or "numpy" computes.
 
-    Args:
-        env: which one.
-        environments: who computes them, "gymnasium" or "numpy".
-        rescale_inputs: whether gymnasium's states are rescaled from their box to [-1, 1].
+    With `rescale_inputs` gymnasium's states are rescaled from their box to [-1, 1].
 
     Raises:
-        ConfigError: there is no such environment, its states have no bounds where they are rescaled, or
-            `environments` was not compared with gymnasium for this one; the message names those it was.
+        ConfigError: as `check_environments`, or there is no such environment, or no box of states to rescale.
     """
     check_environments(env, environments)
     if environments == "numpy":
@@ -65,9 +61,7 @@ class Step(NamedTuple):
     rewards: np.ndarray  # (n,) float32, as in Stable-Baselines3's buffers
     terminated: np.ndarray  # (n,) bool, the episode ended in a terminal state
     truncated: np.ndarray  # (n,) bool, the time limit was reached; both may be true, as in gymnasium
-    # (n, d) float32, to act on next: where an episode ended, the first state of the next one. The same array as
-    # `next_states` where none ended.
-    states: np.ndarray
+    states: np.ndarray  # (n, d) float32, to act on next: where an episode ended, the first state of the next one
 
 
 class Autoreset:

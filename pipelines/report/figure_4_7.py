@@ -18,7 +18,7 @@ from pipelines.play.spaces import action_names, feature_names
 from pipelines.report.figure_4_6 import Planned
 from pipelines.report.published import published
 from pipelines.report.text import page, write_file
-from pipelines.stages.derived import opened_run
+from pipelines.runs.derived import opened_run
 
 METHOD, DEPTH, PREFERRED_ORACLE = "augtree", 2, "[256]"
 AGREEMENTS = (0.95, 0.9, 0.85, 0.8, 0.75, 0.7)  # tried

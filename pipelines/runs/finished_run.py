@@ -20,7 +20,7 @@ from pipelines.engine.store import exists, read_json
 from pipelines.errors import ConfigError, MissingInputError, PipelineError, check_choice
 from pipelines.play.actor_files import load_actor
 from pipelines.play.episodes import play_seeds
-from pipelines.stages.derived import opened_run
+from pipelines.runs.derived import opened_run
 
 TREES = ("pruned", "full", "minimal", "polished", "simplified", "constant_gains", "compact", "polished_compact")
 COMPACT = ("compact", "polished_compact")  # networks, which C alone can hold

@@ -12,8 +12,8 @@ from pipelines.engine.store import write_json
 from pipelines.play.actor_files import load_actor
 from pipelines.play.boxes import box_around, given_box
 from pipelines.play.episodes import play_pruning
+from pipelines.play.printed_programs import and_names, write_program
 from pipelines.play.spaces import spaces, state_limits
-from pipelines.stages.printed_programs import and_names, write_program
 
 MARGIN = 0.05  # of the width of what was visited, on either side
 GIVEN = "the given box"
@@ -107,5 +107,5 @@ def _version(config: RunConfig) -> int:
 
 
 CERTIFY_SETTINGS = and_names(_settings)
-# Its inputs depend on the method and on polish=true: `pipelines.stages.table.stages_of` sets them.
+# Its inputs depend on the method and on polish=true: `pipelines.runs.stage_table.stages_of` sets them.
 CERTIFY = Stage("certify", version=_version, inputs=(), settings=CERTIFY_SETTINGS, run=certify)

@@ -107,6 +107,6 @@ def _require_agreement(states: np.ndarray, network: np.ndarray, tree: np.ndarray
         )
 
 
-# Its inputs depend on the method: `pipelines.stages.table.stages_of` sets them.
+# Its inputs depend on the method: `pipelines.runs.stage_table.stages_of` sets them.
 EVALUATE_SETTINGS = picked(env="env", n_episodes="evaluate.n_episodes", first_seed="evaluate.first_seed")
 EVALUATE = Stage("evaluate", version=episodes_version, inputs=(), settings=EVALUATE_SETTINGS, run=evaluate)

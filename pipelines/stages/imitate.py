@@ -30,8 +30,8 @@ from pipelines.engine.stage import Stage
 from pipelines.engine.store import write_csv, write_files, write_json
 from pipelines.play.actor_files import actor_files
 from pipelines.play.episodes import play_seeds, playing_seconds
+from pipelines.play.printed_programs import write_program
 from pipelines.stages.oracle import load_oracle
-from pipelines.stages.printed_programs import write_program
 
 STREAM_ELEMENTS = {"oracle": 0, "dagger": 1, "selection": 2, "fit": 3}
 ITERATE_COLUMNS = ("round", "n_rows", "rollout_mean", "selection_mean", "n_selection_episodes", "n_leaves", "depth",

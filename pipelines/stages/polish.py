@@ -24,10 +24,10 @@ from pipelines.errors import ConfigError
 from pipelines.play.actor_files import actor_files, load_actor, load_oracle_network
 from pipelines.play.environments import is_discrete, make_env
 from pipelines.play.episodes import Player, episodes_version, moments, play_each, playing_seconds
+from pipelines.play.printed_programs import and_names, write_program
 from pipelines.play.vector_envs import check_environments, fastest_environments
 from pipelines.stages.evaluate import EPISODE_COLUMNS, episode_rows
 from pipelines.stages.map import map_actor
-from pipelines.stages.printed_programs import and_names, write_program
 from pipelines.stages.prune import load_tree, prune
 from pipelines.training.critics import CRITICS, load_critics
 from pipelines.training.search.policy_search import search_settings
@@ -289,7 +289,7 @@ def _told(report: PolishReport, config: RunConfig) -> dict[str, Any]:
     }
 
 
-# Its inputs depend on the method: `pipelines.stages.table.stages_of` sets them.
+# Its inputs depend on the method: `pipelines.runs.stage_table.stages_of` sets them.
 POLISH_SETTINGS = picked(
     env="env",
     seed="seed",

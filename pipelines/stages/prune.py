@@ -16,7 +16,7 @@ from pipelines.errors import PolicyMismatchError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.agreement import answers_agree
 from pipelines.play.episodes import play_pruning
-from pipelines.stages.printed_programs import and_names, program_text, write_picture, write_program
+from pipelines.play.printed_programs import and_names, program_text, write_picture, write_program
 
 
 def prune(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
@@ -82,6 +82,6 @@ def load_tree(folder: Path) -> otr.ObliqueTree:
     return tree
 
 
-# Its inputs depend on the method: `pipelines.stages.table.stages_of` sets them.
+# Its inputs depend on the method: `pipelines.runs.stage_table.stages_of` sets them.
 PRUNE_SETTINGS = and_names(picked(env="env", n_episodes="prune.n_episodes", k="prune.k", seed="seed"))
 PRUNE = Stage("prune", version=1, inputs=(), settings=PRUNE_SETTINGS, run=prune)

@@ -261,14 +261,14 @@ class _Run:
         if key not in self._folder.state["selection"]:
             seeds = self._episode_seeds("selection", stage, n_episodes)
             episodes = self._play(self._folder.tree(candidate).predict, seeds, False)
-            selection = {**self._folder.state["selection"], key: _floats(episodes.returns)}
+            selection = {**self._folder.state["selection"], key: episodes.returns.tolist()}
             self._folder.commit(n_steps=self._n_steps_after(episodes), selection=selection)
         returns: list[float] = self._folder.state["selection"][key]
         return returns
 
     def _played(self, episodes: Rollout) -> dict[str, Any]:
         """Return what changes in the state by a round's episodes."""
-        rollouts = [*self._folder.state["rollouts"], _floats(episodes.returns)]
+        rollouts = [*self._folder.state["rollouts"], episodes.returns.tolist()]
         return {"n_steps": self._n_steps_after(episodes), "rollouts": rollouts}
 
     def _n_steps_after(self, episodes: Rollout) -> int:
@@ -288,7 +288,3 @@ def _label(oracle: Oracle, X: FloatArray) -> tuple[FloatArray, FloatArray | None
 def _size(tree: ObliqueTree | PatternTree) -> tuple[int, int]:
     """Return the number of leaves and the depth."""
     return (tree.n_paths, tree.n_bits) if isinstance(tree, PatternTree) else (tree.n_leaves, tree.depth)
-
-
-def _floats(returns: FloatArray) -> list[float]:
-    return [float(value) for value in returns]

@@ -9,8 +9,8 @@ from pipelines.cli.overrides import with_path_quoted
 from pipelines.cli.runs import RUN
 from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError
+from pipelines.play.printed_programs import program_text
 from pipelines.stages.parse import policy_tree, read_program, shipped_programs
-from pipelines.stages.printed_programs import program_text
 from tests.pipelines.conftest import PENDULUM, otr_command
 
 MOUNTAIN_CAR = EnvConfig(

@@ -18,7 +18,7 @@ from pipelines.errors import ConfigError, PipelineError, PolicyMismatchError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.episodes import play_seeds
 from pipelines.play.selection import compare_with_trained
-from pipelines.stages.table import STAGES
+from pipelines.runs.stage_table import STAGES
 from pipelines.stages.train import TRAIN, checkpoint_folder, train_settings, trained_steps
 from pipelines.training import sb3_checkpoints as checkpoint_module
 from pipelines.training import sb3_training

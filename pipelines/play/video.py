@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import sys
+from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -61,8 +62,8 @@ def write_video(tree: otr.ObliqueTree, env_config: EnvConfig, seed: int, path: P
                 print(f"video: step {step:,} of {length:,}", flush=True)
         return answers
 
-    played = play_side_by_side(GymnasiumVectorEnv(lambda: env), acting, [seed])
-    env.close()
+    with closing(GymnasiumVectorEnv(lambda: env)) as envs:
+        played = play_side_by_side(envs, acting, [seed])
     _write_gif(path, frames, stride / frames_a_second)
     about = {"seed": seed, "return": float(played.returns[0]), "n_steps": int(played.lengths[0])}
     return about | {"n_frames": len(frames), "steps_a_frame": stride}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import math
+from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -66,8 +67,8 @@ def record(
         step += 1
         return np.asarray(tree.predict(batch))
 
-    played = play_side_by_side(GymnasiumVectorEnv(lambda: playing), acting, [seed])
-    playing.close()
+    with closing(GymnasiumVectorEnv(lambda: playing)) as envs:
+        played = play_side_by_side(envs, acting, [seed])
     X = np.array(states)
     low, high = X.min(axis=0), X.max(axis=0)
     answers = np.asarray(tree.predict(X))

@@ -197,7 +197,7 @@ def test_figure_4_7_plays_the_simpler_tree_on_the_evaluation_episodes(depth_two,
         played.append((list(seeds), play_seeds(policy, env, seeds, **options)))
         return played[-1][1]
 
-    monkeypatch.setattr(figure_4_7, "rollout", recorded)
+    monkeypatch.setattr("pipelines.play.episodes.play_seeds", recorded)
     _, write = depth_two
     printed = write()[0].read_text()
     seeds, last = played[-1]

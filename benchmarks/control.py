@@ -27,7 +27,7 @@ from otr.control.dagger.loop import TreeFit
 from pipelines.config.env import EnvConfig
 from pipelines.engine.seeding import episode_seeds
 from pipelines.play.actor_files import load_actor
-from pipelines.play.rollout import Policy, Rollout, rollout
+from pipelines.play.episodes import Policy, Rollout, play_seeds
 
 torch.set_num_threads(1)
 
@@ -85,7 +85,7 @@ def _dagger_runs(quick: bool) -> list[Entry]:
         def play(policy: Policy, seeds: Sequence[int], keep_states: bool) -> Rollout:
             nonlocal played_s
             began = time.process_time()
-            played = rollout(policy, LANDER, seeds, keep_states=keep_states, n_workers=1)
+            played = play_seeds(policy, LANDER, seeds, keep_states=keep_states, n_workers=1)
             played_s += time.process_time() - began
             return played
 

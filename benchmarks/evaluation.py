@@ -1,4 +1,4 @@
-"""Evaluation: episodes of Hopper by `pipelines.play.rollout`, against Stable-Baselines3's `evaluate_policy`.
+"""Evaluation: episodes of Hopper by `pipelines.play.episodes`, against Stable-Baselines3's `evaluate_policy`.
 
 Both play 100 episodes of the same policy on the same environment, and are compared in environment steps a second, since
 the two draw other starts and so other lengths. The policy is the committed one of depth 6 where there is one, else
@@ -25,7 +25,7 @@ from benchmarks.peers import HOPPER, sac_with_actor
 from pipelines.engine.store import exists
 from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import make_env
-from pipelines.play.rollout import rollout
+from pipelines.play.episodes import play_seeds
 
 COMMITTED = Path("results/runs/hopper/otr/depth-6/quick/seed-0/train")
 
@@ -48,7 +48,7 @@ def measure(quick: bool) -> list[Entry]:
     seeds = range(1000, 1000 + n_episodes)
 
     def ours(n_workers: int) -> int:
-        return int(rollout(tree.predict, HOPPER, seeds, n_workers=n_workers).lengths.sum())
+        return int(play_seeds(tree.predict, HOPPER, seeds, n_workers=n_workers).lengths.sum())
 
     def theirs() -> int:
         _, lengths = evaluate_policy(model, env, n_eval_episodes=n_episodes, return_episode_rewards=True)

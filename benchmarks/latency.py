@@ -25,7 +25,7 @@ from benchmarks.measure import Entry, alternate
 from benchmarks.peers import HOPPER, sac_with_actor
 from pipelines.engine.archive import opened
 from pipelines.play.actor_files import load_actor
-from pipelines.play.rollout import rollout
+from pipelines.play.episodes import play_seeds
 
 RUN = Path(__file__).parent.parent / "results" / "runs" / "hopper" / "otr" / "depth-6" / "quick" / "seed-0"
 DTYPES = {"double": np.float64, "float": np.float32}
@@ -96,7 +96,7 @@ def measure(quick: bool) -> list[Entry]:
         Form("compact form", network, f"value <= {MAX_BYTES}"),
     ]
     seeds = range(3 if quick else N_EPISODES)
-    states = rollout(network.predict, HOPPER, seeds, keep_states=True, n_workers=1).states
+    states = play_seeds(network.predict, HOPPER, seeds, keep_states=True, n_workers=1).states
     predict_s = _seconds_of_predict(network, states, rounds=3 if quick else 10)
     entries = []
     with tempfile.TemporaryDirectory() as folder:

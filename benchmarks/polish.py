@@ -29,10 +29,9 @@ from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import FIRST_STREAM_SEED
 from pipelines.engine.store import exists
 from pipelines.play.actor_files import load_actor
-from pipelines.play.rollout import rollout
-from pipelines.stages.derived import opened_run
+from pipelines.play.episodes import Player, play_seeds
+from pipelines.runs.derived import opened_run
 from pipelines.stages.polish import environments, load_searched, load_tree
-from pipelines.training.search.episodes import SearchEpisodes
 
 N_EPISODES = {"LunarLander-v3": 1_000, "Pendulum-v1": 5_000, "MountainCarContinuous-v0": 1_000}
 N_OTHER_EPISODES, N_QUICK_EPISODES = 100, 20
@@ -107,9 +106,9 @@ def played_run(run_dir: Path, name: str, n_episodes: int | None = None) -> Polis
 def _returns(policies: Sequence[Any], config: RunConfig, seeds: Sequence[int]) -> np.ndarray:
     """Return the returns (k, m) of policies from the same first states."""
     if environments(config) == "numpy":
-        with closing(SearchEpisodes(config.env, "numpy")) as episodes:
+        with closing(Player(config.env, "numpy")) as episodes:
             return episodes.play(policies, np.tile(seeds, (len(policies), 1))).returns
-    return np.array([rollout(policy.predict, config.env, seeds).returns for policy in policies])
+    return np.array([play_seeds(policy.predict, config.env, seeds).returns for policy in policies])
 
 
 def _run_entries(run: PolishedRun) -> list[Entry]:

@@ -29,14 +29,14 @@ from benchmarks.fleet import fleet_rate, peer_rate
 from benchmarks.measure import Entry, output_dir, results_dir
 from benchmarks.peers import HOPPER
 from benchmarks.search_curves import PEERS, RATES, write_picture
+from otr.control.environments import Stepped
 from pipelines.cli import runs
 from pipelines.config.algo import ArsConfig
 from pipelines.config.env import EnvConfig
 from pipelines.config.run import RunConfig
 from pipelines.play.environments import make_env
-from pipelines.training.environments.gymnasium_envs import GymnasiumVectorEnv
-from pipelines.training.environments.vector_envs import Stepped
-from pipelines.training.search.episodes import SearchEpisodes
+from pipelines.play.episodes import Player
+from pipelines.play.vector_envs import make_vector_env
 from pipelines.training.search.policy_search import PolicySearch
 
 WARM_UP_STEPS = {"hopper": 130_000, "walker2d": 300_000, "halfcheetah": 30_000}
@@ -67,9 +67,9 @@ def search_config(env: str, *overrides: str) -> RunConfig:
     return runs.run_config([f"env={env}", *(overrides or ("depth=6",)), "algo=ars"])
 
 
-def _episodes(config: RunConfig) -> SearchEpisodes:
+def _episodes(config: RunConfig) -> Player:
     assert isinstance(config.algo, ArsConfig)
-    return SearchEpisodes(config.env, config.algo.environments, config.algo.alive_bonus)
+    return Player(config.env, config.algo.environments)
 
 
 def warmed_up(config: RunConfig, n_steps: int) -> dict[str, np.ndarray]:
@@ -84,19 +84,16 @@ def warmed_up(config: RunConfig, n_steps: int) -> dict[str, np.ndarray]:
 class TwinEnv:
     """Environments (`VectorEnv`) beside a twin that does the same, whose CPU-seconds are counted."""
 
-    def __init__(self, env: EnvConfig, n_envs: int) -> None:
-        self.n_envs, self.twin_seconds = n_envs, 0.0
-        self._envs, self._twin = (GymnasiumVectorEnv(env, n_envs) for _ in range(2))
+    def __init__(self, env: EnvConfig) -> None:
+        self.twin_seconds = 0.0
+        self._envs, self._twin = (make_vector_env(env, "gymnasium") for _ in range(2))
         self._twin_first = False
 
-    def reset(self, seeds: Sequence[int]) -> np.ndarray:
+    def reset(self, seeds: Sequence[int] | None, envs: np.ndarray | None = None) -> np.ndarray:
         began = time.process_time()
-        self._twin.reset(seeds)
+        self._twin.reset(seeds, envs)
         self.twin_seconds += time.process_time() - began
-        return self._envs.reset(seeds)
-
-    def restart(self, envs: np.ndarray) -> np.ndarray:
-        raise NotImplementedError("the search starts all episodes of an iteration at once")
+        return self._envs.reset(seeds, envs)
 
     def step(self, actions: np.ndarray, envs: np.ndarray | None = None) -> Stepped:
         self._twin_first = not self._twin_first  # the second of the two finds warmer caches
@@ -119,17 +116,16 @@ class TwinEnv:
 
 def share_of_environments(config: RunConfig, state: dict[str, np.ndarray], n_rounds: int) -> Entry:
     """Return the search's steps a second beside those of its environments alone, an iteration a round."""
-    search, episodes = PolicySearch(config, 0), _episodes(config)
+    search, twins = PolicySearch(config, 0), TwinEnv(config.env)
     search.restore(state)
+    with patch("pipelines.play.episodes.make_vector_env", lambda *_: twins):
+        episodes = _episodes(config)
     measured = []
-    assert isinstance(config.algo, ArsConfig)
-    twins = TwinEnv(config.env, 2 * config.algo.n_directions)
-    with patch("pipelines.training.search.episodes.make_vector_env", lambda *_: twins):
-        for _ in range(n_rounds):
-            twins.twin_seconds, began = 0.0, time.process_time()
-            n_steps = search.iterate(episodes, WHOLE).lengths.sum()
-            seconds = time.process_time() - began - twins.twin_seconds
-            measured.append((twins.twin_seconds / seconds, n_steps / seconds, n_steps / twins.twin_seconds))
+    for _ in range(n_rounds):
+        twins.twin_seconds, began = 0.0, time.process_time()
+        n_steps = search.iterate(episodes, WHOLE).lengths.sum()
+        seconds = time.process_time() - began - twins.twin_seconds
+        measured.append((twins.twin_seconds / seconds, n_steps / seconds, n_steps / twins.twin_seconds))
     episodes.close()
     share = median_low(share for share, _, _ in measured)
     _, ours, alone = next(each for each in measured if each[0] == share)

@@ -18,7 +18,7 @@ from typing import Any
 
 from benchmarks.measure import Entry, results_dir
 from pipelines.engine.store import read_csv, read_summary
-from pipelines.play.random_returns import random_returns
+from pipelines.runs.below_random import random_returns
 
 SHARE = 0.9
 

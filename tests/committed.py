@@ -6,7 +6,7 @@ from pathlib import Path
 import otr
 from pipelines.cli.runs import load_config
 from pipelines.engine.archive import opened
-from pipelines.stages.derived import opened_run
+from pipelines.runs.derived import opened_run
 
 RESULTS = Path(__file__).parent.parent / "results"
 

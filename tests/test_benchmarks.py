@@ -17,7 +17,7 @@ from benchmarks.evaluation import STANDING_GAINS, STANDING_OFFSETS, standing_pol
 from benchmarks.mapping import copying_tree, random_network
 from benchmarks.measure import Entry, alternate, peak_bytes
 from pipelines.config.env import EnvConfig
-from pipelines.play.rollout import rollout
+from pipelines.play.episodes import play_seeds
 from pipelines.training.search.policy_search import PolicySearch
 from tests.committed import RESULTS
 from tests.pipelines.conftest import otr_command
@@ -139,8 +139,8 @@ def test_the_search_s_share_is_of_the_steps_that_the_twin_did():
     state = PolicySearch(config, 0).state()
     entry = search.share_of_environments(config, state, n_rounds=1)
     assert 0.3 < entry.ratio < 1.1 and entry.target == "ratio >= 0.85"
-    twins = search.TwinEnv(config.env, 2)
-    plain = search.GymnasiumVectorEnv(config.env, 2)
+    twins = search.TwinEnv(config.env)
+    plain = search.make_vector_env(config.env, "gymnasium")
     np.testing.assert_array_equal(twins.reset([1, 2]), plain.reset([1, 2]))
     before = twins.twin_seconds
     for actions in np.random.default_rng(0).uniform(-1, 1, (6, 2, 3)):
@@ -265,7 +265,7 @@ def test_polished_runs_are_found_and_played_on_other_episodes(tmp_path, monkeypa
     env = EnvConfig("mountaincar", "mountaincar", "MountainCarContinuous-v0")
     seeds = range(polish.FIRST_SEED, polish.FIRST_SEED + 20)
     returns = [
-        rollout(otr.load(run_dir / stage / "tree").predict, env, seeds, n_workers=1).returns
+        play_seeds(otr.load(run_dir / stage / "tree").predict, env, seeds, n_workers=1).returns
         for stage in ("prune", "polish")
     ]
     assert after.name == f"mountaincar/program/depth-1/smoke/{run_dir.name}"

@@ -15,8 +15,8 @@ from pipelines.engine.job import is_done
 from pipelines.engine.store import exists, read_csv
 from pipelines.play.actor_files import load_actor
 from pipelines.report.tabulate import TABLES
+from pipelines.runs.derived import opened_run
 from pipelines.runs.verify import certified_stage
-from pipelines.stages.derived import opened_run
 from pipelines.stages.oracle import load_oracle
 from pipelines.stages.train import train_settings
 from tests.committed import RESULTS

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,10 +14,8 @@ if TYPE_CHECKING:
     import gymnasium as gym
 
 
-def answer_reader(
-    env: gym.Env[Any, Any],
-) -> tuple[int, Callable[[Any, int], Sequence[Any]], NDArray[Any]]:
-    """Return the length of a state, the function from the answers to n states to actions, and an array of no actions.
+def answer_reader(env: gym.Env[Any, Any]) -> Callable[[Any, int], NDArray[Any]]:
+    """Return the function from the answers to n states to actions (n, a), or labels (n,).
 
     Continuous actions are rounded to the action space's own type (float32), as a trained policy's are: policies that
     are equal up to the last bits of float64 then play the same episode.
@@ -29,26 +28,23 @@ def answer_reader(
             f"the observations are {seen}, expected a Box; wrap the environment, as in "
             "gymnasium.wrappers.FlattenObservation"
         )
-    n_inputs = math.prod(seen.shape)
     if isinstance(space, spaces.Discrete) and space.start == 0:
-        n_labels = int(space.n)
-        return n_inputs, lambda answers, n: _labels(answers, n, n_labels), np.zeros(0, dtype=np.int64)
+        return functools.partial(_labels, n_labels=int(space.n))
     if not isinstance(space, spaces.Box):
         raise ValueError(f"the actions are {space}, expected a Box, or Discrete from 0 on; wrap the environment")
-    shape, dtype = space.shape, space.dtype
-    return n_inputs, lambda answers, n: _actions(answers, n, shape, dtype), np.zeros((0, *shape), dtype=dtype)
+    return functools.partial(_actions, shape=space.shape, dtype=space.dtype)
 
 
-def _labels(answers: Any, n: int, n_labels: int) -> list[int]:
+def _labels(answers: Any, n: int, n_labels: int) -> NDArray[np.int64]:
     labels = _array(answers)
     if labels.shape != (n,) or labels.dtype.kind not in "iu" or labels.min() < 0 or labels.max() >= n_labels:
         raise ValueError(
             f"the policy answers {_shown(answers)}, expected labels (n,) from 0 to {n_labels - 1} for n = {n} states"
         )
-    return labels.tolist()  # type: ignore[no-any-return]
+    return labels.astype(np.int64)
 
 
-def _actions(answers: Any, n: int, shape: tuple[int, ...], dtype: Any) -> list[NDArray[Any]]:
+def _actions(answers: Any, n: int, shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
     actions, size = _array(answers), math.prod(shape)
     if actions.shape == (n,) and actions.dtype.kind in "iu" and np.issubdtype(dtype, np.floating):
         raise ValueError(
@@ -59,14 +55,13 @@ def _actions(answers: Any, n: int, shape: tuple[int, ...], dtype: Any) -> list[N
         raise ValueError(
             f"the policy answers {_shown(answers)}, expected finite actions (n, {size}) for n = {n} states"
         )
-    rounded = actions
     if np.issubdtype(dtype, np.integer):
-        rounded, held = np.rint(actions), np.iinfo(dtype)
-        if (rounded < held.min).any() or (rounded > held.max).any():
+        actions, held = np.rint(actions), np.iinfo(dtype)
+        if (actions < held.min).any() or (actions > held.max).any():
             raise ValueError(
                 f"the policy answers {_shown(answers)}; the actions are of type {dtype}, from {held.min} to {held.max}"
             )
-    return list(rounded.astype(dtype).reshape(-1, *shape))
+    return np.asarray(actions.astype(dtype).reshape(-1, *shape))
 
 
 def _array(answers: Any) -> NDArray[Any]:

@@ -1,29 +1,31 @@
-"""Episodes of a deterministic policy in a gymnasium environment, side by side: one batched prediction a step.
+"""Episodes of deterministic policies, side by side: one batched prediction a step.
 
-Episode i starts from `reset(seed=seeds[i])` and depends on nothing else.
+Episode i starts from `reset(seed=seeds[i])` and depends on nothing else. Whatever plays episodes, here and in
+`pipelines`, does so by `play_side_by_side`: one policy or many, in environments of gymnasium's or as arrays.
 """
 
 from __future__ import annotations
 
-import copy
-import math
 from collections.abc import Callable, Sequence
+from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from otr.control.answers import answer_reader
 from otr.core.arrays import BoolArray, FloatArray, IntArray
 from otr.extras import naming_the_extra
 
 if TYPE_CHECKING:
     import gymnasium as gym
 
-Policy = Callable[[FloatArray], NDArray[Any]]  # states (n, d) -> actions (n, a), or labels (n,)
+    from otr.control.environments import VectorEnv
 
-_SIDE_BY_SIDE = 32
+Policy = Callable[[FloatArray], NDArray[Any]]  # states (n, d) -> actions (n, a), or labels (n,)
+EpisodePolicy = Callable[[FloatArray, IntArray], NDArray[Any]]  # the same of states and the episodes (n,) they are of
+
+SIDE_BY_SIDE = 32  # environments; more cost memory and are no faster
 _N_EPISODES = 100
 # Where the seeds of `rollout` begin, and what they stay below; those below 2**20 are for reports.
 _SEEDS = (2**20, 2**31)
@@ -132,91 +134,98 @@ def _checked(n_episodes: int | None) -> int:
 def _play(
     env: Any, policy: Any, n_episodes: int | None, seeds: Sequence[int], max_steps: int | None, *, keep_steps: bool
 ) -> Rollout:
-    from otr.control.environments import playable
+    from otr.control.environments import GymnasiumVectorEnv, playable, require_limit
 
     if n_episodes not in (None, len(seeds)):
         raise ValueError(f"n_episodes is {n_episodes}, and there are {len(seeds)} seeds; give one of the two")
     predict = _function(policy)
     make, makes_several = playable(env)
-    n_envs = _SIDE_BY_SIDE if makes_several else 1
-    return play_episodes(make, predict, seeds, keep_steps=keep_steps, max_steps=max_steps, n_envs=n_envs)
+    n_envs = SIDE_BY_SIDE if makes_several else 1
+    envs = GymnasiumVectorEnv(make)
+    with closing(envs) if makes_several else nullcontext():
+        require_limit(envs.first, max_steps)
+        return play_side_by_side(
+            envs, lambda states, _: predict(states), seeds, n_envs=n_envs, max_steps=max_steps, keep_steps=keep_steps
+        )
 
 
-def play_episodes(
-    make_env: Callable[[], gym.Env[Any, Any]],
-    policy: Policy,
+def play_side_by_side(
+    envs: VectorEnv,
+    policy: EpisodePolicy,
     seeds: Sequence[int],
     *,
-    keep_steps: bool = False,
+    n_envs: int | None = None,
     max_steps: int | None = None,
-    n_envs: int = _SIDE_BY_SIDE,
+    alive_bonus: float = 0.0,
+    keep_steps: bool = False,
+    sort_steps: bool = True,
 ) -> Rollout:
     """Step some environments side by side, one episode a seed; an environment whose episode ends takes the next seed.
 
-    States and actions are kept with `keep_steps`; `n_envs` is how many environments are made at most; `rollout`
-    documents the rest.
-    """
-    from otr.control.environments import require_limit, start, step
+    Args:
+        envs: play the episodes, and are left open.
+        policy: answers the states of the episodes that go on; these are numbered in the order of their seeds.
+        seeds: (n,), one for each episode.
+        n_envs: how many play at a time, at most; all of them by default.
+        max_steps: of an episode, which is truncated there; None for the environments' own limit alone.
+        alive_bonus: is taken off every step's reward.
+        keep_steps, sort_steps: whether states and actions are kept, and come episode after episode, else as played.
 
-    n = len(seeds)
-    if n == 0:
+    Raises:
+        ValueError: there are no seeds, or states or returns are not finite.
+    """
+    n = _n_seeds(seeds, max_steps)
+    returns, lengths = np.zeros(n), np.zeros(n, dtype=np.int64)
+    terminated, truncated = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
+    kept: list[tuple[IntArray, FloatArray, NDArray[Any]]] = []  # episodes, states and actions of each step
+    n_slots = n_started = n if n_envs is None else min(n, n_envs)
+    slots = np.arange(n_slots)  # the environments that play
+    episodes, states = slots, envs.reset(seeds[:n_slots])  # the episodes that they play
+    while len(slots):
+        _require_finite(states, episodes, seeds, lengths)
+        stepped = envs.step(policy(states, episodes), None if len(slots) == n_slots else slots)
+        if keep_steps:
+            kept.append((episodes, states, stepped.actions))
+        returns[episodes] += stepped.rewards - alive_bonus
+        lengths[episodes] += 1
+        states, ended = stepped.states, stepped.terminated | stepped.truncated
+        if max_steps is not None:
+            ended |= lengths[episodes] >= max_steps
+        if not ended.any():
+            continue
+        over = episodes[ended]
+        for i in over[~np.isfinite(returns[over])]:
+            raise ValueError(f"the rewards of the episode of seed {seeds[i]} add up to {returns[i]}")
+        terminated[over] = stepped.terminated[ended]
+        truncated[over] = stepped.truncated[ended] | ~terminated[over]
+        episodes = episodes.copy()
+        # Backwards: batches, and with them the last bits of answers, are those of committed runs.
+        for i, started in zip(np.flatnonzero(ended)[::-1], range(n_started, n), strict=False):
+            states[i] = envs.reset([seeds[started]], slots[[i]])[0]
+            episodes[i], ended[i], n_started = started, False, started + 1
+        slots, episodes, states = slots[~ended], episodes[~ended], states[~ended]
+    steps = zip(*(kept or [(episodes, states, stepped.actions[:0])]), strict=True)
+    played, visited, actions = (np.concatenate(parts) for parts in steps)
+    order = np.argsort(played, kind="stable") if sort_steps else slice(None)
+    return Rollout(np.array(seeds), returns, lengths, terminated, truncated, visited[order], actions[order])
+
+
+def _n_seeds(seeds: Sequence[int], max_steps: int | None) -> int:
+    if len(seeds) == 0:
         raise ValueError("there are no seeds; give one for each episode")
     if max_steps is not None and max_steps < 1:
         raise ValueError(f"max_steps is {max_steps}, expected 1 or more")
-    envs = [make_env() for _ in range(min(n_envs, n))]
-    returns, lengths = np.zeros(n), np.zeros(n, dtype=np.int64)
-    terminated, truncated = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
-    visited: list[list[FloatArray]] = [[] for _ in seeds]
-    done: list[list[Any]] = [[] for _ in seeds]
-    episode = list(range(len(envs)))  # the episode that each environment plays
-    waiting = len(envs)  # the next episode to start
-    limit = math.inf if max_steps is None else max_steps
-    try:
-        if len({id(env) for env in envs}) < len(envs):
-            raise ValueError(
-                "env made the same environment twice, expected a new one each time: they are stepped together"
-            )
-        n_inputs, to_env, no_actions = answer_reader(envs[0])
-        require_limit(envs[0], max_steps)
-        states = [start(env, int(seeds[i])) for i, env in enumerate(envs)]
-        while envs:
-            batch = np.array(states)
-            _require_finite(batch, episode, seeds, lengths)
-            actions = to_env(policy(batch), len(batch))
-            for slot in range(len(envs) - 1, -1, -1):  # backwards, so that a finished slot can be removed
-                env, i = envs[slot], episode[slot]
-                if keep_steps:
-                    visited[i].append(states[slot])
-                    done[i].append(copy.copy(actions[slot]))  # the environment may change it in place
-                states[slot], reward, terminal, timeout = step(env, actions[slot])
-                returns[i] += reward
-                lengths[i] += 1
-                if terminal or timeout or lengths[i] >= limit:
-                    if not math.isfinite(returns[i]):
-                        raise ValueError(f"the rewards of the episode of seed {seeds[i]} add up to {returns[i]}")
-                    terminated[i], truncated[i] = terminal, timeout or not terminal
-                    if waiting == n:
-                        env.close()
-                        del envs[slot], episode[slot], states[slot]
-                        continue
-                    episode[slot], waiting = waiting, waiting + 1
-                    states[slot] = start(env, int(seeds[episode[slot]]))
-    finally:
-        for env in envs:
-            env.close()
-    kept = np.array([state for one in visited for state in one]).reshape(-1, n_inputs)
-    taken = np.array([action for one in done for action in one] or no_actions, dtype=no_actions.dtype)
-    return Rollout(np.array(seeds), returns, lengths, terminated, truncated, kept, taken)
+    return len(seeds)
 
 
-def _require_finite(states: FloatArray, episode: Sequence[int], seeds: Sequence[int], lengths: IntArray) -> None:
-    """Raise ValueError where one of the states (n, d) is not finite; `episode` (n,) says whose each is."""
+def _require_finite(states: FloatArray, episodes: IntArray, seeds: Sequence[int], lengths: IntArray) -> None:
+    """Raise ValueError where one of the states (n, d) of these episodes is not finite."""
     if not np.isfinite(states).all():
-        slot = int((~np.isfinite(states).all(axis=1)).argmax())
-        i = episode[slot]
+        row = int((~np.isfinite(states).all(axis=1)).argmax())
+        i = episodes[row]
         raise ValueError(
             f"the observation of the episode of seed {seeds[i]} at step {lengths[i]} is not finite: "
-            f"{states[slot].tolist()}"
+            f"{states[row].tolist()}"
         )
 
 

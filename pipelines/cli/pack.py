@@ -7,7 +7,7 @@ from pathlib import Path
 from pipelines.cli.runs import load_config
 from pipelines.engine.archive import MANIFEST, pack
 from pipelines.errors import PipelineError
-from pipelines.stages.derived import derive
+from pipelines.runs.derived import derive
 
 
 def pack_results(results_dir: Path) -> int:

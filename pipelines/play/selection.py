@@ -10,10 +10,10 @@ import numpy as np
 
 import otr
 from pipelines.config.run import RunConfig
-from pipelines.engine.seeding import episode_seeds
 from pipelines.errors import PipelineError, PolicyMismatchError
+from pipelines.play.actor_files import actor_files
 from pipelines.play.agreement import answers_agree
-from pipelines.play.rollout import Policy, Rollout, rollout
+from pipelines.play.episodes import Rollout, play_selection
 from pipelines.play.spaces import state_box
 
 TOLERANCE = 1e-5  # between the float64 network and the trainer's float32 one, relative
@@ -35,19 +35,19 @@ def units_of_box(config: RunConfig) -> InputUnits | None:
     return InputUnits(*state_box(config.env)) if config.actor.rescale_inputs else None
 
 
-def play_selection_episodes(
-    network: otr.ReluNetwork, config: RunConfig, units: InputUnits | None
-) -> tuple[otr.ReluNetwork, Rollout]:
-    """Return the actor as it reads the environment's own states, and what came of its selection episodes."""
+def evaluate_network(
+    network: otr.ReluNetwork, trained: Predict, config: RunConfig, units: InputUnits | None
+) -> tuple[dict[str, bytes], Rollout]:
+    """Return the files of an actor, as it reads the environment's own states, and what came of its selection episodes.
+
+    Raises:
+        PolicyMismatchError: the exported network and the trained actor disagree on a visited state.
+    """
     if units is not None:
         network = network.fold_input_normalisation(units.middle, units.scale)
-    return network, play_episodes(network.predict, config)
-
-
-def play_episodes(policy: Policy, config: RunConfig) -> Rollout:
-    """Play the selection episodes, their states kept."""
-    seeds = episode_seeds(config.seed, "selection", config.train.n_selection_episodes)
-    return rollout(policy, config.env, seeds, keep_states=True, n_workers=1)
+    played = play_selection(network.predict, config)
+    compare_with_trained(network, trained, played.states, units)
+    return actor_files(network), played
 
 
 def compare_with_trained(

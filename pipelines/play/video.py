@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import sys
-from dataclasses import dataclass
+from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,8 @@ import gymnasium as gym
 import numpy as np
 
 import otr
-from otr.control.rollout import play_episodes
+from otr.control.environments import GymnasiumVectorEnv
+from otr.control.rollout import play_side_by_side
 from otr.core.merging import merge_equal_leaves
 from otr.programs.names import label_name
 from otr.programs.picture.colours import label_colours, level_colour
@@ -23,7 +24,7 @@ from pipelines.config.env import EnvConfig
 from pipelines.config.run import RunConfig
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.play.environments import make_env, spec_of
-from pipelines.play.rollout import rollout
+from pipelines.play.episodes import play_seeds
 from pipelines.play.spaces import action_names
 
 if TYPE_CHECKING:
@@ -34,18 +35,8 @@ WIDTH, TEXT, BAND, STRIP = 480, 13, 42, 12  # pixels: of a picture, of letters, 
 COLOURS = 96
 
 
-@dataclass(frozen=True)
-class Episode:
-    """What was shown: the return and the steps of the episode, and the frames that show every `stride`-th step."""
-
-    episode_return: float
-    n_steps: int
-    n_frames: int
-    stride: int
-
-
-def write_video(tree: otr.ObliqueTree, env_config: EnvConfig, seed: int, path: Path) -> Episode:
-    """Play the episode that starts from `reset(seed)` and write it in real time as a GIF.
+def write_video(tree: otr.ObliqueTree, env_config: EnvConfig, seed: int, path: Path) -> dict[str, Any]:
+    """Play the episode that starts from `reset(seed)`, write it in real time as a GIF, and return what it shows.
 
     It has at most MOST_FRAMES frames: those of a long episode stand for more steps each, and so for more time.
     The strip on the right has the leaves' colours, from the first leaf at the top to the last, and a mark at the one
@@ -58,11 +49,11 @@ def write_video(tree: otr.ObliqueTree, env_config: EnvConfig, seed: int, path: P
     env = gym.wrappers.RecordEpisodeStatistics(renderable(env_config))
     names = action_names(env_config, tree.n_answers)
     frames_a_second = float(env.metadata.get("render_fps") or 30)
-    (length,) = rollout(tree.predict, env_config, [seed], n_workers=1).lengths.tolist()
+    (length,) = play_seeds(tree.predict, env_config, [seed], n_workers=1).lengths.tolist()
     stride = max(1, round(frames_a_second / FRAMES_A_SECOND), -(-length // MOST_FRAMES))
     frames: list[Image] = []
 
-    def acting(states: np.ndarray) -> np.ndarray:
+    def acting(states: np.ndarray, _: np.ndarray) -> np.ndarray:
         answers, step = np.asarray(tree.predict(states)), env.episode_lengths
         if step % stride == 0:
             shown, leaf = rendered(env, env_config), int(tree.apply(states)[0])
@@ -71,9 +62,11 @@ def write_video(tree: otr.ObliqueTree, env_config: EnvConfig, seed: int, path: P
                 print(f"video: step {step:,} of {length:,}", flush=True)
         return answers
 
-    played = play_episodes(lambda: env, acting, [seed])
+    with closing(GymnasiumVectorEnv(lambda: env)) as envs:
+        played = play_side_by_side(envs, acting, [seed])
     _write_gif(path, frames, stride / frames_a_second)
-    return Episode(float(played.returns[0]), int(played.lengths[0]), len(frames), stride)
+    about = {"seed": seed, "return": float(played.returns[0]), "n_steps": int(played.lengths[0])}
+    return about | {"n_frames": len(frames), "steps_a_frame": stride}
 
 
 def check_video(config: RunConfig) -> None:

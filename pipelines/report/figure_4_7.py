@@ -11,15 +11,14 @@ import otr
 from otr.shorten.refit_tests import RefittedTest, RefittedTree, refit_tests
 from pipelines.config.run import RunConfig
 from pipelines.engine.command_text import command_text
-from pipelines.engine.seeding import episode_seeds, evaluation_seeds
 from pipelines.engine.store import read_csv
 from pipelines.errors import MissingInputError, PipelineError
-from pipelines.play.rollout import Rollout, rollout
+from pipelines.play.episodes import Rollout, play_evaluation, play_pruning
 from pipelines.play.spaces import action_names, feature_names
 from pipelines.report.figure_4_6 import Planned
 from pipelines.report.published import published
 from pipelines.report.text import page, write_file
-from pipelines.stages.derived import opened_run
+from pipelines.runs.derived import opened_run
 
 METHOD, DEPTH, PREFERRED_ORACLE = "augtree", 2, "[256]"
 AGREEMENTS = (0.95, 0.9, 0.85, 0.8, 0.75, 0.7)  # tried
@@ -44,11 +43,9 @@ def write_figure_4_7(
         tree = otr.load(whole / "imitate" / "tree")
     if not isinstance(tree, otr.ObliqueTree):
         raise PipelineError(f"{run_dir}: its tree is held as patterns, which cannot be simplified")
-    seeds = episode_seeds(config.seed, "prune", config.prune.n_episodes)
-    played = rollout(tree.predict, config.env, seeds, keep_states=True, n_workers=1)
-    agreement, simplified = _simplest(tree, played, config, seeds)
-    evaluated = evaluation_seeds(config.evaluate.first_seed, config.evaluate.n_episodes)
-    returns = rollout(simplified.tree.predict, config.env, evaluated, n_workers=1).returns
+    played = play_pruning(tree.predict, config)
+    agreement, simplified = _simplest(tree, played, config)
+    returns = play_evaluation(simplified.tree.predict, config).returns
 
     names: dict[str, Any] = {
         "feature_names": feature_names(config.env, tree.n_inputs),
@@ -107,15 +104,13 @@ def selection_return(run_dir: Path) -> float:
     return next(float(row["selection_mean"]) for row in rows if row["chosen"] == "True")
 
 
-def _simplest(
-    tree: otr.ObliqueTree, played: Rollout, config: RunConfig, seeds: Sequence[int]
-) -> tuple[float, RefittedTree]:
+def _simplest(tree: otr.ObliqueTree, played: Rollout, config: RunConfig) -> tuple[float, RefittedTree]:
     """Return the loosest agreement that almost keeps the pruning episodes' return, else the tightest, and its tree."""
     least = played.returns.mean() - MOST_LOST * abs(played.returns.mean())
     nodes = range(1, tree.n_nodes)
     for agreement in reversed(AGREEMENTS):
         simplified = refit_tests(tree, played.states, agreement=agreement, digits=DIGITS, nodes=nodes)
-        if rollout(simplified.tree.predict, config.env, seeds, n_workers=1).returns.mean() >= least:
+        if play_pruning(simplified.tree.predict, config).mean_return >= least:
             break
     return agreement, simplified
 

@@ -23,7 +23,7 @@ from pipelines.report.figures import (
     panel_and_label,
     set_legend,
 )
-from pipelines.stages.table import stages_of
+from pipelines.runs.stage_table import stages_of
 from pipelines.training.checkpoints import evaluations_so_far
 
 if TYPE_CHECKING:

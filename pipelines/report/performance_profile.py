@@ -17,7 +17,6 @@ import pandas as pd
 import otr
 from pipelines.engine.command_text import command_text
 from pipelines.errors import MissingInputError
-from pipelines.play.random_returns import random_returns
 from pipelines.report.cells import DECIMALS, KEY, METHOD_NAMES, SOURCE, TASK_NAMES, table_runs
 from pipelines.report.figures import COLOURS, DASHES, SMALL, figure_of_panels, legend_line, set_legend
 from pipelines.report.published import best_published
@@ -25,6 +24,7 @@ from pipelines.report.statistics import performance_profile
 from pipelines.report.table_4_1 import COLUMNS as COLUMNS_OF_TABLE
 from pipelines.report.table_4_1 import make_cells
 from pipelines.report.text import csv_text, write_file
+from pipelines.runs.below_random import random_returns
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import otr
 from pipelines.config.run import RunConfig
 from pipelines.errors import ConfigError
+from pipelines.play.printed_programs import names_of_env
 from pipelines.report.learning_curves import learning_curves, load_curves
 from pipelines.report.leaves_kept import load_leaves, return_against_leaves
 from pipelines.report.regions import chosen_inputs, draw_regions
@@ -21,7 +22,6 @@ from pipelines.runs.finished_run import (
     visited_states,
     with_its_names,
 )
-from pipelines.stages.printed_programs import names_of_env
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

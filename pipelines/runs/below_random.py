@@ -1,10 +1,20 @@
-"""What to look for where an imported policy returns less than random actions."""
+"""The returns of random actions, and what to look for where an imported policy returns less."""
 
+import csv
 from collections.abc import Mapping
+from importlib import resources
 from typing import Any
 
 from pipelines.config.run import RunConfig
-from pipelines.play.random_returns import random_returns
+
+
+def random_returns(key: str = "task") -> dict[str, float]:
+    """Return the mean return of random actions by task, or by another column of the file, such as `env_id`.
+
+    `python -m pipelines.cli.random_returns` measured them.
+    """
+    text = (resources.files("pipelines") / "random_returns.csv").read_text(encoding="utf-8")
+    return {row[key]: float(row["mean"]) for row in csv.DictReader(text.splitlines())}
 
 
 def warning_below_random(config: RunConfig, summary: Mapping[str, Any]) -> str | None:

@@ -11,8 +11,8 @@ import otr
 from pipelines.config.run import RunConfig
 from pipelines.config.setting import Folder, FreeText, OneOf, Range, check_settings
 from pipelines.errors import ConfigError, PipelineError, check_choice
+from pipelines.play.printed_programs import names_of_env
 from pipelines.runs.finished_run import COMPACT, TREES, check_run, title_of, tree_of, visited_states
-from pipelines.stages.printed_programs import names_of_env
 
 
 @dataclass(frozen=True)

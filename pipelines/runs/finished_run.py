@@ -19,8 +19,8 @@ from pipelines.engine.seeding import episode_seeds
 from pipelines.engine.store import exists, read_json
 from pipelines.errors import ConfigError, MissingInputError, PipelineError, check_choice
 from pipelines.play.actor_files import load_actor
-from pipelines.play.rollout import rollout
-from pipelines.stages.derived import opened_run
+from pipelines.play.episodes import play_seeds
+from pipelines.runs.derived import opened_run
 
 TREES = ("pruned", "full", "minimal", "polished", "simplified", "constant_gains", "compact", "polished_compact")
 COMPACT = ("compact", "polished_compact")  # networks, which C alone can hold
@@ -102,7 +102,7 @@ def command_of(folder: Path, stage: str) -> str:
 def visited_states(run: RunConfig, policy: otr.ObliqueTree, n_episodes: int = 5) -> np.ndarray:
     """Return the states (n, d) that a policy visits in a few of the episodes that the run was pruned with."""
     seeds = episode_seeds(run.seed, "prune", min(n_episodes, run.prune.n_episodes))
-    return rollout(policy.predict, run.env, seeds, keep_states=True, n_workers=1).states
+    return play_seeds(policy.predict, run.env, seeds, keep_states=True, n_workers=1).states
 
 
 def title_of(run: RunConfig, tree: str) -> str:

@@ -6,9 +6,9 @@ import numpy as np
 
 from pipelines.config.run import RunConfig
 from pipelines.engine.store import exists, read_csv
-from pipelines.stages.derived import opened_run
+from pipelines.play.episodes import play_each
+from pipelines.runs.derived import opened_run
 from pipelines.stages.evaluate import episodes_file, load_policies
-from pipelines.stages.evaluation_episodes import play_each
 from pipelines.stages.polish import load_searched
 
 TOLERANCE = 1e-6  # of the return, relative

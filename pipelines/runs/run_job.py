@@ -21,12 +21,12 @@ from pipelines.engine.store import read_json
 from pipelines.engine.wrapping import columns, fitted
 from pipelines.errors import ConfigError
 from pipelines.runs.below_random import warning_below_random
+from pipelines.runs.derived import derive, opened_run
 from pipelines.runs.imitation import advice
 from pipelines.runs.result import show_result
+from pipelines.runs.stage_table import stages_of
 from pipelines.runs.summary import summarise
-from pipelines.stages.derived import derive, opened_run
 from pipelines.stages.polish import announce_polish, check_critics
-from pipelines.stages.table import stages_of
 from pipelines.stages.train import TRAIN, announce_training, train_together
 from pipelines.tracking.tracker import Tracker
 

@@ -8,7 +8,7 @@ from pipelines.config.run import RunConfig
 from pipelines.engine.archive import MANIFEST, read_manifest
 from pipelines.engine.stage import Stage, stage_key, stage_status
 from pipelines.engine.store import exists, read_csv, read_json
-from pipelines.stages.table import stages_of
+from pipelines.runs.stage_table import stages_of
 
 
 def summarise(config: RunConfig, run_dir: Path) -> dict[str, Any]:

@@ -7,14 +7,13 @@ from typing import Any
 
 import otr
 from pipelines.config.run import RunConfig
-from pipelines.engine.seeding import episode_seeds
 from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import write_json
 from pipelines.play.actor_files import load_actor
 from pipelines.play.boxes import box_around, given_box
-from pipelines.play.rollout import rollout
+from pipelines.play.episodes import play_pruning
+from pipelines.play.printed_programs import and_names, write_program
 from pipelines.play.spaces import spaces, state_limits
-from pipelines.stages.printed_programs import and_names, write_program
 
 MARGIN = 0.05  # of the width of what was visited, on either side
 GIVEN = "the given box"
@@ -82,9 +81,9 @@ def _domain(inputs: Mapping[str, Path], config: RunConfig) -> tuple[otr.Domain, 
     if limits is not None:
         return otr.Domain(*limits), "the environment's box of states"
     policy: Any = load_actor(inputs["polish"]) if "polish" in inputs else otr.load(inputs["map"] / "tree")
-    seeds = episode_seeds(config.seed, "prune", config.prune.n_episodes)
-    states = rollout(policy.predict, config.env, seeds, keep_states=True, n_workers=config.n_workers).states
-    return box_around(states, MARGIN), f"the box around the states of {config.prune.n_episodes} episodes"
+    return box_around(
+        play_pruning(policy.predict, config).states, MARGIN
+    ), f"the box around the states of {config.prune.n_episodes} episodes"
 
 
 _USUAL = picked(
@@ -108,5 +107,5 @@ def _version(config: RunConfig) -> int:
 
 
 CERTIFY_SETTINGS = and_names(_settings)
-# Its inputs depend on the method and on polish=true: `pipelines.stages.table.stages_of` sets them.
+# Its inputs depend on the method and on polish=true: `pipelines.runs.stage_table.stages_of` sets them.
 CERTIFY = Stage("certify", version=_version, inputs=(), settings=CERTIFY_SETTINGS, run=certify)

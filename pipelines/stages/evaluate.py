@@ -13,8 +13,7 @@ from pipelines.engine.store import write_csv, write_json
 from pipelines.errors import PolicyMismatchError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.agreement import answers_agree
-from pipelines.play.rollout import Rollout
-from pipelines.stages.evaluation_episodes import episodes_version, moments, play_each
+from pipelines.play.episodes import Rollout, episodes_version, moments, play_each
 from pipelines.stages.oracle import load_oracle
 
 EPISODE_COLUMNS = ("episode", "seed", "return", "length", "terminated", "truncated")
@@ -108,6 +107,6 @@ def _require_agreement(states: np.ndarray, network: np.ndarray, tree: np.ndarray
         )
 
 
-# Its inputs depend on the method: `pipelines.stages.table.stages_of` sets them.
+# Its inputs depend on the method: `pipelines.runs.stage_table.stages_of` sets them.
 EVALUATE_SETTINGS = picked(env="env", n_episodes="evaluate.n_episodes", first_seed="evaluate.first_seed")
 EVALUATE = Stage("evaluate", version=episodes_version, inputs=(), settings=EVALUATE_SETTINGS, run=evaluate)

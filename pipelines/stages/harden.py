@@ -10,7 +10,7 @@ from pipelines.config.run import RunConfig
 from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import write_json
 from pipelines.play.environments import make_env
-from pipelines.stages.printed_programs import write_program
+from pipelines.play.printed_programs import write_program
 
 
 def harden_actor(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:

@@ -3,13 +3,13 @@
 A killed run goes on from its last whole round; its working files lie with the checkpoints until the stage is done.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
 import otr
-from otr.control.dagger.loop import DaggerProgress, DaggerSettings, Play, TreeFit, run_dagger
+from otr.control.dagger.loop import DaggerProgress, DaggerSettings, TreeFit, run_dagger
 from otr.core.smooth_network import Oracle
 from pipelines.config.methods import (
     AugTreeConfig,
@@ -29,20 +29,15 @@ from pipelines.engine.seeding import episode_seeds, stream
 from pipelines.engine.stage import Stage
 from pipelines.engine.store import write_csv, write_files, write_json
 from pipelines.play.actor_files import actor_files
-from pipelines.play.environments import episode_limit
-from pipelines.play.rollout import Policy, Rollout, rollout
+from pipelines.play.episodes import play_seeds, playing_seconds
+from pipelines.play.printed_programs import write_program
 from pipelines.stages.oracle import load_oracle
-from pipelines.stages.printed_programs import write_program
 
 STREAM_ELEMENTS = {"oracle": 0, "dagger": 1, "selection": 2, "fit": 3}
 ITERATE_COLUMNS = ("round", "n_rows", "rollout_mean", "selection_mean", "n_selection_episodes", "n_leaves", "depth",
                    "seconds", "chosen")  # fmt: skip
 REPORT_EVERY = 10  # rounds
 VERSION = 1
-# Environment steps on one core, with the states kept and labelled
-STEPS_PER_S = {"lunarlander": 18_000.0}
-OTHER_STEPS_PER_S = 8_000.0
-SHARE_PLAYED = 0.5  # of an episode's longest length
 
 
 def imitate_settings(config: RunConfig) -> dict[str, Any]:
@@ -75,7 +70,7 @@ def imitate(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     result = run_dagger(
         oracle,
         _fit(config, oracle, folder),
-        _player(config),
+        lambda policy, seeds, keep: play_seeds(policy, config.env, seeds, keep_states=keep, n_workers=1),
         lambda name, index, n: episode_seeds(config.seed, "imitate", n, STREAM_ELEMENTS[name], index),
         DaggerSettings(
             imitation.n_rounds, imitation.n_episodes, imitation.n_initial_episodes, imitation.n_choice_episodes
@@ -152,13 +147,6 @@ def _ndps(method: NdpsConfig, depth: int, oracle: Oracle, folder: Path) -> TreeF
     return NdpsImitator(head, settings, method.n_updates_next, method.max_samples, folder)
 
 
-def _player(config: RunConfig) -> Play:
-    def play(policy: Policy, seeds: Sequence[int], keep_states: bool) -> Rollout:
-        return rollout(policy, config.env, seeds, keep_states=keep_states, n_workers=1)
-
-    return play
-
-
 def _show(progress: DaggerProgress, config: RunConfig) -> None:
     """Print a line every few rounds."""
     r, n_rounds = progress.round, progress.n_rounds
@@ -180,9 +168,7 @@ def estimated_seconds(config: RunConfig) -> float:
     # Successive halving plays about as much again as its last two candidates do, six times over.
     n_chosen = 6 * imitation.n_choice_episodes
     n_episodes = imitation.n_initial_episodes + (imitation.n_rounds + 1) * imitation.n_episodes + n_chosen
-    longest = episode_limit(config.env)
-    rate = STEPS_PER_S.get(config.env.task, OTHER_STEPS_PER_S)
-    return n_episodes * longest * SHARE_PLAYED / rate + (imitation.n_rounds + 1) * method.fit_s
+    return playing_seconds(config.env, n_episodes) + (imitation.n_rounds + 1) * method.fit_s
 
 
 IMITATE = Stage(

@@ -1,6 +1,6 @@
 """Stage leaves: the return against the number of leaves kept, OTR-hat(k) for k = 1, 2, 4, ... and all reached."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -8,11 +8,9 @@ import numpy as np
 
 import otr
 from pipelines.config.run import RunConfig
-from pipelines.engine.seeding import episode_seeds
 from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import write_csv, write_json
-from pipelines.play.rollout import rollout
-from pipelines.stages.evaluation_episodes import moments, play_evaluation_episodes
+from pipelines.play.episodes import moments, play_evaluation, play_pruning
 from pipelines.stages.prune import load_tree
 
 COLUMNS = ("n_leaves", "share_of_states", "return_mean", "return_std", "n_episodes")
@@ -25,14 +23,13 @@ def leaves(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     chooses on which it is judged. `share_of_states` is the share of their states that lies in these leaves.
     """
     tree = load_tree(inputs.get("polish") or inputs["prune"])
-    seeds = episode_seeds(config.seed, "prune", config.prune.n_episodes)
-    states = rollout(tree.predict, config.env, seeds, keep_states=True, n_workers=config.n_workers).states
+    states = play_pruning(tree.predict, config).states
     visits = np.sort(np.bincount(tree.apply(states), minlength=tree.n_leaves))[::-1]
     n_reached = int(np.count_nonzero(visits))
     rows: list[dict[str, Any]] = []
     for k in numbers_of_leaves(n_reached):
         kept = otr.prune_to_k(tree, states, k)
-        played = play_evaluation_episodes(kept.predict, config)
+        played = play_evaluation(kept.predict, config)
         share = float(visits[:k].sum() / len(states))
         row = {"n_leaves": k, "share_of_states": share, **moments(played), "n_episodes": len(played.seeds)}
         rows.append(row)
@@ -42,13 +39,9 @@ def leaves(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     write_json(out / "report.json", {"n_reached": n_reached, "n_states": len(states)} | polished)
 
 
-def numbers_of_leaves(n_reached: int) -> Iterator[int]:
-    """Yield 1, 2, 4, ... below the number of leaves that are reached, and that number."""
-    k = 1
-    while k < n_reached:
-        yield k
-        k *= 2
-    yield n_reached
+def numbers_of_leaves(n_reached: int) -> list[int]:
+    """Return 1, 2, 4, ... below the number of leaves that are reached, and that number."""
+    return [*(2**i for i in range((n_reached - 1).bit_length())), n_reached]
 
 
 LEAVES_SETTINGS = picked(

@@ -8,7 +8,7 @@ from pipelines.config.run import RunConfig
 from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import write_json
 from pipelines.play.actor_files import load_actor
-from pipelines.stages.printed_programs import write_program
+from pipelines.play.printed_programs import write_program
 
 
 def map_actor(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
@@ -37,5 +37,5 @@ def _n_tests(network: otr.ReluNetwork) -> int:
 
 
 MAP_SETTINGS = picked(max_leaves="map.max_leaves", feature_names="env.feature_names", action_names="env.action_names")
-# Its input depends on the method: `pipelines.stages.table.stages_of` sets it.
+# Its input depends on the method: `pipelines.runs.stage_table.stages_of` sets it.
 MAP = Stage("map", version=1, inputs=(), settings=MAP_SETTINGS, run=map_actor)

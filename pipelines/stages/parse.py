@@ -12,8 +12,8 @@ from pipelines.config.run import RunConfig
 from pipelines.engine.stage import Stage
 from pipelines.engine.store import write_json, write_text
 from pipelines.errors import ConfigError, did_you_mean
+from pipelines.play.printed_programs import write_program
 from pipelines.play.spaces import action_names, feature_names, spaces
-from pipelines.stages.printed_programs import write_program
 
 TREE_FILES = (".json", ".npz")
 DIGITS = 17  # that tell one float64 from another

@@ -1,7 +1,7 @@
 """Stage polish: the numbers of a finished policy improved on its return, by direct search or by an oracle's critics."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -13,7 +13,7 @@ import numpy as np
 
 import otr
 from otr.control.search.policy_numbers import policy_numbers
-from otr.control.search.polish import Episodes, Evaluate, PolishReport, best_confirmed
+from otr.control.search.polish import Episodes, PolishReport, best_confirmed
 from pipelines.config.run import RunConfig
 from pipelines.engine.archive import MANIFEST
 from pipelines.engine.console import duration
@@ -22,27 +22,21 @@ from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import exists, read_json, write_csv, write_files, write_json
 from pipelines.errors import ConfigError
 from pipelines.play.actor_files import actor_files, load_actor, load_oracle_network
-from pipelines.play.environments import episode_limit, is_discrete, make_env
+from pipelines.play.environments import is_discrete, make_env
+from pipelines.play.episodes import Player, episodes_version, moments, play_each, playing_seconds
+from pipelines.play.printed_programs import and_names, write_program
+from pipelines.play.vector_envs import check_environments, fastest_environments
 from pipelines.stages.evaluate import EPISODE_COLUMNS, episode_rows
-from pipelines.stages.evaluation_episodes import episodes_version, has_numpy_plant, moments, play_each
 from pipelines.stages.map import map_actor
-from pipelines.stages.printed_programs import and_names, write_program
 from pipelines.stages.prune import load_tree, prune
 from pipelines.training.critics import CRITICS, load_critics
-from pipelines.training.environments.backends import check_environments
-from pipelines.training.search.episodes import SearchEpisodes
 from pipelines.training.search.policy_search import search_settings
 
 Policy = TypeVar("Policy", otr.ObliqueTree, otr.ReluNetwork)
 
 ANNOUNCE_S = 10.0
 LONG_POLISH_S = 60.0
-# Environment steps of the search per second on one core, measured; in numpy with the batches of conf/env
-NUMPY_STEPS_PER_S = {"pendulum": 4_000_000.0, "mountaincar": 300_000.0}
-STEPS_PER_S = {"lunarlander": 18_000.0, "halfcheetah": 18_000.0, "swimmer": 14_000.0, "ant": 3_500.0}
-OTHER_STEPS_PER_S = 8_000.0
 UPDATES_PER_S = 250.0  # of a small actor and its critics, a step of the environment each
-SHARE_PLAYED = 0.5  # of an episode's longest length
 CANDIDATE_COLUMNS = ("iteration", "selection_mean", "n_selection_episodes")
 
 
@@ -103,13 +97,13 @@ def search(policy: Policy, config: RunConfig, purpose: str) -> Polished:
     """Polish a policy on its return in the run's environment; each purpose has directions and episodes of its own."""
     polishing, account = config.polishing, _Account(purpose)
     index = ("polish", "simplify").index(purpose)
-    with closing(SearchEpisodes(config.env, environments(config))) as episodes:
+    with closing(Player(config.env, environments(config))) as player:
         seeds = np.array([episode_seeds(config.seed, "prune", config.prune.n_episodes)])
-        visited = episodes.play([policy], seeds, keep_states=True)
+        visited = player.play([policy], seeds, keep_states=True)
         vectors_steps = 2 * polishing.n_directions * polishing.n_episodes * visited.lengths.mean()
         polished = otr.polish(
             policy,
-            account.evaluation(episodes),
+            player.returns,
             states=visited.states,
             n_iterations=max(1, round(polishing.steps / vectors_steps)),
             settings=search_settings(polishing),
@@ -123,6 +117,7 @@ def search(policy: Policy, config: RunConfig, purpose: str) -> Polished:
             seed=stream_seed(config.seed, "polish", index),
             report=account.announce,
         )
+    account.n_steps = player.n_steps - int(visited.lengths.sum())
     return account.polished(polished, config, **account.size(config))
 
 
@@ -139,17 +134,17 @@ def improve_by_critic(policy: Any, config: RunConfig) -> Polished:
     critics = load_critics(folder)
     oracle = load_oracle_network(folder) if exists(folder / "actor.json") else None
     with (
-        closing(SearchEpisodes(config.env, environments(config))) as episodes,
+        closing(Player(config.env, environments(config))) as player,
         closing(CriticPolish(policy, config, critics, oracle, environments(config))) as learning,
     ):
-        play = Episodes(account.evaluation(episodes), stream_seed(config.seed, "polish", 0))
+        play = Episodes(player.returns, stream_seed(config.seed, "polish", 0))
         spread = np.zeros((1, policy.n_inputs))
         numbers = policy_numbers(policy, spread, free=polishing.free, tied=config.method.ties_repeats)
         start = PolishReport(numbers.start.size, polishing.critic.steps, 0, ())
         n_selection = polishing.n_selection_episodes
         polished = best_confirmed(policy, learning.candidates(), play, start, n_selection, account.announce)
     settings = polishing.critic
-    account.n_steps += settings.refill_steps + settings.steps
+    account.n_steps = player.n_steps + settings.refill_steps + settings.steps
     own = {"n_refill_steps": settings.refill_steps, "n_learning_steps": settings.steps}
     return account.polished(polished, config, by="critic", **own, candidate_seconds=account.candidate_seconds)
 
@@ -162,16 +157,6 @@ class _Account:
         self._reports: list[PolishReport] = []
         self._seconds: list[float] = []  # of CPU, at each candidate
         self.n_steps = 0
-
-    def evaluation(self, episodes: SearchEpisodes) -> Evaluate:
-        """Return what plays policies and counts their steps."""
-
-        def evaluate(policies: Sequence[Any], seeds: np.ndarray) -> np.ndarray:
-            played = episodes.play(policies, seeds)
-            self.n_steps += int(played.lengths.sum())
-            return played.returns
-
-        return evaluate
 
     def announce(self, report: PolishReport) -> None:
         """Keep what is reported, and print it every few seconds."""
@@ -262,20 +247,17 @@ def _manifest(config: RunConfig) -> Path:
 
 def environments(config: RunConfig) -> str:
     """Return who computes the environments of a polish."""
-    return config.polishing.environments or ("numpy" if has_numpy_plant(config.env) else "gymnasium")
+    return config.polishing.environments or fastest_environments(config.env)
 
 
 def estimated_seconds(config: RunConfig) -> float:
     """Return the likely time of a polish on one core, its selection and confirmation episodes included."""
     polishing = config.polishing
     n_chosen = (polishing.n_candidates + 3) * polishing.n_selection_episodes
-    longest = episode_limit(config.env)
-    table = NUMPY_STEPS_PER_S if environments(config) == "numpy" else STEPS_PER_S
-    rate = table.get(config.env.task, OTHER_STEPS_PER_S)
-    n_played = n_chosen * longest * SHARE_PLAYED
-    if will_polish_by(config) == "critic":
-        return (n_played + polishing.critic.refill_steps) / rate + polishing.critic.steps / UPDATES_PER_S
-    return (polishing.steps + n_played) / rate
+    by_critic, settings = will_polish_by(config) == "critic", polishing.critic
+    n_steps = settings.refill_steps if by_critic else polishing.steps
+    seconds = playing_seconds(config.env, n_chosen, environments(config), n_steps=n_steps)
+    return seconds + (settings.steps / UPDATES_PER_S if by_critic else 0.0)
 
 
 def announce_polish(config: RunConfig) -> None:
@@ -314,7 +296,7 @@ def _told(report: PolishReport, config: RunConfig) -> dict[str, Any]:
     }
 
 
-# Its inputs depend on the method: `pipelines.stages.table.stages_of` sets them.
+# Its inputs depend on the method: `pipelines.runs.stage_table.stages_of` sets them.
 POLISH_SETTINGS = picked(
     env="env",
     seed="seed",

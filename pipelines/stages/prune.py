@@ -10,14 +10,13 @@ import numpy as np
 import otr
 from otr.control import constant_gains
 from pipelines.config.run import RunConfig
-from pipelines.engine.seeding import episode_seeds
 from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import write_json, write_text
 from pipelines.errors import PolicyMismatchError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.agreement import answers_agree
-from pipelines.play.rollout import rollout
-from pipelines.stages.printed_programs import and_names, program_text, write_picture, write_program
+from pipelines.play.episodes import play_pruning
+from pipelines.play.printed_programs import and_names, program_text, write_picture, write_program
 
 
 def prune(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
@@ -34,8 +33,7 @@ def prune(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     """
     policy: Any
     tree: Any = otr.load(inputs[config.method.tree_stage] / "tree")
-    seeds = episode_seeds(config.seed, "prune", config.prune.n_episodes)
-    states = rollout(tree.predict, config.env, seeds, keep_states=True, n_workers=config.n_workers).states
+    states = play_pruning(tree.predict, config).states
     if "map" in inputs:
         network = load_actor(inputs[config.method.actor_stage])
         policy, patterns = network, otr.PatternTree(network).observe(states).n_patterns
@@ -84,6 +82,6 @@ def load_tree(folder: Path) -> otr.ObliqueTree:
     return tree
 
 
-# Its inputs depend on the method: `pipelines.stages.table.stages_of` sets them.
+# Its inputs depend on the method: `pipelines.runs.stage_table.stages_of` sets them.
 PRUNE_SETTINGS = and_names(picked(env="env", n_episodes="prune.n_episodes", k="prune.k", seed="seed"))
 PRUNE = Stage("prune", version=1, inputs=(), settings=PRUNE_SETTINGS, run=prune)

@@ -16,11 +16,11 @@ from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import episode_seeds
 from pipelines.engine.stage import Stage, picked
 from pipelines.engine.store import write_csv, write_json
-from pipelines.play.rollout import rollout
+from pipelines.play.episodes import Rollout, moments, play_evaluation, play_seeds
+from pipelines.play.printed_programs import and_names, write_picture, write_program
 from pipelines.play.spaces import spaces, state_limits
-from pipelines.stages.evaluation_episodes import moments, play_evaluation_episodes
+from pipelines.stages.evaluate import episode_rows
 from pipelines.stages.polish import search
-from pipelines.stages.printed_programs import and_names, write_picture, write_program
 from pipelines.stages.prune import load_tree
 
 MAX_ATTEMPTS = 4
@@ -42,19 +42,18 @@ def simplify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     from is measured on a fourth set of episodes, which decides nothing.
     """
     tree = load_tree(inputs.get("polish") or inputs["prune"])
-    seeds = episode_seeds(config.seed, "simplify", config.simplification.n_episodes, 0)
-    before = rollout(tree.predict, config.env, seeds, keep_states=True, n_workers=config.n_workers)
-    judge = _Judge(config, seeds, before.returns)
+    judge = _Judge(tree, config, 0, keep_states=True)
+    states = judge.played.states
     again: dict[str, Any] = {}
     if config.simplification.action_bound is not None:
-        box = state_limits(config.env) or _box_around(before.states)
+        box = state_limits(config.env) or _box_around(states)
         allows: Judge = otr.within(tree, box, config.simplification.action_bound)
-        simpler, n_attempts = otr.simplify(tree, allows, before.states, refit=config.simplification.refit), 1
+        simpler, n_attempts = otr.simplify(tree, allows, states, refit=config.simplification.refit), 1
     else:
-        simpler, n_attempts, again = _simplest(tree, judge, before.states, config, polishes="polish" in inputs)
+        simpler, n_attempts, again = _simplest(tree, judge, states, config, polishes="polish" in inputs)
     otr.save(simpler.tree, out / "tree")
     write_program(simpler.tree, config.env, out)
-    write_picture(simpler.tree, config.env, before.states, out)
+    write_picture(simpler.tree, config.env, states, out)
     _report(tree, simpler, judge, n_attempts, again, config, out)
 
 
@@ -64,7 +63,7 @@ def _polished_again(simpler: Simplification, config: RunConfig) -> tuple[Simplif
     # The constants of a tree without a clip lie within the actions, and are to stay there.
     clipped = simpler.tree if box is None else simpler.tree.replace(head=simpler.tree.head.clipped_to(*box))
     polished = search(clipped, config, "simplify")
-    played = play_evaluation_episodes(simpler.tree.predict, config)
+    played = play_evaluation(simpler.tree.predict, config)
     report = {"polished_again": polished.report | moments(played, "_before")}
     if not polished.report["kept"]:
         return simpler, report
@@ -82,7 +81,7 @@ def _simplest(
     after MAX_ATTEMPTS the tree stays as it is. A tree that is polished again is to lose nothing: no more than one
     standard error of the paired differences.
     """
-    check, n_attempts = _fresh_judge(tree, config, 1), 0
+    check, n_attempts = _Judge(tree, config, 1), 0
     again: dict[str, Any] = {}
     while True:
         n_attempts += 1
@@ -103,24 +102,21 @@ def _simplest(
                 f"simplify: the shorter tree loses {loss:.2f} ± {error:.2f}; again with half the allowance", flush=True
             )
     if polishes:
-        loss, error = _fresh_judge(tree, config, 2).loss(simpler.tree)
+        loss, error = _Judge(tree, config, 2).loss(simpler.tree)
         n_episodes = config.simplification.n_episodes
         again["loss"] = {"mean": loss, "standard_error": error, "n_episodes": n_episodes}
     return simpler, n_attempts, again
 
 
-def _fresh_judge(tree: otr.ObliqueTree, config: RunConfig, index: int) -> "_Judge":
-    """Return a judge whose episodes decide nothing while a shorter tree is searched for."""
-    seeds = episode_seeds(config.seed, "simplify", config.simplification.n_episodes, index)
-    return _Judge(config, seeds, rollout(tree.predict, config.env, seeds, n_workers=config.n_workers).returns)
-
-
 class _Judge:
     """Whether a tree's returns on the deciding episodes are almost the original's; tells how far the search is."""
 
-    def __init__(self, config: RunConfig, seeds: Sequence[int], returns: np.ndarray) -> None:
-        self.config, self.seeds, self.returns = config, list(seeds), returns
-        self.allowed = config.simplification.return_loss * abs(float(returns.mean()))
+    def __init__(self, tree: otr.ObliqueTree, config: RunConfig, index: int, *, keep_states: bool = False) -> None:
+        """Play the original in the deciding episodes, or with index 1 or 2 in others that decide nothing before."""
+        self.config = config
+        self.seeds = episode_seeds(config.seed, "simplify", config.simplification.n_episodes, index)
+        self.played = self._play(tree, self.seeds, keep_states)
+        self.allowed = config.simplification.return_loss * abs(self.played.mean_return)
         self.n_played = self.n_tried = 0
         self.announced = time.monotonic()
 
@@ -146,9 +142,12 @@ class _Judge:
         """Return how much less the tree earns than the original, episode by episode."""
         if start == stop:
             return np.zeros(0)
-        played = rollout(tree.predict, self.config.env, self.seeds[start:stop], n_workers=self.config.n_workers)
         self.n_played += stop - start
-        return np.asarray(self.returns[start:stop] - played.returns)
+        return np.asarray(self.played.returns[start:stop] - self._play(tree, self.seeds[start:stop]).returns)
+
+    def _play(self, tree: otr.ObliqueTree, seeds: Sequence[int], keep_states: bool = False) -> Rollout:
+        workers = self.config.n_workers
+        return play_seeds(tree.predict, self.config.env, seeds, keep_states=keep_states, n_workers=workers)
 
 
 def _standard_error(values: np.ndarray) -> float:
@@ -170,19 +169,15 @@ def _report(
     out: Path,
 ) -> None:
     """Play the evaluation episodes with both trees and write what came out."""
-    before = play_evaluation_episodes(tree.predict, config, keep_states=True)
-    after = play_evaluation_episodes(simpler.tree.predict, config)
+    before = play_evaluation(tree.predict, config, keep_states=True)
+    after = play_evaluation(simpler.tree.predict, config)
     states = before.states
     ours, theirs = (np.asarray(each.predict(states), dtype=np.float64) for each in (simpler.tree, tree))
     box = spaces(config.env).box
     close = 0.0 if box is None else CLOSE * (box[1] - box[0])
     same = (np.abs(ours - theirs) <= close).reshape(len(states), -1).all(axis=1)
-    write_csv(
-        out / "episodes.csv",
-        ({"episode": i, "seed": seed, "return": float(value)}
-         for i, (seed, value) in enumerate(zip(after.seeds.tolist(), after.returns, strict=True))),
-        ("episode", "seed", "return"),
-    )  # fmt: skip
+    columns = ("episode", "seed", "return")
+    write_csv(out / "episodes.csv", ({name: row[name] for name in columns} for row in episode_rows(after)), columns)
     print(f"simplify: {simpler.n_tried} changes tried, {simpler.n_kept} kept", flush=True)
     write_json(
         out / "report.json",
@@ -218,6 +213,6 @@ SIMPLIFY_SETTINGS = picked(
     refit="simplification.refit",
     evaluate="evaluate",
 )
-# After polish=true it reads the stage polish alone (`pipelines.stages.table.stages_of`), whose result is keyed by the
+# After polish=true it reads the stage polish alone (`pipelines.runs.stage_table.stages_of`), keyed by the
 # settings of polishing.
 SIMPLIFY = Stage("simplify", version=1, inputs=("prune",), settings=and_names(SIMPLIFY_SETTINGS), run=simplify)

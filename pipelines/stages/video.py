@@ -15,17 +15,7 @@ def video(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     """Write the first evaluation episode of the pruned tree, or of the polished one, as `episode.gif`."""
     tree = load_tree(inputs.get("polish") or inputs["prune"])
     (seed,) = evaluation_seeds(config.evaluate.first_seed, 1)
-    shown = write_video(tree, config.env, seed, out / "episode.gif")
-    write_json(
-        out / "report.json",
-        {
-            "seed": seed,
-            "return": shown.episode_return,
-            "n_steps": shown.n_steps,
-            "n_frames": shown.n_frames,
-            "steps_a_frame": shown.stride,
-        },
-    )
+    write_json(out / "report.json", write_video(tree, config.env, seed, out / "episode.gif"))
 
 
 VIDEO_SETTINGS = picked(env="env", first_seed="evaluate.first_seed")

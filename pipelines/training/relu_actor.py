@@ -8,9 +8,8 @@ from stable_baselines3.common.policies import BasePolicy
 
 import otr
 from pipelines.config.run import RunConfig
-from pipelines.play.actor_files import actor_files
-from pipelines.play.rollout import Rollout
-from pipelines.play.selection import compare_with_trained, diverged, play_selection_episodes
+from pipelines.play.episodes import Rollout
+from pipelines.play.selection import diverged, evaluate_network
 from pipelines.training.normalisation import input_units
 
 
@@ -50,6 +49,4 @@ class ReluActor:
         except otr.InvalidNetworkError as error:
             raise diverged(model.num_timesteps, error) from error
         units = input_units(model, self.config)
-        network, played = play_selection_episodes(network, self.config, units)
-        compare_with_trained(network, lambda states: model.predict(states, deterministic=True)[0], played.states, units)
-        return actor_files(network), played
+        return evaluate_network(network, lambda X: model.predict(X, deterministic=True)[0], self.config, units)

@@ -21,7 +21,7 @@ from torch import nn
 import otr
 from pipelines.config.algo import SacConfig
 from pipelines.config.hardened_methods import SoftConfig
-from pipelines.play.rollout import Rollout
+from pipelines.play.episodes import Rollout
 from pipelines.play.selection import diverged
 from pipelines.training.normalisation import input_units
 from pipelines.training.relu_actor import ReluActor
@@ -30,7 +30,7 @@ from pipelines.training.soft_trees import (
     Shape,
     SoftModule,
     build_module,
-    play_selection,
+    evaluate_hardened,
     rate_share,
     set_phase,
     shape_of,
@@ -57,7 +57,7 @@ class SoftActor(ReluActor):
         """Return the soft tree's files, and what came of the hard tree's selection episodes."""
         try:
             units = input_units(model, self.config)
-            return play_selection(soft_module(model), self.config, model.action_space, units)
+            return evaluate_hardened(soft_module(model), self.config, model.action_space, units)
         except otr.InvalidTreeError as error:
             raise diverged(model.num_timesteps, error) from error
 

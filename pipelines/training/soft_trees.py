@@ -23,8 +23,8 @@ from pipelines.config.hardened_methods import HardenedConfig, PiPrlConfig, SoftC
 from pipelines.config.run import RunConfig
 from pipelines.engine.store import corrupt, json_text, read_json
 from pipelines.errors import ConfigError
-from pipelines.play.rollout import Rollout
-from pipelines.play.selection import InputUnits, play_episodes
+from pipelines.play.episodes import Rollout, play_selection
+from pipelines.play.selection import InputUnits
 
 SCHEMA = "otr/soft/1"
 SAC_TURN = 2_048  # steps of pi-PRL's program, then as many of its architecture, where rollouts are one step
@@ -77,7 +77,7 @@ def rate_share(method: SoftConfig, n_steps: int, of_steps: int) -> float:
     return 1.0 + min(1.0, n_steps / of_steps) * (method.learning_rate_end - 1.0)
 
 
-def play_selection(
+def evaluate_hardened(
     module: HardeningModule, config: RunConfig, action_space: "gym.Space[Any]", units: InputUnits | None
 ) -> tuple[dict[str, bytes], Rollout]:
     """Return a module's files, as it reads the environment's own states, and its hard tree's selection episodes.
@@ -87,7 +87,7 @@ def play_selection(
     """
     module = own_units(module, units)
     tree = harden(module, action_space, is_squashed=isinstance(config.algo, SacConfig))
-    return soft_files(module, shape_of(config)), play_episodes(tree.predict, config)
+    return soft_files(module, shape_of(config)), play_selection(tree.predict, config)
 
 
 def own_units(module: HardeningModule, units: InputUnits | None) -> HardeningModule:

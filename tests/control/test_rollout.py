@@ -2,6 +2,7 @@
 
 import functools
 import warnings
+from contextlib import closing
 
 import gymnasium as gym
 import numpy as np
@@ -9,6 +10,8 @@ import pytest
 from sklearn.tree import DecisionTreeClassifier
 
 import otr
+from otr.control.environments import GymnasiumVectorEnv
+from otr.control.rollout import play_side_by_side
 
 evaluate = functools.partial(otr.evaluate, max_steps=1000)  # of environments that have no limit of their own
 rollout = functools.partial(otr.rollout, max_steps=1000)
@@ -87,6 +90,30 @@ def test_episodes_are_those_of_one_environment_stepped_by_hand():
     assert (played.states.shape, played.actions.shape) == ((0, 2), (0, 1))
     assert played.mean_return == pytest.approx(np.mean(played.returns))
     assert played.std_return == pytest.approx(np.std(played.returns))
+
+
+def test_many_policies_play_their_episodes_in_one_loop():
+    """The policy reads which episodes its states are of; steps come as they were played, or episode after episode."""
+    steps = np.array([1 / 3, 1 / 2, 1.0], np.float32)
+
+    def act(X: np.ndarray, episodes: np.ndarray) -> np.ndarray:
+        return steps[episodes % 3][:, None]
+
+    played = {}
+    for sort_steps in (True, False):
+        with closing(GymnasiumVectorEnv(Walk)) as envs:
+            played[sort_steps] = play_side_by_side(
+                envs, act, range(10), n_envs=4, alive_bonus=1.0, keep_steps=True, sort_steps=sort_steps
+            )
+    rows = [by_hand(Walk(), lambda _, i=seed: steps[[i % 3]], seed) for seed in range(10)]
+    assert played[True].lengths.tolist() == [len(states) for _, states, _ in rows]
+    np.testing.assert_allclose(played[True].returns, [total - len(states) for total, states, _ in rows], atol=1e-9)
+    np.testing.assert_array_equal(played[True].states, np.concatenate([states for _, states, _ in rows]))
+    np.testing.assert_array_equal(played[True].actions, np.concatenate([actions for *_, actions in rows]))
+    first = [states[0] for _, states, _ in rows[:4]]
+    np.testing.assert_array_equal(played[False].states[:4], first)
+    ours, theirs = (np.sort(each.states[:, 0]) for each in played.values())
+    np.testing.assert_array_equal(ours, theirs)
 
 
 def test_a_tree_in_a_registered_environment():

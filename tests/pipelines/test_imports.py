@@ -10,7 +10,7 @@ import pytest
     "modules",
     [
         "otr",
-        "pipelines.stages.table, pipelines.report.tabulate, pipelines.runs.replay, pipelines.runs.plan",
+        "pipelines.runs.stage_table, pipelines.report.tabulate, pipelines.runs.replay, pipelines.runs.plan",
         ", ".join(f"pipelines.cli.commands.{name}" for name in ("run", "plan", "fit", "tabulate", "export", "verify")),
     ],
 )

@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from otr.control.dagger.iterate_selection import successive_halving
 from otr.control.dagger.run_folder import RunFolder
+from otr.control.rollout import Policy, Rollout
 from otr.core.arrays import FloatArray
 from otr.core.pattern_tree import PatternTree
 from otr.core.smooth_network import Oracle
@@ -29,25 +29,9 @@ from otr.errors import InvalidNetworkError
 
 _LABELLING_ROWS = 2**14
 
-BatchPolicy = Callable[[FloatArray], NDArray[Any]]
+# Plays one episode a seed with a policy that acts on batches of states; the bool says whether the states are asked for.
+Play = Callable[[Policy, Sequence[int], bool], Rollout]
 EpisodeSeeds = Callable[[str, int, int], Sequence[int]]  # (name, index, n) -> n reset seeds
-
-
-class PlayedEpisodes(Protocol):
-    """What `Play` returns: states (sum of lengths, d), episode after episode, returns (m,) and lengths (m,)."""
-
-    @property
-    def states(self) -> FloatArray: ...
-    @property
-    def returns(self) -> FloatArray: ...
-    @property
-    def lengths(self) -> NDArray[np.int64]: ...
-
-
-class Play(Protocol):
-    """Plays one episode a seed with a policy that acts on batches of states; `keep_states` asks for the states."""
-
-    def __call__(self, policy: BatchPolicy, seeds: Sequence[int], keep_states: bool, /) -> PlayedEpisodes: ...
 
 
 class TreeFit(Protocol):
@@ -264,7 +248,7 @@ class _Run:
         oracle_mean, n_steps = float(np.mean(oracle_returns)), self._folder.state["n_steps"]
         return DaggerResult(self._folder.tree(best), best, oracle_mean, iterates, n_steps)
 
-    def _rollout(self, r: int, keep_states: bool = True) -> PlayedEpisodes:
+    def _rollout(self, r: int, keep_states: bool = True) -> Rollout:
         """Play round r's episodes: the oracle's for r = 0, else tree r - 1's."""
         if r == 0:
             seeds = self._episode_seeds("oracle", 0, self._settings.n_initial_episodes)
@@ -277,17 +261,17 @@ class _Run:
         if key not in self._folder.state["selection"]:
             seeds = self._episode_seeds("selection", stage, n_episodes)
             episodes = self._play(self._folder.tree(candidate).predict, seeds, False)
-            selection = {**self._folder.state["selection"], key: _floats(episodes.returns)}
+            selection = {**self._folder.state["selection"], key: episodes.returns.tolist()}
             self._folder.commit(n_steps=self._n_steps_after(episodes), selection=selection)
         returns: list[float] = self._folder.state["selection"][key]
         return returns
 
-    def _played(self, episodes: PlayedEpisodes) -> dict[str, Any]:
+    def _played(self, episodes: Rollout) -> dict[str, Any]:
         """Return what changes in the state by a round's episodes."""
-        rollouts = [*self._folder.state["rollouts"], _floats(episodes.returns)]
+        rollouts = [*self._folder.state["rollouts"], episodes.returns.tolist()]
         return {"n_steps": self._n_steps_after(episodes), "rollouts": rollouts}
 
-    def _n_steps_after(self, episodes: PlayedEpisodes) -> int:
+    def _n_steps_after(self, episodes: Rollout) -> int:
         n_steps: int = self._folder.state["n_steps"]
         return n_steps + int(np.sum(episodes.lengths))
 
@@ -304,7 +288,3 @@ def _label(oracle: Oracle, X: FloatArray) -> tuple[FloatArray, FloatArray | None
 def _size(tree: ObliqueTree | PatternTree) -> tuple[int, int]:
     """Return the number of leaves and the depth."""
     return (tree.n_paths, tree.n_bits) if isinstance(tree, PatternTree) else (tree.n_leaves, tree.depth)
-
-
-def _floats(returns: FloatArray) -> list[float]:
-    return [float(value) for value in returns]

@@ -5,13 +5,15 @@ from __future__ import annotations
 import base64
 import io
 import math
+from contextlib import closing
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import otr
-from otr.control.rollout import play_episodes
+from otr.control.environments import GymnasiumVectorEnv
+from otr.control.rollout import play_side_by_side
 from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.play.environments import make_env
@@ -53,7 +55,7 @@ def record(
         except (ConfigError, PipelineError) as error:
             why_not = str(error)
 
-    def acting(batch: NDArray[Any]) -> NDArray[Any]:
+    def acting(batch: NDArray[Any], _: NDArray[Any]) -> NDArray[Any]:
         nonlocal step, why_not
         if step % stride == 0:
             if n_frames and not why_not and len(states) % frame_stride == 0:
@@ -65,7 +67,8 @@ def record(
         step += 1
         return np.asarray(tree.predict(batch))
 
-    played = play_episodes(lambda: playing, acting, [seed])
+    with closing(GymnasiumVectorEnv(lambda: playing)) as envs:
+        played = play_side_by_side(envs, acting, [seed])
     X = np.array(states)
     low, high = X.min(axis=0), X.max(axis=0)
     answers = np.asarray(tree.predict(X))

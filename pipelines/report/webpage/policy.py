@@ -18,7 +18,7 @@ from pipelines.engine.command_text import command_text
 from pipelines.engine.seeding import episode_seeds, evaluation_seeds
 from pipelines.engine.store import read_summary
 from pipelines.errors import PipelineError
-from pipelines.play.rollout import rollout
+from pipelines.play.episodes import play_seeds
 from pipelines.play.spaces import action_names, feature_names, spaces, state_limits
 from pipelines.report.webpage.episode import packed, record
 from pipelines.report.webpage.units import unit_of
@@ -72,7 +72,7 @@ def policy_data(
     names, answers = feature_names(env, tree.n_inputs), action_names(env, tree.n_answers)
     (seed,) = evaluation_seeds(run.evaluate.first_seed, 1)
     of_pruning = episode_seeds(run.seed, "prune", min(2, run.prune.n_episodes))
-    played = rollout(tree.predict, env, [*of_pruning, seed], keep_states=True, n_workers=1)
+    played = play_seeds(tree.predict, env, [*of_pruning, seed], keep_states=True, n_workers=1)
     visited, length = played.states, int(played.lengths[-1])
     programs = {
         language: written

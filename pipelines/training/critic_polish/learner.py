@@ -17,9 +17,8 @@ from otr.importers.critics import Critics
 from otr.learners.networks.denormals import denormals_as_zero
 from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import stream_seeds
+from pipelines.play.vector_envs import Autoreset, make_vector_env
 from pipelines.training.critic_polish.policy_actor import OraclePlay, PolicyActor, check_head, is_clipped
-from pipelines.training.environments.backends import make_vector_env
-from pipelines.training.environments.vector_envs import Autoreset
 from pipelines.training.fleet.adam import RunSettings
 from pipelines.training.fleet.mlp import Layers
 from pipelines.training.fleet.module_actors import ModuleActors
@@ -57,7 +56,7 @@ class CriticPolish:
         self._tied = config.method.ties_repeats
         self._oracle = None if oracle is None else OraclePlay(oracle, critics)
         self._seeds = stream_seeds(3, config.seed, "polish", STREAM_ELEMENT)
-        self._env = Autoreset(make_vector_env(config.env, 1, environments))
+        self._env = Autoreset(make_vector_env(config.env, environments))
         limits = policy.head.limits(policy.n_outputs)
         assert limits is not None
         self._low, self._high = limits

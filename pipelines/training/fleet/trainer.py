@@ -17,12 +17,10 @@ from otr.learners.networks.denormals import denormals_as_zero
 from pipelines.config.hardened_methods import ExpertsConfig, SoftConfig
 from pipelines.config.run import RunConfig
 from pipelines.errors import ConfigError
-from pipelines.play.actor_files import actor_files
 from pipelines.play.environments import flat_state_size, is_discrete, make_env
-from pipelines.play.rollout import Rollout
-from pipelines.play.selection import compare_with_trained, play_selection_episodes, units_of_box
-from pipelines.training.environments.gymnasium_envs import GymnasiumVectorEnv
-from pipelines.training.environments.vector_envs import Autoreset, Step
+from pipelines.play.episodes import Rollout
+from pipelines.play.selection import evaluate_network, units_of_box
+from pipelines.play.vector_envs import Autoreset, Step, make_vector_env
 from pipelines.training.estimates import learning_starts, segment_steps
 from pipelines.training.experts_actor import ExpertsActor
 from pipelines.training.fleet.actors import SoftActors, SoftTraining
@@ -32,7 +30,7 @@ from pipelines.training.fleet.progress import FleetProgress
 from pipelines.training.fleet.random_streams import Draws, Streams
 from pipelines.training.fleet.replay_buffer import FleetReplay, RowLayout
 from pipelines.training.fleet.sac import FleetSac, Shapes
-from pipelines.training.soft_trees import HardeningModule, play_selection, shape_of
+from pipelines.training.soft_trees import HardeningModule, evaluate_hardened, shape_of
 
 Given = TypeVar("Given")
 Answer = TypeVar("Answer")
@@ -99,7 +97,8 @@ class FleetTrainer:
             else:
                 self._learner.initialise(r, generators[r])
         self._replay = FleetReplay([run.rows for run in runs], layout, runs[0].buffer_size)
-        self._env = _vector_env(config, len(runs) * self._n_envs)  # each segment starts it anew
+        envs = make_vector_env(config.env, "gymnasium", rescale_inputs=config.actor.rescale_inputs)
+        self._env = Autoreset(envs)  # each segment starts them anew
         noise_std = [run.algo.action_noise_std * (run.algo.action_noise == "normal") for run in runs]
         self._noise_std = torch.tensor(noise_std).view(-1, 1, 1)
 
@@ -126,10 +125,8 @@ class FleetTrainer:
         units = units_of_box(config)
         module = self._hardening(r)
         if module is not None:
-            return play_selection(module, config, gym.spaces.Box(task.low, task.high), units)
-        network, episodes = play_selection_episodes(self.network(r), config, units)
-        compare_with_trained(network, functools.partial(self.answers, r), episodes.states, units)
-        return actor_files(network), episodes
+            return evaluate_hardened(module, config, gym.spaces.Box(task.low, task.high), units)
+        return evaluate_network(self.network(r), functools.partial(self.answers, r), config, units)
 
     def _hardening(self, r: int) -> HardeningModule | None:
         """Return the module that becomes a run's tree; None of a network."""
@@ -295,8 +292,3 @@ def _soft_training(config: RunConfig) -> SoftTraining | None:
     if not isinstance(config.method, SoftConfig):
         return None
     return SoftTraining(shape_of(config), config.method, config.train.steps)
-
-
-def _vector_env(config: RunConfig, n_envs: int) -> Autoreset:
-    """Return the environments of a run's fleet, side by side."""
-    return Autoreset(GymnasiumVectorEnv(config.env, n_envs, rescale_inputs=config.actor.rescale_inputs))

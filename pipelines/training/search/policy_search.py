@@ -13,10 +13,9 @@ from pipelines.config.algo import ArsConfig
 from pipelines.config.run import RunConfig
 from pipelines.config.stages import PolishingConfig
 from pipelines.engine.seeding import FIRST_STREAM_SEED, LAST_STREAM_SEED, stream, stream_seed
-from pipelines.errors import PipelineError
 from pipelines.play.environments import episode_limit
+from pipelines.play.episodes import Played, Player
 from pipelines.play.spaces import spaces
-from pipelines.training.search.episodes import Played, SearchEpisodes
 
 
 def network_shape(config: RunConfig) -> NetworkShape:
@@ -61,20 +60,21 @@ class PolicySearch:
         """The actor as it stands, of the environment's own states."""
         return self._network(self._search.centre)
 
-    def iterate(self, episodes: SearchEpisodes, done: float) -> Played:
+    def iterate(self, player: Player, done: float) -> Played:
         """Try the neighbours of the actor and make a step; return what their episodes came to.
 
         Args:
-            episodes: plays them.
+            player: plays them.
             done: share of the search that is done, by which step and noise fall.
         """
         networks = [self._network(vector) for vector in self._search.ask(done)]
-        played = episodes.play(
-            networks, self._episode_seeds(), horizon=self._horizon(done), keep_states=self._algo.normalise
+        played = player.play(
+            networks,
+            self._episode_seeds(),
+            horizon=self._horizon(done),
+            alive_bonus=self._algo.alive_bonus,
+            keep_states=self._algo.normalise,
         )
-        for what, numbers in (("observations", played.states), ("rewards", played.returns)):
-            if not np.isfinite(numbers).all():
-                raise PipelineError(f"step {self.n_steps:,}: the environment's {what} are not finite")
         self._search.tell(played.returns.mean(axis=1))
         if self._algo.normalise:
             self._moments.add(played.states)

@@ -19,11 +19,11 @@ from pipelines.config.algo import ArsConfig
 from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import episode_seeds
 from pipelines.play.actor_files import actor_files
+from pipelines.play.episodes import Player
 from pipelines.tracking.tracker import Tracker
 from pipelines.training.checkpoints import History, last_segment, progress_row, read_segment, write_segment
 from pipelines.training.estimates import segment_steps
 from pipelines.training.progress import TrainingProgress
-from pipelines.training.search.episodes import SearchEpisodes
 from pipelines.training.search.policy_search import PolicySearch
 
 STATE_FILE = "search.safetensors"
@@ -37,13 +37,12 @@ def train_by_search(config: RunConfig, checkpoints: Path, out: Path) -> None:
     tracker = Tracker(config)
     tracker.catch_up(run.history.progress, run.history.evaluations)
     with (
-        closing(SearchEpisodes(config.env, config.algo.environments, config.algo.alive_bonus)) as episodes,
-        closing(SearchEpisodes(config.env, config.algo.environments)) as selection,
+        closing(Player(config.env, config.algo.environments)) as player,
         TrainingProgress(config, run.n_steps) as progress,
     ):
         while run.n_steps < config.train.steps:
-            row = run.segment(episodes, progress)
-            run.evaluate(selection, row)
+            row = run.segment(player, progress)
+            run.evaluate(player, row)
             run.save()
             progress.segment_done(row, run.history.evaluations[-1])
             tracker.segment_done(row, run.history.evaluations[-1])
@@ -95,7 +94,7 @@ class SearchRun:
         """Whether the search under way is one of those of which the best goes on."""
         return self._start < self._algo.n_starts and self._algo.n_starts > 1
 
-    def segment(self, episodes: SearchEpisodes, progress: TrainingProgress) -> dict[str, Any]:
+    def segment(self, player: Player, progress: TrainingProgress) -> dict[str, Any]:
         """Search up to the next evaluation; return the row of `progress.csv`."""
         config, search = self._config, self._search
         start, began = self.n_steps, time.monotonic()
@@ -106,7 +105,7 @@ class SearchRun:
         whole = config.train.steps - self.n_steps + search.n_steps
         returns, lengths = [], []
         while self.n_steps < min(most, config.train.steps):
-            played = search.iterate(episodes, search.n_steps / whole)
+            played = search.iterate(player, search.n_steps / whole)
             returns.append(played.returns.ravel())
             lengths.append(played.lengths.ravel())
             self.n_steps += int(played.lengths.sum())
@@ -114,11 +113,11 @@ class SearchRun:
         seconds = time.monotonic() - began
         return progress_row(self.n_steps, start, seconds, np.concatenate(returns), np.concatenate(lengths))
 
-    def evaluate(self, selection: SearchEpisodes, row: dict[str, Any]) -> None:
+    def evaluate(self, player: Player, row: dict[str, Any]) -> None:
         """Play the selection episodes with the actor as it stands, and go over to the next search where it is time."""
         network = self._search.network
         seeds = episode_seeds(self._config.seed, "selection", self._config.train.n_selection_episodes)
-        played = selection.play([network], np.array([seeds]))
+        played = player.play([network], np.array([seeds]))
         self.history.segment_done(row, actor_files(network), played.returns[0])
         self._score = max(self._score, float(played.returns.mean()))
         if self._is_choosing and self._search.n_steps >= self._start_steps:

@@ -262,7 +262,7 @@ def test_an_argument_that_is_not_there_is_told_with_its_plus():
 def test_rewards_that_are_no_numbers_are_told(command, tmp_path):
     failed = command("run", f"env={MODULE}:NoReward-v0", "method=linear", "depth=0", "algo=ars", "budget=smoke",
                      f"results_dir={tmp_path}")  # fmt: skip
-    assert failed.returncode == 1 and "step 0: the environment's rewards are not finite" in failed.stderr
+    assert failed.returncode == 1 and re.search(r"the rewards of the episode of seed \d+ add up to nan", failed.stderr)
 
 
 @pytest.mark.parametrize("algorithm", ["ars", "sac", "ppo"])
@@ -270,4 +270,7 @@ def test_observations_that_are_no_numbers_are_told(command, tmp_path, algorithm)
     failed = command("run", f"env={MODULE}:NotFiniteLater-v0", "method=linear", "depth=0", f"algo={algorithm}",
                      "budget=smoke", f"results_dir={tmp_path}")  # fmt: skip
     assert failed.returncode == 1
-    assert re.search(r"step [\d,]+: the environment's observations are not finite", failed.stderr), failed.stderr
+    told = r"step [\d,]+: the environment's observations are not finite"
+    if algorithm == "ars":
+        told = r"the observation of the episode of seed \d+ at step \d+ is not finite: \[.*nan"
+    assert re.search(told, failed.stderr), failed.stderr

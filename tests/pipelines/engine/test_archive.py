@@ -18,7 +18,7 @@ from pipelines.engine.digests import digest
 from pipelines.engine.store import ARCHIVE, archive_files, exists, read_csv, read_json, write_json
 from pipelines.errors import PipelineError
 from pipelines.play.actor_files import load_actor
-from pipelines.stages.derived import derive, opened_run
+from pipelines.runs.derived import derive, opened_run
 from pipelines.stages.oracle import load_oracle
 from pipelines.training.critics import CRITICS, load_critics
 from tests.committed import copy_run
@@ -162,7 +162,7 @@ import shutil, sys
 from pathlib import Path
 from pipelines.cli.pack import pack_results
 from pipelines.cli.runs import load_config
-from pipelines.stages.derived import opened_run
+from pipelines.runs.derived import opened_run
 
 run = Path(sys.argv[1])
 with opened_run(load_config(run, None), run) as whole:

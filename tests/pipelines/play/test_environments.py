@@ -10,8 +10,8 @@ from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError
 from pipelines.play.environments import is_made_anew, make_env
+from pipelines.play.episodes import play_seeds
 from pipelines.play.own_environment import own_environment
-from pipelines.play.rollout import rollout
 from pipelines.play.spaces import state_box, state_limits
 
 FILES = sorted((CONF_DIR / "env").glob("*.yaml"))
@@ -48,7 +48,7 @@ def test_the_biped_is_made_anew_as_gymnasium_keeps_its_world():
 
 def test_a_custom_environment_that_keeps_a_past_is_made_anew_which_is_said_once(capfd):
     worn = own_environment("tests.pipelines.own_envs:Worn-v0", {})
-    played = [rollout(lambda X: np.ones((len(X), 1)), worn, seeds, n_workers=1) for seeds in ([3], [1, 2, 3])]
+    played = [play_seeds(lambda X: np.ones((len(X), 1)), worn, seeds, n_workers=1) for seeds in ([3], [1, 2, 3])]
     assert played[0].returns[0] == played[1].returns[2]
     assert capfd.readouterr().err == (
         "tests.pipelines.own_envs:Worn-v0: its episodes depend on those before; it is made anew for each\n"

@@ -34,7 +34,7 @@ def test_a_run_leaves_a_video_of_its_first_evaluated_episode(command, tmp_path: 
 def test_long_episodes_are_thinned_out(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(video, "MOST_FRAMES", 20)
     shown = write_video(committed_tree("pendulum/otr/depth-6/quick/seed-0"), PENDULUM, 3, tmp_path / "a.gif")
-    assert (shown.n_steps, shown.n_frames, shown.stride) == (200, 20, 10)
+    assert (shown["n_steps"], shown["n_frames"], shown["steps_a_frame"]) == (200, 20, 10)
     with Image.open(tmp_path / "a.gif") as gif:
         shown_ms = []
         for frame in range(gif.n_frames):

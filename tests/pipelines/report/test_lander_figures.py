@@ -11,7 +11,7 @@ from pipelines.config.budget import BudgetConfig
 from pipelines.config.methods import AugTreeConfig
 from pipelines.engine.store import read_csv
 from pipelines.errors import MissingInputError, PipelineError
-from pipelines.play.rollout import rollout
+from pipelines.play.episodes import play_seeds
 from pipelines.report import figure_4_6, figure_4_7
 from pipelines.report.figure_4_6 import Planned, budget_of_runs
 from pipelines.report.figures import return_against_depth
@@ -132,10 +132,10 @@ def test_figure_4_7_plays_the_simpler_tree_on_the_evaluation_episodes(depth_two,
     played = []
 
     def recorded(policy, env, seeds, **options):
-        played.append((list(seeds), rollout(policy, env, seeds, **options)))
+        played.append((list(seeds), play_seeds(policy, env, seeds, **options)))
         return played[-1][1]
 
-    monkeypatch.setattr(figure_4_7, "rollout", recorded)
+    monkeypatch.setattr("pipelines.play.episodes.play_seeds", recorded)
     _, write = depth_two
     printed = write()[0].read_text()
     seeds, last = played[-1]

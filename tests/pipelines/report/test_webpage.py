@@ -18,7 +18,7 @@ from PIL import Image
 from pipelines.cli.runs import load_config
 from pipelines.engine.store import read_csv, write_json
 from pipelines.errors import PipelineError
-from pipelines.play.rollout import rollout
+from pipelines.play.episodes import play_seeds
 from pipelines.report.webpage import page as webpage
 from pipelines.report.webpage.episode import LEVELS, packed, record
 from pipelines.report.webpage.page import write_results_page, write_run_page
@@ -74,7 +74,7 @@ def test_the_episode_is_the_first_one_evaluated(car: str) -> None:
     episode, tree = data["episode"], page_tree(config_of(CAR), CAR, "pruned")
     assert episode["return"] == pytest.approx(float(first["return"]), abs=1e-9)
     assert episode["n_steps"] == int(first["length"]) and episode["seed"] == 1000
-    states = rollout(tree.predict, config_of(CAR).env, [1000], keep_states=True, n_workers=1).states[
+    states = play_seeds(tree.predict, config_of(CAR).env, [1000], keep_states=True, n_workers=1).states[
         :: episode["stride"]
     ]
     low, high = np.array(episode["low"]), np.array(episode["high"])
@@ -156,7 +156,7 @@ def test_a_long_episode_is_thinned_and_one_without_pictures_says_why(monkeypatch
 
     monkeypatch.setattr("pipelines.report.webpage.episode.renderable", no_screen)
     env = config_of(LANDER).env
-    (length,) = rollout(tree.predict, env, [1000], n_workers=1).lengths.tolist()
+    (length,) = play_seeds(tree.predict, env, [1000], n_workers=1).lengths.tolist()
     episode = record(tree, env, 1000, length=length, n_frames=5, width=32)
     assert len(unpacked(episode["states"])) == len(unpacked(episode["leaves"])) and episode["n_steps"] == length
     assert episode["stride"] == -(-episode["n_steps"] // 50) > 1

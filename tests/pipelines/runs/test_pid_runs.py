@@ -14,8 +14,8 @@ from pipelines.config.env import EnvConfig, PidTerms
 from pipelines.config.methods import PidConfig
 from pipelines.errors import ConfigError
 from pipelines.play.environments import make_env
+from pipelines.play.episodes import play_seeds
 from pipelines.play.pid_environment import PidObservation
-from pipelines.play.rollout import rollout
 from pipelines.play.spaces import feature_names
 from pipelines.stages.train import train_settings
 from pipelines.training.actors import actor_of
@@ -93,19 +93,19 @@ def test_names_are_those_of_the_state_and_its_terms():
 def test_environments_side_by_side_keep_their_own_histories():
     tree = otr.map_network(thesis_policy())
     env = dataclasses.replace(PID_PENDULUM, pid=PidTerms((1.0, 0.0, 0.0), 5))
-    together = rollout(tree.predict, env, range(5), n_workers=1)
-    alone = [rollout(tree.predict, env, [seed], n_workers=1).returns[0] for seed in range(5)]
+    together = play_seeds(tree.predict, env, range(5), n_workers=1)
+    alone = [play_seeds(tree.predict, env, [seed], n_workers=1).returns[0] for seed in range(5)]
     np.testing.assert_allclose(together.returns, alone, atol=1e-6)
 
 
 def test_the_thesis_s_program_swings_up():
     env = dataclasses.replace(PID_PENDULUM, pid=PidTerms((1.0, 0.0, 0.0), 5))
     policy = thesis_policy()
-    played = rollout(policy.predict, env, range(200), keep_states=True, n_workers=1)
+    played = play_seeds(policy.predict, env, range(200), keep_states=True, n_workers=1)
     assert -175.0 < played.returns.mean() < -145.0  # -162.6 over 1,000 episodes, Fig. 4.4; 8 a standard error of ours
     # Its varying gain is what makes it so: without it the pendulum is left hanging more often.
     constant = constant_gains(otr.map_network(policy), played.states)
-    assert rollout(constant.predict, env, range(50), n_workers=1).returns.mean() < played.returns.mean() - 20.0
+    assert play_seeds(constant.predict, env, range(50), n_workers=1).returns.mean() < played.returns.mean() - 20.0
 
 
 # --- training -----------------------------------------------------------------------------------------------------
@@ -144,7 +144,9 @@ def test_the_first_layer_starts_large_and_no_other_does(pid):
 
 
 def test_actions_begin_near_zero(pid):
-    states = rollout(lambda seen: np.zeros((len(seen), 1)), pid().env, range(3), keep_states=True, n_workers=1).states
+    states = play_seeds(
+        lambda seen: np.zeros((len(seen), 1)), pid().env, range(3), keep_states=True, n_workers=1
+    ).states
     actions, _ = build_model(pid(), 0).predict(states.astype(np.float32), deterministic=True)
     assert np.abs(states[:, 3:]).max() > 20.0 and np.abs(actions).max() < 0.5  # of 2.0
 

@@ -4,8 +4,8 @@ import pytest
 
 from pipelines.cli.runs import load_config
 from pipelines.engine.store import read_json
+from pipelines.runs.derived import opened_run
 from pipelines.runs.result import _fewer_answers, show_result
-from pipelines.stages.derived import opened_run
 from tests.committed import RESULTS
 
 PROGRAM = """if 1 + x <= 0 then

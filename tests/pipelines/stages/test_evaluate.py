@@ -12,11 +12,11 @@ from pipelines.engine.store import read_csv, write_files
 from pipelines.errors import PipelineError, PolicyMismatchError
 from pipelines.play.actor_files import actor_files, load_actor
 from pipelines.play.agreement import answers_agree
+from pipelines.play.episodes import play_each
 from pipelines.stages.evaluate import evaluate
-from pipelines.stages.evaluation_episodes import play_each
 from pipelines.stages.map import map_actor
 from pipelines.stages.prune import prune
-from tests.pipelines.play.test_rollout import PENDULUM, random_network
+from tests.pipelines.play.test_episodes import PENDULUM, random_network
 
 
 @pytest.fixture
@@ -71,10 +71,10 @@ def test_patterns_are_those_of_the_network(tiny, chain):
     config = tiny(prune=PruneConfig(3, None))
     folders = chain(config)
     from pipelines.engine.seeding import episode_seeds
-    from pipelines.play.rollout import rollout
+    from pipelines.play.episodes import play_seeds
 
     network = load_actor(folders["train"])
-    states = rollout(network.predict, PENDULUM, episode_seeds(0, "prune", 3), keep_states=True, n_workers=1).states
+    states = play_seeds(network.predict, PENDULUM, episode_seeds(0, "prune", 3), keep_states=True, n_workers=1).states
     n_patterns = len(np.unique(network.patterns(states), axis=0))
     report = json.loads((folders["prune"] / "report.json").read_text())
     assert report["patterns"] == n_patterns

@@ -8,7 +8,7 @@ from pipelines.config.stages import EvaluateConfig, PruneConfig
 from pipelines.engine.seeding import episode_seeds
 from pipelines.engine.store import read_csv, read_json
 from pipelines.play.actor_files import load_actor
-from pipelines.play.rollout import rollout
+from pipelines.play.episodes import play_seeds
 from pipelines.runs.result import _returns_of_leaves
 from pipelines.stages.leaves import leaves, numbers_of_leaves
 from tests.committed import RESULTS
@@ -25,7 +25,7 @@ def test_each_point_is_the_tree_of_the_most_visited_paths_on_the_evaluation_epis
     config = tiny(prune=PruneConfig(4, None), evaluate=EvaluateConfig(3, 1000))
     network = load_actor(RUN / "train")
     seeds = episode_seeds(config.seed, "prune", 4)
-    states = rollout(network.predict, PENDULUM, seeds, keep_states=True, n_workers=1).states
+    states = play_seeds(network.predict, PENDULUM, seeds, keep_states=True, n_workers=1).states
     otr.save(otr.prune_unreached(otr.map_network(network), states), tmp_path / "tree")
     leaves({"prune": tmp_path}, config, tmp_path)
 
@@ -36,7 +36,7 @@ def test_each_point_is_the_tree_of_the_most_visited_paths_on_the_evaluation_epis
     for row in rows:
         k = int(row["n_leaves"])
         kept = otr.prune_to_k(otr.PatternTree(network), states, k)
-        expected = rollout(kept.predict, PENDULUM, range(1000, 1003), n_workers=1).returns
+        expected = play_seeds(kept.predict, PENDULUM, range(1000, 1003), n_workers=1).returns
         assert float(row["return_mean"]) == pytest.approx(expected.mean(), rel=1e-6)
         assert float(row["share_of_states"]) == pytest.approx(counts[:k].sum() / len(states))
         assert int(row["n_episodes"]) == 3

@@ -20,9 +20,9 @@ from pipelines.play.spaces import spaces
 from pipelines.runs.replay import replay
 from pipelines.runs.result import _loss
 from pipelines.runs.run_job import RunJob
+from pipelines.runs.stage_table import stages_of
 from pipelines.stages import simplify as simplify_module
 from pipelines.stages.polish import announce_polish, environments, estimated_seconds, polish
-from pipelines.stages.table import stages_of
 from tests.committed import copy_run
 from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM
 

@@ -18,11 +18,11 @@ from pipelines.engine.stage import stage_status
 from pipelines.engine.store import read_json
 from pipelines.errors import ConfigError
 from pipelines.play.actor_files import load_actor
-from pipelines.play.random_returns import random_returns
 from pipelines.report.learning_curves import STEPS, load_curves
+from pipelines.runs.below_random import random_returns
 from pipelines.runs.replay import replay
+from pipelines.runs.stage_table import stages_of
 from pipelines.stages.polish import POLISH, estimated_seconds, polish_settings, polishes_by
-from pipelines.stages.table import stages_of
 from pipelines.training.critics import CRITICS
 from tests.committed import copy_run
 from tests.pipelines.conftest import otr_command, otr_succeeds

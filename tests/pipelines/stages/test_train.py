@@ -14,10 +14,10 @@ from pipelines.engine.stage import run_stage
 from pipelines.engine.store import read_csv
 from pipelines.errors import ConfigError, PipelineError, PolicyMismatchError
 from pipelines.play.actor_files import load_actor
-from pipelines.play.rollout import rollout
+from pipelines.play.episodes import play_seeds
 from pipelines.play.selection import compare_with_trained
 from pipelines.runs.run_job import RunJob
-from pipelines.stages.table import STAGES
+from pipelines.runs.stage_table import STAGES
 from pipelines.stages.train import TRAIN, checkpoint_folder, train_settings, trained_steps
 from pipelines.training import sb3_checkpoints as checkpoint_module
 from pipelines.training import sb3_training
@@ -103,7 +103,7 @@ def test_best_evaluation_s_actor_is_kept(tiny, tmp_path):
     assert len(rows) == 4  # 384 steps a segment: whole rollouts of 2 x 64
     assert max(returns) > returns[-1] + 1.0  # or the test could not tell the best actor from the last
     assert [row["best"] for row in rows].count("True") == 1
-    again = rollout(load_actor(tmp_path).predict, config.env, episode_seeds(5, "selection", 2), n_workers=1)
+    again = play_seeds(load_actor(tmp_path).predict, config.env, episode_seeds(5, "selection", 2), n_workers=1)
     assert again.returns.mean() == max(returns)
 
 
@@ -171,7 +171,7 @@ def test_rescaled_inputs_are_folded_into_the_program(tiny, tmp_path):
     TRAIN.run({}, config, tmp_path)
     network = load_actor(tmp_path)
     seeds = episode_seeds(0, "selection", 2)
-    again = rollout(network.predict, config.env, seeds, n_workers=1)  # on the environment's own states
+    again = play_seeds(network.predict, config.env, seeds, n_workers=1)  # on the environment's own states
     returns = [float(row["return_mean"]) for row in read_csv(tmp_path / "evaluations.csv")]
     assert again.returns.mean() == max(returns)
 

@@ -7,7 +7,7 @@ import torch
 import otr
 from pipelines.config.stages import ActorConfig, TrainConfig
 from pipelines.play.environments import make_env
-from pipelines.play.rollout import rollout
+from pipelines.play.episodes import play_seeds
 from pipelines.training.experts_actor import ExpertsActor
 from pipelines.training.fleet.trainer import FleetTrainer
 from pipelines.training.soft_trees import SoftPolicy, harden, load_soft
@@ -49,7 +49,7 @@ def test_the_tree_does_what_was_trained(experts_run, tmp_path, monkeypatch, resc
     module, env = load_soft(out), make_env(config.env)
     tree = harden(module, env.action_space, is_squashed=True)
     assert tree.head == otr.TanhBox([-2.0], [2.0]) and tree.n_leaves == 4
-    states = rollout(tree.predict, config.env, [5, 6], keep_states=True, n_workers=1).states
+    states = play_seeds(tree.predict, config.env, [5, 6], keep_states=True, n_workers=1).states
     clear = np.abs(states @ tree.P.T + tree.v).min(axis=1) > 1e-4  # of the tests' values, beside float32
     assert clear.mean() > 0.9
     states, expected = states[clear], tree.predict(states[clear])

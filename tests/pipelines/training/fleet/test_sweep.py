@@ -9,7 +9,7 @@ import pytest
 from pipelines.engine.stage import run_stage_together
 from pipelines.engine.store import read_json
 from pipelines.runs.run_job import RunJob, run_jobs
-from pipelines.stages.table import STAGES
+from pipelines.runs.stage_table import STAGES
 from tests.pipelines.conftest import otr_command, otr_succeeds
 from tests.pipelines.sweeps import digests
 from tests.pipelines.training.fleet.test_train import FLEET, WRAPPING_SAC

@@ -10,7 +10,7 @@ from pipelines.config.stages import ActorConfig, TrainConfig
 from pipelines.engine.store import read_csv
 from pipelines.errors import ConfigError
 from pipelines.play.actor_files import load_actor
-from pipelines.play.rollout import rollout
+from pipelines.play.episodes import play_seeds
 from pipelines.stages.train import checkpoint_folder
 from pipelines.training.search import train as train_module
 from pipelines.training.search.train import SearchRun, train_by_search
@@ -44,7 +44,7 @@ def test_learns_and_keeps_the_best_evaluation(search_run, tmp_path):
         max(float(row["return_mean"]) for row in evaluations) > 300
     )  # a policy that does nothing stands for ten steps
     network = load_actor(out)
-    assert rollout(network.predict, CARTPOLE, range(20)).returns.mean() > 250
+    assert play_seeds(network.predict, CARTPOLE, range(20)).returns.mean() > 250
     assert network.dense == "input" and network.n_hidden == 4
 
 
@@ -61,7 +61,7 @@ def test_the_best_of_the_first_searches_goes_on(search_run, tmp_path, start_step
         def at_step(self, step):
             pass
 
-    with_episodes = train_module.SearchEpisodes(CARTPOLE, "gymnasium")
+    with_episodes = train_module.Player(CARTPOLE, "gymnasium")
     while run._start < 3:
         if run._search.n_steps == 0:
             first_networks.append(run._search.network.weights[0])

@@ -6,8 +6,7 @@ import pytest
 from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError
 from pipelines.play.environments import make_env
-from pipelines.training.environments.gymnasium_envs import GymnasiumVectorEnv
-from pipelines.training.environments.vector_envs import Autoreset, Step
+from pipelines.play.vector_envs import Autoreset, Step, make_vector_env
 
 HOPPER = EnvConfig("hopper", "hopper", "Hopper-v4")
 PENDULUM = EnvConfig("pendulum", "pendulum", "Pendulum-v1", {"max_episode_steps": 5})
@@ -21,8 +20,8 @@ def actions_of(n_envs: int, n_components: int, first: int = 0) -> np.ndarray:
     return np.stack([g.uniform(-1, 1, (N_STEPS, n_components)) for g in generators], axis=1).astype(np.float32)
 
 
-def autoreset(config: EnvConfig, n_envs: int, *, rescale_inputs: bool = False) -> Autoreset:
-    return Autoreset(GymnasiumVectorEnv(config, n_envs, rescale_inputs=rescale_inputs))
+def autoreset(config: EnvConfig, *, rescale_inputs: bool = False) -> Autoreset:
+    return Autoreset(make_vector_env(config, "gymnasium", rescale_inputs=rescale_inputs))
 
 
 def play(envs: Autoreset, seeds: list[int], actions: np.ndarray) -> tuple[np.ndarray, Step]:
@@ -52,7 +51,7 @@ def loop(config: EnvConfig, seed: int, actions: np.ndarray) -> tuple[np.ndarray,
 
 def test_every_environment_is_gymnasiums_own():
     seeds, actions = [7, 3, 3, 2**32 - 1, 8], actions_of(5, 3)
-    envs = autoreset(HOPPER, 5)
+    envs = autoreset(HOPPER)
     first, steps = play(envs, seeds, actions)
     envs.close()
     assert [part.dtype for part in steps] == [np.float32, np.float32, bool, bool, np.float32]
@@ -63,7 +62,7 @@ def test_every_environment_is_gymnasiums_own():
 
 
 def test_terminal_state_and_first_state_of_the_next_episode():
-    envs = autoreset(HOPPER, 3)
+    envs = autoreset(HOPPER)
     _, steps = play(envs, [1, 2, 3], actions_of(3, 3))
     ended = steps.terminated
     # A hopper has fallen below 0.7 or tilted by more than 0.2; it starts within 0.005 of 1.25 and 0.
@@ -78,7 +77,7 @@ def test_terminal_state_and_first_state_of_the_next_episode():
 
 
 def test_time_limit_truncates_and_does_not_terminate():
-    envs = autoreset(PENDULUM, 3)
+    envs = autoreset(PENDULUM)
     _, steps = play(envs, [1, 2, 3], actions_of(3, 1)[:12])
     envs.close()
     assert np.flatnonzero(steps.truncated.all(axis=1)).tolist() == [4, 9]
@@ -88,17 +87,17 @@ def test_time_limit_truncates_and_does_not_terminate():
 
 def test_terminal_state_at_the_time_limit_is_both():
     actions = actions_of(1, 3)
-    _, steps = play(autoreset(HOPPER, 1), [1], actions)
+    _, steps = play(autoreset(HOPPER), [1], actions)
     last = int(np.argmax(steps.terminated[:, 0]))
     limited = EnvConfig("hopper", "hopper", "Hopper-v4", {"max_episode_steps": last + 1})
-    _, steps = play(autoreset(limited, 1), [1], actions[: last + 1])
+    _, steps = play(autoreset(limited), [1], actions[: last + 1])
     assert steps.terminated[last, 0] and steps.truncated[last, 0]
     assert steps.terminated.sum() == steps.truncated.sum() == 1
 
 
 def test_same_seeds_same_trajectory_whatever_was_played_before():
     actions = actions_of(3, 3)
-    envs = autoreset(HOPPER, 3)
+    envs = autoreset(HOPPER)
     first = play(envs, [4, 5, 6], actions)
     play(envs, [9, 9, 9], actions[:7])
     assert_same(play(envs, [4, 5, 6], actions), first)
@@ -108,7 +107,7 @@ def test_same_seeds_same_trajectory_whatever_was_played_before():
 
 @pytest.mark.parametrize(("config", "n_components"), [(HOPPER, 3), (PENDULUM, 1)], ids=["float64", "float32"])
 def test_steps_are_the_callers_to_keep(config, n_components):
-    envs = autoreset(config, 2)
+    envs = autoreset(config)
     first = envs.reset([1, 2])
     step = envs.step(np.zeros((2, n_components), np.float32))
     kept = [part.copy() for part in (first, *step)]
@@ -120,8 +119,8 @@ def test_steps_are_the_callers_to_keep(config, n_components):
 
 def test_rescaled_states():
     actions = actions_of(2, 1)
-    plain, steps = play(autoreset(CAR, 2), [1, 2], actions)
-    _, scaled = play(autoreset(CAR, 2, rescale_inputs=True), [1, 2], actions)
+    plain, steps = play(autoreset(CAR), [1, 2], actions)
+    _, scaled = play(autoreset(CAR, rescale_inputs=True), [1, 2], actions)
     low, high = np.array([-1.2, -0.07]), np.array([0.6, 0.07])
     for name in ("next_states", "states"):
         expected = 2 * (getattr(steps, name) - low) / (high - low) - 1
@@ -131,19 +130,20 @@ def test_rescaled_states():
 
 def test_refusals_name_what_is_wrong():
     with pytest.raises(ConfigError, match="Nothing-v0"):
-        GymnasiumVectorEnv(EnvConfig("nothing", "nothing", "Nothing-v0"), 2)
+        make_vector_env(EnvConfig("nothing", "nothing", "Nothing-v0"), "gymnasium")
     with pytest.raises(ConfigError, match="Hopper-v4 have no bounds"):
-        GymnasiumVectorEnv(HOPPER, 2, rescale_inputs=True)
-    envs = GymnasiumVectorEnv(PENDULUM, 2)
+        make_vector_env(HOPPER, "gymnasium", rescale_inputs=True)
+    envs = make_vector_env(PENDULUM, "gymnasium")
     envs.close()
     envs.close()
 
 
 def test_an_environment_of_ones_own_gets_actions_of_its_space_and_others_as_they_are():
-    own = GymnasiumVectorEnv(EnvConfig("own", "continuous", "tests.pipelines.own_envs:Insistent-v0"), 2)
+    own = make_vector_env(EnvConfig("own", "continuous", "tests.pipelines.own_envs:Insistent-v0"), "gymnasium")
     own.reset([0, 1])
     own.step(np.array([[0.1], [0.2]]))
-    hoppers = GymnasiumVectorEnv(HOPPER, 2)
+    hoppers = make_vector_env(HOPPER, "gymnasium")
+    hoppers.reset([0, 1])
     taken = []
     for env in hoppers._envs:
         env.step = lambda action: taken.append(action) or (np.zeros(11), 0.0, False, False, {})

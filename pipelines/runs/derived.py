@@ -10,8 +10,8 @@ from pipelines.config.methods import EXTRA_STAGES
 from pipelines.config.run import RunConfig
 from pipelines.engine.archive import bytes_digest, opened, read_manifest
 from pipelines.play.actor_files import load_actor
+from pipelines.play.printed_programs import LARGEST_PROGRAM, program_text, program_text_of_every_leaf
 from pipelines.stages.map import full_tree
-from pipelines.stages.printed_programs import LARGEST_PROGRAM, program_text, program_text_of_every_leaf
 
 PROGRAMS = {"tree": "program.txt", "constant_gains": "constant_gains.txt"}
 

@@ -4,26 +4,26 @@ The equations are gymnasium's (1.4.0, `gymnasium/envs/classic_control`), operati
 float32 actions. States and ends are the same to the last bit, and so are the car's rewards, where numpy's sine of an
 array is its sine of a number, as on the processors that were tried. The pendulum's rewards are equal to 5e-10:
 gymnasium squares the torque by powf, which rounds one of a thousand squares to the neighbouring float32.
-`tests/pipelines/training/environments/test_classic_control.py` plays both.
+`tests/pipelines/play/test_classic_control.py` plays both.
 """
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 from gymnasium.utils.seeding import np_random
 
+from otr.control.environments import Stepped
 from pipelines.config.env import EnvConfig
-from pipelines.training.environments.vector_envs import Stepped, time_limit
+from pipelines.play.environments import episode_limit
 
 N_STARTS_AHEAD = 8  # first states drawn at a time from a random stream
 
 
-class _Plant(Protocol):
-    """The equations of motion; its state is (2, k), a position and a velocity."""
+class _Pendulum:
+    """Pendulum-v1: angle from upright in rad, angular velocity in rad/s; torque in N m."""
 
-    low: tuple[float, ...]  # first states are uniform in this box; numbers left out are zero
-    high: tuple[float, ...]
+    low: tuple[float, ...] = (-np.pi, -1.0)  # first states are uniform in this box; numbers left out are zero
+    high: tuple[float, ...] = (np.pi, 1.0)
 
     def step(
         self, state: np.ndarray, action: np.ndarray, first: np.ndarray
@@ -31,26 +31,10 @@ class _Plant(Protocol):
         """Return the next states (2, k), rewards (k,) and whether they are terminal (k,).
 
         Args:
-            state: (2, k) float64.
+            state: (2, k) float64, a position and a velocity.
             action: (k,) float32.
             first: (k,) bool, whether this is the first step of an episode.
         """
-        ...
-
-    def observe(self, state: np.ndarray) -> np.ndarray:
-        """Return observations (k, d) float32 of states (2, k)."""
-        ...
-
-
-class _Pendulum:
-    """Pendulum-v1: angle from upright in rad, angular velocity in rad/s; torque in N m."""
-
-    low: tuple[float, ...] = (-np.pi, -1.0)
-    high: tuple[float, ...] = (np.pi, 1.0)
-
-    def step(
-        self, state: np.ndarray, action: np.ndarray, first: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         angle, velocity = state
         torque = np.clip(action, -2.0, 2.0)
         from_upright = (angle + np.pi) % (2 * np.pi) - np.pi
@@ -59,6 +43,7 @@ class _Pendulum:
         return np.stack((angle + velocity * 0.05, velocity)), -costs, np.zeros(len(costs), dtype=bool)
 
     def observe(self, state: np.ndarray) -> np.ndarray:
+        """Return observations (k, d) float32 of states (2, k)."""
         angle, velocity = state
         states = np.empty((len(angle), 3), dtype=np.float32)
         states[:, 0], states[:, 1], states[:, 2] = np.cos(angle), np.sin(angle), velocity
@@ -99,46 +84,45 @@ class _MountainCar:
         return np.ascontiguousarray(state.T, dtype=np.float32)
 
 
-_PLANTS: dict[str, type[_Plant]] = {"MountainCarContinuous-v0": _MountainCar, "Pendulum-v1": _Pendulum}
+_Plant = _MountainCar | _Pendulum
+_PLANTS: dict[str, type[_Plant]] = {
+    "MountainCarContinuous-v0": _MountainCar,
+    "Pendulum-v1": _Pendulum,
+}
 EQUAL_IDS = tuple(_PLANTS)
 
 
 class ClassicControlVectorEnv:
-    """Environments of EQUAL_IDS as arrays (`VectorEnv`); actions are rounded to float32, their space's type."""
+    """Environments of EQUAL_IDS as arrays (`VectorEnv`), which are started all at once; actions are float32."""
 
-    def __init__(self, env: EnvConfig, n_envs: int) -> None:
-        """Prepare the environments.
-
-        Raises:
-            ConfigError: the environment has arguments other than its time limit, or a PID policy's states.
-        """
-        self._max_episode_steps = time_limit(env)
+    def __init__(self, env: EnvConfig) -> None:
+        """Prepare an environment that `check_environments` allows."""
+        self._max_episode_steps = episode_limit(env)
         self._plant = _PLANTS[env.id]()
-        self.n_envs = n_envs
-        self._state = np.empty((2, n_envs))
-        self._n_steps = np.zeros(n_envs, dtype=np.int64)  # of the episodes under way
         self._starts: _Starts | None = None
 
-    def reset(self, seeds: Sequence[int]) -> np.ndarray:
-        assert len(seeds) == self.n_envs, (len(seeds), self.n_envs)
-        self._starts = _Starts(seeds, np.array(self._plant.low), np.array(self._plant.high))
-        return self.restart(np.arange(self.n_envs))
-
-    def restart(self, envs: np.ndarray) -> np.ndarray:
+    def reset(self, seeds: Sequence[int] | None, envs: np.ndarray | None = None) -> np.ndarray:
+        if seeds is not None:
+            assert envs is None, "environments are started one by one in the random streams that they have"
+            self._starts = _Starts(seeds, np.array(self._plant.low), np.array(self._plant.high))
+            self._state = np.empty((2, len(seeds)))
+            self._n_steps = np.zeros(len(seeds), dtype=np.int64)  # of the episodes under way
         assert self._starts is not None
-        self._n_steps[envs] = 0
-        self._state[:, envs] = 0.0
-        starts = self._starts.take(envs).T
-        self._state[: len(starts), envs] = starts
-        return self._plant.observe(self._state[:, envs])
+        index = np.arange(len(self._n_steps)) if envs is None else envs
+        self._n_steps[index] = 0
+        self._state[:, index] = 0.0
+        starts = self._starts.take(index).T
+        self._state[: len(starts), index] = starts
+        return self._plant.observe(self._state[:, index]).astype(np.float64)
 
     def step(self, actions: np.ndarray, envs: np.ndarray | None = None) -> Stepped:
         index = slice(None) if envs is None else envs
-        action = actions[:, 0].astype(np.float32)
-        state, rewards, terminated = self._plant.step(self._state[:, index], action, self._n_steps[index] == 0)
+        given = np.asarray(actions, dtype=np.float32)
+        state, rewards, terminated = self._plant.step(self._state[:, index], given[:, 0], self._n_steps[index] == 0)
         self._state[:, index] = state
         self._n_steps[index] += 1
-        return Stepped(self._plant.observe(state), rewards, terminated, self._n_steps[index] >= self._max_episode_steps)
+        states = self._plant.observe(state).astype(np.float64)
+        return Stepped(states, rewards, terminated, self._n_steps[index] >= self._max_episode_steps, given)
 
     def close(self) -> None:
         pass

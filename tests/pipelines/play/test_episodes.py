@@ -1,4 +1,4 @@
-"""Rollouts: the same episodes however they are run, and the same as one environment stepped by hand."""
+"""Episodes: the same episodes however they are run, and the same as one environment stepped by hand."""
 
 import gymnasium as gym
 import numpy as np
@@ -6,7 +6,7 @@ import pytest
 
 import otr
 from pipelines.play.environments import make_env
-from pipelines.play.rollout import rollout
+from pipelines.play.episodes import play_seeds
 from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM
 
 FIELDS = ("seeds", "returns", "lengths", "terminated", "truncated", "states", "actions")
@@ -44,7 +44,7 @@ def by_hand(network, env_config, seed):
 @pytest.mark.parametrize("env", [PENDULUM, LANDER, HOPPER], ids=lambda env: env.name)
 def test_equals_one_environment_stepped_by_hand(env):
     network, seeds = random_network(env), [3, 11, 1000]
-    played = rollout(network.predict, env, seeds, keep_states=True, n_workers=1)
+    played = play_seeds(network.predict, env, seeds, keep_states=True, n_workers=1)
     expected = [by_hand(network, env, seed) for seed in seeds]
     assert played.returns.tolist() == [total for total, *_ in expected]
     assert played.lengths.tolist() == [length for _, length, *_ in expected]
@@ -56,11 +56,11 @@ def test_equals_one_environment_stepped_by_hand(env):
 @pytest.mark.parametrize("env", [LANDER, HOPPER], ids=lambda env: env.name)
 def test_number_of_processes_and_order_change_nothing(env):
     network, seeds = random_network(env), list(range(40))
-    one = rollout(network.predict, env, seeds, keep_states=True, n_workers=1)
-    two = rollout(network.predict, env, seeds, keep_states=True, n_workers=2)
+    one = play_seeds(network.predict, env, seeds, keep_states=True, n_workers=1)
+    two = play_seeds(network.predict, env, seeds, keep_states=True, n_workers=2)
     for name in FIELDS:
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name), err_msg=name)
-    backwards = rollout(network.predict, env, seeds[::-1], n_workers=1)
+    backwards = play_seeds(network.predict, env, seeds[::-1], n_workers=1)
     np.testing.assert_array_equal(backwards.returns[::-1], one.returns)
 
 
@@ -68,10 +68,10 @@ def test_tree_plays_the_network_s_episodes():
     network = random_network(HOPPER, seed=4)
     tree = otr.map_network(network)
     seeds = list(range(8))
-    ours = rollout(tree.predict, HOPPER, seeds, n_workers=1)
-    theirs = rollout(network.predict, HOPPER, seeds, n_workers=1)
+    ours = play_seeds(tree.predict, HOPPER, seeds, n_workers=1)
+    theirs = play_seeds(network.predict, HOPPER, seeds, n_workers=1)
     np.testing.assert_array_equal(ours.returns, theirs.returns)
 
 
 def test_states_are_kept_only_when_asked_for():
-    assert rollout(random_network(PENDULUM).predict, PENDULUM, [0], n_workers=1).states.size == 0
+    assert play_seeds(random_network(PENDULUM).predict, PENDULUM, [0], n_workers=1).states.size == 0

@@ -7,14 +7,9 @@ import pytest
 
 import otr
 from pipelines.config.env import EnvConfig
-from pipelines.play.rollout import rollout
-from pipelines.stages.evaluation_episodes import (
-    has_numpy_plant,
-    play_each,
-    play_evaluation_episodes,
-    play_in_numpy,
-)
-from tests.pipelines.play.test_rollout import PENDULUM, random_network
+from pipelines.play.episodes import play_each, play_evaluation, play_seeds
+from pipelines.play.vector_envs import fastest_environments
+from tests.pipelines.play.test_episodes import PENDULUM, random_network
 
 ENVS = {  # and an action for each: c + M . x, clipped
     "pendulum": (EnvConfig("pendulum", "pendulum", "Pendulum-v1"), [1.0, -3.0, -0.7], 2.0),
@@ -28,19 +23,20 @@ def test_the_episodes_in_numpy_are_gymnasiums(name):
     no_tests = [], [], np.zeros((0, len(M))), []
     tree = otr.ObliqueTree(*no_tests, [[M]], [[0.1]], head=otr.ClipBox([-limit], [limit]))
     seeds = list(range(1000, 1012))
-    ours = play_in_numpy(tree.predict, env, seeds, keep_states=True)
-    theirs = rollout(tree.predict, env, seeds, keep_states=True, n_workers=1)
+    ours = play_seeds(tree.predict, env, seeds, keep_states=True, environments="numpy")
+    theirs = play_seeds(tree.predict, env, seeds, keep_states=True, n_workers=1)
     np.testing.assert_allclose(ours.returns, theirs.returns, atol=1e-6)
     for field in ("seeds", "lengths", "terminated", "truncated", "states", "actions"):
         np.testing.assert_array_equal(getattr(ours, field), getattr(theirs, field), err_msg=field)
     assert ours.terminated.all() == (name == "mountaincar") and len(set(ours.returns)) == len(seeds)
     assert ours.actions.dtype == theirs.actions.dtype
-    assert not len(play_in_numpy(tree.predict, env, seeds).states)
+    assert not len(play_seeds(tree.predict, env, seeds, environments="numpy").states)
 
 
 def test_an_environment_with_arguments_is_gymnasiums():
     env = ENVS["pendulum"][0]
-    assert has_numpy_plant(env) and not has_numpy_plant(dataclasses.replace(env, kwargs={"g": 9.0}))
+    assert fastest_environments(env) == "numpy"
+    assert fastest_environments(dataclasses.replace(env, kwargs={"g": 9.0})) == "gymnasium"
 
 
 def test_policies_that_act_alike_are_played_once(tiny, monkeypatch):
@@ -48,15 +44,15 @@ def test_policies_that_act_alike_are_played_once(tiny, monkeypatch):
     config = tiny()
     network = random_network(PENDULUM, seed=1, width=3)
     tree = otr.map_network(network)
-    states = play_evaluation_episodes(network.predict, config, keep_states=True).states
+    states = play_evaluation(network.predict, config, keep_states=True).states
     leaf = int(np.bincount(tree.apply(states)).argmax())
     other = tree.replace(c=tree.c + 1e-3 * (np.arange(tree.n_leaves) == leaf)[:, None])
     policies = {"network": network, "tree": tree, "other": other, "again": other}
-    alone = {name: play_evaluation_episodes(policy.predict, config).returns for name, policy in policies.items()}
+    alone = {name: play_evaluation(policy.predict, config).returns for name, policy in policies.items()}
     times = []
     monkeypatch.setattr(
-        "pipelines.stages.evaluation_episodes.play_evaluation_episodes",
-        lambda *args, **kwargs: (times.append(1), play_evaluation_episodes(*args, **kwargs))[1],
+        "pipelines.play.episodes.play_evaluation",
+        lambda *args, **kwargs: (times.append(1), play_evaluation(*args, **kwargs))[1],
     )
     played = play_each(policies, config)
     assert len(times) == 2

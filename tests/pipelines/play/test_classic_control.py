@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from otr.control.environments import Stepped, VectorEnv
 from pipelines.config.env import EnvConfig
-from pipelines.training.environments.classic_control import EQUAL_IDS, ClassicControlVectorEnv
-from pipelines.training.environments.gymnasium_envs import GymnasiumVectorEnv
-from pipelines.training.environments.vector_envs import Stepped
+from pipelines.play.classic_control import EQUAL_IDS, ClassicControlVectorEnv
+from pipelines.play.vector_envs import make_vector_env
 
 N_ENVS = 20
 SEEDS = [2**32 - 1, *range(N_ENVS - 1)]
@@ -16,6 +16,11 @@ LIMIT = {"Pendulum-v1": 2.0, "MountainCarContinuous-v0": 1.0}
 
 def config(env_id: str, **kwargs: object) -> EnvConfig:
     return EnvConfig(env_id, env_id, env_id, kwargs)
+
+
+def both(env_id: str) -> list[VectorEnv]:
+    """Return the environments of gymnasium and those in numpy."""
+    return [make_vector_env(config(env_id), environments) for environments in ("gymnasium", "numpy")]
 
 
 def assert_same(ours: Stepped, theirs: Stepped, reward_difference: float) -> None:
@@ -30,11 +35,10 @@ def assert_same(ours: Stepped, theirs: Stepped, reward_difference: float) -> Non
 @pytest.mark.parametrize("env_id", EQUAL_IDS)
 def test_episodes_are_gymnasiums(env_id):
     """Actions are random, beyond their limits and at them; half of the cars push along to reach the goal."""
-    theirs = GymnasiumVectorEnv(config(env_id), N_ENVS)
-    ours = ClassicControlVectorEnv(config(env_id), N_ENVS)
+    theirs, ours = both(env_id)
     states = theirs.reset(SEEDS)
     first = ours.reset(SEEDS)
-    assert first.dtype == np.float32
+    assert np.array_equal(first, first.astype(np.float32))  # which the environments give
     np.testing.assert_array_equal(first, states)
     generator, limit = np.random.default_rng(0), LIMIT[env_id]
     n_terminated = n_truncated = 0
@@ -49,7 +53,7 @@ def test_episodes_are_gymnasiums(env_id):
         n_terminated += expected.terminated.sum()
         n_truncated += expected.truncated.sum()
         if len(ended):
-            np.testing.assert_array_equal(ours.restart(ended), theirs.restart(ended))
+            np.testing.assert_array_equal(ours.reset(None, ended), theirs.reset(None, ended))
     if env_id == "Pendulum-v1":
         assert (n_terminated, n_truncated) == (0, 7 * N_ENVS)
     else:
@@ -58,14 +62,14 @@ def test_episodes_are_gymnasiums(env_id):
 
 def test_the_cars_wall_and_its_first_step():
     """At the wall the velocity is zero; a first step is computed in float64, with a force at its limit or within."""
-    theirs, ours = (kind(config(EQUAL_IDS[0]), 400) for kind in (GymnasiumVectorEnv, ClassicControlVectorEnv))
+    theirs, ours = both(EQUAL_IDS[0])
     assert EQUAL_IDS[0].startswith("MountainCar")
     np.testing.assert_array_equal(ours.reset(range(400)), theirs.reset(range(400)))
     generator, at_wall = np.random.default_rng(1), 0
     for _ in range(3):
         actions = generator.uniform(-2, 2, (400, 1)).astype(np.float32)
         assert_same(ours.step(actions), theirs.step(actions), 0.0)
-    ours, theirs = (kind(config(EQUAL_IDS[0]), 4) for kind in (ClassicControlVectorEnv, GymnasiumVectorEnv))
+    theirs, ours = both(EQUAL_IDS[0])
     states = theirs.reset([1, 2, 3, 4])
     ours.reset([1, 2, 3, 4])
     for _ in range(600):
@@ -78,14 +82,14 @@ def test_the_cars_wall_and_its_first_step():
 
 
 def test_ten_thousand_pendulums_of_few_seeds():
-    envs = ClassicControlVectorEnv(config("Pendulum-v1", max_episode_steps=2), 10_000)
+    envs = ClassicControlVectorEnv(config("Pendulum-v1", max_episode_steps=2))
     seeds = np.arange(10_000) % 16
     states = envs.reset(seeds)
     np.testing.assert_array_equal(states, states[:16][seeds])
-    alone = ClassicControlVectorEnv(config("Pendulum-v1", max_episode_steps=2), 1)
+    alone = ClassicControlVectorEnv(config("Pendulum-v1", max_episode_steps=2))
     alone.reset([3])
     for _ in range(20):
-        states, expected = envs.restart(np.arange(10_000)), alone.restart(np.arange(1))
+        states, expected = envs.reset(None, np.arange(10_000)), alone.reset(None, np.arange(1))
         np.testing.assert_array_equal(states[3::16], np.repeat(expected, 625, axis=0))
     assert not envs.step(np.zeros((10_000, 1), np.float32)).truncated.any()
     assert envs.step(np.zeros((10_000, 1), np.float32)).truncated.all()
@@ -93,9 +97,9 @@ def test_ten_thousand_pendulums_of_few_seeds():
 
 def test_environments_far_apart_in_episodes():
     """One that has had many more episodes than the others draws ahead, and the others still have theirs."""
-    ours, theirs = (kind(config("Pendulum-v1"), 3) for kind in (ClassicControlVectorEnv, GymnasiumVectorEnv))
+    theirs, ours = both("Pendulum-v1")
     ours.reset([1, 1, 2])
     theirs.reset([1, 1, 2])
     for k in range(60):
         envs = np.array([[0], [0, 2], [1]][k % 3 if k < 30 else k % 2])
-        np.testing.assert_array_equal(ours.restart(envs), theirs.restart(envs), err_msg=str(k))
+        np.testing.assert_array_equal(ours.reset(None, envs), theirs.reset(None, envs), err_msg=str(k))

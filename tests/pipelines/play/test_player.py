@@ -5,9 +5,7 @@ import pytest
 
 import otr
 from pipelines.config.env import EnvConfig
-from pipelines.play.rollout import rollout
-from pipelines.training.search import episodes as episodes_module
-from pipelines.training.search.episodes import SearchEpisodes
+from pipelines.play.episodes import MOST_AT_ONCE, Player, play_seeds
 from tests.pipelines.conftest import HOPPER, PENDULUM
 
 CARTPOLE = EnvConfig("cartpole", "cartpole", "CartPole-v1")
@@ -37,15 +35,15 @@ def networks(d: int, o: int, head: otr.Head, k: int = 3) -> list[otr.ReluNetwork
 )
 @pytest.mark.parametrize("at_once", [4, 256])
 def test_as_each_alone(monkeypatch, env, environments, policies, at_once):
-    monkeypatch.setitem(episodes_module.MOST_AT_ONCE, environments, at_once)
+    monkeypatch.setitem(MOST_AT_ONCE, environments, at_once)
     k = len(policies)
     seeds = np.arange(5 * k).reshape(k, 5)
     alone = [
-        rollout(policy.predict, env, row.tolist(), keep_states=True)
+        play_seeds(policy.predict, env, row.tolist(), keep_states=True)
         for policy, row in zip(policies, seeds, strict=True)
     ]
     for kind in (policies, [otr.map_network(policy) for policy in policies]):
-        played = SearchEpisodes(env, environments).play(kind, seeds, keep_states=True)
+        played = Player(env, environments).play(kind, seeds, keep_states=True)
         np.testing.assert_allclose(
             played.returns, [each.returns for each in alone], rtol=1e-4
         )  # contacts multiply rounding
@@ -59,14 +57,14 @@ def test_as_each_alone(monkeypatch, env, environments, policies, at_once):
 def test_without_the_alive_bonus():
     policies = networks(4, 2, otr.Argmax())
     seeds = np.arange(6).reshape(3, 2)
-    played = SearchEpisodes(CARTPOLE, "gymnasium", alive_bonus=1.0).play(policies, seeds)
+    played = Player(CARTPOLE, "gymnasium").play(policies, seeds, alive_bonus=1.0)
     assert np.array_equal(played.returns, np.zeros((3, 2))) and played.lengths.min() > 1
 
 
 def test_no_longer_than_the_horizon():
     policies = networks(3, 1, otr.ClipBox(-2.0, 2.0))
     seeds = np.arange(6).reshape(3, 2)
-    episodes = SearchEpisodes(PENDULUM, "numpy")
+    episodes = Player(PENDULUM, "numpy")
     short, long = episodes.play(policies, seeds, horizon=50), episodes.play(policies, seeds)
     assert np.array_equal(short.lengths, np.full((3, 2), 50)) and np.array_equal(long.lengths, np.full((3, 2), 200))
     assert (short.returns > long.returns).all()  # every step costs

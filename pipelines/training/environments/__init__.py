@@ -1,1 +1,0 @@
-"""Environments side by side, for training: gymnasium's own, and plants in numpy, behind one interface."""

@@ -20,13 +20,13 @@ from otr.core.pattern_tree import PatternTree
 from otr.core.smooth_network import Oracle
 from otr.errors import ArtefactError, InvalidNetworkError, OtrError
 from otr.extras import naming_the_extra
-from otr.importers.chain import Chain, mappable
-from otr.importers.onnx_graph import chain_of_onnx
+from otr.importers.assembly import mappable, policy_of
+from otr.importers.onnx_nodes import sections_of_onnx
 from otr.importers.sb3_archive import network_of_file, oracle_of_file
 from otr.importers.sb3_model import network_of_model
 from otr.importers.sklearn_estimator import policy_of_estimator, read_skops
-from otr.importers.torch_export_graph import chain_of_export
-from otr.importers.torch_modules import network_of_module
+from otr.importers.torch_modules import policy_of_module
+from otr.importers.torch_nodes import sections_of_export
 from otr.importers.vec_normalize import AUTO, find_statistics, fold_observation_statistics, is_auto
 
 if TYPE_CHECKING:
@@ -89,14 +89,14 @@ def from_torch(
     """
     if isinstance(module, str | os.PathLike):
         with _reading(module):
-            return mappable(chain_of_export(Path(module)).network(head))
+            return mappable(_of_export(Path(module), head))
     from torch.export import ExportedProgram, save
 
     if isinstance(module, ExportedProgram):
         written = io.BytesIO()
         save(module, written)
-        return mappable(chain_of_export(written.getvalue()).network(head))
-    return network_of_module(module, head)
+        return mappable(_of_export(written.getvalue(), head))
+    return mappable(policy_of_module(module, head))
 
 
 @naming_the_extra("otr.from_sb3")
@@ -210,8 +210,9 @@ def _found_beside(model: Path) -> Path | None:
     return file
 
 
-def _decided(chain: Chain) -> Oracle:
-    return chain.network(chain.deciding_head)
+def _of_export(file: Path | bytes, head: Head | None = None, *, decides: bool = False) -> Oracle:
+    sections, answer = sections_of_export(file)
+    return policy_of(sections, head, decides=decides, answer=answer)
 
 
 def _of_skops(path: Path) -> Oracle:
@@ -235,8 +236,8 @@ def _of_saved(path: Path) -> Oracle:
 
 _READERS: dict[str, Callable[[Path, str | None], Oracle]] = {
     ".zip": lambda path, _: oracle_of_file(path),
-    ".onnx": lambda path, output: _decided(chain_of_onnx(path, output)),
-    ".pt2": lambda path, _: _decided(chain_of_export(path)),
+    ".onnx": lambda path, output: policy_of(sections_of_onnx(path, output), decides=True),
+    ".pt2": lambda path, _: _of_export(path, decides=True),
     ".skops": lambda path, _: _of_skops(path),
     ".json": lambda path, _: _of_saved(path),
     ".npz": lambda path, _: _of_saved(path),
@@ -271,7 +272,7 @@ def from_onnx(
         MissingExtraError: onnx is not installed.
     """
     with _reading(model):
-        return mappable(chain_of_onnx(model, output).network(head))
+        return mappable(policy_of(sections_of_onnx(model, output), head))
 
 
 @naming_the_extra("otr.from_sklearn")

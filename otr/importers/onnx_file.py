@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from otr.core.arrays import FloatArray
 from otr.errors import ArtefactError, InvalidNetworkError
 
 if TYPE_CHECKING:
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
 _LIMIT_BYTES = 2**24  # four million numbers; what a file holds can take eighty times its size in memory
 _LEAST_OPSET = 7  # before, operators broadcast by rules of their own
 _REMEDY = "export the policy again"
+_REALS = ("FLOAT", "DOUBLE", "FLOAT16", "BFLOAT16")
 
 
 @dataclass(frozen=True)
@@ -73,35 +73,18 @@ def describe(node: NodeProto) -> str:
     return f"node {node.name or node.output[0]!r} ({node.op_type})"
 
 
-def attributes(node: NodeProto) -> dict[str, Any]:
-    """Return a node's attributes by name."""
-    from onnx import helper
-
-    return {attribute.name: helper.get_attribute_value(attribute) for attribute in node.attribute}
-
-
 def array_of(tensor: TensorProto) -> NDArray[Any]:
-    """Return a constant: real numbers as float64, integers as int64, truth values as bool."""
+    """Return a constant: real numbers as float64, integers and truth values as they are."""
     from onnx import TensorProto, numpy_helper
 
-    reals = (TensorProto.FLOAT, TensorProto.DOUBLE, TensorProto.FLOAT16, TensorProto.BFLOAT16)
-    kinds: dict[int, Any] = dict.fromkeys(reals, np.float64) | {TensorProto.BOOL: np.bool_}
-    kinds |= dict.fromkeys((TensorProto.INT32, TensorProto.INT64), np.int64)
-    if tensor.data_type not in kinds:
-        kind = TensorProto.DataType.Name(tensor.data_type)
+    kind = TensorProto.DataType.Name(tensor.data_type)
+    if kind not in _REALS and not kind.startswith(("INT", "UINT", "BOOL")):
         raise InvalidNetworkError(f"reads the constant {tensor.name!r} of type {kind}, expected real numbers")
     try:
         values = numpy_helper.to_array(tensor)
     except Exception as error:  # a foreign tensor's shape need not fit its numbers
         raise ArtefactError(f"the constant {tensor.name!r} cannot be read ({error}); {_REMEDY}") from error
-    return values.astype(kinds[tensor.data_type])
-
-
-def numbers(value: Any) -> FloatArray:
-    """Return real constants that a node reads, or raise InvalidNetworkError."""
-    if not isinstance(value, np.ndarray) or value.dtype != np.float64:
-        raise InvalidNetworkError("reads something else than constant real numbers beside the states")
-    return value
+    return values.astype(np.float64) if kind in _REALS else values
 
 
 def _content(given: Any) -> bytes:

@@ -27,7 +27,7 @@ from otr.core.network import ReluNetwork
 from otr.core.smooth_network import ACTIVATIONS, SmoothNetwork
 from otr.core.zip_members import read_members
 from otr.errors import ArtefactError, InvalidNetworkError
-from otr.importers.chain import RELU_REMEDY, TRAIN_RELU
+from otr.importers.assembly import RELU_REMEDY, TRAIN_RELU
 from otr.importers.pickle_record import numbers, record_of_pickle
 from otr.importers.torch_modules import real_values
 

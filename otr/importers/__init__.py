@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import os
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,10 +21,11 @@ from otr.core.smooth_network import Oracle
 from otr.errors import ArtefactError, InvalidNetworkError, OtrError
 from otr.extras import naming_the_extra
 from otr.importers.assembly import mappable, policy_of
-from otr.importers.onnx_nodes import sections_of_onnx
+from otr.importers.onnx_file import sections_of_onnx
 from otr.importers.sb3_archive import network_of_file, oracle_of_file
 from otr.importers.sb3_model import network_of_model
 from otr.importers.sklearn_estimator import policy_of_estimator, read_skops
+from otr.importers.stored_layers import network_of_nnet, policy_of_state_dict
 from otr.importers.torch_modules import policy_of_module
 from otr.importers.torch_nodes import sections_of_export
 from otr.importers.vec_normalize import AUTO, find_statistics, fold_observation_statistics, is_auto
@@ -156,7 +157,12 @@ def from_sb3(
 
 @naming_the_extra("otr.importers.read_policy")
 def read_policy(
-    path: str | os.PathLike[str], *, vec_normalize: str | os.PathLike[str] | None = AUTO, output: str | None = None
+    path: str | os.PathLike[str],
+    *,
+    vec_normalize: str | os.PathLike[str] | None = AUTO,
+    output: str | None = None,
+    layers: str | Sequence[str] | None = None,
+    activation: str | None = None,
 ) -> Oracle:
     """Return the policy in a file, to be mapped to a tree or to be imitated by one.
 
@@ -187,10 +193,14 @@ def read_policy(
             "written by torch.export.save(torch.export.export(module, (states,)), 'policy.pt2'), a scikit-learn "
             "estimator by skops.io.dump(estimator, 'policy.skops')"
         )
+    if (layers, activation) != (None, None) and path.suffix not in (".pth", ".pt"):
+        raise InvalidNetworkError(f"layers= and activation= are for a state_dict (.pth, .pt); {path} says both itself")
     if output is not None and path.suffix != ".onnx":
         raise InvalidNetworkError(f"output={output!r} is one of several outputs of an ONNX model; {path} is none")
     with _reading(path):
-        policy = reader(path, output)
+        policy = (
+            policy_of_state_dict(path, layers, activation) if path.suffix in (".pth", ".pt") else reader(path, output)
+        )
     if is_auto(vec_normalize):
         vec_normalize = _found_beside(path) if path.suffix == ".zip" else None
     if vec_normalize is None:
@@ -239,6 +249,9 @@ _READERS: dict[str, Callable[[Path, str | None], Oracle]] = {
     ".onnx": lambda path, output: policy_of(sections_of_onnx(path, output), decides=True),
     ".pt2": lambda path, _: _of_export(path, decides=True),
     ".skops": lambda path, _: _of_skops(path),
+    ".nnet": lambda path, _: network_of_nnet(path),
+    ".pth": lambda path, _: policy_of_state_dict(path, None, None),
+    ".pt": lambda path, _: policy_of_state_dict(path, None, None),
     ".json": lambda path, _: _of_saved(path),
     ".npz": lambda path, _: _of_saved(path),
 }

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
+from scipy.special import expit, softmax
 
 from otr.core.arrays import FloatArray
 from otr.core.head import Head
@@ -145,8 +145,7 @@ def _decision(sections: Sections, value: str) -> _End | None:
         raise InvalidNetworkError(f"{_name(source)} is followed by more than a shape; export the label itself")
     while (found := _elementwise(sections, form)) is not None:
         before, gains, offset = found
-        rises = before.unit is not None and (before.unit.kind in DECISIONS or before.unit.kind in ("tanh", "sigmoid"))
-        if not rises or np.ptp(gains) or np.ptp(offset) or gains[0] < 0:
+        if before.unit is None or before.unit.kind not in DECISIONS or np.ptp(gains) or np.ptp(offset) or gains[0] < 0:
             break
         form = sections.form(before.read)
     return _without_common(sections, _End(form, "ArgMax"))
@@ -223,14 +222,12 @@ def _network(sections: Sections, end: _End) -> Oracle:
 def _forms(sections: Sections, last: Form) -> dict[str, Form]:
     """Return what every cut reads that the last form is made of, in the order of the graph."""
     forms: dict[str, Form] = {}
-    open_names = [name for name in last.matrices if name != sections.input.name]
-    while open_names:
-        name = open_names.pop()
-        if name in forms:
-            continue
-        refuse_unknown([sections.sources[name]])
-        forms[name] = sections.form(sections.sources[name].read)
-        open_names += [read for read in forms[name].matrices if read != sections.input.name]
+    open_forms = [last]
+    while open_forms:
+        names = [name for name in open_forms.pop().matrices if name != sections.input.name and name not in forms]
+        refuse_unknown(map(sections.sources.__getitem__, names))
+        forms |= {name: sections.form(sections.sources[name].read) for name in names}
+        open_forms += [forms[name] for name in names]
     return {name: forms[name] for name in sections.sources if name in forms}
 
 
@@ -314,20 +311,22 @@ def _require_same_answers(policy: Oracle, kind: str, answer: Callable[[FloatArra
     n_states = max(1, min(_PROBES, 2**20 // policy.n_inputs))
     states = probe_states(policy.n_inputs, n_states)
     outputs, sizes = policy.forward(states), reach(policy, states).max(axis=1)
-    after = {"sigmoid": expit, **DECISIONS}.get(kind, policy.head if kind in ("tanh", "clip") else lambda y: y)
+    # Logarithms are compared as probabilities: onnx's reference has -inf for the small ones.
+    after = {"sigmoid": expit, "Softmax": softmax, "LogSoftmax": softmax, "tanh": policy.head, "clip": policy.head}
     limits = policy.head.limits(policy.n_outputs)
     gain = 1.0 if limits is None else max(1.0, float(np.max(limits[1] - limits[0])))
     for state, y, size in zip(states, outputs, sizes, strict=True):
         try:
             with np.errstate(all="ignore"):
                 found = np.asarray(answer(state))
+                found = np.exp(found) if kind == "LogSoftmax" else found
         except Exception as error:  # foreign code can fail in any way
             raise InvalidNetworkError(f"the model cannot be run on the state {state.tolist()[:20]}: {error}") from error
         limit = _ROUNDING * gain * (size + 1)
         if kind == "ArgMax":
             same = found.size == 1 and 0 <= int(found[0]) < len(y) and y.max() - y[int(found[0])] <= limit
         else:
-            expected = after(y)
+            expected = after[kind](y) if kind else y
             same = found.shape == expected.shape and bool(np.all(np.abs(found - expected) <= limit))
         if not same:
             raise InvalidNetworkError(

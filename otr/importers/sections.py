@@ -92,7 +92,7 @@ class Sections:
         `shape` is (n, ...) or (number of inputs,); an open size is 0.
 
         Raises:
-            InvalidNetworkError: another shape, a value has too many numbers, a node fails, or the answer does not read the states.
+            InvalidNetworkError: another shape, too many numbers, a node that fails, or an answer without states.
         """
         self.output_name, self.constants = output_name, constants
         self.sources: dict[str, Source] = {}

@@ -77,7 +77,9 @@ def recognised(answer: Function, width: int, rng: np.random.Generator) -> Unit |
         candidates += [(Unit(name), function) for name, function in DECISIONS.items()]
         expected = [answer(z) for z in tried]
         for unit, function in candidates:
-            if all(np.allclose(function(z), y, rtol=1e-9, atol=1e-13) for z, y in zip(tried, expected, strict=True)):
+            far = 100 if unit.kind in DECISIONS else np.inf  # where onnx's reference has infinite logarithms
+            given = [(z, y) for z, y in zip(tried, expected, strict=True) if np.abs(z).max() < far]
+            if all(np.allclose(function(z), y, rtol=1e-9, atol=1e-13) for z, y in given):
                 is_relu = unit.slope is not None and not unit.slope.any()
                 return Unit("slope", slope, np.zeros(width), np.full(width, np.inf)) if is_relu else unit
     return None

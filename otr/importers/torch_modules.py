@@ -7,6 +7,7 @@ import inspect
 import io
 import warnings
 from collections.abc import Iterable
+from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
@@ -40,33 +41,31 @@ def policy_of_module(module: torch.nn.Module, head: Head | None) -> Oracle:
             "there is no Linear layer, which would say how many inputs a state has; give the export of the module, "
             "torch.export.export(module, (states,))"
         )
-    copied, n_inputs = _float64_copy(module), linear.in_features
+    copied = _copy(module)
     layers = list(_flat_layers(copied, "module"))
+    if not all(type(layer).__module__.startswith("torch.nn.") for _, layer in layers):
+        sections, answer = sections_of_export(
+            _exported(copied, torch.zeros(1, linear.in_features, dtype=linear.weight.dtype))
+        )
+        return policy_of(sections, head, answer=answer)
+    copied.double()
+    steps = [(f"{where} ({type(layer).__name__})", partial(_run, layer)) for where, layer in layers]
+    sections = Sections.of_steps(steps, linear.in_features)
+    return policy_of(sections, head, answer=lambda state: _run(copied, state[None]).ravel())
 
-    def answer(state: FloatArray) -> NDArray[np.float64]:
-        return np.asarray(_run(copied, state[None])).ravel()
 
-    if all(type(layer).__module__.startswith("torch.nn.") for _, layer in layers):
-        steps = [
-            (f"{where} ({type(layer).__name__})", lambda z, layer=layer: _run(layer, z)) for where, layer in layers
-        ]
-        return policy_of(Sections.of_steps(steps, n_inputs), head, answer=answer)
-    return policy_of(sections_of_export(exported(copied, n_inputs))[0], head, answer=answer)
-
-
-def exported(module: Any, n_inputs: int) -> bytes:
-    """Return the bytes of a module's export for a state of this many inputs."""
+def _exported(module: Any, state: Any) -> bytes:
+    """Return the bytes of a module's export."""
     import torch
 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            program = torch.export.export(module, (torch.zeros(1, n_inputs, dtype=torch.float64),))
             written = io.BytesIO()
-            torch.export.save(program, written)
+            torch.export.save(torch.export.export(module, (state,)), written)
     except Exception as error:  # foreign code can fail in any way
         raise InvalidNetworkError(
-            f"the module cannot be exported for a state of {n_inputs} inputs ({str(error).strip()[:300]}); give "
+            f"the module cannot be exported for a state of {state.numel()} inputs ({str(error).strip()[:300]}); give "
             "torch.export.export(module, (states,))"
         ) from error
     return written.getvalue()
@@ -148,8 +147,8 @@ def _require_numbers(tensor: Any, name: str) -> None:
     raise InvalidNetworkError(f"{name} {what}, expected a dense tensor with a real number of its own for every entry")
 
 
-def _float64_copy(module: Any) -> Any:
-    """Return a copy in evaluation mode, float64 and on the processor, so that the caller's module stays as it is."""
+def _copy(module: Any) -> Any:
+    """Return a copy in evaluation mode and on the processor, so that the caller's module stays as it is."""
     import torch
 
     # What a hook computed (weight_norm) cannot be copied together with the way it was computed.
@@ -160,9 +159,9 @@ def _float64_copy(module: Any) -> Any:
         if isinstance(value, torch.Tensor) and not value.is_leaf
     }
     try:
-        return copy.deepcopy(module, computed).to(device="cpu", dtype=torch.float64).eval()
+        return copy.deepcopy(module, computed).cpu().eval()
     except Exception as error:  # foreign modules and hooks can fail in any way
         raise InvalidNetworkError(
-            f"the module cannot be copied, so it cannot be compared with its layers: {error}; "
-            "give a Sequential of plain layers without hooks"
+            f"the module cannot be copied: {error}; give a Sequential of plain layers, or the export of the module, "
+            "torch.export.export(module, (states,))"
         ) from error

@@ -20,6 +20,7 @@ from otr.importers.units import Unit, recognised
 
 LIMIT_NUMBERS = 2**24  # of a matrix: a product of thin ones can be far larger than the file
 _LIMIT_WIDTH = 2**20  # of a value: a file of a hundred bytes can declare any number of inputs
+_LIMIT_HELD = 2**26  # of all values together, on all points
 _LIMIT_WORK = 2**28  # numbers that are computed for the matrix of a section
 _SCALES = tuple(2.0**power for power in (-10, 0, 10, 20, 700))  # of the points on which nodes are tried
 # A basis vector of this length drowns what a section adds, so that (f(length * e) - f(0)) / length has the stored bits.
@@ -99,6 +100,7 @@ class Sections:
         self._points: dict[str, list[NDArray[Any]]] = {}
         self._labels: dict[str, Source] = {}  # values that are made of such a source, which is not real
         self._live: list[Node] = []
+        self._n_held = 0
         self._rng = np.random.default_rng(0)
         if not shape or not all(shape[1:]) or shape == (0,):
             shown = ", ".join(str(size or "?") for size in shape)
@@ -187,6 +189,7 @@ class Sections:
                 if not np.array_equal(value, other, equal_nan=np.asarray(value).dtype.kind == "f"):
                     raise InvalidNetworkError(_RANDOM)
                 self.constants[name] = value
+                self._hold(np.size(value))
             return
         self._live.append(node)
         with np.errstate(all="ignore"):
@@ -197,6 +200,7 @@ class Sections:
                 continue
             points = [np.asarray(results[i]) for results in made]
             _require_width(points[0].size)
+            self._hold(len(points) * points[0].size)
             labels = [self._labels[read] for read in live if read in self._labels]
             if labels:
                 self._labels[name] = labels[0]
@@ -246,6 +250,13 @@ class Sections:
         self.sources[source.name], self._points[source.name] = source, points
         if not source.is_real:
             self._labels[source.name] = source
+
+    def _hold(self, n_numbers: int) -> None:
+        self._n_held += n_numbers
+        if self._n_held > _LIMIT_HELD:
+            raise InvalidNetworkError(
+                f"is where the values of all nodes have {self._n_held:,} numbers, the limit is {_LIMIT_HELD:,}"
+            )
 
     def _run(self, node: Node, values: dict[str, Any]) -> list[Any]:
         operands = []

@@ -8,6 +8,7 @@ import warnings
 import zipfile
 from collections.abc import Callable
 from contextlib import suppress
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -207,6 +208,16 @@ def onnx_of(n_inputs: int) -> bytes:
     graph = helper.make_graph(nodes, "policy", values[:1], values[1:], [one])
     made = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     return made.SerializeToString()
+
+
+def test_a_small_file_of_many_wide_values_takes_little_memory() -> None:
+    names = ["x", *(f"v{k}" for k in range(200)), "y"]
+    nodes = [helper.make_node("Identity", [a], [b]) for a, b in pairwise(names)]
+    values = [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["n", 2**17]) for name in "xy"]
+    graph = helper.make_graph(nodes, "policy", values[:1], values[1:])
+    made = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    with pytest.raises(otr.InvalidNetworkError, match="is where the values of all nodes have 68,812,800 numbers"):
+        otr.from_onnx(made)
 
 
 class Shifted(nn.Module):

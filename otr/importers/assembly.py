@@ -210,7 +210,10 @@ def _network(sections: Sections, end: _End) -> Oracle:
     slopes = {float(value) for unit in units.values() for value in (unit.slope if unit.slope is not None else (9.0,))}
     slope = slopes.pop() if len(slopes) == 1 else -1.0
     is_plain = bool(smooth) or 0 <= slope < 1
-    parts = {cut.name: _as_they_are(cut.width) if is_plain else neurons(units[cut.name], cut.width) for cut in cuts}
+    parts = {
+        cut.name: _as_they_are(cut.width, units[cut.name].gain) if is_plain else neurons(units[cut.name], cut.width)
+        for cut in cuts
+    }
     weights, biases, dense = _layers(sections.input, end.form, forms, parts)
     if not smooth:
         return ReluNetwork(weights, biases, negative_slope=slope if is_plain and cuts else 0.0, dense=dense)
@@ -231,8 +234,8 @@ def _forms(sections: Sections, last: Form) -> dict[str, Form]:
     return {name: forms[name] for name in sections.sources if name in forms}
 
 
-def _as_they_are(width: int) -> Neurons:
-    return Neurons(np.arange(width), np.ones(width), np.zeros(width), np.ones(width), np.zeros(width))
+def _as_they_are(width: int, gain: float) -> Neurons:
+    return Neurons(np.arange(width), np.ones(width), np.zeros(width), np.full(width, gain), np.zeros(width))
 
 
 def _layers(

@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import erf
 
+from otr.core.smooth_network import ACTIVATIONS
 from otr.errors import ArtefactError, InvalidNetworkError
 from otr.importers.sections import LIMIT_NUMBERS, Node, Sections
 
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
     from onnx import GraphProto, ModelProto, NodeProto, TensorProto
 
 _FLOAT, _DOUBLE = 1, 11  # of onnx.TensorProto.DataType
+# Of these the reference computes, or keeps a constant, in float32.
+_PRECISE = {"Erf": erf, "Gelu": ACTIVATIONS["gelu"], "HardSwish": ACTIVATIONS["hardswish"]}
 _LIMIT_BYTES = 2**24  # four million numbers; what a file holds can take eighty times its size in memory
 _LEAST_OPSET = 7  # before, operators broadcast by rules of their own
 _REMEDY = "export the policy again"
@@ -216,6 +220,8 @@ def _runner(node: NodeProto, opset: int, is_constant: bool) -> Callable[[list[An
     if node.op_type == "Cast" and to in (_FLOAT, _DOUBLE):
         kind = np.float32 if is_constant and to == _FLOAT else np.float64
         return lambda operands: [np.asarray(operands[0]).astype(kind).astype(np.float64)]
+    if node.op_type in _PRECISE and not any(attribute.s == b"tanh" for attribute in node.attribute):
+        return lambda operands: [_PRECISE[node.op_type](np.asarray(operands[0], dtype=np.float64))]
     operators: list[Any] = []
 
     def run(operands: list[Any]) -> Sequence[Any]:

@@ -25,6 +25,7 @@ _LIMIT_WORK = 2**28  # numbers that are computed for the matrix of a section
 _SCALES = tuple(2.0**power for power in (-10, 0, 10, 20, 700))  # of the points on which nodes are tried
 # A basis vector of this length drowns what a section adds, so that (f(length * e) - f(0)) / length has the stored bits.
 _LENGTH = 2.0**700
+_N_BACK = 8  # nodes in which one unit may be written: a GELU takes five
 _RANDOM = "answers otherwise every time; export the deterministic policy, of torch after module.eval()"
 _TOLERANCE, _NOISE = 1e-6, 1e-12  # of a node's answer, and of what it reads
 
@@ -210,12 +211,12 @@ class Sections:
             if labels or is_affine:
                 self._points[name] = points
                 continue
-            unit = self._unit(node, live, i) if len(live) == 1 else None
+            read, unit = self._unit(node, i)
             if unit is None and not np.array_equal(
-                points[0], self._run(node, {read: self._points[read][0] for read in live})[i], equal_nan=True
+                points[0], self._run(node, {name: self._points[name][0] for name in live})[i], equal_nan=True
             ):
                 raise InvalidNetworkError(_RANDOM)
-            self._add(Source(name, points[0].shape, node, live[0], unit, points[0].dtype.kind == "f"), points[0])
+            self._add(Source(name, points[0].shape, node, read, unit, points[0].dtype.kind == "f"), points[0])
 
     def _require_each_state(self, node: Node, live: list[str], output: int, made: NDArray[Any]) -> None:
         """Raise InvalidNetworkError where a node answers one state always the same, and two states otherwise."""
@@ -229,17 +230,40 @@ class Sections:
         if found.shape == (2, *made.shape[1:]) and made.ndim and not np.array_equal(found, np.concatenate([made] * 2)):
             raise InvalidNetworkError("goes over the states, expected each state's numbers: choose the last axis")
 
-    def _unit(self, node: Node, live: list[str], output: int) -> Unit | None:
-        """Return the unit that an output of a node is of the value that it reads, if one is known."""
-        (read,) = live
-        given = self._points[read][0]
-        if given.dtype.kind != "f":
-            return None
+    def _unit(self, node: Node, output: int) -> tuple[str, Unit | None]:
+        """Return the unit that an output of a node is, and the value that it is of; (first input, None) if none is.
 
-        def answer(z: FloatArray) -> NDArray[Any]:
-            return np.asarray(self._run(node, {read: z.reshape(given.shape)})[output]).ravel()
+        A unit may be written in several nodes, such as z * sigmoid(z): values that lie up to `_N_BACK` nodes before are
+        tried.
+        """
+        live = [name for name in node.inputs if name in self._points]
+        values = [name for each in reversed(self._live[-_N_BACK:]) for name in each.inputs if name in self._points]
+        for read in dict.fromkeys([*live, *values]):
+            nodes, given = self._between(read, node), self._points[read][0]
+            if not nodes or given.dtype.kind != "f":
+                continue
 
-        return recognised(answer, given.size, self._rng)
+            def answer(z: FloatArray, nodes: list[Node] = nodes, read: str = read) -> NDArray[Any]:
+                values: dict[str, Any] = {read: z.reshape(self._points[read][0].shape)}
+                for each in nodes:
+                    made = self._run(each, values)
+                    values.update(zip(each.outputs, made, strict=False))
+                return np.asarray(made[output]).ravel()
+
+            unit = recognised(answer, given.size, self._rng)
+            if unit is not None:
+                return read, unit
+        return live[0], None
+
+    def _between(self, read: str, node: Node) -> list[Node]:
+        """Return the nodes that make a node's answer of one value alone; none where it reads more."""
+        nodes, wanted = [node], {name for name in node.inputs if name in self._points} - {read}
+        for each in reversed(self._live[-_N_BACK:-1]):
+            if wanted.intersection(each.outputs):
+                nodes.append(each)
+                wanted |= {name for name in each.inputs if name in self._points}
+                wanted -= {*each.outputs, read}
+        return [] if wanted else nodes[::-1]
 
     def _add(self, source: Source, made: NDArray[Any] | None = None) -> None:
         """Let sections read a source: on points of its own where its numbers are real, else on one of those made."""

@@ -27,6 +27,7 @@ class Unit:
     Attributes:
         kind: "slope": z above zero and slope * z below; "clip" to [low, high]; a name in
             `otr.core.smooth_network.ACTIVATIONS`; Softmax, LogSoftmax or ArgMax.
+        gain: by which a smooth one is multiplied.
         slope, low, high: (n,), for these two kinds; ReLU has all of them.
     """
 
@@ -34,6 +35,7 @@ class Unit:
     slope: FloatArray | None = None
     low: FloatArray | None = None
     high: FloatArray | None = None
+    gain: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,8 @@ def recognised(answer: Function, width: int, rng: np.random.Generator) -> Unit |
                 tried += [near + 1e-3 * (1 + np.abs(near)) * rng.standard_normal(width) for _ in range(3)]
         names = [name for name in ACTIVATIONS if name not in ("hardtanh", "relu6")]  # these clip
         candidates += [(Unit(name), ACTIVATIONS[name]) for name in names]
+        # As torch.onnx writes it, 0.5 * (z * (1 + erf(z / sqrt(2)))): the last factor is affine.
+        candidates += [(Unit("gelu", gain=2.0), lambda z: 2 * ACTIVATIONS["gelu"](z))]
         candidates += [(Unit(name), function) for name, function in DECISIONS.items()]
         expected = [answer(z) for z in tried]
         for unit, function in candidates:

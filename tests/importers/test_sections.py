@@ -3,6 +3,7 @@
 import io
 import warnings
 from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 import onnx
@@ -16,6 +17,8 @@ from onnx.reference import ReferenceEvaluator
 from torch import nn
 
 import otr
+from otr.core.smooth_network import ACTIVATIONS
+from otr.importers import read_policy
 
 torch.set_num_threads(1)
 RNG = np.random.default_rng(0)
@@ -139,6 +142,26 @@ def test_a_table_of_labels_is_refused() -> None:
 def test_what_is_not_affine_is_named(nodes: list, message: str) -> None:
     with pytest.raises(otr.InvalidNetworkError, match=message):
         otr.from_onnx(model([*nodes, *LAYERS], gain=np.full(4, 1e12)))
+
+
+COMPOSED = {
+    "silu": [("Sigmoid", ["z"], "s"), ("Mul", ["z", "s"], "a")],
+    "hardswish": [("HardSwish", ["z"], "a")],
+    "mish": [("Softplus", ["z"], "p"), ("Tanh", ["p"], "t"), ("Mul", ["z", "t"], "a")],
+    "gelu": [("Div", ["z", "root"], "d"), ("Erf", ["d"], "e"), ("Add", ["e", "one"], "f"), ("Mul", ["z", "f"], "g"),
+             ("Mul", ["g", "half"], "a")],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", COMPOSED)
+def test_a_unit_of_several_nodes(tmp_path: Path, name: str) -> None:
+    nodes = [("Identity", ["x"], "c"), LAYERS[0], *COMPOSED[name], LAYERS[2]]
+    made = model(nodes, root=np.sqrt(np.array(2.0)), one=np.array(1.0), half=np.array(0.5))
+    onnx.save(made, tmp_path / "policy.onnx")
+    policy = read_policy(tmp_path / "policy.onnx")
+    assert policy.activation == name
+    X = RNG.normal(size=(50, 4))
+    np.testing.assert_allclose(policy.forward(X), ACTIVATIONS[name](X @ W1.T + B1) @ W2.T + B2, atol=1e-12)
 
 
 def test_a_clip_far_away_is_no_section() -> None:

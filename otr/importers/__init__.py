@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import os
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,13 +20,14 @@ from otr.core.pattern_tree import PatternTree
 from otr.core.smooth_network import Oracle
 from otr.errors import ArtefactError, InvalidNetworkError, OtrError
 from otr.extras import naming_the_extra
-from otr.importers.chain import Chain, mappable
-from otr.importers.onnx_graph import chain_of_onnx
+from otr.importers.assembly import mappable, policy_of
+from otr.importers.onnx_file import sections_of_onnx
 from otr.importers.sb3_archive import network_of_file, oracle_of_file
 from otr.importers.sb3_model import network_of_model
 from otr.importers.sklearn_estimator import policy_of_estimator, read_skops
-from otr.importers.torch_export_graph import chain_of_export
-from otr.importers.torch_modules import network_of_module
+from otr.importers.stored_layers import network_of_nnet, policy_of_state_dict
+from otr.importers.torch_modules import policy_of_module
+from otr.importers.torch_nodes import sections_of_export
 from otr.importers.vec_normalize import AUTO, find_statistics, fold_observation_statistics, is_auto
 
 if TYPE_CHECKING:
@@ -58,45 +59,48 @@ def _reading(file: Any) -> Iterator[None]:
 def from_torch(
     module: torch.nn.Module | ExportedProgram | str | os.PathLike[str], *, head: Head | None = None
 ) -> ReluNetwork:
-    """Return the network of a `torch.nn.Sequential` of Linear, ReLU and LeakyReLU layers, or of a torch export.
+    """Return the network of a torch module, of an exported program, or of the file of one.
 
-    Of a Sequential, nested ones are opened; Flatten, Identity and Dropout are skipped, as they do nothing to a vector
-    at inference. Linear layers without an activation between them are multiplied. A last Tanh becomes the head
-    `TanhBox(-1, 1)`; a last Sigmoid needs ``head=otr.Sign()`` and a last Softmax ``head=otr.Argmax()``, since the tree
-    answers with the label and not the probability.
+    The module is a graph. Its activations cut it into sections, and each section is the matrix that it evaluates to in
+    float64, whatever operations it is written in. Activations are ReLU, LeakyReLU, PReLU, abs, and clips of any kind;
+    what skips layers becomes dense links. Of one linear layer the stored numbers are read bit for bit. A last tanh,
+    also scaled, becomes the head `TanhBox`, a last clip `ClipBox`, an argmax `Argmax`. A last sigmoid needs
+    ``head=otr.Sign()`` and a last softmax ``head=otr.Argmax()``, since the tree answers with the label and not the
+    probability. On fixed states of several magnitudes the network is compared with the module, in evaluation mode.
 
-    Hooks, the old `weight_norm` among them, and functions in place of torch's are refused, as they may act on some
-    states alone. A float64 copy of the module, in evaluation mode, is run on fixed states of several magnitudes: where
-    it answers otherwise than its layers, nothing is returned.
+    A Sequential of torch's layers is read layer by layer, and another module by `torch.export`, for as many inputs as
+    its first Linear has. Hooks, the old `weight_norm` among them, and functions that replace a method of one module
+    are refused, as they may act on some states alone.
 
-    A module with a `forward` of its own is exported: ``torch.export.export(module, (states,))``, or the path of the
-    file to which `torch.export.save` wrote that. Read is a chain of layers as `from_onnx` reads it: linear, relu,
-    leaky_relu, constants added, subtracted, multiplied and divided, shapes that keep each state's numbers, and a last
-    tanh, clamp, hardtanh or argmax. Of the file only JSON and the bytes of tensors are read, without torch, and its
-    pickles are not opened, as `torch.export.load` would. The export computes in its own type, mostly float32.
+    Of a file, JSON and the bytes of tensors are read and torch's operators are run. Its pickles are not opened, as
+    `torch.export.load` would.
+
+    Example:
+        >>> otr.from_torch(torch.nn.Sequential(torch.nn.Linear(4, 8), torch.nn.ReLU(), torch.nn.Linear(8, 2)))
+        ReluNetwork(4 -> 8 -> 2, negative_slope=0.0, dense=False, head=Identity())
 
     Args:
-        module: the layers, of any float type, on any device, which stay as they are; an exported program, or the path
-            of its file (torch 2.9 or newer).
-        head: from the outputs to the answer; None for Identity, or TanhBox after a last Tanh, or the export's own.
+        module: of any float type, on any device, and left as it is; ``torch.export.export(module, (states,))``; or the
+            path of the file to which `torch.export.save` wrote that (torch 2.9 or newer).
+        head: from the outputs to the answer; None for Identity, or the module's own.
 
     Raises:
-        InvalidNetworkError: a layer or an operation of another kind, named with its position; values that branch and
-            join; activations of several slopes; a hook, or a function of a module's own; a module that is not what its
-            layers say, with the largest difference; tensors that are complex, sparse or expanded, or without numbers.
+        InvalidNetworkError: an operation that is neither affine nor known, named; smooth units; a hook; another answer
+            than the module's; tensors that are complex, sparse, expanded or without numbers; a matrix of more than 2^24
+            numbers.
         ArtefactError: a file that is missing, cut off, unpacks to more than 64 MiB, or is no torch export.
-        MissingExtraError: torch is not installed; a file needs none.
+        MissingExtraError: torch is not installed.
     """
     if isinstance(module, str | os.PathLike):
         with _reading(module):
-            return mappable(chain_of_export(Path(module)).network(head))
+            return mappable(_of_export(Path(module), head))
     from torch.export import ExportedProgram, save
 
     if isinstance(module, ExportedProgram):
         written = io.BytesIO()
         save(module, written)
-        return mappable(chain_of_export(written.getvalue()).network(head))
-    return network_of_module(module, head)
+        return mappable(_of_export(written.getvalue(), head))
+    return mappable(policy_of_module(module, head))
 
 
 @naming_the_extra("otr.from_sb3")
@@ -158,12 +162,18 @@ def from_sb3(
 
 @naming_the_extra("otr.importers.read_policy")
 def read_policy(
-    path: str | os.PathLike[str], *, vec_normalize: str | os.PathLike[str] | None = AUTO, output: str | None = None
+    path: str | os.PathLike[str],
+    *,
+    vec_normalize: str | os.PathLike[str] | None = AUTO,
+    output: str | None = None,
+    layers: str | Sequence[str] | None = None,
+    activation: str | None = None,
 ) -> Oracle:
     """Return the policy in a file, to be mapped to a tree or to be imitated by one.
 
     The suffix says what the file is: ``.zip`` of Stable-Baselines3 (`from_sb3`), ``.onnx`` (`from_onnx`), ``.pt2`` of
-    torch (`from_torch`), ``.skops`` of scikit-learn (`from_sklearn`), ``.json`` and ``.npz`` of `otr.save`. It is read
+    torch (`from_torch`), ``.skops`` of scikit-learn (`from_sklearn`), ``.json`` and ``.npz`` of `otr.save`, ``.nnet``
+    (ACAS Xu: its minima and maxima are the domain), ``.pth`` and ``.pt`` with a torch module's state_dict. It is read
     as these functions read it, and with the same errors, but units may be smooth, too: tanh (the default of PPO and
     A2C in Stable-Baselines3) and the others of `otr.core.smooth_network.ACTIVATIONS`, with torch's defaults. No tree is
     equal to such a network. Of a model that ends in a Softmax or a Sigmoid the likelier label is the answer.
@@ -173,6 +183,13 @@ def read_policy(
         vec_normalize: path of the file that `VecNormalize.save` wrote, for a zip whose policy was trained under one; it
             is found, or left out with None, as by `from_sb3`.
         output: name of the output that is the policy's, of an ONNX model with several.
+        layers: of a state_dict, the names of the linear layers in order, or what their names begin with; None where no
+            others are in it.
+        activation: between the layers of a state_dict, which does not say: "relu", "leaky_relu" or one of
+            `otr.core.smooth_network.ACTIVATIONS`.
+
+    Example:
+        >>> read_policy("agent.pth", layers="actor_mean", activation="tanh").predict(states)
 
     Raises:
         InvalidNetworkError: as the functions above; a classifier whose classes are not 0, 1, ..., the actions; a saved
@@ -189,10 +206,12 @@ def read_policy(
             "written by torch.export.save(torch.export.export(module, (states,)), 'policy.pt2'), a scikit-learn "
             "estimator by skops.io.dump(estimator, 'policy.skops')"
         )
+    if (layers, activation) != (None, None) and path.suffix not in (".pth", ".pt"):
+        raise InvalidNetworkError(f"layers= and activation= are for a state_dict (.pth, .pt); {path} says both itself")
     if output is not None and path.suffix != ".onnx":
         raise InvalidNetworkError(f"output={output!r} is one of several outputs of an ONNX model; {path} is none")
     with _reading(path):
-        policy = reader(path, output)
+        policy = reader(path, output=output, layers=layers, activation=activation)
     if is_auto(vec_normalize):
         vec_normalize = _found_beside(path) if path.suffix == ".zip" else None
     if vec_normalize is None:
@@ -212,8 +231,9 @@ def _found_beside(model: Path) -> Path | None:
     return file
 
 
-def _decided(chain: Chain) -> Oracle:
-    return chain.network(chain.deciding_head)
+def _of_export(file: Path | bytes, head: Head | None = None, *, decides: bool = False) -> Oracle:
+    sections, answer = sections_of_export(file)
+    return policy_of(sections, head, decides=decides, answer=answer)
 
 
 def _of_skops(path: Path) -> Oracle:
@@ -235,13 +255,16 @@ def _of_saved(path: Path) -> Oracle:
     raise InvalidNetworkError(f"it holds a tree of {n_leaves} leaves, which stands for no network")
 
 
-_READERS: dict[str, Callable[[Path, str | None], Oracle]] = {
-    ".zip": lambda path, _: oracle_of_file(path),
-    ".onnx": lambda path, output: _decided(chain_of_onnx(path, output)),
-    ".pt2": lambda path, _: _decided(chain_of_export(path)),
-    ".skops": lambda path, _: _of_skops(path),
-    ".json": lambda path, _: _of_saved(path),
-    ".npz": lambda path, _: _of_saved(path),
+_READERS: dict[str, Callable[..., Oracle]] = {
+    ".zip": lambda path, **_: oracle_of_file(path),
+    ".onnx": lambda path, output, **_: policy_of(sections_of_onnx(path, output), decides=True),
+    ".pt2": lambda path, **_: _of_export(path, decides=True),
+    ".skops": lambda path, **_: _of_skops(path),
+    ".nnet": lambda path, **_: network_of_nnet(path),
+    ".pth": lambda path, layers, activation, **_: policy_of_state_dict(path, layers, activation),
+    ".pt": lambda path, layers, activation, **_: policy_of_state_dict(path, layers, activation),
+    ".json": lambda path, **_: _of_saved(path),
+    ".npz": lambda path, **_: _of_saved(path),
 }
 
 
@@ -249,31 +272,33 @@ _READERS: dict[str, Callable[[Path, str | None], Oracle]] = {
 def from_onnx(
     model: str | os.PathLike[str] | bytes | ModelProto, *, head: Head | None = None, output: str | None = None
 ) -> ReluNetwork:
-    """Return the network of an ONNX model whose graph is a chain of layers.
+    """Return the network of an ONNX model, read as `from_torch` reads a module, by onnx's reference in float64.
 
-    Read are Gemm and MatMul, Add, Sub, Mul and Div with constants (so input normalisation, too), Neg, Relu, and
-    LeakyRelu of one slope. A last Tanh becomes the head `TanhBox`, with the scale and shift that follow it; a last
-    Clip, or Max and Min, the head `ClipBox`; a last ArgMax the head `Argmax`. A last Sigmoid needs ``head=otr.Sign()``
-    and a last Softmax ``head=otr.Argmax()``. Flatten, Reshape, Identity, Cast and Dropout are skipped where they leave
-    each state's numbers as they are. A model computes in its own type, mostly float32, so its answers differ from the
+    Any operators may stand between the activations as long as they are affine together: Gemm, MatMul, Conv,
+    BatchNormalization, Concat, Shape, Gather, Reshape, branches of constants, and so on. An ArgMax may follow a Softmax
+    or the subtraction of a LogSumExp. A model computes in its own type, mostly float32, so its answers differ from the
     network's by about 1e-7 of the size of the terms that are summed.
 
     The file is data alone: at most 16 MiB are read, and of no other file.
 
+    Example:
+        >>> otr.from_onnx("policy.onnx", head=otr.Argmax())
+        ReluNetwork(4 -> 8 -> 2, negative_slope=0.0, dense=False, head=Argmax())
+
     Args:
-        model: the path of a file, its bytes, or an `onnx.ModelProto`. Its input is (n, number of inputs), or more axes
-            before a Flatten.
+        model: the path of a file, its bytes, or an `onnx.ModelProto`. Its input is (n, number of inputs), also with
+            more axes, or (number of inputs,).
         head: from the outputs to the answer; None for the model's own.
         output: name of the output that is the policy's, where the model has several.
 
     Raises:
-        InvalidNetworkError: a node of another kind, named, with what is accepted; values that branch and join;
-            activations of several slopes; numbers kept outside the file; opset 6 or older.
+        InvalidNetworkError: a node that is neither affine nor known, named; smooth units; numbers kept outside the
+            file; a matrix of more than 2^24 numbers; opset 6 or older.
         ArtefactError: the file is missing, too large, cut off or not valid.
         MissingExtraError: onnx is not installed.
     """
     with _reading(model):
-        return mappable(chain_of_onnx(model, output).network(head))
+        return mappable(policy_of(sections_of_onnx(model, output), head))
 
 
 @naming_the_extra("otr.from_sklearn")

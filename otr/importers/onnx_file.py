@@ -1,9 +1,10 @@
-"""The nodes and constants of an ONNX file, read with bounds on its size and nothing outside it."""
+"""ONNX files, read with bounds on their size and nothing outside them; onnx's reference runs the nodes in float64."""
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -11,20 +12,26 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import erf
 
-from otr.core.arrays import FloatArray
+from otr.core.smooth_network import ACTIVATIONS
 from otr.errors import ArtefactError, InvalidNetworkError
+from otr.importers.sections import LIMIT_NUMBERS, Node, Sections
 
 if TYPE_CHECKING:
     from onnx import GraphProto, ModelProto, NodeProto, TensorProto
 
+_FLOAT, _DOUBLE = 1, 11  # of onnx.TensorProto.DataType
+# Of these the reference computes, or keeps a constant, in float32.
+_PRECISE = {"Erf": erf, "Gelu": ACTIVATIONS["gelu"], "HardSwish": ACTIVATIONS["hardswish"]}
 _LIMIT_BYTES = 2**24  # four million numbers; what a file holds can take eighty times its size in memory
 _LEAST_OPSET = 7  # before, operators broadcast by rules of their own
 _REMEDY = "export the policy again"
+_REALS = ("FLOAT", "DOUBLE", "FLOAT16", "BFLOAT16")
 
 
 @dataclass(frozen=True)
-class Graph:
+class _Graph:
     """What is needed of a graph for one of its outputs.
 
     Attributes:
@@ -43,7 +50,15 @@ class Graph:
     opset: int
 
 
-def read_graph(given: Any, output: str | None) -> Graph:
+def sections_of_onnx(given: Any, output: str | None) -> Sections:
+    """Return the sections of an ONNX model; `otr.from_onnx` documents what is read, and errors."""
+    graph = _read_graph(given, output)
+    constants: dict[str, Any] = {}
+    nodes = _nodes(graph.nodes, graph.tensors, constants, graph.opset)
+    return Sections(graph.input_name, graph.input_shape, nodes, constants, graph.output_name)
+
+
+def _read_graph(given: Any, output: str | None) -> _Graph:
     """Return what is needed of the model in a file, its bytes or a ModelProto; `otr.from_onnx` documents errors."""
     model = _checked_model(_content(given))
     opset = next((entry.version for entry in model.opset_import if entry.domain in ("", "ai.onnx")), 0)
@@ -55,7 +70,7 @@ def read_graph(given: Any, output: str | None) -> Graph:
     nodes = _ancestors(graph.node, output)
     if nodes and (foreign := [node for node in nodes if node.domain not in ("", "ai.onnx")]):
         raise InvalidNetworkError(
-            f"{describe(foreign[0])} is of the domain {foreign[0].domain!r}, expected ONNX's own operators; {_REMEDY} "
+            f"{_describe(foreign[0])} is of the domain {foreign[0].domain!r}, expected ONNX's own operators; {_REMEDY} "
             "without optimisation for one runtime"
         )
     read = {name for node in nodes for name in node.input} | {output}
@@ -65,43 +80,26 @@ def read_graph(given: Any, output: str | None) -> Graph:
             f"{output!r} is computed from {len(inputs)} inputs ({', '.join(v.name for v in inputs[:5]) or 'none'}), "
             "expected one: the states"
         )
-    return Graph(inputs[0].name, _shape(inputs[0]), output, nodes, tensors, opset)
+    return _Graph(inputs[0].name, _shape(inputs[0]), output, nodes, tensors, opset)
 
 
-def describe(node: NodeProto) -> str:
+def _describe(node: NodeProto) -> str:
     """Return how messages name a node."""
     return f"node {node.name or node.output[0]!r} ({node.op_type})"
 
 
-def attributes(node: NodeProto) -> dict[str, Any]:
-    """Return a node's attributes by name."""
-    from onnx import helper
-
-    return {attribute.name: helper.get_attribute_value(attribute) for attribute in node.attribute}
-
-
-def array_of(tensor: TensorProto) -> NDArray[Any]:
-    """Return a constant: real numbers as float64, integers as int64, truth values as bool."""
+def _array_of(tensor: TensorProto) -> NDArray[Any]:
+    """Return a constant: real numbers as float64, integers and truth values as they are."""
     from onnx import TensorProto, numpy_helper
 
-    reals = (TensorProto.FLOAT, TensorProto.DOUBLE, TensorProto.FLOAT16, TensorProto.BFLOAT16)
-    kinds: dict[int, Any] = dict.fromkeys(reals, np.float64) | {TensorProto.BOOL: np.bool_}
-    kinds |= dict.fromkeys((TensorProto.INT32, TensorProto.INT64), np.int64)
-    if tensor.data_type not in kinds:
-        kind = TensorProto.DataType.Name(tensor.data_type)
+    kind = TensorProto.DataType.Name(tensor.data_type)
+    if kind not in _REALS and not kind.startswith(("INT", "UINT", "BOOL")):
         raise InvalidNetworkError(f"reads the constant {tensor.name!r} of type {kind}, expected real numbers")
     try:
         values = numpy_helper.to_array(tensor)
     except Exception as error:  # a foreign tensor's shape need not fit its numbers
         raise ArtefactError(f"the constant {tensor.name!r} cannot be read ({error}); {_REMEDY}") from error
-    return values.astype(kinds[tensor.data_type])
-
-
-def numbers(value: Any) -> FloatArray:
-    """Return real constants that a node reads, or raise InvalidNetworkError."""
-    if not isinstance(value, np.ndarray) or value.dtype != np.float64:
-        raise InvalidNetworkError("reads something else than constant real numbers beside the states")
-    return value
+    return values.astype(np.float64) if kind in _REALS else values
 
 
 def _content(given: Any) -> bytes:
@@ -189,3 +187,90 @@ def _shape(value: Any) -> tuple[int, ...]:
     if not value.type.HasField("tensor_type") or not value.type.tensor_type.HasField("shape"):
         raise InvalidNetworkError(f"the input {value.name!r} has no shape; {_REMEDY} with one, (n, number of inputs)")
     return tuple(int(size.dim_value) for size in value.type.tensor_type.shape.dim)
+
+
+def _nodes(
+    nodes: Iterable[NodeProto], tensors: dict[str, TensorProto], constants: dict[str, Any], opset: int
+) -> Iterator[Node]:
+    """Yield the nodes in order, with those of the branch that an If of a constant takes in its place."""
+    for node in nodes:
+        for name in node.input:
+            if name in tensors and name not in constants:
+                constants[name] = _array_of(tensors[name])
+        if node.op_type != "If":
+            is_constant = all(name in constants for name in node.input if name)
+            yield Node(_describe(node), tuple(node.input), tuple(node.output), _runner(node, opset, is_constant),
+                       node.op_type in ("Shape", "Size"))  # fmt: skip
+            continue
+        if node.input[0] not in constants:
+            raise InvalidNetworkError(f"{_describe(node)} chooses by the states; export the policy without branches")
+        wanted = "then_branch" if np.all(constants[node.input[0]]) else "else_branch"
+        branch = next(attribute.g for attribute in node.attribute if attribute.name == wanted)
+        inner = tensors | {tensor.name: tensor for tensor in branch.initializer}
+        yield from _nodes(branch.node, inner, constants, opset)
+        for made, name in zip(branch.output, node.output, strict=True):
+            if made.name in inner and made.name not in constants:
+                constants[made.name] = _array_of(inner[made.name])
+            yield Node(_describe(node), (made.name,), (name,), lambda operands: operands)
+
+
+def _runner(node: NodeProto, opset: int, is_constant: bool) -> Callable[[list[Any]], Sequence[Any]]:
+    """Return what runs a node: reals are float64 throughout, and float32 where constants are cast to it."""
+    to = next((attribute.i for attribute in node.attribute if attribute.name == "to"), 0)
+    if node.op_type == "Cast" and to in (_FLOAT, _DOUBLE):
+        kind = np.float32 if is_constant and to == _FLOAT else np.float64
+        return lambda operands: [np.asarray(operands[0]).astype(kind).astype(np.float64)]
+    if node.op_type in _PRECISE and not any(attribute.s == b"tanh" for attribute in node.attribute):
+        return lambda operands: [_PRECISE[node.op_type](np.asarray(operands[0], dtype=np.float64))]
+    operators: list[Any] = []
+
+    def run(operands: list[Any]) -> Sequence[Any]:
+        if not operators:
+            _require_moderate(node, operands, opset)
+            operators.append(_operator(node, opset))
+        made = operators[0].run(*operands)
+        return [np.asarray(each, np.float64) if _is_real(each) else np.asarray(each) for each in made]
+
+    return run
+
+
+def _is_real(value: Any) -> bool:
+    return np.asarray(value).dtype.kind == "f"
+
+
+def _operator(node: NodeProto, opset: int) -> Any:
+    from onnx import helper
+    from onnx.reference import ReferenceEvaluator
+
+    inputs = [helper.make_empty_tensor_value_info(name) for name in dict.fromkeys(node.input) if name]
+    outputs = [helper.make_empty_tensor_value_info(name) for name in node.output if name]
+    graph = helper.make_graph([node], "one", inputs, outputs)
+    return ReferenceEvaluator(graph, opsets={"": opset}).rt_nodes_[0]
+
+
+def _require_moderate(node: NodeProto, operands: list[Any], opset: int) -> None:
+    """Raise InvalidNetworkError where the answer is too large, or its size is not known, before it is computed."""
+    from onnx import helper, numpy_helper, shape_inference
+
+    given: dict[str, NDArray[Any]] = {
+        name: np.asarray(value) for name, value in zip(node.input, operands, strict=True) if name
+    }
+    infos = [
+        helper.make_tensor_value_info(name, helper.np_dtype_to_tensor_dtype(value.dtype), value.shape)
+        for name, value in given.items()
+    ]
+    small = [numpy_helper.from_array(value, name) for name, value in given.items() if value.size <= 64]
+    outputs = [helper.make_empty_tensor_value_info(name) for name in node.output if name]
+    model = helper.make_model(
+        helper.make_graph([node], "one", infos, outputs, small), opset_imports=[helper.make_opsetid("", opset)]
+    )
+    inferred = shape_inference.infer_shapes(model, strict_mode=True, data_prop=True).graph.output
+    for value in inferred:
+        kind = value.type.tensor_type
+        sizes = [size.dim_value if size.HasField("dim_value") else -1 for size in kind.shape.dim]
+        if not kind.HasField("shape") or min(sizes, default=0) < 0:
+            raise InvalidNetworkError(f"{_describe(node)}: the size of its answer is not known before it is computed")
+        if math.prod(sizes) > LIMIT_NUMBERS:
+            raise InvalidNetworkError(
+                f"{_describe(node)} makes {math.prod(sizes):,} numbers of a state, the limit is {LIMIT_NUMBERS:,}"
+            )

@@ -27,7 +27,7 @@ from otr.core.network import ReluNetwork
 from otr.core.smooth_network import ACTIVATIONS, SmoothNetwork
 from otr.core.zip_members import read_members
 from otr.errors import ArtefactError, InvalidNetworkError
-from otr.importers.chain import RELU_REMEDY, TRAIN_RELU
+from otr.importers.assembly import RELU_REMEDY, TRAIN_RELU
 from otr.importers.pickle_record import numbers, record_of_pickle
 from otr.importers.sb3_layers import Tensors, actor_layers, has_limited_mean, is_on_policy, is_searched
 
@@ -157,8 +157,11 @@ def read_archive(file: Path | IO[bytes]) -> tuple[Tensors, dict[str, Any]]:
     return tensors, data
 
 
-def load_tensors(content: bytes, label: str) -> Tensors:
-    """Return what torch saved, which is a zip file itself, without running anything in it."""
+def load_tensors(content: bytes, label: str, *, is_nested: bool = False) -> Tensors:
+    """Return what torch saved, which is a zip file itself, without running anything in it.
+
+    Of dictionaries in dictionaries, where `is_nested`, the tensors come back with the keys joined by dots.
+    """
     import torch
 
     if content.startswith(b"PK"):
@@ -174,9 +177,21 @@ def load_tensors(content: bytes, label: str) -> Tensors:
         raise ArtefactError(f"{label} holds more than tensors, and was not loaded: {error}") from error
     except Exception as error:  # torch can fail in any way on what it did not write
         raise ArtefactError(f"{label} cannot be read ({error}); save the model again") from error
+    tensors = _tensors_in(tensors, "") if is_nested and isinstance(tensors, dict) else tensors
     if not isinstance(tensors, dict) or not all(isinstance(k, str) and torch.is_tensor(v) for k, v in tensors.items()):
         raise ArtefactError(f"{label} is no dictionary of tensors by name; give a saved Stable-Baselines3 model")
     return tensors
+
+
+def _tensors_in(value: Any, name: str) -> Tensors:
+    import torch
+
+    if torch.is_tensor(value):
+        return {name: value}
+    found: Tensors = {}
+    for key, inner in value.items() if isinstance(value, dict) else ():
+        found |= _tensors_in(inner, f"{name}.{key}" if name else str(key))
+    return found
 
 
 def _refuse_other_policies(tensors: Tensors, data: dict[str, Any]) -> None:

@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 from otr.core.heads import TanhBox
 from otr.core.network import ReluNetwork
 from otr.errors import InvalidNetworkError
+from otr.importers.assembly import probe_states, reach
 from otr.importers.sb3_archive import network_of_file
-from otr.importers.torch_modules import probe_states, reach, refuse_changes
+from otr.importers.torch_modules import refuse_changes
 
 _ROUNDING = 1e-5  # of the size of a sum's terms, in float32
 
@@ -58,7 +59,7 @@ def _require_same_answers(model: Any, network: ReluNetwork) -> None:
     finally:
         for part, mode in modes:
             part.training = mode
-    rounding = _ROUNDING * reach(zip(network.weights, network.biases, strict=True), states.astype(np.float64))
+    rounding = _ROUNDING * reach(network, states.astype(np.float64))
     if network.head.gives_labels:
         # How far the label's output lies below the largest.
         differences = outputs.max(axis=1, keepdims=True) - np.take_along_axis(outputs, found, axis=1)

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit
 
 from otr.core.head import Head
 from otr.core.heads import Argmax, Identity, Sign
 from otr.core.smooth_network import Oracle
 from otr.core.zip_members import read_members
 from otr.errors import ArtefactError, InvalidNetworkError
-from otr.importers.chain import Chain
-from otr.importers.torch_modules import probe_states, reach
+from otr.importers.assembly import policy_of, probe_states, reach
+from otr.importers.sections import Sections
 
-_UNITS: dict[str, float | str] = {"relu": 0.0, "tanh": "tanh", "logistic": "sigmoid"}
+Step = Callable[[NDArray[Any]], NDArray[Any]]
+_UNITS: dict[str, Step] = {"relu": lambda z: np.maximum(z, 0.0), "tanh": np.tanh, "logistic": expit}
 _ACCEPTED = "MLPClassifier or MLPRegressor, linear model, or Pipeline of scalers before one of these"
 _ROUNDING = 1e-9  # of the size of a sum's terms
 _LIMIT_BYTES = 2**26  # of a file's members
@@ -37,11 +41,9 @@ def policy_of_estimator(estimator: Any) -> Oracle:
     n_inputs = getattr((scalers or [last])[0], "n_features_in_", None)
     if n_inputs is None:
         raise InvalidNetworkError(f"expected a fitted {_ACCEPTED}, got {estimator!r}; {_remedy(last)}")
-    chain = Chain((int(n_inputs),))
-    for scaler in scalers:
-        chain = _scaled(chain, scaler)
-    chain, head = _answer(chain, last)
-    policy = chain.network(head)
+    layers, head = _answer(last)
+    steps = [*map(_scaled, scalers), *layers]
+    policy = policy_of(Sections.of_steps([(f"{last!r}, step {k},", s) for k, s in enumerate(steps)], n_inputs), head)
     _require_same_answers(estimator, policy)
     return policy
 
@@ -74,8 +76,8 @@ def read_skops(path: Path) -> Any:
     raise InvalidNetworkError(f"{path} holds {', '.join(untrusted[:3])}, which skops does not trust; {remedy}")
 
 
-def _scaled(chain: Chain, scaler: Any) -> Chain:
-    """Return the chain after a transformer that shifts and scales every feature."""
+def _scaled(scaler: Any) -> Step:
+    """Return what a transformer does that shifts and scales every feature."""
     from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler, StandardScaler
 
     if not isinstance(scaler, StandardScaler | MinMaxScaler | MaxAbsScaler | RobustScaler):
@@ -86,30 +88,34 @@ def _scaled(chain: Chain, scaler: Any) -> Chain:
     if getattr(scaler, "clip", False):
         raise InvalidNetworkError(f"{scaler!r} clips the states, which no layer does; fit it with clip=False")
     if isinstance(scaler, MinMaxScaler):
-        return chain.affine(scaler.scale_, scaler.min_)
+        return lambda z: z * scaler.scale_ + scaler.min_
     centre = scaler.mean_ if isinstance(scaler, StandardScaler) and scaler.with_mean else None
     centre = scaler.center_ if isinstance(scaler, RobustScaler) else centre
-    scale = 1.0 if scaler.scale_ is None else 1.0 / scaler.scale_
-    return chain.affine(1.0, 0.0 if centre is None else -centre).affine(scale, 0.0)
+    return lambda z: (z - (0.0 if centre is None else centre)) / (1.0 if scaler.scale_ is None else scaler.scale_)
 
 
-def _answer(chain: Chain, estimator: Any) -> tuple[Chain, Head]:
-    """Return the chain after the layers of an MLP or a linear model, and the head of its answer."""
+def _affine(W: Any, b: Any) -> Step:
+    W, b = np.asarray(W, dtype=np.float64), np.asarray(b, dtype=np.float64)
+    return lambda z: z @ W.T + b
+
+
+def _answer(estimator: Any) -> tuple[list[Step], Head]:
+    """Return the layers of an MLP or a linear model, and the head of its answer."""
     from sklearn.base import is_classifier
     from sklearn.neural_network import MLPClassifier, MLPRegressor
 
     if isinstance(estimator, MLPClassifier | MLPRegressor) and hasattr(estimator, "coefs_"):
-        return _mlp(chain, estimator), _mlp_head(estimator)
+        return _mlp(estimator), _mlp_head(estimator)
     if not (hasattr(estimator, "coef_") and hasattr(estimator, "intercept_")):
         raise InvalidNetworkError(f"expected a fitted {_ACCEPTED}, got {estimator!r}; {_remedy(estimator)}")
     try:
         W = np.atleast_2d(np.asarray(estimator.coef_, dtype=np.float64))
-        chain = chain.linear(W, np.asarray(estimator.intercept_, dtype=np.float64))
+        layer = _affine(W, estimator.intercept_)
     except (TypeError, ValueError) as error:
         raise InvalidNetworkError(f"the coefficients of {estimator!r} are no matrix of numbers: {error}") from error
     if not is_classifier(estimator):
-        return chain, Identity()
-    return chain, Sign() if len(W) == 1 else Argmax()
+        return [layer], Identity()
+    return [layer], Sign() if len(W) == 1 else Argmax()
 
 
 def _remedy(estimator: Any) -> str:
@@ -128,17 +134,15 @@ def _remedy(estimator: Any) -> str:
     return "one of another kind cannot be read"
 
 
-def _mlp(chain: Chain, mlp: Any) -> Chain:
+def _mlp(mlp: Any) -> list[Step]:
     if mlp.activation != "identity" and mlp.activation not in _UNITS:
         raise InvalidNetworkError(f"the activation is {mlp.activation!r}; fit with activation='relu'")
     layers = list(zip(mlp.coefs_, mlp.intercepts_, strict=True))
     if len(getattr(mlp, "classes_", ())) == 1:  # which it predicts whatever its outputs are
         layers[-1] = (np.zeros_like(mlp.coefs_[-1]), np.full_like(mlp.intercepts_[-1], -1.0))
-    for layer, (W, b) in enumerate(layers):
-        if layer and mlp.activation != "identity":
-            chain = chain.activation(_UNITS[mlp.activation])
-        chain = chain.linear(np.asarray(W, dtype=np.float64).T, b)
-    return chain
+    between = [_UNITS[mlp.activation]] if mlp.activation != "identity" else []
+    steps = [step for W, b in layers for step in (_affine(np.transpose(W), b), *between)]
+    return steps[: len(steps) - len(between)]
 
 
 def _mlp_head(mlp: Any) -> Head:
@@ -165,7 +169,7 @@ def _require_same_answers(estimator: Any, policy: Oracle) -> None:
     except Exception as error:  # a foreign estimator can fail in any way
         raise InvalidNetworkError(f"{estimator!r} cannot predict {len(states)} fixed states: {error}") from error
     outputs = policy.forward(states)
-    rounding = _ROUNDING * reach(zip(policy.weights, policy.biases, strict=True), states).max(axis=1)
+    rounding = _ROUNDING * reach(policy, states).max(axis=1)
     if policy.head.gives_labels:
         gaps = np.abs(outputs[:, 0]) if outputs.shape[1] == 1 else np.ptp(np.sort(outputs, axis=1)[:, -2:], axis=1)
         if np.ndim(expected) != 1:

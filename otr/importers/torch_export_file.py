@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
-from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -23,29 +23,33 @@ _REMEDY = "write it with torch 2.9 or newer: torch.export.save(torch.export.expo
 # Codes of torch's types in the JSON (torch._export.serde.schema.ScalarType); bfloat16 is the upper half of a float32.
 _FLOATS = {6: "<f2", 7: "<f4", 8: "<f8"}
 _BFLOAT16 = 13
-_METADATA = ("_assert_tensor_metadata", "sym_size")  # operators that look at a value's form and not at its numbers
 
 
 class Name(str):
     """The name of a value of the graph, where a number or a text could stand, too."""
 
 
+class Type(int):
+    """The code of a type of numbers."""
+
+
 @dataclass(frozen=True)
-class Node:
+class Call:
     """One operation of the graph.
 
     Attributes:
-        operator: the name of aten's, such as "linear", without overload and without the underscore of one in place.
-        arguments: by name: a `Name`, a number, a list of them, or None.
-        output: name of the value that it makes; empty where it makes none.
+        target: as the file has it, such as "torch.ops.aten.linear.default".
+        arguments: by name: a `Name`, a `Type`, a number, a text, a list of them, or None.
+        outputs: names of the values that it makes.
     """
 
-    operator: str
+    target: str
     arguments: dict[str, Any]
-    output: Name
+    outputs: tuple[str, ...]
 
     def __str__(self) -> str:
-        return f"node {str(self.output)!r} ({self.operator})"
+        operator = self.target.removeprefix("torch.ops.aten.").partition(".")[0]
+        return f"node {next(iter(self.outputs), '')!r} ({operator})"
 
 
 @dataclass(frozen=True)
@@ -55,14 +59,14 @@ class Export:
     Attributes:
         input_name, input_shape: of the states; a size that is not fixed is 0.
         output_name: of the answers.
-        nodes: in the order in which they are computed.
+        calls: in the order in which they are computed.
         tensors: parameters, buffers and constants, as float64, by their names in the graph.
     """
 
     input_name: Name
     input_shape: tuple[int, ...]
     output_name: Name
-    nodes: list[Node]
+    calls: list[Call]
     tensors: dict[Name, FloatArray]
 
 
@@ -122,61 +126,57 @@ def _export(model: Any, members: dict[str, bytes], label: str) -> Export:
             "states and the actions; export a module that returns the actions alone, after module.eval()"
         )
     (answer,) = graph["outputs"]
-    nodes = [_node(node) for node in graph["nodes"]]
+    calls = [_call(node) for node in graph["nodes"]]
     input_name, output_name = Name(inputs[0]["as_tensor"]["name"]), Name(answer["as_tensor"]["name"])
-    _require_a_chain(nodes, input_name, output_name)
-    read = {value for node in nodes for value in node.arguments.values() if isinstance(value, Name)}
+    read = {name for call in calls for name in names_in(call.arguments)} | {output_name}
     tensors = _tensors(signature["input_specs"], read, members, label)
     sizes = graph["tensor_values"][input_name]["sizes"]
     shape = tuple(int(size.get("as_int", 0)) for size in sizes)
-    return Export(input_name, shape, output_name, nodes, tensors)
+    return Export(input_name, shape, output_name, calls, tensors)
 
 
-def _node(node: dict[str, Any]) -> Node:
-    """Return a node of the JSON; an operator that is not aten's keeps its whole name."""
-    target = str(node["target"])
-    operator = target.removeprefix("torch.ops.aten.").partition(".")[0] if "ops.aten." in target else target
-    operator = operator if operator.startswith("_") else operator.rstrip("_")
-    outputs = node["outputs"]
-    output = next(iter(outputs[0].values())) if len(outputs) == 1 else {}
-    if len(outputs) > 1:
-        operator = target
-    name = output.get("name", output.get("as_name", "")) if isinstance(output, dict) else ""
-    return Node(operator, {given["name"]: _argument(given["arg"]) for given in node["inputs"]}, Name(name))
+def names_in(value: Any) -> Iterator[Name]:
+    """Yield the names of values in an argument, or in several."""
+    if isinstance(value, Name):
+        yield value
+    elif isinstance(value, dict | list):
+        for each in value.values() if isinstance(value, dict) else value:
+            yield from names_in(each)
+
+
+def _call(node: dict[str, Any]) -> Call:
+    outputs = [_argument(output) for output in node["outputs"]]
+    arguments = {str(given["name"]): _argument(given["arg"]) for given in node["inputs"]}
+    return Call(str(node["target"]), arguments, tuple(names_in(outputs)))
 
 
 def _argument(argument: dict[str, Any]) -> Any:
     """Return a value of the graph as a `Name`, numbers as they are."""
     ((kind, value),) = argument.items()
-    if kind == "as_none":
+    if kind in ("as_none", "as_device", "as_layout", "as_memory_format"):  # all is dense and on the processor
         return None
     if kind == "as_float":
         return float(value)  # infinity is a text
+    if kind == "as_scalar_type":
+        return Type(value)
     if kind == "as_tensor":
         return Name(value["name"])
-    if kind == "as_sym_int":
+    if kind == "as_tensors":
+        return [Name(each["name"]) for each in value]
+    if kind == "as_optional_tensors":
+        return [_argument(each) for each in value]
+    if kind in ("as_sym_int", "as_sym_float", "as_sym_bool"):
         return _size(value)
     if kind == "as_sym_ints":
         return [_size(size) for size in value]
-    return value
+    if kind in ("as_int", "as_ints", "as_floats", "as_bool", "as_bools", "as_string"):
+        return value
+    raise InvalidNetworkError(f"the program has an argument of the kind {kind!r}; export the module without it")
 
 
 def _size(value: dict[str, Any]) -> Any:
-    return int(value["as_int"]) if "as_int" in value else Name(value["as_name"])
-
-
-def _require_a_chain(nodes: list[Node], given: Name, answer: Name) -> None:
-    """Raise InvalidNetworkError where a value is read twice, as it may then be changed in place between the two."""
-    of_states, read = {given}, Counter([answer])
-    for node in nodes:
-        if node.operator in _METADATA:
-            continue
-        own = [value for value in node.arguments.values() if isinstance(value, Name) and value in of_states]
-        read.update(own)
-        of_states.update([node.output] if own else [])
-    twice = [name for name, count in read.items() if count > 1]
-    if twice:
-        raise InvalidNetworkError(f"the value {twice[0]!r} is read in two places; only a chain of layers can be read")
+    ((kind, size),) = value.items()
+    return Name(size) if kind == "as_name" else size
 
 
 def _tensors(specs: list[Any], read: set[Name], members: dict[str, bytes], label: str) -> dict[Name, FloatArray]:

@@ -8,6 +8,7 @@ import warnings
 import zipfile
 from collections.abc import Callable
 from contextlib import suppress
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from torch import nn
 import otr
 from otr.importers import read_policy
 from tests.importers.test_importers import FourActions, build
+from tests.importers.test_stored_layers import nnet
 from tests.importers.test_torch_export import exported, written
 
 torch.set_num_threads(1)
@@ -59,6 +61,17 @@ def torch_export(path: Path) -> Path:
 def saved(path: Path) -> Path:
     otr.save(otr.PatternTree(otr.ReluNetwork([np.eye(3), np.ones((2, 3))], [np.ones(3), np.ones(2)])), path / "policy")
     return path / "policy.json"
+
+
+def nnet_file(path: Path) -> Path:
+    return nnet(path / "policy.nnet")
+
+
+def changed_numbers(content: bytes, rng: np.random.Generator) -> bytes:
+    rows = [line.split(b",") for line in content.splitlines()]
+    row = rows[2 + rng.integers(min(len(rows) - 2, 9))]
+    row[rng.integers(len(row))] = (b"", b"0", b"-1", b"3,3", b"1e99", b"nan", b"x", b"999999999")[rng.integers(8)]
+    return b"\n".join(b",".join(row) for row in rows)
 
 
 def changed_json(value: Any, rng: np.random.Generator) -> Any:
@@ -116,6 +129,7 @@ FILES: dict[str, tuple[Callable[[Path], Path], str, Callable[[bytes, np.random.G
     "the graph of a torch export": (torch_export, "models/model.json", changed_text),
     "the tensors of a torch export": (torch_export, "data/weights/model_weights_config.json", changed_text),
     "a saved network": (saved, "", changed_text),
+    "a file of the format nnet": (nnet_file, "", changed_numbers),
 }
 
 
@@ -194,6 +208,16 @@ def onnx_of(n_inputs: int) -> bytes:
     graph = helper.make_graph(nodes, "policy", values[:1], values[1:], [one])
     made = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     return made.SerializeToString()
+
+
+def test_a_small_file_of_many_wide_values_takes_little_memory() -> None:
+    names = ["x", *(f"v{k}" for k in range(200)), "y"]
+    nodes = [helper.make_node("Identity", [a], [b]) for a, b in pairwise(names)]
+    values = [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["n", 2**17]) for name in "xy"]
+    graph = helper.make_graph(nodes, "policy", values[:1], values[1:])
+    made = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    with pytest.raises(otr.InvalidNetworkError, match="is where the values of all nodes have 68,812,800 numbers"):
+        otr.from_onnx(made)
 
 
 class Shifted(nn.Module):

@@ -91,12 +91,7 @@ def with_call_of_its_own() -> nn.Module:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Doubled(*plain()), r"module has a forward of its own, .* torch.export.export\(module, \(states,\)\)"),
-        (lambda: nn.Sequential(Doubled(*plain())), r"module\[0\] has a forward of its own"),
-        (with_own_forward, r"module\[0\] has a forward of its own"),
-        (lambda: nn.Sequential(nn.Linear(3, 2), Absolute()), r"module\[1\] is Absolute\(\); .*torch's own forward"),
-        (lambda: nn.Sequential(Noisy(), nn.Linear(3, 2)), r"module\[0\] is Noisy"),
-        (lambda: nn.Sequential(Shifted(3, 2)), r"module\[0\] is Shifted"),
+        (with_own_forward, r"module\[0\] has a forward of its own, .* torch.export.export\(module, \(states,\)\)"),
         (lambda: nn.Sequential(Called(3, 2)), r"module\[0\] has a __call__ of its own"),
         (
             lambda: hooked(0, lambda _m, _i, out: 1.001 * out),
@@ -112,7 +107,6 @@ def with_call_of_its_own() -> nn.Module:
         (with_call_of_its_own, r"module\[1\] has a forward of its own"),
         (lambda: with_old_norm(nn.utils.weight_norm, change=2), r"forward hook \(WeightNorm\).*remove_weight_norm"),
         (lambda: with_old_norm(nn.utils.spectral_norm), r"forward hook \(SpectralNorm\)"),
-        (lambda: nn.Sequential(nn.Flatten(0), nn.Linear(3, 2)), "cannot be run on 257 states"),
     ],
 )
 def test_a_module_that_does_something_else_is_refused(make: Callable, message: str) -> None:
@@ -121,9 +115,7 @@ def test_a_module_that_does_something_else_is_refused(make: Callable, message: s
 
 
 def test_a_softmax_over_another_axis_is_refused() -> None:
-    with pytest.raises(
-        otr.InvalidNetworkError, match=r"answers otherwise than its layers: .*Softmax over another axis"
-    ):
+    with pytest.raises(otr.InvalidNetworkError, match=r"module\[1\] \(Softmax\) goes over the states"):
         otr.from_torch(nn.Sequential(nn.Linear(3, 2), nn.Softmax(dim=0)), head=otr.Argmax())
 
 
@@ -153,8 +145,25 @@ def parametrised(norm: Callable, part: int) -> nn.Module:
         lambda: plain().to(torch.bfloat16),
         lambda: nn.Sequential(*(layer for _ in range(6) for layer in (nn.Linear(64, 64), nn.ReLU()))),
         lambda: nn.Sequential(*(nn.Linear(64, 64) for _ in range(6))),
+        lambda: Doubled(*plain()),
+        lambda: nn.Sequential(Doubled(*plain())),
+        lambda: nn.Sequential(nn.Linear(3, 2), Absolute()),
+        lambda: nn.Sequential(Noisy(), nn.Linear(3, 2)),
+        lambda: nn.Sequential(Shifted(3, 2)),
     ],
-    ids=["weight norm", "spectral norm", "orthogonal", "bfloat16", "deep", "linear layers"],
+    ids=[
+        "weight norm",
+        "spectral norm",
+        "orthogonal",
+        "bfloat16",
+        "deep",
+        "linear layers",
+        "forward",
+        "forward inside",
+        "abs",
+        "dropout that adds",
+        "linear that adds",
+    ],
 )
 def test_what_does_as_its_layers_is_read(make: Callable) -> None:
     module = make()
@@ -208,5 +217,5 @@ def test_a_layer_that_stands_twice_is_read_twice() -> None:
 def test_the_head_of_a_module_that_ends_in_tanh() -> None:
     module = nn.Sequential(nn.Linear(3, 2), nn.Tanh())
     assert otr.from_torch(module, head=otr.TanhBox(-1.0, 1.0)).head == otr.TanhBox(-1.0, 1.0)
-    with pytest.raises(otr.InvalidNetworkError, match=r"the module ends in Tanh: TanhBox\(-1, 1\); leave head out"):
+    with pytest.raises(otr.InvalidNetworkError, match=r"the model ends in Tanh: TanhBox\(.*\); leave head out"):
         otr.from_torch(module, head=otr.TanhBox(-2.0, 2.0))

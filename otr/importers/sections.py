@@ -1,0 +1,377 @@
+"""A model as a graph: nonlinear nodes cut it into sections, and each section is the affine map that it evaluates to.
+
+Every node is run in float64 on one state, whatever operator it is. Where three points with r = 2 p - q show that a
+node's answer is no affine function of what it reads, it is a cut, which `otr.importers.units` recognises by its values.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otr.core.arrays import FloatArray
+from otr.errors import InvalidNetworkError, OtrError
+from otr.importers.units import Unit, recognised
+
+LIMIT_NUMBERS = 2**24  # of a matrix: a product of thin ones can be far larger than the file
+_LIMIT_WIDTH = 2**20  # of a value: a file of a hundred bytes can declare any number of inputs
+_LIMIT_HELD = 2**26  # of all values together, on all points
+_LIMIT_WORK = 2**28  # numbers that are computed for the matrix of a section
+_SCALES = tuple(2.0**power for power in (-10, 0, 10, 20, 700))  # of the points on which nodes are tried
+# A basis vector of this length drowns what a section adds, so that (f(length * e) - f(0)) / length has the stored bits.
+_LENGTH = 2.0**700
+_N_BACK = 8  # nodes in which one unit may be written: a GELU takes five
+_RANDOM = "answers otherwise every time; export the deterministic policy, of torch after module.eval()"
+_TOLERANCE, _NOISE = 1e-6, 1e-12  # of a node's answer, and of what it reads
+
+
+@dataclass(frozen=True)
+class Node:
+    """One operation.
+
+    Attributes:
+        name: in messages, with the operator.
+        inputs, outputs: names of values; an input "" is left out.
+        run: from the inputs' arrays (None for one left out) to the outputs'; it changes none of them.
+        reads_shape: whether the answer depends on the shape of what it reads and not on its numbers.
+    """
+
+    name: str
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    run: Callable[[list[Any]], Sequence[Any]]
+    reads_shape: bool = False
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a section reads: the states, or the answer of a cut."""
+
+    name: str
+    shape: tuple[int, ...]
+    node: Node | None = None
+    read: str = ""  # the value that the cut reads
+    unit: Unit | None = None  # None for one that was not recognised
+    is_real: bool = True
+
+    @property
+    def width(self) -> int:
+        """How many numbers it has."""
+        return math.prod(self.shape)
+
+
+@dataclass(frozen=True)
+class Form:
+    """A value as a sum over sources: sum of matrices[name] @ source + offset, all flattened."""
+
+    matrices: dict[str, FloatArray]
+    offset: FloatArray
+
+
+class Sections:
+    """The graph of a model, from one state to one answer.
+
+    Attributes:
+        sources: the states first, then the cuts in the order in which they are computed.
+        output_name: of the answer.
+    """
+
+    def __init__(
+        self,
+        input_name: str,
+        shape: tuple[int, ...],
+        nodes: Iterable[Node],
+        constants: dict[str, Any],
+        output_name: str,
+    ) -> None:
+        """Run the nodes, each one after those that it reads; what they make of constants is added to `constants`.
+
+        `shape` is (n, ...) or (number of inputs,); an open size is 0.
+
+        Raises:
+            InvalidNetworkError: another shape, too many numbers, a node that fails, or an answer without states.
+        """
+        self.output_name, self.constants = output_name, constants
+        self.sources: dict[str, Source] = {}
+        self._points: dict[str, list[NDArray[Any]]] = {}
+        self._labels: dict[str, Source] = {}  # values that are made of such a source, which is not real
+        self._live: list[Node] = []
+        self._n_held = 0
+        self._rng = np.random.default_rng(0)
+        if not shape or not all(shape[1:]) or shape == (0,):
+            shown = ", ".join(str(size or "?") for size in shape)
+            raise InvalidNetworkError(
+                f"the input {str(input_name)!r} has the shape ({shown}), expected (n, number of inputs), of which n "
+                "alone may be left open, or (number of inputs,); export it again with states of this shape"
+            )
+        shape = (1, *shape[1:]) if len(shape) > 1 else shape
+        _require_width(math.prod(shape))
+        self._add(Source(input_name, shape))
+        for node in nodes:
+            try:
+                self._trace(node)
+            except OtrError as error:
+                if node.name in str(error):
+                    raise
+                raise InvalidNetworkError(f"{node.name} {error}") from error
+            except Exception as error:  # foreign operators can fail in any way on foreign numbers
+                if read := [self._labels[name] for name in node.inputs if name in self._labels]:
+                    raise InvalidNetworkError(_refusal(*read)) from error
+                shapes = [np.shape(self._points[name][0]) if name in self._points else np.shape(constants[name])
+                          for name in node.inputs if name]  # fmt: skip
+                told = str(error).strip().rpartition("] ")[2]
+                raise InvalidNetworkError(f"{node.name} cannot be run on the shapes {shapes}: {told}") from error
+        if output_name not in self._points:
+            raise InvalidNetworkError(f"{output_name!r} is not computed from {input_name!r}")
+        self.input = next(iter(self.sources.values()))
+
+    @classmethod
+    def of_steps(cls, steps: Sequence[tuple[str, Callable[[NDArray[Any]], NDArray[Any]]]], n_inputs: int) -> Sections:
+        """Return the sections of named functions, each of which reads what the one before it makes: (1, n) arrays."""
+
+        def node(k: int, name: str, step: Callable[[NDArray[Any]], NDArray[Any]]) -> Node:
+            return Node(name, (f"value {k}",), (f"value {k + 1}",), lambda given: [step(given[0])])
+
+        nodes = [node(k, name, step) for k, (name, step) in enumerate(steps)]
+        return cls("value 0", (1, n_inputs), nodes, {}, f"value {len(nodes)}")
+
+    def form(self, value: str) -> Form:
+        """Return the affine map of the section that makes a value.
+
+        Raises:
+            InvalidNetworkError: its matrix is too large, or it is no affine map.
+        """
+        nodes, names = self._section(value)
+        zeros = {name: np.zeros(self.sources[name].shape) for name in names}
+        offset = self._evaluated(nodes, value, zeros)
+        matrices: dict[str, FloatArray] = {}
+        for name in names:
+            source = self.sources[name]
+            if not source.is_real:
+                raise InvalidNetworkError(_refusal(source))
+            self._require_moderate(nodes, value, source.width)
+            columns = np.empty((source.width, len(offset)))
+            for j in range(source.width):
+                given = np.zeros(source.width)
+                given[j] = _LENGTH
+                moved = self._evaluated(nodes, value, zeros | {name: given.reshape(source.shape)})
+                columns[j] = (moved - offset) / _LENGTH
+            if columns.any() or source.unit is not None:  # a layer of zeros keeps the layer before it
+                matrices[name] = np.ascontiguousarray(columns.T)
+        made = Form(matrices, offset)
+        self._check(made, nodes, value, names)
+        return made
+
+    def answer(self, state: FloatArray) -> NDArray[Any]:
+        """Return what the nodes make of one state, cuts and all, flattened."""
+        values: dict[str, Any] = {self.input.name: state.reshape(self.input.shape)}
+        for node in self._live:
+            values.update(zip(node.outputs, self._run(node, values), strict=False))
+        return np.asarray(values[self.output_name]).ravel()
+
+    def labels_after(self, source: Source, value: str, n_labels: int) -> list[Any]:
+        """Return what the nodes after a decision make of each label."""
+        nodes, _ = self._section(value)
+        given = (np.full(source.shape, label, dtype=np.int64) for label in range(n_labels))
+        return [self._evaluated(nodes, value, {source.name: label}).tolist() for label in given]
+
+    def _trace(self, node: Node) -> None:
+        live = [name for name in dict.fromkeys(node.inputs) if name in self._points]
+        if not live or node.reads_shape:
+            values = {name: points[0] for name, points in self._points.items() if name in live}
+            made = self._run(node, values)
+            again = self._run(node, values)
+            for name, value, other in zip(node.outputs, made, again, strict=False):
+                if not np.array_equal(value, other, equal_nan=np.asarray(value).dtype.kind == "f"):
+                    raise InvalidNetworkError(_RANDOM)
+                self.constants[name] = value
+                self._hold(np.size(value))
+            return
+        self._live.append(node)
+        with np.errstate(all="ignore"):
+            made = [self._run(node, {name: self._points[name][k] for name in live}) for k in range(3 * len(_SCALES))]
+        noise = [max(float(np.abs(self._points[name][k]).max(initial=0)) for name in live) for k in range(len(made))]
+        for i, name in enumerate(node.outputs):
+            if not name or i >= len(made[0]):
+                continue
+            points = [np.asarray(results[i]) for results in made]
+            _require_width(points[0].size)
+            self._hold(len(points) * points[0].size)
+            labels = [self._labels[read] for read in live if read in self._labels]
+            if labels:
+                self._labels[name] = labels[0]
+            is_affine = not labels and _is_affine(points, noise)
+            if is_affine and all(np.array_equal(points[0], other) for other in points):
+                self._require_each_state(node, live, i, points[0])
+            if labels or is_affine:
+                self._points[name] = points
+                continue
+            read, unit = self._unit(node, i)
+            if unit is None and not np.array_equal(
+                points[0], self._run(node, {name: self._points[name][0] for name in live})[i], equal_nan=True
+            ):
+                raise InvalidNetworkError(_RANDOM)
+            self._add(Source(name, points[0].shape, node, read, unit, points[0].dtype.kind == "f"), points[0])
+
+    def _require_each_state(self, node: Node, live: list[str], output: int, made: NDArray[Any]) -> None:
+        """Raise InvalidNetworkError where a node answers one state always the same, and two states otherwise."""
+        both = {
+            name: np.concatenate(self._points[name][:2]) for name in live if self._points[name][0].shape[:1] == (1,)
+        }
+        try:
+            found = np.asarray(self._run(node, both)[output]) if len(both) == len(live) else made
+        except Exception:  # it may have the shape of one state in it
+            return
+        if found.shape == (2, *made.shape[1:]) and made.ndim and not np.array_equal(found, np.concatenate([made] * 2)):
+            raise InvalidNetworkError("goes over the states, expected each state's numbers: choose the last axis")
+
+    def _unit(self, node: Node, output: int) -> tuple[str, Unit | None]:
+        """Return the unit that an output of a node is, and the value that it is of; (first input, None) if none is.
+
+        A unit may be written in several nodes, such as z * sigmoid(z): values that lie up to `_N_BACK` nodes before are
+        tried.
+        """
+        live = [name for name in node.inputs if name in self._points]
+        values = [name for each in reversed(self._live[-_N_BACK:]) for name in each.inputs if name in self._points]
+        for read in dict.fromkeys([*live, *values]):
+            nodes, given = self._between(read, node), self._points[read][0]
+            if not nodes or given.dtype.kind != "f":
+                continue
+
+            def answer(z: FloatArray, nodes: list[Node] = nodes, read: str = read) -> NDArray[Any]:
+                values: dict[str, Any] = {read: z.reshape(self._points[read][0].shape)}
+                for each in nodes:
+                    made = self._run(each, values)
+                    values.update(zip(each.outputs, made, strict=False))
+                return np.asarray(made[output]).ravel()
+
+            unit = recognised(answer, given.size, self._rng)
+            if unit is not None:
+                return read, unit
+        return live[0], None
+
+    def _between(self, read: str, node: Node) -> list[Node]:
+        """Return the nodes that make a node's answer of one value alone; none where it reads more."""
+        nodes, wanted = [node], {name for name in node.inputs if name in self._points} - {read}
+        for each in reversed(self._live[-_N_BACK:-1]):
+            if wanted.intersection(each.outputs):
+                nodes.append(each)
+                wanted |= {name for name in each.inputs if name in self._points}
+                wanted -= {*each.outputs, read}
+        return [] if wanted else nodes[::-1]
+
+    def _add(self, source: Source, made: NDArray[Any] | None = None) -> None:
+        """Let sections read a source: on points of its own where its numbers are real, else on one of those made."""
+        points: list[Any] = []
+        for scale in _SCALES:
+            p, q = (scale * self._rng.standard_normal(source.shape) for _ in "pq")
+            points += [p, q, 2 * p - q] if source.is_real else [made] * 3
+        self.sources[source.name], self._points[source.name] = source, points
+        if not source.is_real:
+            self._labels[source.name] = source
+
+    def _hold(self, n_numbers: int) -> None:
+        self._n_held += n_numbers
+        if self._n_held > _LIMIT_HELD:
+            raise InvalidNetworkError(
+                f"is where the values of all nodes have {self._n_held:,} numbers, the limit is {_LIMIT_HELD:,}"
+            )
+
+    def _run(self, node: Node, values: dict[str, Any]) -> list[Any]:
+        operands = []
+        for name in node.inputs:
+            if name and name not in values and name not in self.constants:
+                raise InvalidNetworkError(f"reads {name!r}, which is no value")
+            operands.append(values[name] if name in values else self.constants[name] if name else None)
+        return list(node.run(operands))
+
+    def _section(self, value: str) -> tuple[list[Node], list[str]]:
+        """Return the nodes between the last cuts and a value, in order, and the sources that they read."""
+        wanted, nodes = {value}, []
+        for node in reversed(self._live):
+            if any(name in wanted and name not in self.sources for name in node.outputs):
+                nodes.append(node)
+                wanted.update(name for name in node.inputs if name in self._points)
+        return nodes[::-1], [name for name in self.sources if name in wanted]
+
+    def _evaluated(self, nodes: list[Node], value: str, given: dict[str, Any]) -> FloatArray:
+        values = dict(given)
+        with np.errstate(all="ignore"):
+            for node in nodes:
+                made = zip(node.outputs, self._run(node, values), strict=False)
+                values.update((name, result) for name, result in made if name not in given)
+        return np.array(values[value], dtype=np.float64).ravel()
+
+    def _require_moderate(self, nodes: list[Node], value: str, width: int) -> None:
+        size = self._points[value][0].size
+        if size * width > LIMIT_NUMBERS:
+            raise InvalidNetworkError(too_large(size, width))
+        work = width * sum(self._points[name][0].size for node in nodes for name in node.outputs if name)
+        if work > _LIMIT_WORK:
+            raise InvalidNetworkError(
+                f"{value!r} takes {width:,} evaluations of {len(nodes)} nodes, {work:,} numbers in all; the limit is "
+                f"{_LIMIT_WORK:,}: a network of this size has no tree that can be held"
+            )
+
+    def _check(self, form: Form, nodes: list[Node], value: str, names: list[str]) -> None:
+        """Raise InvalidNetworkError where a section answers otherwise than its matrices."""
+        given = {name: self._rng.standard_normal(self.sources[name].shape) for name in names}
+        expected, size = form.offset, np.abs(form.offset)
+        for name, W in form.matrices.items():
+            expected = expected + W @ given[name].ravel()
+            size = size + np.abs(W) @ np.abs(given[name].ravel())
+        found = self._evaluated(nodes, value, given)
+        if not np.all(np.abs(found - expected) <= 1e-9 * (size.max(initial=0) + 1e-300)):
+            told = ", ".join(node.name for node in nodes[:8])
+            raise InvalidNetworkError(
+                f"what makes {value!r} is not affine ({told}): between activations only affine operations can be read"
+            )
+
+
+def refuse_unknown(sources: Iterable[Source]) -> None:
+    """Raise InvalidNetworkError that names the cuts that are no known units, if there are any."""
+    unknown = [source for source in sources if source.node is not None and source.unit is None]
+    if unknown:
+        raise InvalidNetworkError(_refusal(*unknown))
+
+
+def too_large(rows: int, columns: int) -> str:
+    """Return what is said of a matrix above the limit."""
+    return (
+        f"the model makes a matrix of {rows} x {columns} numbers, the limit is {LIMIT_NUMBERS:,}; a network of this "
+        "width has no tree that can be held"
+    )
+
+
+def _refusal(*sources: Source) -> str:
+    told = ", ".join(source.node.name for source in sources[:5] if source.node)
+    return (
+        f"{told} {'is' if len(sources) == 1 else 'are'} not affine, and no unit or head that is known; between "
+        "affine operations of any kind there may be ReLU, LeakyReLU, PReLU, Abs, and Clip, Max and Min with constants, "
+        "at the end Tanh or ArgMax, and each sees the numbers of one state"
+    )
+
+
+def _require_width(width: int) -> None:
+    if width > _LIMIT_WIDTH:
+        raise InvalidNetworkError(
+            f"there are {width:,} numbers for each state, the limit is {_LIMIT_WIDTH:,}; is it the right file?"
+        )
+
+
+def _is_affine(points: list[NDArray[Any]], noise: list[float]) -> bool:
+    if points[0].dtype.kind != "f":
+        return False
+    for k in range(0, len(points), 3):
+        p, q, r = points[k : k + 3]
+        with np.errstate(all="ignore"):
+            size = max(float(np.abs(each).max(initial=0)) for each in (p, q, r))
+            limit = _TOLERANCE * size + _NOISE * max(noise[k : k + 3])
+            if not np.isfinite(size) or not np.all(np.abs(2 * p - q - r) <= limit):
+                return False
+    return True

@@ -1,0 +1,117 @@
+"""Units and heads, recognised by their values: what an operator is called, and by which format, plays no part."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import log_softmax, softmax
+
+from otr.core.arrays import FloatArray
+from otr.core.smooth_network import ACTIVATIONS
+
+Function = Callable[[FloatArray], NDArray[Any]]
+DECISIONS: dict[str, Function] = {"Softmax": softmax, "LogSoftmax": log_softmax}
+_FAR = 2.0**900
+_NO_LIMIT = 3.4e38  # of float32: what clips there clips nothing
+_SCALES = (0.1, 1.0, 3.0, 10.0, 1000.0)
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A function of a vector: piecewise linear or smooth number by number, or a decision over all of them.
+
+    Attributes:
+        kind: "slope": z above zero and slope * z below; "clip" to [low, high]; a name in
+            `otr.core.smooth_network.ACTIVATIONS`; Softmax, LogSoftmax or ArgMax.
+        gain: by which a smooth one is multiplied.
+        slope, low, high: (n,), for these two kinds; ReLU has all of them.
+    """
+
+    kind: str
+    slope: FloatArray | None = None
+    low: FloatArray | None = None
+    high: FloatArray | None = None
+    gain: float = 1.0
+
+
+@dataclass(frozen=True)
+class Neurons:
+    """Piecewise linear units as ReLU neurons: offset + the sum of gains * relu(signs * z[rows] + shifts).
+
+    Arrays are (n_neurons,), `offset` is (n,).
+    """
+
+    rows: NDArray[np.int64]
+    signs: FloatArray
+    shifts: FloatArray
+    gains: FloatArray
+    offset: FloatArray
+
+
+def recognised(answer: Function, width: int, rng: np.random.Generator) -> Unit | None:
+    """Return the unit that `answer` is, a function of vectors (width,); None for one that is not known."""
+    with np.errstate(all="ignore"):
+        found = answer(np.zeros(width))
+        tried = [scale * rng.standard_normal(width) for scale in _SCALES for _ in range(1 + 32 // width)]
+        if found.dtype.kind == "i" and found.size == 1:
+            ties = [np.zeros(width), np.abs(tried[0]).round(1)]
+            is_argmax = all(int(answer(z)[0]) == int(np.argmax(z)) for z in (*tried, *ties))
+            return Unit("ArgMax") if is_argmax else None
+        if found.dtype.kind != "f" or found.size != width:
+            return None
+        slope = 0.0 - answer(np.full(width, -1.0))
+        candidates: list[tuple[Unit, Function]] = [
+            (Unit("slope", slope=slope), lambda z: np.where(z > 0, z, slope * z))
+        ]
+        low, high = (answer(np.full(width, far)) for far in (-_FAR, _FAR))
+        low, high = np.where(low > -_NO_LIMIT, low, -np.inf), np.where(high < _NO_LIMIT, high, np.inf)
+        if not (np.isnan(low).any() or np.isnan(high).any()) and np.all(low < high):
+            candidates.append((Unit("clip", low=low, high=high), lambda z: np.clip(z, low, high)))
+            for limit in (low, high):  # so that points lie on both sides of it
+                near = np.where(np.isfinite(limit), limit, 0.0)
+                tried += [near + 1e-3 * (1 + np.abs(near)) * rng.standard_normal(width) for _ in range(3)]
+        names = [name for name in ACTIVATIONS if name not in ("hardtanh", "relu6")]  # these clip
+        candidates += [(Unit(name), ACTIVATIONS[name]) for name in names]
+        # As torch.onnx writes it, 0.5 * (z * (1 + erf(z / sqrt(2)))): the last factor is affine.
+        candidates += [(Unit("gelu", gain=2.0), lambda z: 2 * ACTIVATIONS["gelu"](z))]
+        candidates += [(Unit(name), function) for name, function in DECISIONS.items()]
+        expected = [answer(z) for z in tried]
+        for unit, function in candidates:
+            far = 100 if unit.kind in DECISIONS else np.inf  # where onnx's reference has infinite logarithms
+            given = [(z, y) for z, y in zip(tried, expected, strict=True) if np.abs(z).max() < far]
+            if all(np.allclose(function(z), y, rtol=1e-9, atol=1e-13) for z, y in given):
+                is_relu = unit.slope is not None and not unit.slope.any()
+                return Unit("slope", slope, np.zeros(width), np.full(width, np.inf)) if is_relu else unit
+    return None
+
+
+def neurons(unit: Unit, width: int) -> Neurons:
+    """Return piecewise linear units as ReLU neurons."""
+    if unit.slope is not None:
+        parts = [(np.ones(width, dtype=np.bool_), 1.0, np.zeros(width), np.ones(width))]
+        parts.append((unit.slope != 0, -1.0, np.zeros(width), -unit.slope))
+        offset = np.zeros(width)
+    else:
+        assert unit.low is not None and unit.high is not None
+        has_low, has_high = np.isfinite(unit.low), np.isfinite(unit.high)
+        ones = np.ones(width)
+        parts = [
+            (has_low, 1.0, -unit.low, ones),
+            (has_low & has_high, 1.0, -unit.high, -ones),
+            (~has_low & has_high, -1.0, unit.high, -ones),
+            (~has_low & ~has_high, 1.0, 0 * ones, ones),  # z = relu(z) - relu(-z)
+            (~has_low & ~has_high, -1.0, 0 * ones, -ones),
+        ]
+        offset = np.where(has_low, unit.low, np.where(has_high, unit.high, 0.0))
+    rows = [np.flatnonzero(which) for which, *_ in parts]
+    return Neurons(
+        np.concatenate(rows),
+        np.concatenate([np.full(len(r), sign) for r, (_, sign, _, _) in zip(rows, parts, strict=True)]),
+        np.concatenate([shift[r] for r, (_, _, shift, _) in zip(rows, parts, strict=True)]),
+        np.concatenate([gain[r] for r, (_, _, _, gain) in zip(rows, parts, strict=True)]),
+        offset,
+    )

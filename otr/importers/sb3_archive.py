@@ -206,8 +206,8 @@ def _refuse_other_policies(tensors: Tensors, data: dict[str, Any]) -> None:
             "QR-DQN, CrossQ, MaskablePPO and ARS, and ARS's 'LinearPolicy', without weights in a feature extractor, "
             "can be mapped"
         )
-    module = str(_readable(data, "policy_class").get("__module__", ""))
-    if not re.fullmatch(rf"({_MODULES})\.policies", module):
+    module = _readable(data, "policy_class").get("__module__", "")
+    if not re.fullmatch(rf"({_MODULES})\.policies", str(module)):
         raise InvalidNetworkError(
             f"the policy's class is from {module!r}; train with 'MlpPolicy', or ARS with 'LinearPolicy'"
         )
@@ -217,7 +217,7 @@ def _refuse_other_policies(tensors: Tensors, data: dict[str, Any]) -> None:
     space = _readable(data, "observation_space")
     if "spaces.box.Box" not in str(space.get(":type:")) or len(space.get("_shape") or ()) > 2:
         raise InvalidNetworkError(f"the observations are {space.get(':type:')}; only vectors of inputs can be mapped")
-    if "maskable" in module:
+    if "maskable" in str(module):
         note = "the policy was trained with action masks; it is read without: it may choose what a mask would forbid"
         warnings.warn(note, stacklevel=4)
 

@@ -16,7 +16,8 @@ from otr.core.domain import Domain
 from otr.core.network import ReluNetwork
 from otr.core.smooth_network import ACTIVATIONS, Oracle, SmoothNetwork
 from otr.errors import ArtefactError, InvalidNetworkError
-from otr.importers.sb3_archive import Tensors, load_tensors
+from otr.importers.sb3_archive import load_tensors
+from otr.importers.sb3_layers import Tensors
 from otr.importers.torch_modules import real_values
 
 _LIMIT_BYTES = 2**26

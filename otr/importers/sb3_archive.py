@@ -112,8 +112,8 @@ def _actor(file: Path | IO[bytes], action_low: ArrayLike | None, action_high: Ar
             f"gSDE clips the mean of the actions at {mean_limit:g}, which ReLU units can do, and {units} cannot; "
             "train with use_sde=False"
         )
-    head = _head(data, _is_squashed(tensors, data), n_actions, action_low, action_high)
     _require_widths(weights[0].shape[1], len(biases[-1]), n_observed, n_actions)
+    head = _head(data, _is_squashed(tensors, data), n_actions, action_low, action_high)
     return _Actor(weights, biases, head, data, usual_units)
 
 

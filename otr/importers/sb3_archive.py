@@ -102,6 +102,7 @@ def sign_of_normalisation(path: Path) -> str:
 def _actor(file: Path | IO[bytes], action_low: ArrayLike | None, action_high: ArrayLike | None) -> _Actor:
     tensors, data = read_archive(file)
     _refuse_other_policies(tensors, data)
+    _refuse_other_actions(data)
     n_observed, n_actions = _count(data, "observation_space"), _count(data, "action_space")
     mean_limit = float(_readable(data, "policy_kwargs").get("clip_mean", _GSDE_MEAN_LIMIT))
     weights, biases = actor_layers(tensors, n_actions, mean_limit)
@@ -115,6 +116,15 @@ def _actor(file: Path | IO[bytes], action_low: ArrayLike | None, action_high: Ar
     _require_widths(weights[0].shape[1], len(biases[-1]), n_observed, n_actions)
     head = _head(data, _is_squashed(tensors, data), n_actions, action_low, action_high)
     return _Actor(weights, biases, head, data, usual_units)
+
+
+def _refuse_other_actions(data: dict[str, Any]) -> None:
+    """Raise InvalidNetworkError unless the actions are a Box or Discrete from 0 on."""
+    space = _readable(data, "action_space")
+    kind = str(space.get(":type:"))
+    is_label = "spaces.discrete.Discrete" in kind and str(space.get("start", "0")) == "0"
+    if not is_label and "spaces.box.Box" not in kind:
+        raise InvalidNetworkError(f"the actions are {kind}; only Box and Discrete (start=0) can be mapped")
 
 
 def _is_squashed(tensors: Tensors, data: dict[str, Any]) -> bool:
@@ -258,11 +268,8 @@ def _slope(actor: _Actor, given: float | None) -> float:
 def _head(data: dict[str, Any], squashed: bool, n_outputs: int, low: ArrayLike | None, high: ArrayLike | None) -> Head:
     """Return the head that the readable account of the action space asks for."""
     space = _readable(data, "action_space")
-    kind = str(space.get(":type:"))
-    if "spaces.discrete.Discrete" in kind and str(space.get("start", "0")) == "0":
+    if "spaces.discrete.Discrete" in str(space.get(":type:")):
         return Argmax()
-    if "spaces.box.Box" not in kind:
-        raise InvalidNetworkError(f"the actions are {kind}; only Box and Discrete (start=0) can be mapped")
     low = _limits(data, "low", n_outputs) if low is None else low
     high = _limits(data, "high", n_outputs) if high is None else high
     try:

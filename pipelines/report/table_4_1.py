@@ -71,7 +71,8 @@ def make_cells(runs: pd.DataFrame) -> pd.DataFrame:
     A cell is of one budget and trainer: the first with two runs or more in the order of `in_order`, else the first. Its
     `table` is 4.1, text or other.
     """
-    runs = runs.assign(total_steps=runs.get("total_steps", float("nan")))
+    steps = runs["total_steps"].astype(float) if "total_steps" in runs else float("nan")
+    runs = runs.assign(total_steps=steps)
     found = in_order(summarise(
         runs, [*KEY, *SOURCE], "return_mean", best=("return_mean", "max"), n_episodes=("n_episodes", "min"),
         most_episodes=("n_episodes", "max"), pruned_depth=("pruned_depth", lambda depths: depths.mean(skipna=False)),

@@ -30,8 +30,9 @@ ORACLE = "oracle"  # the method's name of the networks that others imitate; thei
 METHOD_NAMES[ORACLE] = "Oracle"
 KEY, SOURCE = ["task", "method", "depth"], ["budget", "trainer"]
 # fmt: off
-ORDER = (*TASK_NAMES, "thesis", "thesis-fleet", "standard", "standard-fleet", "standard-shrink", "standard-ars", "quick",
-         "quick-fleet", "quick-ars", "sb3")  # of tasks, budgets and trainers: those of the thesis's algorithms before searches
+# Of tasks, budgets and trainers: those of the thesis's algorithms before searches
+ORDER = (*TASK_NAMES, "thesis", "thesis-fleet", "standard", "standard-fleet", "standard-shrink", "standard-ars",
+         "quick", "quick-fleet", "quick-ars", "sb3")
 # fmt: on
 DECIMALS = 6  # of a CSV file's means and deviations: more would show how a platform adds up
 

@@ -270,7 +270,7 @@ def test_a_network_distilled_from_an_oracle_is_mapped_proved_and_polished(models
     [
         (("model=nosuch.zip",), "model=nosuch.zip: there is no such file"),
         (("method=model",), "method=model: which model"),
-        (("model={}/statistics.pkl",), "read are .zip, .onnx, .pt2, .skops, .json, .npz, not .pkl; a torch module"),
+        (("model={}/statistics.pkl",), "read are .zip, .onnx, .pt2, .skops, .nnet, .pth, .pt, .json, .npz, not .pkl"),
         (("model={}/pendulum.zip",), "the policy reads 3 numbers, the observations of CartPole-v1 have 4"),
         (("model={}/relu.zip", "vec_normalize={}/gone.pkl"), "vec_normalize=.*gone.pkl: there is no such file"),
         (("model={}/relu.zip", "vec_normalize={}/statistics.pkl"), "3 means and 3 variances, the network has 4"),

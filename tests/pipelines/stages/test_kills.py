@@ -17,7 +17,7 @@ from tests.pipelines.training.fleet.test_train import EVERYTHING, EXPERTS, FLEET
 SAVE, SEGMENT = "pipelines.training.sb3_training.save_checkpoint", "pipelines.training.sb3_checkpoints.write_segment"
 OF_FLEETS, ADD = "pipelines.training.fleet.fleet_run.write_segment", "pipelines.training.fleet.trainer.FleetReplay.add"
 SEARCHED, PUT = "pipelines.training.search.train.write_segment", "pipelines.engine.stage._put"
-PLAYED, TIMED = "pipelines.stages.imitate.rollout", ("oracle.json", "iterates.csv", "candidates.csv")
+PLAYED, TIMED = "pipelines.stages.imitate.play_seeds", ("oracle.json", "iterates.csv", "candidates.csv")
 
 PID = {
     "algo": DDPG, "depth": 1, "method": PidConfig("pid", [1.0, 0.0, 0.0], 3, 2.5, 4.0, 0.01),

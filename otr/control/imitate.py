@@ -68,18 +68,18 @@ def imitate(
         >>> tree = otr.imitate(policy, "CartPole-v1", method="augtree", depth=3)  # doctest: +SKIP
         >>> print(otr.to_text(tree))  # doctest: +SKIP
     """
-    told = time.monotonic()
+    printed_at = time.monotonic()
 
     def seeds(name: str, index: int, n: int) -> Sequence[int]:
         generator = np.random.default_rng([seed, _EPISODES.index(name), index])
         return [int(each) for each in generator.integers(*_SEEDS, n)]
 
     def show(done: DaggerProgress) -> None:
-        nonlocal told
-        if progress and time.monotonic() - told > _EVERY_S:
-            told = time.monotonic()
-            left = f"round {done.round} of {done.n_rounds}, {done.n_leaves:,} leaves, return {done.return_mean:.1f}"
-            print(f"imitate: {left}", file=sys.stderr, flush=True)
+        nonlocal printed_at
+        if progress and time.monotonic() - printed_at > _EVERY_S:
+            printed_at = time.monotonic()
+            so_far = f"round {done.round} of {done.n_rounds}, {done.n_leaves:,} leaves, return {done.return_mean:.1f}"
+            print(f"imitate: {so_far}", file=sys.stderr, flush=True)
 
     with TemporaryDirectory(prefix="otr-") as place:
         result = run_dagger(

@@ -61,7 +61,7 @@ class Critics:
 def critics_of_zip(path: Path) -> Critics | None:
     """Return the critics in a zip file of Stable-Baselines3's SAC, TD3, DDPG or TQC, read without running code from it.
 
-    None where it has none (PPO, DQN), critics that are no (leaky) ReLU networks, or no discount.
+    None where it has none (PPO, DQN), normalised ones (CrossQ), critics that are no (leaky) ReLU networks, or no discount.
 
     Raises:
         ArtefactError: the file cannot be read.
@@ -69,10 +69,9 @@ def critics_of_zip(path: Path) -> Critics | None:
     """
     tensors, data = read_archive(path)
     slope = readable_slope(data)
-    is_normalised = any(name.endswith(".ra_mean") for name in tensors)  # CrossQ's
     n_critics = sum(name.startswith("critic.qf") and name.endswith(".0.weight") for name in tensors)
     gamma = data.get("gamma")
-    if not n_critics or is_normalised or slope is None or not isinstance(gamma, int | float):
+    if not n_critics or slope is None or not isinstance(gamma, int | float):
         return None
     log_std = None
     if "actor.log_std.weight" in tensors:

@@ -19,6 +19,19 @@ def test_pruned_tree_equals_the_network_on_the_states_it_was_pruned_with(case: C
         assert (np.bincount(pruned.apply(case.states), minlength=pruned.n_leaves) > 0).all()
 
 
+def test_the_tree_of_a_network_too_wide_to_map_is_the_network_where_states_go() -> None:
+    generator = np.random.default_rng(0)
+    sizes = ((64, 3), (64, 64), (2, 64))
+    biases = [generator.normal(size=n) for n, _ in sizes]
+    network = otr.ReluNetwork([generator.normal(size=size) for size in sizes], biases)
+    states = generator.normal(size=(40, 3))
+    with pytest.raises(otr.TreeTooLargeError, match=r"otr\.tree\(network, states\)"):
+        otr.map_network(network)
+    tree = otr.tree(network, states)
+    assert 1 < tree.n_leaves <= 40
+    np.testing.assert_allclose(tree.predict(states), network.predict(states), rtol=1e-9)
+
+
 @given(cases(), st.integers(1, 6))
 def test_both_representations_prune_alike(case: Case, k: int) -> None:
     # States on a boundary may count for either side; the others must agree on everything.

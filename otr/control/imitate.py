@@ -78,8 +78,8 @@ def imitate(
         nonlocal printed_at
         if progress and time.monotonic() - printed_at > _EVERY_S:
             printed_at = time.monotonic()
-            so_far = f"round {done.round} of {done.n_rounds}, {done.n_leaves:,} leaves, return {done.return_mean:.1f}"
-            print(f"imitate: {so_far}", file=sys.stderr, flush=True)
+            so_far = f"{done.n_leaves:,} leaves, return {done.return_mean:.1f}"
+            print(f"imitate: round {done.round} of {done.n_rounds}, {so_far}", file=sys.stderr, flush=True)
 
     with TemporaryDirectory(prefix="otr-") as place:
         result = run_dagger(

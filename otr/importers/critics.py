@@ -61,7 +61,8 @@ class Critics:
 def critics_of_zip(path: Path) -> Critics | None:
     """Return the critics in a zip file of Stable-Baselines3's SAC, TD3, DDPG or TQC, read without running code from it.
 
-    None where it has none (PPO, DQN), normalised ones (CrossQ), critics that are no (leaky) ReLU networks, or no discount.
+    None where it has none (PPO, DQN), normalised ones (CrossQ), others that are no (leaky) ReLU networks, or no
+    discount.
 
     Raises:
         ArtefactError: the file cannot be read.

@@ -6,6 +6,7 @@ from pathlib import Path
 import otr
 from pipelines.cli.runs import load_config
 from pipelines.engine.archive import opened
+from pipelines.engine.store import CONFIG, exists
 from pipelines.runs.derived import opened_run
 
 RESULTS = Path(__file__).parent.parent / "results"
@@ -22,6 +23,6 @@ def committed_tree(run: str, stage: str = "prune") -> otr.ObliqueTree:
 def copy_run(run: str, folder: Path, *without: str) -> None:
     """Copy a run's folder with all files of its stages, but for some stages."""
     place = RESULTS / "runs" / run
-    is_oracle = not (place / "config.yaml").is_file()
+    is_oracle = not exists(place / CONFIG)
     with opened(place, ["train"]) if is_oracle else opened_run(load_config(place, None), place) as whole:
         shutil.copytree(whole, folder, ignore=shutil.ignore_patterns(*without))

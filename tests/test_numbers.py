@@ -5,6 +5,7 @@ import re
 import pandas as pd
 import pytest
 
+from pipelines.engine.store import read_bytes
 from pipelines.report import load_fits, load_runs
 from tests.committed import RESULTS
 
@@ -99,8 +100,8 @@ def test_the_note_under_table_4_1_names_the_tasks_whose_actors_are_dense():
     cells = pd.read_csv(RESULTS / "tables/table_4_1.csv").query("table == '4.1' and method == 'otr'")
     found = {True: set(), False: set()}
     for cell in cells.itertuples():
-        for config in (RESULTS / f"runs/{cell.task}/otr/depth-{cell.depth}/{cell.budget}").glob("seed-?/config.yaml"):
-            found["dense: input" in config.read_text()].add(cell.task)
+        for run in (RESULTS / f"runs/{cell.task}/otr/depth-{cell.depth}/{cell.budget}").glob("seed-?"):
+            found["dense: input" in read_bytes(run / "config.yaml").decode()].add(cell.task)
     named = re.search(r"OTR: on (.*) a linear map", (RESULTS / "tables/table_4_1.md").read_text())[1]
     assert re.split(", | and ", named.lower()) == [task for task in TASKS if task in found[True]]
     assert not found[True] & found[False]

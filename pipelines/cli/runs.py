@@ -29,7 +29,7 @@ from pipelines.config.run import RunConfig, changes_text, run_folder
 from pipelines.config.setting import not_keyed
 from pipelines.config.trainer import SHRINK, TRAINERS, FleetConfig, TrainerConfig
 from pipelines.engine.job import Job
-from pipelines.engine.store import corrupt
+from pipelines.engine.store import CONFIG, corrupt, read_bytes
 from pipelines.errors import ConfigError, did_you_mean
 from pipelines.play.boxes import given_box
 from pipelines.play.environments import episode_limit, is_discrete, make_env, registered_ids
@@ -74,7 +74,7 @@ def run_config(overrides: Sequence[str]) -> RunConfig:
 def load_config(run_dir: Path, n_workers: int | None) -> RunConfig:
     """Return the configuration that a finished run was made with."""
     try:
-        cfg = DictConfig(OmegaConf.load(run_dir / "config.yaml"))
+        cfg = DictConfig(OmegaConf.create(read_bytes(run_dir / CONFIG).decode()))
         cfg.pop("mp4", None)  # a further stage that is no more
         schema = schema_of(RunConfig)
         schema.algo = schema_of(ALGORITHMS[cfg.algo.name])
@@ -88,7 +88,7 @@ def load_config(run_dir: Path, n_workers: int | None) -> RunConfig:
             schema.trainer = schema_of(FleetConfig if "n_envs" in cfg.trainer else TrainerConfig)
         loaded = to_object(OmegaConf.merge(schema, cfg, {"n_workers": n_workers}))
     except (OSError, KeyError, UnicodeDecodeError, yaml.YAMLError, OmegaConfBaseException, ConfigError) as error:
-        raise corrupt(run_dir / "config.yaml", error) from error
+        raise corrupt(run_dir / CONFIG, error) from error
     assert isinstance(loaded, RunConfig)
     return loaded
 

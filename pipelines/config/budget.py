@@ -30,7 +30,7 @@ class BudgetConfig:
     # Environment steps of polishing per task, about
     polish_steps: dict[str, Count] = field(default_factory=dict)
     # Environment steps of polishing by critics, and of the play before it
-    critic_steps: Count = 60_000
+    critic_steps: Count = 100_000
     refill_steps: Count = 50_000
     # What is spent on PID policies in place of the above: steps, eval_interval_steps, n_selection_episodes,
     # n_evaluation_episodes and polish_steps

@@ -78,11 +78,11 @@ ActorValue = Annotated[str, OneOf("min", "mean"), AsBefore("min")]
 class CriticPolishConfig:
     """A polish by critics: the soft actor-critic goes on with the finished policy in the actor's place."""
 
-    steps: Count = 60_000  # of the environment by the policy, an update each
+    steps: Count = 100_000  # of the environment by the policy, an update each
     # Steps that fill the replay buffer before, in which the oracle acts as it explored
     refill_steps: Count = 50_000
     # Share of these in which the policy itself acts: a weak one has to see what its mistakes lead to
-    student_share: Share = 0.0
+    student_share: Share = 0.3
     refill_noise: NotNegative = 0.1  # standard deviation of what is added to actions in [-1, 1] while it is filled
     noise: NotNegative = 0.1  # and from then on
     learning_rate: Annotated[float, Range(1e-12, 10)] = 1e-3

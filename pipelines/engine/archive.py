@@ -1,12 +1,13 @@
 """Results of stages as they are kept: a folder with a manifest, or the archive of a finished run.
 
-The archive, `stages.tar.xz`, holds the stages of a run beside its summary and its configuration, without the files that
+The archive, `stages.tar.xz`, holds the stages and the configuration of a run beside its summary, without the files that
 are made again in seconds; of these the manifests keep the sha256. JSON and CSV files are read from where they lie
 (`store.read_bytes`); whoever needs stages' folders with all their files asks for them with `opened`.
 """
 
 import hashlib
 import io
+import re
 import shutil
 import sys
 import tarfile
@@ -19,9 +20,12 @@ from typing import Any
 from pipelines.engine.digests import digest
 from pipelines.engine.store import (
     ARCHIVE,
+    CONFIG,
     archive_files,
     corrupt,
+    exists,
     packed_files,
+    read_bytes,
     read_json,
     replacing,
     write_files,
@@ -30,8 +34,11 @@ from pipelines.engine.store import (
 from pipelines.errors import PipelineError
 
 MANIFEST = "manifest.json"
-# What archives leave out though nothing makes it again: it serves who goes on from a result, who says how to get it.
-NOT_ARCHIVED = frozenset({"critics.safetensors"})
+# What archives leave out though only its command makes it again: critics, which serve who goes on from a result,
+# pictures, and large trees that lie there as far as the policy reaches them.
+NOT_ARCHIVED = frozenset({"train/critics.safetensors", "prune/tree.svg", "polish/tree.svg"})
+LARGE_NOT_ARCHIVED = frozenset({"imitate/tree.npz"})
+LARGE_BYTES = 200_000
 MANIFEST_FIELDS = {"stage", "version", "key", "settings", "outputs", "output_digest", "seconds"}
 
 # From a run's folder and an unpacked stage of it to what the stage's archive leaves out: names and contents.
@@ -51,7 +58,7 @@ def verified_manifest(folder: Path) -> dict[str, Any]:
     """Return a finished stage's manifest after comparing every file that is kept of it with its recorded sha256."""
     manifest, packed = read_manifest(folder), packed_files(folder)
     for name, recorded in manifest["outputs"].items():
-        if name in NOT_ARCHIVED and not (folder / name).is_file():
+        if not (folder / name).is_file() and _needs_command(folder, name):
             continue
         if packed:
             # What is left out is compared when it is made again.
@@ -94,6 +101,8 @@ def opened(run_dir: Path, stages: Collection[str], derive: Derive | None = None)
                 shutil.copytree(path, whole / path.name)
             elif path.is_file() and path.name != ARCHIVE:
                 shutil.copyfile(path, whole / path.name)
+        if not (whole / CONFIG).exists() and exists(run_dir / CONFIG):
+            (whole / CONFIG).write_bytes(read_bytes(run_dir / CONFIG))
         for name, files in packed.items():
             (whole / name).mkdir()
             write_files(files, whole / name)
@@ -103,16 +112,34 @@ def opened(run_dir: Path, stages: Collection[str], derive: Derive | None = None)
         yield whole
 
 
+def require_whole(folder: Path) -> None:
+    """Raise a `PipelineError` that says how to get it where a stage's archive leaves out a large tree."""
+    if not is_whole(folder):
+        raise PipelineError(
+            f"{folder} is packed without its tree, which has more than {LARGE_BYTES // 1000} kB: {ARCHIVE} has what is "
+            "reached of it, in stage prune\nRun the same command with results_dir=DIR, another folder: it makes the "
+            "tree anew and keeps it."
+        )
+
+
+def is_whole(folder: Path) -> bool:
+    """Return whether a finished stage has its large files, too, in its folder or packed."""
+    names = [name for name in read_manifest(folder)["outputs"] if f"{folder.name}/{name}" in LARGE_NOT_ARCHIVED]
+    return all(exists(folder / name) for name in names)
+
+
 def _complete(run_dir: Path, folder: Path, derive: Derive) -> None:
-    """Add to an unpacked stage what its run's archive leaves out.
+    """Add to an unpacked stage what its run's archive leaves out; nothing where that lacks the tree to make it from.
 
     Another processor rounds a tree's arrays otherwise, in their last bit. Arrays that differ are therefore taken,
     whatever the difference, as the recorded ones are not kept to compare with; it is printed, and the unpacked manifest
     has the digests of what was made here. Text that is written otherwise from the same arrays is refused.
     """
+    if not is_whole(folder):
+        return
     manifest = read_manifest(folder)
     outputs = manifest["outputs"]
-    left_out = [name for name in outputs if name not in NOT_ARCHIVED and not (folder / name).is_file()]
+    left_out = [name for name in outputs if not (folder / name).is_file() and not _needs_command(folder, name)]
     made = derive(run_dir, folder) if left_out else {}
     for name in left_out:
         if name not in made:
@@ -143,10 +170,10 @@ def _not_as_recorded(run_dir: Path, stage: str, name: str, what: str, manifest: 
 
 
 def pack(run_dir: Path, derive: Derive | None = None, leave: Collection[str] = ()) -> None:
-    """Put the finished stages of a run into its archive, read that back, and remove their folders.
+    """Put the finished stages and the configuration of a run into its archive, read that back, and remove the files.
 
     The same stages give the same archive. What lies in the archive already stays there, unless the stage's folder is
-    there, too.
+    there, too. The configuration no longer names the folder of results, which was one of this machine.
 
     Args:
         run_dir: the run's folder.
@@ -157,17 +184,21 @@ def pack(run_dir: Path, derive: Derive | None = None, leave: Collection[str] = (
         PipelineError: a file was changed since it was written.
     """
     there = {path.parent.name for path in run_dir.glob(f"[!.]*/{MANIFEST}")}.difference(leave)
-    if not there:
+    has_config = (run_dir / CONFIG).is_file()
+    if not there and not (has_config and archive_files(run_dir)):
         return
     packed = {name: content for name, content in archive_files(run_dir).items() if name.partition("/")[0] not in there}
-    for stage in {name.partition("/")[0] for name in packed}:
+    for stage in {name.partition("/")[0] for name in packed if "/" in name}:
         verified_manifest(run_dir / stage)
     kept = {stage: _kept(run_dir, run_dir / stage, derive) for stage in there}
     files = packed | {f"{stage}/{name}": content for stage in kept for name, content in kept[stage].items()}
+    if has_config:
+        files[CONFIG] = re.sub(rb"(?m)^results_dir: .*$", b"results_dir: results", (run_dir / CONFIG).read_bytes())
     with replacing(run_dir / ARCHIVE) as temporary:
         _write_archive(temporary, files)
     if archive_files(run_dir) != files:
         raise PipelineError(f"{run_dir / ARCHIVE} does not hold what was written to it; the folders stay")
+    (run_dir / CONFIG).unlink(missing_ok=True)
     for name in there:
         gone = (run_dir / name).rename(run_dir / f".{name}.tmp")  # at once, so that nobody finds half a folder
         shutil.rmtree(gone)
@@ -178,8 +209,19 @@ def _kept(run_dir: Path, folder: Path, derive: Derive | None) -> dict[str, bytes
     outputs = verified_manifest(folder)["outputs"]
     made = derive(run_dir, folder) if derive else {}
     left_out = {name for name, content in made.items() if bytes_digest(content) == outputs.get(name)}
-    left_out |= NOT_ARCHIVED
+    left_out |= {name for name in outputs if _needs_command(folder, name, _n_bytes(folder / name))}
     return {name: (folder / name).read_bytes() for name in (MANIFEST, *outputs) if name not in left_out}
+
+
+def _n_bytes(path: Path) -> int:
+    """Return the size of a file; one that an archive left out before was large."""
+    return path.stat().st_size if path.exists() else LARGE_BYTES + 1
+
+
+def _needs_command(folder: Path, name: str, n_bytes: int = LARGE_BYTES + 1) -> bool:
+    """Return whether an archive leaves out this file of a stage, of so many bytes, and nothing derives it."""
+    member = f"{folder.name}/{name}"
+    return member in NOT_ARCHIVED or (member in LARGE_NOT_ARCHIVED and n_bytes > LARGE_BYTES)
 
 
 def _write_archive(path: Path, files: Mapping[str, bytes]) -> None:

@@ -18,7 +18,7 @@ from otr import OtrError
 from pipelines.engine.archive import MANIFEST, Derive, verified_manifest
 from pipelines.engine.console import duration
 from pipelines.engine.stage import Stage, run_stage, stage_key, stage_status
-from pipelines.engine.store import archive_files, exists, read_json, write_json, write_text
+from pipelines.engine.store import CONFIG, archive_files, exists, read_json, write_json, write_text
 from pipelines.errors import PipelineError
 
 # Where code lies that is not a user's: these packages, Python's and what pip installs.
@@ -74,22 +74,22 @@ J = TypeVar("J", bound=Job)
 def do_stage(job: Job, stage: Stage, derive: Derive | None = None) -> None:
     """Bring a stage of a job up to date, see to the job's config.yaml, and print how long the stage took."""
     result = run_stage(stage, job.run_dir, job.config, job.command, derive)
-    if not (job.run_dir / "config.yaml").exists():
-        write_text(job.run_dir / "config.yaml", job.config_yaml)
+    if not exists(job.run_dir / CONFIG):
+        write_text(job.run_dir / CONFIG, job.config_yaml)
     print(f"{stage.name}: {'done before' if result.skipped else duration(result.seconds)}", flush=True)
 
 
 def write_config(job: Job) -> None:
     """Write a job's config.yaml, so that a job under way can be looked at; anew while no stage of it is finished."""
-    path = job.run_dir / "config.yaml"
-    if not path.exists() or not _has_finished_a_stage(job):
+    path = job.run_dir / CONFIG
+    if not exists(path) or not _has_finished_a_stage(job):
         write_text(path, job.config_yaml)
 
 
 def withdraw_config(job: Job) -> None:
     """Take config.yaml away from a job that was refused before a stage of it was finished."""
     if not _has_finished_a_stage(job):
-        (job.run_dir / "config.yaml").unlink(missing_ok=True)
+        (job.run_dir / CONFIG).unlink(missing_ok=True)
 
 
 def _has_finished_a_stage(job: Job) -> bool:

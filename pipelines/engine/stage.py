@@ -16,7 +16,16 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from pipelines.engine import provenance
-from pipelines.engine.archive import MANIFEST, Derive, file_digest, opened, read_manifest, verified_manifest
+from pipelines.engine.archive import (
+    MANIFEST,
+    Derive,
+    file_digest,
+    is_whole,
+    opened,
+    read_manifest,
+    require_whole,
+    verified_manifest,
+)
 from pipelines.engine.digests import digest, setting_differences
 from pipelines.engine.store import exists, unfinished, write_json
 from pipelines.errors import MissingInputError, OtherSettingsError, PipelineError
@@ -107,6 +116,8 @@ def _found_or_made(
             if twin is not None:
                 _copy_twin(twin, folder, derive)
                 return StageResult(folder, skipped=True, seconds=read_manifest(folder)["seconds"])
+            for name in stage.inputs:
+                require_whole(run_dir / name)
             with opened(run_dir, stage.inputs, derive) as whole, unfinished(folder) as temporary:
                 origin, start = _origin(), time.monotonic()
                 stage.run({name: whole / name for name in stage.inputs}, config, temporary)
@@ -231,10 +242,10 @@ def _other_settings(stage: Stage, folder: Path, config: Any) -> OtherSettingsErr
 
 
 def _twin(run_dir: Path, name: str, wanted: str) -> Path | None:
-    """Return the folder of a sibling run (same place, other overrides) that already holds this very result."""
+    """Return the folder of a sibling run (same place, other overrides) that already holds this very result, whole."""
     for folder in (sibling / name for sibling in sorted(run_dir.parent.iterdir())):
         with suppress(PipelineError):  # a damaged sibling is reported by its own run
-            if exists(folder / MANIFEST) and read_manifest(folder)["key"] == wanted:
+            if exists(folder / MANIFEST) and read_manifest(folder)["key"] == wanted and is_whole(folder):
                 return folder
     return None
 

@@ -1,7 +1,7 @@
 """Reading and writing artefacts: text, JSON and CSV files that appear whole or not at all. No pickle anywhere.
 
 What belongs in the folder of a run's stage, `<run>/<stage>/<file>`, may lie in the run's archive instead, in
-`<run>/stages.tar.xz` as `<stage>/<file>`, and is read from there.
+`<run>/stages.tar.xz` as `<stage>/<file>`, and is read from there; so may `<run>/config.yaml`.
 """
 
 import csv
@@ -20,8 +20,9 @@ from typing import Any
 from pipelines.errors import PipelineError
 
 ARCHIVE = "stages.tar.xz"
+CONFIG = "config.yaml"
 LARGEST_ARCHIVE_BYTES = 2**28  # unpacked
-REWRITTEN = ("summary.json", "config.yaml")  # made anew by the run's command, from the finished stages
+REWRITTEN = ("summary.json", CONFIG)  # made anew by the run's command, from the finished stages
 
 
 @contextmanager
@@ -101,19 +102,21 @@ def write_files(files: Mapping[str, bytes], folder: Path) -> None:
 
 
 def exists(path: Path) -> bool:
-    """Return whether there is a stage's file, in the stage's folder or packed."""
-    return path.is_file() or bool(packed_files(path.parent, path.name))
+    """Return whether there is a stage's file, or a run's configuration, in its folder or packed."""
+    return path.is_file() or bool(packed_files(path.parent, path.name)) or path.name in archive_files(path.parent)
 
 
 def read_bytes(path: Path) -> bytes:
-    """Return the content of a stage's file, from the stage's folder or packed.
+    """Return the content of a stage's file, or of a run's configuration, from its folder or packed.
 
     Raises:
         FileNotFoundError: it is in neither.
         PipelineError: the archive is damaged.
     """
     packed = packed_files(path.parent, path.name)
-    return packed[path.name] if packed else path.read_bytes()
+    if not packed and not path.exists():
+        packed = archive_files(path.parent)
+    return packed[path.name] if path.name in packed else path.read_bytes()
 
 
 def packed_files(folder: Path, name: str | None = None) -> dict[str, bytes]:
@@ -130,7 +133,7 @@ def packed_files(folder: Path, name: str | None = None) -> dict[str, bytes]:
 
 
 def archive_files(run_dir: Path) -> Mapping[str, bytes]:
-    """Return the files of a run's archive, `<stage>/<file>`; none where the run has no archive."""
+    """Return the files of a run's archive, `<stage>/<file>` and its configuration; none where there is no archive."""
     archive = run_dir / ARCHIVE
     if not archive.is_file():
         return {}

@@ -13,7 +13,7 @@ import pandas as pd
 from otr.control.dagger.run_folder import returns_so_far
 from pipelines.config.run import RunConfig
 from pipelines.engine.archive import MANIFEST
-from pipelines.engine.store import exists, read_csv, read_summary
+from pipelines.engine.store import CONFIG, exists, read_csv, read_summary
 from pipelines.errors import MissingInputError
 from pipelines.report.figures import (
     COLOURS,
@@ -119,7 +119,7 @@ def rows_under_way(
     They lie with the checkpoints of the run, which are read and not touched. There are none where the run has no such
     stage, or has not come to it.
     """
-    if not (run_dir / "config.yaml").is_file():
+    if not exists(run_dir / CONFIG):
         return [], FINISHED
     results_dir = run_dir.absolute().parents[5]
     place = str(run_dir.absolute().relative_to(results_dir))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import otr
 from pipelines.config.run import RunConfig
+from pipelines.engine.store import ARCHIVE, CONFIG, exists
 from pipelines.errors import ConfigError
 from pipelines.play.printed_programs import names_of_env
 from pipelines.report.learning_curves import learning_curves, load_curves
@@ -77,7 +78,8 @@ def runs_below(runs: Sequence[str], results_dir: Path) -> list[Path]:
 def _below(run: str, results_dir: Path) -> list[Path]:
     check_run(run)
     folder = find_folder(run, results_dir)
-    found = sorted(with_its_names(path.parent) for path in folder.rglob("config.yaml")) if folder else []
+    places = {path.parent for name in (CONFIG, ARCHIVE) for path in folder.rglob(name)} if folder else set()
+    found = sorted(with_its_names(place) for place in places if exists(place / CONFIG))
     below = [path for path in found if path.parts[-3].startswith("depth-")]  # a fit's has another name there
     return below or [find_run(run, str(results_dir))]
 

@@ -13,10 +13,10 @@ import otr
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.methods import EXTRA_STAGES, ProgramConfig
 from pipelines.config.run import RunConfig
-from pipelines.engine.archive import MANIFEST, read_manifest, verified_manifest
+from pipelines.engine.archive import MANIFEST, read_manifest, require_whole, verified_manifest
 from pipelines.engine.command_text import command_text, place_of
 from pipelines.engine.seeding import episode_seeds
-from pipelines.engine.store import exists, read_json
+from pipelines.engine.store import CONFIG, exists, read_bytes, read_json
 from pipelines.errors import ConfigError, MissingInputError, PipelineError, check_choice
 from pipelines.play.actor_files import load_actor
 from pipelines.play.episodes import play_seeds
@@ -39,11 +39,11 @@ def find_run(run: str, results_dir: str) -> Path:
     if folder is None:
         raise ConfigError(_no_such_run(run, Path(results_dir) / "runs"))
     folder = with_its_names(folder)
-    if not (folder / "config.yaml").is_file():
+    if not exists(folder / CONFIG):
         command = run_command(folder)
         how = f"the run there did not come to its end\nRun: {command}" if command else "it is not the folder of a run"
         raise PipelineError(f"{folder} holds no config.yaml: {how}")
-    if re.search(r"^data:", (folder / "config.yaml").read_text(encoding="utf-8", errors="replace"), re.M):
+    if re.search(r"^data:", read_bytes(folder / CONFIG).decode(errors="replace"), re.M):
         raise PipelineError(
             f"{folder} is a fit of otr-fit, not a run of otr-run; its trees are read and written in Python: "
             'otr.to_c(otr.load("PATH"))'
@@ -144,6 +144,7 @@ def tree_of(form: str, run: RunConfig, folder: Path) -> Any:
             f"{command_of(folder, run.method.actor_stage)}{extra}"
         )
     verified_manifest(folder / stage)
+    require_whole(folder / stage)
     if form in COMPACT:
         if not exists(folder / stage / "actor.json"):
             raise ConfigError(f"tree={form}: the polish moved the tree's numbers, not a network's; use tree=polished")

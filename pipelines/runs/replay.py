@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from pipelines.config.run import RunConfig
+from pipelines.engine.archive import is_whole
 from pipelines.engine.store import exists, read_csv
 from pipelines.play.episodes import play_each
 from pipelines.runs.derived import opened_run
@@ -20,8 +21,11 @@ def replay(config: RunConfig, run_dir: Path) -> int:
     The polished form, where there is one, is the last. Other versions of the simulators give other episodes; on the
     recorded versions all of them come back.
     """
+    has_tree = is_whole(run_dir / config.method.tree_stage)
+    if not has_tree:
+        print(f"{run_dir}: tree: not played again, as the archive has the pruned one alone", flush=True)
     with opened_run(config, run_dir) as whole:
-        policies = load_policies({name: whole / name for name in config.method.stages}, config)
+        policies = load_policies({name: whole / name for name in config.method.stages}, config, tree=has_tree)
         recorded_in = {name: run_dir / "evaluate" / episodes_file(name) for name in policies}
         if exists(run_dir / "polish" / "episodes.csv"):
             policies["polished"] = load_searched(whole / "polish")

@@ -24,12 +24,12 @@ def episodes_file(form: str) -> str:
     return "episodes.csv" if form == "tree" else f"episodes_{form}.csv"
 
 
-def load_policies(inputs: Mapping[str, Path], config: RunConfig) -> dict[str, Any]:
+def load_policies(inputs: Mapping[str, Path], config: RunConfig, *, tree: bool = True) -> dict[str, Any]:
     """Return the forms of the policy that a run left: what the tree stands for, the tree and the pruned tree.
 
     The first is the oracle where one was imitated, the actor's network where it was mapped, and the soft tree where
     that was hardened; the latter's authors' own discretisation comes last, as does a PID policy's tree with its leaves'
-    gains averaged. A program's tree stands for nothing else.
+    gains averaged. A program's tree stands for nothing else. Without `tree` there is the pruned one alone.
     """
     policies: dict[str, Any] = {}
     if "soft" in config.method.forms:
@@ -41,7 +41,8 @@ def load_policies(inputs: Mapping[str, Path], config: RunConfig) -> dict[str, An
         policies["oracle"] = load_oracle(inputs["oracle"], Path(config.results_dir))
     if "map" in inputs:
         policies["network"] = load_actor(inputs[config.method.actor_stage])
-    policies["tree"] = otr.load(inputs[config.method.tree_stage] / "tree")
+    if tree:
+        policies["tree"] = otr.load(inputs[config.method.tree_stage] / "tree")
     policies["pruned_tree"] = otr.load(inputs["prune"] / "tree")
     if (inputs["prune"] / "constant_gains.json").is_file():
         policies["constant_gains"] = otr.load(inputs["prune"] / "constant_gains")

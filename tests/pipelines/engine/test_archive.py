@@ -13,12 +13,13 @@ import pytest
 
 from pipelines.cli.pack import pack_results
 from pipelines.cli.runs import load_config
-from pipelines.engine.archive import file_digest, opened, pack, read_manifest, verified_manifest
+from pipelines.engine.archive import file_digest, is_whole, opened, pack, read_manifest, verified_manifest
 from pipelines.engine.digests import digest
-from pipelines.engine.store import ARCHIVE, archive_files, exists, read_csv, read_json, write_json
+from pipelines.engine.store import ARCHIVE, CONFIG, archive_files, exists, read_bytes, read_csv, read_json, write_json
 from pipelines.errors import PipelineError
 from pipelines.play.actor_files import load_actor
 from pipelines.runs.derived import derive, opened_run
+from pipelines.runs.finished_run import tree_of
 from pipelines.stages.oracle import load_oracle
 from pipelines.training.critics import CRITICS, load_critics
 from tests.committed import copy_run
@@ -30,7 +31,7 @@ VIPER = "pendulum/viper/depth-6/quick/seed-0"
 WALKER = "walker2d/otr/depth-32/standard-ars/seed-5"
 LEFT_OUT = {
     "map": ["program.txt", "tree.json", "tree.npz"],
-    "prune": ["program.txt"],
+    "prune": ["program.txt", "tree.svg"],
     "certify": ["program.txt"],
     "simplify": ["program.txt"],
 }
@@ -61,7 +62,7 @@ def packed(run):
 def test_a_packed_run_opens_with_every_file_that_it_had(run):
     before = files_of(run)
     pack_run(run)
-    assert sorted(path.name for path in run.iterdir()) == ["config.yaml", ARCHIVE, "summary.json"]
+    assert sorted(path.name for path in run.iterdir()) == [ARCHIVE, "summary.json"]
     kept = archive_files(run)
     for stage, names in LEFT_OUT.items():
         if f"{stage}/manifest.json" in before:
@@ -113,7 +114,7 @@ def test_the_pruned_tree_of_a_wide_network_is_kept_as_its_paths(command, tmp_pat
     pack_run(run)
     assert {"prune/tree.npz", "prune/tree.json"}.isdisjoint(archive_files(run)) and "tree.npz" in before
     with opened_run(load_config(run, None), run) as whole:
-        assert files_of(whole / "prune") == before
+        assert files_of(whole / "prune") == {name: before[name] for name in before if name != "tree.svg"}
 
 
 def test_files_are_read_from_where_they_lie(run):
@@ -303,6 +304,22 @@ def test_critics_are_not_packed_and_nobody_misses_them_but_who_asks_for_them(run
         load_actor(whole / "train")
     with pytest.raises(PipelineError, match=r"critics\.safetensors is not there.*\n.*results_dir=DIR, another folder"):
         load_critics(run / "train")
+
+
+def test_large_trees_of_imitations_and_this_machine_s_folder_are_not_packed(tmp_path, monkeypatch):
+    run = tmp_path / "runs" / VIPER
+    copy_run(VIPER, run)
+    text = (run / CONFIG).read_text()
+    (run / CONFIG).write_text(text.replace("results_dir: results\n", "results_dir: /home/me/results\n"))
+    monkeypatch.setattr("pipelines.engine.archive.LARGE_BYTES", 10)
+    assert is_whole(run / "imitate")
+    pack_run(run)
+    assert not (run / CONFIG).exists() and read_bytes(run / CONFIG).decode() == text
+    assert "imitate/tree.npz" not in archive_files(run) and not is_whole(run / "imitate")
+    config = load_config(run, None)
+    assert tree_of("pruned", config, run).n_leaves > 1
+    with pytest.raises(PipelineError, match=r"packed without its tree.*\n.*results_dir=DIR"):
+        tree_of("full", config, run)
 
 
 def test_critics_that_were_changed_are_told(run):

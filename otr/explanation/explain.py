@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ from otr.core.head import Head
 from otr.core.pattern_tree import PatternTree
 from otr.core.tree import ObliqueTree
 from otr.explanation.nearest import nearest_state
-from otr.explanation.paths import Paths, Place, path_of, paths_of
+from otr.explanation.paths import path_of, paths_of
 from otr.programs.names import label_name, shown_names
 from otr.programs.walk import affine_expression
 
@@ -25,40 +25,25 @@ _MOST_TERMS = 8  # of a line; the others are counted
 
 @dataclass(frozen=True)
 class PassedTest:
-    """A test on a state's path.
+    """A test on a state's path: ``... <= 0`` in the inputs' names, and ``P @ x + v``, in the test's units.
 
-    Attributes:
-        node: of the tree; None for a test of the head, or of a network's hidden neuron.
-        text: ``... <= 0``, in the inputs' names.
-        margin: ``P @ x + v``, in the test's units; the test holds where it is at most 0.
+    `node` is its number in the tree, None for a test of the head or of a network's hidden neuron.
     """
 
     node: int | None
     text: str
     margin: float
 
-    @property
-    def holds(self) -> bool:
-        """Whether the state goes left."""
-        return self.margin <= 0
-
 
 @dataclass(frozen=True)
 class Nearest:
-    """The nearest state of another leaf or label: it is clear of all tests on its path by 1e-9, no such is nearer.
+    """The nearest state of another leaf or label, at ``distance = |(state - x) / scales|`` (Euclidean)."""
 
-    Attributes:
-        state: (d,).
-        distance: Euclidean, in scales: ``|(state - x) / scales|``.
-        leaf, answer: of this state.
-        text: its answer in words.
-    """
-
-    state: FloatArray
+    state: FloatArray  # (d,)
     distance: float
     leaf: int
     answer: Any
-    text: str
+    text: str  # the answer in words
 
 
 @dataclass(frozen=True)
@@ -67,15 +52,13 @@ class Explanation:
 
     Attributes:
         state: x, (d,).
-        leaf: its number; of a `PatternTree` with all paths, whose bits are the path.
+        leaf: its number; of a `PatternTree` with all paths, the number whose bits are the path.
         answer, text: the answer as `predict` has it, and in words.
         tests: the tests passed, the root first.
-        weights, constants: of the leaf's map y = weights @ x + constants, (o, d) and (o,).
+        weights, constants, outputs: of the leaf's map, outputs = weights @ x + constants: (o, d), (o,) and (o,).
         shares: weights * x, what each input adds to each output: (o, d).
-        outputs: y, before the head: (o,).
-        head: how the head changes the outputs, in words.
-        nearest_leaf: the nearest state of another leaf, None if there is none.
-        nearest_label: the nearest state with another label, None if there is none or answers are no labels.
+        head: what makes the answer of the outputs, in words.
+        nearest_leaf, nearest_label: None where there is none, or where answers are no labels.
         feature_names, output_names: of inputs and outputs.
     """
 
@@ -86,8 +69,8 @@ class Explanation:
     tests: tuple[PassedTest, ...]
     weights: FloatArray
     constants: FloatArray
-    shares: FloatArray
     outputs: FloatArray
+    shares: FloatArray
     head: str
     nearest_leaf: Nearest | None
     nearest_label: Nearest | None
@@ -96,38 +79,34 @@ class Explanation:
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as JSON-ready data."""
-        made: dict[str, Any] = _plain(self)
-        return made
+        return dict(json_ready(self))
 
     def __str__(self) -> str:
-        lines = [f"leaf {self.leaf}: {self.text}", *(["tests passed:"] if self.tests else [])]
+        return "\n".join(self._lines())
+
+    def _lines(self) -> Iterator[str]:
+        yield f"leaf {self.leaf}: {self.text}"
         for test in self.tests:
-            of = "  " if test.node is not None else "  unit or head: "
-            lines.append(f"{of}{test.text}: {'yes' if test.holds else 'no'}, {test.margin:.4g}")
+            yield f"  {test.text}: {'yes' if test.margin <= 0 else 'no'}, {test.margin:.4g}"
         for o, name in enumerate(self.output_names):
             if np.ndim(self.answer) == 0 and not self.weights[o].any():
-                continue
-            lines.append(f"{name} = {self.outputs[o]:.4g}, the sum of")
-            order = np.argsort(-np.abs(self.shares[o]), kind="stable")
-            order = order[self.shares[o, order] != 0]
-            for i in order[:_MOST_TERMS]:
-                product = f"{self.weights[o, i]:.4g} times {self.state[i]:.4g}"
-                lines.append(f"  {self.shares[o, i]:+.4g}  {self.feature_names[i]} ({product})")
-            if len(rest := order[_MOST_TERMS:]):
-                lines.append(f"  {self.shares[o, rest].sum():+.4g}  {len(rest)} more inputs")
-            lines.append(f"  {self.constants[o]:+.4g}  constant")
-        lines.append(f"head: {self.head}")
+                continue  # the score of a label, the same all over the leaf
+            yield f"{name} = {self.outputs[o]:.4g}, the sum of"
+            most, others = _largest(self.shares[o])
+            for i in most:
+                factors = f"{self.weights[o, i]:.4g} times {self.state[i]:.4g}"
+                yield f"  {self.shares[o, i]:+.4g}  {self.feature_names[i]} ({factors})"
+            if others:
+                yield f"  {self.shares[o, others].sum():+.4g}  {len(others)} more inputs"
+            yield f"  {self.constants[o]:+.4g}  constant"
+        yield f"head: {self.head}"
         for what, found in (("leaf", self.nearest_leaf), ("label", self.nearest_label)):
             if found is not None:
-                lines.append(f"nearest state of another {what}, {found.distance:.4g} away: {self._moves(found)}")
-                lines.append(f"  leaf {found.leaf}: {found.text}")
-        return "\n".join(lines)
-
-    def _moves(self, found: Nearest) -> str:
-        moved = np.abs(found.state - self.state)
-        order = np.argsort(-moved, kind="stable")[: max(int((moved > 0).sum()), 1)]
-        most = [f"{self.feature_names[i]} {self.state[i]:.4g} -> {found.state[i]:.4g}" for i in order[:_MOST_TERMS]]
-        return ", ".join([*most, *([f"{len(order) - _MOST_TERMS} more"] if len(order) > _MOST_TERMS else [])])
+                most, others = _largest(found.state - self.state)
+                moves = [f"{self.feature_names[i]} {self.state[i]:.4g} -> {found.state[i]:.4g}" for i in most]
+                moves += [f"{len(others)} more"] * bool(others)
+                yield f"nearest state of another {what}, {found.distance:.4g} away: {', '.join(moves)}"
+                yield f"  leaf {found.leaf}: {found.text}"
 
 
 def explain(
@@ -142,13 +121,16 @@ def explain(
 ) -> Explanation:
     """Return why a tree answers as it does at a state: tests and margins, shares of the inputs, nearest other answers.
 
+    A nearest state clears every test on its path by 1e-9 of the scales and of x's size, and no state that does is
+    nearer. It is found best first over all paths, which for a wide `PatternTree` may take long.
+
     Args:
         tree: any tree, also what `parse_program` reads; of a network too wide for a tree, its `PatternTree`.
         x: one state (d,).
         feature_names, output_names: as in `to_text`.
-        scales: (d,), above 0: what counts as a move by 1 in each input, such as ``states.std(axis=0)``; None is 1.
+        scales: (d,), what counts as a move by 1 in each input, such as ``states.std(axis=0)``; None is 1.
         domain: where a nearest state may lie; None is all of R^d.
-        max_seconds: refuse to look for longer. A wide `PatternTree` may need it.
+        max_seconds: refuse to look for longer.
 
     Raises:
         TypeError: `tree` is none.
@@ -158,49 +140,59 @@ def explain(
     Examples:
         >>> import otr
         >>> tree = otr.parse_program("if angle + 0.5 rate <= 0: left else: right", ["angle", "rate"], labels=True)
-        >>> print(otr.explain(tree, [0.2, -0.1], feature_names=["angle", "rate"]))
-        leaf 1: 1
+        >>> print(otr.explain(tree, [0.2, -0.1], feature_names=["angle", "rate"], output_names=["left", "right"]))
     """
-    paths = paths_of(tree)
-    policy = tree.network if isinstance(tree, PatternTree) else tree
+    paths, policy = paths_of(tree), tree.network if isinstance(tree, PatternTree) else tree
     names, answers = shown_names(policy, feature_names, output_names)
     state, widths, box = _checked(x, scales, domain, tree.n_inputs)
     *passed, end = path_of(paths, state)
-    forms, answer, own = paths.outputs(end), tree.predict(state), paths.leaf_of(state)
+    forms, answer, leaf = paths.outputs(end), tree.predict(state), paths.leaf(end)
+
+    def leaf_of(s: FloatArray) -> int:
+        return paths.leaf(path_of(paths, s)[-1])
 
     def nearest(wanted: Callable[[FloatArray], bool]) -> Nearest | None:
         found = nearest_state(paths, state, wanted, widths, box)
         if found is None:
             return None
         distance, answered = float(np.linalg.norm((found - state) / widths)), tree.predict(found)
-        leaf = paths.leaf(path_of(paths, found)[-1])
-        return Nearest(found, distance, leaf, answered, _in_words(answered, answers))
+        return Nearest(found, distance, leaf_of(found), answered, _in_words(answered, answers))
 
     with time_limit(max_seconds, lambda: "the nearest states of another leaf and label were not found"):
-        nearest_leaf = nearest(lambda s: bool(paths.leaf_of(s) != own))
-        nearest_label = nearest(lambda s: bool(tree.predict(s) != answer)) if np.ndim(answer) == 0 else None
+        of_leaf = nearest(lambda s: leaf_of(s) != leaf)
+        of_label = nearest(lambda s: bool(tree.predict(s) != answer)) if np.ndim(answer) == 0 else None
+    decided = getattr(policy, "labels", None) is not None
     return Explanation(
         state=state,
-        leaf=paths.leaf(end),
+        leaf=leaf,
         answer=answer,
         text=_in_words(answer, answers),
-        tests=tuple(_passed(paths, place, state, widths, names) for place in passed),
+        tests=tuple(_passed(place, paths.test(place), state, widths, names) for place in passed),
         weights=forms[:, :-1],
         constants=forms[:, -1],
-        shares=forms[:, :-1] * state,
         outputs=forms @ np.append(state, 1.0),
-        head="the tests decide the label" if paths.decides else policy.head.in_words(policy.n_outputs),
-        nearest_leaf=nearest_leaf,
-        nearest_label=nearest_label,
+        shares=forms[:, :-1] * state,
+        head="the tests decide the label" if decided else policy.head.in_words(policy.n_outputs),
+        nearest_leaf=of_leaf,
+        nearest_label=of_label,
         feature_names=tuple(names),
-        output_names=tuple(outputs_named(policy.head, policy.n_outputs, answers)),
+        output_names=outputs_named(policy.head, policy.n_outputs, answers),
     )
 
 
-def outputs_named(head: Head, n_outputs: int, answers: Sequence[str]) -> list[str]:
+def outputs_named(head: Head, n_outputs: int, answers: Sequence[str]) -> tuple[str, ...]:
     """Return names of the outputs: the answers', but for terms and gains, and the output of `Sign`."""
-    joined = head.output_names(n_outputs, answers)
-    return joined or (list(answers) if len(answers) == n_outputs else [f"y{i}" for i in range(n_outputs)])
+    usual = answers if len(answers) == n_outputs else [f"y{i}" for i in range(n_outputs)]
+    return tuple(head.output_names(n_outputs, answers) or usual)
+
+
+def json_ready(value: Any) -> Any:
+    """Return a dataclass, with those within, as JSON-ready data."""
+    if is_dataclass(value):
+        return {field.name: json_ready(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, tuple):
+        return [json_ready(each) for each in value]
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
 
 
 def _checked(
@@ -217,27 +209,26 @@ def _checked(
     return state, widths, box
 
 
-def _passed(paths: Paths, place: Place, x: FloatArray, scales: FloatArray, names: Sequence[str]) -> PassedTest:
-    form = paths.test(place)
+def _passed(
+    place: tuple[Any, ...], form: FloatArray | None, x: FloatArray, scales: FloatArray, names: Sequence[str]
+) -> PassedTest:
     assert form is not None
-    shown = form[:-1].copy()
-    order = np.argsort(-np.abs(shown * scales), kind="stable")
-    n_more = int((shown[order[_MOST_TERMS:]] != 0).sum())
-    shown[order[_MOST_TERMS:]] = 0.0
+    most, others = _largest(form[:-1] * scales)
+    shown = np.zeros(len(x))
+    shown[most] = form[most]
     text = affine_expression(shown, form[-1], names, "{:.4g}".format, times=" ", tie=" ", leaves_out_ones=True)
-    more = f" + {n_more} more terms" if n_more else ""
-    return PassedTest(paths.node(place), f"{text}{more} <= 0", float(form[:-1] @ x + form[-1]))
+    more = f" + {len(others)} more terms" if others else ""
+    node = place[0] if place and not isinstance(place[0], bool) and place[0] >= 0 else None
+    return PassedTest(node, f"{text}{more} <= 0", float(form[:-1] @ x + form[-1]))
+
+
+def _largest(values: FloatArray) -> tuple[list[int], list[int]]:
+    """Return which numbers are shown, the largest first, and which others are not 0."""
+    order = np.argsort(-np.abs(values), kind="stable")[: np.count_nonzero(values)].tolist()
+    return order[:_MOST_TERMS], order[_MOST_TERMS:]
 
 
 def _in_words(answer: Any, answers: Sequence[str]) -> str:
     if np.ndim(answer) == 0:
         return label_name(int(answer), answers)
-    return ", ".join(f"{name} = {value:.4g}" for name, value in zip(answers, np.asarray(answer).tolist(), strict=True))
-
-
-def _plain(value: Any) -> Any:
-    if is_dataclass(value):
-        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
-    if isinstance(value, tuple):
-        return [_plain(each) for each in value]
-    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+    return ", ".join(f"{name} = {value:.4g}" for name, value in zip(answers, answer.tolist(), strict=True))

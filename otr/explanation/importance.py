@@ -13,7 +13,7 @@ from otr.core.arrays import FloatArray, as_batch
 from otr.core.pattern_tree import PatternTree
 from otr.core.pruning import prune_unreached
 from otr.core.tree import ObliqueTree, require_tree
-from otr.explanation.explain import outputs_named
+from otr.explanation.explain import json_ready, outputs_named
 from otr.extras import naming_the_extra
 from otr.programs.names import shown_names
 
@@ -49,20 +49,14 @@ class Importance:
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as JSON-ready data."""
-        return {name: list(value) if isinstance(value, tuple) else value.tolist() for name, value in vars(self).items()}
+        return dict(json_ready(self))
 
     def __str__(self) -> str:
-        columns = np.vstack((self.outputs, self.decisions))
-        size = (columns / np.maximum(columns.max(axis=1, keepdims=True), np.finfo(np.float64).tiny)).max(axis=0)
-        heads = [*self.output_names, DECISIONS]
-        cells = [["", *heads]] + [
-            [self.feature_names[i], *(f"{value:.3g}" for value in columns[:, i])]
-            for i in np.argsort(-size, kind="stable")
-        ]
-        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-        return "\n".join(
-            "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]).rstrip() for row in cells
-        )
+        heads, table = ["", *self.output_names, DECISIONS], np.vstack((self.outputs, self.decisions)).T
+        order = np.argsort(-(table / np.maximum(table.max(axis=0), 1e-300)).max(axis=1), kind="stable")
+        rows = [heads, *([self.feature_names[i], *map("{:.3g}".format, table[i])] for i in order)]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        return "\n".join("  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]) for row in rows)
 
 
 def importance(
@@ -115,10 +109,5 @@ def importance(
     totals = sizes.sum(axis=1)
     passed = np.asarray(tree.decision_path(X).sum(axis=0), dtype=np.float64).ravel() * (totals > 0)
     shares = passed / np.where(totals > 0, totals, 1.0) @ sizes
-    return Importance(
-        outputs,
-        shares / max(passed.sum(), 1.0),
-        deviations,
-        tuple(names),
-        tuple(outputs_named(tree.head, tree.n_outputs, answers)),
-    )
+    named = outputs_named(tree.head, tree.n_outputs, answers)
+    return Importance(outputs, shares / max(passed.sum(), 1.0), deviations, tuple(names), named)

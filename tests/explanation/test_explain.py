@@ -29,18 +29,19 @@ def shortest(G: NDArray, h: NDArray) -> float:
     return best
 
 
-def pieces(tree: otr.ObliqueTree) -> list[tuple[int, int | None, NDArray]]:
-    """Every leaf with each label that it may have: the leaf, the label, and rows [P | v] that are above 0 there."""
-    made: list[tuple[int, int | None, NDArray]] = []
+def pieces(tree: otr.ObliqueTree) -> list[tuple[int, int | None, NDArray, NDArray]]:
+    """Every leaf with each label that it may have: leaf, label, rows [P | v] of at least 0 there, which are above."""
+    made: list[tuple[int, int | None, NDArray, NDArray]] = []
     for leaf, (nodes, signs) in enumerate(zip(*leaf_paths(tree), strict=True)):
         rows = (tree.test_forms[nodes] * signs[:, None])[signs != 0]
         forms = tree.leaf_forms[leaf]
         if tree.labels is not None or not tree.head.gives_labels:
-            made.append((leaf, None if tree.labels is None else int(tree.labels[leaf]), rows))
+            made.append((leaf, None if tree.labels is None else int(tree.labels[leaf]), rows, signs[signs != 0] > 0))
             continue
         for label in range(tree.head.n_labels(tree.n_outputs)):
             won = forms * (1 if label else -1) if len(forms) == 1 else forms[label] - np.delete(forms, label, axis=0)
-            made.append((leaf, label, np.vstack((rows, won))))
+            strict = [label == 1] if len(forms) == 1 else np.arange(len(won)) < label
+            made.append((leaf, label, np.vstack((rows, won)), np.append(signs[signs != 0] > 0, strict)))
     return made
 
 
@@ -53,10 +54,11 @@ def least_distances(
     sides = np.concatenate((eye, -eye)), np.concatenate(((box[0] - x) / scales, (x - box[1]) / scales))
     bounded = np.isfinite(sides[1])
     found = [np.inf, np.inf]
-    for its_leaf, its_label, rows in pieces(tree):
+    for its_leaf, its_label, rows, strict in pieces(tree):
         normals, values = rows[:, :-1] * scales, rows[:, :-1] @ x + rows[:, -1]
         lengths = np.linalg.norm(normals, axis=1)
-        if (values[lengths == 0] < 0).any() or not len(rows):
+        constant = lengths == 0
+        if (values[constant] < 0).any() or (values[constant & strict] == 0).any() or not len(rows):
             continue
         G, h = (array[lengths > 0] for array in (normals, clear * lengths - values))
         G, h = G / lengths[lengths > 0, None], h / lengths[lengths > 0]

@@ -86,6 +86,7 @@ def policy_data(
         "form": form,
         "features": _features(run, names, visited),
         "answers": answers,
+        **_importance(tree, visited, answers),
         "limits": None if space.box is None else [limits.tolist() for limits in space.box],
         "tree": tree_data(tree, visited, "<f4" if tree_bytes is not None and _rounds_unseen(tree, visited) else "<f8"),
         "episode": record(tree, env, seed, length=length, n_frames=n_frames, width=frame_width),
@@ -148,7 +149,7 @@ def tree_data(tree: otr.ObliqueTree, visited: NDArray[Any], dtype: str = "<f8") 
     """Return a tree as JSON-able data, its numbers as `dtype` bit by bit, with the share of states (n, d) a leaf."""
     leaves = tree.apply(visited)
     shares = np.bincount(leaves, minlength=tree.n_leaves) / max(len(leaves), 1)
-    head: dict[str, Any] = {"name": tree.head.name}
+    head: dict[str, Any] = {"name": tree.head.name, "words": tree.head.in_words(tree.n_outputs)}
     if (limits := tree.head.limits(tree.n_outputs)) is not None:
         head |= {"low": limits[0].tolist(), "high": limits[1].tolist()}
     return {
@@ -160,6 +161,14 @@ def tree_data(tree: otr.ObliqueTree, visited: NDArray[Any], dtype: str = "<f8") 
         "shares": packed(shares.astype("<f4")),
         "colours": _colours(tree, visited, leaves),
     }
+
+
+def _importance(tree: otr.ObliqueTree, visited: NDArray[Any], answers: list[str]) -> dict[str, Any]:
+    """Return the names of a tree's outputs, and what matters to them and to its tests in visited states (n, d)."""
+    found = otr.importance(tree, visited, output_names=answers)
+    *outputs, decisions = ([float(f"{v:.4g}") for v in row] for row in (*found.outputs, found.decisions))
+    shown = {"outputs": outputs if tree.labels is None and tree.head.acts_by_output else None, "decisions": decisions}
+    return {"outputs": found.output_names, "importance": shown}
 
 
 def _colours(tree: otr.ObliqueTree, visited: NDArray[Any], leaves: NDArray[Any]) -> list[str]:

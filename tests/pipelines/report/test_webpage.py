@@ -88,6 +88,18 @@ def test_the_episode_is_the_first_one_evaluated(car: str) -> None:
     assert np.asarray(sprite).std() > 10  # there is something in the pictures
 
 
+def test_what_matters_stands_on_the_page(car: str) -> None:
+    (data,) = stored(car)
+    (outputs,), decisions = data["importance"]["outputs"], data["importance"]["decisions"]
+    assert data["outputs"] == ["force"] and data["tree"]["head"]["words"] == "tanh, scaled to -1 .. 1"
+    assert sum(decisions) == pytest.approx(1.0, abs=1e-3) and decisions[1] > 0.9  # the velocity
+    tree = page_tree(config_of(CAR), CAR, "pruned")
+    weights = np.tensordot(unpacked(data["tree"]["shares"]), np.abs(tree.M), axes=1)[0]
+    deviations = np.array(outputs) / weights
+    ranges = [each["high"] - each["low"] for each in data["features"]]
+    assert (deviations > 0).all() and (deviations < ranges).all()
+
+
 def test_programs_ranges_and_names_stand_on_the_page(car: str) -> None:
     (data,) = stored(car)
     assert [feature["name"] for feature in data["features"]] == ["position", "velocity"]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -79,7 +80,7 @@ class Explanation:
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as JSON-ready data."""
-        return dict(json_ready(self))
+        return dict(json.loads(json.dumps(asdict(self), default=lambda v: v.tolist())))
 
     def __str__(self) -> str:
         return "\n".join(self._lines())
@@ -146,10 +147,10 @@ def explain(
     names, answers = shown_names(policy, feature_names, output_names)
     state, widths, box = _checked(x, scales, domain, tree.n_inputs)
     *passed, end = path_of(paths, state)
-    forms, answer, leaf = paths.outputs(end), tree.predict(state), paths.leaf(end)
+    (leaf, forms), answer = paths.end(end), tree.predict(state)
 
     def leaf_of(s: FloatArray) -> int:
-        return paths.leaf(path_of(paths, s)[-1])
+        return paths.end(path_of(paths, s)[-1])[0]
 
     def nearest(wanted: Callable[[FloatArray], bool]) -> Nearest | None:
         found = nearest_state(paths, state, wanted, widths, box)
@@ -184,15 +185,6 @@ def outputs_named(head: Head, n_outputs: int, answers: Sequence[str]) -> tuple[s
     """Return names of the outputs: the answers', but for terms and gains, and the output of `Sign`."""
     usual = answers if len(answers) == n_outputs else [f"y{i}" for i in range(n_outputs)]
     return tuple(head.output_names(n_outputs, answers) or usual)
-
-
-def json_ready(value: Any) -> Any:
-    """Return a dataclass, with those within, as JSON-ready data."""
-    if is_dataclass(value):
-        return {field.name: json_ready(getattr(value, field.name)) for field in fields(value)}
-    if isinstance(value, tuple):
-        return [json_ready(each) for each in value]
-    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
 
 
 def _checked(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from otr.core.arrays import FloatArray, as_batch
 from otr.core.pattern_tree import PatternTree
 from otr.core.pruning import prune_unreached
 from otr.core.tree import ObliqueTree, require_tree
-from otr.explanation.explain import json_ready, outputs_named
+from otr.explanation.explain import outputs_named
 from otr.extras import naming_the_extra
 from otr.programs.names import shown_names
 
@@ -49,7 +50,7 @@ class Importance:
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as JSON-ready data."""
-        return dict(json_ready(self))
+        return dict(json.loads(json.dumps(asdict(self), default=lambda v: v.tolist())))
 
     def __str__(self) -> str:
         heads, table = ["", *self.output_names, DECISIONS], np.vstack((self.outputs, self.decisions)).T

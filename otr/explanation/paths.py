@@ -27,8 +27,7 @@ class TreePaths:
         at, outcomes = place
         if at >= 0:
             return np.append(self._tree.P[at], self._tree.v[at])
-        more = len(outcomes) < self._n_of_head
-        return _of_head(self._tree.head, self.outputs(place), outcomes) if more else None
+        return _of_head(self._tree.head, self.end(place)[1], outcomes) if len(outcomes) < self._n_of_head else None
 
     def child(self, place: Place, right: bool) -> Place:
         """Return the place on one side of a test."""
@@ -36,14 +35,10 @@ class TreePaths:
         sides = self._tree.children_right if right else self._tree.children_left
         return (int(sides[at]), ()) if at >= 0 else (at, (*outcomes, right))
 
-    def leaf(self, end: Place) -> int:
-        """Return the number of the leaf at an end."""
-        return ~int(end[0])
-
-    def outputs(self, end: Place) -> FloatArray:
-        """Return the affine outputs at an end: (o, d + 1)."""
-        leaf = self.leaf(end)
-        return np.column_stack((self._tree.M[leaf], self._tree.c[leaf]))
+    def end(self, place: Place) -> tuple[int, FloatArray]:
+        """Return the number of the leaf at an end, and its affine outputs (o, d + 1)."""
+        leaf = ~int(place[0])
+        return leaf, np.column_stack((self._tree.M[leaf], self._tree.c[leaf]))
 
 
 class PatternPaths:
@@ -57,23 +52,18 @@ class PatternPaths:
 
     def test(self, place: Place) -> FloatArray | None:
         """Return a place's test, as `TreePaths` does."""
-        n = self._network.n_hidden
-        if len(place) >= n:
-            more = len(place) < self._n_bits
-            return _of_head(self._network.head, self.outputs(place), place[n:]) if more else None
-        return np.asarray(self._forms(place)[len(place)])
+        forms, n = self._forms(place), self._network.n_hidden
+        if len(place) < n:
+            return np.asarray(forms[len(place)])
+        return _of_head(self._network.head, forms[n:], place[n:]) if len(place) < self._n_bits else None
 
     def child(self, place: Place, right: bool) -> Place:
         """Return the place on one side of a test."""
         return *place, right
 
-    def leaf(self, end: Place) -> int:
-        """Return the number of the leaf at an end."""
-        return int("".join("01"[bit] for bit in end) or "0", 2)
-
-    def outputs(self, end: Place) -> FloatArray:
-        """Return the affine outputs at an end: (o, d + 1)."""
-        return self._forms(end)[self._network.n_hidden :]
+    def end(self, place: Place) -> tuple[int, FloatArray]:
+        """Return the number of the leaf at an end, and its affine outputs (o, d + 1)."""
+        return int("".join("01"[bit] for bit in place) or "0", 2), self._forms(place)[self._network.n_hidden :]
 
     def _forms(self, place: Place) -> FloatArray:
         pattern = np.zeros((1, self._network.n_hidden), dtype=np.bool_)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import otr
+from otr.control.label_leaves import decided_leaves
 from otr.core.merging import merge_equal_leaves
 from otr.programs.picture.colours import LABELS, level_colour
 from otr.programs.walk import in_printed_order
@@ -135,14 +136,15 @@ def _proof(folder: Path, form: str) -> str:
 
 
 def page_tree(run: RunConfig, folder: Path, form: str) -> otr.ObliqueTree:
-    """Return one of a run's trees with equal siblings merged, its leaves in the order of the printed program."""
+    """Return one of a run's trees, labels decided by tests, equal siblings merged, its leaves in printed order."""
     tree = tree_of(form, run, folder)
     if not isinstance(tree, otr.ObliqueTree):
         raise PipelineError(
             f"{folder}: the {form} tree has too many leaves to be held as leaves, so there is nothing to draw; "
             "method=augtree imitates its policy by a small one"
         )
-    return in_printed_order(merge_equal_leaves(tree))
+    decided = tree if tree.labels is not None else decided_leaves(tree, tree.head)
+    return in_printed_order(merge_equal_leaves(decided))
 
 
 def tree_data(tree: otr.ObliqueTree, visited: NDArray[Any], dtype: str = "<f8") -> dict[str, Any]:

@@ -55,18 +55,9 @@ function nearestOther(tree, x, features) {
   const scales = features.map(({ low, high }) => high - low);
   const leaf = tree.apply(x);
   const answer = tree.answer(leaf, x);
-  const row = (form, value, sign) => {
-    const length = Math.hypot(...form.map((weight, j) => weight * scales[j]));
-    return length ? [...form.map((weight, j) => (sign * weight * scales[j]) / length), (sign * value) / length - CLEAR] : null;
-  };
   const box = features.flatMap(({ low, high }, j) => [[1, (x[j] - Math.min(low, x[j])) / scales[j]], [-1, (Math.max(high, x[j]) - x[j]) / scales[j]]]
     .map(([sign, h]) => [...scales.map((_, k) => (k === j ? sign : 0)), h]));
-  const open = [{ distance: 0, ref: tree.root, rows: box, move: x.map(() => 0), last: false }];
-  const add = (place, ref, made, last = false) => {
-    const rows = [...place.rows, ...made];
-    const holds = made.every((each) => dot(each.slice(0, -1), place.move) + each[x.length] >= 0);
-    open.push({ distance: place.distance, ref, rows, move: holds ? place.move : null, last });
-  };
+  const open = [{ distance: 0, ref: tree.root, rows: box, move: x.map(() => 0) }];
   while (open.length) {
     const at = open.reduce((best, each, i) => (each.distance < open[best].distance ? i : best), 0);
     const [place] = open.splice(at, 1);
@@ -74,17 +65,16 @@ function nearestOther(tree, x, features) {
       place.move = shortestMove(place.rows);
       if (place.move) open.push({ ...place, distance: Math.hypot(...place.move) });
     } else if (place.ref >= 0) {
-      const form = Array.from(tree.P.subarray(place.ref * x.length, (place.ref + 1) * x.length));
-      const value = tree.value(place.ref, x);
+      const weights = scales.map((scale, j) => tree.P[place.ref * x.length + j] * scale);
+      const [value, length] = [tree.value(place.ref, x), Math.hypot(...weights)];
       for (const [sign, ref] of [[-1, tree.left[place.ref]], [1, tree.right[place.ref]]]) {
-        const made = row(form, value, sign);
-        if (made) add(place, ref, [made]);
-        else if (value > 0 === sign > 0) add(place, ref, []);
-      }
-    } else if (["sign", "argmax"].includes(tree.head.name) && !tree.labels && !place.last) {
-      for (const rows of winnings(tree, ~place.ref, x)) {
-        const made = rows.map(([form, value]) => row(form, value, 1));
-        if (made.every((each) => each)) add(place, place.ref, made, true);
+        if (!length) {
+          if (value > 0 === sign > 0) open.push({ ...place, ref });
+          continue;
+        }
+        const row = [...weights.map((weight) => (sign * weight) / length), (sign * value) / length - CLEAR];
+        const holds = dot(row.slice(0, -1), place.move) + row[x.length] >= 0;
+        open.push({ distance: place.distance, ref, rows: [...place.rows, row], move: holds ? place.move : null });
       }
     } else {
       const state = x.map((value, j) => value + scales[j] * place.move[j]);
@@ -94,13 +84,4 @@ function nearestOther(tree, x, features) {
     }
   }
   return null;
-}
-
-/** Return, for each label that a leaf's outputs may win, the forms [weights, value at x] that are above 0 there. */
-function winnings(tree, leaf, x) {
-  const y = tree.outputs(leaf, x);
-  const weights = (o) => Array.from(tree.M.subarray((leaf * tree.nOutputs + o) * x.length, (leaf * tree.nOutputs + o + 1) * x.length));
-  if (tree.nOutputs === 1) return [1, -1].map((sign) => [[weights(0).map((w) => sign * w), sign * y[0]]]);
-  return Array.from(y, (own, j) => Array.from(y, (_, i) => i).filter((i) => i !== j)
-    .map((i) => [weights(j).map((w, k) => w - weights(i)[k]), own - y[i]]));
 }

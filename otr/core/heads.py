@@ -296,6 +296,10 @@ def head_from_dict(description: Mapping[str, Any]) -> Head:
     Raises:
         ArtefactError: the name is unknown or the limits are missing.
         InvalidNetworkError: the limits are no box.
+
+    Examples:
+        >>> otr.head_from_dict({"name": "clip_box", "low": -1, "high": 1})
+        ClipBox(low=-1.0, high=1.0)
     """
     arguments = {key: value for key, value in description.items() if key != "name"}
     name = description.get("name")

@@ -139,9 +139,15 @@ def explain(
         TimeLimitError: `max_seconds` were over.
 
     Examples:
-        >>> import otr
-        >>> tree = otr.parse_program("if angle + 0.5 rate <= 0: left else: right", ["angle", "rate"], labels=True)
+        >>> tree = otr.parse_program("if angle + 0.5 rate <= 0: 0 else: 1", ["angle", "rate"], labels=True)
         >>> print(otr.explain(tree, [0.2, -0.1], feature_names=["angle", "rate"], output_names=["left", "right"]))
+        leaf 1: right
+          angle + 0.5 rate <= 0: no, 0.15
+        head: the tests decide the label
+        nearest state of another leaf, 0.1342 away: angle 0.2 -> 0.08, rate -0.1 -> -0.16
+          leaf 0: left
+        nearest state of another label, 0.1342 away: angle 0.2 -> 0.08, rate -0.1 -> -0.16
+          leaf 0: left
     """
     paths, policy = paths_of(tree), tree.network if isinstance(tree, PatternTree) else tree
     names, answers = shown_names(policy, feature_names, output_names)

@@ -88,7 +88,6 @@ def importance(
         ValueError: there are no states, one holds a NaN, or names do not fit.
 
     Examples:
-        >>> import otr
         >>> tree = otr.parse_program("if speed <= 0: 2 angle + 0.1 speed else: -angle", ["angle", "speed"])
         >>> print(otr.importance(tree, [[1, -4], [-1, -4], [1, 4], [-1, 4]], feature_names=["angle", "speed"]))
                 y0  decisions

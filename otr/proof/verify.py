@@ -67,6 +67,13 @@ def verify(
         CertificateError: something is not proved; the message names the leaf, and a point where tree and network differ
             if one is found.
         TimeLimitError: the limit was met.
+
+    Examples:
+        >>> net = otr.ReluNetwork([[[1.0], [-1.0]], [[1.0, 1.0]]], [[0.0, 0.0], [0.0]])  # |x|
+        >>> tree = otr.minimal_tree(net, ([-1], [1]))
+        >>> proof = otr.certify(tree, net, ([-1], [1]))
+        >>> otr.verify(proof, tree, net)
+        0.0
     """
     given = (certificate, tree, network)
     if not all(map(isinstance, given, (Certificate, ObliqueTree, ReluNetwork))):

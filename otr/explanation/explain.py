@@ -140,35 +140,16 @@ def explain(
 
     Examples:
         >>> tree = otr.parse_program("if angle + 0.5 rate <= 0: 0 else: 1", ["angle", "rate"], labels=True)
-        >>> print(otr.explain(tree, [0.2, -0.1], feature_names=["angle", "rate"], output_names=["left", "right"]))
-        leaf 1: right
-          angle + 0.5 rate <= 0: no, 0.15
-        head: the tests decide the label
-        nearest state of another leaf, 0.1342 away: angle 0.2 -> 0.08, rate -0.1 -> -0.16
-          leaf 0: left
-        nearest state of another label, 0.1342 away: angle 0.2 -> 0.08, rate -0.1 -> -0.16
-          leaf 0: left
+        >>> otr.explain(tree, [0.2, -0.1]).nearest_label.state.round(3)
+        array([ 0.08, -0.16])
     """
     paths, policy = paths_of(tree), tree.network if isinstance(tree, PatternTree) else tree
     names, answers = shown_names(policy, feature_names, output_names)
     state, widths, box = _checked(x, scales, domain, tree.n_inputs)
     *passed, end = path_of(paths, state)
-    (leaf, forms), answer = paths.end(end), tree.predict(state)
-
-    def leaf_of(s: FloatArray) -> int:
-        return paths.end(path_of(paths, s)[-1])[0]
-
-    def nearest(wanted: Callable[[FloatArray], bool]) -> Nearest | None:
-        found = nearest_state(paths, state, wanted, widths, box)
-        if found is None:
-            return None
-        distance, answered = float(np.linalg.norm((found - state) / widths)), tree.predict(found)
-        return Nearest(found, distance, leaf_of(found), answered, _in_words(answered, answers))
-
+    (leaf, forms), answer, decided = paths.end(end), tree.predict(state), getattr(policy, "labels", None) is not None
     with time_limit(max_seconds, lambda: "the nearest states of another leaf and label were not found"):
-        of_leaf = nearest(lambda s: leaf_of(s) != leaf)
-        of_label = nearest(lambda s: bool(tree.predict(s) != answer)) if np.ndim(answer) == 0 else None
-    decided = getattr(policy, "labels", None) is not None
+        of_leaf, of_label = _nearest(tree, state, widths, box, answers)
     return Explanation(
         state=state,
         leaf=leaf,
@@ -191,6 +172,27 @@ def outputs_named(head: Head, n_outputs: int, answers: Sequence[str]) -> tuple[s
     """Return names of the outputs: the answers', but for terms and gains, and the output of `Sign`."""
     usual = answers if len(answers) == n_outputs else [f"y{i}" for i in range(n_outputs)]
     return tuple(head.output_names(n_outputs, answers) or usual)
+
+
+def _nearest(
+    tree: ObliqueTree | PatternTree, state: FloatArray, scales: FloatArray, domain: Domain, answers: Sequence[str]
+) -> tuple[Nearest | None, Nearest | None]:
+    """Return the nearest state of another leaf, and of another label where answers are labels."""
+    paths, answer = paths_of(tree), tree.predict(state)
+
+    def leaf_of(s: FloatArray) -> int:
+        return paths.end(path_of(paths, s)[-1])[0]
+
+    def found(wanted: Callable[[FloatArray], bool]) -> Nearest | None:
+        nearest = nearest_state(paths, state, wanted, scales, domain)
+        if nearest is None:
+            return None
+        distance, answered = float(np.linalg.norm((nearest - state) / scales)), tree.predict(nearest)
+        return Nearest(nearest, distance, leaf_of(nearest), answered, _in_words(answered, answers))
+
+    leaf = leaf_of(state)
+    is_label = np.ndim(answer) == 0
+    return found(lambda s: leaf_of(s) != leaf), found(lambda s: bool(tree.predict(s) != answer)) if is_label else None
 
 
 def _checked(

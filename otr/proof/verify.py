@@ -63,7 +63,7 @@ def verify(
         The bound on the difference, as `Certificate.max_error` is defined; not above it.
 
     Raises:
-        CertificateError: something is not proved; the message names the leaf, and a point that shows it if one is found.
+        CertificateError: something is not proved; the message names the leaf, and a point that shows it, if found.
         TimeLimitError: the limit was met.
 
     Examples:

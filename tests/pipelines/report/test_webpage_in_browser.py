@@ -148,7 +148,8 @@ def test_it_is_said_why_and_the_nearest_state_is_gone_to(ten: Path, opened: Any)
         why.get_by_role("button", name="Go there").click()
         gone, other = window.evaluate("[otr.view.leaf, otr.view.answer]")
         assert gone != leaf and (policy == "policy-5" or other != answer)
-        assert why.locator("thead th").all_inner_texts()[-1] == "decisions"
+        matters = window.locator("section[aria-label='what matters']")
+        assert matters.locator("thead th").all_inner_texts()[-1] == "decisions"
 
 
 def test_the_episode_plays_and_the_path_moves_along(ten: Path, opened: Any) -> None:

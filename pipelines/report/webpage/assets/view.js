@@ -57,9 +57,9 @@ class PolicyView {
               element("code", {}, data.page_command), " writes a page with all digits."] : []))),
         element("section", { class: "panel", "aria-label": "tree" }, element("h3", {}, "The tree"), this.search(), this.treeBox,
           element("h3", {}, "The path of this state"), this.pathList),
-        element("section", { class: "panel wide", "aria-label": "why this action" }, element("h3", {}, "Why this action"),
-          element("div", { class: "halves" }, this.sumsBox, element("div", {}, this.nearestBox, ...importanceTable(data)))),
+        element("section", { class: "panel wide", "aria-label": "why this action" }, element("h3", {}, "Why this action"), element("div", { class: "halves" }, this.sumsBox, this.nearestBox)),
         element("section", { class: "panel wide", "aria-label": "episode" }, element("h3", {}, "A recorded episode"), ...this.player()),
+        element("section", { class: "panel wide", "aria-label": "what matters" }, ...importanceTable(data)),
         element("section", { class: "panel wide", "aria-label": "programs" }, ...this.programs()),
       ),
     );

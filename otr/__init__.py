@@ -52,6 +52,8 @@ if TYPE_CHECKING:
         TimeLimitError as TimeLimitError,
         TreeTooLargeError as TreeTooLargeError,
     )
+    from otr.explanation.explain import explain as explain
+    from otr.explanation.importance import importance as importance
     from otr.geometry.minimal_tree import minimal_tree as minimal_tree
     from otr.importers import (
         from_onnx as from_onnx,
@@ -105,6 +107,8 @@ _NAMES_OF_MODULES = {
     "core.tree": "ObliqueTree",
     "errors": "ArtefactError CertificateError InvalidNetworkError InvalidTreeError MissingExtraError OtrError "
     "ProgramError TimeLimitError TreeTooLargeError",
+    "explanation.explain": "explain",
+    "explanation.importance": "importance",
     "geometry.minimal_tree": "minimal_tree",
     "importers": "from_onnx from_sb3 from_sklearn from_torch read_policy",
     "importers.vec_normalize": "ObservationStatistics",

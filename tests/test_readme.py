@@ -38,11 +38,13 @@ def test_the_examples_run(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys:
     names: dict = {}
     for block in BLOCKS:
         exec(compile(block, str(README), "exec"), names)
-    shown, program = capsys.readouterr().out.split("\n", 1)
+    shown, text = capsys.readouterr().out.split("\n", 1)
+    program, why = text.split("\nleaf ")
     assert shown == "Rollout(return 500 ± 0 over 100 episodes, 50,000 steps)"
     tree, net, played = names["tree"], names["net"], names["played"]
     assert 1 < tree.n_leaves < otr.map_network(net).n_leaves
     np.testing.assert_array_equal(tree.predict(played.states), net.predict(played.states))
     read = otr.parse_program(program, ["x", "v", "angle", "spin"], output_names=["left", "right"], labels=True)
     assert (read.predict(played.states) == played.actions).mean() > 0.99  # its numbers have four digits
+    assert "\nnearest state of another label, " in why and "  decisions\n" in why
     assert names["proof"].max_error < 1e-9 and "double" in names["c_code"]

@@ -63,10 +63,10 @@ def imitate(
         MissingExtraError: gymnasium, scikit-learn or torch is not installed.
 
     Examples:
-        >>> import otr
-        >>> policy = otr.read_policy("policy.zip")  # doctest: +SKIP
-        >>> tree = otr.imitate(policy, "CartPole-v1", method="augtree", depth=3)  # doctest: +SKIP
-        >>> print(otr.to_text(tree))  # doctest: +SKIP
+        >>> policy = otr.ReluNetwork([[[0, 0, -1, -1], [0, 0, 1, 1]]], [[0, 0]], head=otr.Argmax())
+        >>> tree = otr.imitate(policy, "CartPole-v1", "viper", depth=1, n_rounds=1, n_episodes=2, n_choice_episodes=2)
+        >>> tree.depth
+        1
     """
     printed_at = time.monotonic()
 

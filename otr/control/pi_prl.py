@@ -9,8 +9,14 @@ import torch
 from torch import Tensor, nn
 
 from otr.control.label_leaves import decided_leaves
-from otr.control.path_probabilities import level_widths
-from otr.control.soft_tree import LEAF_SCALE, affine_leaves, as_numpy, initial_tests, substitute_inputs
+from otr.control.soft_tree import (
+    LEAF_SCALE,
+    affine_leaves,
+    as_numpy,
+    initial_tests,
+    level_widths,
+    substitute_inputs,
+)
 from otr.core.arrays import FloatArray
 from otr.core.head import Head
 from otr.core.tree import ObliqueTree

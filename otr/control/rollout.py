@@ -99,6 +99,12 @@ def rollout(
         ValueError: spaces of other kinds, answers that are not one action of the environment for each state, an
             environment without a limit where `max_steps` is None, or one with another interface than gymnasium's.
         MissingExtraError: gymnasium is not installed.
+
+    Examples:
+        >>> tree = otr.parse_program("if angle + rate <= 0: 0 else: 1", ["x", "v", "angle", "rate"], labels=True)
+        >>> played = otr.rollout("CartPole-v1", tree, n_episodes=2)
+        >>> played.states.shape == (played.lengths.sum(), 4)
+        True
     """
     if seeds is None:
         n = _checked(n_episodes)
@@ -120,6 +126,11 @@ def evaluate(
 
     Policies that are compared play the same episodes: of the seeds 0 to `n_episodes` - 1 unless `seeds` are given.
     Arguments and errors are those of `rollout`.
+
+    Examples:
+        >>> tree = otr.parse_program("if angle + rate <= 0: 0 else: 1", ["x", "v", "angle", "rate"], labels=True)
+        >>> otr.evaluate("CartPole-v1", tree, n_episodes=2).mean_return > 100
+        True
     """
     seeds = range(_checked(n_episodes)) if seeds is None else seeds
     return _play(env, policy, n_episodes, seeds, max_steps, keep_steps=False)

@@ -30,12 +30,14 @@ class Head(ABC):
         acts_by_output: whether an action is a function of one output alone, which never falls as that rises.
         gives_labels: whether the answer is a label.
         is_projection: whether the head leaves its own answers as they are: h(h(y)) = h(y).
+        words: what the head makes of the outputs, for people; of a head with limits, what comes before these.
     """
 
     name: str
     acts_by_output = True
     gives_labels = False
     is_projection = False
+    words = ""
 
     @abstractmethod
     def __call__(self, Y: FloatArray) -> NDArray[Any]:
@@ -69,6 +71,14 @@ class Head(ABC):
     def limits(self, n_outputs: int) -> tuple[FloatArray, FloatArray] | None:
         """Return the box of the answers, low and high of shape (n_answers,) each; None for a head without one."""
         return None
+
+    def in_words(self, n_outputs: int) -> str:
+        """Return what the head makes of the outputs, for people."""
+        limits, words = self.limits(n_outputs), self.words or type(self).__name__
+        if limits is None:
+            return words
+        ranges = [f"{low:.4g} .. {high:.4g}" for low, high in zip(*limits, strict=True)]
+        return f"{words} {', '.join(ranges if len(set(ranges)) > 1 else ranges[:1])}"
 
     def clip(self) -> Head | None:
         """Return the head that clips to the box of the answers; None for a head without one."""

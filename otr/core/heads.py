@@ -19,6 +19,7 @@ class Identity(Head):
     """The affine outputs are the answer."""
 
     name = "identity"
+    words = "the outputs are the answer"
     is_projection = True
 
     def __call__(self, Y: FloatArray) -> NDArray[Any]:
@@ -35,6 +36,7 @@ class Exp(Head):
     """exp(y): the expected count of a Poisson regression, whose link is the logarithm; inf for y above 709.7."""
 
     name = "exp"
+    words = "exp of the outputs"
 
     def __call__(self, Y: FloatArray) -> NDArray[Any]:
         with np.errstate(over="ignore"):
@@ -125,6 +127,7 @@ class TanhBox(_TanhHead):
     """low + (tanh(y) + 1) / 2 * (high - low): the action of a SAC, TD3 or DDPG actor."""
 
     name = "tanh_box"
+    words = "tanh, scaled to"
 
     def slopes(self, n_outputs: int) -> FloatArray | None:
         return self.halves_and_middles(n_outputs)[0]
@@ -137,6 +140,7 @@ class ClipBox(_Box):
     """min(max(y, low), high): the deterministic action of a PPO or A2C actor."""
 
     name = "clip_box"
+    words = "clipped to"
     is_projection = True
 
     def __call__(self, Y: FloatArray) -> NDArray[Any]:
@@ -168,6 +172,7 @@ class PidBox(_TanhHead):
     """
 
     name = "pid_box"
+    words = "the gains times the terms, then tanh, scaled to"
     acts_by_output = False
     terms = ("P", "I", "D")
 
@@ -214,6 +219,7 @@ class Sign(Head):
     """Binary label of one output: 0 where y <= 0, else 1."""
 
     name = "sign"
+    words = "1 where the output is above 0, else 0"
     gives_labels = True
 
     def __call__(self, Y: FloatArray) -> NDArray[Any]:
@@ -251,6 +257,7 @@ class Argmax(Head):
     """
 
     name = "argmax"
+    words = "the label of the largest output, the first of equals"
     gives_labels = True
 
     def __call__(self, Y: FloatArray) -> NDArray[Any]:
@@ -289,6 +296,10 @@ def head_from_dict(description: Mapping[str, Any]) -> Head:
     Raises:
         ArtefactError: the name is unknown or the limits are missing.
         InvalidNetworkError: the limits are no box.
+
+    Examples:
+        >>> otr.head_from_dict({"name": "clip_box", "low": -1, "high": 1})
+        ClipBox(low=-1.0, high=1.0)
     """
     arguments = {key: value for key, value in description.items() if key != "name"}
     name = description.get("name")

@@ -50,6 +50,11 @@ def save(tree: ObliqueTree | PatternTree, path: str | os.PathLike[str]) -> Path:
     Raises:
         TypeError: `tree` is something else.
         ArtefactError: there is no such folder.
+
+    Examples:
+        >>> tree = otr.parse_program("if x <= 0: -x else: x", ["x"])
+        >>> print(otr.save(tree, "policy"))
+        policy.json
     """
     if not isinstance(tree, ObliqueTree | PatternTree):
         raise TypeError(
@@ -82,6 +87,12 @@ def load(path: str | os.PathLike[str]) -> ObliqueTree | PatternTree:
 
     Raises:
         ArtefactError: a file is missing, cut off, changed since it was written, or of another schema.
+
+    Examples:
+        >>> tree = otr.parse_program("if x <= 0: -x else: x", ["x"])
+        >>> saved = otr.save(tree, "policy")
+        >>> otr.load("policy").predict([-3])
+        array([3.])
     """
     npz_path, json_path = _paths_of(path)
     description = _read_description(json_path)

@@ -32,6 +32,11 @@ def map_network(network: ReluNetwork, *, max_leaves: int = 2**16) -> ObliqueTree
     Raises:
         TypeError: `network` is no ReluNetwork.
         TreeTooLargeError: names the depth, the limit, and `otr.tree` as the call that works.
+
+    Examples:
+        >>> net = otr.ReluNetwork([[[1.0], [-1.0]], [[1.0, 1.0]]], [[0.0, 0.0], [0.0]])  # |x|
+        >>> otr.map_network(net)
+        ObliqueTree(n_leaves=4, depth=2, n_inputs=1, n_outputs=1, head=Identity())
     """
     require_relu_network(network)
     n, d, o = network.n_hidden, network.n_inputs, network.n_outputs

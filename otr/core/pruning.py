@@ -28,7 +28,6 @@ def tree(network: ReluNetwork, X: ArrayLike) -> ObliqueTree:
         ValueError: X is empty or of the wrong width.
 
     Examples:
-        >>> import otr, numpy as np
         >>> generator = np.random.default_rng(0)
         >>> wide = otr.ReluNetwork([generator.normal(size=s) for s in ((64, 3), (64, 64), (1, 64))],
         ...                        [generator.normal(size=64), generator.normal(size=64), np.zeros(1)])
@@ -54,6 +53,11 @@ def prune_unreached(tree: ObliqueTree | PatternTree, X: ArrayLike) -> ObliqueTre
     Raises:
         TypeError: `tree` is neither.
         ValueError: X is empty or of the wrong width.
+
+    Examples:
+        >>> tree = otr.parse_program("if x <= 0: -1 else if x <= 1: x else: 1", ["x"])
+        >>> otr.prune_unreached(tree, [[0.5], [2.0]]).n_leaves
+        2
     """
     states = _states(tree, X)
     if isinstance(tree, PatternTree):
@@ -77,6 +81,11 @@ def prune_to_k(tree: ObliqueTree | PatternTree, X: ArrayLike, k: int) -> Oblique
     Raises:
         TypeError: `tree` is neither, or k no integer.
         ValueError: X is empty or of the wrong width, or k < 1.
+
+    Examples:
+        >>> net = otr.ReluNetwork([[[1.0], [-1.0]], [[1.0, 1.0]]], [[0.0, 0.0], [0.0]])  # |x|
+        >>> otr.prune_to_k(otr.PatternTree(net), [[-1], [1], [2]], k=1)
+        ObliqueTree(n_leaves=1, depth=0, n_inputs=1, n_outputs=1, head=Identity())
     """
     if operator.index(k) < 1:
         raise ValueError(f"k is {k}, expected at least 1 path to keep")

@@ -60,6 +60,11 @@ def minimal_tree(
     Raises:
         TreeTooLargeError: a limit was met, of time a TimeLimitError; the message says how far the walk came.
         ValueError: the domain does not fit the network, the order is unknown or X is missing.
+
+    Examples:
+        >>> net = otr.ReluNetwork([[[1.0], [-1.0]], [[1.0, 1.0]]], [[0.0, 0.0], [0.0]])  # |x|
+        >>> otr.minimal_tree(net, ([-1], [1])).n_leaves, otr.map_network(net).n_leaves
+        (2, 4)
     """
     if order not in ("layers", "balanced", "visits"):
         raise ValueError(f"order is {order!r}, expected 'layers', 'balanced' or 'visits'")

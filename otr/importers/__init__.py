@@ -75,10 +75,6 @@ def from_torch(
     Of a file, JSON and the bytes of tensors are read and torch's operators are run. Its pickles are not opened, as
     `torch.export.load` would.
 
-    Example:
-        >>> otr.from_torch(torch.nn.Sequential(torch.nn.Linear(4, 8), torch.nn.ReLU(), torch.nn.Linear(8, 2)))
-        ReluNetwork(4 -> 8 -> 2, negative_slope=0.0, dense=False, head=Identity())
-
     Args:
         module: of any float type, on any device, and left as it is; ``torch.export.export(module, (states,))``; or the
             path of the file to which `torch.export.save` wrote that (torch 2.9 or newer).
@@ -90,6 +86,11 @@ def from_torch(
             numbers.
         ArtefactError: a file that is missing, cut off, unpacks to more than 64 MiB, or is no torch export.
         MissingExtraError: torch is not installed.
+
+    Examples:
+        >>> import torch
+        >>> otr.from_torch(torch.nn.Sequential(torch.nn.Linear(4, 8), torch.nn.ReLU(), torch.nn.Linear(8, 2)))
+        ReluNetwork(4 -> 8 -> 2, negative_slope=0.0, dense=False, head=Identity())
     """
     if isinstance(module, str | os.PathLike):
         with _reading(module):
@@ -148,6 +149,13 @@ def from_sb3(
         ArtefactError: a file is missing, cut off, damaged, unpacks to more than 256 MiB, or holds more than tensors in
             its `policy.pth`, or no VecNormalize.
         MissingExtraError: torch is not installed.
+
+    Examples:
+        >>> import torch, stable_baselines3
+        >>> kwargs = {"net_arch": [8], "activation_fn": torch.nn.ReLU}
+        >>> model = stable_baselines3.PPO("MlpPolicy", "CartPole-v1", policy_kwargs=kwargs, device="cpu")
+        >>> otr.from_sb3(model)
+        ReluNetwork(4 -> 8 -> 2, negative_slope=0.0, dense=False, head=Argmax())
     """
     if isinstance(model, str | os.PathLike):
         with _reading(model):
@@ -188,15 +196,18 @@ def read_policy(
         activation: between the layers of a state_dict, which does not say: "relu", "leaky_relu" or one of
             `otr.core.smooth_network.ACTIVATIONS`.
 
-    Example:
-        >>> read_policy("agent.pth", layers="actor_mean", activation="tanh").predict(states)
-
     Raises:
         InvalidNetworkError: as the functions above; a classifier whose classes are not 0, 1, ..., the actions; a saved
             tree other than a whole `PatternTree`, which stands for no network; statistics beside another file than a
             zip, or `output` with another than an ONNX model.
         ArtefactError: as the functions above; or the suffix is another one.
         MissingExtraError: a package that the kind of file needs is not installed.
+
+    Examples:
+        >>> import torch
+        >>> torch.save({"0.weight": torch.ones(2, 3), "0.bias": torch.zeros(2)}, "agent.pth")
+        >>> otr.read_policy("agent.pth").predict([1.0, 2.0, 3.0])
+        array([6., 6.])
     """
     path = Path(path)
     reader = _READERS.get(path.suffix)
@@ -281,10 +292,6 @@ def from_onnx(
 
     The file is data alone: at most 16 MiB are read, and of no other file.
 
-    Example:
-        >>> otr.from_onnx("policy.onnx", head=otr.Argmax())
-        ReluNetwork(4 -> 8 -> 2, negative_slope=0.0, dense=False, head=Argmax())
-
     Args:
         model: the path of a file, its bytes, or an `onnx.ModelProto`. Its input is (n, number of inputs), also with
             more axes, or (number of inputs,).
@@ -296,6 +303,12 @@ def from_onnx(
             file; a matrix of more than 2^24 numbers; opset 6 or older.
         ArtefactError: the file is missing, too large, cut off or not valid.
         MissingExtraError: onnx is not installed.
+
+    Examples:
+        >>> import onnx
+        >>> onnx.save(otr.to_onnx(otr.parse_program("2 x + 1", ["x"])), "policy.onnx")
+        >>> otr.from_onnx("policy.onnx")
+        ReluNetwork(1 -> 1, negative_slope=0.0, dense=False, head=Identity())
     """
     with _reading(model):
         return mappable(policy_of(sections_of_onnx(model, output), head))
@@ -322,6 +335,12 @@ def from_sklearn(estimator: Any) -> ReluNetwork:
             another step of the Pipeline; a file that holds a type that skops does not trust, which is named.
         ArtefactError: the file is missing, cut off, or unpacks to more than 64 MiB.
         MissingExtraError: scikit-learn, or for a file skops, is not installed.
+
+    Examples:
+        >>> from sklearn.linear_model import LinearRegression
+        >>> net = otr.from_sklearn(LinearRegression().fit([[0.0], [1.0]], [1.0, 3.0]))
+        >>> net.predict([2.0]).round(6)
+        array([5.])
     """
     if not isinstance(estimator, str | os.PathLike):
         return mappable(policy_of_estimator(estimator))

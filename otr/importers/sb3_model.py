@@ -16,6 +16,7 @@ from otr.importers.sb3_archive import network_of_file
 from otr.importers.torch_modules import refuse_changes
 
 _ROUNDING = 1e-5  # of the size of a sum's terms, in float32
+_TIE = 2.0**-20  # between logits whose probabilities, which a categorical policy compares, may be equal in float32
 
 
 def network_of_model(
@@ -63,7 +64,7 @@ def _require_same_answers(model: Any, network: ReluNetwork) -> None:
     if network.head.gives_labels:
         # How far the label's output lies below the largest.
         differences = outputs.max(axis=1, keepdims=True) - np.take_along_axis(outputs, found, axis=1)
-        rounding = 2 * rounding.max(axis=1, keepdims=True)
+        rounding = 2 * rounding.max(axis=1, keepdims=True) + _TIE
     else:
         low, high = model.action_space.low.ravel(), model.action_space.high.ravel()
         if isinstance(network.head, TanhBox):

@@ -38,6 +38,11 @@ def to_dot(
     Raises:
         TypeError: `tree` is no ObliqueTree.
         ValueError: the wrong number of names, names that are not distinct, or a number out of its range.
+
+    Examples:
+        >>> tree = otr.parse_program("if x <= 0: -x else: x", ["x"])
+        >>> otr.to_dot(tree).splitlines()[0]
+        'digraph policy {'
     """
     check_tree(tree)
     tree = merge_equal_leaves(tree)

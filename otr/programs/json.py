@@ -40,6 +40,12 @@ def to_json(
     Raises:
         TypeError: `tree` is no ObliqueTree.
         ValueError: the wrong number of names, or names that are not distinct.
+
+    Examples:
+        >>> tree = otr.parse_program("if x <= 0: -x else: x", ["x"])
+        >>> import json
+        >>> sorted(json.loads(otr.to_json(tree)))
+        ['answer', 'features', 'head', 'leaves', 'nodes', 'outputs', 'root', 'schema']
     """
     check_tree(tree)
     features, answers = names_of(tree, feature_names, output_names)

@@ -46,6 +46,11 @@ def to_latex(
         TypeError: `tree` is no ObliqueTree.
         ValueError: the wrong number of names, names that are not distinct, precision < 1, or a PID policy whose terms
             differ between leaves.
+
+    Examples:
+        >>> tree = otr.parse_program("if x <= 0: -x else: x", ["x"])
+        >>> otr.to_latex(tree).count("otrline{")
+        4
     """
     check_tree(tree)
     tree = merge_equal_leaves(tree)

@@ -50,6 +50,11 @@ def to_onnx(
         TypeError: `tree` is no ObliqueTree.
         ValueError: the wrong number of names, names that are not distinct, a `name` that is no line of text, another
             `dtype`, or a number that is too large for a float, or too small in a test.
+
+    Examples:
+        >>> tree = otr.parse_program("if x <= 0: -x else: x", ["x"])
+        >>> otr.to_onnx(tree).graph.name
+        'policy'
     """
     check_tree(tree)
     features, answers = names_of(tree, feature_names, output_names)

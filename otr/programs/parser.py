@@ -65,6 +65,11 @@ def parse_program(
         TreeTooLargeError: names the line at which there were too many paths.
         TypeError: `text` is no text.
         ValueError: a name is given twice.
+
+    Examples:
+        >>> tree = otr.parse_program("if x + 2 v <= 0: 1 else: clip(x, -1, 1)", ["x", "v"])
+        >>> tree.predict([3, 0])
+        array([1.])
     """
     if not isinstance(text, str):
         raise TypeError(f"text is a {type(text).__name__}, expected the program as a str")

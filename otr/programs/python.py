@@ -58,6 +58,13 @@ def to_python(
         TypeError: `tree` is no ObliqueTree.
         ValueError: the wrong number of names, names that are not distinct, or `name` is no identifier or one of the
             functions that are called.
+
+    Examples:
+        >>> tree = otr.parse_program("if x <= 0: -x else: x", ["x"])
+        >>> scope = {}
+        >>> exec(otr.to_python(tree), scope)
+        >>> scope["policy"]([-3.0])
+        [3.0]
     """
     read = unicodedata.normalize("NFKC", name)  # as Python reads an identifier
     if not name.isidentifier() or keyword.iskeyword(read) or read in (*_CALLED, "__debug__"):

@@ -63,6 +63,11 @@ def to_structured_text(
     Raises:
         TypeError: `tree` is no ObliqueTree.
         ValueError: the wrong number of names, names that are not distinct, or `name` is no identifier.
+
+    Examples:
+        >>> tree = otr.parse_program("if x <= 0: -x else: x", ["x"])
+        >>> otr.to_structured_text(tree).count("IF ")
+        1
     """
     if not re.fullmatch(r"[A-Za-z](_?[A-Za-z0-9])*", name) or name.lower() in _RESERVED:
         raise ValueError(f"name is {name!r}, which cannot be the name of a function block")

@@ -42,6 +42,14 @@ def to_text(
         TypeError: `tree` is no ObliqueTree.
         ValueError: the wrong number of names, names that are not distinct, precision < 1, or a PID policy whose terms
             differ between leaves.
+
+    Examples:
+        >>> tree = otr.parse_program("if x <= 0: -x else: x", ["x"])
+        >>> print(otr.to_text(tree, feature_names=["angle"], output_names=["torque"]))
+        if angle <= 0 then
+            return -angle
+        else
+            return angle
     """
     require_tree(tree)
     return text_of_every_leaf(

@@ -159,6 +159,13 @@ def load_certificate(path: str | os.PathLike[str]) -> Certificate:
 
     Raises:
         ArtefactError: the file is missing, no JSON, or no certificate.
+
+    Examples:
+        >>> net = otr.ReluNetwork([[[1.0], [-1.0]], [[1.0, 1.0]]], [[0.0, 0.0], [0.0]])  # |x|
+        >>> tree = otr.minimal_tree(net, ([-1], [1]))
+        >>> path = otr.certify(tree, net, ([-1], [1])).save("certificate.json")
+        >>> otr.verify(otr.load_certificate(path), tree, net)
+        0.0
     """
     try:
         description = json.loads(Path(path).read_text())

@@ -64,6 +64,12 @@ def certify(
             they may be the same and no proof to `max_error` was found, which the message says.
         TreeTooLargeError: a limit was met, of time a TimeLimitError.
         ValueError: the domain or the tree does not fit the network.
+
+    Examples:
+        >>> net = otr.ReluNetwork([[[1.0], [-1.0]], [[1.0, 1.0]]], [[0.0, 0.0], [0.0]])  # |x|
+        >>> tree = otr.minimal_tree(net, ([-1], [1]))
+        >>> otr.certify(tree, net, ([-1], [1])).max_error
+        0.0
     """
     if not isinstance(tree, ObliqueTree) or not isinstance(network, ReluNetwork):
         raise TypeError(

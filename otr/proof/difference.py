@@ -42,6 +42,14 @@ def find_difference(
     Raises:
         ValueError: the trees do not fit each other, the box is unbounded, or labels are allowed to differ.
         TreeTooLargeError: there are more pairs of leaves, or, a TimeLimitError, the time was over.
+
+    Examples:
+        >>> tree = otr.parse_program("if x <= 0: -x else: x", ["x"])
+        >>> other = otr.parse_program("if x <= 1: -x else: x", ["x"])
+        >>> otr.find_difference(tree, other, ([-1], [0])).holds
+        True
+        >>> otr.find_difference(tree, other, ([-1], [2])).holds
+        False
     """
     with time_limit(max_seconds, lambda: f"{tree.n_leaves:,} leaves were compared with {other.n_leaves:,}"):
         return _find_difference(tree, other, box, max_difference, max_leaves)

@@ -54,6 +54,12 @@ def output_range(tree: ObliqueTree, box: Box | Domain, *, max_seconds: float | N
         ValueError: the box is unbounded, the head multiplies outputs, or the tree answers with labels (then
             `reachable_labels` tells).
         TimeLimitError: `max_seconds` were over.
+
+    Examples:
+        >>> tree = otr.parse_program("if x <= 0: -x else: x", ["x"])
+        >>> found = otr.output_range(tree, ([1], [3]))
+        >>> found.low.round(6), found.high.round(6)
+        (array([1.]), array([3.]))
     """
     _require_known_head(tree)
     if tree.labels is not None:
@@ -71,6 +77,11 @@ def reachable_labels(
     Raises:
         ValueError: the tree has no labels.
         TimeLimitError: `max_seconds` were over.
+
+    Examples:
+        >>> tree = otr.parse_program("if x <= 0: 0 else: 1", ["x"], labels=True)
+        >>> otr.reachable_labels(tree, ([1], [2]))
+        array([1])
     """
     require_decided(tree)
     if tree.labels is None:
@@ -111,6 +122,14 @@ def find_violation(
         ValueError: the box is unbounded, the head multiplies outputs, the condition does not fit the tree, or the
             tolerance is no number of at least 0.
         OtrError: more than `max_pieces` regions would have to be looked at, or, a TimeLimitError, the time was over.
+
+    Examples:
+        >>> tree = otr.parse_program("if x <= 0: -x else: x", ["x"])
+        >>> condition = otr.Condition(state=[0], action=[1], bound=2)  # the action is at most 2
+        >>> otr.find_violation(tree, condition, ([-1], [1])).holds
+        True
+        >>> otr.find_violation(tree, condition, ([-1], [3])).state
+        array([3.])
     """
     _require_known_head(tree)
     if not 0 <= tolerance < np.inf:
@@ -126,6 +145,12 @@ def check_verdict(verdict: Verdict, tree: ObliqueTree, condition: Condition, box
     Raises:
         CertificateError: it is not shown; the message names the leaf.
         ValueError: as in `find_violation`.
+
+    Examples:
+        >>> tree = otr.parse_program("if x <= 0: -x else: x", ["x"])
+        >>> condition = otr.Condition(state=[0], action=[1], bound=2)  # the action is at most 2
+        >>> verdict = otr.find_violation(tree, condition, ([-1], [1]))
+        >>> otr.check_verdict(verdict, tree, condition, ([-1], [1]))  # raises where it is not shown
     """
     _require_known_head(tree)
     Question(tree, condition, _bounded(tree, box)).check(verdict)

@@ -56,17 +56,21 @@ def verify(
 
     Args:
         certificate: of this tree and this network.
-        tree: the tree.
-        network: the network.
+        tree, network: what it is of.
         max_seconds: refuse to check for longer.
 
     Returns:
         The bound on the difference, as `Certificate.max_error` is defined; not above it.
 
     Raises:
-        CertificateError: something is not proved; the message names the leaf, and a point where tree and network differ
-            if one is found.
+        CertificateError: something is not proved; the message names the leaf, and a point that shows it, if found.
         TimeLimitError: the limit was met.
+
+    Examples:
+        >>> net = otr.ReluNetwork([[[1.0], [-1.0]], [[1.0, 1.0]]], [[0.0, 0.0], [0.0]])  # |x|
+        >>> tree = otr.map_network(net)
+        >>> otr.verify(otr.certify(tree, net), tree, net)
+        0.0
     """
     given = (certificate, tree, network)
     if not all(map(isinstance, given, (Certificate, ObliqueTree, ReluNetwork))):
@@ -102,8 +106,7 @@ def _check_fit(certificate: Certificate, tree: ObliqueTree, network: ReluNetwork
     if shapes != {(domain.n_inputs, tree.n_outputs)} or tree.head != network.head:
         raise CertificateError(
             f"the tree has {tree.n_inputs} inputs, {tree.n_outputs} outputs and the head {tree.head!r}, the "
-            f"network {network.n_inputs}, {network.n_outputs} and {network.head!r}, the domain {domain.n_inputs} "
-            "inputs"
+            f"network {network.n_inputs}, {network.n_outputs} and {network.head!r}, the domain {domain.n_inputs} inputs"
         )
     if not 0 <= certificate.max_error < math.inf:
         raise CertificateError(f"leaf 0: the certificate claims {certificate.max_error}, expected a finite error")

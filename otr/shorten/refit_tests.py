@@ -72,6 +72,15 @@ def refit_tests(
     Raises:
         TypeError: `tree` is no ObliqueTree, or `digits` no integer.
         ValueError: `agreement` or `digits` is out of its range, a node is not the tree's, or X is not finite.
+
+    Examples:
+        >>> tree = otr.parse_program("if x + 0.001 v <= 0: -1 else: 1", ["x", "v"])
+        >>> states = np.random.default_rng(0).normal(size=(200, 2))
+        >>> print(otr.to_text(otr.refit_tests(tree, states).tree, feature_names=["x", "v"]))
+        if -0.015 + x <= 0 then
+            return -1
+        else
+            return 1
     """
     if not 0 < agreement <= 1:
         raise ValueError(f"agreement is {agreement}, expected a share above 0 and up to 1")

@@ -62,6 +62,12 @@ def simplify(
     Raises:
         TypeError: `tree` is no ObliqueTree.
         ValueError: X is empty, not finite or of the wrong shape; or a number of digits is below 1.
+
+    Examples:
+        >>> tree = otr.parse_program("if x <= 0: 1.001 else: 1", ["x"])
+        >>> states = np.linspace(-1, 1, 50)[:, None]
+        >>> print(otr.to_text(otr.simplify(tree, otr.within(tree, ([-1], [1]), 0.1), states).tree))
+        return 1
     """
     require_tree(tree)
     states, digits = as_batch(X, tree.n_inputs), tuple(digits)
@@ -99,6 +105,12 @@ def within(tree: ObliqueTree, box: Box | Domain, bound: float) -> Judge:
     Raises:
         ValueError: the box is unbounded or does not fit the tree, the bound is negative or no number, or no test of the
             tree decides its labels.
+
+    Examples:
+        >>> tree = otr.parse_program("if x <= 0: 1.001 else: 1", ["x"])
+        >>> judge = otr.within(tree, ([-1], [1]), 0.1)
+        >>> judge(otr.parse_program("1", ["x"])), judge(otr.parse_program("2", ["x"]))
+        (True, False)
     """
     if not 0 <= bound < np.inf:
         raise ValueError(f"bound is {bound}, expected a number of at least 0")

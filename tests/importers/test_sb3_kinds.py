@@ -133,3 +133,10 @@ def test_other_policies_say_what_can_be_read(tmp_path):
             other.writestr(name, file.getvalue() if name == "policy.pth" else given.read(name))
     with pytest.raises(otr.InvalidNetworkError, match=r"the tensor 'lstm_actor.*; only 'MlpPolicy' of"):
         otr.from_sb3(tmp_path / "other.zip")
+
+
+def test_labels_that_tie_in_the_probabilities_of_a_live_model_are_the_same() -> None:
+    model = PPO("MlpPolicy", CART, policy_kwargs=RELU, seed=0, device="cpu")
+    with torch.no_grad():
+        model.policy.action_net.weight.mul_(1e-6)
+    assert otr.from_sb3(model).head == otr.Argmax()

@@ -101,6 +101,14 @@ def polish(
         TypeError: the policy is neither a tree nor a network.
         ValueError: a number is out of range, the states are not the policy's, returns are not (k, m) finite numbers, or
             sensitivities are asked of labels.
+
+    Examples:
+        >>> tree = otr.parse_program("x + 1", ["x"])
+        >>> def returns(policies, seeds):  # of every policy in episodes that begin from seeds
+        ...     return [[-((p.predict([1.0])[0] - 3.0) ** 2)] * seeds.shape[1] for p in policies]
+        >>> better = otr.polish(tree, returns, states=[[0.0], [1.0]], n_iterations=30)
+        >>> better.predict([1.0]).round(1)
+        array([3.])
     """
     for name, count in (("n_iterations", n_iterations), ("n_episodes", n_episodes), ("n_candidates", n_candidates),
                         ("n_selection_episodes", n_selection_episodes)):  # fmt: skip

@@ -51,6 +51,11 @@ def to_c(
         TypeError: `policy` is something else.
         ValueError: the wrong number of names, names that are not distinct, a `name` that C does not take, another
             `dtype`, or a number that is too large for a float, or too small in a test.
+
+    Examples:
+        >>> tree = otr.parse_program("if x <= 0: -x else: x", ["x"])
+        >>> "void policy(" in otr.to_c(tree)
+        True
     """
     if not isinstance(policy, ObliqueTree | PatternTree | ReluNetwork):
         raise TypeError(f"policy is a {type(policy).__name__}, expected an ObliqueTree, a PatternTree or a ReluNetwork")

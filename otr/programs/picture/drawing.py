@@ -57,6 +57,11 @@ def draw_tree(
         ValueError: the wrong number of names, names that are not distinct, states of another width, or precision,
             max_terms, max_depth too low.
         MissingExtraError: matplotlib is not installed.
+
+    Examples:
+        >>> tree = otr.parse_program("if x <= 0: -x else: x", ["x"])
+        >>> type(otr.draw_tree(tree, feature_names=["angle"])).__name__
+        'Figure'
     """
     from matplotlib.figure import Figure
 
@@ -87,6 +92,10 @@ def save_picture(figure: Figure, path: str | Path) -> None:
     Raises:
         ValueError: the name ends otherwise, or there is no such folder.
         MissingExtraError: matplotlib is not installed.
+
+    Examples:
+        >>> tree = otr.parse_program("if x <= 0: -x else: x", ["x"])
+        >>> otr.save_picture(otr.draw_tree(tree), "tree.png")
     """
     import matplotlib
 

@@ -28,6 +28,11 @@ def to_svg(
     """Return the picture that `draw_tree` makes of a tree, with the same arguments, as the text of an SVG file.
 
     It needs no other package. Pointing at a box shows its whole formula. The same tree gives the same text.
+
+    Examples:
+        >>> tree = otr.parse_program("if x <= 0: -x else: x", ["x"])
+        >>> otr.to_svg(tree)[:4]
+        '<svg'
     """
     return svg_text(
         tree_scene(

@@ -31,7 +31,8 @@ from pipelines.report.text import write_file
 from pipelines.report.webpage.front import cell_table, figures_data, name_of_cell, plain_table
 from pipelines.report.webpage.policy import policy_data
 
-SCRIPTS = ("vendor/d3-hierarchy.min.js", "vendor/uPlot.iife.min.js", "tree.js", "drawing.js", "view.js", "page.js")
+VENDOR = ("vendor/d3-hierarchy.min.js", "vendor/uPlot.iife.min.js")
+SCRIPTS = (*VENDOR, "tree.js", "nearest.js", "drawing.js", "why.js", "view.js", "page.js")
 STYLES = ("vendor/uPlot.min.css", "page.css")
 FORMS = {"tree": "pruned", "polished": "polished"}  # of a policy in the tables: the tree that the page shows
 FIGURES = {

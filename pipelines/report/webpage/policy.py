@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import otr
+from otr.control.label_leaves import decided_leaves
 from otr.core.merging import merge_equal_leaves
 from otr.programs.picture.colours import LABELS, level_colour
 from otr.programs.walk import in_printed_order
@@ -86,6 +87,7 @@ def policy_data(
         "form": form,
         "features": _features(run, names, visited),
         "answers": answers,
+        **_importance(tree, visited, answers),
         "limits": None if space.box is None else [limits.tolist() for limits in space.box],
         "tree": tree_data(tree, visited, "<f4" if tree_bytes is not None and _rounds_unseen(tree, visited) else "<f8"),
         "episode": record(tree, env, seed, length=length, n_frames=n_frames, width=frame_width),
@@ -134,21 +136,22 @@ def _proof(folder: Path, form: str) -> str:
 
 
 def page_tree(run: RunConfig, folder: Path, form: str) -> otr.ObliqueTree:
-    """Return one of a run's trees with equal siblings merged, its leaves in the order of the printed program."""
+    """Return one of a run's trees, labels decided by tests, equal siblings merged, its leaves in printed order."""
     tree = tree_of(form, run, folder)
     if not isinstance(tree, otr.ObliqueTree):
         raise PipelineError(
             f"{folder}: the {form} tree has too many leaves to be held as leaves, so there is nothing to draw; "
             "method=augtree imitates its policy by a small one"
         )
-    return in_printed_order(merge_equal_leaves(tree))
+    decided = tree if tree.labels is not None else decided_leaves(tree, tree.head)
+    return in_printed_order(merge_equal_leaves(decided))
 
 
 def tree_data(tree: otr.ObliqueTree, visited: NDArray[Any], dtype: str = "<f8") -> dict[str, Any]:
     """Return a tree as JSON-able data, its numbers as `dtype` bit by bit, with the share of states (n, d) a leaf."""
     leaves = tree.apply(visited)
     shares = np.bincount(leaves, minlength=tree.n_leaves) / max(len(leaves), 1)
-    head: dict[str, Any] = {"name": tree.head.name}
+    head: dict[str, Any] = {"name": tree.head.name, "words": tree.head.in_words(tree.n_outputs)}
     if (limits := tree.head.limits(tree.n_outputs)) is not None:
         head |= {"low": limits[0].tolist(), "high": limits[1].tolist()}
     return {
@@ -160,6 +163,14 @@ def tree_data(tree: otr.ObliqueTree, visited: NDArray[Any], dtype: str = "<f8") 
         "shares": packed(shares.astype("<f4")),
         "colours": _colours(tree, visited, leaves),
     }
+
+
+def _importance(tree: otr.ObliqueTree, visited: NDArray[Any], answers: list[str]) -> dict[str, Any]:
+    """Return the names of a tree's outputs, and what matters to them and to its tests in visited states (n, d)."""
+    found = otr.importance(tree, visited, output_names=answers)
+    *outputs, decisions = ([float(f"{v:.4g}") for v in row] for row in (*found.outputs, found.decisions))
+    shown = {"outputs": outputs if tree.labels is None and tree.head.acts_by_output else None, "decisions": decisions}
+    return {"outputs": found.output_names, "importance": shown}
 
 
 def _colours(tree: otr.ObliqueTree, visited: NDArray[Any], leaves: NDArray[Any]) -> list[str]:

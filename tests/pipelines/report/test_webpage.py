@@ -15,6 +15,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+import otr
 from pipelines.cli.runs import load_config
 from pipelines.engine.store import read_csv, write_json
 from pipelines.errors import PipelineError
@@ -86,6 +87,27 @@ def test_the_episode_is_the_first_one_evaluated(car: str) -> None:
     rows = -(-episode["n_frames"] // episode["frame_columns"])
     assert sprite.size == (episode["frame_width"] * episode["frame_columns"], episode["frame_height"] * rows)
     assert np.asarray(sprite).std() > 10  # there is something in the pictures
+
+
+def test_what_matters_stands_on_the_page(car: str) -> None:
+    (data,) = stored(car)
+    (outputs,), decisions = data["importance"]["outputs"], data["importance"]["decisions"]
+    assert data["outputs"] == ["force"] and data["tree"]["head"]["words"] == "tanh, scaled to -1 .. 1"
+    assert sum(decisions) == pytest.approx(1.0, abs=1e-3) and decisions[1] > 0.9  # the velocity
+    tree = page_tree(config_of(CAR), CAR, "pruned")
+    weights = np.tensordot(unpacked(data["tree"]["shares"]), np.abs(tree.M), axes=1)[0]
+    deviations = np.array(outputs) / weights
+    ranges = [each["high"] - each["low"] for each in data["features"]]
+    assert (deviations > 0).all() and (deviations < ranges).all()
+
+
+def test_labels_that_the_head_decides_are_decided_by_tests_on_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(0)
+    tree = random_tree(rng, 5, 2, 3, 4).replace(head=otr.Argmax())
+    monkeypatch.setattr("pipelines.report.webpage.policy.tree_of", lambda form, run, folder: tree)
+    shown, X = page_tree(config_of(CAR), CAR, "pruned"), rng.normal(size=(200, 2))
+    assert shown.labels is not None
+    np.testing.assert_array_equal(shown.predict(X), tree.predict(X))
 
 
 def test_programs_ranges_and_names_stand_on_the_page(car: str) -> None:

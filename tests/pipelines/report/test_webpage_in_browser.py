@@ -1,6 +1,7 @@
 """The page in headless Chromium: the browser's tree answers as ours, the episode plays, names are names, keys work."""
 
 import dataclasses
+import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,10 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+import otr
 from pipelines.cli.runs import load_config
 from pipelines.report.webpage.page import write_results_page, write_run_page
-from pipelines.report.webpage.policy import page_tree
+from pipelines.report.webpage.policy import page_tree, tree_data
 from tests.committed import RESULTS
+from tests.core.test_tree import random_tree
 
 pytestmark = pytest.mark.slow
 
@@ -107,6 +110,46 @@ def test_the_browser_answers_as_the_tree(ten: Path, opened: Any, i: int) -> None
     size = np.abs(tree.predict(X)).max()  # the page of several has its numbers in float32
     np.testing.assert_allclose([answer for _, _, answer in answered], tree.predict(X), rtol=0, atol=1e-5 * size)
     assert len({leaf for _, leaf, _ in answered}) > 1 or tree.n_leaves == 1
+
+
+@pytest.mark.parametrize("labels", [None, np.arange(12) % 3])
+def test_the_browser_finds_the_nearest_other_answer(ten: Path, opened: Any, labels: np.ndarray | None) -> None:
+    window, rng = opened(ten), np.random.default_rng(0)
+    tree = random_tree(rng, 12, 3, 3, 10).replace(labels=labels)
+    low, high = np.array([-1.0, -2.0, -1.0]), np.array([1.0, 2.0, 3.0])
+    X = low + rng.uniform(size=(50, 3)) * (high - low)
+    features = [{"low": a, "high": b} for a, b in zip(low.tolist(), high.tolist(), strict=True)]
+    find = "([data, X, features]) => X.map((x) => nearestOther(new Tree(data), x, features))"
+    n_found = 0
+    for x, found in zip(X, window.evaluate(find, [tree_data(tree, X), X.tolist(), features]), strict=True):
+        explained = otr.explain(tree, x, scales=high - low, domain=(low, high))
+        expected = explained.nearest_leaf if labels is None else explained.nearest_label
+        assert (found is None) == (expected is None)
+        if found is not None and expected is not None:
+            assert found["distance"] == pytest.approx(expected.distance, abs=1e-4)
+            np.testing.assert_allclose(found["state"], expected.state, atol=1e-3)
+            assert found["leaf"] == expected.leaf
+            np.testing.assert_allclose(found["answer"], expected.answer, atol=1e-2)
+            n_found += 1
+    assert n_found > 40
+
+
+def test_it_is_said_why_and_the_nearest_state_is_gone_to(ten: Path, opened: Any) -> None:
+    window = opened(ten)
+    for policy in ("policy-5", "policy-6"):  # actions that are clipped, and labels
+        show(window, policy)
+        window.evaluate("otr.view.showStep(Math.floor(otr.view.episode.length / 2))")
+        why = window.locator("section[aria-label='why this action']")
+        summary, rows = why.locator("summary").first, why.locator("details").first.locator("tr")
+        shares = [float(text.split()[0]) for text in rows.locator("td:nth-child(2)").all_inner_texts()]
+        value = float(re.split("[=,→]", summary.inner_text())[1])
+        assert sum(shares) == pytest.approx(value, abs=0.02 * max(map(abs, shares)))
+        leaf, answer = window.evaluate("[otr.view.leaf, otr.view.answer]")
+        why.get_by_role("button", name="Go there").click()
+        gone, other = window.evaluate("[otr.view.leaf, otr.view.answer]")
+        assert gone != leaf and (policy == "policy-5" or other != answer)
+        matters = window.locator("section[aria-label='what matters']")
+        assert matters.locator("thead th").all_inner_texts()[-1] == "decisions"
 
 
 def test_the_episode_plays_and_the_path_moves_along(ten: Path, opened: Any) -> None:

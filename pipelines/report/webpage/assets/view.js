@@ -46,6 +46,7 @@ class PolicyView {
     this.actionBox = element("div", { class: "action", "aria-live": "polite" });
     this.pathList = element("ol", { class: "path" });
     this.treeBox = element("div", { class: "tree" });
+    [this.sumsBox, this.nearestBox] = [element("div"), element("div")];
     container.replaceChildren(
       element("p", { class: "quiet" }, data.about),
       element("div", { class: "view" },
@@ -56,7 +57,9 @@ class PolicyView {
               element("code", {}, data.page_command), " writes a page with all digits."] : []))),
         element("section", { class: "panel", "aria-label": "tree" }, element("h3", {}, "The tree"), this.search(), this.treeBox,
           element("h3", {}, "The path of this state"), this.pathList),
+        element("section", { class: "panel wide", "aria-label": "why this action" }, element("h3", {}, "Why this action"), element("div", { class: "halves" }, this.sumsBox, this.nearestBox)),
         element("section", { class: "panel wide", "aria-label": "episode" }, element("h3", {}, "A recorded episode"), ...this.player()),
+        element("section", { class: "panel wide", "aria-label": "what matters" }, ...importanceTable(data)),
         element("section", { class: "panel wide", "aria-label": "programs" }, ...this.programs()),
       ),
     );
@@ -101,6 +104,7 @@ class PolicyView {
     });
     this.showAction();
     this.showPath(path);
+    showWhy(this);
   }
 
   showAction() {
@@ -216,8 +220,10 @@ class PolicyView {
 
   stop() {
     if (this.playing) cancelAnimationFrame(this.playing);
+    const wasPlaying = this.playing;
     this.playing = null;
     this.playButton.textContent = "Play";
+    if (wasPlaying) showWhy(this);
   }
 
   /** Show a step as it was recorded: its leaf and its answer are those of the exact state. */

@@ -21,7 +21,7 @@ from pipelines.cli.runs import load_config
 from pipelines.config.algo import SacConfig
 from pipelines.engine.store import read_csv, read_json
 from pipelines.report import load_runs
-from pipelines.report.figures import COLOURS, NORMAL, figure_of_panels, legend_line, set_legend
+from pipelines.report.figures.style import COLOURS, NORMAL, figure_of_panels, legend_line, set_legend
 from pipelines.training.estimates import learning_starts
 
 if TYPE_CHECKING:

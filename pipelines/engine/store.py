@@ -113,7 +113,7 @@ def read_bytes(path: Path) -> bytes:
         FileNotFoundError: it is in neither.
         PipelineError: the archive is damaged.
     """
-    packed = packed_files(path.parent, path.name)
+    packed: Mapping[str, bytes] = packed_files(path.parent, path.name)
     if not packed and not path.exists():
         packed = archive_files(path.parent)
     return packed[path.name] if path.name in packed else path.read_bytes()

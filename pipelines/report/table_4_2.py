@@ -16,7 +16,7 @@ import otr
 from pipelines.engine.archive import MANIFEST, read_manifest
 from pipelines.engine.store import corrupt, exists, read_bytes, read_json
 from pipelines.report.cells import CSV_COLUMNS, DECIMALS, beside_the_thesis, summarise
-from pipelines.report.figures import auc_against_leaves
+from pipelines.report.figures.style import auc_against_leaves
 from pipelines.report.frames import load_fits
 from pipelines.report.statistics import MIN_RUNS_FOR_INTERVAL, ResampledAreas, resplit_interval
 from pipelines.report.text import latex_grid, markdown_grid, markdown_table, page, write_tables

@@ -10,17 +10,17 @@ from pipelines.config.run import RunConfig
 from pipelines.errors import ConfigError
 from pipelines.report.certificates import write_certificates
 from pipelines.report.comparisons import write_comparisons
-from pipelines.report.figure_4_6 import Planned, budget_of_runs, write_figure_4_6
-from pipelines.report.figure_4_7 import write_figure_4_7
+from pipelines.report.figures.figure_4_6 import Planned, budget_of_runs, write_figure_4_6
+from pipelines.report.figures.figure_4_7 import write_figure_4_7
+from pipelines.report.figures.performance_profile import write_performance_profile
 from pipelines.report.frames import load_fits, load_runs
-from pipelines.report.performance_profile import write_performance_profile
 from pipelines.report.table_4_1 import write_table_4_1
 from pipelines.report.table_4_2 import write_table_4_2
 from pipelines.report.text import page, write_tables
 
 FIGURES_OF_A_BUDGET = ("4.6", "4.7")
 FIGURES = (*FIGURES_OF_A_BUDGET, "profile")
-FIGURES_OF_RUNS = ("curves", "leaves", "regions")  # `pipelines.report.run_figures` writes them
+FIGURES_OF_RUNS = ("curves", "leaves", "regions")  # `pipelines.report.figures.run_figures` writes them
 ALL = ("4.2", "4.6", "4.7", "certificates", "comparisons", "profile", "4.1")
 
 

@@ -19,7 +19,7 @@ from pipelines.errors import ConfigError, MissingInputError
 from pipelines.runs.replay import replay
 
 if TYPE_CHECKING:
-    from pipelines.report.figure_4_6 import Planned
+    from pipelines.report.figures.figure_4_6 import Planned
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ TABULATE = Composer(
 
 def do(arguments: argparse.Namespace) -> int:
     """Write the reports that are named, print them, and return whether runs that were played again differed."""
-    from pipelines.report.run_figures import RUN_FIGURES, RunFigure  # imports pandas, as the next
+    from pipelines.report.figures.run_figures import RUN_FIGURES, RunFigure  # imports pandas, as the next
     from pipelines.report.tabulate import FIGURES_OF_A_BUDGET, reports_of, write_report
 
     names = [argument for argument in arguments.overrides if "=" not in argument]
@@ -97,7 +97,7 @@ def do(arguments: argparse.Namespace) -> int:
 @functools.cache
 def _planned(budget: str) -> list["Planned"]:
     """Return the runs of the experiment that figures show; its overrides are the parts of their folders' names."""
-    from pipelines.report.figure_4_6 import ENVIRONMENT, EXPERIMENT, Planned
+    from pipelines.report.figures.figure_4_6 import ENVIRONMENT, EXPERIMENT, Planned
 
     jobs = RUN.expand([f"+experiment={EXPERIMENT}", f"budget={budget}"], multirun=False)
     usual = run_config([f"env={ENVIRONMENT}", "method=viper", f"budget={budget}"]).oracle

@@ -13,7 +13,7 @@ import pandas as pd
 from pipelines.config.run import RunConfig
 from pipelines.errors import MissingInputError
 from pipelines.report.cells import METHOD_NAMES, TASK_NAMES
-from pipelines.report.learning_curves import STEPS, load_curves
+from pipelines.report.figures.learning_curves import STEPS, load_curves
 
 BAR_WIDTH, BAR_HEIGHT = 96, 14
 

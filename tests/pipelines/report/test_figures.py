@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pipelines.report.figures import auc_against_leaves
+from pipelines.report.figures.style import auc_against_leaves
 
 
 def points(*rows):
@@ -99,7 +99,7 @@ def test_rows_that_cannot_be_drawn_are_refused():
 
 def test_pyplot_is_not_touched():
     code = (
-        "import pandas, sys; from pipelines.report.figures import auc_against_leaves\n"
+        "import pandas, sys; from pipelines.report.figures.style import auc_against_leaves\n"
         "assert 'matplotlib' not in sys.modules\n"
         "row = {'panel': ['Bace'], 'label': ['OTR'], 'leaves': [4], 'mean': [0.8], 'std': [0.1], 'published': [0.7]}\n"
         "auc_against_leaves(pandas.DataFrame(row))\n"

@@ -12,9 +12,9 @@ from pipelines.config.methods import AugTreeConfig
 from pipelines.engine.store import read_csv
 from pipelines.errors import MissingInputError, PipelineError
 from pipelines.play.episodes import play_seeds
-from pipelines.report import figure_4_6, figure_4_7
-from pipelines.report.figure_4_6 import Planned, budget_of_runs
-from pipelines.report.figures import return_against_depth
+from pipelines.report.figures import figure_4_6, figure_4_7
+from pipelines.report.figures.figure_4_6 import Planned, budget_of_runs
+from pipelines.report.figures.style import return_against_depth
 from pipelines.report.frames import load_runs
 from tests.pipelines.conftest import LANDER, PPO, otr_command, otr_succeeds
 from tests.pipelines.report.conftest import write_run

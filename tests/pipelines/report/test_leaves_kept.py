@@ -8,7 +8,7 @@ import pytest
 
 from pipelines.engine.store import write_csv, write_json
 from pipelines.errors import MissingInputError, PipelineError
-from pipelines.report.leaves_kept import load_leaves, mean_return, return_against_leaves
+from pipelines.report.figures.leaves_kept import load_leaves, mean_return, return_against_leaves
 from pipelines.stages.leaves import COLUMNS
 
 SMALL, LARGE = "pendulum/otr/depth-6/quick/seed-0", "pendulum/otr/depth-32/quick/seed-0~0a1b2c3d"

@@ -11,14 +11,14 @@ from pipelines.cli.runs import run_config
 from pipelines.engine.store import read_csv
 from pipelines.errors import MissingInputError
 from pipelines.report.cells import TASK_NAMES
-from pipelines.report.frames import load_runs
-from pipelines.report.performance_profile import (
+from pipelines.report.figures.performance_profile import (
     draw_profiles,
     profiles,
     random_returns,
     scored_runs,
     write_performance_profile,
 )
+from pipelines.report.frames import load_runs
 from pipelines.report.published import best_published
 from tests.pipelines.report.conftest import write_run
 

@@ -12,9 +12,9 @@ from otr.programs.picture.colours import label_colours, level_colour
 from pipelines.cli.runs import load_config
 from pipelines.config.run import RunConfig
 from pipelines.errors import ConfigError, MissingInputError
-from pipelines.report.learning_curves import FINISHED, ROWS, STEPS, learning_curves, load_curves
-from pipelines.report.regions import chosen_inputs, draw_regions
-from pipelines.report.run_figures import runs_below
+from pipelines.report.figures.learning_curves import FINISHED, ROWS, STEPS, learning_curves, load_curves
+from pipelines.report.figures.regions import chosen_inputs, draw_regions
+from pipelines.report.figures.run_figures import runs_below
 from pipelines.runs.finished_run import find_run
 from tests.committed import RESULTS
 from tests.core.test_tree import small_tree

@@ -9,7 +9,7 @@ import pytest
 from pipelines.cli.runs import load_config
 from pipelines.engine.store import read_csv
 from pipelines.errors import PipelineError
-from pipelines.report.learning_curves import FINISHED, STEPS, learning_curves, load_curves
+from pipelines.report.figures.learning_curves import FINISHED, STEPS, learning_curves, load_curves
 from pipelines.training import checkpoints
 from pipelines.training.checkpoints import History, evaluations_so_far
 

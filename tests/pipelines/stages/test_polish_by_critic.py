@@ -18,7 +18,7 @@ from pipelines.engine.stage import stage_status
 from pipelines.engine.store import read_json
 from pipelines.errors import ConfigError
 from pipelines.play.actor_files import load_actor
-from pipelines.report.learning_curves import STEPS, load_curves
+from pipelines.report.figures.learning_curves import STEPS, load_curves
 from pipelines.runs.below_random import random_returns
 from pipelines.runs.replay import replay
 from pipelines.runs.stage_table import stages_of

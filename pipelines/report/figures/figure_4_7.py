@@ -10,13 +10,12 @@ import pandas as pd
 import otr
 from otr.shorten.refit_tests import RefittedTest, RefittedTree, refit_tests
 from pipelines.config.run import RunConfig
-from pipelines.engine.archive import require_whole
 from pipelines.engine.command_text import command_text
 from pipelines.engine.store import read_csv
 from pipelines.errors import MissingInputError, PipelineError
 from pipelines.play.episodes import Rollout, play_evaluation, play_pruning
 from pipelines.play.spaces import action_names, feature_names
-from pipelines.report.figure_4_6 import Planned
+from pipelines.report.figures.figure_4_6 import Planned
 from pipelines.report.published import published
 from pipelines.report.text import page, write_file
 from pipelines.runs.derived import opened_run
@@ -40,7 +39,6 @@ def write_figure_4_7(
     run = _chosen(runs, planned, results_dir)
     run_dir = results_dir / "runs" / run.run
     config = load_config(run_dir)
-    require_whole(run_dir / "imitate")
     with opened_run(config, run_dir, "imitate") as whole:
         tree = otr.load(whole / "imitate" / "tree")
     if not isinstance(tree, otr.ObliqueTree):

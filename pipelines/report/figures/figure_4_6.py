@@ -9,7 +9,7 @@ import pandas as pd
 import otr
 from pipelines.engine.store import corrupt
 from pipelines.report.cells import DECIMALS, METHOD_NAMES, changes_but_oracle, method_name, summarise, table_runs
-from pipelines.report.figures import return_against_depth
+from pipelines.report.figures.style import return_against_depth
 from pipelines.report.text import csv_text, write_file
 
 EXPERIMENT = "figure_4_6"  # whose runs Figures 4.6 and 4.7 show

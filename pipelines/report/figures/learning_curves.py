@@ -15,7 +15,7 @@ from pipelines.config.run import RunConfig
 from pipelines.engine.archive import MANIFEST
 from pipelines.engine.store import CONFIG, exists, read_csv, read_summary
 from pipelines.errors import MissingInputError
-from pipelines.report.figures import (
+from pipelines.report.figures.style import (
     COLOURS,
     NORMAL,
     figure_of_panels,

@@ -1,4 +1,4 @@
-"""Figures from runs and fits; `otr.save_picture` writes them. matplotlib is loaded when one is drawn."""
+"""What figures share: colours, axes, labels; `otr.save_picture` writes them. matplotlib is loaded when one is drawn."""
 
 from __future__ import annotations
 

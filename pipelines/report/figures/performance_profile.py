@@ -18,7 +18,7 @@ import otr
 from pipelines.engine.command_text import command_text
 from pipelines.errors import MissingInputError
 from pipelines.report.cells import DECIMALS, KEY, METHOD_NAMES, SOURCE, TASK_NAMES, table_runs
-from pipelines.report.figures import COLOURS, DASHES, SMALL, figure_of_panels, legend_line, set_legend
+from pipelines.report.figures.style import COLOURS, DASHES, SMALL, figure_of_panels, legend_line, set_legend
 from pipelines.report.published import best_published
 from pipelines.report.statistics import performance_profile
 from pipelines.report.table_4_1 import COLUMNS as COLUMNS_OF_TABLE

@@ -10,7 +10,7 @@ import pandas as pd
 
 from pipelines.engine.store import corrupt, exists, read_csv, read_json
 from pipelines.errors import MissingInputError
-from pipelines.report.figures import (
+from pipelines.report.figures.style import (
     NORMAL,
     figure_of_panels,
     legend_line,

@@ -11,9 +11,9 @@ from pipelines.config.run import RunConfig
 from pipelines.engine.store import ARCHIVE, CONFIG, exists
 from pipelines.errors import ConfigError
 from pipelines.play.printed_programs import names_of_env
-from pipelines.report.learning_curves import learning_curves, load_curves
-from pipelines.report.leaves_kept import load_leaves, return_against_leaves
-from pipelines.report.regions import chosen_inputs, draw_regions
+from pipelines.report.figures.learning_curves import learning_curves, load_curves
+from pipelines.report.figures.leaves_kept import load_leaves, return_against_leaves
+from pipelines.report.figures.regions import chosen_inputs, draw_regions
 from pipelines.runs.finished_run import (
     check_run,
     find_folder,

@@ -1,0 +1,1 @@
+"""Figures of the thesis, of runs and of results."""

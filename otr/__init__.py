@@ -35,7 +35,7 @@ if TYPE_CHECKING:
         TanhBox as TanhBox,
         head_from_dict as head_from_dict,
     )
-    from otr.core.io import load as load, save as save
+    from otr.files.artefacts import load as load, save as save
     from otr.core.mapping import map_network as map_network
     from otr.core.network import ReluNetwork as ReluNetwork
     from otr.core.pattern_tree import PatternTree as PatternTree
@@ -99,7 +99,7 @@ _NAMES_OF_MODULES = {
     "core.domain": "Domain",
     "core.head": "Head",
     "core.heads": "Argmax ClipBox Exp Identity PidBox Sign TanhBox head_from_dict",
-    "core.io": "load save",
+    "files.artefacts": "load save",
     "core.mapping": "map_network",
     "core.network": "ReluNetwork",
     "core.pattern_tree": "PatternTree",

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from otr.clock import check_time
 from otr.core.arrays import BoolArray, FloatArray, IntArray, as_batch
-from otr.core.clock import check_time
 from otr.core.mapping import map_network
 from otr.core.network import ReluNetwork, UnitForm, require_relu_network
 from otr.core.packed_bits import PackedRows, count_rows, pack_rows, unpack_rows

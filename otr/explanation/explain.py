@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from otr.clock import time_limit
 from otr.core.arrays import FloatArray, as_states
-from otr.core.clock import time_limit
 from otr.core.domain import Box, Domain, as_domain
 from otr.core.head import Head
 from otr.core.pattern_tree import PatternTree

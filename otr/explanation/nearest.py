@@ -13,8 +13,8 @@ from itertools import count
 
 import numpy as np
 
+from otr.clock import check_time
 from otr.core.arrays import FloatArray
-from otr.core.clock import check_time
 from otr.core.domain import Domain
 from otr.explanation.paths import Paths
 

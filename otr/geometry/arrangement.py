@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from otr.clock import check_time, seconds_left, time_limit
 from otr.core.arrays import BoolArray, FloatArray, IntArray
-from otr.core.clock import check_time, seconds_left, time_limit
 from otr.core.domain import Domain
 from otr.core.half_spaces import HalfSpaces
 from otr.core.network import ReluNetwork, UnitForm

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from otr.clock import check_time
 from otr.core.arrays import BoolArray, FloatArray, IntArray
-from otr.core.clock import check_time
 from otr.core.network import ReluNetwork
 from otr.core.pattern_tree import PatternTree, tree_of_paths
 from otr.core.tree import ObliqueTree

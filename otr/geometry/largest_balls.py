@@ -24,8 +24,8 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
+from otr.clock import check_time
 from otr.core.arrays import BoolArray, FloatArray, IntArray
-from otr.core.clock import check_time
 from otr.core.half_spaces import HalfSpaces, rounding_of_terms
 from otr.geometry.balls_in_box import BoxBases, BoxSimplex, highest_in_box, opposite_rows
 from otr.geometry.simplex import FREE, LARGEST_RADIUS, MAX_PIVOTS, Bases, pivot

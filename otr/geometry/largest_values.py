@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from otr.clock import check_time
 from otr.core.arrays import FloatArray, IntArray
-from otr.core.clock import check_time
 from otr.core.half_spaces import HalfSpaces
 from otr.errors import OtrError
 from otr.geometry.simplex import MAX_PIVOTS, Bases, pivot

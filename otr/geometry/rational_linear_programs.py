@@ -18,8 +18,8 @@ from math import lcm
 
 import numpy as np
 
+from otr.clock import check_time
 from otr.core.arrays import BoolArray, FloatArray, IntArray
-from otr.core.clock import check_time
 from otr.geometry.rational import Integers, Point, integers
 
 _BLAND = 10  # times as many pivots as places, before the rule that cannot go round in circles

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from otr.clock import check_time
 from otr.core.arrays import IntArray
-from otr.core.clock import check_time
 from otr.core.domain import Domain
 from otr.core.half_spaces import HalfSpaces
 from otr.core.tree import ObliqueTree

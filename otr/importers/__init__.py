@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from otr.core.head import Head
-from otr.core.io import load
 from otr.core.network import ReluNetwork
 from otr.core.pattern_tree import PatternTree
 from otr.core.smooth_network import Oracle
 from otr.errors import ArtefactError, InvalidNetworkError, OtrError
 from otr.extras import naming_the_extra
+from otr.files.artefacts import load
 from otr.importers.assembly import mappable, policy_of
 from otr.importers.onnx_file import sections_of_onnx
 from otr.importers.sb3_archive import network_of_file, oracle_of_file

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otr.core.arrays import FloatArray
-from otr.core.zip_members import read_members
 from otr.errors import ArtefactError
+from otr.files.zip_members import read_members
 from otr.importers.sb3_archive import load_tensors, read_archive, readable_slope
 from otr.importers.sb3_layers import Tensors, linear_layers
 from otr.importers.torch_modules import real_values

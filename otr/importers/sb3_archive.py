@@ -25,8 +25,8 @@ from otr.core.head import Head
 from otr.core.heads import Argmax, ClipBox, TanhBox
 from otr.core.network import ReluNetwork
 from otr.core.smooth_network import ACTIVATIONS, SmoothNetwork
-from otr.core.zip_members import read_members
 from otr.errors import ArtefactError, InvalidNetworkError
+from otr.files.zip_members import read_members
 from otr.importers.assembly import RELU_REMEDY, TRAIN_RELU
 from otr.importers.pickle_record import numbers, record_of_pickle
 from otr.importers.sb3_layers import Tensors, actor_layers, has_limited_mean, is_on_policy, is_searched

@@ -14,8 +14,8 @@ from scipy.special import expit
 from otr.core.head import Head
 from otr.core.heads import Argmax, Identity, Sign
 from otr.core.smooth_network import Oracle
-from otr.core.zip_members import read_members
 from otr.errors import ArtefactError, InvalidNetworkError
+from otr.files.zip_members import read_members
 from otr.importers.assembly import policy_of, probe_states, reach
 from otr.importers.sections import Sections
 

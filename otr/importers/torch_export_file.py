@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otr.core.arrays import FloatArray
-from otr.core.zip_members import read_members
 from otr.errors import ArtefactError, InvalidNetworkError
+from otr.files.zip_members import read_members
 
 _LIMIT_BYTES = 2**26  # of the archive: sixteen million numbers
 _LIMIT_TEXT_BYTES = 2**24  # of its JSON, which takes twenty times as much memory

@@ -5,8 +5,8 @@ from __future__ import annotations
 import html
 from collections.abc import Sequence
 
-from otr.core.merging import merge_equal_leaves
 from otr.core.tree import ObliqueTree
+from otr.programs.merging import merge_equal_leaves
 from otr.programs.names import check_tree, shown_names
 from otr.programs.picture.boxes import NodeBox, tree_boxes
 from otr.programs.picture.branches import look

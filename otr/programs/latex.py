@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from otr.core.merging import merge_equal_leaves
 from otr.core.tree import ObliqueTree
+from otr.programs.merging import merge_equal_leaves
 from otr.programs.names import check_tree, shown_names
 from otr.programs.notation import Notation, Program
 from otr.programs.walk import summary_of

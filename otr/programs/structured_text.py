@@ -10,8 +10,8 @@ import numpy as np
 
 from otr.core.head import Head, no_entry
 from otr.core.heads import Argmax, ClipBox, Exp, Identity, PidBox, Sign, TanhBox
-from otr.core.merging import merge_equal_leaves
 from otr.core.tree import ObliqueTree
+from otr.programs.merging import merge_equal_leaves
 from otr.programs.names import Names, check_tree, give_labels, in_comment, label_name, names_for
 from otr.programs.pid_gains import joined
 from otr.programs.walk import MAX_NESTED_DEPTH, affine_expression, child, distinct_rows, summary_of, walk, wrapped

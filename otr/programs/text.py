@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from otr.core.merging import merge_equal_leaves
 from otr.core.tree import ObliqueTree, require_tree
 from otr.programs.language.tokens import written
+from otr.programs.merging import merge_equal_leaves
 from otr.programs.names import names_of
 from otr.programs.notation import Notation, Program
 

@@ -16,8 +16,8 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
+from otr.clock import check_time
 from otr.core.arrays import FloatArray, IntArray
-from otr.core.clock import check_time
 from otr.core.half_spaces import HalfSpaces
 from otr.errors import CertificateError, OtrError
 from otr.geometry.largest_values import LargestValues, largest_values

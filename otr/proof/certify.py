@@ -11,8 +11,8 @@ from fractions import Fraction
 
 import numpy as np
 
+from otr.clock import check_time, time_limit
 from otr.core.arrays import IntArray
-from otr.core.clock import check_time, time_limit
 from otr.core.domain import Box, Domain, as_domain
 from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree

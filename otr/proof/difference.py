@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from otr.core.clock import time_limit
+from otr.clock import time_limit
 from otr.core.domain import Box, Domain
 from otr.core.head import Head
 from otr.core.heads import Argmax, ClipBox, Exp, Identity, TanhBox

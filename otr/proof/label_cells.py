@@ -13,7 +13,7 @@ from itertools import chain, islice
 
 import numpy as np
 
-from otr.core.clock import check_time
+from otr.clock import check_time
 from otr.geometry.rational import Integers, nearest_state, without_denominators
 from otr.geometry.rational_linear_programs import inner_point, largest_value
 from otr.proof.certificate import Cell

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from otr.clock import time_limit
 from otr.core.arrays import FloatArray, IntArray
-from otr.core.clock import time_limit
 from otr.core.domain import Box, Domain, as_domain
 from otr.core.half_spaces import HalfSpaces
 from otr.core.tree import ObliqueTree

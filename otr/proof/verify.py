@@ -38,7 +38,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from otr.core.clock import check_time, time_limit
+from otr.clock import check_time, time_limit
 from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
 from otr.errors import CertificateError

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 
 from otr.core.arrays import FloatArray, as_batch
 from otr.core.domain import Box, Domain, as_domain
-from otr.core.merging import merge_equal_leaves
 from otr.core.tree import ObliqueTree, require_tree
+from otr.programs.merging import merge_equal_leaves
 from otr.proof.action_difference import largest_difference
 from otr.proof.head_bounds import require_decided
 from otr.shorten import edits as shorter

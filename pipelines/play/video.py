@@ -16,7 +16,7 @@ import numpy as np
 import otr
 from otr.control.environments import GymnasiumVectorEnv
 from otr.control.rollout import play_side_by_side
-from otr.core.merging import merge_equal_leaves
+from otr.programs.merging import merge_equal_leaves
 from otr.programs.names import label_name
 from otr.programs.picture.colours import label_colours, level_colour
 from otr.programs.walk import in_printed_order

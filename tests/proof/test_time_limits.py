@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import otr
-from otr.core.clock import check_time, time_limit
+from otr.clock import check_time, time_limit
 from otr.proof.certificate import Cell, Certificate, Sum
 from tests.core.strategies import make_network
 

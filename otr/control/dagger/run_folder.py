@@ -11,12 +11,12 @@ from typing import IO, Any
 import numpy as np
 
 from otr.core.arrays import FloatArray
-from otr.core.io import load, save, write_atomically
 from otr.core.network import ReluNetwork
 from otr.core.pattern_tree import PatternTree
 from otr.core.smooth_network import Oracle
 from otr.core.tree import ObliqueTree
 from otr.errors import ArtefactError
+from otr.files.artefacts import load, save, write_atomically
 
 SCHEMA = "otr/dagger/1"
 

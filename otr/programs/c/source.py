@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from otr.core.mapping import map_network
-from otr.core.merging import merge_equal_leaves
 from otr.core.network import ReluNetwork
 from otr.core.pattern_tree import PatternTree
 from otr.core.tree import ObliqueTree
@@ -16,6 +15,7 @@ from otr.programs.c.answers import Answer, answer_of
 from otr.programs.c.network import network_code
 from otr.programs.c.reserved_words import is_function_name
 from otr.programs.c.tables import CType, Table, integer_table, integer_type, row_table
+from otr.programs.merging import merge_equal_leaves
 from otr.programs.names import check_policy, give_labels, in_comment, shown_names
 from otr.programs.walk import child, distinct_rows, require_float_rows, summary_of
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from otr.core.merging import merge_equal_leaves
 from otr.core.tree import ObliqueTree
+from otr.programs.merging import merge_equal_leaves
 from otr.programs.names import check_tree, one_line, shown_names
 from otr.programs.picture.boxes import NodeBox, tree_boxes, visits_of
 from otr.programs.picture.branches import branches

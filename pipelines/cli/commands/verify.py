@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import otr
-from otr.core.clock import time_limit
+from otr.clock import time_limit
 from pipelines.cli.compose import Composer, to_object
 from pipelines.cli.overrides import without_environment
 from pipelines.cli.runs import load_config, written_policy

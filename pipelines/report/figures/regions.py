@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import otr
-from otr.core.merging import merge_equal_leaves
+from otr.programs.merging import merge_equal_leaves
 from otr.programs.picture.colours import label_colours, level_colour
 from pipelines.errors import ConfigError, did_you_mean
 

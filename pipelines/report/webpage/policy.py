@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 import otr
 from otr.control.label_leaves import decided_leaves
-from otr.core.merging import merge_equal_leaves
+from otr.programs.merging import merge_equal_leaves
 from otr.programs.picture.colours import LABELS, level_colour
 from otr.programs.walk import in_printed_order
 from pipelines.config.run import RunConfig

@@ -22,8 +22,8 @@ from otr.core.heads import head_from_dict
 from otr.core.network import ReluNetwork
 from otr.core.pattern_tree import PatternTree
 from otr.core.tree import ObliqueTree
-from otr.core.zip_members import read_members
 from otr.errors import ArtefactError
+from otr.files.zip_members import read_members
 
 SCHEMA = "otr/tree/1"
 SCHEMA_OF_BASIS = "otr/tree/2"  # with P and M as they are held, those of `basis @ x`

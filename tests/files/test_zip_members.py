@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import otr
-from otr.core.zip_members import read_members
+from otr.files.zip_members import read_members
 
 MEGABYTE = 2**20
 
@@ -70,7 +70,7 @@ def test_a_header_that_lies_unpacks_no_more_than_it_says() -> None:
     code = """
 import io, resource, struct, sys, zipfile, zlib
 from otr.errors import ArtefactError
-from otr.core.zip_members import read_members
+from otr.files.zip_members import read_members
 packer = zlib.compressobj(9, zlib.DEFLATED, -15)
 block = packer.compress(bytes(2**20)) + packer.flush(zlib.Z_FULL_FLUSH)  # stands on its own
 stream = 2**10 * block + packer.flush()

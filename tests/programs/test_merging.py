@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import otr
-from otr.core.merging import merge_equal_leaves
+from otr.programs.merging import merge_equal_leaves
 from tests.core.test_tree import random_tree, small_tree
 
 

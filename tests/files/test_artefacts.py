@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import otr
-from otr.core.io import _digest
+from otr.files.artefacts import _digest
 from tests.core.strategies import Case, cases, make_network, worked_network
 from tests.core.test_tree import random_tree
 

@@ -1,0 +1,1 @@
+"""Trees and networks on disk; reading members of zip files within limits."""

@@ -169,8 +169,9 @@ def explain(
 
 
 def outputs_named(head: Head, n_outputs: int, answers: Sequence[str]) -> tuple[str, ...]:
-    """Return names of the outputs: the answers', but for terms and gains, and the output of `Sign`."""
-    usual = answers if len(answers) == n_outputs else [f"y{i}" for i in range(n_outputs)]
+    """Return names of the outputs: the answers', but for terms and gains, `Sign`, and labels without names."""
+    are_named = len(answers) == n_outputs and list(answers) != [str(i) for i in range(n_outputs)]
+    usual = answers if are_named else [f"y{i}" for i in range(n_outputs)]
     return tuple(head.output_names(n_outputs, answers) or usual)
 
 

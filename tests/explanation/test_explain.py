@@ -192,6 +192,23 @@ def test_what_is_printed() -> None:
     )
 
 
+def test_scores_are_printed_where_the_head_decides_and_where_the_tests_do() -> None:
+    net = otr.ReluNetwork([[[1.0], [2.0]]], [[1.0, 0.0]], head=otr.Argmax())
+    of_network = otr.map_network(net)
+    of_leaf = otr.ObliqueTree([], [], np.zeros((0, 1)), [], [[[1.0], [2.0]]], [[1.0, 0.0]], head=otr.Argmax())
+    for tree, head in (
+        (of_network, "the tests decide the label"),
+        (of_leaf, "the label of the largest output, the first of equals"),
+    ):
+        assert str(otr.explain(tree, [3.0], output_names=["go", "stop"])).splitlines()[1:8] == [
+            "  -1 + x0 <= 0: no, 2", "go = 4, the sum of", "  +3  x0 (1 times 3)", "  +1  constant",
+            "stop = 6, the sum of", "  +6  x0 (2 times 3)", "  +0  constant",
+        ]  # fmt: skip
+        shown = str(otr.explain(tree, [3.0]))
+        assert f"\nhead: {head}\n" in shown and "\ny1 = 6, the sum of\n" in shown
+        assert "\nnearest state of another label, 2 away: x0 3 -> 1\n" in shown
+
+
 def test_wide_states_are_printed_by_their_largest_terms() -> None:
     net = make_network(np.random.default_rng(0), (1,), n_inputs=100, n_outputs=1)
     shown = str(otr.explain(otr.map_network(net), np.ones(100))).splitlines()

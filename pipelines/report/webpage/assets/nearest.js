@@ -55,6 +55,7 @@ function nearestOther(tree, x, features) {
   const scales = features.map(({ low, high }) => high - low);
   const leaf = tree.apply(x);
   const answer = tree.answer(leaf, x);
+  if (tree.labels?.every((label) => label === answer)) return null;
   const box = features.flatMap(({ low, high }, j) => [[1, (x[j] - Math.min(low, x[j])) / scales[j]], [-1, (Math.max(high, x[j]) - x[j]) / scales[j]]]
     .map(([sign, h]) => [...scales.map((_, k) => (k === j ? sign : 0)), h]));
   const open = [{ distance: 0, ref: tree.root, rows: box, move: x.map(() => 0) }];

@@ -40,7 +40,8 @@ def draw_tree(
     what the strongest of them are on average over the states. Leaves are coloured by what they do: a hue for each
     label; answers from blue (low) to orange (high), the paler the nearer the middle. Tests whose two sides answer the
     same are left out (`otr.programs.merging`). More than 30 leaves are drawn as an icicle; of more than 400 what is
-    deepest is folded up. The figure is as large as its text asks for. `otr.to_svg` returns the same as SVG, without matplotlib.
+    deepest is folded up. The figure is as large as its text asks for. `otr.to_svg` returns the same as SVG, without
+    matplotlib.
 
     Args:
         tree: any tree.

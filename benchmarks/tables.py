@@ -1,9 +1,9 @@
 """Trees from tables: our learners and other libraries' on twelve public data sets, ten splits each.
 
-Seven tenths of the rows are for training, of each class alike, and at most 1,500 rows of a data set are drawn. Columns are
-encoded as `otr-fit` encodes them and standardised, both by training rows. Every learner chooses its size (depth, of OTR
-neurons) on a quarter of the training rows, the same for all, and is then fitted to all of them. Scores are accuracy or R2
-on the other rows. A lead is the score less that of scikit-learn's CART, with its 95 % interval over the splits
+Seven tenths of the rows are for training, of each class alike, and at most 1,500 rows of a data set are drawn. Columns
+are encoded as `otr-fit` encodes them and standardised, both by training rows. Every learner chooses its size (depth, of
+OTR neurons) on a quarter of the training rows, the same for all, and is then fitted to all of them. Scores are accuracy
+or R2 on the other rows. A lead is the score less that of scikit-learn's CART, with its 95 % interval over the splits
 (`resplit_interval`). Seconds are CPU seconds of the last fit. Peers that are not installed are left out:
 `pip install 'otr[benchmarks]'`.
 
@@ -288,7 +288,11 @@ def markdown(entries: list[dict[str, Any]]) -> str:
     for data in dict.fromkeys(data for data, _ in cells):
         lines.append(f"| {data} | {' | '.join(_cell(cells.get((data, name))) for name in names)} |")
     lines.append(f"| ahead of CART, behind | {' | '.join(_counts(cells, name) for name in names)} |")
-    for key, title in (("leaves", "leaves"), ("features_per_test", "inputs of a test"), ("seconds", "seconds of a fit")):
+    for key, title in (
+        ("leaves", "leaves"),
+        ("features_per_test", "inputs of a test"),
+        ("seconds", "seconds of a fit"),
+    ):
         values = [[entry["details"][key] for (_, learner), entry in cells.items() if learner == name] for name in names]
         lines.append(f"| {title}, mean | {' | '.join(f'{np.mean(each):.2g}' for each in values)} |")
     return "\n".join(lines)

@@ -10,6 +10,7 @@ from sklearn.linear_model import LogisticRegression
 
 from otr.core.arrays import FloatArray, IntArray
 from otr.core.heads import Argmax, Sign
+from otr.core.pattern_tree import PatternTree
 from otr.core.tree import ObliqueTree
 from otr.learners.base.parameters import (
     AT_LEAST_0,
@@ -68,7 +69,7 @@ class LinearTreeClassifier(TreeClassifier):
 
     def _fit_problem(self, problem: Problem) -> None:
         self.n_iter_ = 0
-        trees = []
+        trees: list[ObliqueTree | PatternTree] = []
         for label in range(problem.Y.shape[1]):
             present = ~np.isnan(problem.Y[:, label])
             weights = None if problem.label_weights is None else problem.label_weights[present, label]

@@ -34,7 +34,7 @@ class FitWorkflow(Workflow):
     row = staticmethod(fit_row)
 
     def spelt_out(self, overrides: Sequence[str]) -> list[str]:
-        """Return overrides with those of a table spelt out: `data=my.csv target=price` is `data=table data.file=...`."""
+        """Return overrides with those of a table spelt out: data=my.csv is data=table and data.file=my.csv."""
         written = []
         for override in overrides:
             key = key_of(override)

@@ -78,7 +78,8 @@ class Columns:
         for column in self.columns:
             if column.name not in rows:
                 raise ConfigError(f"the rows have no column {column.name!r}.{did_you_mean(column.name, list(rows))}")
-        return np.concatenate([column.encode(rows[column.name]) for column in self.columns], axis=1)
+        features: np.ndarray = np.concatenate([each.encode(rows[each.name]) for each in self.columns], axis=1)
+        return features
 
     def write(self, path: Path) -> None:
         """Write them as JSON."""

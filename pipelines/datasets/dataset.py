@@ -1,7 +1,7 @@
 """What every data set is once it is read: three parts, each with features and labels."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -55,6 +55,7 @@ class Dataset:
     train: Part  # the parts; hyperparameters are chosen on `valid`, `test` is read once
     valid: Part
     test: Part
+    _: KW_ONLY
     columns: "Columns | None" = None  # of a table of the user, how its columns became features
 
     def part(self, name: str) -> Part:

@@ -30,7 +30,7 @@ def load_pdbbind() -> Dataset:
             f"{PDBBIND.path} has the right hash and cannot be read: {error}\nPlease report it; nothing of it was run."
         ) from error
     names = tuple(f"feature{i}" for i in range(N_FEATURES))
-    return Dataset("pdbbind", "regression", ("affinity",), names, **parts)
+    return Dataset("pdbbind", "regression", ("affinity",), names, *parts.values())
 
 
 def unpickle_arrays(content: bytes) -> list[np.ndarray]:

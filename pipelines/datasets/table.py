@@ -61,7 +61,7 @@ def load_table(
     )
     X = columns.encode(features)
     parts = {part: Part(X[of_part], y[of_part, None]) for part, of_part in rows.items()}
-    return Dataset(Path(path).name, kind, (target,), columns.feature_names, **parts, columns=columns)
+    return Dataset(Path(path).name, kind, (target,), columns.feature_names, *parts.values(), columns=columns)
 
 
 def is_table(value: str) -> bool:

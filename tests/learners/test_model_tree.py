@@ -98,8 +98,6 @@ def test_neighbouring_floats_are_parted():
 
 def test_max_features_draws_by_random_state():
     X, y = hinge(400)
-    first, again, other = (
-        LinearTreeRegressor(max_features=1, random_state=s).fit(X, y).tree_.P for s in (0, 0, 5)
-    )
+    first, again, other = (LinearTreeRegressor(max_features=1, random_state=s).fit(X, y).tree_.P for s in (0, 0, 5))
     assert np.array_equal(first, again)
     assert first.shape != other.shape or not np.array_equal(first, other)

@@ -132,8 +132,8 @@ class AugTreeClassifier(_AugTree, GrownClassifier):
             max_leaf_nodes=self.max_leaf_nodes,
             random_state=random_state,
         )
-        self.tree_ = self._named(grow_cart(cart, X @ A.T + a, labels, weights).compose(A, a))
-        return self
+        tree = grow_cart(cart, X @ A.T + a, labels, weights).compose(A, a)
+        return self._take(tree, X, np.eye(len(self.classes_))[labels], weights)
 
 
 @dataclass(eq=False, repr=False)
@@ -190,5 +190,4 @@ class AugTreeRegressor(_AugTree, GrownRegressor):
             tree = LinearTreeRegressor(**options).fit(features, targets, weights).tree_
         else:
             tree = grow_cart(DecisionTreeRegressor(**options), features, targets, weights)
-        self.tree_ = self._named(tree.compose(A, a))
-        return self
+        return self._take(tree.compose(A, a), X, targets, weights)

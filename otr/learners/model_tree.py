@@ -85,8 +85,7 @@ class LinearTreeRegressor(GrownRegressor):
             return np.sort(random_state.choice(features, self.max_features, replace=False))
 
         tests, M, c = grow_models(X, X, targets, self, drawn, weights)
-        self.tree_ = self._named(tests.with_leaves(c, M))
-        return self
+        return self._take(tests.with_leaves(c, M), X, targets, weights)
 
 
 def grow_models(

@@ -100,7 +100,7 @@ def _tuple(values: Sequence[str] | None) -> tuple[str, ...] | None:
 def _numbers(name: str, column: pd.Series) -> np.ndarray:
     """Return a column (n,) as float64, NaN where it is missing."""
     try:
-        numbers = pd.to_numeric(column).to_numpy(dtype=np.float64, na_value=np.nan)
+        numbers: np.ndarray = pd.to_numeric(column).to_numpy(dtype=np.float64, na_value=np.nan)
     except (ValueError, TypeError) as error:
         raise ConfigError(f"column {name!r} holds numbers, and these rows have something else: {error}") from error
     if np.isinf(numbers).any():

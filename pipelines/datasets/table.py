@@ -95,7 +95,7 @@ def _labels(target: pd.Series, task: TaskKind) -> tuple[np.ndarray, tuple[str, .
     """Return the labels (n,), numbers or positions of classes, and the names of these where they are no positions."""
     name, n_values = target.name, target.nunique()
     if n_values < 2:
-        raise ConfigError(f"target={name}: every row has {target.iloc[0]!r}, so that there is nothing to learn")
+        raise ConfigError(f"target={name}: every row has {target.iloc[0]}, so that there is nothing to learn")
     problem = _problem(target) if n_values > 2 else None
     if problem and (task == "classification" or not pd.api.types.is_numeric_dtype(target)):
         raise ConfigError(f"target={name}: it has {problem}, which no tree learns; choose another column")

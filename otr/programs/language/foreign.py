@@ -169,7 +169,8 @@ def _dot(text: str, features: Sequence[str]) -> str:
 def _plain_label(label: re.Match[str]) -> str:
     """Return a node's text with its lines divided by line breaks."""
     if label[2] is not None:
-        return html.unescape(re.sub(r"<br\s*/?>", "\n", label[2])).replace("≤", "<=")
+        text = re.sub(r"(?i)<sub>(\d+)</sub>", r"[\1]", re.sub(r"<br\s*/?>", "\n", label[2]))
+        return html.unescape(text).replace("≤", "<=")
     return label[1].replace("\\n", "\n").replace('\\"', '"')
 
 

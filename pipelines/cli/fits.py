@@ -9,7 +9,7 @@ from pipelines.cli.workflow import Workflow
 from pipelines.config.setting import not_keyed
 from pipelines.datasets.table import is_table
 from pipelines.errors import ConfigError
-from pipelines.supervised.config import LEARNERS, TUNING_ALONE, DataConfig, FitConfig, LearnerConfig, fit_folder
+from pipelines.supervised.config import LEARNERS, TABLE, TUNING_ALONE, DataConfig, FitConfig, LearnerConfig, fit_folder
 from pipelines.supervised.fit_job import FitJob, fit_groups, fit_job, fit_jobs
 from pipelines.supervised.learners import dataset_of
 from pipelines.supervised.result import fit_row
@@ -55,7 +55,7 @@ class FitWorkflow(Workflow):
         made = self.composed(overrides)
         config: FitConfig = made.config
         _check_tuning(config.method, overrides)
-        if config.data.file is not None:
+        if config.data.file is not None or config.data.name == TABLE:
             dataset_of(config)  # what is wrong with it is said before anything is written
         folder = fit_folder(config, self.differences(config, overrides))
         return FitJob(dataclasses.replace(config, folder=folder), folder, made.yaml, tuple(overrides))

@@ -79,7 +79,7 @@ def _read(path: Path) -> pd.DataFrame:
     except FileNotFoundError as error:
         raise ConfigError(f"{path}: there is no such file") from error
     except ImportError as error:
-        raise ConfigError(f"{path}: Parquet is read by pyarrow (pip install pyarrow)") from error
+        raise ConfigError(f"{path}: Parquet is read by pyarrow: pip install 'otr[parquet]'") from error
     except (ValueError, OSError) as error:  # among them pandas' own, and those of text that is no UTF-8
         raise ConfigError(f"{path} cannot be read as a table with a header: {error}") from error
     frame.columns = frame.columns.map(str)

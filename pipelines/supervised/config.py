@@ -33,6 +33,7 @@ from pipelines.engine.digests import differences_suffix
 from pipelines.errors import ConfigError
 
 STAGES = ("tune", "fit", "teacher", "score")
+TABLE = "table"  # what conf/fit/data calls a table whose file is not named yet
 BelowOne = Annotated[float, Range(0, 1, open=True)]
 
 
@@ -224,7 +225,7 @@ class FitConfig:
         if _is_taught(self.method) and self.method.grid and self.method.tuned_for == "label":
             raise ConfigError("method.tuned_for=label with a teacher, who teaches all labels at once; choose data")
         if self.data.file is None:
-            check_split(self.data.name, self.data.split)
+            _check_known(self.data)
 
     @property
     def all_stages(self) -> tuple[str, ...]:
@@ -248,6 +249,17 @@ class FitConfig:
         path = self.data.file
         files = [file.git_blob for file in files_of(self.data.name)] if path is None else [_git_blob(path)]
         return keyed_settings(self) | {"data": {**keyed_settings(self.data), "git_blobs": files}}
+
+
+def _check_known(data: DataConfig) -> None:
+    """Raise ConfigError where a data set that is no table has settings of one, or cannot be split."""
+    if data.name == TABLE:
+        return  # a fit's usual settings; its reader asks for the file
+    given = next((key for key in ("target", "task", "drop") if getattr(data, key)), None)
+    if given:
+        value = getattr(data, given)
+        raise ConfigError(f"{given}={value}: {data.name} has its labels; a {given} is for data=FILE.csv")
+    check_split(data.name, data.split)
 
 
 def _git_blob(path: str) -> str:

@@ -13,6 +13,7 @@ from pipelines.datasets.load import load_dataset
 from pipelines.datasets.table import load_table
 from pipelines.errors import ConfigError
 from pipelines.supervised.config import (
+    TABLE,
     FitConfig,
     LearnerConfig,
     OtrConfig,
@@ -56,6 +57,8 @@ def dataset_of(config: FitConfig) -> Dataset:
 @functools.lru_cache(maxsize=1)
 def _loaded(key: str) -> Dataset:
     data, file = json.loads(key)
+    if file is None and data["name"] == TABLE:
+        raise ConfigError("data=table: of which file? Give data=FILE.csv target=COLUMN")
     if file is None:
         return load_dataset(data["name"], data.get("split"))
     table = {name: data[name] for name in ("task", "drop", "split") if name in data}

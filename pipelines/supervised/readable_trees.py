@@ -20,6 +20,9 @@ def program_of(tree: otr.ObliqueTree | otr.PatternTree, dataset: Dataset) -> str
     if pruned is None:
         return None
     text = to_text(pruned, feature_names=_features(dataset), output_names=_answers(pruned, dataset))
+    if pruned.head.gives_labels and pruned.labels is None and dataset.columns and dataset.columns.classes:
+        classes = ", ".join(f"{label} is {name}" for label, name in enumerate(dataset.columns.classes))
+        text = f"# {dataset.label_names[0]}: {classes}\n{text}"
     return wrapped(text) if len(text) <= MOST_CHARACTERS else None
 
 

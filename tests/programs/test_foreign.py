@@ -115,7 +115,7 @@ def test_scikit_learns_regressors(export, digits, n_outputs):
     [
         'def policy(obs: list) -> float:\n    """What x[9] is."""\n    u = 2 * obs[0]  # and not obs[9]\n'
         "    if obs[1] > 0 and u < 1:\n        return [1.0, 2.5,]\n    return (0.0, -1.0,)\n",
-        "double f(double *s) { double u = 2.0f * s[0]; if (s[1] > 0 && u < 1) { return 1, 2.5F; } else { return 0, -1; } }",
+        "double f(double *s) {\n double u = 2.f * s[0];\n if (s[1] > 0 && u < 1) {return 1, 2.5F;}\n else return 0, -1;}",
         "if x[1] > 0:\n    if max(2 x[0], -1e9,) < 1:\n        return 1, 2.5,\nreturn 0, -1,",
         "if `b` > 0 and 2 a < 1 then\n    out[0] = 1\n    out[1] = 2.5\nelse\n    out[0] = 0\n    out[1] = -1",
     ],
@@ -136,7 +136,7 @@ def test_an_inputs_name_comes_before_what_its_text_means():
     [
         ("return 1 +\n  x[5]", r"line 2, column 3: there is no x\[5\]: the inputs are 2, from x\[0\] on"),
         ("return x[0] + y[1]", r"y\[1\], where x\[...\] was an array before; give one"),
-        ("def f(x):\n    return 1\ndef g(x):\n    return 2", "line 3, column 1: a second function; give the text of one"),
+        ("def f(x):\n    return 1\ndef g(x):\n    return 2", "line 3, column 1: a second function; give"),
         (DTCONTROL_DOT.replace('"5.0"', '"[5.0, 6.0]"'), "line 3.*a leaf allows several answers"),
         (DTCONTROL_DOT.replace("0 -> 1", "2 -> 1"), "the graph has|a test has two"),
         (DTCONTROL_DOT.replace("2 -> 4", "2 -> 3"), "the graph has 2 nodes that no edge leads to"),

@@ -57,7 +57,7 @@ def test_a_new_row_is_encoded_as_the_training_rows_were(tmp_path, name):
     )
     fill = columns.columns[-1].fill
     assert columns.encode(rows).tolist() == [[1, 0, 0, 0, 1, fill, 1], [2, 0, 0, 1, 0, 7, 0]]
-    with pytest.raises(ConfigError, match="no column 'size'. Did you mean sise"):
+    with pytest.raises(ConfigError, match=r"no column 'size'\. Did you mean sise"):
         columns.encode(rows.rename(columns={"size": "sise"}))
     with pytest.raises(ConfigError, match="column 'size' holds numbers"):
         columns.encode(rows.assign(size="big"))

@@ -165,7 +165,9 @@ def _entry(name: str, learner: str, rows: list[dict[str, float]], carts: list[di
     leads = np.array([row["score"] for row in rows]) - [row["score"] for row in carts]
     interval = resplit_interval(leads, TEST / (1 - TEST))
     details = {key: means[key] for key in ("leaves", "features_per_test", "seconds")}
-    details |= {"lead_low": interval.low, "lead_high": interval.high, "n_splits": len(rows)}
+    details |= {"n_splits": len(rows)}
+    if not np.isnan(interval[0]):  # of five splits or more
+        details |= {"lead_low": interval[0], "lead_high": interval[1]}
     unit = "accuracy" if TABLES[name].is_classes else "R2"
     cart = float(np.mean([row["score"] for row in carts]))
     return Entry(f"{name}: {learner}", means["score"], unit, "scikit-learn's CART", cart, clock=None, details=details)

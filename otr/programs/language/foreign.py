@@ -58,14 +58,14 @@ def _without_functions(text: str) -> str:
     found = [each for each in _C.finditer(text) if not KEYWORDS & set(re.findall(r"\w+", each[0].partition("(")[0]))]
     functions = [match for match in found if match[3] == "{"]
     if functions:
-        for match in found:
-            end = match.end() if match[3] == ";" else _closing(text, match)
+        text = re.sub(_TYPE + r"\w+\s*;|" + _TYPE + r"(?=\w+\s*=)", "", text)
+        found = [each for each in _C.finditer(text) if each[1] in {function[1] for function in functions}]
+        for match in reversed(found):
             is_main = match[1] == "main" and len(functions) > 1
-            text = _blanked(text, match.start(), end if is_main else match.end())
-            if match[3] == "{":
-                text = _blanked(text, end - 1, end)
-        text = re.sub(_TYPE + r"\w+\s*;", lambda match: " " * len(match[0]), text)
-        text = re.sub(_TYPE + r"(?=\w+\s*=)", lambda match: " " * len(match[0]), text)
+            if match[3] == ";" or is_main:
+                text = _blanked(text, match.start(), match.end() if match[3] == ";" else _closing(text, match))
+            else:  # what stands in braces may be indented as it likes
+                text = f"{text[: match.start()]}if (0 < 1) {{{text[match.end() :]}"
         bodies += [match for match in functions if match[1] != "main" or len(functions) == 1]
     if len(bodies) > 1:
         _refuse("a second function; give the text of one alone", whole, bodies[1].start())

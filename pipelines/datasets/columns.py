@@ -9,14 +9,14 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
 
-from pipelines.datasets.dataset import TaskKind
 from pipelines.errors import ConfigError, did_you_mean
 
+TaskKind = Literal["classification", "regression", "counts"]
 SCHEMA = "otr/columns/1"
 
 

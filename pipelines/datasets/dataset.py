@@ -2,16 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
-from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from pipelines.datasets.columns import Columns, TaskKind
 from pipelines.errors import ConfigError
 
-if TYPE_CHECKING:
-    from pipelines.datasets.columns import Columns
-
-TaskKind = Literal["classification", "regression", "counts"]
 PARTS = ("train", "valid", "test")
 
 
@@ -56,7 +52,7 @@ class Dataset:
     valid: Part
     test: Part
     _: KW_ONLY
-    columns: "Columns | None" = None  # of a table of the user, how its columns became features
+    columns: Columns | None = None  # of a table of the user, how its columns became features
 
     def part(self, name: str) -> Part:
         """Return the part called train, valid or test."""

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from pipelines.datasets.dataset import Dataset, Part, TaskKind
+from pipelines.datasets.columns import TaskKind
+from pipelines.datasets.dataset import Dataset, Part
 from pipelines.datasets.splits import random_split
 
 

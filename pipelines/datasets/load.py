@@ -1,4 +1,4 @@
-"""`load_dataset`: the one way to a data set."""
+"""`load_dataset`: the data sets of the catalogue."""
 
 import sys
 

@@ -34,7 +34,7 @@ def load_pdbbind() -> Dataset:
 
 
 def unpickle_arrays(content: bytes) -> list[np.ndarray]:
-    """Return the six arrays of a pickled tuple or list; of the names in the pickle those that arrays need are looked up.
+    """Return the six arrays of a pickled tuple or list, of whose names those that arrays need are looked up.
 
     Raises:
         ValueError: says what was found.

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from pipelines.datasets.columns import Column, Columns
-from pipelines.datasets.dataset import Dataset, Part, TaskKind
+from pipelines.datasets.columns import Column, Columns, TaskKind
+from pipelines.datasets.dataset import Dataset, Part
 from pipelines.errors import ConfigError, did_you_mean
 
 PARQUET = (".parquet", ".pq")

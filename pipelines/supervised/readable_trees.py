@@ -9,7 +9,6 @@ import otr
 from otr import draw_tree, save_picture, to_text
 from pipelines.datasets import fragment_names
 from pipelines.datasets.dataset import Dataset
-from pipelines.supervised.metrics import size_of
 
 MOST_LEAVES, MOST_CHARACTERS, WIDTH = 32, 20_000, 110
 
@@ -45,7 +44,8 @@ def draw(tree: otr.ObliqueTree | otr.PatternTree, dataset: Dataset, path: Path) 
 def _reached(tree: otr.ObliqueTree | otr.PatternTree, dataset: Dataset) -> tuple[otr.ObliqueTree | None, np.ndarray]:
     """Return what the training rows reach of a tree, None if that has many leaves, and the rows."""
     X, _ = dataset.labelled("train")
-    return otr.prune_unreached(tree, X) if size_of(tree, X)[1] <= MOST_LEAVES else None, X
+    pruned = otr.prune_unreached(tree, X)
+    return pruned if pruned.n_leaves <= MOST_LEAVES else None, X
 
 
 def wrapped(program: str) -> str:

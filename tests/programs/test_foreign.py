@@ -50,6 +50,7 @@ DTCONTROL_DOT = r"""digraph {
 0 -> 2 [style="dashed", label="False"];
 
 }"""
+TRUE = '0 -> 1 [label="True"];\n'
 VALUES = ("5.0", "-1.0", "2e-05")
 
 
@@ -62,7 +63,11 @@ def dtcontrols_answers() -> np.ndarray:
     return np.where(1.5 * x - 2 * y + 3.25 <= 0, 5.0, np.where(y <= 2.5, -1.0, 2e-05))
 
 
-@pytest.mark.parametrize("text", [DTCONTROL_C, DTCONTROL_DOT, DTCONTROL_DOT.replace("x[0]", "a").replace("x[1]", "b")])
+NAMED_DOT = DTCONTROL_DOT.replace("x[0]", "a").replace("x[1]", "b")
+TRUE_LAST = DTCONTROL_DOT.replace(TRUE, "").replace("\n\n}", f"\n{TRUE}}}")
+
+
+@pytest.mark.parametrize("text", [DTCONTROL_C, DTCONTROL_DOT, NAMED_DOT, TRUE_LAST])
 def test_dtcontrols_trees(text):
     np.testing.assert_array_equal(parse(text).predict(GRID)[:, 0], dtcontrols_answers())
 

@@ -32,6 +32,7 @@ class Entry:
         peer, peer_value: whom it is compared with, in the same unit; None where there is none.
         target: "ratio <= 1.5", "value >= 10" and so on; None for a measurement that only informs.
         clock: "process" (CPU time, which other programs disturb little), "wall", or None where no time is measured.
+        details: what else was measured, by name.
     """
 
     name: str
@@ -41,6 +42,7 @@ class Entry:
     peer_value: float | None = None
     target: str | None = None
     clock: str | None = "process"
+    details: dict[str, float] | None = None
 
     def __post_init__(self) -> None:
         if self.target is not None:
@@ -71,6 +73,7 @@ class Entry:
             "target": self.target,
             "met": self.met,
             "clock": self.clock,
+            **({"details": {key: _rounded(each) for key, each in self.details.items()}} if self.details else {}),
         }
 
     def _parsed_target(self) -> tuple[float, str, float]:

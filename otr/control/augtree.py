@@ -18,7 +18,7 @@ from otr.core.arrays import FloatArray, IntArray
 from otr.core.network import ReluNetwork
 from otr.core.smooth_network import Oracle
 from otr.core.tree import ObliqueTree
-from otr.learners.model_tree import LinearModelTreeRegressor, grow_models
+from otr.learners.model_tree import LinearTreeRegressor, grow_models
 
 # Columns whose every threshold is looked at, of those that some thresholds on some rows promise most for.
 _N_SEARCHED = 8
@@ -34,7 +34,7 @@ class AugTreeFit:
 
     Constant leaves: CART, by scikit-learn, on the features in at most 255 bins of about equally many rows, which
     halves its time; thresholds lie midway between the values of the drawn rows on either side. Linear leaves: the
-    models of `otr.learners.LinearModelTreeRegressor`, in x alone, as a model in A x + a is one in x; at each node the
+    models of `otr.learners.LinearTreeRegressor`, in x alone, as a model in A x + a is one in x; at each node the
     features that promise most are searched (`best_columns`). Labels: see `LinearModelTreeFit`.
 
     Attributes:
@@ -120,7 +120,7 @@ class AugTreeFit:
         targets: FloatArray,
         counts: IntArray,
     ) -> ObliqueTree:
-        options = LinearModelTreeRegressor(max_depth=self.max_depth, min_samples_leaf=max(10, self.min_samples_leaf))
+        options = LinearTreeRegressor(max_depth=self.max_depth, min_samples_leaf=max(10, self.min_samples_leaf))
         S = np.repeat(values.T, counts, axis=0)
 
         def searched(rows: IntArray, Z: FloatArray, Y: FloatArray) -> IntArray:

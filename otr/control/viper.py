@@ -16,7 +16,7 @@ from otr.core.head import Head
 from otr.core.tree import ObliqueTree
 from otr.learners.base.single_tree import class_tree
 from otr.learners.cart import grow_cart
-from otr.learners.model_tree import LinearModelTreeRegressor
+from otr.learners.model_tree import LinearTreeRegressor
 
 Criterion = Literal["gini", "entropy"]
 
@@ -60,7 +60,7 @@ class CartFit:
 
 @dataclass(frozen=True)
 class LinearModelTreeFit:
-    """LM-VIPER's fit: axis-aligned tests over affine leaves, by `otr.learners.LinearModelTreeRegressor`.
+    """LM-VIPER's fit: axis-aligned tests over affine leaves, by `otr.learners.LinearTreeRegressor`.
 
     Continuous actions: the leaves are fitted to the oracle's actions and their values clipped to its box. Labels: the
     leaves are fitted to the oracle's centred outputs on the resampled rows, and answer the label of the largest one
@@ -70,7 +70,7 @@ class LinearModelTreeFit:
         head: the oracle's: `Argmax`, `TanhBox` or `ClipBox`.
         max_depth: number of axis-aligned tests on a path at most.
         max_samples: rows drawn for a fit.
-        min_samples_leaf, alpha: of `LinearModelTreeRegressor`.
+        min_samples_leaf, alpha: of `LinearTreeRegressor`.
     """
 
     head: Head
@@ -85,7 +85,7 @@ class LinearModelTreeFit:
         """Return the tree for states X (n, d) and what `run_dagger` says of them."""
         rows, counts = draw_rows(len(X), weights, self.max_samples, generator)
         targets = answers[rows] if weights is None else centred(answers[rows])
-        learner = LinearModelTreeRegressor(
+        learner = LinearTreeRegressor(
             max_depth=self.max_depth, min_samples_leaf=self.min_samples_leaf, alpha=self.alpha
         )
         tree = learner.fit(np.repeat(X[rows], counts, axis=0), np.repeat(targets, counts, axis=0)).tree_

@@ -23,7 +23,7 @@ from otr.learners.base.single_tree import GrownClassifier, GrownRegressor
 from otr.learners.base.units import Units
 from otr.learners.base.weights import ClassWeight, mean_and_divisor
 from otr.learners.cart import grow_cart
-from otr.learners.model_tree import LinearModelTreeRegressor
+from otr.learners.model_tree import LinearTreeRegressor
 
 
 class _AugTree:
@@ -132,21 +132,21 @@ class AugTreeClassifier(_AugTree, GrownClassifier):
             max_leaf_nodes=self.max_leaf_nodes,
             random_state=random_state,
         )
-        self.tree_ = self._named(grow_cart(cart, X @ A.T + a, labels, weights).compose(A, a))
-        return self
+        tree = grow_cart(cart, X @ A.T + a, labels, weights).compose(A, a)
+        return self._take(tree, X, np.eye(len(self.classes_))[labels], weights)
 
 
 @dataclass(eq=False, repr=False)
 class AugTreeRegressor(_AugTree, GrownRegressor):
     """Neurally augmented decision tree for regression: as `AugTreeClassifier`, with constant or linear leaves.
 
-    Linear leaves come from `LinearModelTreeRegressor` on x~ and are written in x; its cost is in its docstring, with
+    Linear leaves come from `LinearTreeRegressor` on x~ and are written in x; its cost is in its docstring, with
     d + n_1 inputs.
 
     Args:
         leaves: "constant", or "linear" for the variant for continuous control.
         min_samples_leaf: None for 1 with constant leaves, and with linear ones for the default of
-            `LinearModelTreeRegressor`.
+            `LinearTreeRegressor`.
         network, hidden_layer_sizes, mlp_max_iter, include_inputs, max_depth, random_state: as in `AugTreeClassifier`,
             with scikit-learn's `MLPRegressor` on standardised targets.
 
@@ -187,8 +187,7 @@ class AugTreeRegressor(_AugTree, GrownRegressor):
             options["min_samples_leaf"] = self.min_samples_leaf
         features = X @ A.T + a
         if self.leaves == "linear":
-            tree = LinearModelTreeRegressor(**options).fit(features, targets, weights).tree_
+            tree = LinearTreeRegressor(**options).fit(features, targets, weights).tree_
         else:
             tree = grow_cart(DecisionTreeRegressor(**options), features, targets, weights)
-        self.tree_ = self._named(tree.compose(A, a))
-        return self
+        return self._take(tree.compose(A, a), X, targets, weights)

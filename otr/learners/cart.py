@@ -120,8 +120,8 @@ class CARTClassifier(_Cart, GrownClassifier):
         """Fit on X (n, d) and classes y (n,); `sample_weight` (n,) counts a row as that many."""
         X, labels, weights = self._checked_fit(X, y, sample_weight)
         parameters = self.get_params() | {"class_weight": None}  # it is in the weights
-        self.tree_ = self._named(grow_cart(DecisionTreeClassifier(**parameters), X, labels, weights))
-        return self
+        tree = grow_cart(DecisionTreeClassifier(**parameters), X, labels, weights)
+        return self._take(tree, X, np.eye(len(self.classes_))[labels], weights)
 
 
 class CARTRegressor(_Cart, GrownRegressor):
@@ -142,5 +142,5 @@ class CARTRegressor(_Cart, GrownRegressor):
     def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> CARTRegressor:
         """Fit on X (n, d) and targets y, (n,) or (n, o); `sample_weight` (n,) counts a row as that many."""
         X, targets, weights = self._checked_fit(X, y, sample_weight)
-        self.tree_ = self._named(grow_cart(DecisionTreeRegressor(**self.get_params()), X, targets, weights))
-        return self
+        tree = grow_cart(DecisionTreeRegressor(**self.get_params()), X, targets, weights)
+        return self._take(tree, X, targets, weights)

@@ -178,8 +178,7 @@ class HHCARTClassifier(_Hhcart, GrownClassifier):
         groups = [labels == k for k in range(len(self.classes_))]
         Y = one_hot[:, :1] if len(self.classes_) == 2 else one_hot  # for two classes, half of it says it all
         tree = _Grower(X, Y, weights, groups, self).tree(one_hot)
-        self.tree_ = self._named(class_tree(tree, tree.c))
-        return self
+        return self._take(class_tree(tree, tree.c), X, one_hot, weights)
 
 
 class HHCARTRegressor(_Hhcart, GrownRegressor):
@@ -204,5 +203,4 @@ class HHCARTRegressor(_Hhcart, GrownRegressor):
         mean, scale = mean_and_divisor(targets, weights)
         Y = (targets - mean) / scale
         everyone = [np.ones(len(X), dtype=np.bool_)]
-        self.tree_ = self._named(_Grower(X, Y, weights, everyone, self).tree(targets))
-        return self
+        return self._take(_Grower(X, Y, weights, everyone, self).tree(targets), X, targets, weights)

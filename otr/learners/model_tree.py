@@ -26,7 +26,7 @@ _JITTER = 1e-10
 
 
 @dataclass(eq=False, repr=False)
-class LinearModelTreeRegressor(GrownRegressor):
+class LinearTreeRegressor(GrownRegressor):
     """CART-like tree with a ridge regression in every leaf, one or several targets.
 
     A node is split at the axis-aligned test that minimises the two sides' ridge objectives
@@ -72,7 +72,7 @@ class LinearModelTreeRegressor(GrownRegressor):
     max_features: int | None = None
     random_state: Any = None
 
-    def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> LinearModelTreeRegressor:
+    def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> LinearTreeRegressor:
         """Fit on X (n, d) and targets y, (n,) or (n, o); `sample_weight` (n,) counts a row as that many."""
         X, targets, weights = self._checked_fit(X, y, sample_weight)
         X = X.astype(np.float64, copy=False)
@@ -85,19 +85,18 @@ class LinearModelTreeRegressor(GrownRegressor):
             return np.sort(random_state.choice(features, self.max_features, replace=False))
 
         tests, M, c = grow_models(X, X, targets, self, drawn, weights)
-        self.tree_ = self._named(tests.with_leaves(c, M))
-        return self
+        return self._take(tests.with_leaves(c, M), X, targets, weights)
 
 
 def grow_models(
     features: NDArray[Any],
     X: FloatArray,
     targets: FloatArray,
-    options: LinearModelTreeRegressor,
+    options: LinearTreeRegressor,
     searched: Callable[[IntArray, FloatArray, FloatArray], IntArray],
     weights: FloatArray | None = None,
 ) -> tuple[Skeleton, FloatArray, FloatArray]:
-    """Return the tests of `LinearModelTreeRegressor` on features (n, m), and the leaves' models M, c of X (n, d).
+    """Return the tests of `LinearTreeRegressor` on features (n, m), and the leaves' models M, c of X (n, d).
 
     `options` holds depth, leaf size, penalty and bins. `searched` maps a node's rows, and their standardised inputs and
     targets, to the columns of `features` that are searched there. `weights` (n,) are above 0, None for one each.
@@ -146,7 +145,7 @@ def _best_split(
     X: FloatArray,
     Y: FloatArray,
     columns: IntArray,
-    options: LinearModelTreeRegressor,
+    options: LinearTreeRegressor,
     weights: FloatArray | None = None,
 ) -> _ModelSplit | None:
     """Return the best split of a node's rows by one of the `columns` of their features (n, m), for models of X (n, d).

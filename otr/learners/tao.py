@@ -107,10 +107,10 @@ class TAOClassifier(GrownClassifier):
 
     def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> TAOClassifier:
         """Fit on X (n, d) and classes y (n,); `sample_weight` (n,) counts a row as that many."""
-        X, labels, weights = self._checked_fit(X, y, sample_weight)
-        weights = np.ones(len(X)) if weights is None else weights
-        units = Units.of(X)
-        X = units.changed(X)
+        rows, labels, weights = self._checked_fit(X, y, sample_weight)
+        weights = np.ones(len(rows)) if weights is None else weights
+        units = Units.of(rows)
+        X = units.changed(rows)
         random_state = check_random_state(self.random_state)
         start = self._initial_tree(X, labels, weights, random_state)
         alternation = _Alternation(X, labels, weights, start, self._surrogate(random_state))
@@ -127,8 +127,8 @@ class TAOClassifier(GrownClassifier):
         if self.leaf_values == "labels":
             counts = np.eye(len(self.classes_))[counts.argmax(axis=1)]
         shares = counts / counts.sum(axis=1, keepdims=True)
-        self.tree_ = self._named(class_tree(units.restored_tests(tree), shares))
-        return self
+        tree = class_tree(units.restored_tests(tree), shares)
+        return self._take(tree, rows, np.eye(len(self.classes_))[labels], weights)
 
     def _initial_tree(
         self, X: NDArray[Any], labels: IntArray, weights: FloatArray, random_state: np.random.RandomState

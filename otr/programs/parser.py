@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from otr.core.tree import ObliqueTree
 from otr.programs.language.cursor import Cursor
+from otr.programs.language.foreign import in_our_words
 from otr.programs.language.lowering import Lowering
 from otr.programs.language.scope import FUNCTIONS, Scope
 from otr.programs.language.statements import read_program
@@ -37,6 +38,9 @@ def parse_program(
     brackets as in C may follow a condition; ``#`` and ``//`` begin comments. A name that is no word may stand between
     backquotes, as `to_text` writes it: ``2 `50% quantile` ``; there a backslash and a backquote have a backslash before
     them, and ``\\u{a}`` is the character of that code.
+
+    What others print is read, too: a function of C or Python with its inputs as ``x[0]`` and numbers as ``3.0f``, and
+    trees of scikit-learn (`export_text`, `export_graphviz`) and dtControl (C and DOT), with their numbers as printed.
 
     Every way through the program is a path of the tree: a statement after an `if` is there once for each way through
     it, and what `max` or `and` decides is a test. All tests are ``P @ x + v <= 0``, with the boundary on the side that
@@ -76,7 +80,7 @@ def parse_program(
     if max_leaves < 1:
         raise ValueError(f"max_leaves is {max_leaves}, expected at least 1")
     check_names(feature_names, output_names or ())
-    source = Source(text)
+    source = Source(in_our_words(text, feature_names, output_names))
     tokens = tokenize(source, [*feature_names, *(output_names or ())], FUNCTIONS)
     label_names = {name: label for label, name in enumerate(output_names or ())} if labels else {}
     scope = Scope(source, feature_names, label_names, () if labels else output_names or ())

@@ -2,14 +2,19 @@
 
 import dataclasses
 from collections.abc import Sequence
+from pathlib import Path
 
-from pipelines.cli.overrides import key_of
+from pipelines.cli.overrides import key_of, parse, quoted
 from pipelines.cli.workflow import Workflow
 from pipelines.config.setting import not_keyed
+from pipelines.datasets.table import is_table
 from pipelines.errors import ConfigError
-from pipelines.supervised.config import LEARNERS, TUNING_ALONE, DataConfig, FitConfig, LearnerConfig, fit_folder
+from pipelines.supervised.config import LEARNERS, TABLE, TUNING_ALONE, DataConfig, FitConfig, LearnerConfig, fit_folder
 from pipelines.supervised.fit_job import FitJob, fit_groups, fit_job, fit_jobs
+from pipelines.supervised.learners import dataset_of
 from pipelines.supervised.result import fit_row
+
+OF_TABLES = ("target", "task", "drop")  # settings of a table's data
 
 
 class FitWorkflow(Workflow):
@@ -18,6 +23,8 @@ class FitWorkflow(Workflow):
     folder = "fit"
     needs = ("data", "data set")
     anything = "bace"
+    besides = ", or a table as data=FILE.csv target=COLUMN"
+    short = OF_TABLES
     decisive = ("data.split",)
     naming = ("data", "data.split", "method", "seed")
     harmless = not_keyed(FitConfig)
@@ -25,6 +32,18 @@ class FitWorkflow(Workflow):
     do_group = staticmethod(fit_jobs)
     groups = staticmethod(fit_groups)
     row = staticmethod(fit_row)
+
+    def spelt_out(self, overrides: Sequence[str]) -> list[str]:
+        """Return overrides with those of a table spelt out: data=my.csv is data=table and data.file=my.csv."""
+        written = []
+        for override in overrides:
+            key = key_of(override)
+            path = str(parse(override).value()) if key == "data" else ""
+            if is_table(path):
+                written += ["data=table", f"data.file={quoted(path)}", f"data.name={quoted(Path(path).name)}"]
+            else:
+                written.append(f"data.{override}" if key in OF_TABLES else override)
+        return written
 
     def implied(self, overrides: Sequence[str]) -> list[str]:
         """Return what parts that are drawn anew imply: no settings that were tuned on the published ones."""
@@ -36,6 +55,8 @@ class FitWorkflow(Workflow):
         made = self.composed(overrides)
         config: FitConfig = made.config
         _check_tuning(config.method, overrides)
+        if config.data.file is not None or config.data.name == TABLE:
+            dataset_of(config)  # what is wrong with it is said before anything is written
         folder = fit_folder(config, self.differences(config, overrides))
         return FitJob(dataclasses.replace(config, folder=folder), folder, made.yaml, tuple(overrides))
 

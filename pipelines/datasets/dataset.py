@@ -1,14 +1,13 @@
 """What every data set is once it is read: three parts, each with features and labels."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 
+from pipelines.datasets.columns import Columns, TaskKind
 from pipelines.errors import ConfigError
 
-TaskKind = Literal["classification", "regression", "counts"]
 PARTS = ("train", "valid", "test")
 
 
@@ -16,7 +15,7 @@ PARTS = ("train", "valid", "test")
 class Part:
     """One part of a data set."""
 
-    X: np.ndarray  # features, (n, d), uint8 for fingerprints and float32 otherwise
+    X: np.ndarray  # features, (n, d), uint8 for fingerprints, float64 of the user's tables and float32 otherwise
     Y: np.ndarray  # labels, (n, n_labels), float64; NaN where a label was not measured
     groups: np.ndarray | None = None  # of molecules the scaffold's number, (n,); None where rows have nothing in common
 
@@ -52,6 +51,8 @@ class Dataset:
     train: Part  # the parts; hyperparameters are chosen on `valid`, `test` is read once
     valid: Part
     test: Part
+    _: KW_ONLY
+    columns: Columns | None = None  # of a table of the user, how its columns became features
 
     def part(self, name: str) -> Part:
         """Return the part called train, valid or test."""

@@ -13,12 +13,7 @@ import sys
 import urllib.error
 import urllib.request
 import zlib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-
-from rich.console import Console
-from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
 
 from pipelines.datasets.catalogue import DataFile
 from pipelines.engine.store import replacing
@@ -153,27 +148,13 @@ def _receive(address: str, limit: int) -> bytes:
     request = urllib.request.Request(address, headers={"User-Agent": "otr-data"})
     with urllib.request.urlopen(request, timeout=TIMEOUT_S) as response:
         due = response.length or 0
+        print(f"fetching {address}" + (f", {due / 1e6:.3g} MB" if due else ""), file=sys.stderr, flush=True)
         chunks, n_bytes = [], 0
-        with _progress(address, due) as advance:
-            while chunk := response.read(CHUNK_BYTES):
-                chunks.append(chunk)
-                n_bytes += len(chunk)
-                advance(len(chunk))
-                if n_bytes > limit:
-                    raise OSError(f"more than the {limit:,} bytes that it may have")
+        while chunk := response.read(CHUNK_BYTES):
+            chunks.append(chunk)
+            n_bytes += len(chunk)
+            if n_bytes > limit:
+                raise OSError(f"more than the {limit:,} bytes that it may have")
     if n_bytes < due:
         raise OSError(f"the connection ended after {n_bytes:,} of {due:,} bytes")
     return b"".join(chunks)
-
-
-@contextmanager
-def _progress(address: str, due: int) -> Iterator[Callable[[int], None]]:
-    """Show a download on stderr: a bar in a terminal, a line otherwise."""
-    if not sys.stderr.isatty():
-        print(f"fetching {address}", file=sys.stderr, flush=True)
-        yield lambda n_bytes: None
-        return
-    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("/".join(address.split("/")[-2:]), total=due or None)
-        yield lambda n_bytes: progress.update(task, advance=n_bytes)

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from pipelines.datasets.dataset import Dataset, Part, TaskKind
+from pipelines.datasets.columns import TaskKind
+from pipelines.datasets.dataset import Dataset, Part
 from pipelines.datasets.splits import random_split
 
 
@@ -20,4 +21,4 @@ def load_example(name: str) -> Dataset:
     X = np.asarray(bunch.data, dtype=np.float32)
     Y = np.asarray(bunch.target, dtype=np.float64)[:, None]
     parts = {part: Part(X[rows], Y[rows]) for part, rows in random_split(len(X)).items()}
-    return Dataset(name, task, (label,), tuple(map(str, bunch.feature_names)), **parts)
+    return Dataset(name, task, (label,), tuple(map(str, bunch.feature_names)), *parts.values())

@@ -1,4 +1,4 @@
-"""`load_dataset`: the one way to a data set."""
+"""`load_dataset`: the data sets of the catalogue."""
 
 import sys
 
@@ -70,7 +70,7 @@ def _load_molecules(entry: MoleculeSet) -> Dataset:
     for part, content in _contents(entry).items():
         label_names[part], X, Y = parse_split(content)
         parts[part] = Part(X, Y, scaffolds[part])
-    return Dataset(entry.name, "classification", label_names["train"], FEATURE_NAMES, **parts)
+    return Dataset(entry.name, "classification", label_names["train"], FEATURE_NAMES, *parts.values())
 
 
 def _contents(entry: MoleculeSet) -> dict[str, bytes]:

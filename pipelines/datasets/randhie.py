@@ -39,4 +39,4 @@ def load_randhie() -> Dataset:
     block = np.arange(len(table)) // BLOCK
     parts = {part: np.isin(block, blocks) for part, blocks in random_split(int(block[-1]) + 1).items()}
     named = {part: Part(X[chosen], Y[chosen], block[chosen]) for part, chosen in parts.items()}
-    return Dataset("randhie", "counts", ("visits",), tuple(NAMES.values()), **named)
+    return Dataset("randhie", "counts", ("visits",), tuple(NAMES.values()), *named.values())

@@ -6,6 +6,7 @@ parameters of its estimators in `otr.learners`, under the same names.
 
 from dataclasses import asdict, dataclass, field, fields, replace
 from itertools import product
+from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 from pipelines.config.setting import (
@@ -26,22 +27,27 @@ from pipelines.config.setting import (
     check_settings,
     keyed_settings,
 )
-from pipelines.datasets.catalogue import files_of
+from pipelines.datasets.catalogue import files_of, git_blob_hash
 from pipelines.datasets.load import check_split
 from pipelines.engine.digests import differences_suffix
 from pipelines.errors import ConfigError
 
 STAGES = ("tune", "fit", "teacher", "score")
+TABLE = "table"  # what conf/fit/data calls a table whose file is not named yet
 BelowOne = Annotated[float, Range(0, 1, open=True)]
 
 
 @dataclass(frozen=True)
 class DataConfig:
-    """A data set, as `pipelines.datasets.load.load_dataset` has it."""
+    """A data set, as `load_dataset` has it, or with a file as `load_table` has it (`pipelines.datasets`)."""
 
     name: FreeText
-    # Of molecules: the seed that draws the parts anew, whole scaffolds together; None for LCN's parts
+    # The seed that draws the parts anew, of molecules whole scaffolds together; None for LCN's parts
     split: Annotated[int | None, Range(0), AsBefore(None)] = None
+    file: Annotated[FreeText | None, EXECUTION] = None  # of a table, whose content is keyed
+    target: Annotated[FreeText | None, AsBefore(None)] = None
+    task: Annotated[str | None, OneOf("classification", "regression", "counts"), AsBefore(None)] = None
+    drop: Annotated[list[FreeText], AsBefore([])] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -79,10 +85,11 @@ class TaughtConfig(ClassifierConfig):
 
 @dataclass(frozen=True)
 class LinearConfig(TaughtConfig):
-    """`LinearTreeClassifier` and `LinearTreeRegressor`, the trees of depth 0."""
+    """`LinearTreeClassifier` and `LinearTreeRegressor`, of depth 0 unless asked for more."""
 
     C: Positive = 0.1
     alpha: NotNegative = 1.0
+    max_depth: Annotated[int, Range(0), AsBefore(0)] = 0
 
 
 @dataclass(frozen=True)
@@ -126,7 +133,7 @@ class FirstLayerTreeConfig(ClassifierConfig):
 
 @dataclass(frozen=True)
 class ModelTreeConfig(LearnerConfig):
-    """`LinearModelTreeRegressor`."""
+    """The same with the depth tuned."""
 
     max_depth: Annotated[int, Range(0)] = 5
 
@@ -217,7 +224,8 @@ class FitConfig:
         _check_grid(self.method)
         if _is_taught(self.method) and self.method.grid and self.method.tuned_for == "label":
             raise ConfigError("method.tuned_for=label with a teacher, who teaches all labels at once; choose data")
-        check_split(self.data.name, self.data.split)
+        if self.data.file is None:
+            _check_known(self.data)
 
     @property
     def all_stages(self) -> tuple[str, ...]:
@@ -238,8 +246,28 @@ class FitConfig:
 
     def settings(self) -> dict[str, Any]:
         """Return all the settings that decide what comes out, as plain JSON-able data."""
-        files = [file.git_blob for file in files_of(self.data.name)]
+        path = self.data.file
+        files = [file.git_blob for file in files_of(self.data.name)] if path is None else [_git_blob(path)]
         return keyed_settings(self) | {"data": {**keyed_settings(self.data), "git_blobs": files}}
+
+
+def _check_known(data: DataConfig) -> None:
+    """Raise ConfigError where a data set that is no table has settings of one, or cannot be split."""
+    if data.name == TABLE:
+        return  # a fit's usual settings; its reader asks for the file
+    given = next((key for key in ("target", "task", "drop") if getattr(data, key)), None)
+    if given:
+        value = getattr(data, given)
+        raise ConfigError(f"{given}={value}: {data.name} has its labels; a {given} is for data=FILE.csv")
+    check_split(data.name, data.split)
+
+
+def _git_blob(path: str) -> str:
+    """Return the hash of a table's content; "" where it cannot be read, of which its reader has more to say."""
+    try:
+        return git_blob_hash(Path(path).read_bytes())
+    except OSError:
+        return ""
 
 
 def combinations(method: LearnerConfig) -> list[dict[str, Any]]:

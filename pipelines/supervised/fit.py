@@ -13,7 +13,7 @@ from pipelines.engine.stage import Stage
 from pipelines.engine.store import read_json, write_csv
 from pipelines.supervised.config import FitConfig, fit_settings, with_settings
 from pipelines.supervised.learners import FittedTree, check_learner, dataset_of, fit_trees, usable_labels
-from pipelines.supervised.readable_trees import draw
+from pipelines.supervised.readable_trees import draw, named
 
 COLUMNS = ("label", "file", "settings", "epoch", "small_weights", "cpu_seconds")
 
@@ -21,7 +21,7 @@ COLUMNS = ("label", "file", "settings", "epoch", "small_weights", "cpu_seconds")
 def fit(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> None:
     """Write every label's tree as `label-<column>.npz` and `.json`, and `trees.csv` that lists them.
 
-    A small tree of one label is drawn as `tree.png`, too.
+    A small tree of one label is drawn as `tree.png`, too, and the columns of a table are `columns.json`.
     """
     fit_together([inputs], [config], [out])
 
@@ -49,7 +49,9 @@ def fit_together(
         for label, of_label in zip(labels, fitted, strict=True):
             for position, each in enumerate(of_label):
                 name = f"label-{label:02d}"
-                otr.save(each.tree, outs[position] / name)
+                otr.save(named(each.tree, dataset), outs[position] / name)
+                if dataset.columns:
+                    dataset.columns.write(outs[position] / "columns.json")
                 if len(dataset.label_names) == 1:
                     draw(each.tree, dataset, outs[position] / "tree.png")
                 rows[position].append(_row(dataset.label_names[label], name, changes, each, seconds))

@@ -10,8 +10,10 @@ import numpy as np
 
 from pipelines.datasets.dataset import Dataset
 from pipelines.datasets.load import load_dataset
+from pipelines.datasets.table import load_table
 from pipelines.errors import ConfigError
 from pipelines.supervised.config import (
+    TABLE,
     FitConfig,
     LearnerConfig,
     OtrConfig,
@@ -30,7 +32,7 @@ ESTIMATORS: dict[str, tuple[str | None, str | None]] = {  # learner: its classif
     "hhcart": ("HHCARTClassifier", "HHCARTRegressor"),
     "tao": ("TAOClassifier", None),
     "augtree": ("AugTreeClassifier", "AugTreeRegressor"),
-    "model_tree": (None, "LinearModelTreeRegressor"),
+    "model_tree": ("LinearTreeClassifier", "LinearTreeRegressor"),
     "lcn": ("LCNClassifier", "LCNRegressor"),
     "otr": ("OTRClassifier", "OTRRegressor"),
 }
@@ -48,13 +50,19 @@ class FittedTree:
 
 
 def dataset_of(config: FitConfig) -> Dataset:
-    """Return the fit's data set, read once a process; errors as `load_dataset`'s."""
-    return _loaded(config.data.name, config.data.split)
+    """Return the fit's data set, read once a process; errors as those of `load_dataset` and `load_table`."""
+    return _loaded(json.dumps([config.settings()["data"], config.data.file]))
 
 
 @functools.lru_cache(maxsize=1)
-def _loaded(name: str, split: int | None) -> Dataset:
-    return load_dataset(name, split)
+def _loaded(key: str) -> Dataset:
+    data, file = json.loads(key)
+    if file is None and data["name"] == TABLE:
+        raise ConfigError("data=table: of which file? Give data=FILE.csv target=COLUMN")
+    if file is None:
+        return load_dataset(data["name"], data.get("split"))
+    table = {name: data[name] for name in ("task", "drop", "split") if name in data}
+    return load_table(file, data.get("target"), **table)
 
 
 def check_learner(method: LearnerConfig, dataset: Dataset) -> None:
@@ -158,9 +166,9 @@ def fit_trees(
 
 @functools.lru_cache(maxsize=1)
 def _labelled(dataset: Dataset, label: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the training rows that have a label, in float32, and the label."""
+    """Return the training rows that have a label, and the label."""
     X, y = dataset.labelled("train", label)
-    return X.astype(np.float32), y  # bits and small numbers, which lose nothing
+    return X if X.dtype.kind == "f" else X.astype(np.float32), y  # bits lose nothing
 
 
 def _taught(dataset: Dataset, label: int, teacher: str, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

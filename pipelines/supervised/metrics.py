@@ -1,4 +1,4 @@
-"""How trees on data are scored: the area under the ROC curve, accuracy or error, and their size."""
+"""How trees on data are scored: the area under the ROC curve, accuracy or error."""
 
 from typing import TYPE_CHECKING
 
@@ -54,12 +54,3 @@ def score(metric: str, outputs: np.ndarray, y: np.ndarray) -> float:
 def gain(metric: str, value: float) -> float:
     """Return a score so that more is better."""
     return -value if metric in LOSSES else value
-
-
-def size_of(tree: "ObliqueTree | PatternTree", X: np.ndarray) -> tuple[int, int]:
-    """Return the tests on a tree's longest path, and its leaves that X (n, d) reaches, the leaves of OTR-hat."""
-    import otr
-
-    if isinstance(tree, otr.PatternTree):
-        return tree.n_bits, len(tree.observe(X).patterns)
-    return tree.depth, len(np.unique(tree.apply(X)))

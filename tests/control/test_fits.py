@@ -9,7 +9,7 @@ from otr.control import AugTreeFit, CartFit, LinearModelTreeFit
 from otr.control.features.binned import quantised, with_thresholds_between
 from otr.control.features.hidden_units import AffineFeatures, deep_features, first_layer_features, unit_forms
 from otr.control.features.screening import best_columns
-from otr.learners import LinearModelTreeRegressor, from_sklearn_tree
+from otr.learners import LinearTreeRegressor, from_sklearn_tree
 from tests.core.strategies import make_network
 
 
@@ -229,10 +229,10 @@ def test_screening_keeps_the_feature_at_which_the_planes_part():
     S = X @ directions.T
     Y = np.where(S[:, [77]] <= 0.2, X[:, [0]], 3 - X[:, [1]])
     Z = Y - Y.mean()
-    columns = best_columns(S, X, Z, LinearModelTreeRegressor(), 8)
+    columns = best_columns(S, X, Z, LinearTreeRegressor(), 8)
     assert 77 in columns
     assert len(columns) == 8
-    assert best_columns(S[:, :5], X, Z, LinearModelTreeRegressor(), 8).tolist() == [0, 1, 2, 3, 4]
+    assert best_columns(S[:, :5], X, Z, LinearTreeRegressor(), 8).tolist() == [0, 1, 2, 3, 4]
 
 
 def rare_label():

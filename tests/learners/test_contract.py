@@ -41,7 +41,7 @@ EXPECTED_TO_FAIL = {
         "check_sample_weight_equivalence_on_dense_data": BATCHES,
     },
     "AugTreeRegressor": {"check_sample_weight_equivalence_on_dense_data": BATCHES},
-    "LinearModelTreeRegressor": {
+    "LinearTreeRegressor": {
         "check_sample_weight_equivalence_on_dense_data": "at least 10 rows a leaf, whatever their weights"
     },
     "TAOClassifier": {

@@ -10,6 +10,7 @@ from sklearn.datasets import load_breast_cancer, load_diabetes, load_digits
 from sklearn.exceptions import NotFittedError
 from sklearn.linear_model import LogisticRegression, Ridge
 from sklearn.metrics import roc_auc_score
+from sklearn.preprocessing import StandardScaler
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
 import otr
@@ -27,13 +28,16 @@ from otr.learners.networks.batched_training import Schedule
 from otr.learners.networks.labels_and_seeds import train_many
 
 QUICK_LCN = {"depth": 3, "epochs": 20, "learning_rate": 0.2}
-CLASSIFIERS = [OTRClassifier(epochs=30), LCNClassifier(**QUICK_LCN), LinearTreeClassifier()]
-REGRESSORS = [OTRRegressor(epochs=30), LCNRegressor(**QUICK_LCN), LinearTreeRegressor()]
+CLASSIFIERS = [OTRClassifier(epochs=30), LCNClassifier(**QUICK_LCN)]
+CLASSIFIERS += [LinearTreeClassifier(max_depth=depth, min_samples_leaf=1) for depth in (0, 3)]
+REGRESSORS = [OTRRegressor(epochs=30), LCNRegressor(**QUICK_LCN)]
 
 
 def not_to_the_last_digit(estimator):
     """Networks train in float32; their weights are compared in tests/learners/test_sample_weight.py."""
     of_network = hasattr(estimator, "epochs")
+    if getattr(estimator, "max_depth", 0):
+        return {"check_class_weight_classifiers": "a leaf of rows of weight 0.0001 alone answers their class"}
     return {"check_sample_weight_equivalence_on_dense_data": "equal to 1e-6, not 1e-7"} if of_network else {}
 
 
@@ -141,13 +145,29 @@ def test_regression_in_the_targets_own_units(model):
 def test_depth_0_is_scikit_learns_model(fingerprints):
     X, Y = fingerprints
     y = np.nan_to_num(Y[:, 0])
-    tree = LinearTreeClassifier(C=0.1).fit(X, y).tree_
+    tree = LinearTreeClassifier(C=0.1, max_depth=0).fit(X, y).tree_
     assert (tree.depth, tree.n_leaves) == (0, 1)
     expected = LogisticRegression(C=0.1, max_iter=1000).fit(X, y).decision_function(X)
     np.testing.assert_allclose(tree.forward(X)[:, 0], expected, atol=1e-12)
     X, y = load_diabetes(return_X_y=True)
-    fitted = LinearTreeRegressor(alpha=2.0, standardize=False).fit(X, y)
-    np.testing.assert_allclose(fitted.predict(X), Ridge(alpha=2.0).fit(X, y).predict(X))
+    Z = StandardScaler().fit_transform(X)
+    fitted = LinearTreeRegressor(alpha=2.0, max_depth=0).fit(X, y)
+    np.testing.assert_allclose(fitted.predict(X), Ridge(alpha=2.0).fit(Z, y).predict(Z))
+
+
+def test_a_linear_tree_has_a_classifier_in_every_leaf():
+    """Of two slopes that a test divides; one leaf lacks a class, another has one alone."""
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(600, 3))
+    y = np.where(X[:, 0] > 0.3, X[:, 1] > 0, X[:, 1] < 0).astype(int)
+    model = LinearTreeClassifier(C=10.0, max_depth=1).fit(X, y)
+    (column,) = np.flatnonzero(model.tree_.P[0])
+    assert model.tree_.n_leaves == 2 and column == 0 and model.tree_.v[0] == pytest.approx(-0.3, abs=0.05)
+    assert model.tree_.M[0, 0, 1] < -1 < 1 < model.tree_.M[1, 0, 1]
+    assert model.score(X, y) > 0.97 > 0.7 > LinearTreeClassifier(max_depth=0).fit(X, y).score(X, y)
+    y = np.select([X[:, 0] > 1, X[:, 0] > -1], [2, y], 3)
+    three = LinearTreeClassifier(C=10.0, max_depth=2).fit(X, y)
+    assert three.score(X, y) > 0.93 and three.predict_proba(X).shape == (600, 4)
 
 
 def test_validation_is_checked(fingerprints):
@@ -201,7 +221,7 @@ def test_targets_of_validation_rows_have_as_many_columns() -> None:
     with pytest.raises(ValueError, match="y of validation has 1 columns, and y has 2"):
         OTRRegressor((2,), epochs=2).fit(X, X[:, :2], validation=(X, X[:, :1]))
     with pytest.raises(ValueError, match="y of validation has 3 columns, and y has 2"):
-        LinearTreeRegressor().fit(X, X[:, :2], validation=(X, X))
+        OTRRegressor((2,), epochs=2).fit(X, X[:, :2], validation=(X, X))
 
 
 @pytest.mark.parametrize("scale", [1e-13, 1e-11, 1e11])
@@ -211,7 +231,7 @@ def test_units_do_not_matter(scale: float) -> None:
     y = X[:, 0] * 2 + np.abs(X[:, 1])
     for model in (OTRRegressor(random_state=0, epochs=20), LCNRegressor(3, random_state=0, epochs=20)):
         assert model.fit(X, y * scale).score(X, y * scale) == pytest.approx(model.fit(X, y).score(X, y), abs=1e-6)
-    for model in (OTRRegressor(random_state=0, epochs=20), LinearTreeRegressor(standardize=True)):
+    for model in (OTRRegressor(random_state=0, epochs=20), LinearTreeRegressor()):
         assert model.fit(X * scale, y).score(X * scale, y) == pytest.approx(model.fit(X, y).score(X, y), abs=1e-6)
 
 

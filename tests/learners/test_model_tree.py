@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.linear_model import Ridge
 
-from otr.learners import CARTRegressor, LinearModelTreeRegressor
+from otr.learners import CARTRegressor, LinearTreeRegressor
 from otr.learners.model_tree import _best_split, _midpoint
 
 
@@ -18,7 +18,7 @@ def hinge(n, seed=0):
 
 def test_two_planes_are_found_exactly():
     X, y = hinge(2000)
-    tree = LinearModelTreeRegressor(alpha=0.0, max_depth=4).fit(X, y).tree_
+    tree = LinearTreeRegressor(alpha=0.0, max_depth=4).fit(X, y).tree_
     assert tree.n_leaves == 2
     assert tree.P.tolist() == [[0.0, 1.0, 0.0]]
     below, above = X[X[:, 1] <= 0.3, 1].max(), X[X[:, 1] > 0.3, 1].min()
@@ -30,8 +30,8 @@ def test_two_planes_are_found_exactly():
 def test_a_linear_function_is_one_leaf():
     X = np.random.default_rng(0).normal(size=(300, 4)) * [1, 100, 1e-4, 1] + 50
     y = X @ [1.0, -2.0, 3e3, 0.0] + 7
-    assert LinearModelTreeRegressor(alpha=0.0).fit(X, y).tree_.n_leaves == 1
-    model = LinearModelTreeRegressor().fit(X, y)
+    assert LinearTreeRegressor(alpha=0.0).fit(X, y).tree_.n_leaves == 1
+    model = LinearTreeRegressor().fit(X, y)
     assert model.tree_.n_leaves == 1
     assert model.score(X, y) > 0.999
 
@@ -42,7 +42,7 @@ def test_depth_0_is_ridge_regression_on_standardised_inputs(seed, alpha, n_outpu
     X, Y = rng.normal(size=(60, 4)) * [1, 10, 0.1, 3] + 5, rng.normal(size=(60, n_outputs)) * 3 + 1
     Z = (X - X.mean(axis=0)) / X.std(axis=0)
     expected = Ridge(alpha=alpha).fit(Z, Y).predict(Z).reshape(Y.shape)
-    model = LinearModelTreeRegressor(max_depth=0, alpha=alpha).fit(X, Y)
+    model = LinearTreeRegressor(max_depth=0, alpha=alpha).fit(X, Y)
     np.testing.assert_allclose(model.predict(X), expected, atol=1e-8)
 
 
@@ -57,7 +57,7 @@ def test_the_split_is_the_best_of_all(seed, alpha, n_values):
         W = np.linalg.solve(A.T @ A + alpha * np.eye(2), A.T @ B)
         return ((B - A @ W) ** 2).sum() + alpha * (W**2).sum()
 
-    options = LinearModelTreeRegressor(alpha=alpha, min_samples_leaf=4, max_bins=64)
+    options = LinearTreeRegressor(alpha=alpha, min_samples_leaf=4, max_bins=64)
     gains = {}
     for column in range(2):
         order = X[:, column].argsort(kind="stable")
@@ -75,7 +75,7 @@ def test_few_bins_come_close():
     y = y + 0.1 * np.random.default_rng(1).normal(size=5000)
     fresh, truth = hinge(5000, seed=2)
     for max_bins in (4, 8, 64):
-        model = LinearModelTreeRegressor(max_depth=3, max_bins=max_bins).fit(X, y)
+        model = LinearTreeRegressor(max_depth=3, max_bins=max_bins).fit(X, y)
         assert model.score(fresh, truth) > 0.97
     assert CARTRegressor(max_depth=3).fit(X, y).score(fresh, truth) < 0.95
 
@@ -83,7 +83,7 @@ def test_few_bins_come_close():
 def test_leaves_are_large_enough_and_collinear_inputs_do_no_harm():
     X, y = hinge(400)
     X = np.column_stack((X, X[:, 0], np.ones(400)))
-    model = LinearModelTreeRegressor(alpha=0.0, min_samples_leaf=25).fit(X, y)
+    model = LinearTreeRegressor(alpha=0.0, min_samples_leaf=25).fit(X, y)
     assert np.bincount(model.apply(X)).min() >= 25
     assert np.abs(model.tree_.M).max() < 10
     assert model.score(X, y) > 0.99
@@ -98,8 +98,6 @@ def test_neighbouring_floats_are_parted():
 
 def test_max_features_draws_by_random_state():
     X, y = hinge(400)
-    first, again, other = (
-        LinearModelTreeRegressor(max_features=1, random_state=s).fit(X, y).tree_.P for s in (0, 0, 5)
-    )
+    first, again, other = (LinearTreeRegressor(max_features=1, random_state=s).fit(X, y).tree_.P for s in (0, 0, 5))
     assert np.array_equal(first, again)
     assert first.shape != other.shape or not np.array_equal(first, other)

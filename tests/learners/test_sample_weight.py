@@ -15,7 +15,6 @@ from otr.learners import (
     HHCARTRegressor,
     LCNClassifier,
     LCNRegressor,
-    LinearModelTreeRegressor,
     LinearTreeClassifier,
     LinearTreeRegressor,
     OTRClassifier,
@@ -47,10 +46,10 @@ NETWORK = {"epochs": 40, "batch_size": 128, "random_state": 0}  # all rows are o
         (AugTreeClassifier(max_depth=2, **AUGTREE), 1e-12),
         (AugTreeRegressor(max_depth=1, **AUGTREE), 1e-9),
         (AugTreeRegressor(max_depth=1, leaves="linear", min_samples_leaf=1, **AUGTREE), 1e-6),
-        (LinearModelTreeRegressor(max_depth=2, min_samples_leaf=1), 1e-9),
-        (LinearModelTreeRegressor(max_depth=0), 1e-9),
-        (LinearTreeClassifier(), 2e-3),  # by lbfgs
-        (LinearTreeRegressor(), 1e-9),
+        (LinearTreeRegressor(max_depth=2, min_samples_leaf=1), 1e-9),
+        (LinearTreeRegressor(max_depth=0), 1e-9),
+        (LinearTreeClassifier(max_depth=0), 2e-3),  # by lbfgs
+        (LinearTreeClassifier(max_depth=1, min_samples_leaf=1), 2e-3),
         (OTRClassifier((4,), **NETWORK), 1e-4),  # in float32
         (OTRRegressor((4,), **NETWORK), 1e-4),
         (LCNClassifier(3, **NETWORK), 1e-4),
@@ -95,7 +94,7 @@ def test_the_best_split_of_weighted_rows_is_that_of_repeated_ones(seed, n_values
         assert (weighted is None) == (repeated is None)
         if weighted is not None:
             assert weighted.gain == pytest.approx(repeated.gain, rel=1e-9, abs=1e-12)
-    options = LinearModelTreeRegressor(min_samples_leaf=1, max_bins=100)
+    options = LinearTreeRegressor(min_samples_leaf=1, max_bins=100)
     weighted = split_for_models(rows, rows, Y, np.arange(4), options, weights * 1.0)
     repeated = split_for_models(again, again, Y_again, np.arange(4), options)
     assert weighted.gain == pytest.approx(repeated.gain, rel=1e-6, abs=1e-9)
@@ -124,7 +123,7 @@ def test_thresholds_of_model_trees_lie_at_quantiles_of_weighted_rows():
     rng = np.random.default_rng(0)
     rows, weights = rng.normal(size=(300, 2)), rng.integers(0, 4, 300)
     y = np.where(rows[:, 0] > 1.2, 5 * rows[:, 1], rows[:, 1]) + 0.1 * rng.normal(size=300)
-    model = LinearModelTreeRegressor(max_depth=3, min_samples_leaf=1, max_bins=6)
+    model = LinearTreeRegressor(max_depth=3, min_samples_leaf=1, max_bins=6)
     weighted = model.fit(rows, y, weights).predict(rows)
     repeated = model.fit(np.repeat(rows, weights, axis=0), np.repeat(y, weights)).predict(rows)
     np.testing.assert_allclose(weighted, repeated, atol=1e-9)

@@ -6,7 +6,7 @@ import pytest
 from sklearn.datasets import load_iris
 from sklearn.exceptions import NotFittedError
 from sklearn.model_selection import StratifiedKFold, cross_val_score
-from sklearn.tree import DecisionTreeClassifier
+from sklearn.tree import DecisionTreeClassifier, DecisionTreeRegressor
 
 import otr
 from otr import learners
@@ -99,3 +99,30 @@ def test_epochs_make_a_thousand_steps_and_are_thirty_at_least():
     np.testing.assert_array_equal(told.network_.weights[0], few.network_.weights[0])
     many = learners.OTRClassifier(batch_size=1, random_state=0).fit(X[:34], SCORE[:34] > 0)
     assert many.best_epochs_.tolist() == [30]
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_importances_of_cart_are_scikit_learns(weighted: bool) -> None:
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(300, 4))
+    weights = rng.uniform(0.5, 2.0, 300) if weighted else None
+    labels = np.select([X[:, 0] > 1, X[:, 1] + X[:, 0] > 0], [2, 1], 0)
+    values = np.column_stack((X[:, 0], X[:, 2] > 0)) + 5.0
+    for ours, theirs, y in (
+        (learners.CARTClassifier, DecisionTreeClassifier, labels),
+        (learners.CARTRegressor, DecisionTreeRegressor, values),
+    ):
+        options = {"max_depth": 4, "random_state": 0}
+        expected = theirs(**options).fit(X, y, weights).feature_importances_
+        np.testing.assert_allclose(ours(**options).fit(X, y, weights).feature_importances_, expected, atol=1e-6)
+    np.testing.assert_array_equal(learners.CARTRegressor().fit(X, np.ones(300)).feature_importances_, np.zeros(4))
+
+
+def test_an_oblique_test_divides_its_importance_by_weight_times_deviation() -> None:
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(2000, 3)) * [1.0, 10.0, 1.0]
+    model = learners.TAOClassifier(max_depth=1, penalty="l1", surrogate="logistic").fit(X, X[:, 0] + X[:, 1] / 20 > 0)
+    np.testing.assert_allclose(model.feature_importances_, [2 / 3, 1 / 3, 0.0], atol=0.02)
+    for kind in (learners.HHCARTClassifier, learners.AugTreeClassifier):
+        shares = kind(max_depth=2, random_state=0).fit(X, X[:, 0] > 0).feature_importances_
+        assert shares.sum() == pytest.approx(1.0) and shares.argmax() == 0

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otr.core.arrays import FloatArray, IntArray
-from otr.learners.model_tree import LinearModelTreeRegressor, ridge_objectives
+from otr.learners.model_tree import LinearTreeRegressor, ridge_objectives
 
 _N_CUTS = 7
 _N_ROWS = 2000
@@ -16,7 +16,7 @@ _BLOCK = 64
 
 
 def best_columns(
-    features: NDArray[Any], X: FloatArray, Y: FloatArray, options: LinearModelTreeRegressor, n_best: int
+    features: NDArray[Any], X: FloatArray, Y: FloatArray, options: LinearTreeRegressor, n_best: int
 ) -> IntArray:
     """Return the `n_best` features whose best of 7 quantiles lowers the ridge objective most, on up to 2,000 rows.
 

@@ -5,7 +5,7 @@ The learners of several labels at once, networks and linear models, are built on
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,14 +16,28 @@ from otr.core.arrays import FloatArray, IntArray
 from otr.core.heads import Argmax
 from otr.core.tree import ObliqueTree
 from otr.learners.base.classes import check_labels
+from otr.learners.base.importances import importances_of
 from otr.learners.base.tree_answers import FLOATS, TreeAnswers
 from otr.learners.base.weights import ClassWeight, class_weighted, counted_rows
 
 
 class _GrownEstimator(TreeAnswers):
-    """An estimator that answers through `tree_`."""
+    """An estimator that answers through `tree_`.
+
+    Attributes:
+        tree_: the tree.
+        feature_importances_: (n_features,) the inputs' shares in the fall of impurity at the tests (`importances_of`);
+            of leaves that are affine it says nothing.
+    """
 
     tree_: ObliqueTree
+    feature_importances_: FloatArray
+
+    def _take(self, tree: ObliqueTree, X: NDArray[Any], targets: FloatArray, weights: FloatArray | None) -> Self:
+        """Set the fitted attributes from the tree of the rows X, targets (n, o) or indicators, and weights."""
+        self.tree_ = self._named(tree)
+        self.feature_importances_ = importances_of(tree, X, targets, weights)
+        return self
 
 
 class GrownClassifier(ClassifierMixin, _GrownEstimator):  # type: ignore[misc]

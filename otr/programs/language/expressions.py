@@ -183,6 +183,8 @@ class ExpressionReader:
             arguments = [self.expression()]
             while cursor.is_next(","):
                 cursor.take()
+                if cursor.is_next(")"):  # a comma at the end
+                    break
                 arguments.append(self.expression())
             cursor.expect(")", f"to close the bracket of {name.text}")
         least, most = FUNCTIONS[name.text]

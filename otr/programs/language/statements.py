@@ -99,6 +99,8 @@ class _StatementReader:
         values = [self._expressions.expression()]
         while self._cursor.is_next(","):
             self._cursor.take()
+            if self._cursor.is_next("]", ")") or self._cursor.here.kind == "stop":  # a comma at the end
+                break
             values.append(self._expressions.expression())
         return values
 

@@ -20,7 +20,7 @@ _WORD = r"[^\W\d]\w*"
 _SYMBOLS = r"<=|>=|==|!=|:=|\*\*|&&|\|\||[-+*/^<>=(){}\[\],;:!≤≥≠−–×·⋅÷∧∨¬]"
 _NUMBER = r"(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _ESCAPE = r"\\(?:u\{([0-9a-f]{1,5}|10[0-9a-f]{4})\}|[\\`])"
-_QUOTED = r"`(?:[^\\`]|\\.)*`"
+QUOTED = r"`(?:[^\\`]|\\.)*`"
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +163,7 @@ def _pattern(odd_names: list[str]) -> re.Pattern[str]:
         for name in sorted(odd_names, key=len, reverse=True)
     ]
     odd = [f"(?P<odd>{'|'.join(alternatives)})"] if alternatives else []
-    quoted = f"(?P<quoted>{_QUOTED})"
+    quoted = f"(?P<quoted>{QUOTED})"
     usual = [
         r"(?P<space>\s+)",
         r"(?P<comment>(?:#|//).*)",

@@ -1,11 +1,15 @@
 """otr-fit as it is typed."""
 
+import pandas as pd
 import pytest
 
+import otr
 from pipelines.cli.fits import FIT
+from pipelines.datasets import Columns
 from pipelines.report import load_fits
 from tests.pipelines.conftest import otr_command, otr_succeeds
 from tests.pipelines.datasets.conftest import real_data as real_data  # a fixture
+from tests.pipelines.datasets.test_table import frame
 
 
 def test_fit_sweep_runs_and_is_found_done(tmp_path):
@@ -19,6 +23,28 @@ def test_fit_sweep_runs_and_is_found_done(tmp_path):
     assert again.stdout.count("done before") == 4
     table = otr_command("otr-tabulate", "table=4.2", cwd=tmp_path)
     assert table.returncode == 0 and "Sparse training on Bace" in table.stdout
+
+
+def test_a_table_of_ones_own(tmp_path):
+    """Its tree prints with the table's names, answers new rows, and another content is another fit."""
+    frame().to_csv(tmp_path / "my data.csv", index=False)
+    words = ("data=my data.csv", "drop=[price]", "method=cart", "method.grid=[]", "method.max_depth=2")
+    done = otr_succeeds("otr-fit", *words, "target=grade", cwd=tmp_path)
+    assert "return good" in done.stdout and "if" in done.stdout and "size <= 0 then" in done.stdout
+    (fit,) = tmp_path.glob("results/runs/my data.csv/cart/seed-0~*/fit")
+    tree, columns = otr.load(fit / "label-00"), Columns.read(fit / "columns.json")
+    assert tree.feature_names == columns.feature_names and tree.output_names == columns.classes == ("bad", "good")
+    rows = pd.DataFrame({"size": [150.0, 50.0], "colour": ["red", None], "town": ["A", "B"], "age": [None, 3]})
+    assert [columns.classes[label] for label in tree.predict(columns.encode(rows))] == ["good", "bad"]
+    swept = otr_succeeds(
+        "otr-fit", "-m", *words[:1], "target=age,size", "drop=[price,grade]", "method=linear", cwd=tmp_path
+    )
+    assert "2 jobs: 2 done" in swept.stdout
+    linear = otr_succeeds("otr-fit", *words[:2], "target=grade", "method=linear", cwd=tmp_path)
+    assert "# grade: 0 is bad, 1 is good" in linear.stdout
+    frame(220).to_csv(tmp_path / "my data.csv", index=False)
+    otr_succeeds("otr-fit", *words, "target=grade", cwd=tmp_path)
+    assert len(list(tmp_path.glob("results/runs/my data.csv/cart/*"))) == 2
 
 
 @pytest.mark.parametrize(
@@ -36,6 +62,9 @@ def test_fit_sweep_runs_and_is_found_done(tmp_path):
             ("data=breast_cancer", "method=linear", "method.alpha=9"),
             "LinearTreeClassifier, which breast_cancer takes, has",
         ),
+        (("data=no.csv", "target=price"), "no.csv: there is no such file"),
+        (("data=bace", "target=price"), "target=price: bace has its labels; a target is for data=FILE.csv"),
+        (("data=table",), "data=table: of which file? Give data=FILE.csv target=COLUMN"),
         (("data=bace,hiv",), "several values make a sweep; add -m"),
         (("data=bace", "+experiment=table_4_3"), "Did you mean table_4_2?"),
     ],

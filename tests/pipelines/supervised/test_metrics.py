@@ -8,7 +8,7 @@ from pipelines.datasets.load import load_dataset
 from pipelines.errors import ConfigError
 from pipelines.supervised.config import OtrConfig
 from pipelines.supervised.learners import check_learner
-from pipelines.supervised.metrics import gain, metric_of, outputs_of, score, size_of
+from pipelines.supervised.metrics import gain, metric_of, outputs_of, score
 
 
 @pytest.mark.parametrize("name, metric", [("breast_cancer", "auc"), ("digits", "accuracy"), ("diabetes", "rmse")])
@@ -36,15 +36,6 @@ def test_the_accuracy_is_that_of_what_a_pruned_tree_answers():
     own = float(np.mean(tree.predict(X_test) == y_test))
     assert score("accuracy", outputs_of(tree, X_test), y_test) == own
     assert own != np.mean(tree.forward(X_test).argmax(axis=1) == y_test)  # tests between classes are pruned, too
-
-
-def test_leaves_are_those_of_the_pruned_tree_whatever_holds_it():
-    X, y = load_dataset("breast_cancer").labelled("train")
-    explicit = OTRClassifier((4,), epochs=5, random_state=0).fit(X, y).tree_
-    patterns = OTRClassifier((4,), epochs=5, random_state=0, max_leaves=2).fit(X, y).tree_
-    assert isinstance(explicit, otr.ObliqueTree) and isinstance(patterns, otr.PatternTree)
-    pruned = otr.prune_unreached(explicit, X)
-    assert size_of(explicit, X) == size_of(patterns, X) == (5, pruned.n_leaves)
 
 
 def test_counts_are_scored_by_their_deviance():

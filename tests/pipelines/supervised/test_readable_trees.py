@@ -20,7 +20,7 @@ def test_large_trees_are_not(tmp_path):
 
 def test_long_lines_are_broken_before_an_operator_and_nothing_is_lost():
     dataset = load_dataset("diabetes")
-    tree = LinearTreeRegressor().fit(*dataset.labelled("train")).tree_
+    tree = LinearTreeRegressor(max_depth=0).fit(*dataset.labelled("train")).tree_
     program = program_of(tree, dataset)
     lines = program.splitlines()
     assert len(lines) > 1 and max(map(len, lines)) <= WIDTH

@@ -95,7 +95,7 @@ def test_the_teacher_of_the_networks_is_scored_beside_them(fit_of):
     [
         ("cart", CARTClassifier, {"max_depth": 3}),
         ("tao", TAOClassifier, {"max_depth": 3}),
-        ("linear", LinearTreeClassifier, {"C": 0.1}),
+        ("linear", LinearTreeClassifier, {"C": 0.1, "max_depth": 0}),
     ],
 )
 def test_other_trees_learn_from_the_same_teacher(fit_of, learner, estimator, settings):
@@ -263,10 +263,16 @@ def test_every_learner_does_a_regression(fit_of, learner):
     assert summary["metric"] == "rmse" and 40 < summary["test"] < 75  # the targets' deviation is about 77
 
 
-@pytest.mark.parametrize("learner", ["linear", "cart", "hhcart", "tao", "augtree", "otr"])
+@pytest.mark.parametrize("learner", ["linear", "cart", "hhcart", "tao", "augtree", "model_tree", "otr"])
 def test_every_classifier_does_many_classes(fit_of, learner):
     settings = {"epochs": 4} if learner == "otr" else {}
-    settings |= {"max_depth": 4} if learner in ("cart", "hhcart", "tao", "augtree") else {}
+    settings |= (
+        {"max_depth": 4}
+        if learner in ("cart", "hhcart", "tao", "augtree")
+        else {"max_depth": 1}
+        if learner == "model_tree"
+        else {}
+    )
     summary = fit_job(job_of(fit_of(learner, data="digits", **settings)))
     assert summary["metric"] == "accuracy" and summary["test"] > 0.4
 

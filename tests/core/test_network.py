@@ -25,11 +25,7 @@ def test_forward_follows_the_definition(case: Case) -> None:
         for layer, (W, b) in enumerate(zip(net.weights, net.biases, strict=True)):
             read = [x]
             if layer:
-                read = {
-                    False: activations[-1:],
-                    "input": [*activations[-1:], x],
-                    "all": [*activations, x],
-                }[net.dense]
+                read = {False: activations[-1:], "input": [*activations[-1:], x], "all": [*activations, x]}[net.dense]
             z = W @ np.concatenate(read) + b
             activations.append(np.where(z > 0, z, net.negative_slope * z))
         np.testing.assert_allclose(y, z, rtol=1e-9, atol=1e-9)

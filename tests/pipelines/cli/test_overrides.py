@@ -42,8 +42,7 @@ def test_overrides_of_one_sweep_make_just_its_jobs():
 
 
 @pytest.mark.parametrize(
-    ("text", "value"),
-    [("a/b_c-1.2", "a/b_c-1.2"), ("a b", "'a b'"), ("it's", r"'it\'s'"), ("dépôt", "'dépôt'")],
+    ("text", "value"), [("a/b_c-1.2", "a/b_c-1.2"), ("a b", "'a b'"), ("it's", r"'it\'s'"), ("dépôt", "'dépôt'")]
 )
 def test_values_are_quoted_for_hydra(text, value):
     assert quoted(text) == value

@@ -19,12 +19,7 @@ from pipelines.engine.store import write_files
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.training.normalisation import input_units, normalised
 from pipelines.training.sb3_models import build_model
-from pipelines.training.soft_actor import (
-    SoftActorCriticPolicy,
-    SoftSacPolicy,
-    SoftSchedule,
-    soft_module,
-)
+from pipelines.training.soft_actor import SoftActorCriticPolicy, SoftSacPolicy, SoftSchedule, soft_module
 from pipelines.training.soft_trees import (
     SAC_TURN,
     Shape,

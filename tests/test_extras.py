@@ -62,31 +62,23 @@ def errors(tmp_path_factory):
     return json.loads(done.stdout)
 
 
-@pytest.mark.parametrize(
-    ("name", "package", "extra"),
-    [
-        ("otr.from_torch", "torch", "learn"),
-        ("otr.from_sb3", "torch", "learn"),
-        ("otr.from_sklearn", "scikit-learn", "learn"),
-        ("otr.importers.read_policy", "skops", "learn"),
-        ("otr.from_onnx", "onnx", "onnx"),
-        ("otr.to_onnx", "onnx", "onnx"),
-        ("otr.rollout", "gymnasium", "run"),
-        ("otr.evaluate", "gymnasium", "run"),
-        ("otr.draw_tree", "matplotlib", "plots"),
-        ("otr.save_picture", "matplotlib", "plots"),
-        ("otr.learners.CARTClassifier", "scikit-learn", "learn"),
-        ("otr.control.SoftTree", "torch", "learn"),
-    ],
-)
-def test_the_error_names_package_and_extra(errors, name, package, extra):
-    assert errors[name] == f"{name} needs {package}, which is not installed: pip install 'otr[{extra}]'"
+NEEDS = {
+    "torch, learn": ("otr.from_torch", "otr.from_sb3", "otr.control.SoftTree"),
+    "scikit-learn, learn": ("otr.from_sklearn", "otr.learners.CARTClassifier"),
+    "skops, learn": ("otr.importers.read_policy",),
+    "onnx, onnx": ("otr.from_onnx", "otr.to_onnx"),
+    "gymnasium, run": ("otr.rollout", "otr.evaluate"),
+    "matplotlib, plots": ("otr.draw_tree", "otr.save_picture"),
+}
 
 
-def test_every_learner_and_imitator_says_what_it_needs(errors):
-    assert {name for name in errors if name.startswith("otr.learners.")} == {
-        f"otr.learners.{name}" for name in learners.__all__
-    }
+def test_the_error_names_package_and_extra_for_every_learner_and_imitator(errors):
+    for needed, names in NEEDS.items():
+        package, extra = needed.split(", ")
+        for name in names:
+            assert errors[name] == f"{name} needs {package}, which is not installed: pip install 'otr[{extra}]'"
+    of_learners = {name for name in errors if name.startswith("otr.learners.")}
+    assert of_learners == {f"otr.learners.{name}" for name in learners.__all__}
     needing = {name.removeprefix("otr.control.") for name in errors if name.startswith("otr.control.")}
     assert needing == set(control.__all__) - NUMPY_ALONE
 
@@ -96,11 +88,8 @@ def test_the_error_is_an_import_error_and_can_be_pickled():
         raise ModuleNotFoundError("No module named 'torch'", name="torch.nn")
     copy = pickle.loads(pickle.dumps(raised.value))
     assert (type(copy), str(copy)) == (otr.MissingExtraError, str(raised.value))
-
-
-def test_other_missing_modules_are_told_as_they_are():
     with pytest.raises(ModuleNotFoundError, match="otr") as raised, naming_the_extra("a test"):
-        raise ModuleNotFoundError("No module named 'otr.growth'", name="otr.growth")
+        raise ModuleNotFoundError("No module named 'otr.growth'", name="otr.growth")  # which no extra brings
     assert not isinstance(raised.value, otr.MissingExtraError)
 
 

@@ -43,6 +43,10 @@ def test_a_tree_answers_as_it_does():
     with torch.no_grad():
         np.testing.assert_allclose(module(torch.from_numpy(X)), outputs(tree, X), atol=1e-9)
     assert len(set(tree.apply(X))) == 6
+    leaf = otr.ObliqueTree([], [], np.zeros((0, 3)), [], [[[1.0, 0.0, 2.0]]], [[0.5]])
+    np.testing.assert_allclose(policy_module(leaf, X)(torch.from_numpy(X)).detach(), outputs(leaf, X), atol=1e-9)
+    with pytest.raises(ValueError, match="answers with labels"):
+        policy_module(crooked_tree(otr.Argmax()), X)
     torch.set_default_dtype(torch.float32)
     single = TreeModule(tree, X)(torch.from_numpy(X).float()).detach()
     assert (np.abs(single.numpy() - outputs(tree, X)).max(axis=1) < 1e-5).mean() > 0.99  # but at tests that are ties
@@ -102,11 +106,3 @@ def test_what_is_zero_stays_and_the_structure_does(free):
         assert (np.abs(ours - theirs)[theirs != 0] > 0).mean() > 0.9
     np.testing.assert_allclose(module(torch.from_numpy(X)).detach(), outputs(learnt, X), atol=1e-9)
     assert ((outputs(learnt, X) - 1) ** 2).mean() < ((outputs(tree, X) - 1) ** 2).mean()
-
-
-def test_a_leaf_alone_and_labels():
-    X = states()
-    leaf = otr.ObliqueTree([], [], np.zeros((0, 3)), [], [[[1.0, 0.0, 2.0]]], [[0.5]])
-    np.testing.assert_allclose(policy_module(leaf, X)(torch.from_numpy(X)).detach(), outputs(leaf, X), atol=1e-9)
-    with pytest.raises(ValueError, match="answers with labels"):
-        policy_module(crooked_tree(otr.Argmax()), X)

@@ -98,6 +98,9 @@ def test_labels_are_the_largest_logits(affine):
     assert hard.labels is not None
     np.testing.assert_array_equal(hard.predict(X), tree.harden().forward(X).argmax(axis=1))
     assert hard.depth == (5 if affine else 3)
+    leaf, clip = soft_tree(3, 0, True, n_outputs=4).harden(), otr.ClipBox(-0.1, 0.1)
+    np.testing.assert_array_equal(argmax_leaves(leaf).predict(X), leaf.forward(X).argmax(axis=1))
+    np.testing.assert_allclose(tree.harden(clip).predict(X), np.clip(tree.harden().forward(X), -0.1, 0.1))
 
 
 def test_axis_aligned_tests_keep_the_largest_weight():
@@ -108,17 +111,3 @@ def test_axis_aligned_tests_keep_the_largest_weight():
     np.testing.assert_array_equal(hard.P, [[0, -1], [1, 0], [0, 0]])
     np.testing.assert_array_equal(hard.v, [1.5, -0.5, 1.0])
     np.testing.assert_array_equal(hard.c, tree.harden().c)
-
-
-def test_the_head_clips():
-    tree = soft_tree(2, 2, True, n_outputs=1)
-    hard = tree.harden(otr.ClipBox(-0.1, 0.1))
-    X = np.random.default_rng(0).normal(size=(50, 2))
-    np.testing.assert_allclose(hard.predict(X), np.clip(hard.forward(X), -0.1, 0.1))
-
-
-def test_argmax_below_a_single_leaf():
-    leaf = soft_tree(3, 0, True, n_outputs=4).harden()
-    decided = argmax_leaves(leaf)
-    X = np.random.default_rng(0).normal(size=(100, 2))
-    np.testing.assert_array_equal(decided.predict(X), leaf.forward(X).argmax(axis=1))

@@ -47,23 +47,14 @@ def test_shape_of_the_tree(case: Case) -> None:
     tree.check()
 
 
-def test_zero_goes_left() -> None:
+def test_zero_goes_left_and_a_tie_to_the_lowest_index() -> None:
     net = otr.ReluNetwork([[[1.0]]], [[0.0]], head=otr.Sign())
     assert otr.map_network(net).predict([[0.0], [1e-300], [-1.0]]).tolist() == [0, 1, 0]
-
-
-def test_argmax_tie_goes_to_the_lowest_index() -> None:
-    net = otr.ReluNetwork([[[1.0], [1.0], [2.0]]], [[0.0, 0.0, 0.0]], head=otr.Argmax())
-    tree = otr.map_network(net)
-    assert tree.depth == 2
-    assert tree.predict([[0.0], [1.0], [-1.0]]).tolist() == [0, 2, 0]
-
-
-def test_a_linear_model_is_one_leaf() -> None:
-    tree = otr.map_network(otr.ReluNetwork([[[1.0, 2.0]]], [[3.0]]))
-    assert (tree.n_leaves, tree.n_nodes, tree.depth) == (1, 0, 0)
-    assert tree.predict([[1.0, 1.0]]).tolist() == [[6.0]]
-    assert tree.apply([1.0, 1.0]) == 0
+    tree = otr.map_network(otr.ReluNetwork([[[1.0], [1.0], [2.0]]], [[0.0, 0.0, 0.0]], head=otr.Argmax()))
+    assert (tree.depth, tree.predict([[0.0], [1.0], [-1.0]]).tolist()) == (2, [0, 2, 0])
+    linear = otr.map_network(otr.ReluNetwork([[[1.0, 2.0]]], [[3.0]]))
+    assert (linear.n_leaves, linear.n_nodes, linear.depth, linear.apply([1.0, 1.0])) == (1, 0, 0, 0)
+    assert linear.predict([[1.0, 1.0]]).tolist() == [[6.0]]
 
 
 def test_a_tree_too_large_is_refused() -> None:

@@ -9,11 +9,8 @@ import numpy as np
 class Cart(gym.Env):
     """A mass is pushed to the origin; it is there at rest for a reward of 0, elsewhere it is less."""
 
-    metadata: ClassVar[dict[str, Any]] = {
-        "render_modes": [],
-        "feature_names": ["position", "velocity"],
-        "action_names": ["force"],
-    }
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "feature_names": ["position", "velocity"],
+                                          "action_names": ["force"]}  # fmt: skip
 
     def __init__(self, mass: float = 1.0) -> None:
         self.mass = mass
@@ -171,24 +168,10 @@ SPACES: dict[str, dict[str, gym.Space]] = {
 }
 
 gym.register("Cart-v0", entry_point=Cart, max_episode_steps=50)
-gym.register("PushOrPull-v0", entry_point=PushOrPull, max_episode_steps=50)
+
 gym.register("Endless-v0", entry_point=Cart)
 gym.register("SaidToBeNoisy-v0", entry_point=Noisy, max_episode_steps=50, nondeterministic=True)
-KINDS = (
-    Insistent,
-    OfOldGym,
-    ReturnsFour,
-    LongerThanItsSpace,
-    NotFinite,
-    NotFiniteLater,
-    FailsLater,
-    NoReward,
-    Unseeded,
-    Noisy,
-    Worn,
-    NeedsAFile,
-)
-for kind in KINDS:
+for kind in Cart.__subclasses__():
     gym.register(f"{kind.__name__}-v0", entry_point=kind, max_episode_steps=50)
 for name, spaces in SPACES.items():
     gym.register(f"{name}-v0", entry_point=Unsuitable, kwargs=spaces, max_episode_steps=50)

@@ -76,14 +76,8 @@ def times_made(printed):
 def start(*words, cwd, **environment):
     """Start otr-run; the caller waits for it."""
     code = "import sys; sys.argv[0] = 'otr-run'; from pipelines.cli import run; run()"
-    return subprocess.Popen(
-        [sys.executable, "-c", code, *words],
-        cwd=cwd,
-        env={**os.environ, **environment},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    return subprocess.Popen([sys.executable, "-c", code, *words], cwd=cwd, env={**os.environ, **environment}, **streams)
 
 
 def wait_for(found, seconds=120):

@@ -12,14 +12,8 @@ def test_a_sweep_makes_all_combinations_the_last_key_fastest():
     assert combinations(["oracle=[32],[8,8]", "+experiment=e"]) == [
         ["oracle=[32]", "+experiment=e"], ["oracle=[8,8]", "+experiment=e"]]  # fmt: skip
     assert combinations(["a=choice(3,1)", "p='x y','~z'"])[0] == ["a=3", "p='x y'"]
-
-
-def test_a_key_that_is_given_again_keeps_its_place():
-    assert combinations(["a=1,2", "b=1", "a=3"]) == [["a=3", "b=1"]]
+    assert combinations(["a=1,2", "b=1", "a=3"]) == [["a=3", "b=1"]]  # a key that is given again keeps its place
     assert combinations(["seed=range(0,0)", "b=1"]) == []
-
-
-def test_a_sweep_without_an_end_is_refused():
     for value in ("interval(0,1)", "glob(*)"):
         with pytest.raises(ConfigError, match="give values, range"):
             combinations([f"a={value}"])

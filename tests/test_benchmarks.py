@@ -97,14 +97,6 @@ def test_the_naive_peer_and_the_standing_policy_compute_what_they_say():
         np.testing.assert_allclose(policy.predict(x), expected, atol=1e-12)
 
 
-def test_both_trainers_train_the_same_number_of_steps(tmp_path):
-    config = training.run_config("hopper", 60, 30, 20)
-    for model, train_segment in (training.our_trainer(config, tmp_path), training.plain_trainer(config)):
-        train_segment()
-        train_segment()
-        assert model.num_timesteps == 60
-
-
 def test_the_search_s_share_is_of_the_steps_that_the_twin_did():
     """The twin costs nothing but its time: the search finds what it finds without it."""
     config = search.search_config("hopper")
@@ -121,12 +113,25 @@ def test_the_search_s_share_is_of_the_steps_that_the_twin_did():
     assert twins.twin_seconds > before > 0.0
 
 
-def test_searches_take_turns_with_their_peer():
+def test_turns_are_of_equal_steps_and_peers_of_equal_size(tmp_path):
     entry = search.against_peer(300, n_turns=1)
     assert entry.value > 0 and entry.peer == "sb3-contrib's ARS" and entry.target == "ratio >= 2"
     config = search.search_config("hopper", "depth=0", "method=linear")
     for turn in (search.search_turn(config, 300), search.peer_turn(config, 300)):
         assert 300 <= turn() < 2_000
+    config = training.run_config("hopper", 60, 30, 20)
+    for model, train_segment in (training.our_trainer(config, tmp_path), training.plain_trainer(config)):
+        train_segment()
+        train_segment()
+        assert model.num_timesteps == 60
+    for n_parameters in (2_871, 16_100):
+        for n_hidden_layers in (1, 2):
+            network = control.relu_network(27, 8, n_hidden_layers, n_parameters)
+            assert control.n_parameters_of(network) == pytest.approx(n_parameters, rel=0.01)
+    seconds = supervised.Seconds(ours=4.0, dense=3.0, sparse=1.0, peer=80.0, loader=100.0)
+    entries = supervised.entries_of("all", 8, seconds, judged=True)
+    assert [entry.ratio for entry in entries] == [None, 0.75, 0.25, 0.05, 0.04]
+    assert [entry.met for entry in entries] == [True, True, None, True, None]
 
 
 def test_the_picture_has_the_curves_of_the_committed_runs(tmp_path, capsys):
@@ -166,20 +171,6 @@ def test_without_molecules_the_examples_train_and_it_is_told(tmp_path, monkeypat
     np.testing.assert_array_equal(problems[1].Y.sum(axis=1), 1.0)
 
 
-def test_floors_and_peers_are_ratios_of_seconds():
-    seconds = supervised.Seconds(ours=4.0, dense=3.0, sparse=1.0, peer=80.0, loader=100.0)
-    entries = supervised.entries_of("all", 8, seconds, judged=True)
-    assert [entry.ratio for entry in entries] == [None, 0.75, 0.25, 0.05, 0.04]
-    assert [entry.met for entry in entries] == [True, True, None, True, None]
-
-
-@pytest.mark.parametrize("n_hidden_layers", [1, 2])
-def test_the_soft_tree_is_held_against_as_many_parameters(n_hidden_layers):
-    for n_parameters in (2_871, 16_100):
-        network = control.relu_network(27, 8, n_hidden_layers, n_parameters)
-        assert control.n_parameters_of(network) == pytest.approx(n_parameters, rel=0.01)
-
-
 @pytest.mark.skipif(not control.ORACLE.is_dir(), reason="the runs of the lander are not there")
 def test_runs_of_dagger_are_timed():
     entries = {entry.name.split(":")[0]: entry for entry in control._dagger_runs(quick=True) if entry.target}
@@ -204,9 +195,6 @@ def test_a_polish_is_worth_its_paired_differences():
     assert other.group == "pendulum/otr/depth-6/quick~0123abcd"
     mean, gain = polish.group_entries(other.group, [other])
     assert mean.target is None and (gain.value, gain.peer_value) == (0.0, None)
-
-
-def test_a_distilled_network_is_played_before_its_polish():
     name = "halfcheetah/distilled_otr/depth-6/standard-fleet/seed-0"  # its actor is not of a stage train
     run = polish.played_run(RESULTS / "runs" / name, name, 1)
     assert run.before.shape == run.after.shape == (1,) and run.before[0] > 1_000

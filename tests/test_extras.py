@@ -53,7 +53,6 @@ NUMPY_ALONE = {  # names of otr.control that need nothing else
 
 @pytest.fixture(scope="module")
 def errors(tmp_path_factory):
-    """The errors of all that was asked for, in a process without the packages."""
     path = tmp_path_factory.mktemp("saved") / "model.zip"
     with zipfile.ZipFile(path, "w") as file:
         file.writestr("data", "{}")

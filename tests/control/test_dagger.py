@@ -19,7 +19,6 @@ def run(folder, *, play=None, fit=None, oracle=None, settings=SETTINGS, seed=SEE
 
 
 def contents(folder):
-    """Every file's bytes, dagger.json without the seconds."""
     files = {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
     state = json.loads(files.pop("dagger.json"))
     for tree in state["trees"]:
@@ -43,11 +42,20 @@ def whole(tmp_path_factory):
 
 
 def test_rounds_rows_and_steps(whole):
-    result, folder, _ = whole
+    result, folder, play = whole
     assert [i.n_rows for i in result.iterates] == [12 * (3 + 4 * r) for r in range(6)]
     assert result.n_steps == 12 * (3 + 6 * 4 + sum(i.n_selection_episodes - 4 for i in result.iterates))
     np.testing.assert_array_equal(result.tree.P, otr.load(folder / f"iterate-{result.round:03d}").P)
     assert result.tree.labels is not None and result.tree.depth <= 3
+    by_stream = {"oracle": set(), "dagger": set(), "selection": set()}  # seeds that were given alone, and apart
+    for seeds, keep_states in play.calls:
+        name = list(by_stream)[min(seeds) // 10**7]
+        by_stream[name] |= set(seeds)
+        assert keep_states == (name != "selection" and min(seeds) < 10**7 + 5 * 10**4)
+    assert by_stream == {
+        "oracle": {0, 1, 2}, "dagger": {10**7 + 10**4 * r + e for r in range(6) for e in range(4)},
+        "selection": {20000000, 20000001, *range(20010000, 20010005)},
+    }  # fmt: skip
 
 
 def test_states_are_labelled_by_the_oracle_and_weighted_by_its_spread(tmp_path):
@@ -95,18 +103,6 @@ def test_the_best_candidate_on_selection_episodes_is_chosen(tmp_path):
     assert [i.n_selection_episodes for i in result.iterates] == [4, 4, 4, 11, 6, 11]
     shared = [seeds for seeds, _ in play.calls if min(seeds) >= 2 * 10**7]
     assert shared == [(20000000, 20000001)] * 3 + [tuple(range(20010000, 20010005))] * 2
-
-
-def test_only_seeds_that_were_given_are_played_and_streams_are_apart(whole):
-    _, _, play = whole
-    by_stream = {"oracle": set(), "dagger": set(), "selection": set()}
-    for seeds, keep_states in play.calls:
-        name = list(by_stream)[min(seeds) // 10**7]
-        by_stream[name] |= set(seeds)
-        assert keep_states == (name != "selection" and min(seeds) < 10**7 + 5 * 10**4)
-    assert by_stream["oracle"] == {0, 1, 2}
-    assert by_stream["dagger"] == {10**7 + 10**4 * r + e for r in range(6) for e in range(4)}
-    assert by_stream["selection"] == {20000000, 20000001, *range(20010000, 20010005)}
 
 
 @pytest.mark.parametrize("fail_at", range(0, 12, 2))

@@ -17,7 +17,6 @@ torch.set_num_threads(1)
 
 
 def experts(seed: int, n_experts: int, n_inputs: int = 3, n_outputs: int = 2) -> LinearExperts:
-    """Experts of unit size, in float64."""
     generator = torch.Generator().manual_seed(seed)
     module = LinearExperts(n_inputs, n_outputs, n_experts, generator=generator).double()
     torch.nn.init.normal_(module.experts, generator=generator)
@@ -116,7 +115,6 @@ def test_a_polish_moves_experts_and_tests_as_one_each() -> None:
 
 
 def same(forms: np.ndarray) -> np.ndarray:
-    """Return which forms (n, ...) are equal, (n, n)."""
     flat = forms.reshape(len(forms), -1)
     return np.asarray((flat[:, None] == flat[None]).all(axis=2))
 

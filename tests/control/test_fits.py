@@ -18,7 +18,6 @@ def generator():
 
 
 def oblique_oracle():
-    """Labels by the signs of two oblique directions."""
     W = np.array([[3.0, 4.0, 0.0], [4.0, -3.0, 1.0]]) / 5
     out = np.array([[0.0, 0.0, 0.0, 0.0], [2.0, -2.0, 0.0, 0.0], [0.0, 0.0, 2.0, -2.0], [1.0, -1.0, 1.0, -1.0]])
     return otr.ReluNetwork(

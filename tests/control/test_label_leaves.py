@@ -8,7 +8,6 @@ from tests.core.strategies import boundary_states, make_network
 
 
 def tree_of(M, c):
-    """Leaves only: a tree of depth 0."""
     return otr.ObliqueTree([], [], np.zeros((0, np.shape(M)[1])), [], [M], [c])
 
 

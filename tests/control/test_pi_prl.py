@@ -20,7 +20,6 @@ def relaxed(seed: int, depth: int = 3) -> RelaxedProgram:
 
 
 def naive_value(program: RelaxedProgram, x: np.ndarray, hole: int = 0) -> np.ndarray:
-    """The grammar's recursion."""
     x1 = np.append(x, 1.0)
     here = program.maps.detach().numpy()[hole] @ x1
     if hole >= len(program.tests):

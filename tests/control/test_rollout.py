@@ -64,7 +64,6 @@ class Words(Walk):
 
 
 def right(X: np.ndarray) -> np.ndarray:
-    """Return steps of a third to the right."""
     return np.full((len(X), 1), 1 / 3)
 
 
@@ -140,14 +139,8 @@ def test_a_limit_truncates_and_the_seed_never_meets_the_reported_episodes():
     np.testing.assert_array_equal(one.states, two.states)
     assert not set(one.seeds.tolist()) & set(other.seeds.tolist())
     assert min(one.seeds.min(), other.seeds.min()) >= 2**20 > len(evaluate(Walk, right).seeds) == 100
-
-
-def test_anything_that_predicts_on_a_batch_is_a_policy():
-    learned = DecisionTreeClassifier().fit([[0.0, 1.0], [1.0, 1.0]], [1, 2])
-    played = rollout(Labels, learned, 4)
-    np.testing.assert_array_equal(played.actions, learned.predict(played.states))
-    functions = rollout(functools.partial(Labels), learned.predict, 4)
-    np.testing.assert_array_equal(functions.returns, played.returns)
+    assert evaluate(Walk, right, n_episodes=3).seeds.tolist() == [0, 1, 2] and len(rollout(Walk, right).seeds) == 100
+    assert evaluate(Walk, right, [4], n_episodes=1).returns == rollout(Walk, right, seeds=[4]).returns
 
 
 @pytest.mark.parametrize(
@@ -175,9 +168,22 @@ def test_what_is_no_action_or_no_space(env, policy, message):
         rollout(env, policy, 5)
 
 
-def test_whole_actions_of_a_box():
+def test_whole_actions_of_a_box_and_policies_of_other_kinds():
     assert set(rollout(Bytes, lambda X: np.full((len(X), 1), 1.4), 1).actions.ravel().tolist()) == {1}
     assert evaluate(Bytes, lambda X: np.ones(len(X), int), [0]).lengths.tolist() == [4]
+    learned = DecisionTreeClassifier().fit([[0.0, 1.0], [1.0, 1.0]], [1, 2])
+    played = rollout(Labels, learned, 4)
+    np.testing.assert_array_equal(played.actions, learned.predict(played.states))
+    functions = rollout(functools.partial(Labels), learned.predict, 4)
+    np.testing.assert_array_equal(functions.returns, played.returns)
+
+    class Doubling(Walk):
+        def step(self, action: np.ndarray) -> tuple:
+            action *= 2.0  # in place: the actions are kept as they were
+            return super().step(action)
+
+    played = otr.rollout(Doubling, right, 2, max_steps=3)
+    np.testing.assert_array_equal(played.actions, np.full((6, 1), 1 / 3, np.float32))
 
 
 def test_what_is_no_environment_or_policy():
@@ -218,16 +224,6 @@ def test_environments_are_side_by_side_and_closed_at_the_end():
     assert Closing.n_made == len(closed) == 35 + 2 * n_looked_at
 
 
-def test_actions_are_kept_where_an_environment_changes_them_in_place():
-    class Doubling(Walk):
-        def step(self, action: np.ndarray) -> tuple:
-            action *= 2.0
-            return super().step(action)
-
-    played = otr.rollout(Doubling, right, 2, max_steps=3)
-    np.testing.assert_array_equal(played.actions, np.full((6, 1), 1 / 3, np.float32))
-
-
 def test_observations_and_rewards_that_are_no_numbers_are_reported():
     class Broken(Walk):
         answer: tuple
@@ -244,8 +240,6 @@ def test_observations_and_rewards_that_are_no_numbers_are_reported():
 
 
 class Worn(Walk):
-    """A walk whose steps grow with the episodes that it has played."""
-
     def __init__(self) -> None:
         super().__init__()
         self.n_played = 0
@@ -259,8 +253,6 @@ class Worn(Walk):
 
 
 class Random(Walk):
-    """A walk that no seed decides."""
-
     def step(self, action: np.ndarray) -> tuple:
         return super().step(action * np.random.default_rng().random(dtype=np.float32))
 
@@ -282,10 +274,9 @@ def test_an_environment_is_stepped_alone_and_left_open():
         def close(self) -> None:
             closed.append(self)
 
-    played = evaluate(Closing(), right, range(40))
-    assert played.returns.tolist() == evaluate(Walk, right, range(40)).returns.tolist()
+    for play, n in ((evaluate, 40), (rollout, 3)):
+        assert play(Closing(), right, n_episodes=n).returns.tolist() == play(Walk, right, n_episodes=n).returns.tolist()
     assert not closed
-    assert rollout(Closing(), right, 3).returns.tolist() == rollout(Walk, right, 3).returns.tolist()
 
 
 def test_the_biped_plays_an_episode_as_its_seed_says_whatever_was_played_before():
@@ -299,13 +290,6 @@ def test_the_biped_plays_an_episode_as_its_seed_says_whatever_was_played_before(
     assert otr.evaluate(env, act, range(6), max_steps=100).returns.tolist() == alone
     again = otr.evaluate("BipedalWalker-v3", act, [*range(20, 52), *range(6)], max_steps=100)  # 32 are side by side
     assert again.returns[32:].tolist() == alone
-
-
-def test_both_take_a_number_of_episodes_or_their_seeds():
-    assert evaluate(Walk, right, n_episodes=3).seeds.tolist() == [0, 1, 2]
-    assert rollout(Walk, right, seeds=[5, 7]).seeds.tolist() == [5, 7]
-    assert len(rollout(Walk, right).seeds) == len(evaluate(Walk, right).seeds) == 100
-    assert evaluate(Walk, right, [4], n_episodes=1).returns == rollout(Walk, right, seeds=[4]).returns
 
 
 def test_episodes_without_a_limit_are_refused():

@@ -27,7 +27,6 @@ def clear_states(tree: otr.ObliqueTree, n: int, seed: int = 0, margin: float = 1
 
 
 def naive_value(tree: SoftTree, x: np.ndarray, node: int = 0) -> np.ndarray:
-    """The definition, node by node."""
     n_tests = len(tree.tests)
     x1 = np.append(x, 1.0)
     if node >= n_tests:

@@ -22,29 +22,17 @@ def test_worked_example() -> None:
 
 
 @given(cases())
-def test_tree_equals_network(case: Case) -> None:
-    tree = otr.map_network(case.network)
-    np.testing.assert_allclose(tree.forward(case.states), case.network.forward(case.states), rtol=1e-9, atol=1e-9)
-    assert_same_answers(tree.predict(case.states), case.network.predict(case.states), case.network, case)
-
-
-@given(cases())
-def test_leaf_ids_are_activation_patterns(case: Case) -> None:
-    tree = otr.map_network(case.network)
-    bits = otr.PatternTree(case.network).paths(case.states)
-    numbers = bits @ (2 ** np.arange(bits.shape[1])[::-1])
-    agree = tree.apply(case.states) == numbers
+def test_tree_equals_network_and_leaf_ids_are_activation_patterns(case: Case) -> None:
+    net, tree = case.network, otr.map_network(case.network)
+    tree.check()
+    np.testing.assert_allclose(tree.forward(case.states), net.forward(case.states), rtol=1e-9, atol=1e-9)
+    assert_same_answers(tree.predict(case.states), net.predict(case.states), net, case)
+    bits = otr.PatternTree(net).paths(case.states)
+    agree = tree.apply(case.states) == bits @ (2 ** np.arange(bits.shape[1])[::-1])
     assert agree.all() if case.exact else agree[:40].all()
-
-
-@given(cases())
-def test_shape_of_the_tree(case: Case) -> None:
-    net = case.network
-    tree = otr.map_network(net)
     depth = net.n_hidden + {"sign": 1, "argmax": net.n_outputs - 1}.get(net.head.name, 0)
     assert (tree.depth, tree.n_leaves) == (depth, 2**depth)
     assert (tree.labels is not None) == (net.head.name in ("sign", "argmax"))
-    tree.check()
 
 
 def test_zero_goes_left_and_a_tie_to_the_lowest_index() -> None:

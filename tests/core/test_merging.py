@@ -8,7 +8,6 @@ from tests.core.test_tree import random_tree, small_tree
 
 
 def equal_siblings(tree: otr.ObliqueTree) -> list[int]:
-    """Tests whose two sides are leaves with one answer."""
     answers = [*zip(tree.M.tolist(), tree.c.tolist(), strict=True)] if tree.labels is None else tree.labels.tolist()
     sides = zip(tree.children_left.tolist(), tree.children_right.tolist(), strict=True)
     return [i for i, (a, b) in enumerate(sides) if a < 0 and b < 0 and answers[~a] == answers[~b]]

@@ -55,7 +55,9 @@ def test_kept_leaves_follow_the_tests_that_are_left(seed: int, n_leaves: int) ->
     keep[rng.integers(n_leaves)] = True
     pruned = keep_leaves(tree, keep)
     kept = np.flatnonzero(keep)
-    below = leaves_below(tree)
+    below = {~leaf: [leaf] for leaf in range(tree.n_leaves)}
+    for node in reversed(range(tree.n_nodes)):
+        below[node] = below[int(tree.children_left[node])] + below[int(tree.children_right[node])]
     for x in rng.normal(size=(20, 2)):
         reference = 0 if tree.n_nodes else ~0
         while reference >= 0:
@@ -67,13 +69,6 @@ def test_kept_leaves_follow_the_tests_that_are_left(seed: int, n_leaves: int) ->
                 goes_left = True
             reference = left if goes_left else right
         assert kept[naive_walk(pruned, x)[0]] == ~reference
-
-
-def leaves_below(tree: otr.ObliqueTree) -> dict[int, list[int]]:
-    below = {~leaf: [leaf] for leaf in range(tree.n_leaves)}
-    for node in reversed(range(tree.n_nodes)):
-        below[node] = below[int(tree.children_left[node])] + below[int(tree.children_right[node])]
-    return below
 
 
 def test_worked_example_pruned_to_one_leaf_and_to_k() -> None:

@@ -26,7 +26,6 @@ def read(content: bytes, *names: str, limit_bytes: int = MEGABYTE) -> dict[str, 
 
 
 def patched(content: bytes, signature: bytes, offset: int, value: bytes) -> bytes:
-    """Return the file with `value` written `offset` bytes after the first `signature`."""
     at = content.index(signature) + offset
     return content[:at] + value + content[at + len(value) :]
 
@@ -54,7 +53,6 @@ def test_what_unpacks_to_more_than_the_limit_is_refused() -> None:
 
 
 def test_members_that_share_their_bytes_are_refused() -> None:
-    """Two entries that point at the same stored bytes unpack to more than the file holds."""
     content = packed({"a": bytes(MEGABYTE), "b": b""}, zipfile.ZIP_STORED)
     directory = content.index(b"PK\1\2")
     entry = content[directory : directory + 46] + b"b"  # the first entry again, under the second's name

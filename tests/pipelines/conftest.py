@@ -99,7 +99,6 @@ def otr_command(program: str, *words: str, cwd: Path, **environment: str) -> Don
 
 
 def otr_succeeds(program: str, *words: str, cwd: Path, **environment: str) -> Done:
-    """Do the same, and check that it succeeds."""
     done = otr_command(program, *words, cwd=cwd, **environment)
     assert done.returncode == 0, done.stdout + done.stderr
     return done

@@ -63,15 +63,12 @@ def test_minimal_trees_are_certified(case: Case, in_box: bool, order: str) -> No
     assert otr.verify(certificate, tree, case.network) == certificate.max_error
 
 
-def test_the_bound_is_of_the_cells_that_are_kept() -> None:
+def test_the_bound_is_of_the_cells_that_are_kept_and_of_labels_that_are_ever_the_network_s() -> None:
     # The first cells of one leaf that are found here are given up for exact ones, and were proved to less.
     network = make_network(np.random.default_rng(0), (2, 3, 2), n_inputs=4, head="sign", negative_slope=0.01)
     tree = otr.minimal_tree(network)
     certificate = otr.certify(tree, network)
     assert otr.verify(certificate, tree, network) == certificate.max_error < 1e-6
-
-
-def test_a_label_that_is_never_the_network_s_does_not_count_where_two_others_tie() -> None:
     # Outputs 2 x - 4, -1 - x and 2 - x: at x = 2, the box's end, the first and the last tie, and the tree has the last.
     # The second is below the last by 3 everywhere: no input brings it to where the two would tie.
     weights = [[[0.0], [0.0]], [[-2.0, -2.0, 2.0], [2.0, -1.0, -1.0], [2.0, 0.0, -1.0]]]

@@ -13,7 +13,6 @@ NUMBERS = st.integers(-3, 3).map(float)
 
 @st.composite
 def trees(draw, head=None):
-    """Return a network of small whole numbers as a tree."""
     n = draw(st.integers(1, 3))
     W, b, V = ([draw(st.lists(NUMBERS, min_size=m, max_size=m)) for _ in range(k)] for k, m in ((n, 2), (1, n), (1, n)))
     return otr.map_network(otr.ReluNetwork([W, V], [b[0], [draw(NUMBERS)]], head=head or otr.Identity()))

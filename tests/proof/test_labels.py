@@ -16,7 +16,6 @@ BOX = (-1.0, 1.0)
 
 
 def leaf_between(low: float, high: float, labels: tuple[int, int], head: otr.Head, d: int = 1) -> otr.ObliqueTree:
-    """The first label on low < x_0 <= high, the second elsewhere."""
     P, o = np.eye(d)[[0, 0]], 1 if head == otr.Sign() else 2
     return otr.ObliqueTree(
         [~0, ~1], [1, ~2], P, [-low, -high], np.zeros((3, o, d)), np.zeros((3, o)),
@@ -25,7 +24,6 @@ def leaf_between(low: float, high: float, labels: tuple[int, int], head: otr.Hea
 
 
 def bump(size: float, offset: float, d: int = 1, at: float = 0.0) -> otr.ReluNetwork:
-    """size * max(0, x_0 - at) + offset."""
     return otr.ReluNetwork([size * np.eye(d)[:1], [[1.0]]], [[-size * at], [offset]], head=otr.Sign())
 
 

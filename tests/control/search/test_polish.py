@@ -75,7 +75,6 @@ def test_the_original_comes_back_where_nothing_helps() -> None:
     policy = linear_policy()
 
     def noise(policies, seeds):
-        """Return noise of each policy's own, beside which every change costs."""
         draws = [np.random.default_rng(zlib.crc32(each.weights[0].tobytes())) for each in policies]
         return np.array([draw.normal(size=seeds.shape[1]) - 0.5 * (each is not policy)
                          for draw, each in zip(draws, policies, strict=True)])  # fmt: skip

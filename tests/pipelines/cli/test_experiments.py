@@ -8,7 +8,6 @@ from tests.pipelines.conftest import otr_command
 
 
 def jobs(*words):
-    """Return the jobs' words as {key: value}."""
     return [dict(word.lstrip("+").split("=", 1) for word in own) for own in RUN.expand([*words], False)]
 
 

@@ -41,7 +41,6 @@ env:
 
 
 def job(*words):
-    """Return the job of words, as otr-run makes it."""
     (made,) = RUN.jobs(RUN.expand(list(words), multirun=False))
     return made
 

@@ -25,7 +25,6 @@ LINUX = pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for process
 
 @pytest.fixture(scope="module")
 def one_by_one(tmp_path_factory):
-    """The digests of the three jobs, one after the other in one process."""
     folder = tmp_path_factory.mktemp("basic")
     done = otr_program("otr-run", *THREE, cwd=folder)
     assert done.returncode == 0, done.stderr
@@ -55,13 +54,6 @@ def test_two_sweeps_on_one_folder_do_each_job_once(one_by_one, tmp_path):
     assert digests(tmp_path / "results") == one_by_one
 
 
-def test_sweep_may_change_what_its_budget_implies(tmp_path):
-    budget = ("train.steps=300", "train.eval_interval_steps=200", "train.n_selection_episodes=1", "stages=[train]")
-    done = otr_command("otr-run", "-m", "env=mountaincar", "seed=0,1", "algo.noise_end=0.5", *budget, cwd=tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "2 jobs: 2 done, 0 failed" in done.stdout
-
-
 @LINUX
 def test_sweep_goes_on_where_a_worker_is_killed(tmp_path):
     search = ("algo=ars", "budget=smoke", "train.steps=3_000_000", "train.eval_interval_steps=300_000")  # without torch
@@ -83,28 +75,16 @@ def test_sweep_goes_on_where_a_worker_is_killed(tmp_path):
     assert not any((results / "checkpoints").iterdir())
 
 
-def test_hydra_composes_nothing_for_a_sweep_s_processes(tmp_path, monkeypatch):
+@pytest.mark.parametrize("launcher", [(), ("launcher=joblib", "hydra.launcher.n_jobs=1")])  # both in this process
+def test_hydra_composes_nothing_for_a_sweep_s_processes(tmp_path, monkeypatch, launcher):
     with initialize_config_dir(str(CONF_DIR), version_base="1.3"):
         loader = GlobalHydra.instance().config_loader().__class__
     monkeypatch.setattr(loader, "load_sweep_config", None)
-    done = otr_command("otr-run", *PROGRAMS, "stages=parse", cwd=tmp_path)  # one value for a list, which Hydra refuses
+    words = (*PROGRAMS, *launcher, "stages=parse")  # one value for a list, which Hydra refuses
+    done = otr_command("otr-run", *words, cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "2 jobs: 2 done, 0 failed" in done.stdout
     assert not any((tmp_path / "results/sweeps").iterdir())  # the pickled tasks are gone
-
-
-def test_one_process_of_joblib_s_does_all_jobs(tmp_path):
-    """The sweep's own process is that one."""
-    done = otr_program("otr-run", *PROGRAMS, "launcher=joblib", "hydra.launcher.n_jobs=1", cwd=tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "2 jobs: 2 done, 0 failed" in done.stdout
-    assert not any((tmp_path / "results/sweeps").iterdir())
-
-
-def test_missing_plugin_is_told_on_the_command_line(tmp_path):
-    done = otr_command("otr-run", "-m", "env=pendulum", "depth=1,2", "launcher=dask", cwd=tmp_path)
-    assert done.returncode == 2
-    assert "launcher=dask needs the extra dask: pip install 'otr[dask]'" in done.stderr
 
 
 def test_jobs_file_does_the_jobs_that_are_left(tmp_path):

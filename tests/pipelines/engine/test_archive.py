@@ -40,14 +40,12 @@ def pack_run(run_dir):
 
 @pytest.fixture
 def run(tmp_path):
-    """Return the folder of a finished run, unpacked."""
     copy_run(PENDULUM, tmp_path / "runs" / PENDULUM)
     return tmp_path / "runs" / PENDULUM
 
 
 @pytest.fixture
 def packed(run):
-    """Return the folder of a packed run."""
     pack_run(run)
     return run
 

@@ -20,13 +20,11 @@ from tests.pipelines.conftest import ARS
 
 @pytest.fixture
 def jobs(tiny):
-    """Three jobs that nobody has done."""
     return [RunJob(tiny(seed=seed), f"runs/seed-{seed}", "") for seed in range(3)]
 
 
 @pytest.fixture
 def done(monkeypatch):
-    """The folders of jobs that count as done, to be added to."""
     folders = set()
     monkeypatch.setattr("pipelines.engine.sweep.is_done", lambda job: job.folder in folders)
     monkeypatch.setattr("pipelines.runs.run_job.read_json", lambda path: {})

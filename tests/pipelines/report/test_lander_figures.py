@@ -24,13 +24,11 @@ QUICK = BudgetConfig("quick", {"lunarlander": 300}, 100, 2, 2, 3, 100)
 
 
 def planned(oracle, method, depth, seed):
-    """A run of the lander that imitates an oracle."""
     name = oracle.strip("[]").replace(",", "-")
     return Planned(oracle, method, depth, f"lunarlander/{method}/depth-{depth}/quick/seed-{seed}~{name}")
 
 
 def finish(run, results_dir, return_mean, oracle_mean=250.0, **changes):
-    """Write the summary of a run."""
     oracle = {"hidden_widths": [int(width) for width in run.oracle.strip("[]").split(",")]}
     policies = {"oracle": {"return_mean": oracle_mean, "n_episodes": 100}}
     return write_run(results_dir, run.run, return_mean, **({"oracle": oracle, "policies": policies} | changes))

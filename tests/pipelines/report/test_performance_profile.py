@@ -26,12 +26,10 @@ TASKS = ("pendulum", "swimmer", "mountaincar")
 
 
 def return_of(task: str, score: float) -> float:
-    """The return of a task that has this score."""
     return random_returns()[task] + score * (best_published(task) - random_returns()[task])
 
 
 def write_runs(results_dir: Path, policy: str, scores: dict[str, list[float]]) -> None:
-    """Write runs of a method and depth, a list of scores for each task."""
     for task, own in scores.items():
         for seed, score in enumerate(own):
             write_run(results_dir, f"{task}/{policy}/quick/seed-{seed}", return_of(task, score))

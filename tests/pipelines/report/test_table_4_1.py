@@ -22,7 +22,6 @@ def write_runs(results_dir: Path, where: str, returns: dict[int, float], **chang
 
 
 def csv_cells(results_dir: Path) -> dict[tuple[str, str, str, str], dict[str, str]]:
-    """Return the CSV's rows under (table, task, method, depth)."""
     path = write_table_4_1(results_dir)[1]
     return {(row["table"], row["task"], row["method"], row["depth"]): row for row in read_csv(path)}
 
@@ -32,7 +31,6 @@ def hopper(results_dir: Path) -> dict[str, str]:
 
 
 def markdown_lines(results_dir: Path, start: str) -> list[list[str]]:
-    """Return the cells of the Markdown lines whose first cell is `start`."""
     lines = write_table_4_1(results_dir)[0].read_text(encoding="utf-8").splitlines()
     rows = [[text.strip() for text in line.strip("|").split("|")] for line in lines if line.startswith("|")]
     return [row for row in rows if row[0] == start]

@@ -43,7 +43,6 @@ def config_of(run_dir: Path) -> Any:
 
 
 def stored(page: str, kind: str = "policy") -> list[dict[str, Any]]:
-    """Return what a page holds compressed: its policies, or its figures."""
     blocks = re.findall(rf'<script type="text/plain" class="{kind}" id="[\w-]+">([^<]*)</script>', page)
     return [json.loads(gzip.decompress(base64.b64decode(block))) for block in blocks]
 

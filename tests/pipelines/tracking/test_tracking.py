@@ -16,8 +16,6 @@ FOLDER = "runs/pendulum/otr/depth-4/smoke/seed-0"
 
 
 class FakeBackend:
-    """Keeps what it is given; fails where it is told to."""
-
     def __init__(self):
         self.started, self.rows, self.final, self.known_result, self.fails = 0, [], [], None, False
 
@@ -56,7 +54,6 @@ def backend(monkeypatch):
 
 @pytest.fixture
 def tracked(tiny):
-    """A job with tracking."""
     return RunJob(tiny(tracking="tensorboard", folder=FOLDER), FOLDER, "")
 
 

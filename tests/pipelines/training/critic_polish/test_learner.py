@@ -45,7 +45,6 @@ def states(n=200):
 
 @pytest.fixture
 def learning(tiny):
-    """Return a function that makes a polish of the pendulum, of a policy on critics."""
     made = []
 
     def make(policy, oracle=None, critics=None, polishing=SHORT):

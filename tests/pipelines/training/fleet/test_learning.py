@@ -22,7 +22,6 @@ RANDOM_RETURN, LEARNT_RETURN = -1_000, -350
 
 
 def curve(out):
-    """Return the mean returns of a run's evaluations, one every INTERVAL steps."""
     return [float(row["return_mean"]) for row in read_csv(out / "evaluations.csv")]
 
 

@@ -54,14 +54,12 @@ def draw_batch(generator: torch.Generator) -> tuple[Minibatch, Tensor]:
 
 
 def stacked(drawn: list[tuple[Minibatch, Tensor]]) -> tuple[Minibatch, Tensor]:
-    """Return the batches of several runs as one, (R, B, .) each."""
     fields = ("states", "actions", "rewards", "next_states", "continues")
     batch = Minibatch(*(torch.stack([getattr(one, field) for one, _ in drawn]) for field in fields))
     return batch, torch.stack([noise for _, noise in drawn])
 
 
 def learn(fleet: FleetSac, seeds: list[int], n_updates: int, rate_end: float = 1.0) -> None:
-    """Update every run of a fleet on batches of its own stream."""
     generators = [torch.Generator().manual_seed(1000 + seed) for seed in seeds]
     for n_done in range(n_updates):
         fleet.at_step(200 * n_done, 1 - (1 - rate_end) * n_done / n_updates)
@@ -69,7 +67,6 @@ def learn(fleet: FleetSac, seeds: list[int], n_updates: int, rate_end: float = 1
 
 
 def new_fleet(shapes: Shapes, seeds: list[int], settings: list[RunSettings] | None = None) -> FleetSac:
-    """Return a fleet with a run a seed."""
     fleet = FleetSac(shapes, settings or [RunSettings(1e-3, 0.99)] * len(seeds))
     for run, seed in enumerate(seeds):
         fleet.initialise(run, torch.Generator().manual_seed(seed))
@@ -83,12 +80,10 @@ class Box11x3(gym.Env):
     action_space = gym.spaces.Box(-1, 1, (N_ACTIONS,), np.float32)
 
     def reset(self, **kwargs: Any) -> tuple[np.ndarray, dict]:
-        """Return the only state."""
         return np.zeros(N_INPUTS, np.float32), {}
 
 
 def sb3_parameters(model: SAC) -> dict[str, Tensor]:
-    """Return Stable-Baselines3's parameters under our names."""
     policy = model.policy
     heads = [policy.actor.mu, policy.actor.log_std]
     if isinstance(policy, SoftSacPolicy):
@@ -121,7 +116,6 @@ def queued_noise(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Tensor]]:
 
 @contextmanager
 def float64() -> Iterator[None]:
-    """Make float64 torch's default type for a while."""
     torch.set_default_dtype(torch.float64)
     try:
         yield
@@ -211,7 +205,6 @@ def assert_learns_as_autograd(shapes: Shapes, settings: RunSettings, falling: bo
 
 
 def assert_gradients(ours: Layers, networks: list[torch.nn.Module]) -> None:
-    """Check the gradients of a stack against those of its networks."""
     for row, network in enumerate(networks):
         for weight, bias, linear in zip(ours.weights, ours.biases, linears(network), strict=True):
             assert linear.weight.grad.norm() > 1e-4
@@ -220,7 +213,6 @@ def assert_gradients(ours: Layers, networks: list[torch.nn.Module]) -> None:
 
 
 def assert_equal_numbers(ours: Tensor, theirs: Tensor) -> None:
-    """Check that float64 numbers differ by no more than 1e-10 of the largest."""
     assert ours.dtype == theirs.dtype == torch.float64
     assert float((ours - theirs).abs().max()) <= 1e-10 * float(theirs.abs().max())
 
@@ -268,7 +260,6 @@ def test_fifty_updates_are_those_of_stable_baselines3(queued_noise: list[Tensor]
 
 
 def assert_same(alone: FleetSac, fleet: FleetSac, run: int) -> None:
-    """Check that a run of a fleet has learnt the bits that it learnt alone."""
     for name, tensor in alone.tensors(0).items():
         assert torch.equal(tensor, fleet.tensors(run)[name]), name
 

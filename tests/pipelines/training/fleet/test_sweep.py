@@ -19,7 +19,6 @@ WORDS = ("-m", "env=pendulum", "depth=2,3", "seed=0,1,2", "budget=smoke", "train
 
 @pytest.fixture(scope="module")
 def in_one_process(tmp_path_factory):
-    """The results of a sweep of two fleets, one after the other, and what it printed."""
     folder = tmp_path_factory.mktemp("fleets")
     done = otr_succeeds("otr-run", *WORDS, cwd=folder)
     return folder / "results", done.stdout

@@ -23,8 +23,6 @@ RESULTS = ("actor.safetensors", "actor.json", "evaluations.csv")
 
 @pytest.fixture
 def search_run(tiny):
-    """Return a function that makes a run that is searched in seconds."""
-
     def make(**changes):
         actor = ActorConfig(0.0, dense="input")
         return tiny(**{"env": CARTPOLE, "algo": ARS, "actor": actor, "train": TrainConfig(3_000, 700, 3, 0), **changes})

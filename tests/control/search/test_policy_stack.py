@@ -8,22 +8,13 @@ from hypothesis import strategies as st
 import otr
 from otr.control.search.policy_stack import stack_policies
 from otr.control.search.state_moments import StateMoments
+from tests.core.strategies import make_network
 
 
 def networks(seed: int, k: int, widths: list[int], dense: str | bool, slope: float, head: otr.Head) -> list:
     generator = np.random.default_rng(seed)
-    d, o = 4, 3
-    made = []
-    for _ in range(k):
-        weights, biases = [], []
-        read, hidden = d, []
-        for width in [*widths, o]:
-            weights.append(generator.normal(size=(width, read)))
-            biases.append(generator.normal(size=width))
-            hidden.append(width)
-            read = (sum(hidden) if dense == "all" else width) + (d if dense else 0)
-        made.append(otr.ReluNetwork(weights, biases, dense=dense, negative_slope=slope, head=head))
-    return made
+    options = {"n_inputs": 4, "n_outputs": 3, "dense": dense, "negative_slope": slope}
+    return [make_network(generator, tuple(widths), **options).replace(head=head) for _ in range(k)]
 
 
 @given(

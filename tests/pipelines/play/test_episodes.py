@@ -7,24 +7,18 @@ import pytest
 import otr
 from pipelines.play.environments import make_env
 from pipelines.play.episodes import play_seeds
+from tests.core.strategies import make_network
 from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM
 
 FIELDS = ("seeds", "returns", "lengths", "terminated", "truncated", "states", "actions")
 
 
-def random_network(env, seed=0, width=5, head=None):
-    generator = np.random.default_rng(seed)
+def random_network(env, seed=0, width=5):
     single = make_env(env)
-    d = single.observation_space.shape[0]
-    if isinstance(single.action_space, gym.spaces.Discrete):
-        o, head = int(single.action_space.n), otr.Argmax()
-    else:
-        o = single.action_space.shape[0]
-        head = otr.TanhBox(single.action_space.low, single.action_space.high)
-    shapes = [(width, d), (o, width)]
-    return otr.ReluNetwork(
-        [generator.normal(size=s) for s in shapes], [generator.normal(size=s[0]) for s in shapes], head=head
-    )
+    d, space = single.observation_space.shape[0], single.action_space
+    is_discrete = isinstance(space, gym.spaces.Discrete)
+    o, head = (int(space.n), otr.Argmax()) if is_discrete else (len(space.low), otr.TanhBox(space.low, space.high))
+    return make_network(np.random.default_rng(seed), (width,), n_inputs=d, n_outputs=o).replace(head=head)
 
 
 def by_hand(network, env_config, seed):

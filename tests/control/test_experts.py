@@ -136,12 +136,13 @@ def test_experts_are_fitted_to_an_oracle_s_actions_within_their_box() -> None:
     scale, mean = np.array([1.0, 50.0, 0.01]), np.array([0.0, 200.0, -1.0])
     X, answers = np.column_stack((unit * scale + mean, np.full(3000, 7.0))), oracle.predict(unit)
     assert 0.1 < np.mean((answers == [-2, -1]) | (answers == [2, 3])) < 0.7
-    fit = ExpertsFit(box, 3, n_updates=1500)
-    tree = fit(X, answers, None, np.random.default_rng(1))
-    linear = ExpertsFit(box, 1, n_updates=1500)(X, answers, None, np.random.default_rng(1))
+
+    def fit(n_experts: int, n_updates: int, head: otr.Head = box) -> otr.ObliqueTree:
+        return ExpertsFit(head, n_experts, n_updates=n_updates)(X, answers, None, np.random.default_rng(1))
+
+    tree, linear = fit(3, 1500), fit(1, 1500)
     errors = [np.mean((each.predict(X) - answers) ** 2) for each in (tree, linear)]
     assert errors[0] < 0.2 * errors[1] and tree.n_leaves <= 4 and tree.head == box
-    again = fit(X, answers, None, np.random.default_rng(1))
-    np.testing.assert_array_equal(again.leaf_forms, tree.leaf_forms)
+    np.testing.assert_array_equal(fit(3, 20).leaf_forms, fit(3, 20).leaf_forms)
     with pytest.raises(ValueError, match="expected a ClipBox with finite limits"):
-        ExpertsFit(otr.Argmax(), 3)(X, answers, None, np.random.default_rng(1))
+        fit(3, 20, otr.Argmax())

@@ -44,6 +44,9 @@ def test_derivatives_of_the_path_probabilities(depth):
     assert torch.autograd.gradcheck(lambda p: path_probabilities(p)[1], left)
     if depth:
         assert torch.autograd.gradcheck(lambda p: path_probabilities(p)[0], left)
+    nodes, leaves = path_probabilities(torch.tensor([[0.25], [0.5], [0.1]]))
+    torch.testing.assert_close(nodes[:, 0], torch.tensor([1.0, 0.25, 0.75]))
+    torch.testing.assert_close(leaves[:, 0], torch.tensor([0.125, 0.125, 0.075, 0.675]))
 
 
 @pytest.mark.parametrize("affine", [False, True])
@@ -60,12 +63,6 @@ def test_derivatives_of_the_tree(depth, affine):
     assert torch.autograd.gradcheck(outputs, arguments)
     assert torch.autograd.gradgradcheck(outputs, arguments)
     assert torch.autograd.gradgradcheck(lambda *a: outputs(*a, X.detach()), arguments[:2])
-
-
-def test_path_probabilities_of_a_small_tree():
-    nodes, leaves = path_probabilities(torch.tensor([[0.25], [0.5], [0.1]]))
-    torch.testing.assert_close(nodes[:, 0], torch.tensor([1.0, 0.25, 0.75]))
-    torch.testing.assert_close(leaves[:, 0], torch.tensor([0.125, 0.125, 0.075, 0.675]))
 
 
 @given(seed=st.integers(0, 2**31), depth=st.integers(0, 5), affine=st.booleans(), beta=st.sampled_from([0.5, 1, 8]))

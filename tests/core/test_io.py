@@ -221,7 +221,7 @@ ARRAYS = st.builds(
 )
 
 
-@settings(max_examples=300)
+@settings(max_examples=150)
 @given(data=st.data())
 def test_whatever_was_changed_a_tree_or_the_library_s_error(saved: list[Path], data: st.DataObject) -> None:
     folder = data.draw(st.sampled_from(saved))

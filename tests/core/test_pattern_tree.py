@@ -12,21 +12,16 @@ def all_paths(n_bits: int) -> np.ndarray:
 
 
 @given(cases())
-def test_all_paths_listed_give_the_mapped_tree(case: Case) -> None:
+def test_all_paths_listed_give_the_mapped_tree_and_unrestricted_it_is_the_network(case: Case) -> None:
     full = otr.PatternTree(case.network)
+    assert_same_answers(full.predict(case.states), case.network.predict(case.states), case.network, case)
+    np.testing.assert_array_equal(full.forward(case.states), case.network.forward(case.states))
     listed = otr.PatternTree(case.network, all_paths(full.n_bits)).to_tree()
     mapped = otr.map_network(case.network)
     for name in ("children_left", "children_right", "labels"):
         np.testing.assert_array_equal(getattr(listed, name), getattr(mapped, name))
     for name in ("P", "v", "M", "c"):
         np.testing.assert_allclose(getattr(listed, name), getattr(mapped, name), rtol=1e-9, atol=1e-9)
-
-
-@given(cases())
-def test_unrestricted_equals_the_network(case: Case) -> None:
-    tree = otr.PatternTree(case.network)
-    assert_same_answers(tree.predict(case.states), case.network.predict(case.states), case.network, case)
-    np.testing.assert_array_equal(tree.forward(case.states), case.network.forward(case.states))
 
 
 @given(cases())

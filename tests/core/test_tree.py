@@ -102,13 +102,6 @@ def test_every_way_of_evaluating_leaves_agrees(monkeypatch: pytest.MonkeyPatch, 
     assert_routes_like_the_naive_walk(tree, rng.normal(size=(500, 4)))
 
 
-def test_empty_batches() -> None:
-    for tree in (small_tree(), otr.map_network(make_network(np.random.default_rng(0), (8,), n_inputs=2))):
-        assert tree.predict(np.empty((0, 2))).shape == (0, 1)
-        assert tree.apply(np.empty((0, 2))).shape == (0,)
-        assert tree.decision_path(np.empty((0, 2))).shape == (0, tree.n_nodes)
-
-
 def test_a_chain_deeper_than_the_recursion_limit() -> None:
     n = 3000
     sides, answers = (~np.arange(n), np.append(np.arange(1, n), ~n)), np.arange(n + 1.0)[:, None]
@@ -126,6 +119,9 @@ def test_labels_answer_and_outputs_stay() -> None:
     assert tree.forward(X).ravel().tolist() == [10, 20, 30]
     assert small_tree().predict(np.array([1, 2], dtype=np.float32)).tolist() == [30.0]
     assert small_tree().predict([[1, 2]]).tolist() == [[30.0]]
+    for each in (small_tree(), otr.map_network(make_network(np.random.default_rng(0), (8,), n_inputs=2))):
+        shapes = [call(np.empty((0, 2))).shape for call in (each.predict, each.apply, each.decision_path)]
+        assert shapes == [(0, 1), (0,), (0, each.n_nodes)]
     assert (tree.get_depth(), tree.get_n_leaves()) == (2, 3) == (tree.depth, tree.n_leaves)
 
 

@@ -38,10 +38,6 @@ def test_weights_of_any_size_are_tests(size: float) -> None:
         assert otr.verify(otr.certify(tree, network, domain), tree, network) <= 1e-9 * size
 
 
-def test_nearly_parallel_neurons() -> None:
-    assert max(worst_difference(seed) for seed in range(200)) < 1e-9
-
-
-@pytest.mark.slow
-def test_ten_thousand_networks_of_nearly_parallel_neurons() -> None:
-    assert max(worst_difference(seed) for seed in range(10_000)) < 1e-9
+@pytest.mark.parametrize("n", [100, pytest.param(10_000, marks=pytest.mark.slow)])
+def test_nearly_parallel_neurons(n: int) -> None:
+    assert max(worst_difference(seed) for seed in range(n)) < 1e-9

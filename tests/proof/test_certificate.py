@@ -151,7 +151,7 @@ def test_cells_are_as_deep_as_the_network_has_neurons() -> None:
         check_cover(0, cells[1:])
 
 
-@pytest.mark.parametrize("head", ["tanh_box", "argmax"])
+@pytest.mark.parametrize("head", ["clip_box", "argmax"])
 def test_a_tampered_tree_is_refused_with_the_leaf(head: str) -> None:
     network = network_of(2, head=head)
     tree = otr.minimal_tree(network, BOX)

@@ -31,7 +31,7 @@ def test_the_verdict_is_what_states_say(tree, other, most):
         assert abs(np.subtract(*answers)) == pytest.approx(verdict.value, abs=1e-9)
 
 
-@settings(max_examples=25)
+@settings(max_examples=15)
 @given(trees(), st.integers(0, 2))
 def test_a_tree_written_in_another_way_is_proved_equal(tree, head):
     heads = (otr.Identity(), otr.ClipBox([-1.0], [1.0]), otr.TanhBox([-1.0], [2.0]))

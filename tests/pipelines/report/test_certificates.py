@@ -33,7 +33,7 @@ def test_runs_of_other_seeds_share_a_line_and_no_bound_is_rounded_down(tmp_path)
     add(tmp_path, "pendulum/otr/depth-6/smoke/seed-0", **PROVED)
     add(tmp_path, "pendulum/otr/depth-6/quick/seed-0~12345678", **PROVED)
     for depth, bound in enumerate((0.0, 0.5, 9.3e-13, 0.26)):
-        add(tmp_path, f"walker2d/otr/depth-{depth}/quick/seed-0", **PROVED | {"max_error": bound})
+        add(tmp_path, f"mountaincar/otr/depth-{depth}/quick/seed-0", **PROVED | {"max_error": bound})
     write_certificates(tmp_path)
     hopper, pendulum, *others = lines_of(tmp_path)
     assert hopper == ["Hopper", "OTR", "6", "quick", "1", "64", "", "not proved: the limit was met", *[""] * 4]

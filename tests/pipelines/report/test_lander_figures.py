@@ -72,7 +72,8 @@ def test_curves_bands_and_lines_are_where_the_points_say():
     assert len(right.lines) == 2 and left.get_xticks().tolist() == [2, 3]
     with pytest.raises(ValueError, match="no points"):
         return_against_depth(points[:0], 200.0)
-    wide = pd.concat([points.assign(label=f"a method of some words ({i})") for i in range(5)])
+    names = ("AugTree", "VIPER", "NDPS (affine leaves)", "Linear (no oracle)", "Linear (imitating)")
+    wide = pd.concat([points.assign(label=name) for name in names])
     figure = return_against_depth(wide, 200.0)
     figure.canvas.draw()
     extent = figure.legends[0].get_window_extent()

@@ -18,10 +18,7 @@ def test_rows_are_drawn_in_proportion_to_their_weight():
     assert (rows.tolist(), counts.tolist()) == ([0], [30])
     rows, counts = draw_rows(2000, np.zeros(2000), 2000, np.random.default_rng(0))  # count as equal
     assert counts.sum() == 2000 and len(rows) == pytest.approx(2000 * (1 - np.exp(-1)), abs=80)
-
-
-def test_without_weights_every_row_comes_at_most_once():
-    rows, counts = draw_rows(1000, None, 400, np.random.default_rng(0))
+    rows, counts = draw_rows(1000, None, 400, np.random.default_rng(0))  # without weights, a row once at most
     assert (counts == 1).all() and len(np.unique(rows)) == 400 and np.array_equal(rows, np.sort(rows))
     assert rows.min() < 20 and rows.max() >= 980  # from everywhere
     assert draw_rows(7, None, 400, np.random.default_rng(0))[0].tolist() == list(range(7))

@@ -28,29 +28,22 @@ def test_argmax_tournament_equals_numpy_on_ties() -> None:
         np.testing.assert_array_equal(outcomes[:, test], Y[:, test + 1] - Y[rows, champions[:, test]] > 0)
 
 
-@pytest.mark.parametrize(
-    ("low", "high"), [(1.0, 1.0), (0.0, np.inf), (np.nan, 1.0), ([0.0], [1.0, 2.0]), ([[0.0]], [[1.0]])]
-)
-def test_boxes_that_are_none_are_refused(low: object, high: object) -> None:
+def test_boxes_that_are_none_and_heads_that_do_not_fit_are_refused() -> None:
+    no_boxes = ((1.0, 1.0), (0.0, np.inf), (np.nan, 1.0), ([0.0], [1.0, 2.0]), ([[0.0]], [[1.0]]))
     for box in (otr.TanhBox, otr.ClipBox):
-        with pytest.raises(otr.InvalidNetworkError, match="low"):
-            box(low, high)
-
-
-@pytest.mark.parametrize("box", [otr.TanhBox, otr.PidBox])
-def test_boxes_whose_width_no_float_holds_are_refused(box: type[otr.Head]) -> None:
-    with pytest.raises(otr.InvalidNetworkError, match="high - low is larger than a float64 can hold"):
-        box([0.0, -1e308], [1.0, 1e308])
+        for low, high in no_boxes:
+            with pytest.raises(otr.InvalidNetworkError, match="low"):
+                box(low, high)
+    for box in (otr.TanhBox, otr.PidBox):
+        with pytest.raises(otr.InvalidNetworkError, match="high - low is larger than a float64 can hold"):
+            box([0.0, -1e308], [1.0, 1e308])
     assert otr.ClipBox(-1e308, 1e308)(np.array([2.0])) == 2.0  # which works with the limits alone
-
-
-def test_heads_that_do_not_fit_or_are_unknown_are_refused() -> None:
     for head, words in ((otr.Sign(), "Sign needs 1 output"), (otr.ClipBox([-1.0] * 3, [1.0] * 3), "for 3 outputs")):
         with pytest.raises(otr.InvalidNetworkError, match=rf"{words}.* network has 2"):
             otr.ReluNetwork([np.ones((2, 3))], [np.ones(2)], head=head)
-    for description, words in (("softmax", "unknown head 'softmax'"), ("tanh_box", "cannot be made")):
+    for name, words in (("softmax", "unknown head 'softmax'"), ("tanh_box", "cannot be made")):
         with pytest.raises(otr.ArtefactError, match=words):
-            head_from_dict({"name": description})
+            head_from_dict({"name": name})
 
 
 KNOWN: dict[str, tuple[otr.Head, int]] = {  # a head of each kind and its number of outputs
@@ -123,11 +116,8 @@ def test_a_head_clipped_to_a_box() -> None:
         KNOWN["tanh_box"][0].clipped_to(low, high)
     with pytest.raises(ValueError, match=r"a clip to 5.0 .. 6.0 leaves none of the actions \[-0.5, -1.0\] .. \[2.0"):
         otr.ClipBox(5.0, 6.0).clipped_to(low, high)
-
-
-@pytest.mark.parametrize("size", [1e-9, 1.0, 1e9])
-def test_a_narrower_clip_after_tanh_is_refused_in_any_units(size: float) -> None:
-    head = otr.TanhBox(-size, size)
-    assert head.clipped_to(np.array([-size]), np.array([size * (1 - 1e-12)])) == head
-    with pytest.raises(ValueError, match="scale the tanh to these"):
-        head.clipped_to(np.array([-0.1 * size]), np.array([0.1 * size]))
+    for size in (np.array([1e-9]), np.array([1.0]), np.array([1e9])):  # in any units
+        tanh = otr.TanhBox(-size, size)
+        assert tanh.clipped_to(-size, size * (1 - 1e-12)) == tanh
+        with pytest.raises(ValueError, match="scale the tanh to these"):
+            tanh.clipped_to(-0.1 * size, 0.1 * size)

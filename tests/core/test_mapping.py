@@ -45,23 +45,19 @@ def test_zero_goes_left_and_a_tie_to_the_lowest_index() -> None:
     assert linear.predict([[1.0, 1.0]]).tolist() == [[6.0]]
 
 
-def test_a_tree_too_large_is_refused() -> None:
-    net = make_network(np.random.default_rng(0), (17,))
-    with pytest.raises(
-        otr.TreeTooLargeError, match=r"17 hidden neurons .* 2\*\*17 leaves, the limit is 65536.*otr\.tree"
-    ):
-        otr.map_network(net)
-    assert otr.map_network(net, max_leaves=2**17).n_leaves == 2**17
-
-
-def test_memory_is_at_most_twice_what_is_returned() -> None:
+def test_memory_is_at_most_twice_what_is_returned_and_a_tree_too_large_is_refused() -> None:
     net = make_network(np.random.default_rng(0), (16,), n_inputs=20)
     tracemalloc.start()
     tree = otr.map_network(net)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    returned = sum(array.nbytes for array in (tree.P, tree.v, tree.M, tree.c, tree.children_left, tree.children_right))
-    assert peak <= 2 * returned
+    arrays = (tree.P, tree.v, tree.M, tree.c, tree.children_left, tree.children_right)
+    assert peak <= 2 * sum(array.nbytes for array in arrays)
+    net = make_network(np.random.default_rng(0), (17,))
+    message = r"17 hidden neurons .* 2\*\*17 leaves, the limit is 65536.*otr\.tree"
+    with pytest.raises(otr.TreeTooLargeError, match=message):
+        otr.map_network(net)
+    assert otr.map_network(net, max_leaves=2**17).n_leaves == 2**17
 
 
 def test_only_a_network_of_relu_units_has_a_tree() -> None:

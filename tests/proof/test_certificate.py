@@ -18,7 +18,6 @@ from otr.core.network import UnitForm
 from otr.geometry.rational import ExactTree, ExactUnits, as_point
 from otr.proof.certificate import Cell, Certificate, Sum, check_cover
 from otr.proof.exact_rows import TreeAndNetwork
-from otr.proof.float_cells import _named_sum
 from tests.core.strategies import Case, cases, make_network, worked_network
 from tests.proof.test_changed_trees import BOXES
 from tests.proof.test_changed_trees import network_of as network_of_kind
@@ -134,12 +133,6 @@ def test_what_is_read_back_is_what_was_saved(numbers: Iterable[int], tmp_path: P
     network = network_of()
     half_open = otr.certify(otr.minimal_tree(network), network, ([-1.0, -np.inf], [np.inf, 2.0]))
     assert otr.load_certificate(half_open.save(tmp_path / "open.json")) == half_open
-
-
-def test_a_row_is_named_once_in_a_sum() -> None:
-    assert _named_sum([3, 0, 3, 1], [0.5, 1.0, 0.25, 0.0], ["low 0", "high 0"]) == Sum(
-        ("low 0", "neuron 1"), (1.0, 0.75)
-    )
 
 
 def test_cells_are_as_deep_as_the_network_has_neurons() -> None:

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import otr
-from otr.core.domain import Box
 from otr.proof.certificate import Sum
 from otr.proof.head_bounds import tanh_line
 from otr.proof.properties import check_verdict
@@ -47,15 +46,15 @@ def test_a_worked_range() -> None:
     jump = otr.output_range(tree, (-1.0, 1.0))
     assert (jump.low.tolist(), jump.high.tolist()) == ([1.0], [5.0])
     assert otr.output_range(tree, (0.5, 1.0)).low.tolist() == [1.5]
-
-
-def test_the_range_of_a_thin_leaf_counts() -> None:
-    e = 1e-9
-    M = np.zeros((3, 1, 2))
+    far = otr.output_range(one_leaf(), ([1e16], [1e16 + 20]))  # boxes in which floats find no ball
+    assert (far.low.tolist(), far.high.tolist()) == ([1e16], [1e16 + 20])
+    step = otr.output_range(otr.parse_program("if x <= 1: 5 else: 7", ["x"]), ([1.0], [np.nextafter(1, 2)]))
+    assert (step.low.tolist(), step.high.tolist()) == ([5], [7])
+    e, M = 1e-9, np.zeros((3, 1, 2))
     M[1, 0] = [1.0, -1.0]
-    tree = otr.ObliqueTree([~0, ~1], [1, ~2], [[1.0, 0.0], [1.0, -e]], [0.0, -e / 2], M, [[0.0], [1000.0], [0.0]])
-    found = otr.output_range(tree, (-1.0, 1.0))
-    assert tree.predict([0.1 * e, 0.0])[0] >= 1000.0 and found.high.tolist() == pytest.approx([1001.0])
+    thin = otr.ObliqueTree([~0, ~1], [1, ~2], [[1.0, 0.0], [1.0, -e]], [0.0, -e / 2], M, [[0.0], [1000.0], [0.0]])
+    assert thin.predict([0.1 * e, 0.0])[0] >= 1000.0
+    assert otr.output_range(thin, (-1.0, 1.0)).high.tolist() == pytest.approx([1001.0])
 
 
 def test_labels_that_a_box_can_bring() -> None:
@@ -112,14 +111,6 @@ def test_the_value_is_of_the_answer_beside_it() -> None:
     check_verdict(verdict, tree, Condition(w, u, 0.0), box)
     assert verdict.point == tuple(map(Fraction, verdict.state))
     assert w @ verdict.state + verdict.action @ u == pytest.approx(verdict.value, abs=1e-9)
-
-
-def test_no_bound_of_a_piece_without_states_is_told() -> None:
-    tree = otr.ObliqueTree([~0], [~1], [[1.0]], [0.0], np.zeros((2, 1, 1)), [[1.0], [50.0]])
-    condition = Condition([0.0], [1.0], 100.0, (otr.HalfSpace([1.0], 0.0, False),))
-    verdict = otr.find_violation(tree, condition, (-1.0, 1.0))
-    check_verdict(verdict, tree, condition, (-1.0, 1.0))
-    assert (verdict.holds, verdict.value, verdict.leaf) == (True, 1.0, 0)
 
 
 def test_the_largest_value_is_found_to_the_tolerance() -> None:
@@ -251,6 +242,12 @@ def test_the_side_of_what_is_given_is_exact() -> None:
     nowhere = replace(condition, given=(above, otr.HalfSpace([1.0, 0.0], -1.0, False)))
     outside = replace(condition, given=(otr.HalfSpace([1.0, 0.0], -5.0, True),))
     assert otr.find_violation(tree, nowhere, BOX).holds and otr.find_violation(tree, outside, BOX).holds
+    # No bound of a piece without states is reported.
+    tree = otr.ObliqueTree([~0], [~1], [[1.0]], [0.0], np.zeros((2, 1, 1)), [[1.0], [50.0]])
+    condition = Condition([0.0], [1.0], 100.0, (otr.HalfSpace([1.0], 0.0, False),))
+    verdict = otr.find_violation(tree, condition, (-1.0, 1.0))
+    check_verdict(verdict, tree, condition, (-1.0, 1.0))
+    assert (verdict.holds, verdict.value, verdict.leaf) == (True, 1.0, 0)
 
 
 @settings(max_examples=40)
@@ -276,18 +273,6 @@ def test_expected_counts_are_bounded(case, seed: int) -> None:
 
 def one_leaf(head: otr.Head | None = None, w: float = 1.0) -> otr.ObliqueTree:
     return otr.ObliqueTree([], [], np.zeros((0, 1)), [], [[[w]]], [[0.0]], head=head)
-
-
-@pytest.mark.parametrize(
-    ("tree", "box", "low", "high"),
-    [
-        (one_leaf(), ([1e16], [1e16 + 20]), 1e16, 1e16 + 20),
-        (otr.parse_program("if x <= 1: 5 else: 7", ["x"]), ([1.0], [np.nextafter(1, 2)]), 5, 7),
-    ],
-)
-def test_the_range_on_a_box_in_which_floats_find_no_ball(tree: otr.ObliqueTree, box: Box, low: float, high: float):
-    found = otr.output_range(tree, box)
-    assert (found.low.tolist(), found.high.tolist()) == ([low], [high])
 
 
 def test_a_verdict_is_checked_to_its_last_number() -> None:

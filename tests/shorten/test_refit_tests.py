@@ -48,15 +48,15 @@ def test_what_is_rounded_or_kept():
     np.testing.assert_array_equal(simplified.tree.P[2], P[2])
     leaf = otr.ObliqueTree([], [], np.zeros((0, 6)), [], np.zeros((1, 1, 6)), [[1.0]])
     assert refit_tests(leaf, X).tests == ()
-
-
-def test_a_bound_that_rounding_breaks_keeps_the_test():
     # Rounded to a digit the threshold is 1, below all of the states.
     tree = otr.ObliqueTree([~0], [~1], [[1.0]], [-1.2345], np.zeros((2, 1, 1)), [[0.0], [1.0]])
-    states = np.linspace(1.2, 1.26, 200)[:, None]
     for digits, change in ((1, "kept"), (6, "rounded")):
-        (test,) = refit_tests(tree, states, agreement=1.0, digits=digits).tests
+        (test,) = refit_tests(tree, np.linspace(1.2, 1.26, 200)[:, None], agreement=1.0, digits=digits).tests
         assert test.change == change and test.agreement == 1.0
+    # The threshold is in the widest of the best gaps.
+    assert _threshold(np.array([0.0, 1.0, 4.0, 5.0]), np.array([False, False, True, True])) == 2.5
+    values, right = np.array([0.0, 1.0, 2.0, 3.0, 6.0]), np.array([False, True, False, True, True])
+    assert _threshold(values, right) == 2.5  # keeps both lefts and two of three rights
 
 
 def test_the_lasso_meets_its_optimality_conditions():
@@ -80,12 +80,6 @@ def test_without_penalty_it_is_linear_discriminant_analysis():
     # With this solver the within-class covariance weighs the classes by the priors, as here.
     direction = lda.fit(X, right).coef_[0]
     np.testing.assert_allclose(w / np.linalg.norm(w), direction / np.linalg.norm(direction), atol=1e-6)
-
-
-def test_threshold_is_in_the_widest_of_the_best_gaps():
-    assert _threshold(np.array([0.0, 1.0, 4.0, 5.0]), np.array([False, False, True, True])) == 2.5
-    values, right = np.array([0.0, 1.0, 2.0, 3.0, 6.0]), np.array([False, True, False, True, True])
-    assert _threshold(values, right) == 2.5  # keeps both lefts and two of three rights
 
 
 @pytest.mark.parametrize(

@@ -48,14 +48,21 @@ def test_a_state_that_is_declared_constant_has_a_box_as_it_is_declared():
     assert (low.tolist(), high.tolist()) == ([-5.0, 0.5], [5.0, 0.5])
     middle, half = state_box(config)
     assert (middle.tolist(), half.tolist()) == ([0.0, 0.5], [5.0, 1.0])
-
-
-def test_mistakes_of_an_environment_are_reported_before_anything_runs(name, message):
-    with pytest.raises(ConfigError, match=message):
-        own_environment(f"tests.pipelines.own_envs:{name}-v0", {})
-
-
-def test_environments_that_cannot_be_made_are_named():
     for env_id, message in (("Nothing-v0", "Nothing-v0"), ("Pendulum-v1", "wheels")):
         with pytest.raises(ConfigError, match=message):
             make_env(EnvConfig("some", "some", env_id, {"wheels": 4}))
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("OfOldGym", r"reset\(seed=0\) fails: TypeError: .*'(seed|options)'.* returns \(observation, info\)"),
+        ("ReturnsFour", r"step\(action\) fails: ValueError: .*expected 5, got 4.* truncated, info\)"),
+        ("LongerThanItsSpace", r"reset\(seed=0\) fails: .*shape \(3,\), the observation space \(2,\)"),
+        ("NotFinite", r"step\(action\) fails: .*not finite: \[nan"),
+        ("NeedsAFile", r"cannot be made: FileNotFoundError: track.csv"),
+    ],
+)
+def test_mistakes_of_an_environment_are_reported_before_anything_runs(name, message):
+    with pytest.raises(ConfigError, match=message):
+        own_environment(f"tests.pipelines.own_envs:{name}-v0", {})

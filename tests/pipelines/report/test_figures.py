@@ -62,6 +62,9 @@ def test_a_method_looks_the_same_everywhere_and_stands_once_in_the_legend():
     assert len(set(styles)) == 3
     (legend,) = auc_against_leaves(points(("Other", "CART", 2, 0.5))).legends  # has only what is drawn
     assert [text.get_text() for text in legend.get_texts()] == ["CART"]
+    for rows, message in (([], "no points"), ([0.5], "at least 1 leaf"), ([float("nan")], "at least 1 leaf")):
+        with pytest.raises(ValueError, match=message):
+            auc_against_leaves(points(*(("Bace", "OTR", leaves, 0.8) for leaves in rows)))
 
 
 @pytest.mark.parametrize("n", [1, 3, 4, 5])
@@ -71,11 +74,3 @@ def test_a_panel_for_every_data_set(n):
     labelled = [panel.get_title(loc="left") for panel in figure.axes if panel.get_xlabel()]
     n_columns = {4: 2, 5: 3}.get(n, n)
     assert labelled == [f"data{i}" for i in range(n - n_columns, n)]
-
-
-def test_rows_that_cannot_be_drawn_are_refused():
-    with pytest.raises(ValueError, match="no points were given"):
-        auc_against_leaves(points())
-    for leaves in (0.5, float("nan")):
-        with pytest.raises(ValueError, match="at least 1 leaf"):
-            auc_against_leaves(points(("Bace", "OTR", leaves, 0.8)))

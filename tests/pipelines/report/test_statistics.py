@@ -38,10 +38,18 @@ def test_intervals_are_near_scipys_bootstrap_and_cover_the_mean():
     assert 0.92 < np.mean((low <= 0.0) & (high >= 0.0)) < 0.98  # the percentile bootstrap of five covers some 83 %
 
 
-def test_the_interquartile_mean_leaves_a_quarter_out_at_either_end():
+def test_worked_means_probabilities_and_profiles():
+    """The interquartile mean leaves a quarter out at both ends; a profile is the mean over tasks of the share above."""
     assert interquartile_mean([100.0, 1.0, 2.0, 3.0, -100.0]) == 2.0
     assert interquartile_mean([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 99.0]) == 3.5
     assert interquartile_mean([7.0, 9.0]) == 8.0 and np.isnan(interquartile_mean([]))
+    ours, theirs = [1.0, 3.0, 5.0], [2.0, 3.0]
+    pairs = [(a > b) + (a == b) / 2 for a in ours for b in theirs]
+    assert probability_of_improvement(ours, theirs) == pytest.approx(np.mean(pairs))
+    assert probability_of_improvement(theirs, ours) == pytest.approx(1 - np.mean(pairs))
+    assert np.isnan(probability_of_improvement([], theirs))
+    scores = [[0.0, 0.5, 1.0, 1.0], [0.5]]  # the one run of the second task weighs as much as the first's four
+    assert performance_profile(scores, [-1.0, 0.0, 0.5, 0.75, 1.0]).tolist() == [1.0, 0.875, 0.25, 0.25, 0.0]
 
 
 def test_a_difference_of_runs_is_welchs():
@@ -55,14 +63,6 @@ def test_a_difference_of_runs_is_welchs():
     assert difference_interval([2.0] * 5, [1.0] * 5) == (1.0, 1.0)
 
 
-def test_the_probability_of_improvement_counts_pairs():
-    ours, theirs = [1.0, 3.0, 5.0], [2.0, 3.0]
-    pairs = [(a > b) + (a == b) / 2 for a in ours for b in theirs]
-    assert probability_of_improvement(ours, theirs) == pytest.approx(np.mean(pairs))
-    assert probability_of_improvement(theirs, ours) == pytest.approx(1 - np.mean(pairs))
-    assert np.isnan(probability_of_improvement([], theirs))
-
-
 def test_pairing_takes_out_what_a_start_is_worth():
     starts = np.random.default_rng(1).normal(0.0, 200.0, 100)
     ours, theirs = np.stack((starts + 2.0, starts + 4.0)), starts[None] + np.tile([0.0, 2.0], 50)
@@ -71,11 +71,6 @@ def test_pairing_takes_out_what_a_start_is_worth():
     assert (low, high) == pytest.approx((2.0 - 0.199412, 2.0 + 0.199412), abs=1e-4)
     with pytest.raises(ValueError, match="100 starts of ours, 99 of theirs"):
         paired_difference(ours, theirs[:, :99])
-
-
-def test_a_profile_is_the_mean_over_tasks_of_the_share_above():
-    scores = [[0.0, 0.5, 1.0, 1.0], [0.5]]  # the one run of the second task weighs as much as the first's four
-    assert performance_profile(scores, [-1.0, 0.0, 0.5, 0.75, 1.0]).tolist() == [1.0, 0.875, 0.25, 0.25, 0.0]
 
 
 def test_resampled_areas_are_those_of_the_drawn_rows():

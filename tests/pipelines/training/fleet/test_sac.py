@@ -305,15 +305,6 @@ def test_a_run_of_a_fleet_is_the_run_alone_bit_for_bit(actor, critic, dense) -> 
     assert_same(alone, alike, 1)
 
 
-@pytest.mark.parametrize("shape", [(1,), (3, 21), (100, 11), (8, 8), (200, 6)], ids=str)
-def test_every_network_of_a_stack_begins_alike(shape: tuple[int, ...]) -> None:
-    stack = new_stack(5, *shape)
-    assert stack.shape == (5, *shape) and not stack.any()
-    assert {network.data_ptr() % 64 for network in stack} == {0}
-    gap = stack.stride(0) - stack[0].numel()
-    assert 0 < gap <= 64 and stack[0].is_contiguous()
-
-
 @pytest.mark.parametrize("shape", [(100, 256, 1), (1, 11, 6), (100, 14, 256)], ids=str)
 def test_a_product_among_others_is_the_product_alone(shape: tuple[int, int, int]) -> None:
     k, length, m = shape
@@ -323,6 +314,8 @@ def test_a_product_among_others_is_the_product_alone(shape: tuple[int, int, int]
     for i in range(3):
         alone = multiply(left[i : i + 1], right[i : i + 1], new_stack(1, k, m))
         assert torch.equal(alone[0], out[i])
+    assert {network.data_ptr() % 64 for network in out} == {0}  # every network of a stack begins alike
+    assert 0 < out.stride(0) - out[0].numel() <= 64 and out[0].is_contiguous()
 
 
 def test_a_run_stays_itself_in_hundreds_of_updates_also_beside_one_that_diverges() -> None:

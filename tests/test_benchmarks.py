@@ -3,8 +3,8 @@
 import json
 import math
 import shutil
+from importlib import import_module
 from itertools import count
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -32,105 +32,63 @@ def test_a_benchmark_writes_its_measurements_with_versions_and_command(tmp_path,
     assert main(["mapping", "--quick"]) == 0
     (entry,) = json.loads((tmp_path / "benchmarks" / "quick" / "mapping.json").read_text())
     assert entry["command"] == "python -m benchmarks mapping --quick"
-    assert entry["versions"]["numpy"] == np.__version__
-    assert set(entry) == ENTRY_KEYS
+    assert set(entry) == ENTRY_KEYS and entry["versions"]["numpy"] == np.__version__
     assert (entry["value"], entry["peer_value"], entry["ratio"], entry["met"]) == (3.0, 2.0, 1.5, False)
     assert "missed: a tree" in capsys.readouterr().out
-
-
-def test_an_unknown_name_gets_a_suggestion(capsys):
+    entry = document([Entry("time", 0.123456789, "s")], ["python"])[0]  # four digits
+    assert (entry["value"], entry["peer_value"], entry["ratio"], entry["met"]) == (0.1235, None, None, None)
     with pytest.raises(SystemExit) as stopped:
         main(["maping"])
-    assert stopped.value.code == 2
-    assert "did you mean mapping?" in capsys.readouterr().err
+    assert stopped.value.code == 2 and "did you mean mapping?" in capsys.readouterr().err
+    for name in NAMES:
+        module = import_module(f"benchmarks.{name}")
+        assert callable(module.measure) and "Target" in module.__doc__
 
 
-@pytest.mark.parametrize(
-    ("target", "met"),
-    [("ratio >= 2", True), ("ratio >= 2.1", False), ("value <= 10", True), ("value <= 9", False), (None, None)],
-)
-def test_a_target_is_met_by_ratio_or_by_value(target, met):
-    assert Entry("speed", 10.0, "steps/s", "peer", 5.0, target).met is met
-
-
-@pytest.mark.parametrize("target", ["ratio >= 2", "speed >= 2", "value > 2", "value"])
-def test_a_target_that_cannot_be_judged_is_refused(target):
-    with pytest.raises(ValueError, match="the target is"):
-        Entry("speed", 10.0, "steps/s", target=target)
+def test_a_target_is_met_by_ratio_or_by_value():
+    targets = {"ratio >= 2": True, "ratio >= 2.1": False, "value <= 10": True, "value <= 9": False, None: None}
+    assert {each: Entry("speed", 10.0, "steps/s", "peer", 5.0, each).met for each in targets} == targets
+    for target in ("ratio >= 2", "speed >= 2", "value > 2", "value"):
+        with pytest.raises(ValueError, match="the target is"):
+            Entry("speed", 10.0, "steps/s", target=target)
 
 
 def test_functions_take_turns_and_the_least_round_counts():
-    calls = []
-    ticks = count()
-    # Each reading of this clock is one second on, plus ten for every call of "slow" in the first round.
-    extra = {"slow": iter([10.0, 0.0])}
-    lost = [0.0]
+    calls, ticks, lost = [], count(), [0.0]
+    extra = iter([10.0, 0.0])  # seconds that "slow" takes beside the one of every reading of this clock
 
     def slow():
         calls.append("slow")
-        lost[0] += next(extra["slow"])
+        lost[0] += next(extra)
 
-    def fast():
-        calls.append("fast")
+    def clock():
+        return next(ticks) + lost[0]
 
-    assert alternate(slow, fast, rounds=2, clock=lambda: next(ticks) + lost[0]) == [1.0, 1.0]
+    assert alternate(slow, lambda: calls.append("fast"), rounds=2, clock=clock) == [1.0, 1.0]
     assert calls == ["slow", "fast", "slow", "fast"]
+    two = iter([0.0, 6.0])
+    assert alternate(lambda: None, rounds=1, repeats=3, clock=lambda: next(two)) == [2.0]  # timed together
+    peak = peak_bytes(lambda: np.ones(2**17) + 1.0)  # counts what was let go again
+    assert 2 * 2**20 <= peak < 2.1 * 2**20
 
 
-def test_repeated_calls_are_timed_together():
-    ticks = iter([0.0, 6.0])
-    assert alternate(lambda: None, rounds=1, repeats=3, clock=lambda: next(ticks)) == [2.0]
-
-
-def test_peak_memory_counts_what_was_let_go_again():
-    def hold_a_megabyte_twice():
-        first = np.ones(2**17)
-        return first + 1.0
-
-    assert 2 * 2**20 <= peak_bytes(hold_a_megabyte_twice) < 2.1 * 2**20
-
-
-@pytest.mark.parametrize("widths", [(3, 5, 2), (3, 2, 3, 2)])
-def test_the_naive_peer_computes_the_network(widths):
+def test_the_naive_peer_and_the_standing_policy_compute_what_they_say():
     generator = np.random.default_rng(0)
-    network = random_network(widths, generator)
-    tree = copying_tree(list(network.weights), list(network.biases))
-    for x in generator.normal(size=(20, 3)):
-        node = tree
-        while len(node) == 3:
-            (P, v), left, right = node
-            node = left if P @ x + v <= 0 else right
-        M, c = node
-        np.testing.assert_allclose(M @ x + c, network.forward(x), atol=1e-12)
-
-
-def test_the_standing_policy_is_its_gains():
+    for widths in ((3, 5, 2), (3, 2, 3, 2)):
+        network = random_network(widths, generator)
+        tree = copying_tree(list(network.weights), list(network.biases))
+        for x in generator.normal(size=(20, 3)):
+            node = tree
+            while len(node) == 3:
+                (P, v), left, right = node
+                node = left if P @ x + v <= 0 else right
+            np.testing.assert_allclose(node[0] @ x + node[1], network.forward(x), atol=1e-12)
     x = np.linspace(-1.0, 1.0, 11)
     expected = np.tanh(np.array(STANDING_GAINS) @ x + np.array(STANDING_OFFSETS))
     network = standing_policy()
     assert network.hidden_widths == (6,)
-    np.testing.assert_allclose(network.predict(x), expected, atol=1e-12)
-    np.testing.assert_allclose(otr.map_network(network).predict(x), expected, atol=1e-12)
-
-
-def test_every_benchmark_can_be_imported_and_says_its_target():
-    for name in NAMES:
-        module = __import__(f"benchmarks.{name}", fromlist=["measure"])
-        assert callable(module.measure)
-        assert "Target" in module.__doc__
-
-
-def test_numbers_are_written_with_four_digits():
-    entry = document([Entry("time", 0.123456789, "s")], ["python"])[0]
-    assert (entry["value"], entry["peer_value"], entry["ratio"], entry["met"]) == (0.1235, None, None, None)
-
-
-def test_both_trainers_train_the_same_number_of_steps(tmp_path):
-    config = training.run_config("hopper", 60, 30, 20)
-    for model, train_segment in (training.our_trainer(config, tmp_path), training.plain_trainer(config)):
-        train_segment()
-        train_segment()
-        assert model.num_timesteps == 60
+    for policy in (network, otr.map_network(network)):
+        np.testing.assert_allclose(policy.predict(x), expected, atol=1e-12)
 
 
 def test_the_search_s_share_is_of_the_steps_that_the_twin_did():
@@ -149,49 +107,50 @@ def test_the_search_s_share_is_of_the_steps_that_the_twin_did():
     assert twins.twin_seconds > before > 0.0
 
 
-def test_searches_take_turns_with_their_peer():
+def test_turns_are_of_equal_steps_and_peers_of_equal_size(tmp_path):
     entry = search.against_peer(300, n_turns=1)
     assert entry.value > 0 and entry.peer == "sb3-contrib's ARS" and entry.target == "ratio >= 2"
     config = search.search_config("hopper", "depth=0", "method=linear")
     for turn in (search.search_turn(config, 300), search.peer_turn(config, 300)):
         assert 300 <= turn() < 2_000
+    config = training.run_config("hopper", 60, 30, 20)
+    for model, train_segment in (training.our_trainer(config, tmp_path), training.plain_trainer(config)):
+        train_segment()
+        train_segment()
+        assert model.num_timesteps == 60
+    for n_parameters in (2_871, 16_100):
+        for n_hidden_layers in (1, 2):
+            network = control.relu_network(27, 8, n_hidden_layers, n_parameters)
+            assert control.n_parameters_of(network) == pytest.approx(n_parameters, rel=0.01)
+    seconds = supervised.Seconds(ours=4.0, dense=3.0, sparse=1.0, peer=80.0, loader=100.0)
+    entries = supervised.entries_of("all", 8, seconds, judged=True)
+    assert [entry.ratio for entry in entries] == [None, 0.75, 0.25, 0.05, 0.04]
+    assert [entry.met for entry in entries] == [True, True, None, True, None]
 
 
-COMMITTED = Path(__file__).parents[1] / "results"
-
-
-@pytest.mark.skipif(
-    not (COMMITTED / "runs/hopper/otr/depth-6/quick").is_dir(), reason="the runs of Hopper are not there"
-)
-def test_the_picture_has_the_curves_of_the_committed_runs(tmp_path):
-    curve = search_curves.curve(COMMITTED / "runs/hopper/otr/depth-6/quick/seed-0", rate=100.0)
+def test_the_picture_has_the_curves_of_the_committed_runs(tmp_path, capsys):
+    assert search_curves.write_picture(tmp_path, {}, tmp_path) == []
+    assert "no picture" in capsys.readouterr().out
+    curve = search_curves.curve(RESULTS / "runs/hopper/otr/depth-6/quick/seed-0", rate=100.0)
     assert curve["steps"].tolist() == list(range(5_000, 100_001, 5_000))
     assert curve["seconds"].tolist() == [0.0, *range(0, 901, 50)]  # the first 10,000 steps are random ones
     assert curve["best"].is_monotonic_increasing and curve["best"].iloc[-1] == pytest.approx(557, abs=1)
     rates = {"ars": 5_000.0, "sb3": 100.0, "fleet": 200.0}
-    paths = search_curves.write_picture(COMMITTED, rates, tmp_path / "benchmarks")
+    paths = search_curves.write_picture(RESULTS, rates, tmp_path / "benchmarks")
     assert [path.name for path in paths] == ["search.png", "search.svg"]
     assert all(path.stat().st_size > 10_000 for path in paths)
 
 
 def test_of_each_trainer_the_longest_runs_are_shown():
     columns = ["env", "method", "depth", "form", "algorithm", "trainer", "budget", "settings", "steps"]
-    hopper = ("hopper", "otr", "6", "tree")
+    tree = ("hopper", "otr", "6", "tree")
+    longest = ("ars", "ars", "standard-ars", "", 4_000)
     rows = [
-        (*hopper, "sac", "fleet", "quick-fleet", "", 100),
-        (*hopper, "ars", "ars", "quick-ars", "", 300),
-        (*hopper, "ars", "ars", "standard-ars", "", 4_000),
-        (*hopper, "ars", "ars", "standard-ars", "", 4_000),
-        (*hopper, "ars", "ars", "standard-ars", "a1b2", 4_000),
-        ("hopper", "otr", "6", "polished", "ars", "ars", "standard-ars", "", 4_000),
-        ("hopper", "linear", "0", "tree", "ars", "ars", "standard-ars", "", 9_000),
-    ]
+        (*tree, "sac", "fleet", "quick-fleet", "", 100), (*tree, "ars", "ars", "quick-ars", "", 300),
+        (*tree, *longest), (*tree, *longest), (*tree, "ars", "ars", "standard-ars", "a1b2", 4_000),
+        ("hopper", "otr", "6", "polished", *longest), ("hopper", "linear", "0", "tree", *longest[:4], 9_000),
+    ]  # fmt: skip
     assert search_curves.shown_runs(pd.DataFrame(rows, columns=columns)).index.tolist() == [2, 3, 0]
-
-
-def test_without_runs_there_is_no_picture(tmp_path, capsys):
-    assert search_curves.write_picture(tmp_path, {}, tmp_path) == []
-    assert "no picture" in capsys.readouterr().out
 
 
 def test_without_molecules_the_examples_train_and_it_is_told(tmp_path, monkeypatch, capsys):
@@ -204,20 +163,6 @@ def test_without_molecules_the_examples_train_and_it_is_told(tmp_path, monkeypat
     for problem in problems:
         np.testing.assert_allclose(problem.X.mean(axis=0), 0.0, atol=1e-4)
     np.testing.assert_array_equal(problems[1].Y.sum(axis=1), 1.0)
-
-
-def test_floors_and_peers_are_ratios_of_seconds():
-    seconds = supervised.Seconds(ours=4.0, dense=3.0, sparse=1.0, peer=80.0, loader=100.0)
-    entries = supervised.entries_of("all", 8, seconds, judged=True)
-    assert [entry.ratio for entry in entries] == [None, 0.75, 0.25, 0.05, 0.04]
-    assert [entry.met for entry in entries] == [True, True, None, True, None]
-
-
-@pytest.mark.parametrize("n_hidden_layers", [1, 2])
-def test_the_soft_tree_is_held_against_as_many_parameters(n_hidden_layers):
-    for n_parameters in (2_871, 16_100):
-        network = control.relu_network(27, 8, n_hidden_layers, n_parameters)
-        assert control.n_parameters_of(network) == pytest.approx(n_parameters, rel=0.01)
 
 
 @pytest.mark.skipif(not control.ORACLE.is_dir(), reason="the runs of the lander are not there")
@@ -244,9 +189,6 @@ def test_a_polish_is_worth_its_paired_differences():
     assert other.group == "pendulum/otr/depth-6/quick~0123abcd"
     mean, gain = polish.group_entries(other.group, [other])
     assert mean.target is None and (gain.value, gain.peer_value) == (0.0, None)
-
-
-def test_a_distilled_network_is_played_before_its_polish():
     name = "halfcheetah/distilled_otr/depth-6/standard-fleet/seed-0"  # its actor is not of a stage train
     run = polish.played_run(RESULTS / "runs" / name, name, 1)
     assert run.before.shape == run.after.shape == (1,) and run.before[0] > 1_000
@@ -264,10 +206,8 @@ def test_polished_runs_are_found_and_played_on_other_episodes(tmp_path, monkeypa
     after, gain, mean, _ = polish.measure(quick=True)
     env = EnvConfig("mountaincar", "mountaincar", "MountainCarContinuous-v0")
     seeds = range(polish.FIRST_SEED, polish.FIRST_SEED + 20)
-    returns = [
-        play_seeds(otr.load(run_dir / stage / "tree").predict, env, seeds, n_workers=1).returns
-        for stage in ("prune", "polish")
-    ]
+    trees = [otr.load(run_dir / stage / "tree") for stage in ("prune", "polish")]
+    returns = [play_seeds(tree.predict, env, seeds, n_workers=1).returns for tree in trees]
     assert after.name == f"mountaincar/program/depth-1/smoke/{run_dir.name}"
     assert after.peer_value == pytest.approx(returns[0].mean()) and after.value == pytest.approx(returns[1].mean())
     assert after.value != after.peer_value
@@ -279,21 +219,12 @@ def test_polished_runs_are_found_and_played_on_other_episodes(tmp_path, monkeypa
         polish.measure(quick=True)
 
 
-@pytest.fixture
-def exact():
+def test_exact_measures_small_sizes_when_quick():
     pytest.importorskip("affinitree", reason="it has no wheel for this version of Python")
     from benchmarks import exact
 
-    return exact
-
-
-def test_minimal_trees_have_as_many_leaves_as_the_peer_s(exact):
     network = exact.network_of(3, 8, 1)
-    _, n_leaves = exact.affinitree_seconds(network)
-    assert n_leaves == otr.minimal_tree(network).n_leaves == 93
-
-
-def test_exact_measures_small_sizes_when_quick(exact):
+    assert exact.affinitree_seconds(network)[1] == otr.minimal_tree(network).n_leaves == 93
     entries = {entry.name: entry for entry in exact.measure(quick=True)}
     assert entries["8 neurons, 17 inputs: leaves"].value == 256
     assert all(entry.met for name, entry in entries.items() if name.endswith("leaves"))
@@ -317,16 +248,11 @@ def test_a_compiled_policy_answers_every_state_that_is_timed(dtype, tmp_path):
 
 CURVES = pd.DataFrame(
     [
-        ("search", 0, 10, 0.5, 100.0),
-        ("search", 0, 30, 1.5, 300.0),
-        ("search", 0, 50, 2.5, 500.0),
-        ("search", 1, 20, 1.0, 500.0),
-        ("search", 1, 40, 2.0, 700.0),
-        ("SAC", 0, 10, 0.0, 50.0),
-        ("SAC", 0, 20, 9.0, 60.0),
+        *(("search", 0, 10 * k, k / 2, 100.0 * k) for k in (1, 3, 5)), ("search", 1, 20, 1.0, 500.0),
+        ("search", 1, 40, 2.0, 700.0), ("SAC", 0, 10, 0.0, 50.0), ("SAC", 0, 20, 9.0, 60.0),
     ],
     columns=["label", "seed", "steps", "seconds", "best"],
-)
+)  # fmt: skip
 
 
 def test_the_mean_of_runs_is_where_all_of_them_are():

@@ -26,10 +26,8 @@ BROKEN = (  # a piece of what lint-imports says of each
 
 
 def lint_imports(folder: Path) -> subprocess.CompletedProcess[str]:
-    command = [str(Path(sys.executable).with_name("lint-imports")), "--no-cache"]
-    return subprocess.run(
-        command, cwd=folder, env={"PYTHONPATH": str(folder), "PATH": ""}, capture_output=True, text=True
-    )
+    command, environment = Path(sys.executable).with_name("lint-imports"), {"PYTHONPATH": str(folder), "PATH": ""}
+    return subprocess.run([command, "--no-cache"], cwd=folder, env=environment, capture_output=True, text=True)
 
 
 def test_new_files_are_under_the_contracts_without_being_listed(tmp_path):

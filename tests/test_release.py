@@ -28,30 +28,17 @@ def test_committed_policies_play_the_recorded_episodes(tmp_path):
 
 
 def test_wheel_brings_its_configuration(tmp_path):
-    subprocess.run(
-        [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", str(tmp_path), str(ROOT)],
-        check=True,
-        timeout=600,
-    )
+    pip, site = [sys.executable, "-m", "pip", "--quiet"], tmp_path / "site"
+    subprocess.run([*pip, "wheel", "--no-deps", "--wheel-dir", str(tmp_path), str(ROOT)], check=True, timeout=600)
     (wheel,) = tmp_path.glob("otr-*.whl")
-    site = tmp_path / "site"
-    subprocess.run(
-        [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(site), str(wheel)],
-        check=True,
-        timeout=600,
-    )
+    subprocess.run([*pip, "install", "--no-deps", "--target", str(site), str(wheel)], check=True, timeout=600)
     code = (
         "import sys; from pipelines import cli; from pipelines.config import conf_dir; "
         "sys.argv = ['otr-run', 'env=pendulum', 'depth=2', 'budget=smoke', "
         f"'n_workers=1']; assert conf_dir.CONF_DIR.is_relative_to({str(site)!r}), conf_dir.CONF_DIR; cli.run()"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=tmp_path,
-        env={"PYTHONPATH": str(site), "PATH": "/usr/bin:/bin"},
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
+    environment = {"PYTHONPATH": str(site), "PATH": "/usr/bin:/bin"}
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "results/runs/pendulum/otr/depth-2/smoke/seed-0/summary.json").exists()

@@ -107,19 +107,16 @@ def test_committed_fits_are_whole_and_tell_what_they_were_made_with():
         assert json.loads(summary.read_text())["test"] == pytest.approx(sum(told) / len(told), abs=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("run", "least"),
-    [
-        *((f"pendulum/otr/depth-6/quick/seed-{seed}", -165.0) for seed in range(3)),
-        *((f"pendulum/otr/depth-32/quick/seed-{seed}", -165.0) for seed in range(3)),
-        *((f"mountaincar/otr/depth-1/quick/seed-{seed}", 90.0) for seed in range(3)),
-        ("pendulum/pid/depth-1/quick/seed-0", -162.6),  # the thesis's, Fig. 4.4
-        ("lunarlander/otr/depth-2/thesis/seed-0", 200.0),
-        ("swimmer/otr/depth-6/thesis/seed-0", 350.0),
-    ],
-)
-def test_committed_runs_have_learnt(run, least):
-    assert json.loads((RESULTS / "runs" / run / "summary.json").read_text())["return_mean"] >= least
+def test_committed_runs_have_learnt():
+    least = {
+        "pendulum/otr/depth-6/quick": -165.0, "pendulum/otr/depth-32/quick": -165.0,
+        "mountaincar/otr/depth-1/quick": 90.0, "lunarlander/otr/depth-2/thesis": 200.0,
+        "swimmer/otr/depth-6/thesis": 350.0, "pendulum/pid/depth-1/quick": -162.6,  # the thesis's, Fig. 4.4
+    }  # fmt: skip
+    for runs, bound in least.items():
+        for seed in range(3 if "otr/" in runs and runs.endswith("quick") else 1):
+            summary = json.loads((RESULTS / "runs" / runs / f"seed-{seed}/summary.json").read_text())
+            assert summary["return_mean"] >= bound, runs
 
 
 def certified():

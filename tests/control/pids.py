@@ -34,7 +34,6 @@ else
 
 
 def gains_network(output_weights: dict[int, float] = OUTPUT_WEIGHTS) -> otr.ReluNetwork:
-    """Return the network of one neuron that gives the nine gains of a state [x, y, w]."""
     weights = np.zeros((9, 1))
     for gain, weight in output_weights.items():
         weights[gain] = weight

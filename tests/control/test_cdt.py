@@ -31,27 +31,17 @@ def test_one_tree_on_the_states_is_the_cascade(seed, depths, axis_aligned):
     np.testing.assert_array_equal(labels, whole.forward(X).argmax(axis=1))
 
 
-def test_axis_aligned_parts():
+def test_parts_are_axis_aligned_and_limits_and_all_parameters_get_gradients():
     tree = cascade(0)
     whole = tree.harden(axis_aligned=True)
     assert (np.count_nonzero(whole.P[:3], axis=1) == 1).all()
     maps = tree.features.harden().M  # (4, 2, 5): a decision's test is plus or minus one feature of its leaf
-    for test in range(7):
-        P = whole.P[3 + test]
+    for P in whole.P[3:10]:
         assert min(np.abs(P - sign * row).max() for sign in (1, -1) for row in maps[0]) < 1e-12
-
-
-def test_the_hard_cascade_is_the_limit():
-    tree = cascade(1)
+    tree(torch.randn(9, 5, dtype=torch.float64)).square().sum().backward()
+    assert all(parameter.grad.abs().max() > 0 for parameter in tree.parameters())
     whole = tree.harden()
     X = clear_states(whole, 50)
     assert len(X) == 50
     tree.set_beta(1e5)
     np.testing.assert_allclose(tree(torch.tensor(X)).detach().numpy(), whole.forward(X), atol=1e-9)
-
-
-def test_all_parameters_get_gradients():
-    tree = cascade(2)
-    tree(torch.randn(9, 5, dtype=torch.float64)).square().sum().backward()
-    for name, parameter in tree.named_parameters():
-        assert parameter.grad is not None and parameter.grad.abs().max() > 0, name

@@ -17,7 +17,6 @@ torch.set_num_threads(1)
 
 
 def experts(seed: int, n_experts: int, n_inputs: int = 3, n_outputs: int = 2) -> LinearExperts:
-    """Experts of unit size, in float64."""
     generator = torch.Generator().manual_seed(seed)
     module = LinearExperts(n_inputs, n_outputs, n_experts, generator=generator).double()
     torch.nn.init.normal_(module.experts, generator=generator)
@@ -42,14 +41,16 @@ def test_the_tree_does_what_the_experts_do(seed: int, n_experts: int) -> None:
     assert len(np.unique(tests.round(9), axis=0)) <= n_experts * (n_experts - 1) // 2
 
 
-def test_of_equal_scores_the_first_acts() -> None:
+def test_of_equal_scores_the_first_acts_and_what_has_acted_can_be_copied() -> None:
     module = experts(0, 3)
     with torch.no_grad():
         module.router.zero_()
     x = np.array([[0.5, -1.0, 2.0]])
     first = module.experts.detach().numpy()[0]
-    np.testing.assert_allclose(module(torch.as_tensor(x)).detach().numpy()[0], first[:, :-1] @ x[0] + first[:, -1])
+    acts = module(torch.as_tensor(x))
+    np.testing.assert_allclose(acts.detach().numpy()[0], first[:, :-1] @ x[0] + first[:, -1])
     np.testing.assert_allclose(module.harden().predict(x)[0], first[:, :-1] @ x[0] + first[:, -1])
+    torch.testing.assert_close(copy.deepcopy(module)(torch.as_tensor(x)), acts)
 
 
 def test_the_derivative_is_that_of_the_mean_of_experts() -> None:
@@ -83,15 +84,11 @@ def test_balance_is_one_where_all_are_used_alike_and_k_where_one_is() -> None:
     assert module.balance.item() == pytest.approx(4.0, abs=1e-6)
 
 
-def n_kinds(forms: np.ndarray) -> int:
-    return len(np.unique(forms.reshape(len(forms), -1), axis=0))
-
-
 def test_a_polish_moves_experts_and_tests_as_one_each() -> None:
     """By search and by gradient: of 8 leaves and 7 nodes there stay 4 experts and 6 tests, with a number each."""
     tree = experts(5, 4).harden(otr.TanhBox([-1, -1], [1, 1]))
     X = np.random.default_rng(0).normal(1, 2, size=(300, 3))
-    assert (tree.n_leaves, tree.n_nodes, n_kinds(tree.leaf_forms), n_kinds(tree.test_forms)) == (8, 7, 4, 6)
+    assert [len(np.unique(forms, axis=0)) for forms in (tree.leaf_forms, tree.test_forms)] == [4, 6]
     numbers = policy_numbers(tree, X, tied=True)
     assert numbers.start.size == (4 * 2 + 6) * 4
     assert policy_numbers(tree, X).start.size == (8 * 2 + 7) * 4
@@ -118,16 +115,8 @@ def test_a_polish_moves_experts_and_tests_as_one_each() -> None:
 
 
 def same(forms: np.ndarray) -> np.ndarray:
-    """Return which forms (n, ...) are equal, (n, n)."""
     flat = forms.reshape(len(forms), -1)
     return np.asarray((flat[:, None] == flat[None]).all(axis=2))
-
-
-def test_a_module_that_has_acted_can_be_copied() -> None:
-    module = experts(4, 3)
-    X = torch.randn(5, 3, dtype=torch.float64)
-    answers = module(X)
-    torch.testing.assert_close(copy.deepcopy(module)(X), answers)
 
 
 def test_other_units() -> None:
@@ -147,12 +136,13 @@ def test_experts_are_fitted_to_an_oracle_s_actions_within_their_box() -> None:
     scale, mean = np.array([1.0, 50.0, 0.01]), np.array([0.0, 200.0, -1.0])
     X, answers = np.column_stack((unit * scale + mean, np.full(3000, 7.0))), oracle.predict(unit)
     assert 0.1 < np.mean((answers == [-2, -1]) | (answers == [2, 3])) < 0.7
-    fit = ExpertsFit(box, 3, n_updates=1500)
-    tree = fit(X, answers, None, np.random.default_rng(1))
-    linear = ExpertsFit(box, 1, n_updates=1500)(X, answers, None, np.random.default_rng(1))
+
+    def fit(n_experts: int, n_updates: int, head: otr.Head = box) -> otr.ObliqueTree:
+        return ExpertsFit(head, n_experts, n_updates=n_updates)(X, answers, None, np.random.default_rng(1))
+
+    tree, linear = fit(3, 1500), fit(1, 1500)
     errors = [np.mean((each.predict(X) - answers) ** 2) for each in (tree, linear)]
     assert errors[0] < 0.2 * errors[1] and tree.n_leaves <= 4 and tree.head == box
-    again = fit(X, answers, None, np.random.default_rng(1))
-    np.testing.assert_array_equal(again.leaf_forms, tree.leaf_forms)
+    np.testing.assert_array_equal(fit(3, 20).leaf_forms, fit(3, 20).leaf_forms)
     with pytest.raises(ValueError, match="expected a ClipBox with finite limits"):
-        ExpertsFit(otr.Argmax(), 3)(X, answers, None, np.random.default_rng(1))
+        fit(3, 20, otr.Argmax())

@@ -18,7 +18,6 @@ def generator():
 
 
 def oblique_oracle():
-    """Labels by the signs of two oblique directions."""
     W = np.array([[3.0, 4.0, 0.0], [4.0, -3.0, 1.0]]) / 5
     out = np.array([[0.0, 0.0, 0.0, 0.0], [2.0, -2.0, 0.0, 0.0], [0.0, 0.0, 2.0, -2.0], [1.0, -1.0, 1.0, -1.0]])
     return otr.ReluNetwork(
@@ -68,16 +67,6 @@ def test_cart_follows_the_weights():
     assert CartFit(1)(X, outputs, (X[:, 0] > 0.6).astype(float), generator()).labels.tolist() == [0]
 
 
-def test_a_linear_oracle_is_one_leaf_of_a_linear_model_tree():
-    oracle = otr.ReluNetwork(
-        [np.array([[1.0, -2.0], [0.5, 1.0], [-1.0, 0.0]])], [np.array([0.1, 0.0, -0.2])], head=otr.Argmax()
-    )
-    X, outputs, weights = labelled(oracle)
-    tree = LinearModelTreeFit(otr.Argmax(), 0)(X, outputs, weights, generator())
-    assert accuracy(tree, oracle) > 0.999
-    assert accuracy(CartFit(3)(X, outputs, weights, generator()), oracle) < 0.95
-
-
 def test_outputs_of_a_linear_model_tree_are_centred():
     """What is added to all outputs of a state changes no label, and so has to change no tree."""
     X, outputs, weights = labelled(oblique_oracle())
@@ -86,6 +75,10 @@ def test_outputs_of_a_linear_model_tree_are_centred():
     trees = [fit(X, values, weights, generator()) for values in (outputs, shifted)]
     assert (trees[0].predict(X) == trees[1].predict(X)).mean() > 0.999
     assert accuracy(trees[0], oblique_oracle()) > 0.9
+    linear = otr.ReluNetwork([[[1.0, -2.0], [0.5, 1.0], [-1.0, 0.0]]], [[0.1, 0.0, -0.2]], head=otr.Argmax())
+    data = labelled(linear)
+    assert accuracy(LinearModelTreeFit(otr.Argmax(), 0)(*data, generator()), linear) > 0.999
+    assert accuracy(CartFit(3)(*data, generator()), linear) < 0.95
 
 
 def test_continuous_actions_are_clipped_to_the_oracles_box():
@@ -102,18 +95,12 @@ def test_continuous_actions_are_clipped_to_the_oracles_box():
 
 def test_augtree_answers_like_an_oblique_oracle_where_cart_cannot():
     oracle = oblique_oracle()
-    X, outputs, weights = labelled(oracle)
-    augmented = {
-        features: AugTreeFit(oracle, 4, features)(X, outputs, weights, generator()) for features in ("all", "z")
-    }
-    plain = CartFit(4)(X, outputs, weights, generator())
-    assert accuracy(augmented["all"], oracle) > 0.95
-    assert accuracy(augmented["z"], oracle) > 0.95
-    assert accuracy(plain, oracle) < 0.93
+    data = labelled(oracle)
     rows = [*oracle.weights[0].tolist(), *np.eye(3).tolist()]
-    assert all(test in rows for test in augmented["all"].P.tolist())
-    assert all(test in rows[:4] for test in augmented["z"].P.tolist())
-    assert len(augmented["all"].P) > 0
+    for features, tests in (("all", rows), ("z", rows[:4])):
+        tree = AugTreeFit(oracle, 4, features)(*data, generator())
+        assert accuracy(tree, oracle) > 0.95 and len(tree.P) > 0 and all(test in tests for test in tree.P.tolist())
+    assert accuracy(CartFit(4)(*data, generator()), oracle) < 0.93
 
 
 def test_linear_leaves_read_x_alone_and_lie_below_the_oracles_tests():
@@ -148,54 +135,45 @@ def test_deep_features_are_the_networks_own_on_rows_of_their_pattern(seed, width
         made.append(activations)
         read = {False: activations, "input": np.hstack((activations, X)), "all": np.hstack((*made, X))}[dense]
         start += width
-    # Every row whose pattern is among the most frequent finds its own z_2 among the features.
+    # Every row whose pattern is among the most frequent finds its z_2 among the features.
     deep = deep_features(network, X, 2)
     values = X @ deep.A.T + deep.a
     seen, counts = np.unique(patterns[:, : widths[0]], axis=0, return_counts=True)
-    commonest = seen[counts.argmax()]
-    for row in np.flatnonzero((patterns[:, : widths[0]] == commonest).all(axis=1)):
-        own = z[row, widths[0] : widths[0] + widths[1]]
-        n_patterns = min(2, len(seen))
+    n_patterns = min(2, len(seen))
+    for row in np.flatnonzero((patterns[:, : widths[0]] == seen[counts.argmax()]).all(axis=1)):
         blocks = values[row, : n_patterns * widths[1]].reshape(n_patterns, widths[1])
-        assert np.abs(blocks - own).max(axis=1).min() < 1e-9
+        assert np.abs(blocks - z[row, widths[0] : sum(widths[:2])]).max(axis=1).min() < 1e-9
 
 
-def test_the_most_frequent_patterns_come_first():
+def test_the_most_frequent_patterns_come_first_and_features_that_repeat_or_never_change_are_dropped():
     network = otr.ReluNetwork([[[1.0]], [[5.0]], [[1.0]]], [[0.0], [1.0], [0.0]])
     X = np.array([[-1.0], [2.0], [3.0]])
     assert deep_features(network, X, 1).A.tolist() == [[5.0]]  # active in two of three
     assert deep_features(network, X, 2).A.tolist() == [[5.0], [0.0]]
     assert deep_features(network, -X, 1).A.tolist() == [[0.0]]
-
-
-def test_features_that_repeat_or_never_change_are_dropped():
     A = np.array([[1.0, 2.0], [0.0, 0.0], [-2.0, -4.0], [1.0, 2.1], [0.0, -3.0], [0.0, 1.0]])
-    kept = AffineFeatures(A, np.arange(6.0)).distinct()
-    assert kept.a.tolist() == [0, 3, 4]
+    assert AffineFeatures(A, np.arange(6.0)).distinct().a.tolist() == [0, 3, 4]
     features = first_layer_features(oblique_oracle(), include_inputs=True).distinct()
     assert len(features.A) == 5  # x, and two of the four neurons, of which two are mirrored
 
 
 @given(seed=st.integers(0, 2**32 - 1), features=st.sampled_from(["all", "z", "deep"]), discrete=st.booleans())
 def test_the_tree_on_x_is_the_tree_on_the_features(seed, features, discrete):
-    """The same CART on the same bins, asked about the features themselves."""
     rng = np.random.default_rng(seed)
     network = make_network(rng, (5, 4), n_outputs=3, head="argmax" if discrete else "clip_box")
     X = rng.normal(size=(300, 3))
     fit = AugTreeFit(network, 4, features, max_samples=300)
     answers = network.forward(X) if discrete else network.predict(X)
     tree = fit(X, answers, np.ones(300) if discrete else None, np.random.default_rng(1))
-    A = fit._features(X).A
-    a = fit._features(X).a
     if features == "deep" and discrete:  # its patterns are those of the drawn rows
         return
+    A, a = fit._features(X).A, fit._features(X).a
     unit = np.array([np.abs(A - P).sum(axis=1).argmin() for P in tree.P], dtype=int)
     np.testing.assert_allclose(tree.P, A[unit], atol=1e-9)
     on_features = X @ A.T + a
     thresholds = a[unit] - tree.v
-    np.testing.assert_allclose(
-        X @ tree.P.T + tree.v, on_features[:, unit] - thresholds, atol=1e-9 * max(1, np.abs(on_features).max())
-    )
+    size = max(1, np.abs(on_features).max())
+    np.testing.assert_allclose(X @ tree.P.T + tree.v, on_features[:, unit] - thresholds, atol=1e-9 * size)
     # A threshold lies among the values of its feature, so that both sides have rows.
     assert ((thresholds > on_features[:, unit].min(axis=0)) & (thresholds < on_features[:, unit].max(axis=0))).all()
     assert np.bincount(tree.apply(X), minlength=tree.n_leaves).min() >= (0 if discrete else 1)
@@ -209,17 +187,22 @@ def test_bins_keep_the_order_and_thresholds_part_the_rows_alike():
     for feature in range(4):
         order = values[feature].argsort(kind="stable")
         assert (np.diff(bins[order, feature]) >= 0).all()
-    assert len(np.unique(bins[:, 1])) == 2
-    assert len(np.unique(bins[:, 2])) == 1
-    assert len(np.unique(bins[:, 3])) > 200
-    assert np.bincount(bins[:, 3].astype(int)).max() < 60
+    n_bins = [len(np.unique(bins[:, feature])) for feature in (1, 2, 3)]
+    assert n_bins[:2] == [2, 1] and n_bins[2] > 200 and np.bincount(bins[:, 3].astype(int)).max() < 60
     y = ((values[3] > 0.3) ^ (values[1] > 0)).astype(int)
     model = DecisionTreeClassifier(max_depth=4, random_state=0).fit(bins, y)
     tree = with_thresholds_between(from_sklearn_tree(model), bins, values)
     np.testing.assert_array_equal(tree.predict(values.T.astype(float)), model.predict(bins))
-    flags = np.flatnonzero(tree.P[:, 1])
-    np.testing.assert_array_equal(tree.v[flags], -0.5)
+    np.testing.assert_array_equal(tree.v[np.flatnonzero(tree.P[:, 1])], -0.5)
     assert (tree.predict(values.T.astype(float)) == y).mean() > 0.99
+    outlier = rng.normal(size=(2, 5_000)).astype(np.float32)
+    plain = quantised(outlier)
+    outlier[:, 0] = 1e6, 1e30
+    bins = quantised(outlier)
+    assert (np.bincount(bins[:, 0].astype(int)).max() <= 2 * 5_000 / 255) and bins[0].min() == 254
+    assert np.corrcoef(bins[1:, 0], plain[1:, 0])[0, 1] > 0.999
+    few = quantised(np.repeat(np.arange(3, dtype=np.float32), 5)[None])
+    assert np.unique(few[:, 0], return_counts=True)[1].tolist() == [5, 5, 5]
 
 
 def test_screening_keeps_the_feature_at_which_the_planes_part():
@@ -235,25 +218,16 @@ def test_screening_keeps_the_feature_at_which_the_planes_part():
     assert best_columns(S[:, :5], X, Z, LinearTreeRegressor(), 8).tolist() == [0, 1, 2, 3, 4]
 
 
-def rare_label():
-    """Of 2,100 rows 100 have the label 2, which x_0 sets apart; x_1 parts the labels 0 and 1, 70 to 30."""
+def test_entropy_sets_a_rare_label_apart_and_gini_parts_the_frequent_ones():
     labels = np.repeat([0, 1, 2], [1000, 1000, 100])
-    X = np.zeros((2100, 2))
+    X = np.zeros((2100, 2))  # x_0 sets the rare label 2 apart; x_1 parts the labels 0 and 1, 70 to 30
     X[labels == 2, 0] = 1.0
     X[np.r_[0:700, 1000:1300, 2000:2050], 1] = 1.0
-    return X, np.eye(3)[labels], np.ones(2100)
-
-
-def test_entropy_sets_a_rare_label_apart_and_gini_parts_the_frequent_ones():
-    X, outputs, weights = rare_label()
     oracle = otr.ReluNetwork([[[1.0, 0.0]], np.ones((3, 1))], [[0.0], np.zeros(3)], head=otr.Argmax())
-    tests = {}
-    for criterion in ("entropy", "gini"):
-        fits = AugTreeFit(oracle, 1, criterion=criterion), CartFit(1, criterion=criterion)
-        tests[criterion], of_viper = (fit(X, outputs, weights, generator()).P.tolist() for fit in fits)
-        assert of_viper == tests[criterion]
-    assert tests == {"entropy": [[1.0, 0.0]], "gini": [[0.0, 1.0]]}
-    assert AugTreeFit(oracle, 1)(X, outputs, weights, generator()).P.tolist() == tests["entropy"]
+    for criterion, test in (("entropy", [[1.0, 0.0]]), ("gini", [[0.0, 1.0]])):
+        for fit in (AugTreeFit(oracle, 1, criterion=criterion), CartFit(1, criterion=criterion)):
+            assert fit(X, np.eye(3)[labels], np.ones(2100), generator()).P.tolist() == test
+    assert AugTreeFit(oracle, 1).criterion == "entropy"
 
 
 @pytest.mark.parametrize("leaves", ["constant", "linear", "viper's"])
@@ -263,40 +237,24 @@ def test_rows_are_drawn_by_weight_only_if_asked(leaves):
     X = np.linspace(-1, 1, 1000)[:, None]
     outputs = oracle.forward(X)
     weights = (outputs.argmax(axis=1) == 0).astype(float)
-    fits = [
-        CartFit(3, weighted=weighted)
-        if leaves == "viper's"
-        else AugTreeFit(oracle, 3, leaves=leaves, weighted=weighted)
-        for weighted in (True, False)
-    ]
-    weighted, plain = (fit(X, outputs, weights, generator()) for fit in fits)
-    assert (plain.predict(X) == outputs.argmax(axis=1)).mean() > 0.99
-    if leaves != "linear":
-        assert (weighted.predict(X) == 0).all()
-    else:
-        assert not np.array_equal(weighted.predict(X), plain.predict(X))
+
+    def answers(is_weighted):
+        viper = leaves == "viper's"
+        fit = CartFit(3, weighted=is_weighted) if viper else AugTreeFit(oracle, 3, leaves=leaves, weighted=is_weighted)
+        return fit(X, outputs, weights, generator()).predict(X)
+
+    assert (answers(False) == outputs.argmax(axis=1)).mean() > 0.99
+    assert (answers(True) == 0).all() or (leaves == "linear" and (answers(True) != answers(False)).any())
 
 
 def test_errors():
-    linear = otr.ReluNetwork([np.ones((2, 2))], [np.zeros(2)], head=otr.Argmax())
-    with pytest.raises(ValueError, match="at least 1 hidden layers, this one has 0"):
-        AugTreeFit(linear, 3)
-    with pytest.raises(ValueError, match="at least 2 hidden layers, this one has 1"):
-        AugTreeFit(oblique_oracle(), 3, "deep")
-    with pytest.raises(ValueError, match="features='x'"):
-        AugTreeFit(oblique_oracle(), 3, "x")
-    with pytest.raises(ValueError, match="criterion='mse'"):
-        AugTreeFit(oblique_oracle(), 3, criterion="mse")
-    with pytest.raises(ValueError, match="criterion='mse'"):
-        CartFit(3, criterion="mse")
-
-
-def test_bins_are_of_about_equally_many_rows_beside_an_outlier():
-    values = np.random.default_rng(0).normal(size=(2, 5_000)).astype(np.float32)
-    plain = quantised(values)
-    values[:, 0] = 1e6, 1e30
-    bins = quantised(values)
-    assert (np.bincount(bins[:, 0].astype(int)).max() <= 2 * 5_000 / 255) and bins[0].min() == 254
-    assert np.corrcoef(bins[1:, 0], plain[1:, 0])[0, 1] > 0.999
-    few = np.repeat(np.arange(3, dtype=np.float32), 5)[None]
-    np.testing.assert_array_equal(np.unique(quantised(few)[:, 0], return_counts=True)[1], [5, 5, 5])
+    linear, oracle = otr.ReluNetwork([np.ones((2, 2))], [np.zeros(2)], head=otr.Argmax()), oblique_oracle()
+    for make, words in (
+        (lambda: AugTreeFit(linear, 3), "at least 1 hidden layers, this one has 0"),
+        (lambda: AugTreeFit(oracle, 3, "deep"), "at least 2 hidden layers, this one has 1"),
+        (lambda: AugTreeFit(oracle, 3, "x"), "features='x'"),
+        (lambda: AugTreeFit(oracle, 3, criterion="mse"), "criterion='mse'"),
+        (lambda: CartFit(3, criterion="mse"), "criterion='mse'"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            make()

@@ -8,7 +8,6 @@ from tests.core.strategies import boundary_states, make_network
 
 
 def tree_of(M, c):
-    """Leaves only: a tree of depth 0."""
     return otr.ObliqueTree([], [], np.zeros((0, np.shape(M)[1])), [], [M], [c])
 
 
@@ -38,39 +37,26 @@ def test_labels_are_the_argmax_of_the_leaf_outputs_everywhere(seed, widths, n_in
     assert labelled.n_leaves <= tree.n_leaves * 2 ** (n_outputs - 1)
 
 
-def test_constant_leaves_need_no_tests_and_ties_go_to_the_lowest_label():
-    tree = otr.ObliqueTree([~0], [~1], [[1.0, 0.0]], [0.0], np.zeros((2, 3, 2)), [[1.0, 3.0, 3.0], [2.0, 2.0, 1.0]])
-    labelled = argmax_leaves(tree)
-    assert labelled.labels.tolist() == [1, 0]
-    assert labelled.n_nodes == 1
-
-
 def test_on_a_line_only_reachable_branches_are_left():
     """The upper envelope of -x, 0, x is -x then x; with 0 raised by 1 it has three pieces."""
     M = [[-1.0], [0.0], [1.0]]
     for offset, pieces in ((-1.0, [0, 2]), (1.0, [0, 1, 2])):
         labelled = argmax_leaves(tree_of(M, [0.0, offset, 0.0]))
         X = np.linspace(-3, 3, 601)[:, None] + 1e-7
-        assert set(labelled.predict(X)) == set(pieces)
-        assert len(set(labelled.apply(X))) == labelled.n_leaves
+        assert set(labelled.predict(X)) == set(pieces) and len(set(labelled.apply(X))) == labelled.n_leaves
+    assert argmax_leaves(tree_of([[1.0]], [0.0])).predict([[5.0], [-5.0]]).tolist() == [0, 0]
+    ties = otr.ObliqueTree([~0], [~1], [[1.0, 0.0]], [0.0], np.zeros((2, 3, 2)), [[1.0, 3.0, 3.0], [2.0, 2.0, 1.0]])
+    labelled = argmax_leaves(ties)  # constant leaves need no tests
+    assert (labelled.labels.tolist(), labelled.n_nodes) == ([1, 0], 1)
 
 
 def test_a_test_above_decides_a_parallel_one_below():
     """Left of x <= 0 the output 2 x is below 0, right of it above: no test but the first is needed."""
-    for sign in (1.0, -1.0):
-        root = otr.ObliqueTree(
-            [~0], [~1], [[sign, 0.0]], [0.0], np.tile([[0.0, 0.0], [2.0, 0.0]], (2, 1, 1)), np.zeros((2, 2))
-        )
-        labelled = argmax_leaves(root)
-        X = np.array([[-1.0, 5.0], [1.0, -5.0], [0.0, 0.0]])
-        assert labelled.predict(X).tolist() == [0, 1, 0]
-        # With the opposite normal x = 0 belongs to the side of x >= 0, where 2 x > 0 is not settled there.
-        assert labelled.n_nodes == (1 if sign == 1.0 else 2)
-    apart = otr.ObliqueTree(
-        [~0], [~1], [[1.0, 0.0]], [1.0], np.tile([[0.0, 0.0], [2.0, 0.0]], (2, 1, 1)), np.zeros((2, 2))
-    )
+    maps = np.tile([[0.0, 0.0], [2.0, 0.0]], (2, 1, 1)), np.zeros((2, 2))
+    # With the opposite normal x = 0 belongs to the side of x >= 0, where 2 x > 0 is not settled there.
+    for sign, n_nodes in ((1.0, 1), (-1.0, 2)):
+        labelled = argmax_leaves(otr.ObliqueTree([~0], [~1], [[sign, 0.0]], [0.0], *maps))
+        assert labelled.predict([[-1.0, 5.0], [1.0, -5.0], [0.0, 0.0]]).tolist() == [0, 1, 0]
+        assert labelled.n_nodes == n_nodes
+    apart = otr.ObliqueTree([~0], [~1], [[1.0, 0.0]], [1.0], *maps)
     assert argmax_leaves(apart).n_nodes == 2  # between -1 and 0 the label is still 0
-
-
-def test_one_output_is_always_label_0():
-    assert argmax_leaves(tree_of([[1.0]], [0.0])).predict([[5.0], [-5.0]]).tolist() == [0, 0]

@@ -24,33 +24,31 @@ def planted(seed: int, n: int = 3_000) -> tuple[np.ndarray, otr.ObliqueTree]:
     return X, otr.ObliqueTree(*perfect_tree_children(2), P, v, M, c)
 
 
-def fit(
-    X: np.ndarray,
-    answers: np.ndarray,
-    head: otr.Head,
-    start: NdpsFit | None = None,
-    seed: int = 0,
-    settings: NdpsSettings = SETTINGS,
-) -> NdpsFit:
+def fit(X, answers, head, *, start=None, seed=0, settings=SETTINGS, weights=None) -> NdpsFit:
     return fit_ndps(
-        X,
-        answers,
-        np.ones(len(X)),
-        np.random.default_rng(seed),
-        head=head,
-        n_outputs=2,
-        settings=settings,
-        start=start.module if start else None,
-    )
+        X, answers, np.ones(len(X)) if weights is None else weights, np.random.default_rng(seed),
+        head=head, n_outputs=2, settings=settings, start=start.module if start else None,
+    )  # fmt: skip
 
 
-def test_a_planted_tree_is_recovered_from_actions():
+def test_a_planted_tree_is_recovered_from_actions_and_labels_whose_weights_count():
     X, tree = planted(0)
     actions = tree.forward(X)
     fitted = fit(X, actions, otr.Identity()).tree
     assert (fitted.depth, fitted.n_leaves) == (2, 4)
-    error = np.square(fitted.predict(X) - actions).mean() / actions.var()
-    assert error < 0.02
+    assert np.square(fitted.predict(X) - actions).mean() < 0.02 * actions.var()
+    X, tree = planted(2)
+    labels = tree.forward(X).argmax(axis=1)
+    first = fit(X, labels, otr.Argmax())
+    again = fit(X, labels, otr.Argmax(), start=first, seed=1)
+    assert first.tree.labels is not None and (first.tree.predict(X) == labels).mean() > 0.95
+    assert (again.tree.predict(X) == labels).mean() > 0.97
+    np.testing.assert_array_equal(first.module.harden(otr.Argmax()).predict(X), first.tree.predict(X))
+    X = np.tile(np.random.default_rng(0).normal(size=(500, 3)), (2, 1))
+    labels, weights = np.repeat([0, 1], 500), np.repeat([1.0, 3.0], 500)  # every state has both answers
+    short = dataclasses.replace(SETTINGS, n_updates=300)
+    assert fit(X, labels, otr.Argmax(), weights=weights, settings=short).tree.predict(X).mean() > 0.95
+    assert not fit(X, 0 * labels, otr.Argmax(), settings=short).tree.predict(X).any()  # a label that no row has
 
 
 def test_actions_at_the_edge_may_be_overshot():
@@ -71,27 +69,12 @@ def test_a_component_that_varies_little_beside_its_mean_is_learnt(spread, has_bo
     wave, unit = np.clip(X[:, 0], -1.0, 1.0), spread or 1.0
     actions = np.stack([wave, 100.0 + spread * wave], axis=1)
     head = otr.ClipBox([-1.0, 100.0 - unit], [1.0, 100.0 + unit]) if has_box else otr.Identity()
-    settings, start = NdpsSettings(depth=4, n_updates=300, leaves=leaves), None
+    settings, fitted = NdpsSettings(depth=4, n_updates=300, leaves=leaves), None
     for _ in range(2):
-        fitted = fit_ndps(
-            X, actions, np.ones(len(X)), np.random.default_rng(0),
-            head=head, n_outputs=2, settings=settings, start=start,
-        )  # fmt: skip
+        fitted = fit(X, actions, head, settings=settings, start=fitted)
         error, error_beside_mean = np.sqrt(np.square(fitted.tree.predict(X) - actions).mean(axis=0)) / [1.0, unit]
         assert error < (0.1 if leaves == "linear" else 0.3)
         assert error_beside_mean < (1.5 * error if spread else 0.01)
-        start = fitted.module
-
-
-def test_labels_are_recovered_and_rounds_go_on():
-    X, tree = planted(2)
-    labels = tree.forward(X).argmax(axis=1)
-    first = fit(X, labels, otr.Argmax())
-    again = fit(X, labels, otr.Argmax(), start=first, seed=1)
-    assert first.tree.labels is not None
-    assert (first.tree.predict(X) == labels).mean() > 0.95
-    assert (again.tree.predict(X) == labels).mean() > 0.97
-    np.testing.assert_array_equal(first.module.harden(otr.Argmax()).predict(X), first.tree.predict(X))
 
 
 @pytest.mark.parametrize("gives_labels", [True, False])
@@ -102,46 +85,20 @@ def test_constant_leaves_are_recovered_and_rounds_go_on(gives_labels):
     answers = outputs.argmax(axis=1) if gives_labels else outputs
     head = otr.Argmax() if gives_labels else otr.Identity()
     settings = dataclasses.replace(SETTINGS, leaves="constant")
-    weights, generator = np.ones(len(X)), np.random.default_rng(0)
-    first = fit_ndps(X, answers, weights, generator, head=head, n_outputs=2, settings=settings)
-    again = fit_ndps(X, answers, weights, generator, head=head, n_outputs=2, settings=settings, start=first.module)
+    first = fit(X, answers, head, settings=settings)
+    again = fit(X, answers, head, settings=settings, start=first, seed=1)
     for fitted in (first.tree, again.tree):
         assert (fitted.depth, fitted.n_leaves) == (2, 4) and not fitted.M.any()
         assert np.isclose(fitted.predict(X), answers, atol=0.1).mean() > 0.97
 
 
-def test_weights_count():
-    X = np.random.default_rng(0).normal(size=(500, 3))
-    X = np.concatenate((X, X))
-    labels = np.repeat([0, 1], 500)  # every state has both answers
-    weights = np.repeat([1.0, 3.0], 500)
-    fitted = fit_ndps(
-        X, labels, weights, np.random.default_rng(0), head=otr.Argmax(), n_outputs=2, settings=SETTINGS
-    ).tree
-    assert fitted.predict(X).mean() > 0.95
-
-
-def test_states_in_single_precision_are_taken_as_they_are():
-    X, tree = planted(2, n=300)
-    actions, single = tree.forward(X), X.astype(np.float32)
-    fits = [fit(states, actions, otr.Identity(), settings=FEW) for states in (single, single.astype(np.float64))]
-    np.testing.assert_array_equal(*(each.tree.forward(X) for each in fits))
-
-
-def test_the_same_generator_gives_the_same_tree():
+def test_the_same_generator_gives_the_same_tree_whatever_the_precision_of_the_states():
     X, tree = planted(3, 300)
-    one, two, other = (fit(X, tree.forward(X), otr.Identity(), seed=seed, settings=FEW).tree for seed in (0, 0, 1))
+    single = X.astype(np.float32)
+    fits = [(single, 0), (single.astype(np.float64), 0), (single, 1)]
+    one, two, other = (fit(x, tree.forward(X), otr.Identity(), seed=s, settings=FEW).tree for x, s in fits)
     np.testing.assert_array_equal(one.P, two.P)
     np.testing.assert_array_equal(one.M, two.M)
     assert not np.array_equal(one.P, other.P)
-
-
-def test_a_label_that_no_row_has():
-    X, _ = planted(4, 200)
-    tree = fit(X, np.zeros(200, dtype=int), otr.Argmax()).tree
-    assert not tree.predict(X).any()
-
-
-def test_shapes_that_do_not_agree():
     with pytest.raises(ValueError, match="3 states, 2 answers"):
         fit(np.zeros((3, 1)), np.zeros((2, 2)), otr.Identity())

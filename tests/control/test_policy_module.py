@@ -6,6 +6,7 @@ import torch
 
 import otr
 from otr.control.policy_module import NetworkModule, TreeModule, policy_module
+from tests.core.strategies import make_network
 
 torch.set_num_threads(1)
 
@@ -43,6 +44,10 @@ def test_a_tree_answers_as_it_does():
     with torch.no_grad():
         np.testing.assert_allclose(module(torch.from_numpy(X)), outputs(tree, X), atol=1e-9)
     assert len(set(tree.apply(X))) == 6
+    leaf = otr.ObliqueTree([], [], np.zeros((0, 3)), [], [[[1.0, 0.0, 2.0]]], [[0.5]])
+    np.testing.assert_allclose(policy_module(leaf, X)(torch.from_numpy(X)).detach(), outputs(leaf, X), atol=1e-9)
+    with pytest.raises(ValueError, match="answers with labels"):
+        policy_module(crooked_tree(otr.Argmax()), X)
     torch.set_default_dtype(torch.float32)
     single = TreeModule(tree, X)(torch.from_numpy(X).float()).detach()
     assert (np.abs(single.numpy() - outputs(tree, X)).max(axis=1) < 1e-5).mean() > 0.99  # but at tests that are ties
@@ -51,14 +56,11 @@ def test_a_tree_answers_as_it_does():
 @pytest.mark.parametrize("dense", [False, "input", "all"])
 @pytest.mark.parametrize("slope", [0.0, 0.1])
 def test_a_network_answers_as_it_does(dense, slope):
-    generator, X = np.random.default_rng(1), states()
-    reads = {False: (3, 4, 5), "input": (3, 7, 8), "all": (3, 7, 12)}[dense]
-    weights = [generator.normal(size=(n, read)) for n, read in zip((4, 5, 2), reads, strict=True)]
-    biases = [generator.normal(size=n) for n in (4, 5, 2)]
-    network = otr.ReluNetwork(weights, biases, dense=dense, negative_slope=slope)
+    X = states()
+    network = make_network(np.random.default_rng(1), (4, 5), n_outputs=2, dense=dense, negative_slope=slope)
     module = NetworkModule(network, X)
     np.testing.assert_allclose(module(torch.from_numpy(X)).detach(), network.forward(X), atol=1e-9)
-    for ours, theirs in zip(module.policy().weights, weights, strict=True):
+    for ours, theirs in zip(module.policy().weights, network.weights, strict=True):
         np.testing.assert_allclose(ours, theirs, atol=1e-12)
 
 
@@ -102,11 +104,3 @@ def test_what_is_zero_stays_and_the_structure_does(free):
         assert (np.abs(ours - theirs)[theirs != 0] > 0).mean() > 0.9
     np.testing.assert_allclose(module(torch.from_numpy(X)).detach(), outputs(learnt, X), atol=1e-9)
     assert ((outputs(learnt, X) - 1) ** 2).mean() < ((outputs(tree, X) - 1) ** 2).mean()
-
-
-def test_a_leaf_alone_and_labels():
-    X = states()
-    leaf = otr.ObliqueTree([], [], np.zeros((0, 3)), [], [[[1.0, 0.0, 2.0]]], [[0.5]])
-    np.testing.assert_allclose(policy_module(leaf, X)(torch.from_numpy(X)).detach(), outputs(leaf, X), atol=1e-9)
-    with pytest.raises(ValueError, match="answers with labels"):
-        policy_module(crooked_tree(otr.Argmax()), X)

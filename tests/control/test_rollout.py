@@ -18,10 +18,7 @@ rollout = functools.partial(otr.rollout, max_steps=1000)
 
 
 class Walk(gym.Env):
-    """A walk on the line from a seeded start: each step adds the action; the return is the sum of the places.
-
-    Ends where |x| > 4, and has no limit of its own.
-    """
+    """Each step adds the action to a seeded start; the return is the sum of the places; ends where |x| > 4."""
 
     observation_space = gym.spaces.Box(-9, 9, (2, 1), np.float64)
     action_space = gym.spaces.Box(-1, 1, (1,), np.float32)
@@ -29,16 +26,18 @@ class Walk(gym.Env):
 
     def __init__(self) -> None:
         type(self).n_made += 1
+        self.state = np.ones((2, 1))
 
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple:
         super().reset(seed=seed)
-        self.x = self.np_random.uniform(-1, 1)
-        return np.array([[self.x], [1.0]]), {}
+        self.state[0, 0] = self.np_random.uniform(-1, 1)
+        return self.state, {}  # which it writes into again
 
     def step(self, action: np.ndarray) -> tuple:
         assert action.dtype == np.float32 and action.shape == (1,)
-        self.x += float(action[0])
-        return np.array([[self.x], [1.0]]), self.x, abs(self.x) > 4, False, {}
+        self.state[0, 0] += float(action[0])
+        x = float(self.state[0, 0])
+        return self.state, x, abs(x) > 4, False, {}
 
 
 class Labels(Walk):
@@ -65,15 +64,17 @@ class Words(Walk):
 
 
 def right(X: np.ndarray) -> np.ndarray:
-    """Return steps of a third to the right."""
     return np.full((len(X), 1), 1 / 3)
+
+
+LABELS = otr.parse_program("if a <= 0: left else: right", ["a", "b"], labels=True, output_names=["left", "right"])
 
 
 def by_hand(env: gym.Env, act, seed: int) -> tuple[float, list, list]:
     observation, _ = env.reset(seed=seed)
     total, states, actions, ended = 0.0, [], [], False
     while not ended:
-        states.append(np.asarray(observation, dtype=np.float64).ravel())
+        states.append(np.array(observation, dtype=np.float64).ravel())
         actions.append(act(states[-1]))
         observation, reward, terminated, truncated, _ = env.step(actions[-1])
         total, ended = total + float(reward), terminated or truncated
@@ -88,8 +89,9 @@ def test_episodes_are_those_of_one_environment_stepped_by_hand():
     assert played.lengths.tolist() == [len(states) for _, states, _ in rows]
     assert played.terminated.all() and not played.truncated.any()
     assert (played.states.shape, played.actions.shape) == ((0, 2), (0, 1))
-    assert played.mean_return == pytest.approx(np.mean(played.returns))
-    assert played.std_return == pytest.approx(np.std(played.returns))
+    mean, std = np.mean(played.returns), np.std(played.returns)
+    assert (played.mean_return, played.std_return) == pytest.approx((mean, std))
+    assert repr(played) == f"Rollout(return {mean:.4g} ± {std:.4g} over 100 episodes, {played.lengths.sum():,} steps)"
 
 
 def test_many_policies_play_their_episodes_in_one_loop():
@@ -129,35 +131,16 @@ def test_a_tree_in_a_registered_environment():
     np.testing.assert_array_equal(again.returns, played.returns)
 
 
-def test_the_seed_decides_and_never_meets_the_reported_episodes():
+def test_a_limit_truncates_and_the_seed_never_meets_the_reported_episodes():
+    played = otr.rollout(Walk, lambda X: np.zeros((len(X), 1)), 3, max_steps=7)
+    assert played.lengths.tolist() == [7, 7, 7] and played.truncated.all() and not played.terminated.any()
+    assert len(played.states) == len(played.actions) == 21
     one, two, other = (rollout(Walk, right, 5, seed=seed) for seed in (3, 3, 4))
     np.testing.assert_array_equal(one.states, two.states)
     assert not set(one.seeds.tolist()) & set(other.seeds.tolist())
     assert min(one.seeds.min(), other.seeds.min()) >= 2**20 > len(evaluate(Walk, right).seeds) == 100
-
-
-def test_a_limit_truncates():
-    played = otr.rollout(Walk, lambda X: np.zeros((len(X), 1)), 3, max_steps=7)
-    assert played.lengths.tolist() == [7, 7, 7]
-    assert played.truncated.all() and not played.terminated.any()
-    assert len(played.states) == len(played.actions) == 21
-
-
-def test_anything_that_predicts_on_a_batch_is_a_policy():
-    learned = DecisionTreeClassifier().fit([[0.0, 1.0], [1.0, 1.0]], [1, 2])
-    played = rollout(Labels, learned, 4)
-    np.testing.assert_array_equal(played.actions, learned.predict(played.states))
-    functions = rollout(functools.partial(Labels), learned.predict, 4)
-    np.testing.assert_array_equal(functions.returns, played.returns)
-
-
-def test_it_is_shown_in_one_line():
-    played = evaluate(Walk, lambda X: np.ones((len(X), 1)), [0, 1])
-    total = [by_hand(Walk(), lambda _: np.array([1.0], np.float32), seed)[0] for seed in (0, 1)]
-    expected = (
-        f"Rollout(return {np.mean(total):.4g} ± {np.std(total):.4g} over 2 episodes, {played.lengths.sum()} steps)"
-    )
-    assert repr(played) == expected
+    assert evaluate(Walk, right, n_episodes=3).seeds.tolist() == [0, 1, 2] and len(rollout(Walk, right).seeds) == 100
+    assert evaluate(Walk, right, [4], n_episodes=1).returns == rollout(Walk, right, seeds=[4]).returns
 
 
 @pytest.mark.parametrize(
@@ -165,34 +148,19 @@ def test_it_is_shown_in_one_line():
     [
         (Walk, lambda X: np.zeros((len(X), 2)), r"an array of shape \(5, 2\).*expected finite actions \(n, 1\)"),
         (Walk, lambda X: np.full((len(X), 1), np.nan), r"first \[nan\], expected finite actions \(n, 1\)"),
-        (
-            Walk,
-            lambda X: np.ones((2 * len(X), 1)),
-            r"of shape \(10, 1\).*expected finite actions \(n, 1\) for n = 5 sta",
-        ),
-        (Walk, lambda X: np.ones((1, 1)), r"of shape \(1, 1\).*expected finite actions \(n, 1\) for n = 5 states"),
+        (Walk, lambda X: np.ones((2 * len(X), 1)), r"\(10, 1\).*expected finite actions \(n, 1\) for n = 5 states"),
         (Walk, lambda X: 0.5, r"of shape \(\).*first \[0.5\], expected finite actions \(n, 1\) for n = 5 states"),
-        (
-            Walk,
-            lambda X: np.zeros((0, 1)),
-            r"of shape \(0, 1\).*first \[\], expected finite actions \(n, 1\) for n = 5",
-        ),
+        (Walk, lambda X: np.zeros((0, 1)), r"of shape \(0, 1\).*first \[\], expected finite"),
         (Walk, lambda X: (np.zeros((len(X), 1)), None), r"a tuple of 2.*deterministic=True\)\[0\]"),
+        (Walk, LABELS, r"labels, an array of shape \(5,\).*takes real actions \(n, 1\)"),
         (Labels, lambda X: np.zeros(len(X)), r"type float64.*expected labels \(n,\) from 0 to 2"),
         (Labels, lambda X: np.full(len(X), 3), r"first \[3\], expected labels \(n,\) from 0 to 2"),
-        (
-            Labels,
-            lambda X: np.ones(2 * len(X), int),
-            r"of shape \(10,\).*expected labels \(n,\) from 0 to 2 for n = 5 st",
-        ),
         (Labels, lambda X: np.ones(1, int), r"of shape \(1,\).*expected labels \(n,\) from 0 to 2 for n = 5 states"),
-        (
-            Labels,
-            lambda X: np.zeros(0, int),
-            r"of shape \(0,\).*first \[\], expected labels \(n,\) from 0 to 2 for n = 5",
-        ),
+        (Labels, lambda X: np.zeros(0, int), r"of shape \(0,\).*first \[\], expected labels"),
         (LabelsFromOne, right, r"the actions are Discrete\(3, start=1\), expected a Box, or Discrete from 0 on"),
         (Words, right, r"the observations are Text\(.*FlattenObservation"),
+        (Bytes, lambda X: np.full((len(X), 1), -3.0), "actions are of type uint8, from 0 to 255"),
+        (Bytes, lambda X: np.full((len(X), 1), 300.0), "actions are of type uint8, from 0 to 255"),
     ],
 )
 def test_what_is_no_action_or_no_space(env, policy, message):
@@ -200,20 +168,39 @@ def test_what_is_no_action_or_no_space(env, policy, message):
         rollout(env, policy, 5)
 
 
+def test_whole_actions_of_a_box_and_policies_of_other_kinds():
+    assert set(rollout(Bytes, lambda X: np.full((len(X), 1), 1.4), 1).actions.ravel().tolist()) == {1}
+    assert evaluate(Bytes, lambda X: np.ones(len(X), int), [0]).lengths.tolist() == [4]
+    learned = DecisionTreeClassifier().fit([[0.0, 1.0], [1.0, 1.0]], [1, 2])
+    played = rollout(Labels, learned, 4)
+    np.testing.assert_array_equal(played.actions, learned.predict(played.states))
+    functions = rollout(functools.partial(Labels), learned.predict, 4)
+    np.testing.assert_array_equal(functions.returns, played.returns)
+
+    class Doubling(Walk):
+        def step(self, action: np.ndarray) -> tuple:
+            action *= 2.0  # in place: the actions are kept as they were
+            return super().step(action)
+
+    played = otr.rollout(Doubling, right, 2, max_steps=3)
+    np.testing.assert_array_equal(played.actions, np.full((6, 1), 1 / 3, np.float32))
+
+
 def test_what_is_no_environment_or_policy():
-    with pytest.raises(TypeError, match="env is a int, expected an environment, the id of one, or a function"):
-        evaluate(3, right)
     one = Walk()
-    with pytest.raises(ValueError, match="made the same environment twice"):
-        evaluate(lambda: one, right)
-    with pytest.raises(TypeError, match="policy is a int, expected a tree"):
-        evaluate(Walk, 3)
-    with pytest.raises(ValueError, match="n_episodes is 0"):
-        rollout(Walk, right, 0)
-    with pytest.raises(ValueError, match="max_steps is 0, expected 1 or more"):
-        otr.evaluate(Walk, right, max_steps=0)
-    with pytest.raises(ValueError, match="there are no seeds"):
-        evaluate(Walk, right, [])
+    for play, error, message in (
+        (lambda: evaluate(3, right), TypeError, "env is a int, expected an environment, the id of one, or a function"),
+        (lambda: evaluate(lambda: one, right), ValueError, "made the same environment twice"),
+        (lambda: evaluate(Walk, 3), TypeError, "policy is a int, expected a tree"),
+        (lambda: rollout(Walk, right, 0), ValueError, "n_episodes is 0"),
+        (lambda: evaluate(Walk, right, n_episodes=0), ValueError, "n_episodes is 0"),
+        (lambda: otr.evaluate(Walk, right, max_steps=0), ValueError, "max_steps is 0, expected 1 or more"),
+        (lambda: evaluate(Walk, right, []), ValueError, "there are no seeds"),
+        (lambda: evaluate(Walk, right, [1, 2], n_episodes=3), ValueError, "n_episodes is 3, and there are 2 seeds"),
+        (lambda: rollout(Walk, right, seeds=[1], n_episodes=3), ValueError, "n_episodes is 3, and there are 1 seeds"),
+    ):
+        with pytest.raises(error, match=message):
+            play()
 
 
 def test_environments_are_side_by_side_and_closed_at_the_end():
@@ -237,67 +224,22 @@ def test_environments_are_side_by_side_and_closed_at_the_end():
     assert Closing.n_made == len(closed) == 35 + 2 * n_looked_at
 
 
-def test_states_are_kept_where_an_environment_writes_into_its_own():
-    class Reusing(gym.Env):
-        observation_space, action_space = gym.spaces.Box(-9, 9, (2,), np.float64), gym.spaces.Discrete(2)
-
-        def __init__(self):
-            self.state = np.zeros(2)
-
-        def reset(self, *, seed=None, options=None):
-            self.state[:] = 0.0
-            return self.state, {}
+def test_observations_and_rewards_that_are_no_numbers_are_reported():
+    class Broken(Walk):
+        answer: tuple
 
         def step(self, action):
-            self.state += 1.0
-            return self.state, 0.0, False, False, {}
+            return (*self.answer, False, False, {})
 
-    states = otr.rollout(Reusing, lambda X: np.zeros(len(X), dtype=int), 1, max_steps=4).states
-    np.testing.assert_array_equal(states, [[0.0, 0.0], [1.0, 1.0], [2.0, 2.0], [3.0, 3.0]])
-
-
-def test_actions_are_kept_where_an_environment_changes_them_in_place():
-    class Doubling(Walk):
-        def step(self, action: np.ndarray) -> tuple:
-            action *= 2.0
-            return super().step(action)
-
-    played = otr.rollout(Doubling, right, 2, max_steps=3)
-    np.testing.assert_array_equal(played.actions, np.full((6, 1), 1 / 3, np.float32))
-
-
-def test_observations_and_rewards_that_are_no_numbers_are_told():
-    class Broken(gym.Env):
-        observation_space, action_space = gym.spaces.Box(-1, 1, (2,)), gym.spaces.Discrete(2)
-
-        def __init__(self, state, reward):
-            self.state, self.reward = np.array(state, dtype=np.float32), reward
-
-        def reset(self, *, seed=None, options=None):
-            return np.zeros(2, dtype=np.float32), {}
-
-        def step(self, action):
-            return self.state, self.reward, False, False, {}
-
-    for state, reward, told in (
-        ([0, np.nan], 1.0, r"the observation of the episode of seed 7 at step 1 is not finite: \[0.0, nan\]"),
-        ([0, 1], np.inf, "the rewards of the episode of seed 7 add up to inf"),
+    for Broken.answer, message in (
+        (([[0], [np.nan]], 1.0), r"the observation of the episode of seed 7 at step 1 is not finite: \[0.0, nan\]"),
+        (([[0], [1]], np.inf), "the rewards of the episode of seed 7 add up to inf"),
     ):
-        with pytest.raises(ValueError, match=told):
-            otr.evaluate(lambda: Broken(state, reward), lambda X: np.zeros(len(X), dtype=int), [7], max_steps=5)  # noqa: B023
-
-
-def test_whole_actions_that_the_space_cannot_hold_are_refused() -> None:
-    played = rollout(Bytes, lambda X: np.full((len(X), 1), 1.4), 1)
-    assert set(played.actions.ravel().tolist()) == {1}
-    for answer in (-3.0, 300.0):
-        with pytest.raises(ValueError, match="actions are of type uint8, from 0 to 255"):
-            rollout(Bytes, lambda X, a=answer: np.full((len(X), 1), a), 1)
+        with pytest.raises(ValueError, match=message):
+            otr.evaluate(Broken, right, [7], max_steps=5)
 
 
 class Worn(Walk):
-    """A walk whose steps grow with the episodes that it has played."""
-
     def __init__(self) -> None:
         super().__init__()
         self.n_played = 0
@@ -311,8 +253,6 @@ class Worn(Walk):
 
 
 class Random(Walk):
-    """A walk that no seed decides."""
-
     def step(self, action: np.ndarray) -> tuple:
         return super().step(action * np.random.default_rng().random(dtype=np.float32))
 
@@ -334,10 +274,9 @@ def test_an_environment_is_stepped_alone_and_left_open():
         def close(self) -> None:
             closed.append(self)
 
-    played = evaluate(Closing(), right, range(40))
-    assert played.returns.tolist() == evaluate(Walk, right, range(40)).returns.tolist()
+    for play, n in ((evaluate, 40), (rollout, 3)):
+        assert play(Closing(), right, n_episodes=n).returns.tolist() == play(Walk, right, n_episodes=n).returns.tolist()
     assert not closed
-    assert rollout(Closing(), right, 3).returns.tolist() == rollout(Walk, right, 3).returns.tolist()
 
 
 def test_the_biped_plays_an_episode_as_its_seed_says_whatever_was_played_before():
@@ -353,33 +292,12 @@ def test_the_biped_plays_an_episode_as_its_seed_says_whatever_was_played_before(
     assert again.returns[32:].tolist() == alone
 
 
-def test_both_take_a_number_of_episodes_or_their_seeds():
-    assert evaluate(Walk, right, n_episodes=3).seeds.tolist() == [0, 1, 2]
-    assert rollout(Walk, right, seeds=[5, 7]).seeds.tolist() == [5, 7]
-    assert len(rollout(Walk, right).seeds) == len(evaluate(Walk, right).seeds) == 100
-    assert evaluate(Walk, right, [4], n_episodes=1).returns == rollout(Walk, right, seeds=[4]).returns
-    for play in (evaluate, rollout):
-        with pytest.raises(ValueError, match="n_episodes is 3, and there are 2 seeds"):
-            play(Walk, right, seeds=[1, 2], n_episodes=3)
-        with pytest.raises(ValueError, match="n_episodes is 0"):
-            play(Walk, right, n_episodes=0)
-
-
 def test_episodes_without_a_limit_are_refused():
     for env in (Walk, Walk(), lambda: gym.wrappers.TransformReward(Walk(), lambda reward: reward)):
         with pytest.raises(ValueError, match="Walk: episodes have no limit, so one may never end; give one as max_st"):
             otr.evaluate(env, right, [0])
     limited = otr.evaluate(lambda: gym.wrappers.TimeLimit(Walk(), 3), right, [0])
     assert limited.lengths.tolist() == [3] and limited.truncated.all()
-
-
-def test_labels_are_no_real_actions():
-    program = otr.parse_program(
-        "if x0 <= 0: left else: right", ["x0", "x1"], labels=True, output_names=["left", "right"]
-    )
-    with pytest.raises(ValueError, match=r"labels, an array of shape \(1,\).*takes real actions \(n, 1\)"):
-        evaluate(Walk, program, [0])
-    assert evaluate(Bytes, lambda X: np.ones(len(X), int), [0]).lengths.tolist() == [4]  # whole actions, of a Box
 
 
 @pytest.mark.parametrize(

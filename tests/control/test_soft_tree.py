@@ -26,7 +26,6 @@ def clear_states(tree: otr.ObliqueTree, n: int, seed: int = 0, margin: float = 1
 
 
 def naive_value(tree: SoftTree, x: np.ndarray, node: int = 0) -> np.ndarray:
-    """The definition, node by node."""
     n_tests = len(tree.tests)
     x1 = np.append(x, 1.0)
     if node >= n_tests:
@@ -44,6 +43,9 @@ def test_derivatives_of_the_path_probabilities(depth):
     assert torch.autograd.gradcheck(lambda p: path_probabilities(p)[1], left)
     if depth:
         assert torch.autograd.gradcheck(lambda p: path_probabilities(p)[0], left)
+    nodes, leaves = path_probabilities(torch.tensor([[0.25], [0.5], [0.1]]))
+    torch.testing.assert_close(nodes[:, 0], torch.tensor([1.0, 0.25, 0.75]))
+    torch.testing.assert_close(leaves[:, 0], torch.tensor([0.125, 0.125, 0.075, 0.675]))
 
 
 @pytest.mark.parametrize("affine", [False, True])
@@ -60,12 +62,6 @@ def test_derivatives_of_the_tree(depth, affine):
     assert torch.autograd.gradcheck(outputs, arguments)
     assert torch.autograd.gradgradcheck(outputs, arguments)
     assert torch.autograd.gradgradcheck(lambda *a: outputs(*a, X.detach()), arguments[:2])
-
-
-def test_path_probabilities_of_a_small_tree():
-    nodes, leaves = path_probabilities(torch.tensor([[0.25], [0.5], [0.1]]))
-    torch.testing.assert_close(nodes[:, 0], torch.tensor([1.0, 0.25, 0.75]))
-    torch.testing.assert_close(leaves[:, 0], torch.tensor([0.125, 0.125, 0.075, 0.675]))
 
 
 @given(seed=st.integers(0, 2**31), depth=st.integers(0, 5), affine=st.booleans(), beta=st.sampled_from([0.5, 1, 8]))
@@ -97,6 +93,9 @@ def test_labels_are_the_largest_logits(affine):
     assert hard.labels is not None
     np.testing.assert_array_equal(hard.predict(X), tree.harden().forward(X).argmax(axis=1))
     assert hard.depth == (5 if affine else 3)
+    leaf, clip = soft_tree(3, 0, True, n_outputs=4).harden(), otr.ClipBox(-0.1, 0.1)
+    np.testing.assert_array_equal(argmax_leaves(leaf).predict(X), leaf.forward(X).argmax(axis=1))
+    np.testing.assert_allclose(tree.harden(clip).predict(X), np.clip(tree.harden().forward(X), -0.1, 0.1))
 
 
 def test_axis_aligned_tests_keep_the_largest_weight():
@@ -107,17 +106,3 @@ def test_axis_aligned_tests_keep_the_largest_weight():
     np.testing.assert_array_equal(hard.P, [[0, -1], [1, 0], [0, 0]])
     np.testing.assert_array_equal(hard.v, [1.5, -0.5, 1.0])
     np.testing.assert_array_equal(hard.c, tree.harden().c)
-
-
-def test_the_head_clips():
-    tree = soft_tree(2, 2, True, n_outputs=1)
-    hard = tree.harden(otr.ClipBox(-0.1, 0.1))
-    X = np.random.default_rng(0).normal(size=(50, 2))
-    np.testing.assert_allclose(hard.predict(X), np.clip(hard.forward(X), -0.1, 0.1))
-
-
-def test_argmax_below_a_single_leaf():
-    leaf = soft_tree(3, 0, True, n_outputs=4).harden()
-    decided = argmax_leaves(leaf)
-    X = np.random.default_rng(0).normal(size=(100, 2))
-    np.testing.assert_array_equal(decided.predict(X), leaf.forward(X).argmax(axis=1))

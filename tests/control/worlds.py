@@ -48,7 +48,6 @@ def centering_oracle():
 
 
 def continuous_oracle():
-    """-x, clipped to [-1, 1]."""
     W = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
     out = np.array([[-1.0, 1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 1.0]])
     return otr.ReluNetwork([W, out], [np.zeros(4), np.zeros(2)], head=otr.ClipBox(-1.0, 1.0))

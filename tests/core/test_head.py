@@ -5,32 +5,22 @@ import otr
 from otr.core.heads import HEADS, head_from_dict
 
 
-def test_tanh_box_spans_the_box() -> None:
-    head = otr.TanhBox([-2.0, 0.0], [2.0, 1.0])
-    answers = head(np.array([[0.0, 0.0], [50.0, -50.0], [np.arctanh(0.5), np.arctanh(-0.5)]]))
-    np.testing.assert_allclose(answers, [[0.0, 0.5], [2.0, 0.0], [1.0, 0.25]], atol=1e-15)
-
-
-def test_clip_box() -> None:
-    head = otr.ClipBox([-1.0, -2.0], [1.0, 2.0])
-    assert head(np.array([-3.0, 1.5])).tolist() == [-1.0, 1.5]
-
-
-def test_heads_do_not_change_their_argument() -> None:
-    Y = np.array([[0.5], [-3.0]])
-    for head in (otr.TanhBox(-1, 1), otr.ClipBox(-1, 1), otr.Sign(), otr.Argmax()):
-        head(Y)
-    assert Y.tolist() == [[0.5], [-3.0]]
-
-
-def test_sign_sends_zero_to_label_zero() -> None:
+def test_worked_answers_which_do_not_change_their_argument() -> None:
+    Y = np.array([[0.0, 0.0], [50.0, -50.0], [np.arctanh(0.5), np.arctanh(-0.5)]])
+    before = Y.copy()
+    box = otr.TanhBox([-2.0, 0.0], [2.0, 1.0])
+    np.testing.assert_allclose(box(Y), [[0.0, 0.5], [2.0, 0.0], [1.0, 0.25]], atol=1e-15)
+    assert otr.ClipBox([-1.0, -2.0], [1.0, 2.0])(np.array([-3.0, 1.5])).tolist() == [-1.0, 1.5]
+    assert otr.ClipBox(-1, 1)(Y).max() == 1.0 and otr.Argmax()(Y).tolist() == [0, 0, 0]
     assert otr.Sign()(np.array([[-1.0], [0.0], [1e-300]])).tolist() == [0, 0, 1]
+    assert otr.Sign()(Y[:, :1]).tolist() == [0, 1, 1] and (before == Y).all()
 
 
 def test_argmax_tournament_equals_numpy_on_ties() -> None:
     head = otr.Argmax()
     Y = np.random.default_rng(0).integers(0, 3, (500, 4)).astype(float)
     outcomes = head.tests(Y)
+    assert head.n_tests(4) == 3
     np.testing.assert_array_equal(head.labels(outcomes), Y.argmax(axis=1))
     champions = head.champions(outcomes)
     rows = np.arange(len(Y))
@@ -38,65 +28,22 @@ def test_argmax_tournament_equals_numpy_on_ties() -> None:
         np.testing.assert_array_equal(outcomes[:, test], Y[:, test + 1] - Y[rows, champions[:, test]] > 0)
 
 
-def test_number_of_tests() -> None:
-    assert [head.n_tests(4) for head in (otr.Identity(), otr.TanhBox(0, 1), otr.ClipBox(0, 1), otr.Argmax())] == [
-        0,
-        0,
-        0,
-        3,
-    ]
-    assert otr.Sign().n_tests(1) == 1
-
-
-@pytest.mark.parametrize(
-    "head", [otr.Identity(), otr.TanhBox(-1, 2), otr.ClipBox([-1.0, -0.1], [2.0, 0.3]), otr.Sign(), otr.Argmax()]
-)
-def test_description_round_trip(head: otr.Head) -> None:
-    assert head_from_dict(head.to_dict()) == head
-    assert hash(head_from_dict(head.to_dict())) == hash(head)
-
-
-def test_unlike_heads_differ() -> None:
-    assert otr.TanhBox(-1, 1) != otr.ClipBox(-1, 1)
-    assert otr.TanhBox(-1, 1) != otr.TanhBox(-1, 2)
-
-
-@pytest.mark.parametrize(
-    ("low", "high"), [(1.0, 1.0), (0.0, np.inf), (np.nan, 1.0), ([0.0], [1.0, 2.0]), ([[0.0]], [[1.0]])]
-)
-def test_boxes_that_are_none_are_refused(low: object, high: object) -> None:
+def test_boxes_that_are_none_and_heads_that_do_not_fit_are_refused() -> None:
+    no_boxes = ((1.0, 1.0), (0.0, np.inf), (np.nan, 1.0), ([0.0], [1.0, 2.0]), ([[0.0]], [[1.0]]))
     for box in (otr.TanhBox, otr.ClipBox):
-        with pytest.raises(otr.InvalidNetworkError, match="low"):
-            box(low, high)
-
-
-@pytest.mark.parametrize("box", [otr.TanhBox, otr.PidBox])
-def test_boxes_whose_width_no_float_holds_are_refused(box: type[otr.Head]) -> None:
-    with pytest.raises(otr.InvalidNetworkError, match="high - low is larger than a float64 can hold"):
-        box([0.0, -1e308], [1.0, 1e308])
+        for low, high in no_boxes:
+            with pytest.raises(otr.InvalidNetworkError, match="low"):
+                box(low, high)
+    for box in (otr.TanhBox, otr.PidBox):
+        with pytest.raises(otr.InvalidNetworkError, match="high - low is larger than a float64 can hold"):
+            box([0.0, -1e308], [1.0, 1e308])
     assert otr.ClipBox(-1e308, 1e308)(np.array([2.0])) == 2.0  # which works with the limits alone
-
-
-def test_boxes_that_differ_in_the_sign_of_zero_are_equal_and_hash_alike() -> None:
-    for head, other in (
-        (otr.ClipBox(-0.0, 1.0), otr.ClipBox(0.0, 1.0)),
-        (otr.TanhBox([-1.0, -2.0], [-0.0, 0.0]), otr.TanhBox([-1.0, -2.0], [0.0, -0.0])),
-    ):
-        assert head == other and hash(head) == hash(other) and repr(head) == repr(other)
-
-
-def test_heads_that_do_not_fit_are_refused() -> None:
-    with pytest.raises(otr.InvalidNetworkError, match="Sign needs 1 output, the network has 2"):
-        otr.ReluNetwork([np.ones((2, 3))], [np.ones(2)], head=otr.Sign())
-    with pytest.raises(otr.InvalidNetworkError, match="limits for 3 outputs, the network has 2"):
-        otr.ReluNetwork([np.ones((2, 3))], [np.ones(2)], head=otr.ClipBox(-np.ones(3), np.ones(3)))
-
-
-def test_unknown_heads_are_refused() -> None:
-    with pytest.raises(otr.ArtefactError, match="unknown head 'softmax'"):
-        head_from_dict({"name": "softmax"})
-    with pytest.raises(otr.ArtefactError, match="cannot be made"):
-        head_from_dict({"name": "tanh_box"})
+    for head, words in ((otr.Sign(), "Sign needs 1 output"), (otr.ClipBox([-1.0] * 3, [1.0] * 3), "for 3 outputs")):
+        with pytest.raises(otr.InvalidNetworkError, match=rf"{words}.* network has 2"):
+            otr.ReluNetwork([np.ones((2, 3))], [np.ones(2)], head=head)
+    for name, words in (("softmax", "unknown head 'softmax'"), ("tanh_box", "cannot be made")):
+        with pytest.raises(otr.ArtefactError, match=words):
+            head_from_dict({"name": name})
 
 
 KNOWN: dict[str, tuple[otr.Head, int]] = {  # a head of each kind and its number of outputs
@@ -108,6 +55,18 @@ KNOWN: dict[str, tuple[otr.Head, int]] = {  # a head of each kind and its number
     "sign": (otr.Sign(), 1),
     "argmax": (otr.Argmax(), 3),
 }
+
+
+def test_equal_heads_hash_alike_and_come_back_from_their_descriptions() -> None:
+    heads = [head for head, _ in KNOWN.values()]
+    again = [head_from_dict(head.to_dict()) for head in heads]
+    assert again == heads and [hash(head) for head in again] == [hash(head) for head in heads]
+    assert len({*heads, otr.TanhBox(-1, 1), otr.TanhBox(-1, 2), otr.ClipBox(-1, 1)}) == len(heads) + 3
+    for head, other in (  # which differ in the sign of a zero
+        (otr.ClipBox(-0.0, 1.0), otr.ClipBox(0.0, 1.0)),
+        (otr.TanhBox([-1.0, -2.0], [-0.0, 0.0]), otr.TanhBox([-1.0, -2.0], [0.0, -0.0])),
+    ):
+        assert head == other and hash(head) == hash(other) and repr(head) == repr(other)
 
 
 @pytest.mark.parametrize("name", sorted(HEADS))
@@ -157,11 +116,8 @@ def test_a_head_clipped_to_a_box() -> None:
         KNOWN["tanh_box"][0].clipped_to(low, high)
     with pytest.raises(ValueError, match=r"a clip to 5.0 .. 6.0 leaves none of the actions \[-0.5, -1.0\] .. \[2.0"):
         otr.ClipBox(5.0, 6.0).clipped_to(low, high)
-
-
-@pytest.mark.parametrize("size", [1e-9, 1.0, 1e9])
-def test_a_narrower_clip_after_tanh_is_refused_in_any_units(size: float) -> None:
-    head = otr.TanhBox(-size, size)
-    assert head.clipped_to(np.array([-size]), np.array([size * (1 - 1e-12)])) == head
-    with pytest.raises(ValueError, match="scale the tanh to these"):
-        head.clipped_to(np.array([-0.1 * size]), np.array([0.1 * size]))
+    for size in (np.array([1e-9]), np.array([1.0]), np.array([1e9])):  # in any units
+        tanh = otr.TanhBox(-size, size)
+        assert tanh.clipped_to(-size, size * (1 - 1e-12)) == tanh
+        with pytest.raises(ValueError, match="scale the tanh to these"):
+            tanh.clipped_to(-0.1 * size, 0.1 * size)

@@ -22,67 +22,42 @@ def test_worked_example() -> None:
 
 
 @given(cases())
-def test_tree_equals_network(case: Case) -> None:
-    tree = otr.map_network(case.network)
-    np.testing.assert_allclose(tree.forward(case.states), case.network.forward(case.states), rtol=1e-9, atol=1e-9)
-    assert_same_answers(tree.predict(case.states), case.network.predict(case.states), case.network, case)
-
-
-@given(cases())
-def test_leaf_ids_are_activation_patterns(case: Case) -> None:
-    tree = otr.map_network(case.network)
-    bits = otr.PatternTree(case.network).paths(case.states)
-    numbers = bits @ (2 ** np.arange(bits.shape[1])[::-1])
-    agree = tree.apply(case.states) == numbers
+def test_tree_equals_network_and_leaf_ids_are_activation_patterns(case: Case) -> None:
+    net, tree = case.network, otr.map_network(case.network)
+    tree.check()
+    np.testing.assert_allclose(tree.forward(case.states), net.forward(case.states), rtol=1e-9, atol=1e-9)
+    assert_same_answers(tree.predict(case.states), net.predict(case.states), net, case)
+    bits = otr.PatternTree(net).paths(case.states)
+    agree = tree.apply(case.states) == bits @ (2 ** np.arange(bits.shape[1])[::-1])
     assert agree.all() if case.exact else agree[:40].all()
-
-
-@given(cases())
-def test_shape_of_the_tree(case: Case) -> None:
-    net = case.network
-    tree = otr.map_network(net)
     depth = net.n_hidden + {"sign": 1, "argmax": net.n_outputs - 1}.get(net.head.name, 0)
     assert (tree.depth, tree.n_leaves) == (depth, 2**depth)
     assert (tree.labels is not None) == (net.head.name in ("sign", "argmax"))
-    tree.check()
 
 
-def test_zero_goes_left() -> None:
+def test_zero_goes_left_and_a_tie_to_the_lowest_index() -> None:
     net = otr.ReluNetwork([[[1.0]]], [[0.0]], head=otr.Sign())
     assert otr.map_network(net).predict([[0.0], [1e-300], [-1.0]]).tolist() == [0, 1, 0]
+    tree = otr.map_network(otr.ReluNetwork([[[1.0], [1.0], [2.0]]], [[0.0, 0.0, 0.0]], head=otr.Argmax()))
+    assert (tree.depth, tree.predict([[0.0], [1.0], [-1.0]]).tolist()) == (2, [0, 2, 0])
+    linear = otr.map_network(otr.ReluNetwork([[[1.0, 2.0]]], [[3.0]]))
+    assert (linear.n_leaves, linear.n_nodes, linear.depth, linear.apply([1.0, 1.0])) == (1, 0, 0, 0)
+    assert linear.predict([[1.0, 1.0]]).tolist() == [[6.0]]
 
 
-def test_argmax_tie_goes_to_the_lowest_index() -> None:
-    net = otr.ReluNetwork([[[1.0], [1.0], [2.0]]], [[0.0, 0.0, 0.0]], head=otr.Argmax())
-    tree = otr.map_network(net)
-    assert tree.depth == 2
-    assert tree.predict([[0.0], [1.0], [-1.0]]).tolist() == [0, 2, 0]
-
-
-def test_a_linear_model_is_one_leaf() -> None:
-    tree = otr.map_network(otr.ReluNetwork([[[1.0, 2.0]]], [[3.0]]))
-    assert (tree.n_leaves, tree.n_nodes, tree.depth) == (1, 0, 0)
-    assert tree.predict([[1.0, 1.0]]).tolist() == [[6.0]]
-    assert tree.apply([1.0, 1.0]) == 0
-
-
-def test_a_tree_too_large_is_refused() -> None:
-    net = make_network(np.random.default_rng(0), (17,))
-    with pytest.raises(
-        otr.TreeTooLargeError, match=r"17 hidden neurons .* 2\*\*17 leaves, the limit is 65536.*otr\.tree"
-    ):
-        otr.map_network(net)
-    assert otr.map_network(net, max_leaves=2**17).n_leaves == 2**17
-
-
-def test_memory_is_at_most_twice_what_is_returned() -> None:
+def test_memory_is_at_most_twice_what_is_returned_and_a_tree_too_large_is_refused() -> None:
     net = make_network(np.random.default_rng(0), (16,), n_inputs=20)
     tracemalloc.start()
     tree = otr.map_network(net)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    returned = sum(array.nbytes for array in (tree.P, tree.v, tree.M, tree.c, tree.children_left, tree.children_right))
-    assert peak <= 2 * returned
+    arrays = (tree.P, tree.v, tree.M, tree.c, tree.children_left, tree.children_right)
+    assert peak <= 2 * sum(array.nbytes for array in arrays)
+    net = make_network(np.random.default_rng(0), (17,))
+    message = r"17 hidden neurons .* 2\*\*17 leaves, the limit is 65536.*otr\.tree"
+    with pytest.raises(otr.TreeTooLargeError, match=message):
+        otr.map_network(net)
+    assert otr.map_network(net, max_leaves=2**17).n_leaves == 2**17
 
 
 def test_only_a_network_of_relu_units_has_a_tree() -> None:

@@ -12,21 +12,16 @@ def all_paths(n_bits: int) -> np.ndarray:
 
 
 @given(cases())
-def test_all_paths_listed_give_the_mapped_tree(case: Case) -> None:
+def test_all_paths_listed_give_the_mapped_tree_and_unrestricted_it_is_the_network(case: Case) -> None:
     full = otr.PatternTree(case.network)
+    assert_same_answers(full.predict(case.states), case.network.predict(case.states), case.network, case)
+    np.testing.assert_array_equal(full.forward(case.states), case.network.forward(case.states))
     listed = otr.PatternTree(case.network, all_paths(full.n_bits)).to_tree()
     mapped = otr.map_network(case.network)
     for name in ("children_left", "children_right", "labels"):
         np.testing.assert_array_equal(getattr(listed, name), getattr(mapped, name))
     for name in ("P", "v", "M", "c"):
         np.testing.assert_allclose(getattr(listed, name), getattr(mapped, name), rtol=1e-9, atol=1e-9)
-
-
-@given(cases())
-def test_unrestricted_equals_the_network(case: Case) -> None:
-    tree = otr.PatternTree(case.network)
-    assert_same_answers(tree.predict(case.states), case.network.predict(case.states), case.network, case)
-    np.testing.assert_array_equal(tree.forward(case.states), case.network.forward(case.states))
 
 
 @given(cases())
@@ -48,15 +43,12 @@ def test_keep_takes_the_most_frequent_and_breaks_ties_by_order() -> None:
     rows = np.array([[1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 0]], dtype=bool)
     tree = otr.PatternTree(worked_network(), rows, [3, 2, 2, 0])
     assert tree.counts.tolist() == [2, 2, 0, 3]  # sorted: 001, 010, 100, 110
-    assert tree.keep(2).patterns.astype(int).tolist() == [[0, 0, 1], [1, 1, 0]]
-    assert tree.keep(9).n_paths == 3
-
-
-def test_one_path_is_one_leaf() -> None:
-    tree = otr.PatternTree(worked_network()).observe([0.5, -0.5]).keep(1).to_tree()
-    assert tree.n_leaves == 1
-    np.testing.assert_allclose(tree.M[0], [[1.2, -0.12]])
-    np.testing.assert_allclose(tree.c[0], [2.84])
+    assert tree.keep(2).patterns.astype(int).tolist() == [[0, 0, 1], [1, 1, 0]] and tree.keep(9).n_paths == 3
+    one = otr.PatternTree(worked_network()).observe([0.5, -0.5]).keep(1).to_tree()
+    np.testing.assert_allclose([*one.M.ravel(), *one.c.ravel()], [1.2, -0.12, 2.84])
+    net = make_network(np.random.default_rng(0), (2,), n_outputs=2, head="argmax")
+    tree = otr.PatternTree(net, all_paths(3)[:4])  # the head's tests are no part of a pattern
+    assert (tree.n_paths, tree.n_patterns, otr.PatternTree(net).n_patterns) == (4, 2, 4)
 
 
 def test_depth_100_is_never_materialised() -> None:
@@ -100,30 +92,18 @@ def test_a_restricted_tree_counts_where_states_end() -> None:
     np.testing.assert_array_equal(kept.predict(X), kept.to_tree().predict(X))
 
 
-def test_n_patterns_ignores_the_heads_tests() -> None:
-    net = make_network(np.random.default_rng(0), (2,), n_outputs=2, head="argmax")
-    tree = otr.PatternTree(net, all_paths(3)[:4])
-    assert (tree.n_paths, tree.n_patterns) == (4, 2)
-    assert otr.PatternTree(net).n_patterns == 4
-
-
 def test_bad_arguments_are_refused() -> None:
-    net = worked_network()
-    with pytest.raises(ValueError, match=r"shape \(1, 2\).*expected \(k, 3\)"):
-        otr.PatternTree(net, [[True, False]])
-    with pytest.raises(ValueError, match="2 rows of which 1 are distinct"):
-        otr.PatternTree(net, [[True, False, True]] * 2)
-    with pytest.raises(ValueError, match="without patterns"):
-        otr.PatternTree(net, counts=[1])
-    with pytest.raises(ValueError, match="k > 0"):
-        otr.PatternTree(net, np.zeros((0, 3), dtype=bool))
-    with pytest.raises(ValueError, match=r"paths have shape \(1, 4\).*expected \(n, 3\)"):
-        otr.PatternTree(net).observe_paths(np.ones((1, 4), dtype=bool))
-    with pytest.raises(ValueError, match="of at least 0"):
-        otr.PatternTree(net).observe_paths(np.ones((1, 3), dtype=bool), np.array([-1]))
-    with pytest.raises(ValueError, match="call observe"):
-        otr.PatternTree(net).keep(1)
-    with pytest.raises(ValueError, match="at least 1"):
-        otr.PatternTree(net).observe([[0.0, 0.0]]).keep(0)
-    with pytest.raises(ValueError, match="restricted"):
-        otr.PatternTree(net, [[True, False, True]]).observe_paths(np.ones((1, 3), dtype=bool))
+    net, path = worked_network(), [[True, False, True]]
+    for call, words in (
+        (lambda: otr.PatternTree(net, [[True, False]]), r"shape \(1, 2\).*expected \(k, 3\)"),
+        (lambda: otr.PatternTree(net, path * 2), "2 rows of which 1 are distinct"),
+        (lambda: otr.PatternTree(net, counts=[1]), "without patterns"),
+        (lambda: otr.PatternTree(net, np.zeros((0, 3), dtype=bool)), "k > 0"),
+        (lambda: otr.PatternTree(net).observe_paths(np.ones((1, 4), dtype=bool)), r"\(1, 4\).*expected \(n, 3\)"),
+        (lambda: otr.PatternTree(net).observe_paths(np.array(path), np.array([-1])), "of at least 0"),
+        (lambda: otr.PatternTree(net).keep(1), "call observe"),
+        (lambda: otr.PatternTree(net).observe([[0.0, 0.0]]).keep(0), "at least 1"),
+        (lambda: otr.PatternTree(net, path).observe_paths(np.ones((1, 3), dtype=bool)), "restricted"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            call()

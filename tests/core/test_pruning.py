@@ -55,7 +55,9 @@ def test_kept_leaves_follow_the_tests_that_are_left(seed: int, n_leaves: int) ->
     keep[rng.integers(n_leaves)] = True
     pruned = keep_leaves(tree, keep)
     kept = np.flatnonzero(keep)
-    below = leaves_below(tree)
+    below = {~leaf: [leaf] for leaf in range(tree.n_leaves)}
+    for node in reversed(range(tree.n_nodes)):
+        below[node] = below[int(tree.children_left[node])] + below[int(tree.children_right[node])]
     for x in rng.normal(size=(20, 2)):
         reference = 0 if tree.n_nodes else ~0
         while reference >= 0:
@@ -69,22 +71,17 @@ def test_kept_leaves_follow_the_tests_that_are_left(seed: int, n_leaves: int) ->
         assert kept[naive_walk(pruned, x)[0]] == ~reference
 
 
-def leaves_below(tree: otr.ObliqueTree) -> dict[int, list[int]]:
-    below = {~leaf: [leaf] for leaf in range(tree.n_leaves)}
-    for node in reversed(range(tree.n_nodes)):
-        below[node] = below[int(tree.children_left[node])] + below[int(tree.children_right[node])]
-    return below
-
-
 def test_worked_example_pruned_to_one_leaf_and_to_k() -> None:
     X = np.array([[0.5, -0.5]] * 3 + [[-2.0, 1.0]] * 2 + [[2.0, 2.0]])
     tree = otr.map_network(worked_network())
-    assert otr.prune_unreached(tree, X[:3]).n_leaves == 1
-    assert otr.prune_unreached(tree, X).n_leaves == 3
     two = otr.prune_to_k(tree, X, 2)
-    assert two.n_leaves == 2
+    sizes = [otr.prune_unreached(tree, X[:3]), otr.prune_unreached(tree, X), two, otr.prune_to_k(tree, X, 99)]
+    assert [pruned.n_leaves for pruned in sizes] == [1, 3, 2, 3]
     np.testing.assert_allclose(two.predict(X[:5]), tree.predict(X[:5]))
-    assert otr.prune_to_k(tree, X, 99).n_leaves == 3
+    X = np.random.default_rng(0).normal(size=(100, 2))
+    kept = otr.PatternTree(worked_network()).observe(X).keep(4)
+    for prune in (lambda held: otr.prune_unreached(held, X[:3]), lambda held: otr.prune_to_k(held, X, 2)):
+        np.testing.assert_array_equal(prune(kept).forward(X), prune(kept.to_tree()).forward(X))
 
 
 def test_a_state_on_a_boundary_ends_in_its_own_leaf(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -96,16 +93,6 @@ def test_a_state_on_a_boundary_ends_in_its_own_leaf(monkeypatch: pytest.MonkeyPa
     # 2 and 3 would be kept, and the first state, sent left by the pruned tree, would end in leaf 0.
     monkeypatch.setattr(tree, "apply", lambda _: np.array([3, 2, 0]))
     np.testing.assert_array_equal(otr.prune_unreached(tree, X).predict(X), net.predict(X))
-
-
-def test_a_restricted_pattern_tree_prunes_as_its_tree_does() -> None:
-    X = np.random.default_rng(0).normal(size=(100, 2))
-    kept = otr.PatternTree(worked_network()).observe(X).keep(4)
-    for a, b in (
-        (otr.prune_unreached(kept, X[:3]), otr.prune_unreached(kept.to_tree(), X[:3])),
-        (otr.prune_to_k(kept, X, 2), otr.prune_to_k(kept.to_tree(), X, 2)),
-    ):
-        np.testing.assert_array_equal(a.forward(X), b.forward(X))
 
 
 def test_bad_arguments_are_refused() -> None:

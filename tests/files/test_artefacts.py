@@ -45,22 +45,15 @@ def test_round_trip(tmp_path_factory: pytest.TempPathFactory, case: Case) -> Non
             np.testing.assert_array_equal(again.predict(case.states), held.predict(case.states))
 
 
-def test_names_of_files(tmp_path: Path) -> None:
+def test_the_same_tree_gives_the_same_bytes_whatever_the_name(tmp_path: Path) -> None:
     tree = otr.map_network(worked_network())
     for given_path, name in ((tmp_path, "tree"), (tmp_path / "a.b", "a.b"), (tmp_path / "c.json", "c")):
         assert otr.save(tree, given_path) == tmp_path / f"{name}.json"
-        assert (tmp_path / f"{name}.npz").exists()
         assert tree_of(given_path).n_leaves == 8
-    assert tree_of(tmp_path / "c.npz").n_leaves == 8
-    assert sorted(path.suffix for path in tmp_path.iterdir()) == [".json"] * 3 + [".npz"] * 3
-
-
-def test_the_same_tree_gives_the_same_bytes(tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        otr.save(otr.map_network(worked_network()), tmp_path / name)
-    for suffix in (".npz", ".json"):
-        assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
-    description = json.loads((tmp_path / "a.json").read_text())
+        for suffix in (".npz", ".json"):
+            assert (tmp_path / f"{name}{suffix}").read_bytes() == (tmp_path / f"tree{suffix}").read_bytes()
+    assert tree_of(tmp_path / "c.npz").n_leaves == 8 and len(list(tmp_path.iterdir())) == 6
+    description = json.loads((tmp_path / "c.json").read_text())
     assert (description["schema"], description["kind"]) == ("otr/tree/1", "oblique_tree")
     assert description["shapes"]["M"] == [8, 1, 2]
 
@@ -78,15 +71,6 @@ def test_a_failed_save_leaves_the_old_files(tmp_path: Path, monkeypatch: pytest.
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
-def test_missing_files(tmp_path: Path) -> None:
-    with pytest.raises(otr.ArtefactError, match="does not exist; save a tree there first"):
-        otr.load(tmp_path / "none")
-    otr.save(otr.map_network(worked_network()), tmp_path / "tree")
-    (tmp_path / "tree.npz").unlink()
-    with pytest.raises(otr.ArtefactError, match=r"tree\.npz does not exist"):
-        otr.load(tmp_path)
-
-
 @pytest.mark.parametrize("suffix", [".npz", ".json"])
 def test_a_file_cut_off_anywhere_is_refused(tmp_path: Path, suffix: str) -> None:
     otr.save(otr.map_network(worked_network()), tmp_path / "tree")
@@ -98,66 +82,40 @@ def test_a_file_cut_off_anywhere_is_refused(tmp_path: Path, suffix: str) -> None
             otr.load(tmp_path)
 
 
-def test_a_changed_byte_is_refused_or_harmless(tmp_path: Path) -> None:
-    tree = otr.map_network(worked_network())
-    otr.save(tree, tmp_path / "tree")
-    path = tmp_path / "tree.npz"
-    whole = path.read_bytes()
-    n_refused = 0
-    positions = range(0, len(whole), 11)
-    for position in positions:
-        path.write_bytes(whole[:position] + bytes([whole[position] ^ 0x10]) + whole[position + 1 :])
-        try:
-            np.testing.assert_array_equal(tree_of(tmp_path).M, tree.M)  # some bytes are the archive's dates
-        except otr.ArtefactError:
-            n_refused += 1
-    assert n_refused > len(positions) / 2
+def test_files_that_are_missing_or_do_not_belong_together_are_refused(tmp_path: Path) -> None:
+    def refused(words: str) -> None:
+        with pytest.raises(otr.ArtefactError, match=words):
+            otr.load(tmp_path)
 
-
-def test_tampered_arrays_and_heads_are_refused(tmp_path: Path) -> None:
-    tree = otr.map_network(make_network(np.random.default_rng(0), (2,), head="clip_box"))
-    otr.save(tree, tmp_path / "tree")
+    refused("does not exist; save a tree there first")
+    otr.save(otr.map_network(make_network(np.random.default_rng(0), (2,), head="clip_box")), tmp_path / "tree")
     with np.load(tmp_path / "tree.npz") as archive:
         arrays = dict(archive)
     np.savez(tmp_path / "tree.npz", **{**arrays, "c": arrays["c"] + 1})
-    with pytest.raises(otr.ArtefactError, match="do not belong together"):
-        otr.load(tmp_path)
+    refused("do not belong together")
+    np.savez(tmp_path / "tree.npz", P=np.array([{}], dtype=object))
+    refused("cannot be read")
     np.savez(tmp_path / "tree.npz", **arrays)
     assert tree_of(tmp_path).n_leaves == 4
     text = (tmp_path / "tree.json").read_text()
     (tmp_path / "tree.json").write_text(text.replace("clip_box", "tanh_box"))
-    with pytest.raises(otr.ArtefactError, match="do not belong together"):
-        otr.load(tmp_path)
+    refused("do not belong together")
+    for other in ("[]", "{}", '{"schema": "otr/tree/2"}', "null", "\x00\xff"):
+        (tmp_path / "tree.json").write_text(other, encoding="latin-1")
+        refused(r"schema|JSON")
+    (tmp_path / "tree.json").write_text(text)
+    rewritten(tmp_path, "P.npy", encrypted=True)
+    refused("is encrypted")
+    (tmp_path / "tree.npz").unlink()
+    refused(r"tree\.npz does not exist")
 
 
-@pytest.mark.parametrize("text", ["[]", "{}", '{"schema": "otr/tree/2"}', "null", "\x00\xff"])
-def test_another_schema_is_refused(tmp_path: Path, text: str) -> None:
-    (tmp_path / "tree.json").write_text(text, encoding="latin-1")
-    with pytest.raises(otr.ArtefactError, match=r"schema|JSON"):
-        otr.load(tmp_path)
-
-
-def test_pickled_arrays_are_refused(tmp_path: Path) -> None:
-    otr.save(otr.map_network(worked_network()), tmp_path / "tree")
-    np.savez(tmp_path / "tree.npz", P=np.array([{}], dtype=object))
-    with pytest.raises(otr.ArtefactError, match="cannot be read"):
-        otr.load(tmp_path)
-
-
-def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
+def test_what_cannot_be_saved_is_named(tmp_path: Path) -> None:
     with pytest.raises(otr.ArtefactError, match=f"there is no folder {tmp_path / 'missing'} to save x.npz in; make it"):
         otr.save(otr.map_network(worked_network()), tmp_path / "missing" / "x")
-    assert list(tmp_path.iterdir()) == []
     with pytest.raises(TypeError, match=r"tree is a ReluNetwork, .* otr.PatternTree\(network\) holds a network"):
         otr.save(worked_network(), tmp_path / "x")
-
-
-def test_the_domain_of_a_network_is_kept(tmp_path: Path) -> None:
-    network = otr.ReluNetwork([[[1.0, 2.0]], [[1.0]]], [[0.5], [0.0]], domain=([-1.0, -np.inf], [1.0, 3.0]))
-    otr.save(otr.PatternTree(network), tmp_path)
-    again = otr.load(tmp_path)
-    assert isinstance(again, otr.PatternTree)
-    assert again.network.domain == otr.Domain([-1.0, -np.inf], [1.0, 3.0])
+    assert list(tmp_path.iterdir()) == []
 
 
 def rewritten(folder: Path, name: str, *, encrypted: bool = False, content: bytes | None = None) -> None:
@@ -168,11 +126,10 @@ def rewritten(folder: Path, name: str, *, encrypted: bool = False, content: byte
     with zipfile.ZipFile(path, "w") as archive:
         for member, held in members.items():
             archive.writestr(member, content if content is not None and member == name else held)
-    if encrypted:
-        whole = bytearray(path.read_bytes())
-        for magic, offset in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
-            whole[whole.index(magic) + offset] |= 1
-        path.write_bytes(bytes(whole))
+    whole = bytearray(path.read_bytes())
+    for magic, offset in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+        whole[whole.index(magic) + offset] |= encrypted
+    path.write_bytes(bytes(whole))
 
 
 def npy(shape: str, kind: str = "<f8", n_bytes: int = 64, version: int = 1) -> bytes:
@@ -181,22 +138,13 @@ def npy(shape: str, kind: str = "<f8", n_bytes: int = 64, version: int = 1) -> b
     return b"\x93NUMPY" + bytes([version, 0]) + len(header).to_bytes(2, "little") + header + bytes(n_bytes)
 
 
-def test_an_encrypted_member_is_refused(tmp_path: Path) -> None:
-    otr.save(otr.map_network(worked_network()), tmp_path / "tree")
-    rewritten(tmp_path, "P.npy", encrypted=True)
-    with pytest.raises(otr.ArtefactError, match="is encrypted"):
-        otr.load(tmp_path)
-
-
 @pytest.mark.parametrize(
     ("content", "words"),
     [
         (npy("(1000000000000,)"), "takes 8000000000000 bytes, the file has 64"),
         (npy("(8,)", n_bytes=65), "takes 64 bytes, the file has 65"),
         (npy("(True, 8)"), r"the shape \(True, 8\), expected numbers"),
-        (npy("(-1, -8)"), r"the shape \(-1, -8\), expected numbers"),
         (npy("(8,)", kind="|O"), "the type object"),
-        (npy("(8,)", kind="<c8"), "the type complex64"),
         (npy("(8,)", version=9), r"the format \(9, 0\), expected one of"),
         (npy("(8,"), "header is broken"),
         (npy("(" * 5000), "header is broken"),
@@ -227,34 +175,13 @@ def signed(folder: Path, changes: dict[str, Any], arrays: dict[str, Any] | None 
     (folder / "tree.json").write_text(json.dumps(description))
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"head": None}, "head is None in the JSON file, expected dict"),
-        ({"head": [[[]]]}, r"head is \[\[\[\]\]\] in the JSON file, expected dict"),
-        ({"head": {"name": []}}, "unhashable"),
-        ({"head": {"name": "clip_box", "low": 10**400, "high": 1}}, "too large to convert"),
-        ({"kind": []}, r"holds the kind \[\], expected one of"),
-        ({"kind": "tree"}, "holds the kind 'tree', expected one of"),
-        ({"schema": {}}, r"has the schema \{\}, expected 'otr/tree/1'"),
-        ({"n_layers": 1.0}, "n_layers is 1.0 in the JSON file, expected int"),
-        ({"dense": 1}, "dense is 1 in the JSON file, expected bool or str"),
-        ({"is_restricted": "no"}, "is_restricted is 'no' in the JSON file, expected bool"),
-        ({"domain": {"low": [0], "high": [1]}}, "the domain has 1 inputs, expected 2"),
-    ],
-)
-def test_a_description_that_makes_no_sense_is_refused(tmp_path: Path, changes: dict[str, Any], words: str) -> None:
-    otr.save(otr.PatternTree(worked_network()), tmp_path / "tree")
-    signed(tmp_path, changes)
+def test_a_description_that_makes_no_sense_is_refused(tmp_path: Path, changes: dict, arrays: dict, words: str) -> None:
+    network = worked_network().replace(domain=([-9.0, -np.inf], [9.0, 9.0]))
+    otr.save(otr.PatternTree(network).observe([[-9.0, 0.0], [9.0, 9.0]]), tmp_path / "tree")
+    again = otr.load(tmp_path)
+    assert isinstance(again, otr.PatternTree) and again.network.domain == network.domain
+    signed(tmp_path, changes, arrays)
     with pytest.raises(otr.ArtefactError, match=words):
-        otr.load(tmp_path)
-
-
-@pytest.mark.parametrize("counts", [np.array(3), np.array([3]), np.array([[3], [4]])])
-def test_counts_that_do_not_fit_the_paths_are_refused(tmp_path: Path, counts: np.ndarray) -> None:
-    otr.save(otr.PatternTree(worked_network()).observe([[-9.0, 0.0], [9.0, 9.0]]), tmp_path / "tree")
-    signed(tmp_path, {}, {"counts": counts})
-    with pytest.raises(otr.ArtefactError, match=r"counts have shape .*, expected \(2,\): one for each path"):
         otr.load(tmp_path)
 
 
@@ -294,7 +221,7 @@ ARRAYS = st.builds(
 )
 
 
-@settings(max_examples=300)
+@settings(max_examples=150)
 @given(data=st.data())
 def test_whatever_was_changed_a_tree_or_the_library_s_error(saved: list[Path], data: st.DataObject) -> None:
     folder = data.draw(st.sampled_from(saved))

@@ -26,7 +26,6 @@ def read(content: bytes, *names: str, limit_bytes: int = MEGABYTE) -> dict[str, 
 
 
 def patched(content: bytes, signature: bytes, offset: int, value: bytes) -> bytes:
-    """Return the file with `value` written `offset` bytes after the first `signature`."""
     at = content.index(signature) + offset
     return content[:at] + value + content[at + len(value) :]
 
@@ -37,6 +36,10 @@ def test_members_are_read_as_they_were_written(tmp_path: Path, method: int) -> N
     (tmp_path / "file.zip").write_bytes(packed(members, method))
     assert dict(read_members(tmp_path / "file.zip", "file.zip")) == members
     assert list(read(packed(members, method), "d", "a")) == ["a", "d"]
+    with pytest.raises(FileNotFoundError):
+        dict(read_members(tmp_path / "none", "none"))
+    with pytest.raises(otr.ArtefactError, match="cannot be read"):
+        dict(read_members(tmp_path, "the folder"))
 
 
 def test_what_unpacks_to_more_than_the_limit_is_refused() -> None:
@@ -44,16 +47,12 @@ def test_what_unpacks_to_more_than_the_limit_is_refused() -> None:
     for members in ({"a": bytes(MEGABYTE + 1)}, {"a": bytes(MEGABYTE), "b": b"x"}):
         with pytest.raises(otr.ArtefactError, match=r"it unpacks to 1,048,577 bytes, the limit is 1,048,576; nothing"):
             read(packed(members))
-    assert read(packed({"a": bytes(2 * MEGABYTE), "b": b"x"}), "b") == {"b": b"x"}, "only what is wanted counts"
-
-
-def test_what_is_stored_as_it_is_may_be_of_any_size() -> None:
-    content = {"a": bytes(2 * MEGABYTE)}
-    assert read(packed(content, zipfile.ZIP_STORED)) == content
+    large = {"a": bytes(2 * MEGABYTE), "b": b"x"}
+    assert read(packed(large), "b") == {"b": b"x"}, "only what is wanted counts"
+    assert read(packed(large, zipfile.ZIP_STORED)) == large, "what is stored as it is may be of any size"
 
 
 def test_members_that_share_their_bytes_are_refused() -> None:
-    """Two entries that point at the same stored bytes unpack to more than the file holds."""
     content = packed({"a": bytes(MEGABYTE), "b": b""}, zipfile.ZIP_STORED)
     directory = content.index(b"PK\1\2")
     entry = content[directory : directory + 46] + b"b"  # the first entry again, under the second's name
@@ -121,10 +120,3 @@ def test_files_that_are_refused() -> None:
             read(content)
     with pytest.raises(otr.ArtefactError, match=r"it holds no 'b', only \['a'\]"):
         read(good, "b")
-
-
-def test_places_that_are_no_file(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError):
-        dict(read_members(tmp_path / "none", "none"))
-    with pytest.raises(otr.ArtefactError, match="cannot be read"):
-        dict(read_members(tmp_path, "the folder"))

@@ -1,7 +1,6 @@
 """Minimal trees against counting formulas, brute force and the network itself."""
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -92,13 +91,14 @@ def test_hyperplanes_in_general_position_make_as_many_leaves_as_zaslavsky_says(n
     assert_same_function(tree, network, np.random.default_rng(1).normal(size=(2000, d)) * 3)
 
 
-@pytest.mark.parametrize(("n", "d"), [(6, 2), (9, 3), (8, 4)])
-def test_hyperplanes_through_one_point(n: int, d: int) -> None:
+def test_hyperplanes_through_one_point() -> None:
     """Without biases, n hyperplanes in general position make 2 sum_{i < d} C(n - 1, i) cones."""
-    rng = np.random.default_rng(2)
-    network = otr.ReluNetwork([rng.normal(size=(n, d)), rng.normal(size=(1, n))], [np.zeros(n), [0.0]])
-    assert otr.minimal_tree(network).n_leaves == 2 * sum(math.comb(n - 1, i) for i in range(d))
-    assert otr.minimal_tree(network, (-1.0, 1.0)).n_leaves == 2 * sum(math.comb(n - 1, i) for i in range(d))
+    for n, d in ((6, 2), (9, 3), (8, 4)):
+        network = general_position(n, d, seed=2)
+        network = network.replace(biases=[np.zeros(n), [0.0]])
+        for domain in (None, (-1.0, 1.0)):
+            n_cones = 2 * sum(math.comb(n - 1, i) for i in range(d))
+            assert otr.minimal_tree(network, domain).n_leaves == n_cones
 
 
 def test_an_empty_region_of_an_open_domain_may_stay_undecided() -> None:
@@ -171,14 +171,6 @@ def test_no_region_is_found_where_rounding_hides_every_margin() -> None:
     assert_same_patterns(network, regions.inner_points, regions.patterns[:, :10])
 
 
-def test_every_leaf_is_reached_at_an_inner_point() -> None:
-    network = make_network(np.random.default_rng(4), (8, 8), n_inputs=3, n_outputs=2)
-    regions = find_regions(network, as_domain((-1.0, 1.0), 3))
-    tree = otr.minimal_tree(network, (-1.0, 1.0))
-    assert tree.n_leaves == len(regions.patterns) == len(np.unique(tree.apply(regions.inner_points)))
-    assert_same_function(tree, network, regions.inner_points)
-
-
 def test_large_walks_go_block_by_block(monkeypatch: pytest.MonkeyPatch) -> None:
     network = make_network(np.random.default_rng(4), (8, 8), n_inputs=3)
     whole = find_regions(network, as_domain(None, 3)).patterns
@@ -199,35 +191,21 @@ def test_parallel_duplicate_and_boundary_neurons_add_no_path(order: str) -> None
     assert_same_function(tree, network, X)
 
 
-def test_neurons_that_are_not_quite_equal_part_the_states() -> None:
-    for apart, n_leaves in ((1e-6, 3), (1e-13, 3), (1e-200, 3), (0.0, 2)):
+def test_leaves_that_count() -> None:
+    for apart, n_leaves in ((1e-6, 3), (1e-13, 3), (1e-200, 3), (0.0, 2)):  # not quite equal neurons part the states
         network = otr.ReluNetwork([[[1.0], [1.0]], [[1.0, 1.0]]], [[0.0, apart], [0.0]])
         assert otr.minimal_tree(network).n_leaves == n_leaves
-
-
-def test_a_domain_with_open_sides() -> None:
     network = otr.ReluNetwork([[[1.0, 0.0], [0.0, 1.0]], [[1.0, 1.0]]], [[0.0, 0.0], [0.0]])
     assert otr.minimal_tree(network, ([0.5, -np.inf], [np.inf, 1.0])).n_leaves == 2
     assert otr.minimal_tree(network, ([0.5, -np.inf], [np.inf, -1.0])).n_leaves == 1
-
-
-def test_equal_maps_are_merged() -> None:
     # The second neuron's outgoing weight is zero; the first one is off for x < 0, where both are then the same.
     network = otr.ReluNetwork([[[1.0], [1.0], [2.0]], [[1.0, 0.0, 3.0]]], [[0.0, 5.0, -1.0], [0.0]])
     assert otr.minimal_tree(network).n_leaves == 3
     labelled = otr.ReluNetwork([[[1.0], [1.0]], [[1.0, 0.5], [1.0, 0.5]]], [[0.0, 1.0], [1.0, 0.0]], head=otr.Argmax())
     assert otr.minimal_tree(labelled).n_leaves == 1  # output 0 is larger throughout
-
-
-def test_a_merged_leaf_of_one_label_holds_scores_that_have_it() -> None:
-    # On both sides of x = 0 the label is 1, though the outputs differ.
-    network = otr.ReluNetwork([[[1.0]], [[1.0], [2.0]]], [[0.0], [0.0, 1.0]], head=otr.Argmax())
-    tree = otr.minimal_tree(network)
+    # On both sides of x = 0 the label is 1, though the outputs differ: the merged leaf holds scores that have it.
+    tree = otr.minimal_tree(otr.ReluNetwork([[[1.0]], [[1.0], [2.0]]], [[0.0], [0.0, 1.0]], head=otr.Argmax()))
     assert (tree.n_leaves, tree.M.any(), tree.c.tolist(), tree.labels.tolist()) == (1, False, [[0.0, 1.0]], [1])
-
-
-def own_sizes(tree: otr.ObliqueTree) -> Callable[[np.ndarray], np.ndarray]:
-    return lambda leaves: np.abs(tree.leaf_forms[leaves])
 
 
 def test_leaves_are_merged_by_the_size_of_each_number() -> None:
@@ -256,30 +234,28 @@ def test_a_constant_test_in_a_region_without_an_inner_point_goes_its_way() -> No
 
 def test_merging_reaches_up_the_tree() -> None:
     full = otr.map_network(worked_network())
-    same = otr.ObliqueTree(
-        full.children_left, full.children_right, full.P, full.v, np.ones_like(full.M), np.ones_like(full.c)
-    )
-    assert merge_equal_leaves(same, own_sizes(same)).n_leaves == 1
-    c = np.ones_like(full.c)
-    c[0] = 2.0
-    uneven = otr.ObliqueTree(full.children_left, full.children_right, full.P, full.v, np.ones_like(full.M), c)
-    merged = merge_equal_leaves(uneven, own_sizes(uneven))
+
+    def merged(tree: otr.ObliqueTree) -> otr.ObliqueTree:
+        return merge_equal_leaves(tree, lambda leaves: np.abs(tree.leaf_forms[leaves]))
+
+    same = full.replace(M=np.ones_like(full.M), c=np.ones_like(full.c))
+    assert merged(same).n_leaves == 1
+    uneven = same.replace(c=same.c + np.eye(8)[:, :1])
     X = np.random.default_rng(0).normal(size=(500, 2))
-    np.testing.assert_array_equal(merged.predict(X), uneven.predict(X))
-    assert merged.n_leaves == 4  # leaf 0 and the three subtrees that hang beside its path
+    np.testing.assert_array_equal(merged(uneven).predict(X), uneven.predict(X))
+    assert merged(uneven).n_leaves == 4  # leaf 0 and the three subtrees that hang beside its path
 
 
 @pytest.mark.parametrize("dense", [False, "input", "all"])
 def test_dead_neurons_are_left_out(dense: str | bool) -> None:
     network = make_network(np.random.default_rng(5), (4, 3, 2), n_inputs=2, dense=dense)
     weights = [W.copy() for W in network.weights]
-    weights[3][:, 0] = 0.0  # the outputs read the third layer's first neuron no more: of "all", the first layer's
-    if dense == "all":
-        weights[1][:, 0] = weights[2][:, 0] = 0.0
-    smaller = otr.ReluNetwork(weights, network.biases, dense=dense).without_dead_neurons()
+    for W in weights[1:] if dense == "all" else weights[3:]:
+        W[:, 0] = 0.0  # the outputs read the third layer's first neuron no more: of "all", the first layer's
+    network = network.replace(weights=weights)
+    smaller, X = network.without_dead_neurons(), np.random.default_rng(0).normal(size=(100, 2))
     assert smaller.n_hidden == 8
-    X = np.random.default_rng(0).normal(size=(100, 2))
-    np.testing.assert_allclose(smaller.forward(X), otr.ReluNetwork(weights, network.biases, dense=dense).forward(X))
+    np.testing.assert_allclose(smaller.forward(X), network.forward(X))
 
 
 def test_orders_shorten_the_paths() -> None:
@@ -291,22 +267,15 @@ def test_orders_shorten_the_paths() -> None:
     assert trees["balanced"].depth < trees["layers"].depth
 
 
-def test_limits_say_how_far_the_walk_came() -> None:
-    with pytest.raises(
-        otr.TreeTooLargeError, match=r"limit of 1,000 regions was met.* test \d+ of 24.*raise the limit"
+def test_bad_requests_and_limits_are_reported() -> None:
+    network, large = worked_network(), general_position(24, 6)
+    for error, words, options in (
+        (ValueError, "order is 'best', expected", {"order": "best"}),
+        (ValueError, "needs states X", {"order": "visits"}),
+        (ValueError, "the domain has 3 inputs, expected 2", {"domain": ([0, 0, 0], [1, 1, 1])}),
+        (ValueError, "input 1 has the limits 1 and 0", {"domain": ([0, 1], [1, 0])}),
+        (otr.TreeTooLargeError, r"limit of 1,000 regions was met.* test \d+ of 24.*raise", {"max_leaves": 1000}),
+        (otr.TreeTooLargeError, r"limit of 0 s was met.*raise the limit", {"max_seconds": 0.0}),
     ):
-        otr.minimal_tree(general_position(24, 6), max_leaves=1000)
-    with pytest.raises(otr.TreeTooLargeError, match=r"limit of 0 s was met.*raise the limit"):
-        otr.minimal_tree(general_position(24, 6), max_seconds=0.0)
-
-
-def test_bad_requests_are_told() -> None:
-    network = worked_network()
-    with pytest.raises(ValueError, match="order is 'best', expected"):
-        otr.minimal_tree(network, order="best")
-    with pytest.raises(ValueError, match="needs states X"):
-        otr.minimal_tree(network, order="visits")
-    with pytest.raises(ValueError, match="the domain has 3 inputs, expected 2"):
-        otr.minimal_tree(network, ([0, 0, 0], [1, 1, 1]))
-    with pytest.raises(ValueError, match="input 1 has the limits 1 and 0"):
-        otr.minimal_tree(network, ([0, 1], [1, 0]))
+        with pytest.raises(error, match=words):
+            otr.minimal_tree(large if error is otr.TreeTooLargeError else network, **options)

@@ -14,7 +14,6 @@ BOX = (-2.0, 2.0)
 
 
 def numbered(tree: otr.ObliqueTree) -> otr.ObliqueTree:
-    """Return the tree whose leaves answer with their own numbers."""
     return tree.replace(labels=np.arange(tree.n_leaves), head=otr.Identity())
 
 
@@ -58,13 +57,6 @@ def test_reached_leaves_and_bounds_on_them(case: Case) -> None:
         assert low - 1e-7 <= there.min() and there.max() <= high + 1e-7
 
 
-def test_a_space_of_gymnasium_is_a_box() -> None:
-    space = gym.spaces.Box(np.float32([-1.0, -np.inf]), np.float32([2.0, 3.0]))
-    assert as_domain(space, 2) == as_domain(([-1.0, -np.inf], [2.0, 3.0]), 2)
-    with pytest.raises(ValueError, match=r"expected None, a pair \(low, high\), a Box space or an otr.Domain"):
-        as_domain("everywhere", 2)  # type: ignore[arg-type]
-
-
 def test_a_worked_region() -> None:
     network = otr.ReluNetwork([[[1.0, 0.0], [1.0, 1.0]], [[1.0, 1.0]]], [[-1.0, 0.0], [0.0]])
     tree = otr.map_network(network)
@@ -80,17 +72,25 @@ def test_a_worked_region() -> None:
 def test_a_path_is_listed_from_the_root() -> None:
     tree = otr.ObliqueTree([1, ~0], [~2, ~1], [[1.0], [2.0]], [0.0, 1.0], np.zeros((3, 1, 1)), np.zeros((3, 1)))
     nodes, signs = leaf_paths(tree)
-    assert nodes.tolist() == [[0, 1], [0, 1], [0, -1]]
-    assert signs.tolist() == [[-1, -1], [-1, 1], [1, 0]]
+    assert nodes.tolist() == [[0, 1], [0, 1], [0, -1]] and signs.tolist() == [[-1, -1], [-1, 1], [1, 0]]
     single = leaf_paths(otr.ObliqueTree([], [], np.zeros((0, 2)), [], np.zeros((1, 1, 2)), [[1.0]]))
     assert single[0].shape == (1, 0)
 
 
-def test_bad_domains_are_told() -> None:
+def test_boxes_and_what_is_none() -> None:
+    space = gym.spaces.Box(np.float32([-1.0, -np.inf]), np.float32([2.0, 3.0]))
+    assert as_domain(space, 2) == as_domain(([-1.0, -np.inf], [2.0, 3.0]), 2)
+    domain = Domain([0.0, -np.inf], [np.inf, 1.0])
+    assert as_domain(domain, 2) == domain == Domain.from_dict(domain.to_dict())
     tree = otr.map_network(otr.ReluNetwork([[[1.0]], [[1.0]]], [[0.0], [0.0]]))
-    with pytest.raises(ValueError, match="expected a bounded box"):
-        otr.output_range(tree, Domain([-np.inf], [1.0]))
-    with pytest.raises(ValueError, match="low has shape"):
-        Domain([0.0, 1.0], [1.0])
-    assert as_domain(Domain([0.0], [1.0]), 1) == Domain([0.0], [1.0])
-    assert Domain.from_dict(Domain([0.0, -np.inf], [np.inf, 1.0]).to_dict()) == Domain([0.0, -np.inf], [np.inf, 1.0])
+    for make, words in (
+        (lambda: as_domain("everywhere", 2), r"expected None, a pair \(low, high\), a Box space or an otr.Domain"),
+        (lambda: otr.output_range(tree, Domain([-np.inf], [1.0])), "expected a bounded box"),
+        (lambda: Domain([0.0, 1.0], [1.0]), "low has shape"),
+        (lambda: Domain([1.0], [0.0]), "expected low <= high"),
+        (lambda: Domain([np.inf], [np.inf]), "expected low <= high"),
+        (lambda: Domain([-np.inf], [-np.inf]), "expected low <= high"),
+        (lambda: Domain([np.nan], [1.0]), "expected low <= high"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            make()

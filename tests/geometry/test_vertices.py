@@ -58,10 +58,6 @@ def test_equals_the_walk(seed: int, n: int, d: int, box: Box | None, exact: bool
     assert (regions.inner_points < domain.high).all()
 
 
-def unit(a: list[list[float]]) -> np.ndarray:
-    return np.array(a) / np.linalg.norm(a, axis=1)[:, None]
-
-
 @pytest.mark.parametrize("nearly", [0.0, 1e-12])
 @pytest.mark.parametrize(
     ("a", "b"),
@@ -72,17 +68,21 @@ def unit(a: list[list[float]]) -> np.ndarray:
     ],
 )
 def test_without_general_position_there_is_no_answer(a: list[list[float]], b: list[float], nearly: float) -> None:
-    normals, offsets = unit(a), np.array(b, dtype=np.float64)
+    normals, offsets = np.array(a) / np.linalg.norm(a, axis=1)[:, None], np.array(b, dtype=np.float64)
     normals[-1, 0] += nearly
     offsets[-1] += nearly
     assert regions_at_vertices(normals, offsets, np.full(len(b), -1), 2**20) is None
 
 
-def test_a_vertex_on_a_limit_of_the_box_is_left_to_the_walk() -> None:
-    corner = otr.ReluNetwork([[[1, 1], [1, -1]], [[1, 1]]], [[-2, 0.3], [0]])
+def test_what_is_left_to_the_walk_and_its_limits() -> None:
+    corner = otr.ReluNetwork([[[1, 1], [1, -1]], [[1, 1]]], [[-2, 0.3], [0]])  # a vertex on a limit of the box
     regions = find_regions(corner, as_domain((-1.0, 1.0), 2))
-    assert regions.n_tests > 0
-    assert len(regions.patterns) == 2
+    assert regions.n_tests > 0 and len(regions.patterns) == 2
+    with pytest.raises(otr.TreeTooLargeError, match=r"0\.01 s"):
+        find_regions(general_position(20, 20), as_domain(None, 20), max_seconds=0.01)
+    with pytest.raises(otr.TreeTooLargeError, match="5,000 regions"):
+        find_regions(general_position(32, 3), as_domain(None, 3), max_regions=5000)
+    assert find_regions(general_position(16, 6), as_domain(None, 6)).n_tests > 0
 
 
 @pytest.mark.parametrize(("n_boxed", "n", "d"), [(1, 1, 3), (1, 2, 4), (2, 3, 6), (1, 1, 2), (2, 2, 3), (1, 0, 2)])
@@ -97,15 +97,3 @@ def test_a_box_of_some_inputs(n_boxed: int, n: int, d: int) -> None:
     assert rows(regions) == rows(walked(network, Domain(low, high)))
     assert len(regions.patterns) > 0
     assert otr.minimal_tree(network, (low, high)).n_leaves >= 1
-
-
-def test_limits_hold_as_for_the_walk() -> None:
-    network, space = general_position(20, 20), as_domain(None, 20)
-    with pytest.raises(otr.TreeTooLargeError, match=r"0\.01 s"):
-        find_regions(network, space, max_seconds=0.01)
-
-
-def test_many_regions_are_left_to_the_walk_and_its_limits() -> None:
-    with pytest.raises(otr.TreeTooLargeError, match="5,000 regions"):
-        find_regions(general_position(32, 3), as_domain(None, 3), max_regions=5000)
-    assert find_regions(general_position(16, 6), as_domain(None, 6)).n_tests > 0

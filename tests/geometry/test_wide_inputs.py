@@ -56,15 +56,9 @@ def test_a_tree_in_a_basis_is_a_tree_like_any_other(tmp_path) -> None:
     assert certificate.max_error < 1e-11
     assert otr.verify(certificate, again, network) == certificate.max_error
     with pytest.raises(otr.InvalidTreeError, match=r"basis has shape \(3, 70\), expected \(4, n_inputs\)"):
-        otr.ObliqueTree(
-            tree.children_left,
-            tree.children_right,
-            tree.P_of_basis,
-            tree.v,
-            tree.M_of_basis,
-            tree.c,
-            basis=np.ones((3, 70)),
-        )
+        tree.replace(P=tree.P_of_basis, M=tree.M_of_basis, basis=np.ones((3, 70)))
+    with pytest.raises(otr.TreeTooLargeError, match="limit of 2,000 regions"):
+        otr.minimal_tree(make_network(np.random.default_rng(0), (12, 12), n_inputs=784), max_leaves=2000)
 
 
 @pytest.mark.parametrize("dense", [False, "input"])
@@ -80,9 +74,3 @@ def test_few_products_of_open_inputs_stand_for_them(dense: object, n_boxed: int)
     np.testing.assert_array_equal(network.patterns(inner), regions.patterns)
     nearly_all = find_regions(network, Domain(np.where(np.isinf(low), -1e9, low), np.where(np.isinf(high), 1e9, high)))
     assert {row.tobytes() for row in regions.patterns} == {row.tobytes() for row in nearly_all.patterns}
-
-
-def test_too_large_a_tree_is_told() -> None:
-    network = make_network(np.random.default_rng(0), (12, 12), n_inputs=784)
-    with pytest.raises(otr.TreeTooLargeError, match="limit of 2,000 regions"):
-        otr.minimal_tree(network, max_leaves=2000)

@@ -66,15 +66,9 @@ def tiny(tmp_path: Path) -> Callable[..., RunConfig]:
 
 def otr_program(program: str, *words: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run one of the installed commands in a process of its own and return what it printed."""
-    executable = Path(sys.executable).with_name(program)
-    return subprocess.run(
-        [str(executable), *words],
-        cwd=cwd,
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
+    command = [str(Path(sys.executable).with_name(program)), *words]
+    environment = {**os.environ, **environment}
+    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=300)
 
 
 @dataclass
@@ -105,7 +99,6 @@ def otr_command(program: str, *words: str, cwd: Path, **environment: str) -> Don
 
 
 def otr_succeeds(program: str, *words: str, cwd: Path, **environment: str) -> Done:
-    """Do the same, and check that it succeeds."""
     done = otr_command(program, *words, cwd=cwd, **environment)
     assert done.returncode == 0, done.stdout + done.stderr
     return done

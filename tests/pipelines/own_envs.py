@@ -9,11 +9,8 @@ import numpy as np
 class Cart(gym.Env):
     """A mass is pushed to the origin; it is there at rest for a reward of 0, elsewhere it is less."""
 
-    metadata: ClassVar[dict[str, Any]] = {
-        "render_modes": [],
-        "feature_names": ["position", "velocity"],
-        "action_names": ["force"],
-    }
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "feature_names": ["position", "velocity"],
+                                          "action_names": ["force"]}  # fmt: skip
 
     def __init__(self, mass: float = 1.0) -> None:
         self.mass = mass
@@ -36,8 +33,6 @@ class Cart(gym.Env):
 
 
 class PushOrPull(Cart):
-    """The same with two labels for actions."""
-
     metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
 
     def __init__(self) -> None:
@@ -49,16 +44,12 @@ class PushOrPull(Cart):
 
 
 class Insistent(Cart):
-    """The cart that takes no action but of its space."""
-
     def step(self, action: Any) -> Any:
         assert self.action_space.contains(action)
         return super().step(action)
 
 
 class Unsuitable(Cart):
-    """The cart with another space."""
-
     def __init__(self, observations: gym.Space | None = None, actions: gym.Space | None = None) -> None:
         super().__init__()
         self.observation_space = observations or self.observation_space
@@ -66,37 +57,27 @@ class Unsuitable(Cart):
 
 
 class OfOldGym(Cart):
-    """The cart with the reset that gym had."""
-
     def reset(self) -> Any:
         return super().reset()[0]
 
 
 class ReturnsFour(Cart):
-    """The cart with the step that gym had."""
-
     def step(self, action: Any) -> Any:
         state, reward, ended, _, info = super().step(action)
         return state, reward, ended, info
 
 
 class LongerThanItsSpace(Cart):
-    """The cart with observations of three numbers in a space of two."""
-
     def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
         return np.append(super().reset(seed=seed)[0], 0), {}
 
 
 class NotFinite(Cart):
-    """The cart whose first step leads nowhere."""
-
     def step(self, action: Any) -> Any:
         return np.array([np.nan, 0.0]), 0.0, False, False, {}
 
 
 class NotFiniteLater(Cart):
-    """The cart that leads nowhere after a while."""
-
     def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
         self.n_steps = 0
         return super().reset(seed=seed)
@@ -108,8 +89,6 @@ class NotFiniteLater(Cart):
 
 
 class FailsLater(Cart):
-    """The cart with a mistake that the first steps do not show."""
-
     def step(self, action: Any) -> Any:
         state, *others = super().step(action)
         if abs(state[0]) < 0.1:
@@ -118,31 +97,23 @@ class FailsLater(Cart):
 
 
 class NoReward(Cart):
-    """The cart whose reward is no number before long."""
-
     def step(self, action: Any) -> Any:
         state, reward, *others = super().step(action)
         return state, reward if abs(state[0]) > 0.3 else np.nan, *others
 
 
 class Unseeded(Cart):
-    """The cart that starts anywhere, whatever the seed."""
-
     def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
         self.state = np.random.default_rng().uniform(-1, 1, 2)
         return self.state.copy(), {}
 
 
 class Noisy(Cart):
-    """The cart that is pushed otherwise each time."""
-
     def force(self, action: Any) -> float:
         return float(np.random.default_rng().normal())
 
 
 class Worn(Cart):
-    """The cart whose engine weakens from episode to episode."""
-
     n_played = 0
 
     def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
@@ -154,8 +125,6 @@ class Worn(Cart):
 
 
 class NeedsAFile(Cart):
-    """The cart that cannot be made."""
-
     def __init__(self) -> None:
         raise FileNotFoundError("track.csv")
 
@@ -171,24 +140,10 @@ SPACES: dict[str, dict[str, gym.Space]] = {
 }
 
 gym.register("Cart-v0", entry_point=Cart, max_episode_steps=50)
-gym.register("PushOrPull-v0", entry_point=PushOrPull, max_episode_steps=50)
+
 gym.register("Endless-v0", entry_point=Cart)
 gym.register("SaidToBeNoisy-v0", entry_point=Noisy, max_episode_steps=50, nondeterministic=True)
-KINDS = (
-    Insistent,
-    OfOldGym,
-    ReturnsFour,
-    LongerThanItsSpace,
-    NotFinite,
-    NotFiniteLater,
-    FailsLater,
-    NoReward,
-    Unseeded,
-    Noisy,
-    Worn,
-    NeedsAFile,
-)
-for kind in KINDS:
+for kind in Cart.__subclasses__():
     gym.register(f"{kind.__name__}-v0", entry_point=kind, max_episode_steps=50)
 for name, spaces in SPACES.items():
     gym.register(f"{name}-v0", entry_point=Unsuitable, kwargs=spaces, max_episode_steps=50)

@@ -25,7 +25,6 @@ SERVER.set_forkserver_preload(["pipelines.training.sb3_training", "torch._dynamo
 
 
 def run_until_killed(function, *args):
-    """Call a function that ends its process by SIGKILL in a process of its own."""
     child = SERVER.Process(target=function, args=args)
     child.start()
     child.join(timeout=120)
@@ -74,20 +73,12 @@ def times_made(printed):
 
 
 def start(*words, cwd, **environment):
-    """Start otr-run; the caller waits for it."""
     code = "import sys; sys.argv[0] = 'otr-run'; from pipelines.cli import run; run()"
-    return subprocess.Popen(
-        [sys.executable, "-c", code, *words],
-        cwd=cwd,
-        env={**os.environ, **environment},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    return subprocess.Popen([sys.executable, "-c", code, *words], cwd=cwd, env={**os.environ, **environment}, **streams)
 
 
 def wait_for(found, seconds=120):
-    """Return what `found` returns as soon as it is something."""
     deadline = time.monotonic() + seconds
     while not (value := found()):
         assert time.monotonic() < deadline, "nothing came"

@@ -8,7 +8,6 @@ from tests.core.test_tree import random_tree, small_tree
 
 
 def equal_siblings(tree: otr.ObliqueTree) -> list[int]:
-    """Tests whose two sides are leaves with one answer."""
     answers = [*zip(tree.M.tolist(), tree.c.tolist(), strict=True)] if tree.labels is None else tree.labels.tolist()
     sides = zip(tree.children_left.tolist(), tree.children_right.tolist(), strict=True)
     return [i for i, (a, b) in enumerate(sides) if a < 0 and b < 0 and answers[~a] == answers[~b]]
@@ -47,9 +46,5 @@ def test_a_tree_that_always_answers_the_same_is_one_leaf() -> None:
     # Leaves that differ in the last bit, or are equal but no siblings, stay.
     assert merge_equal_leaves(small_tree(c=[[10.0], [20.0], [np.nextafter(20.0, 21)]])).n_leaves == 3
     assert merge_equal_leaves(small_tree(labels=[4, 3, 4])).n_leaves == 3
-
-
-def test_leaves_held_in_a_basis_are_compared_in_it() -> None:
-    basis = np.ones((1, 3))
-    tree = otr.ObliqueTree([~0], [~1], [[1.0]], [0.0], [[[2.0]]] * 2, [[0.5]] * 2, basis=basis)
-    assert merge_equal_leaves(tree).n_leaves == 1
+    of_basis = otr.ObliqueTree([~0], [~1], [[1.0]], [0.0], [[[2.0]]] * 2, [[0.5]] * 2, basis=np.ones((1, 3)))
+    assert merge_equal_leaves(of_basis).n_leaves == 1

@@ -67,9 +67,3 @@ def test_a_certificate_of_a_point_and_of_an_edge_is_saved_and_verified(tmp_path)
         wrong = tree.replace(c=tree.c + 1e-3)
         with pytest.raises(otr.CertificateError, match="not the same function"):
             otr.certify(wrong, network, (low, high))
-
-
-@pytest.mark.parametrize(("low", "high"), [(1.0, 0.0), (np.inf, np.inf), (-np.inf, -np.inf), (np.nan, 1.0)])
-def test_what_is_no_box_is_refused(low: float, high: float) -> None:
-    with pytest.raises(ValueError, match="expected low <= high"):
-        otr.Domain([low], [high])

@@ -16,7 +16,6 @@ BOX = (-1.0, 1.0)
 
 
 def leaf_between(low: float, high: float, labels: tuple[int, int], head: otr.Head, d: int = 1) -> otr.ObliqueTree:
-    """The first label on low < x_0 <= high, the second elsewhere."""
     P, o = np.eye(d)[[0, 0]], 1 if head == otr.Sign() else 2
     return otr.ObliqueTree(
         [~0, ~1], [1, ~2], P, [-low, -high], np.zeros((3, o, d)), np.zeros((3, o)),
@@ -25,7 +24,6 @@ def leaf_between(low: float, high: float, labels: tuple[int, int], head: otr.Hea
 
 
 def bump(size: float, offset: float, d: int = 1, at: float = 0.0) -> otr.ReluNetwork:
-    """size * max(0, x_0 - at) + offset."""
     return otr.ReluNetwork([size * np.eye(d)[:1], [[1.0]]], [[-size * at], [offset]], head=otr.Sign())
 
 
@@ -55,24 +53,20 @@ def test_labels_that_never_tie_admit_no_wrong_leaf(case: str) -> None:
         otr.certify(tree, network, box)
 
 
-def equal_rows(seed: int) -> otr.ReluNetwork:
-    """A network whose first two outputs are the same."""
+def tied(seed: int, without_biases: bool) -> otr.ReluNetwork:
+    """A network whose outputs are all 0 where no neuron is active, or whose first two are the same."""
     network = make_network(np.random.default_rng(seed), (3, 3), n_inputs=2, n_outputs=3, head="argmax")
-    weights, biases = [[array.copy() for array in arrays] for arrays in (network.weights, network.biases)]
-    weights[-1][1], biases[-1][1] = weights[-1][0], biases[-1][0]
-    return otr.ReluNetwork(weights, biases, head=network.head)
+    if without_biases:
+        return network.replace(biases=[np.zeros(3)] * 3)
+    same = [0, 0, 2]
+    last, offsets = network.weights[-1][same], network.biases[-1][same]
+    return network.replace(weights=[*network.weights[:-1], last], biases=[*network.biases[:-1], offsets])
 
 
-def without_biases(seed: int) -> otr.ReluNetwork:
-    """A network whose outputs are all 0 where no neuron is active."""
-    network = make_network(np.random.default_rng(seed), (3, 3), n_inputs=2, n_outputs=3, head="argmax")
-    return otr.ReluNetwork(network.weights, [np.zeros(3)] * 3, head=network.head)
-
-
-@pytest.mark.parametrize("make", [equal_rows, without_biases])
+@pytest.mark.parametrize("without_biases", [False, True])
 @pytest.mark.parametrize("seed", range(4))
-def test_trees_of_networks_whose_outputs_tie_are_certified(make: object, seed: int) -> None:
-    network = make(seed)
+def test_trees_of_networks_whose_outputs_tie_are_certified(seed: int, without_biases: bool) -> None:
+    network = tied(seed, without_biases)
     for tree in (otr.map_network(network), otr.minimal_tree(network, BOX)):
         certificate = otr.certify(tree, network, BOX)
         assert otr.verify(certificate, tree, network) == certificate.max_error < 1e-9
@@ -132,15 +126,22 @@ def test_wrong_states_of_what_is_accepted_are_near_a_tie(
 
 
 @pytest.mark.parametrize("head", ["sign", "argmax"])
-@pytest.mark.parametrize("size", [1e-10, -1e-10])
-def test_trees_with_slivers_at_ties_are_accepted(head: str, size: float) -> None:
-    for seed in range(6):
-        rng = np.random.default_rng(seed)
-        network = make_network(rng, (3, 2), n_inputs=2, n_outputs=1 if head == "sign" else 3, head=head)
-        tree = otr.minimal_tree(network, BOX)
-        tree = tree.replace(v=tree.v + size)
-        certificate = otr.certify(tree, network, BOX)
-        assert otr.verify(certificate, tree, network) == certificate.max_error < 1e-7
+@pytest.mark.parametrize("constant", [False, True])
+def test_trees_with_slivers_at_ties_are_accepted(head: str, constant: bool, tmp_path) -> None:
+    d = 3 if constant else 2
+    low, high = -np.ones(d), np.ones(d)
+    low[1] = 0.5 if constant else -1.0
+    high[1] = 0.5 if constant else 1.0
+    for seed in range(4):
+        network = make_network(
+            np.random.default_rng(seed), (3, 2), n_inputs=d, n_outputs=1 if head == "sign" else 3, head=head
+        )
+        tree = otr.minimal_tree(network, (low, high))
+        for shift in (0.0, 1e-10, -1e-10):
+            moved = tree.replace(v=tree.v + shift)
+            certificate = otr.certify(moved, network, (low, high))
+            again = otr.load_certificate(certificate.save(tmp_path / "certificate.json"))
+            assert again == certificate and otr.verify(again, moved, network) == certificate.max_error < 1e-7
 
 
 def test_a_way_that_does_not_lead_to_the_label_is_refused() -> None:
@@ -165,17 +166,3 @@ def test_a_way_that_does_not_lead_to_the_label_is_refused() -> None:
         cells = (*certificate.cells[:at], lie, *certificate.cells[at + 1 :])
         with pytest.raises(otr.CertificateError, match=rf"^leaf {cell.leaf}:"):
             otr.verify(replace(certificate, cells=cells), tree, network)
-
-
-@pytest.mark.parametrize("head", ["sign", "argmax"])
-@pytest.mark.parametrize("shift", [0.0, 1e-10])
-def test_labels_on_a_box_with_constant_inputs(head: str, shift: float, tmp_path) -> None:
-    low, high = np.array([-1.0, 0.5, -1.0]), np.array([1.0, 0.5, 1.0])
-    for seed in range(4):
-        rng = np.random.default_rng(seed)
-        network = make_network(rng, (3, 2), n_inputs=3, n_outputs=1 if head == "sign" else 3, head=head)
-        tree = otr.minimal_tree(network, (low, high))
-        tree = tree.replace(v=tree.v + shift)
-        certificate = otr.certify(tree, network, (low, high))
-        again = otr.load_certificate(certificate.save(tmp_path / "certificate.json"))
-        assert again == certificate and otr.verify(again, tree, network) == certificate.max_error < 1e-7

@@ -1,5 +1,6 @@
 """Ranges and conditions against dense sampling and worked examples."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 
@@ -9,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import otr
-from otr.core.domain import Box
 from otr.proof.certificate import Sum
 from otr.proof.head_bounds import tanh_line
 from otr.proof.properties import check_verdict
@@ -46,15 +46,15 @@ def test_a_worked_range() -> None:
     jump = otr.output_range(tree, (-1.0, 1.0))
     assert (jump.low.tolist(), jump.high.tolist()) == ([1.0], [5.0])
     assert otr.output_range(tree, (0.5, 1.0)).low.tolist() == [1.5]
-
-
-def test_the_range_of_a_thin_leaf_counts() -> None:
-    e = 1e-9
-    M = np.zeros((3, 1, 2))
+    far = otr.output_range(one_leaf(), ([1e16], [1e16 + 20]))  # boxes in which floats find no ball
+    assert (far.low.tolist(), far.high.tolist()) == ([1e16], [1e16 + 20])
+    step = otr.output_range(otr.parse_program("if x <= 1: 5 else: 7", ["x"]), ([1.0], [np.nextafter(1, 2)]))
+    assert (step.low.tolist(), step.high.tolist()) == ([5], [7])
+    e, M = 1e-9, np.zeros((3, 1, 2))
     M[1, 0] = [1.0, -1.0]
-    tree = otr.ObliqueTree([~0, ~1], [1, ~2], [[1.0, 0.0], [1.0, -e]], [0.0, -e / 2], M, [[0.0], [1000.0], [0.0]])
-    found = otr.output_range(tree, (-1.0, 1.0))
-    assert tree.predict([0.1 * e, 0.0])[0] >= 1000.0 and found.high.tolist() == pytest.approx([1001.0])
+    thin = otr.ObliqueTree([~0, ~1], [1, ~2], [[1.0, 0.0], [1.0, -e]], [0.0, -e / 2], M, [[0.0], [1000.0], [0.0]])
+    assert thin.predict([0.1 * e, 0.0])[0] >= 1000.0
+    assert otr.output_range(thin, (-1.0, 1.0)).high.tolist() == pytest.approx([1001.0])
 
 
 def test_labels_that_a_box_can_bring() -> None:
@@ -87,11 +87,8 @@ def test_a_verdict_agrees_with_every_state(case, seed: int, slack: float) -> Non
     check_verdict(verdict, tree, condition, BOX)
     if verdict.holds:
         assert values.max() <= max(condition.bound, verdict.value) + 1e-6
-        assert (
-            verdict.state is None
-            and verdict.point is None
-            and {piece.leaf for piece in verdict.pieces} == set(range(tree.n_leaves))
-        )
+        assert verdict.state is verdict.point is None
+        assert {piece.leaf for piece in verdict.pieces} == set(range(tree.n_leaves))
     else:
         assert verdict.value > condition.bound
         x = verdict.state
@@ -116,20 +113,6 @@ def test_the_value_is_of_the_answer_beside_it() -> None:
     assert w @ verdict.state + verdict.action @ u == pytest.approx(verdict.value, abs=1e-9)
 
 
-def test_no_bound_of_a_piece_without_states_is_told() -> None:
-    tree = otr.ObliqueTree([~0], [~1], [[1.0]], [0.0], np.zeros((2, 1, 1)), [[1.0], [50.0]])
-    condition = Condition([0.0], [1.0], 100.0, (otr.HalfSpace([1.0], 0.0, False),))
-    verdict = otr.find_violation(tree, condition, (-1.0, 1.0))
-    check_verdict(verdict, tree, condition, (-1.0, 1.0))
-    assert (verdict.holds, verdict.value, verdict.leaf) == (True, 1.0, 0)
-
-
-def test_an_exp_beyond_all_floats_is_told() -> None:
-    tree = otr.ObliqueTree([~0], [~1], [[1.0]], [-0.1], [[[1000.0]], [[0.0]]], [[0.0], [0.0]], head=otr.Exp())
-    with pytest.raises(otr.OtrError, match=r"an output may reach 1000, .* ask about a smaller box"):
-        otr.find_violation(tree, Condition([0.0], [1.0], 1e50), (-1.0, 1.0))
-
-
 def test_the_largest_value_is_found_to_the_tolerance() -> None:
     """On one affine leaf under tanh, the maximum of tanh(3 x) - x on [0, 2] is where tanh' = 1/3."""
     tree = otr.map_network(otr.ReluNetwork([[[3.0]]], [[0.0]], head=otr.TanhBox(-1.0, 1.0)))
@@ -149,16 +132,6 @@ def test_lines_lie_above_tanh(low: float, width: float, share: int) -> None:
     assert slope[0] * y + offset[0] <= np.tanh(y) + 2 * width + 1e-12
 
 
-def test_bad_questions_are_told() -> None:
-    tree = otr.map_network(make_network(np.random.default_rng(0), (3,), n_inputs=2, n_outputs=2))
-    with pytest.raises(ValueError, match="expected a bounded box"):
-        otr.output_range(tree, ([0.0, 0.0], [1.0, np.inf]))
-    with pytest.raises(ValueError, match=r"expected \(2,\) of the state and \(2,\) of the action"):
-        otr.find_violation(tree, Condition([1.0], [1.0, 0.0], 0.0), BOX)
-    with pytest.raises(otr.OtrError, match="more than 3 pieces"):
-        otr.find_violation(tree, Condition([1.0, 0.0], [1.0, 0.0], 1e9), BOX, max_pieces=3)
-
-
 @pytest.mark.parametrize("head", ["clip_box", "tanh_box", "argmax"])
 def test_a_proof_that_was_tampered_with_is_refused(head: str) -> None:
     tree = otr.map_network(make_network(np.random.default_rng(7), (3,), n_inputs=2, n_outputs=2, head=head))
@@ -166,13 +139,9 @@ def test_a_proof_that_was_tampered_with_is_refused(head: str) -> None:
     verdict = otr.find_violation(tree, condition, BOX)
     assert verdict.holds
     check_verdict(verdict, tree, condition, BOX)
-    at = next(
-        i
-        for i, piece in enumerate(verdict.pieces)
-        if not piece.is_empty and max(piece.proof.multipliers, default=0) > 0.01
-    )
-    piece = verdict.pieces[at]
-    rows, multipliers = piece.proof.rows, piece.proof.multipliers
+    proofs = [() if piece.is_empty else piece.proof.multipliers for piece in verdict.pieces]
+    at = next(i for i, multipliers in enumerate(proofs) if max(multipliers, default=0) > 0.01)
+    piece, rows, multipliers = verdict.pieces[at], verdict.pieces[at].proof.rows, proofs[at]
 
     def with_piece(*others: Piece) -> object:
         return replace(verdict, pieces=(*verdict.pieces[:at], *others, *verdict.pieces[at + 1 :]))
@@ -211,20 +180,13 @@ def test_a_leaf_of_a_single_point_counts(text: str, box: tuple[float, float]) ->
     assert (verdict.holds, verdict.value) == (False, 5.0)
     assert tree.predict(verdict.state).tolist() == [5.0]
     check_verdict(verdict, tree, Condition([0.0], [1.0], 4.0), box)
-    labelled = otr.ObliqueTree(
-        tree.children_left, tree.children_right, tree.P, tree.v, tree.M, tree.c,
-        labels=(tree.c[:, 0] == 5).astype(int), head=otr.Sign(),
-    )  # fmt: skip
+    labelled = tree.replace(labels=(tree.c[:, 0] == 5).astype(int), head=otr.Sign())
     assert otr.reachable_labels(labelled, box).tolist() == [0, 1]
-
-
-def test_a_leaf_that_only_touches_does_not_count() -> None:
-    tree = otr.parse_program("if x > 1: 5 else: x", ["x"])
-    assert otr.output_range(tree, (-1.0, 1.0)).high.tolist() == [1.0]
-    condition = Condition([0.0], [1.0], 1.0)
-    verdict = otr.find_violation(tree, condition, (-1.0, 1.0))
+    touches, condition = otr.parse_program("if x > 1: 5 else: x", ["x"]), Condition([0.0], [1.0], 1.0)
+    assert otr.output_range(touches, (-1.0, 1.0)).high.tolist() == [1.0]
+    verdict = otr.find_violation(touches, condition, (-1.0, 1.0))
     assert (verdict.holds, verdict.value) == (True, 1.0)
-    check_verdict(verdict, tree, condition, (-1.0, 1.0))
+    check_verdict(verdict, touches, condition, (-1.0, 1.0))
 
 
 @settings(max_examples=60)
@@ -248,26 +210,13 @@ def test_a_state_that_fails_does_so_under_the_tree_s_own_answer(seed: int, head:
     assert w @ verdict.state + answer @ u > condition.bound
 
 
-@pytest.mark.parametrize("changes", [{"action": [np.nan]}, {"bound": np.nan}, {"state": [np.inf]}])
-def test_conditions_that_are_no_numbers_are_refused(changes: dict) -> None:
-    tree = otr.map_network(make_network(np.random.default_rng(0), (2,), n_inputs=1))
-    with pytest.raises(ValueError, match="no finite number"):
-        otr.find_violation(tree, replace(Condition([0.0], [1.0], 2.0), **changes), BOX)
-    with pytest.raises(TypeError, match="expected an ObliqueTree"):
-        otr.output_range(make_network(np.random.default_rng(0), (2,)), BOX)
-
-
 @settings(max_examples=60)
 @given(cases(heads=("identity", "clip_box"), max_layers=2), st.data())
 def test_a_condition_is_asked_of_what_is_given_alone(case, data) -> None:
     tree, d = otr.map_network(case.network), case.network.n_inputs
     numbers = st.integers(-2, 2).map(float)
-    half_spaces = [
-        otr.HalfSpace(
-            data.draw(st.lists(numbers, min_size=d, max_size=d)), data.draw(numbers), data.draw(st.booleans())
-        )
-        for _ in range(data.draw(st.integers(1, 3)))
-    ]
+    normals = st.lists(numbers, min_size=d, max_size=d)
+    half_spaces = data.draw(st.lists(st.builds(otr.HalfSpace, normals, numbers, st.booleans()), min_size=1, max_size=3))
     action = np.eye(tree.n_outputs)[0]
     condition = Condition(np.zeros(d), action, data.draw(numbers), tuple(half_spaces))
     verdict = otr.find_violation(tree, condition, BOX)
@@ -293,6 +242,12 @@ def test_the_side_of_what_is_given_is_exact() -> None:
     nowhere = replace(condition, given=(above, otr.HalfSpace([1.0, 0.0], -1.0, False)))
     outside = replace(condition, given=(otr.HalfSpace([1.0, 0.0], -5.0, True),))
     assert otr.find_violation(tree, nowhere, BOX).holds and otr.find_violation(tree, outside, BOX).holds
+    # No bound of a piece without states is reported.
+    tree = otr.ObliqueTree([~0], [~1], [[1.0]], [0.0], np.zeros((2, 1, 1)), [[1.0], [50.0]])
+    condition = Condition([0.0], [1.0], 100.0, (otr.HalfSpace([1.0], 0.0, False),))
+    verdict = otr.find_violation(tree, condition, (-1.0, 1.0))
+    check_verdict(verdict, tree, condition, (-1.0, 1.0))
+    assert (verdict.holds, verdict.value, verdict.leaf) == (True, 1.0, 0)
 
 
 @settings(max_examples=40)
@@ -318,18 +273,6 @@ def test_expected_counts_are_bounded(case, seed: int) -> None:
 
 def one_leaf(head: otr.Head | None = None, w: float = 1.0) -> otr.ObliqueTree:
     return otr.ObliqueTree([], [], np.zeros((0, 1)), [], [[[w]]], [[0.0]], head=head)
-
-
-@pytest.mark.parametrize(
-    ("tree", "box", "low", "high"),
-    [
-        (one_leaf(), ([1e16], [1e16 + 20]), 1e16, 1e16 + 20),
-        (otr.parse_program("if x <= 1: 5 else: 7", ["x"]), ([1.0], [np.nextafter(1, 2)]), 5, 7),
-    ],
-)
-def test_the_range_on_a_box_in_which_floats_find_no_ball(tree: otr.ObliqueTree, box: Box, low: float, high: float):
-    found = otr.output_range(tree, box)
-    assert (found.low.tolist(), found.high.tolist()) == ([low], [high])
 
 
 def test_a_verdict_is_checked_to_its_last_number() -> None:
@@ -364,41 +307,58 @@ def test_a_line_that_is_below_tanh_between_its_ends_is_refused() -> None:
         check_verdict(forged, tree, condition, box)
 
 
+def test_a_reported_bound_is_itself_kept() -> None:
+    for high in np.random.default_rng(0).uniform(0.1, 1.0, 50):
+        found = otr.find_violation(one_leaf(), Condition([0.1], [0.0], 1.0), (-high, high))
+        assert otr.find_violation(one_leaf(), Condition([0.1], [0.0], found.value), (-high, high)).holds
+        assert Fraction(found.value) >= Fraction(0.1) * Fraction(high)
+
+
+PLAIN = otr.map_network(make_network(np.random.default_rng(0), (3,), n_inputs=2, n_outputs=1))
+STEP = otr.ObliqueTree([~0], [~1], [[1.0, 0.0]], [0.0], np.zeros((2, 1, 2)), [[0.0], [1.0]])
+STEEP = otr.ObliqueTree([~0], [~1], [[1.0]], [-0.1], [[[1000.0]], [[0.0]]], [[0.0], [0.0]], head=otr.Exp())
+FAR_TANH, TANH = one_leaf(otr.TanhBox(1e6, 1e6 + 1)), one_leaf(otr.TanhBox(-1.0, 1.0))
+
+
+def violation(
+    tree: otr.ObliqueTree, state: list, action: list, bound: float, *given: otr.HalfSpace, **more: float
+) -> None:
+    otr.find_violation(tree, Condition(state, action, bound, given), BOX, **more)
+
+
 @pytest.mark.parametrize(
-    ("head", "condition", "tolerance"),
+    ("error", "words", "ask"),
     [
-        (otr.TanhBox(1e6, 1e6 + 1), otr.Condition([0.0], [1.0], 1e6 + 0.9), 1e-6),
-        (otr.TanhBox(-1.0, 1.0), otr.Condition([0.0], [1.0], float(np.tanh(1))), 0.0),
+        (ValueError, "expected a bounded box", lambda: otr.output_range(PLAIN, ([0.0, 0.0], [1.0, np.inf]))),
+        (ValueError, "nearer than float64 resolves", lambda: otr.output_range(one_leaf(), ([0.0], [5e-324]))),
+        (
+            TypeError,
+            "expected an ObliqueTree",
+            lambda: otr.output_range(otr.ReluNetwork([[[1.0]]], [[0.0]]), BOX),
+        ),
+        (ValueError, r"expected \(2,\) of the state and \(1,\) of the", lambda: violation(PLAIN, [1], [1], 0.0)),
+        (otr.OtrError, "more than 3 pieces", lambda: violation(PLAIN, [1, 0], [1], 1e9, max_pieces=3)),
+        (ValueError, "no finite number", lambda: violation(one_leaf(), [0], [np.nan], 2.0)),
+        (ValueError, "no finite number", lambda: violation(one_leaf(), [0], [1], np.nan)),
+        (ValueError, "no finite number", lambda: violation(one_leaf(), [np.inf], [1], 2.0)),
+        (ValueError, "tolerance is", lambda: violation(PLAIN, [0, 0], [1], 0.5, tolerance=-1.0)),
+        (ValueError, "tolerance is", lambda: violation(PLAIN, [0, 0], [1], 0.5, tolerance=np.nan)),
+        (ValueError, "is none of the 1 outputs", lambda: violation(STEP.replace(labels=[0, 7]), [0, 0], [1], 0.5)),
+        (ValueError, "is none of the 1 outputs", lambda: violation(STEP.replace(labels=[0, -1]), [0, 0], [1], 0.5)),
+        (
+            ValueError,
+            r"P of shape \(1,\), exp",
+            lambda: violation(PLAIN, [0, 0], [1], 0.5, otr.HalfSpace([1.0], 0.0, True)),
+        ),
+        (otr.OtrError, "may reach 2000, .* ask about a smaller box", lambda: violation(STEEP, [0], [1], 1e50)),
+        (
+            otr.OtrError,
+            "rounding hides which",
+            lambda: violation(FAR_TANH, [0], [1], 1e6 + 0.999),
+        ),
+        (otr.OtrError, "rounding hides which", lambda: violation(TANH, [0], [1], float(np.tanh(2)), tolerance=0.0)),
     ],
 )
-def test_what_rounding_hides_is_told(head: otr.Head, condition: otr.Condition, tolerance: float) -> None:
-    with pytest.raises(otr.OtrError, match="rounding hides which is larger"):
-        otr.find_violation(one_leaf(head), condition, (-1.0, 1.0), tolerance=tolerance)
-
-
-def test_a_box_of_no_width_is_refused() -> None:
-    with pytest.raises(ValueError, match="nearer than float64 resolves"):
-        otr.output_range(one_leaf(), ([0.0], [5e-324]))
-
-
-def test_a_bound_that_is_told_is_itself_kept() -> None:
-    tree = otr.ObliqueTree([], [], np.zeros((0, 1)), [], [[[1.0]]], [[0.0]])
-    for high in np.random.default_rng(0).uniform(0.1, 1.0, 50):
-        told = otr.find_violation(tree, Condition([0.1], [0.0], 1.0), (-high, high))
-        assert otr.find_violation(tree, Condition([0.1], [0.0], told.value), (-high, high)).holds
-        assert Fraction(told.value) >= Fraction(0.1) * Fraction(high)
-
-
-def test_labels_that_no_output_stands_for_and_other_bad_numbers_are_told() -> None:
-    box = ([-1.0, -1.0], [1.0, 1.0])
-    for labels in ([0, 7], [0, -1]):
-        tree = otr.ObliqueTree([~0], [~1], [[1.0, 0.0]], [0.0], np.zeros((2, 1, 2)), [[0.0], [1.0]], labels=labels)
-        with pytest.raises(ValueError, match="is none of the 1 outputs"):
-            otr.find_violation(tree, Condition([0.0, 0.0], [1.0], 0.5), box)
-    tree = otr.map_network(make_network(np.random.default_rng(0), (3,), n_inputs=2, n_outputs=1))
-    for tolerance in (-1.0, np.nan, np.inf):
-        with pytest.raises(ValueError, match="tolerance is"):
-            otr.find_violation(tree, Condition([0.0, 0.0], [1.0], 0.5), box, tolerance=tolerance)
-    with pytest.raises(ValueError, match=r"half spaces have P of shape \(1,\), expected \(2,\)"):
-        given = (otr.HalfSpace([1.0], 0.0, is_above=True),)
-        otr.find_violation(tree, Condition([0.0, 0.0], [1.0], 0.5, given), box)
+def test_what_has_no_answer_is_refused(error: type[Exception], words: str, ask: Callable[[], None]) -> None:
+    with pytest.raises(error, match=words):
+        ask()

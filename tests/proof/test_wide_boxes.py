@@ -30,6 +30,7 @@ def test_a_proof_is_of_tests_alone_and_holds(head: str, dense: object, tmp_path)
     assert names_of(certificate) <= {"test", "neuron"} and certificate.n_empty == 0
     again = otr.load_certificate(certificate.save(tmp_path / "certificate.json"))
     assert otr.verify(again, tree, network) == certificate.max_error < 1e-11
+
     # Without its basis the tree is rounded, and proved in the inputs themselves.
     plain = tree.replace(P=tree.P, M=tree.M)
     assert plain.basis is None

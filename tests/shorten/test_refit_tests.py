@@ -29,52 +29,34 @@ def test_what_hardly_matters_is_gone_and_the_bound_is_kept():
         share = min((before == after)[before].mean(), (before == after)[~before].mean())
         assert test.agreement == share >= 0.95
         assert (test.n_left, test.n_right) == (np.count_nonzero(~before), np.count_nonzero(before))
-
-
-def test_leaves_and_shape_are_unchanged():
-    tree = refit_tests(TREE, X).tree
     for name in ("children_left", "children_right", "M", "c", "labels"):
-        np.testing.assert_array_equal(getattr(tree, name), getattr(TREE, name))
-    assert tree.head == TREE.head
-
-
-def test_a_tighter_bound_reads_more_inputs():
+        np.testing.assert_array_equal(getattr(simplified.tree, name), getattr(TREE, name))
+    assert simplified.tree.head == TREE.head
     counts = [np.count_nonzero(refit_tests(TREE, X, agreement=bound).tree.P[1]) for bound in (0.7, 0.9, 0.995)]
-    assert counts == sorted(counts) and counts[0] == 1 < counts[-1]
+    assert counts == sorted(counts) and counts[0] == 1 < counts[-1]  # a tighter bound reads more inputs
 
 
-def test_numbers_have_so_many_digits_and_the_largest_is_one():
+def test_what_is_rounded_or_kept():
     tree = refit_tests(TREE, X, digits=2).tree
-    for value in [*tree.P.ravel(), *tree.v]:
-        assert value == float(f"{value:.1e}")
+    assert all(value == float(f"{value:.1e}") for value in [*tree.P.ravel(), *tree.v])
     np.testing.assert_array_equal(np.abs(tree.P).max(axis=1), 1.0)
-
-
-def test_other_nodes_are_rounded_alone():
-    simplified = refit_tests(TREE, X, nodes=[1])
+    simplified = refit_tests(TREE, X, nodes=[1])  # the others are rounded alone
     assert [test.change for test in simplified.tests] == ["rounded", "refitted", "rounded"]
     np.testing.assert_array_equal(simplified.tree.P[0], P[0])
-
-
-def test_a_test_that_is_reached_on_one_side_only_is_kept():
-    simplified = refit_tests(TREE, X[X @ P[0] - 0.06 <= 0])
+    simplified = refit_tests(TREE, X[X @ P[0] - 0.06 <= 0])  # reached on one side only
     assert [test.change for test in simplified.tests] == ["kept", "refitted", "kept"]
     np.testing.assert_array_equal(simplified.tree.P[2], P[2])
-
-
-def test_a_bound_that_rounding_breaks_keeps_the_test():
+    leaf = otr.ObliqueTree([], [], np.zeros((0, 6)), [], np.zeros((1, 1, 6)), [[1.0]])
+    assert refit_tests(leaf, X).tests == ()
     # Rounded to a digit the threshold is 1, below all of the states.
     tree = otr.ObliqueTree([~0], [~1], [[1.0]], [-1.2345], np.zeros((2, 1, 1)), [[0.0], [1.0]])
-    states = np.linspace(1.2, 1.26, 200)[:, None]
-    (test,) = refit_tests(tree, states, agreement=1.0, digits=1).tests
-    assert test.change == "kept"
-    (test,) = refit_tests(tree, states, agreement=1.0, digits=6).tests
-    assert test.change == "rounded" and test.agreement == 1.0
-
-
-def test_a_tree_without_tests():
-    tree = otr.ObliqueTree([], [], np.zeros((0, 6)), [], np.zeros((1, 1, 6)), [[1.0]])
-    assert refit_tests(tree, X).tests == ()
+    for digits, change in ((1, "kept"), (6, "rounded")):
+        (test,) = refit_tests(tree, np.linspace(1.2, 1.26, 200)[:, None], agreement=1.0, digits=digits).tests
+        assert test.change == change and test.agreement == 1.0
+    # The threshold is in the widest of the best gaps.
+    assert _threshold(np.array([0.0, 1.0, 4.0, 5.0]), np.array([False, False, True, True])) == 2.5
+    values, right = np.array([0.0, 1.0, 2.0, 3.0, 6.0]), np.array([False, True, False, True, True])
+    assert _threshold(values, right) == 2.5  # keeps both lefts and two of three rights
 
 
 def test_the_lasso_meets_its_optimality_conditions():
@@ -98,12 +80,6 @@ def test_without_penalty_it_is_linear_discriminant_analysis():
     # With this solver the within-class covariance weighs the classes by the priors, as here.
     direction = lda.fit(X, right).coef_[0]
     np.testing.assert_allclose(w / np.linalg.norm(w), direction / np.linalg.norm(direction), atol=1e-6)
-
-
-def test_threshold_is_in_the_widest_of_the_best_gaps():
-    assert _threshold(np.array([0.0, 1.0, 4.0, 5.0]), np.array([False, False, True, True])) == 2.5
-    values, right = np.array([0.0, 1.0, 2.0, 3.0, 6.0]), np.array([False, True, False, True, True])
-    assert _threshold(values, right) == 2.5  # keeps both lefts and two of three rights
 
 
 @pytest.mark.parametrize(

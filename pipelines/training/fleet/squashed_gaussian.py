@@ -31,13 +31,15 @@ class SquashedActions:
             answers: (R, n_rows, 2 n_actions), the actor's: means, then log standard deviations.
             noise: (R, n_rows, n_actions), standard normal; None for the deterministic action.
         """
+        return self._drawn(answers, noise, self.actions).tanh_()
+
+    def _drawn(self, answers: Tensor, noise: Tensor | None, out: Tensor) -> Tensor:
+        """Write what the normal distribution gives, before it is squashed or clipped, into `out`."""
         mean, log_std = answers.chunk(2, dim=2)
         if noise is None:
-            self.actions.copy_(mean)
-        else:
-            torch.clamp(log_std, LOG_STD_MIN, LOG_STD_MAX, out=self._std).exp_()
-            torch.mul(self._std, noise, out=self.actions).add_(mean)
-        return self.actions.tanh_()
+            return out.copy_(mean)
+        torch.clamp(log_std, LOG_STD_MIN, LOG_STD_MAX, out=self._std).exp_()
+        return torch.mul(self._std, noise, out=out).add_(mean)
 
     def log_probability(self, answers: Tensor, noise: Tensor) -> Tensor:
         """Return log pi of what `sample` just returned for the same answers and noise, (R, n_rows)."""
@@ -77,13 +79,7 @@ class ClippedActions(SquashedActions):
     """
 
     def sample(self, answers: Tensor, noise: Tensor | None) -> Tensor:
-        mean, log_std = answers.chunk(2, dim=2)
-        if noise is None:
-            self._slope.copy_(mean)
-        else:
-            torch.clamp(log_std, LOG_STD_MIN, LOG_STD_MAX, out=self._std).exp_()
-            torch.mul(self._std, noise, out=self._slope).add_(mean)
-        return torch.clamp(self._slope, -1.0, 1.0, out=self.actions)
+        return torch.clamp(self._drawn(answers, noise, self._slope), -1.0, 1.0, out=self.actions)
 
     def log_probability(self, answers: Tensor, noise: Tensor) -> Tensor:
         terms = noise * noise * -0.5

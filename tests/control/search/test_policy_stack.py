@@ -8,22 +8,13 @@ from hypothesis import strategies as st
 import otr
 from otr.control.search.policy_stack import stack_policies
 from otr.control.search.state_moments import StateMoments
+from tests.core.strategies import make_network
 
 
 def networks(seed: int, k: int, widths: list[int], dense: str | bool, slope: float, head: otr.Head) -> list:
     generator = np.random.default_rng(seed)
-    d, o = 4, 3
-    made = []
-    for _ in range(k):
-        weights, biases = [], []
-        read, hidden = d, []
-        for width in [*widths, o]:
-            weights.append(generator.normal(size=(width, read)))
-            biases.append(generator.normal(size=width))
-            hidden.append(width)
-            read = (sum(hidden) if dense == "all" else width) + (d if dense else 0)
-        made.append(otr.ReluNetwork(weights, biases, dense=dense, negative_slope=slope, head=head))
-    return made
+    options = {"n_inputs": 4, "n_outputs": 3, "dense": dense, "negative_slope": slope}
+    return [make_network(generator, tuple(widths), **options).replace(head=head) for _ in range(k)]
 
 
 @given(
@@ -44,41 +35,27 @@ def test_networks_and_their_trees(seed, widths, dense, slope, head):
 
 
 def test_labels_of_a_tree():
-    tree = otr.ObliqueTree(
-        [~0, ~1],
-        [1, ~2],
-        [[1.0, 0.0], [0.0, 1.0]],
-        [0.0, -2.0],
-        np.zeros((3, 2, 2)),
-        np.zeros((3, 2)),
-        labels=[1, 0, 1],
-    )
+    maps = np.zeros((3, 2, 2)), np.zeros((3, 2))
+    tree = otr.ObliqueTree([~0, ~1], [1, ~2], [[1.0, 0.0], [0.0, 1.0]], [0.0, -2.0], *maps, labels=[1, 0, 1])
     moved = tree.replace(v=tree.v - 1.0)
     X = np.array([[[0.5, 5.0], [-1.0, 0.0]], [[0.5, 5.0], [1.5, 2.5]]])
-    expected = np.stack([tree.predict(X[0]), moved.predict(X[1])])
-    assert np.array_equal(stack_policies([tree, moved]).predict(X), expected)
-
-
-def test_other_heads_and_labels_are_refused():
-    wide, narrow = otr.ClipBox(-9.0, 9.0), otr.ClipBox(-1.0, 1.0)
-    mixed = [*networks(0, 1, [2], False, 0.0, wide), *networks(0, 1, [2], False, 0.0, narrow)]
-    with pytest.raises(ValueError, match="networks of different shapes or heads"):
-        stack_policies(mixed)
-    with pytest.raises(ValueError, match="trees of different structure, labels or heads"):
-        stack_policies([otr.map_network(network) for network in mixed])
-    labelled = otr.ObliqueTree(
-        [~0], [~1], [[1.0]], [0.0], np.zeros((2, 2, 1)), np.zeros((2, 2)), labels=[0, 1], head=otr.Argmax()
-    )
-    for other in (labelled.replace(labels=[1, 0]), labelled.replace(labels=None)):
+    assert np.array_equal(stack_policies([tree, moved]).predict(X), [tree.predict(X[0]), moved.predict(X[1])])
+    for other in (tree.replace(labels=[1, 0, 0]), tree.replace(labels=None)):
         with pytest.raises(ValueError, match="trees of different structure, labels or heads"):
-            stack_policies([labelled, other])
+            stack_policies([tree, other])
 
 
-def test_other_shapes_are_refused():
-    with pytest.raises(ValueError, match="different shapes"):
-        stack_policies([*networks(0, 1, [2], False, 0.0, otr.Argmax()), *networks(0, 1, [3], False, 0.0, otr.Argmax())])
-    with pytest.raises(ValueError, match="no policies"):
-        stack_policies([])
+def test_what_does_not_fit_together_is_refused():
+    one, other = (networks(0, 1, [2], False, 0.0, otr.ClipBox(-size, size))[0] for size in (9.0, 1.0))
+    wider = networks(0, 1, [3], False, 0.0, otr.ClipBox(-9.0, 9.0))[0]
+    for policies, message in (
+        ([one, other], "networks of different shapes or heads"),
+        ([one, wider], "networks of different shapes"),
+        ([otr.map_network(one), otr.map_network(other)], "trees of different structure, labels or heads"),
+        ([], "no policies"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            stack_policies(policies)
 
 
 @given(st.integers(0, 2**31), st.lists(st.integers(0, 30), min_size=1, max_size=5))

@@ -1,5 +1,7 @@
 """Polish on returns that are known functions of the policy."""
 
+import zlib
+
 import numpy as np
 import pytest
 
@@ -73,21 +75,15 @@ def test_the_original_comes_back_where_nothing_helps() -> None:
     policy = linear_policy()
 
     def noise(policies, seeds):
-        """Return noise of each policy's own, beside which every change costs."""
-        own = [
-            np.random.default_rng(abs(hash(each.weights[0].tobytes()))).normal(size=seeds.shape[1]) for each in policies
-        ]
-        return np.array(own) - np.array([[0.0 if each is policy else 0.5] for each in policies])
+        draws = [np.random.default_rng(zlib.crc32(each.weights[0].tobytes())) for each in policies]
+        return np.array([draw.normal(size=seeds.shape[1]) - 0.5 * (each is not policy)
+                         for draw, each in zip(draws, policies, strict=True)])  # fmt: skip
 
     reports: list[PolishReport] = []
-    kept = [
-        otr.polish(
-            policy, noise, states=STATES, n_iterations=20, settings=QUICK, n_selection_episodes=100, seed=seed,
-            report=reports.append,
-        ) is policy
-        for seed in range(5)
-    ]  # fmt: skip
-    assert all(kept) and not any(report.kept for report in reports)
+    arguments = {"states": STATES, "n_iterations": 20, "settings": QUICK, "n_selection_episodes": 100}
+    for seed in range(5):
+        assert otr.polish(policy, noise, **arguments, seed=seed, report=reports.append) is policy
+    assert not any(report.kept for report in reports)
     flat = otr.polish(policy, lambda policies, seeds: np.sin(seeds), states=STATES, n_iterations=2, settings=QUICK)
     assert flat is policy
 
@@ -140,20 +136,15 @@ def test_a_tree_keeps_its_structure_labels_and_zeros() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("evaluate", "changes", "message"),
     [
-        ({"n_candidates": 0}, "n_candidates is 0, expected at least 1"),
-        ({"common_starts": "none"}, "common_starts is 'none'"),
-        ({"states": np.ones((3, 1))}, r"expected \(n, 2\)"),
+        (Quadratic(), {"n_candidates": 0}, "n_candidates is 0, expected at least 1"),
+        (Quadratic(), {"common_starts": "none"}, "common_starts is 'none'"),
+        (Quadratic(), {"states": np.ones((3, 1))}, r"expected \(n, 2\)"),
+        (lambda policies, seeds: np.zeros(len(policies)), {}, r"evaluate returned \(1,\), expected \(1, 100\) finite"),
+        (lambda policies, seeds: np.full(seeds.shape, np.nan), {}, "evaluate returned numbers that are not finite"),
     ],
 )
-def test_wrong_arguments_are_told(changes, told) -> None:
-    with pytest.raises(ValueError, match=told):
-        otr.polish(linear_policy(), Quadratic(), **{"states": STATES} | changes)
-
-
-def test_wrong_returns_are_told() -> None:
-    with pytest.raises(ValueError, match=r"evaluate returned \(1,\), expected \(1, 100\) finite returns"):
-        otr.polish(linear_policy(), lambda policies, seeds: np.zeros(len(policies)), states=STATES)
-    with pytest.raises(ValueError, match="evaluate returned numbers that are not finite"):
-        otr.polish(linear_policy(), lambda policies, seeds: np.full(seeds.shape, np.nan), states=STATES)
+def test_wrong_arguments_and_returns_are_refused(evaluate, changes, message) -> None:
+    with pytest.raises(ValueError, match=message):
+        otr.polish(linear_policy(), evaluate, **{"states": STATES} | changes)

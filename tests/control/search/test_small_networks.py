@@ -43,9 +43,5 @@ def test_reads_normalised_states_and_acts_in_half_widths_of_the_box():
     network = shape.network(vector, mean, scale)
     np.testing.assert_allclose(network.predict(x), expected, atol=1e-12)
     np.testing.assert_allclose(otr.map_network(network).predict(x), expected, atol=1e-12)
-
-
-def test_labels():
-    shape = NetworkShape(4, (), 3, None)
-    network = shape.network(np.arange(15.0), np.zeros(4), np.ones(4))
-    assert network.predict(np.ones((1, 4))).tolist() == [2]
+    labels = NetworkShape(4, (), 3, None).network(np.arange(15.0), np.zeros(4), np.ones(4))
+    assert labels.predict(np.ones((1, 4))).tolist() == [2]

@@ -69,19 +69,10 @@ def test_a_single_value_is_a_list_of_one_where_a_list_is_to_be():
                             [*own, "oracle=[64]", "algo.critic=[32]", "stages=[oracle]"]])  # fmt: skip
     assert one.config == listed.config and one.folder == listed.folder
     assert (one.config.oracle, one.config.algo.critic, one.config.stages) == ([64], [32], ["oracle"])
-    assert [job.config.oracle for job in RUN.jobs(RUN.expand([*own, "oracle=64,[8,8]"], multirun=True))] == [
-        [64],
-        [8, 8],
-    ]
-    mixed = RUN.expand(["env=lunarlander", "method=otr,viper", "oracle=64"], multirun=True)  # of one of the two
-    assert len(mixed) == 2
+    swept = RUN.jobs(RUN.expand([*own, "oracle=64,[8,8]"], multirun=True))
+    assert [job.config.oracle for job in swept] == [[64], [8, 8]]
+    assert len(RUN.expand(["env=lunarlander", "method=otr,viper", "oracle=64"], multirun=True)) == 2  # of one of them
     assert FIT.jobs([["data=breast_cancer", "method=otr", "method.hidden=2"]])[0].config.method.hidden == [2]
-
-
-@pytest.mark.parametrize(("env", "n_episodes"), [("reacher", 1000), ("hopper", 100)])
-def test_a_task_s_own_evaluation_episodes_stand_before_the_budget_s(env, n_episodes):
-    (job,) = RUN.jobs([[f"env={env}", "depth=6", "budget=quick"]])
-    assert job.config.evaluate.n_episodes == n_episodes
 
 
 @pytest.mark.parametrize(("method", "before"), [("otr", {}), ("cart_taught", {"forest": "random_forest"})])
@@ -92,18 +83,17 @@ def test_settings_by_name_are_put_where_none_are(method, before):
     assert job.config.method.teacher is None
 
 
-def test_the_linear_policy_has_depth_0():
-    linear, given = RUN.jobs([["env=hopper", "method=linear"], ["env=hopper", "method=linear", "depth=0"]])
-    assert linear.config == given.config and linear.folder == given.folder
-    assert linear.folder.startswith("runs/hopper/linear/depth-0/")
-
-
-def test_a_setting_that_depends_on_the_seed_is_composed_with_it():
+def test_settings_that_depend_on_others():
     overrides = ["env=pendulum", "budget=smoke", "evaluate.first_seed='${seed}'"]
     jobs = RUN.jobs([[*overrides, f"seed={seed}"] for seed in (4, 5)])
     assert [job.config.evaluate.first_seed for job in jobs] == [4, 5]
     assert [job.config_yaml.count(f"seed: {seed}") for job, seed in zip(jobs, (4, 5), strict=True)] == [2, 2]
     assert jobs[0].folder.split("~")[1] != jobs[1].folder.split("~")[1]
+    linear, given = RUN.jobs([["env=hopper", "method=linear"], ["env=hopper", "method=linear", "depth=0"]])
+    assert linear.config == given.config and linear.folder == given.folder
+    assert linear.folder.startswith("runs/hopper/linear/depth-0/")
+    for env, n_episodes in (("reacher", 1000), ("hopper", 100)):  # a task's episodes stand before the budget's
+        assert RUN.jobs([[f"env={env}", "depth=6", "budget=quick"]])[0].config.evaluate.n_episodes == n_episodes
 
 
 def test_an_experiment_with_settings_of_its_own_names_the_folder():
@@ -124,37 +114,21 @@ def test_what_hydra_composes_stays_small(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
-        (("polishing.steps=2000",), "polishing.steps=2000 names the run's folder, and nothing else: add polish=true"),
-        (("polishing.steps=2000", "polish=true"), ""),
-        (("polishing.steps=2000", "polish=False"), "nothing else: add polish=true"),
-        (("certification.max_leaves=9",), "nothing else: add certify=true"),
-        (("certification.max_leaves=9", "certify=true"), ""),
-    ],
-)
-def test_settings_of_a_stage_that_is_not_asked_for_are_told(words, told, capsys):
-    RUN.jobs(RUN.expand(["env=mountaincar", "depth=1", *words], multirun=False))
-    captured = capsys.readouterr()
-    assert captured.out == "" and (told in captured.err if told else captured.err == "")
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (("env=hopper", "trainer=fleet"), ""),
+        (("env=mountaincar", "depth=1", "polishing.steps=2000"),
+         "polishing.steps=2000 names the run's folder, and nothing else: add polish=true"),
+        (("env=mountaincar", "depth=1", "polishing.steps=2000", "polish=true"), ""),
+        (("env=mountaincar", "depth=1", "certification.max_leaves=9"), "nothing else: add certify=true"),
         (("env=mountaincar", "depth=1", "trainer=fleet", "algo=sac"), ""),
         (("env=hopper", "trainer=fleet", "algo=ars"), "env=hopper is trained by direct search with algo=ars\n"),
         (("env=lunarlander", "trainer=fleet"), "env=lunarlander is trained by Stable-Baselines3 with algo=ppo\n"),
-        (
-            ("env=hopper,swimmer", "trainer=fleet", "algo=td3"),
-            "with algo=td3; 2 of 2 jobs are trained without the fleet",
-        ),
+        (("env=hopper,swimmer", "trainer=fleet", "algo=td3"), "td3; 2 of 2 jobs are trained without the fleet"),
         (("env=hopper", "method=viper", "trainer=fleet"), ""),
         (("env=hopper", "method=viper", "trainer=fleet", "algo=td3"), "by Stable-Baselines3 with algo=td3\n"),
     ],
-)
-def test_a_fleet_says_what_it_does_not_train(words, told, capsys):
+)  # fmt: skip
+def test_settings_that_change_nothing_and_what_a_fleet_does_not_train_are_reported(words, message, capsys):
     RUN.jobs(RUN.expand(words, multirun=True))
     captured = capsys.readouterr()
-    assert captured.out == "" and (told in captured.err if told else captured.err == "")
+    assert captured.out == "" and (message in captured.err if message else captured.err == "")

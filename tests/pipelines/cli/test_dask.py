@@ -58,9 +58,7 @@ def test_two_workers_do_the_same_and_one_is_killed(cluster, tmp_path):
 
 def test_a_cluster_is_named_by_its_address(tmp_path):
     pytest.importorskip("distributed", reason="the extra dask is not installed; make test-all installs it")
-    for address, told in (("", "DASK_SCHEDULER_ADDRESS is not set"), ("tcp://127.0.0.1:1", "no scheduler answers at")):
-        words = ("otr-run", *THREE, "launcher=dask")
-        done = otr_command(
-            *words, cwd=tmp_path, DASK_SCHEDULER_ADDRESS=address, DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT="1s"
-        )
-        assert done.returncode == 2 and told in done.stderr
+    for address, message in (("", "DASK_SCHEDULER_ADDRESS is not set"), ("tcp://127.0.0.1:1", "no scheduler answers")):
+        environment = {"DASK_SCHEDULER_ADDRESS": address, "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "1s"}
+        done = otr_command("otr-run", *THREE, "launcher=dask", cwd=tmp_path, **environment)
+        assert done.returncode == 2 and message in done.stderr

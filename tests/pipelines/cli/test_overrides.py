@@ -12,24 +12,16 @@ def test_a_sweep_makes_all_combinations_the_last_key_fastest():
     assert combinations(["oracle=[32],[8,8]", "+experiment=e"]) == [
         ["oracle=[32]", "+experiment=e"], ["oracle=[8,8]", "+experiment=e"]]  # fmt: skip
     assert combinations(["a=choice(3,1)", "p='x y','~z'"])[0] == ["a=3", "p='x y'"]
-
-
-def test_a_key_that_is_given_again_keeps_its_place():
-    assert combinations(["a=1,2", "b=1", "a=3"]) == [["a=3", "b=1"]]
+    assert combinations(["a=1,2", "b=1", "a=3"]) == [["a=3", "b=1"]]  # a key that is given again keeps its place
     assert combinations(["seed=range(0,0)", "b=1"]) == []
-
-
-def test_a_sweep_without_an_end_is_refused():
-    for value in ("interval(0,1)", "glob(*)"):
-        with pytest.raises(ConfigError, match="give values, range"):
-            combinations([f"a={value}"])
-
-
-def test_what_is_no_override_is_refused():
-    with pytest.raises(ConfigError, match="depth is no key=value"):
-        parse("depth")
-    with pytest.raises(ConfigError, match=r"^depth=\[8,8: the value cannot be read; is a bracket or a quote open"):
-        parse("depth=[8,8")
+    for read, word, message in (
+        (combinations, ["a=interval(0,1)"], "give values, range"),
+        (combinations, ["a=glob(*)"], "give values, range"),
+        (parse, "depth", "depth is no key=value"),
+        (parse, "depth=[8,8", r"^depth=\[8,8: the value cannot be read; is a bracket or a quote open"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            read(word)
 
 
 def test_overrides_of_one_sweep_make_just_its_jobs():
@@ -42,8 +34,7 @@ def test_overrides_of_one_sweep_make_just_its_jobs():
 
 
 @pytest.mark.parametrize(
-    ("text", "value"),
-    [("a/b_c-1.2", "a/b_c-1.2"), ("a b", "'a b'"), ("it's", r"'it\'s'"), ("dépôt", "'dépôt'")],
+    ("text", "value"), [("a/b_c-1.2", "a/b_c-1.2"), ("a b", "'a b'"), ("it's", r"'it\'s'"), ("dépôt", "'dépôt'")]
 )
 def test_values_are_quoted_for_hydra(text, value):
     assert quoted(text) == value

@@ -33,8 +33,5 @@ def test_a_changed_source_is_told_and_a_changed_result_is_not(checkout: Path) ->
     assert provenance.git_revision() == revision
     (checkout / SOURCE).write_text("[]\n", encoding="utf-8")
     assert provenance.git_revision() == f"{revision}+changes"
-
-
-def test_there_is_no_revision_outside_a_checkout(checkout: Path) -> None:
     shutil.rmtree(checkout / ".git")
     assert provenance.git_revision() is None

@@ -36,23 +36,16 @@ def run_slow(run_dir, config):
 
 
 def test_second_call_skips_and_keeps_the_files(tiny, tmp_path):
+    folder = tmp_path / "run/first"
+    assert stage_status(FIRST, folder, tiny()) == "missing"
     once = run_stage(FIRST, tmp_path / "run", tiny(), "")
     inode = (once.folder / "value.txt").stat().st_ino
     again = run_stage(FIRST, tmp_path / "run", tiny(), "")
     assert (once.skipped, again.skipped) == (False, True)
     assert (again.folder / "value.txt").stat().st_ino == inode
-
-
-def test_other_settings_are_refused_and_shown(tiny, tmp_path):
-    run_stage(FIRST, tmp_path / "run", tiny(), "")
-    with pytest.raises(OtherSettingsError, match="seed: there was 0, asked for 7"):
-        run_stage(FIRST, tmp_path / "run", tiny(seed=7), "")
-    assert (tmp_path / "run/first/value.txt").read_text() == "0\n"
-
-
-def test_missing_input_names_the_command(tiny, tmp_path):
-    with pytest.raises(MissingInputError, match="otr-run env=pendulum"):
-        run_stage(SECOND, tmp_path / "run", tiny(), "otr-run env=pendulum")
+    assert stage_status(FIRST, folder, tiny()) == "done"
+    assert stage_status(FIRST, folder, tiny(seed=1)) == "other settings"
+    assert stage_status(Stage("first", 2, (), FIRST.settings, write_seed), folder, tiny()) == "stale"
 
 
 def test_changed_input_makes_the_stage_again(tiny, tmp_path):
@@ -62,25 +55,23 @@ def test_changed_input_makes_the_stage_again(tiny, tmp_path):
     run_stage(newer, tmp_path / "run", tiny(), "")
     assert not run_stage(SECOND, tmp_path / "run", tiny(), "").skipped
     assert (tmp_path / "run/second/value.txt").read_text() == "new\nthen\n"
+    with pytest.raises(OtherSettingsError, match="seed: there was 0, asked for 7"):
+        run_stage(newer, tmp_path / "run", tiny(seed=7), "")
+    assert (tmp_path / "run/first/value.txt").read_text() == "new\n"
 
 
-def test_tampered_output_is_refused(tiny, tmp_path):
+def test_missing_inputs_tampered_outputs_and_truncated_manifests_are_clear_errors(tiny, tmp_path):
+    with pytest.raises(MissingInputError, match="otr-run env=pendulum"):
+        run_stage(SECOND, tmp_path / "run", tiny(), "otr-run env=pendulum")
     run_stage(FIRST, tmp_path / "run", tiny(), "")
     (tmp_path / "run/first/value.txt").write_text("1\n")
-    with pytest.raises(PipelineError, match="is not what was written"):
-        run_stage(SECOND, tmp_path / "run", tiny(), "")
-    with pytest.raises(PipelineError, match=r"value\.txt"):
-        run_stage(FIRST, tmp_path / "run", tiny(), "")
-
-
-def test_truncated_manifest_is_a_clear_error(tiny, tmp_path):
-    run_stage(FIRST, tmp_path / "run", tiny(), "")
-    (tmp_path / "run/first/manifest.json").write_text('{"stage": ')
-    with pytest.raises(PipelineError, match="delete the folder"):
-        run_stage(FIRST, tmp_path / "run", tiny(), "")
-    (tmp_path / "run/first/manifest.json").write_text("{}")
-    with pytest.raises(PipelineError, match="it has no key"):
-        run_stage(FIRST, tmp_path / "run", tiny(), "")
+    for stage in (FIRST, SECOND):
+        with pytest.raises(PipelineError, match=r"value\.txt is not what was written"):
+            run_stage(stage, tmp_path / "run", tiny(), "")
+    for text, message in (('{"stage": ', "delete the folder"), ("{}", "it has no key")):
+        (tmp_path / "run/first/manifest.json").write_text(text)
+        with pytest.raises(PipelineError, match=message):
+            run_stage(FIRST, tmp_path / "run", tiny(), "")
     (tmp_path / "run2").mkdir()
     assert not run_stage(FIRST, tmp_path / "run2", tiny(), "").skipped  # a damaged sibling stops nobody else
 
@@ -101,15 +92,6 @@ def test_sibling_with_the_same_key_is_taken_over(tiny, tmp_path):
     assert result.skipped
     assert verified_manifest(tmp_path / "seed-0~1234/slow") == verified_manifest(tmp_path / "seed-0/slow")
     assert (tmp_path / "calls").read_text().count("call") == 1
-
-
-def test_status_without_running(tiny, tmp_path):
-    folder = tmp_path / "run/first"
-    assert stage_status(FIRST, folder, tiny()) == "missing"
-    run_stage(FIRST, tmp_path / "run", tiny(), "")
-    assert stage_status(FIRST, folder, tiny()) == "done"
-    assert stage_status(FIRST, folder, tiny(seed=1)) == "other settings"
-    assert stage_status(Stage("first", 2, (), FIRST.settings, write_seed), folder, tiny()) == "stale"
 
 
 def test_two_processes_do_a_job_once(tiny, tmp_path):

@@ -20,13 +20,11 @@ from tests.pipelines.conftest import ARS
 
 @pytest.fixture
 def jobs(tiny):
-    """Three jobs that nobody has done."""
     return [RunJob(tiny(seed=seed), f"runs/seed-{seed}", "") for seed in range(3)]
 
 
 @pytest.fixture
 def done(monkeypatch):
-    """The folders of jobs that count as done, to be added to."""
     folders = set()
     monkeypatch.setattr("pipelines.engine.sweep.is_done", lambda job: job.folder in folders)
     monkeypatch.setattr("pipelines.runs.run_job.read_json", lambda path: {})
@@ -50,32 +48,21 @@ def test_lost_worker_leaves_the_rest_to_another_round(jobs, done, capsys):
     assert "going on with the 2 jobs that are left" in capsys.readouterr().out
 
 
-def test_job_that_kills_its_worker_every_time_is_given_up(jobs, done):
+def test_job_that_kills_its_worker_every_time_is_given_up_and_what_is_no_lost_worker_raised(jobs, done, capsys):
+    done.add(jobs[0].folder)
     rounds = []
 
     def launch(left):
         rounds.append(list(left))
-        raise BrokenProcessPool("out of memory")
+        raise error
 
-    outcomes = run_sweep(jobs, launch)
-    assert len(rounds) == 3
-    assert all("3 times in a row" in outcome.error and "out of memory" in outcome.error for outcome in outcomes)
-
-
-def test_what_is_no_lost_worker_is_raised(jobs, done):
-    def launch(left):
-        raise ConnectionError("no cluster there")
-
+    error = BrokenProcessPool("out of memory")
+    first, *others = run_sweep(jobs, launch)
+    assert rounds == [[1, 2]] * 3 and first.error is None and capsys.readouterr().out.count("done before") == 1
+    assert all("3 times in a row" in outcome.error and "out of memory" in outcome.error for outcome in others)
+    error = ConnectionError("no cluster there")
     with pytest.raises(ConnectionError):
         run_sweep(jobs, launch)
-
-
-def test_done_jobs_are_not_launched(jobs, done, capsys):
-    done.update({jobs[0].folder, jobs[2].folder})
-    launched = []
-    run_sweep(jobs, lambda left: [launched.append(i) or Outcome(jobs[i].folder) for i in left])
-    assert launched == [1]
-    assert capsys.readouterr().out.count("done before") == 2
 
 
 def test_a_job_is_done_when_every_file_is_as_it_was_written(tiny):

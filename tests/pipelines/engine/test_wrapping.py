@@ -19,13 +19,6 @@ else
 """
 
 
-def test_a_terminal_has_columns_and_a_pipe_has_no_end(monkeypatch):
-    monkeypatch.setenv("COLUMNS", "60")
-    terminal = io.StringIO()
-    monkeypatch.setattr(terminal, "isatty", lambda: True)
-    assert (columns(terminal), columns(io.StringIO())) == (60, UNLIMITED)
-
-
 @pytest.mark.parametrize("width", [30, 45, 60])
 def test_a_program_that_is_cut_is_the_same_program(width):
     text = fitted(PROGRAM, width)
@@ -36,12 +29,13 @@ def test_a_program_that_is_cut_is_the_same_program(width):
     assert fitted(PROGRAM, UNLIMITED) == PROGRAM
 
 
-def test_a_number_stays_with_its_unit():
+def test_numbers_stay_with_their_units_and_a_pipe_has_no_end(monkeypatch):
     assert fitted("it takes about some 19 min", 22) == "it takes about some\n    19 min"
-
-
-def test_words_longer_than_the_width_stay_whole():
-    assert fitted(f"artefacts: {'runs/' * 20}", 30) == f"artefacts:\n    {'runs/' * 20}"
+    assert fitted(f"artefacts: {'runs/' * 20}", 30) == f"artefacts:\n    {'runs/' * 20}"  # longer than the width
+    monkeypatch.setenv("COLUMNS", "60")
+    terminal = io.StringIO()
+    monkeypatch.setattr(terminal, "isatty", lambda: True)
+    assert (columns(terminal), columns(io.StringIO())) == (60, UNLIMITED)
 
 
 @pytest.mark.parametrize("name", sorted(path.name for path in HELP.glob("*.txt")))

@@ -93,13 +93,3 @@ def test_ten_thousand_pendulums_of_few_seeds():
         np.testing.assert_array_equal(states[3::16], np.repeat(expected, 625, axis=0))
     assert not envs.step(np.zeros((10_000, 1), np.float32)).truncated.any()
     assert envs.step(np.zeros((10_000, 1), np.float32)).truncated.all()
-
-
-def test_environments_far_apart_in_episodes():
-    """One that has had many more episodes than the others draws ahead, and the others still have theirs."""
-    theirs, ours = both("Pendulum-v1")
-    ours.reset([1, 1, 2])
-    theirs.reset([1, 1, 2])
-    for k in range(60):
-        envs = np.array([[0], [0, 2], [1]][k % 3 if k < 30 else k % 2])
-        np.testing.assert_array_equal(ours.reset(None, envs), theirs.reset(None, envs), err_msg=str(k))

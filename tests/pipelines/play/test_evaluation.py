@@ -31,10 +31,6 @@ def test_the_episodes_in_numpy_are_gymnasiums(name):
     assert ours.terminated.all() == (name == "mountaincar") and len(set(ours.returns)) == len(seeds)
     assert ours.actions.dtype == theirs.actions.dtype
     assert not len(play_seeds(tree.predict, env, seeds, environments="numpy").states)
-
-
-def test_an_environment_with_arguments_is_gymnasiums():
-    env = ENVS["pendulum"][0]
     assert fastest_environments(env) == "numpy"
     assert fastest_environments(dataclasses.replace(env, kwargs={"g": 9.0})) == "gymnasium"
 

@@ -82,12 +82,7 @@ def test_forms_are_paired_where_some_runs_have_both(tmp_path):
 
 
 def test_a_polished_policy_stands_beside_the_polished_rival(tmp_path):
-    shifts = {
-        "linear/depth-0": (0.0, 2.0),
-        "otr/depth-6": (3.0, 7.0),
-        "otr/depth-32": (4.0, 11.0),
-        "viper/depth-6": (1.0,),
-    }
+    shifts = {"linear/depth-0": (0, 2.0), "otr/depth-6": (3, 7.0), "otr/depth-32": (4, 11.0), "viper/depth-6": (1,)}
     for policy, (before, *after) in shifts.items():
         run = f"hopper/{policy}/quick/seed-0"
         moments = {"polish": {"return_mean": 1019.5 + after[0], "n_episodes": 40}} if after else {}
@@ -106,12 +101,9 @@ def test_a_polished_policy_stands_beside_the_polished_rival(tmp_path):
     }  # fmt: skip
 
 
-def test_nothing_to_compare_says_so(tmp_path):
-    assert "Nothing has been run yet that could be compared." in rows(tmp_path)[0]
-
-
 @pytest.mark.parametrize("text", ["episode,seed\n0,1000\n", "episode,seed,return\n0,1000,much\n"])
 def test_episodes_that_cannot_be_read_are_named(tmp_path, text):
+    assert "Nothing has been run yet that could be compared." in rows(tmp_path)[0]
     for run in ("hopper/linear/depth-0/quick/seed-0", "hopper/otr/depth-6/quick/seed-0"):
         played(tmp_path, run, 0.0)
     (tmp_path / "runs" / run / "evaluate/episodes.csv").write_text(text)

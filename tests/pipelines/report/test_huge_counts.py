@@ -46,9 +46,6 @@ def test_every_report_reads_it(results: Path) -> None:
         (results / "tables/certificates.md").read_text().split()
     )
     assert "64 to 2^129" in (results / "page.html").read_text()
-
-
-def test_frames_count_exactly(results: Path) -> None:
     runs = load_runs(results)
     counts = runs[runs["form"] == "tree"].set_index("run")["n_leaves"]
     assert counts[RUN] == HUGE and counts["mountaincar/otr/depth-1/quick/seed-1"] == 64

@@ -24,13 +24,11 @@ QUICK = BudgetConfig("quick", {"lunarlander": 300}, 100, 2, 2, 3, 100)
 
 
 def planned(oracle, method, depth, seed):
-    """A run of the lander that imitates an oracle."""
     name = oracle.strip("[]").replace(",", "-")
     return Planned(oracle, method, depth, f"lunarlander/{method}/depth-{depth}/quick/seed-{seed}~{name}")
 
 
 def finish(run, results_dir, return_mean, oracle_mean=250.0, **changes):
-    """Write the summary of a run."""
     oracle = {"hidden_widths": [int(width) for width in run.oracle.strip("[]").split(",")]}
     policies = {"oracle": {"return_mean": oracle_mean, "n_episodes": 100}}
     return write_run(results_dir, run.run, return_mean, **({"oracle": oracle, "policies": policies} | changes))
@@ -38,11 +36,6 @@ def finish(run, results_dir, return_mean, oracle_mean=250.0, **changes):
 
 def write_figure_4_6(runs, results_dir):
     return figure_4_6.write_figure_4_6(load_runs(results_dir), runs, "quick", results_dir)
-
-
-def test_without_runs_there_is_the_csv_alone(tmp_path):
-    (path,) = write_figure_4_6([planned("[32]", "viper", 2, 0)], tmp_path)
-    assert read_csv(path)[0]["note"] == "not run"
 
 
 @pytest.mark.parametrize(
@@ -79,15 +72,11 @@ def test_curves_bands_and_lines_are_where_the_points_say():
     assert len(right.lines) == 2 and left.get_xticks().tolist() == [2, 3]
     with pytest.raises(ValueError, match="no points"):
         return_against_depth(points[:0], 200.0)
-
-
-def test_the_legend_of_many_methods_is_within_the_figure():
-    labels = ["AugTree", "VIPER", "NDPS (affine leaves)", "Linear (no oracle)", "Linear (imitating)"]
-    points = pd.DataFrame({"label": labels}).assign(depth=2, mean=0.0, std=1.0, oracle_mean=260.0)
-    figure = return_against_depth(pd.concat([points.assign(panel=panel) for panel in ("[32]", "[256]")]), 200.0)
-    (legend,) = figure.legends
+    names = ("AugTree", "VIPER", "NDPS (affine leaves)", "Linear (no oracle)", "Linear (imitating)")
+    wide = pd.concat([points.assign(label=name) for name in names])
+    figure = return_against_depth(wide, 200.0)
     figure.canvas.draw()
-    extent = legend.get_window_extent()
+    extent = figure.legends[0].get_window_extent()
     assert 0 <= extent.x0 < extent.x1 <= figure.bbox.width
 
 
@@ -100,9 +89,7 @@ def depth_two(tiny, tmp_path):
         [1, ~0, ~2], [2, ~1, ~3], P, [0.0, 0.1, 0.1], np.zeros((4, 4, 8)), np.eye(4), labels=[2, 1, 2, 3],
         head=otr.Argmax(),
     )  # fmt: skip
-    runs = [
-        planned(*key) for key in (("[256]", "augtree", 2, 0), ("[256]", "augtree", 2, 1), ("[32]", "augtree", 2, 0))
-    ]
+    runs = [planned(oracle, "augtree", 2, seed) for oracle, seed in (("[256]", 0), ("[256]", 1), ("[32]", 0))]
     for run, selection_mean, reported in zip(runs, (10.0, 20.0, 900.0), (500.0, 1.0, 2.0), strict=True):
         folder = finish(run, tmp_path, reported, return_std=0.5, n_episodes=3).parent / "imitate"
         folder.mkdir()
@@ -117,18 +104,7 @@ def depth_two(tiny, tmp_path):
     return runs, write
 
 
-def test_figure_4_7_is_the_run_of_the_best_selection_return(depth_two):
-    runs, write = depth_two
-    text, picture = write()
-    printed = text.read_text()
-    assert f"runs/{runs[1].run}" in printed and picture.name == "figure_4_7.png"
-    assert "Before: return 1.0 ± 0.5 over 3 episodes (thesis: 249.1)" in printed  # as the run recorded
-    assert "(thesis: 246.8)" in printed and "after" in printed
-    before = [path.read_bytes() for path in (text, picture)]
-    assert before == [path.read_bytes() for path in write()]
-
-
-def test_figure_4_7_plays_the_simpler_tree_on_the_evaluation_episodes(depth_two, monkeypatch):
+def test_figure_4_7_is_the_run_of_the_best_selection_return(depth_two, monkeypatch):
     played = []
 
     def recorded(policy, env, seeds, **options):
@@ -136,11 +112,17 @@ def test_figure_4_7_plays_the_simpler_tree_on_the_evaluation_episodes(depth_two,
         return played[-1][1]
 
     monkeypatch.setattr("pipelines.play.episodes.play_seeds", recorded)
-    _, write = depth_two
-    printed = write()[0].read_text()
-    seeds, last = played[-1]
+    runs, write = depth_two
+    text, picture = write()
+    printed = text.read_text()
+    assert f"runs/{runs[1].run}" in printed and picture.name == "figure_4_7.png"
+    assert "Before: return 1.0 ± 0.5 over 3 episodes (thesis: 249.1)" in printed  # as the run recorded
+    seeds, last = played[-1]  # the simpler tree on the evaluation's episodes, and those alone
     assert seeds == [1000, 1001, 1002] and all(1000 not in others for others, _ in played[:-1])
     assert f"After: return {last.returns.mean():.1f} ± {last.returns.std():.1f} over 3 episodes" in printed
+    assert "(thesis: 246.8)" in printed
+    before = [path.read_bytes() for path in (text, picture)]
+    assert before == [path.read_bytes() for path in write()]
 
 
 def test_figure_4_7_takes_other_oracles_where_it_must(depth_two, tmp_path):
@@ -153,20 +135,18 @@ def test_figure_4_7_takes_other_oracles_where_it_must(depth_two, tmp_path):
         write()
 
 
-def test_budget_is_the_first_that_was_run(tmp_path):
-    assert budget_of_runs(load_runs(tmp_path)) == "quick"
-    run = planned("[32]", "viper", 2, 0)
-    finish(run._replace(run=run.run.replace("quick", "thesis")), tmp_path, 1.0)
-    assert budget_of_runs(load_runs(tmp_path)) == "thesis"
-
-
 def test_the_command_reads_the_runs_of_the_experiment(tmp_path):
-    (tmp_path / "results/runs").mkdir(parents=True)
-    done = otr_succeeds("otr-tabulate", "figure=4.6", "budget=smoke", cwd=tmp_path)
-    rows = read_csv(tmp_path / "results/figures/figure_4_6.csv")
-    assert [(row["oracle"], row["method"], row["depth"], row["note"]) for row in rows] == [
+    results = tmp_path / "results"
+    (results / "runs").mkdir(parents=True)
+    otr_succeeds("otr-tabulate", "figure=4.6", "budget=smoke", cwd=tmp_path)
+    rows = read_csv(results / "figures/figure_4_6.csv")
+    assert [tuple(row[key] for key in ("oracle", "method", "depth", "note")) for row in rows] == [
         ("[32]", method, "2", "not run") for method in ("augtree", "viper", "ndps")
     ]
-    assert not (tmp_path / "results/tables").exists()
+    assert not (results / "tables").exists()
     done = otr_command("otr-tabulate", "figure=4.8", cwd=tmp_path)
     assert done.returncode == 2 and "Known figures: 4.6, 4.7" in done.stderr
+    assert budget_of_runs(load_runs(results)) == "quick"  # else the first that was run
+    run = planned("[32]", "viper", 2, 0)
+    finish(run._replace(run=run.run.replace("quick", "thesis")), results, 1.0)
+    assert budget_of_runs(load_runs(results)) == "thesis"

@@ -22,32 +22,23 @@ def leave(run_dir: Path, *returns: tuple[int, float]) -> None:
     (run_dir / "config.yaml").write_text("env: {}\n")
 
 
-def test_a_run_keeps_its_last_return_where_another_reaches_more_leaves() -> None:
-    few, many = pd.Series({1: 0.0, 2: 4.0, 3: 6.0}), pd.Series({1: 2.0, 2: 4.0, 4: 8.0, 5: 10.0})
-    assert mean_return([few, many]).to_dict() == {1: 1.0, 2: 4.0, 4: 7.0, 5: 8.0}
-
-
 def test_several_runs_have_a_mean_and_the_legend_has_the_whole_return(tmp_path: Path) -> None:
+    few, many = pd.Series({1: 0.0, 2: 4.0, 3: 6.0}), pd.Series({1: 2.0, 2: 4.0, 4: 8.0, 5: 10.0})
+    assert mean_return([few, many]).to_dict() == {1: 1.0, 2: 4.0, 4: 7.0, 5: 8.0}  # a run keeps its last return
     runs = [tmp_path / f"pendulum/otr/depth-6/quick/seed-{seed}" for seed in (0, 1)]
-    for run, returns in zip(runs, ([(1, -9.0), (2, -4.0), (3, -2.0)], [(1, -7.0), (2, -3.0)]), strict=True):
-        leave(run, *returns)
+    leave(runs[0], (1, -9.0), (2, -4.0), (3, -2.0))
+    leave(runs[1], (1, -7.0), (2, -3.0))
     figure = return_against_leaves(load_leaves(runs))
-    (panel,) = figure.axes
-    assert panel.lines[-1].get_xdata().tolist() == [1, 2, 3] and panel.lines[-1].get_ydata().tolist() == [
-        -8,
-        -3.5,
-        -2.5,
-    ]
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == [
-        "otr, depth 6, quick: -2.5 with all 2 to 3 leaves (marker)"
-    ]
+    mean = figure.axes[0].lines[-1]
+    assert (mean.get_xdata().tolist(), mean.get_ydata().tolist()) == ([1, 2, 3], [-8, -3.5, -2.5])
+    (label,) = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert label == "otr, depth 6, quick: -2.5 with all 2 to 3 leaves (marker)"
     assert figure.get_suptitle() == "mean over 7 episodes; 2 runs, thick: their mean"
 
 
 def test_other_settings_and_a_polished_tree_have_labels_of_their_own(tmp_path: Path) -> None:
-    plain, polished, changed = (
-        tmp_path / f"pendulum/otr/depth-6/quick/seed-{seed}" for seed in ("0", "1", "0~0a1b2c3d")
-    )
+    seeds = ("0", "1", "0~0a1b2c3d")
+    plain, polished, changed = (tmp_path / f"pendulum/otr/depth-6/quick/seed-{seed}" for seed in seeds)
     for run in (plain, polished, changed):
         leave(run, (1, -9.0))
     write_json(polished / "leaves/report.json", {"n_reached": 1, "policy": "polished"})
@@ -61,6 +52,11 @@ def test_a_run_that_was_not_measured_names_the_command(tmp_path: Path) -> None:
     command = f"Run: otr-run env=pendulum depth=6 budget=quick seed=0 results_dir={tmp_path} leaves=true"
     with pytest.raises(MissingInputError, match=re.escape(command)):
         load_leaves([tmp_path / "runs" / SMALL])
+    leave(tmp_path / SMALL, (1, -9.0), (2, -4.0))
+    path = tmp_path / SMALL / "leaves/returns.csv"
+    path.write_text(path.read_text()[:-8])
+    with pytest.raises(PipelineError, match=f"{re.escape(str(path))} cannot be read: its row"):
+        load_leaves([tmp_path / SMALL])
 
 
 def test_the_command_takes_several_runs_and_writes_the_numbers(command, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
@@ -78,11 +74,3 @@ def test_the_command_takes_several_runs_and_writes_the_numbers(command, tmp_path
     assert done.stdout.split() == [f"{tmp_path}/figures/leaves-pendulum-otr.{kind}" for kind in ("png", "csv")]
     refused = command("tabulate", "regions", f"run={SMALL}", f"run={LARGE}", there)
     assert refused.returncode == 2 and "figure=regions is of one run" in refused.stderr
-
-
-def test_a_cut_off_file_is_told(tmp_path: Path) -> None:
-    leave(tmp_path / SMALL, (1, -9.0), (2, -4.0))
-    path = tmp_path / SMALL / "leaves/returns.csv"
-    path.write_text(path.read_text()[:-8])
-    with pytest.raises(PipelineError, match=f"{re.escape(str(path))} cannot be read: its row"):
-        load_leaves([tmp_path / SMALL])

@@ -54,26 +54,9 @@ def test_one_run_has_a_band_and_several_have_a_mean() -> None:
     mean = panel.lines[-1]
     assert mean.get_xdata().tolist() == [0, 5, 10]  # where both have a value
     np.testing.assert_allclose(mean.get_ydata(), [2.0, 3.0, (3 + 8 / 3) / 2])
-
-
-def test_a_label_that_spent_much_more_makes_the_axis_logarithmic() -> None:
     short, long = curve("a", (1, 1.0), (10, 3.0)), curve("b", (1, 1.0), (1000, 3.0), label="ars")
-    assert learning_curves(short).axes[0].get_xscale() == "linear"
-    assert learning_curves(pd.concat([short, long])).axes[0].get_xscale() == "log"
-
-
-def test_runs_are_found_below_a_folder() -> None:
-    below = runs_below(["hopper/otr/depth-6", HOPPER], RESULTS)
-    assert below.count(RESULTS / "runs" / HOPPER) == 1 and len(below) > 5
-    assert (
-        runs_below([HOPPER], RESULTS)
-        == runs_below([str(RESULTS / "runs" / HOPPER)], RESULTS)
-        == [RESULTS / "runs" / HOPPER]
-    )
-    with pytest.raises(ConfigError, match="there is no such folder"):
-        runs_below(["hopper/nothing"], RESULTS)
-    with pytest.raises(ConfigError, match="which run"):
-        runs_below([], RESULTS)
+    scales = [learning_curves(each).axes[0].get_xscale() for each in (short, pd.concat([short, long]))]
+    assert scales == ["linear", "log"]  # where one label spent much more
 
 
 def three_inputs(**changes: object) -> otr.ObliqueTree:
@@ -82,39 +65,42 @@ def three_inputs(**changes: object) -> otr.ObliqueTree:
     return otr.ObliqueTree([~0], [~1], **(arrays | changes))
 
 
-def test_runs_have_all_their_names_and_no_more_of_the_place_than_was_given(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_runs_are_found_below_a_folder_under_all_their_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    hopper = RESULTS / "runs" / HOPPER
+    below = runs_below(["hopper/otr/depth-6", HOPPER], RESULTS)
+    assert below.count(hopper) == 1 and len(below) > 5
+    assert runs_below([HOPPER], RESULTS) == runs_below([str(hopper)], RESULTS) == [hopper]
+    for words, message in ((["hopper/nothing"], "there is no such folder"), ([], "which run")):
+        with pytest.raises(ConfigError, match=message):
+            runs_below(words, RESULTS)
     seed = Path("pendulum/otr/depth-6/quick/seed-0")
-    (tmp_path / "disk" / seed).mkdir(parents=True)
-    (tmp_path / "disk" / seed / "config.yaml").touch()
+    place = tmp_path / "disk" / seed
+    place.mkdir(parents=True)
+    (place / "config.yaml").touch()
     (tmp_path / "results").mkdir()
     (tmp_path / "results/runs").symlink_to(tmp_path / "disk")
     monkeypatch.chdir(tmp_path)
     for run in ("pendulum", "pendulum/otr/depth-6", "results/runs/pendulum"):
         assert runs_below([run], Path("results")) == [Path("results/runs") / seed]
     assert find_run(str(seed), "results") == Path("results/runs") / seed
-    (tmp_path / "disk" / seed).with_name("seed-1").symlink_to(tmp_path / "disk" / seed)
+    place.with_name("seed-1").symlink_to(place)
     monkeypatch.chdir(tmp_path / "disk/pendulum/otr")
     assert find_run("depth-6/quick/seed-1", "results").name == "seed-1"
-    assert (
-        runs_below(["."], Path("results"))
-        == [find_run("depth-6/quick/seed-0", "results")]
-        == [tmp_path / "disk" / seed]
-    )
+    assert runs_below(["."], Path("results")) == [find_run("depth-6/quick/seed-0", "results")] == [place]
 
 
 def test_inputs_are_those_asked_for_or_those_that_weigh_most() -> None:
     names = ["a", "b", "c"]
     assert chosen_inputs(three_inputs(), STATES, names, ["c", "a"]) == (2, 0)
     assert chosen_inputs(three_inputs(P=[[9.0, 1.0, 2.0]]), STATES * [0.001, 1, 1], names, []) == (1, 2)
-    with pytest.raises(ConfigError, match=r"no input 'd'.*a, b, c"):
-        chosen_inputs(three_inputs(), STATES, names, ["a", "d"])
-    with pytest.raises(ConfigError, match=r"inputs=\[a\]: give two inputs, as inputs=\[a,b\]"):
-        chosen_inputs(three_inputs(), STATES, names, ["a"])
     one = otr.ObliqueTree([], [], np.zeros((0, 1)), [], [[[2.0]]], [[-1.0]])
-    with pytest.raises(ConfigError, match="a map needs two inputs, the tree has 1"):
-        chosen_inputs(one, STATES[:, :1], ["a"], [])
+    for tree, given, message in (
+        (three_inputs(), ["a", "d"], r"no input 'd'.*a, b, c"),
+        (three_inputs(), ["a"], r"inputs=\[a\]: give two inputs, as inputs=\[a,b\]"),
+        (one, [], "a map needs two inputs, the tree has 1"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            chosen_inputs(tree, STATES[:, : tree.n_inputs], names[: tree.n_inputs], given)
 
 
 def draw(tree: otr.ObliqueTree, inputs: tuple[int, int] = (0, 1), outputs: list[str] | None = None, states=STATES):  # type: ignore[no-untyped-def]
@@ -160,6 +146,9 @@ def test_the_commands(command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     (tmp_path / "file").touch()
     refused = command("tabulate", "curves", car, f"out={tmp_path}/file/a.png")
     assert refused.returncode == 1 and refused.stderr.startswith(f"otr-tabulate: {tmp_path}/file"), refused.stderr
-    assert "only figure=curves, figure=leaves, figure=regions take it" in command("tabulate", "4.1", car).stderr
-    assert "budget=quick: only figure=4.6, figure=4.7 take it" in command("tabulate", "4.1", "budget=quick").stderr
-    assert "tree=full: only figure=regions takes it" in command("tabulate", "curves", car, "tree=full").stderr
+    for words, message in (
+        (["4.1", car], "only figure=curves, figure=leaves, figure=regions take it"),
+        (["4.1", "budget=quick"], "budget=quick: only figure=4.6, figure=4.7 take it"),
+        (["curves", car, "tree=full"], "tree=full: only figure=regions takes it"),
+    ):
+        assert message in command("tabulate", *words).stderr

@@ -23,6 +23,10 @@ def test_an_interval_of_the_mean_is_students():
     assert mean_interval([*values, np.nan]) == mean_interval(values)
     assert np.isnan(mean_interval(values[:4])).all() and np.isnan(mean_interval([np.nan] * 9)).all()
     assert np.isnan(mean_interval([2.0] * 5)).all()
+    assert resplit_interval(values, 0.0) == pytest.approx(mean_interval(values))
+    low, high = resplit_interval(values, 1 / 4)  # 100 test rows and 400 training rows: the error is 1.5 times as large
+    assert (low, high) == pytest.approx((2.8 - 1.5 * 2.7764451 * 0.8, 2.8 + 1.5 * 2.7764451 * 0.8))
+    assert np.isnan(resplit_interval(values[:4], 1 / 9)).all()
 
 
 def test_intervals_are_near_scipys_bootstrap_and_cover_the_mean():
@@ -30,25 +34,22 @@ def test_intervals_are_near_scipys_bootstrap_and_cover_the_mean():
     values = generator.normal(10.0, 3.0, 100)
     other = stats.bootstrap((values,), np.mean, method="BCa", random_state=generator).confidence_interval
     assert mean_interval(values) == pytest.approx((other.low, other.high), abs=0.1)
-    covered = 0
-    for _ in range(400):
-        low, high = mean_interval(generator.normal(size=5))
-        covered += low <= 0.0 <= high
-    assert 0.92 < covered / 400 < 0.98  # the percentile bootstrap of five values covers some 83 %
+    low, high = np.transpose([mean_interval(generator.normal(size=5)) for _ in range(400)])
+    assert 0.92 < np.mean((low <= 0.0) & (high >= 0.0)) < 0.98  # the percentile bootstrap of five covers some 83 %
 
 
-def test_an_interval_over_overlapping_splits_is_wider_than_students():
-    values = [3.0, 1.0, 4.0, 1.0, 5.0]
-    assert resplit_interval(values, 0.0) == pytest.approx(mean_interval(values))
-    low, high = resplit_interval(values, 1 / 4)  # 100 test rows and 400 training rows: the error is 1.5 times as large
-    assert (low, high) == pytest.approx((2.8 - 1.5 * 2.7764451 * 0.8, 2.8 + 1.5 * 2.7764451 * 0.8))
-    assert np.isnan(resplit_interval(values[:4], 1 / 9)).all()
-
-
-def test_the_interquartile_mean_leaves_a_quarter_out_at_either_end():
+def test_worked_means_probabilities_and_profiles():
+    """The interquartile mean leaves a quarter out at both ends; a profile is the mean over tasks of the share above."""
     assert interquartile_mean([100.0, 1.0, 2.0, 3.0, -100.0]) == 2.0
     assert interquartile_mean([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 99.0]) == 3.5
     assert interquartile_mean([7.0, 9.0]) == 8.0 and np.isnan(interquartile_mean([]))
+    ours, theirs = [1.0, 3.0, 5.0], [2.0, 3.0]
+    pairs = [(a > b) + (a == b) / 2 for a in ours for b in theirs]
+    assert probability_of_improvement(ours, theirs) == pytest.approx(np.mean(pairs))
+    assert probability_of_improvement(theirs, ours) == pytest.approx(1 - np.mean(pairs))
+    assert np.isnan(probability_of_improvement([], theirs))
+    scores = [[0.0, 0.5, 1.0, 1.0], [0.5]]  # the one run of the second task weighs as much as the first's four
+    assert performance_profile(scores, [-1.0, 0.0, 0.5, 0.75, 1.0]).tolist() == [1.0, 0.875, 0.25, 0.25, 0.0]
 
 
 def test_a_difference_of_runs_is_welchs():
@@ -62,14 +63,6 @@ def test_a_difference_of_runs_is_welchs():
     assert difference_interval([2.0] * 5, [1.0] * 5) == (1.0, 1.0)
 
 
-def test_the_probability_of_improvement_counts_pairs():
-    ours, theirs = [1.0, 3.0, 5.0], [2.0, 3.0]
-    pairs = [(a > b) + (a == b) / 2 for a in ours for b in theirs]
-    assert probability_of_improvement(ours, theirs) == pytest.approx(np.mean(pairs))
-    assert probability_of_improvement(theirs, ours) == pytest.approx(1 - np.mean(pairs))
-    assert np.isnan(probability_of_improvement([], theirs))
-
-
 def test_pairing_takes_out_what_a_start_is_worth():
     starts = np.random.default_rng(1).normal(0.0, 200.0, 100)
     ours, theirs = np.stack((starts + 2.0, starts + 4.0)), starts[None] + np.tile([0.0, 2.0], 50)
@@ -78,18 +71,6 @@ def test_pairing_takes_out_what_a_start_is_worth():
     assert (low, high) == pytest.approx((2.0 - 0.199412, 2.0 + 0.199412), abs=1e-4)
     with pytest.raises(ValueError, match="100 starts of ours, 99 of theirs"):
         paired_difference(ours, theirs[:, :99])
-
-
-def test_a_profile_is_the_mean_over_tasks_of_the_share_above():
-    scores = [[0.0, 0.5, 1.0, 1.0], [0.5]]  # the one run of the second task weighs as much as the first's four
-    assert performance_profile(scores, [-1.0, 0.0, 0.5, 0.75, 1.0]).tolist() == [1.0, 0.875, 0.25, 0.25, 0.0]
-    rng = np.random.default_rng(0)
-    scores, thresholds = [rng.normal(size=n) for n in (3, 5, 1)], np.linspace(-2.0, 2.0, 9)
-    expected = []
-    for threshold in thresholds:
-        shares = [sum(score > threshold for score in task) / len(task) for task in scores]
-        expected.append(sum(shares) / len(shares))
-    assert performance_profile(scores, thresholds) == pytest.approx(expected)
 
 
 def test_resampled_areas_are_those_of_the_drawn_rows():
@@ -103,13 +84,12 @@ def test_resampled_areas_are_those_of_the_drawn_rows():
     rows = [np.repeat(np.arange(80), weights.astype(int)) for weights in areas._weights]
     for area, drawn in zip(found, rows, strict=True):
         known = [drawn[~np.isnan(labels[drawn, label])] for label in (0, 1)]
-        expected = [
-            roc_auc_score(labels[chosen, label], run[chosen, label])
-            for run in outputs
-            for label, chosen in enumerate(known)
-        ]
+        pairs = [(run, label, chosen) for run in outputs for label, chosen in enumerate(known)]
+        expected = [roc_auc_score(labels[chosen, label], run[chosen, label]) for run, label, chosen in pairs]
         assert area == pytest.approx(np.mean(expected), abs=1e-6)
     assert ResampledAreas.difference(found, found) == (0.0, (0.0, 0.0))
+    one_class = np.column_stack((np.tile([0.0, 1.0], 10), np.ones(20)))  # a label of one class is left out
+    assert ResampledAreas(one_class, 5).of(one_class[None])[0] == 1.0
 
 
 def test_rows_of_a_group_are_drawn_together():
@@ -145,8 +125,3 @@ def test_the_paired_interval_is_near_scipys():
     areas = ResampledAreas(labels)
     _, interval = ResampledAreas.difference(areas.of(ours[None]), areas.of(theirs[None]))
     assert interval == pytest.approx((their_interval.low, their_interval.high), abs=0.015)
-
-
-def test_a_label_of_one_class_is_left_out():
-    labels = np.column_stack((np.tile([0.0, 1.0], 10), np.ones(20)))
-    assert ResampledAreas(labels, 5).of(np.tile(labels, (1, 1, 1)))[0] == 1.0

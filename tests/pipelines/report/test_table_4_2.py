@@ -9,7 +9,7 @@ import pytest
 from pipelines.engine.archive import MANIFEST_FIELDS
 from pipelines.errors import PipelineError
 from pipelines.report.frames import load_fits
-from pipelines.report.table_4_2 import make_cells, write_table_4_2
+from pipelines.report.table_4_2 import write_table_4_2
 
 
 def add_fit(results: Path, data: str, method: str, seed: int, test: float, **changes: object) -> Path:
@@ -48,6 +48,9 @@ def test_predictions_that_are_gone_are_an_error(results, gone):
     (results / "runs/bace/otr/seed-1/score" / gone).unlink()  # two of three would be another interval
     with pytest.raises(PipelineError, match=f"otr/seed-1/score/{gone} is not there"):
         write_table_4_2(results)
+    add_fit(results, "hiv", "otr", 0, 0.7, schema="other")
+    with pytest.raises(PipelineError, match="runs/hiv/otr/seed-0"):
+        write_table_4_2(results)
 
 
 def rows_of(path):
@@ -55,7 +58,12 @@ def rows_of(path):
         return {(row["task"], row["method"]): row for row in csv.DictReader(file)}
 
 
-def test_cells_stand_beside_the_thesis_and_say_how_many_seeds(results):
+def test_cells_stand_beside_the_thesis_and_say_how_many_seeds(results, tmp_path):
+    paths = write_table_4_2(tmp_path / "nothing")
+    assert [path.suffix for path in paths] == [".md", ".csv", ".tex"]
+    assert "Nothing has been run yet." in paths[0].read_text()
+    add_fit(results, "bace", "otr", 3, 0.1).rename(results / "runs/bace/otr/seed-3~0123abcd")  # of other settings
+    assert len(load_fits(results)) == 8
     markdown, table, latex, figure = write_table_4_2(results)
     text = markdown.read_text()
     assert "0.820 ± 0.020" in text and "0.815 ± 0.017" in text  # ours and the thesis's
@@ -82,23 +90,3 @@ def test_the_network_stands_in_its_own_column_and_differences_are_paired(results
     beside = [line.split("|")[3].strip() for line in lines if line.startswith("| Bace")][-1]
     difference, low, high = map(float, re.findall(r"[-+]\d\.\d+", beside))
     assert -1 < low <= difference <= high < 0  # linear is always right here, OTR is not
-
-
-def test_fits_with_other_settings_are_left_out(results):
-    add_fit(results, "bace", "otr", 3, 0.1).rename(results / "runs/bace/otr/seed-3~0123abcd")
-    path = results / "runs/bace/otr/seed-3~0123abcd/summary.json"
-    assert path.is_file() and len(load_fits(results)) == 8
-    cells = make_cells(load_fits(results)).set_index(["task", "method"])
-    assert cells.loc[("bace", "otr"), "n_runs"] == 3
-
-
-def test_foreign_summaries_are_refused(results):
-    add_fit(results, "hiv", "otr", 0, 0.7, schema="other")
-    with pytest.raises(PipelineError, match="runs/hiv/otr/seed-0"):
-        write_table_4_2(results)
-
-
-def test_without_fits_every_cell_says_not_run(tmp_path):
-    paths = write_table_4_2(tmp_path)
-    assert [path.suffix for path in paths] == [".md", ".csv", ".tex"]
-    assert "Nothing has been run yet." in paths[0].read_text()

@@ -15,24 +15,18 @@ from tests.pipelines.conftest import otr_command, otr_succeeds
 from tests.pipelines.report.conftest import write_run
 
 
-def test_words_stand_for_reports() -> None:
-    assert reports_of("table=4.1") == reports_of("4.1") == ("4.1",)
-    assert reports_of("figure=4.6") == reports_of("4.6") == ("4.6",)
+def test_words_stand_for_reports_and_those_there_are_are_listed_for_others() -> None:
+    assert reports_of("table=4.1") == reports_of("4.1") == ("4.1",) and reports_of("figure=4.6") == ("4.6",)
     assert set(reports_of("all")) == {*TABLES, *FIGURES} - {"runs", "fits"}
-
-
-def test_unknown_report_lists_those_there_are() -> None:
     tables = r"Known tables: 4\.1, 4\.2, certificates, comparisons, runs, fits$"
-    with pytest.raises(ConfigError, match=rf"table=4\.11 is not known\. Did you mean table=4\.1\? {tables}"):
-        reports_of("table=4.11")
-    with pytest.raises(ConfigError, match=rf"table=x is not known\. {tables}"):
-        reports_of("table=x")
-    with pytest.raises(
-        ConfigError, match=r"figure=4\.5 is not known.*Known figures: 4\.6, 4\.7, profile, curves, leaves, regions$"
+    for words, message in (
+        ("table=4.11", rf"table=4\.11 is not known\. Did you mean table=4\.1\? {tables}"),
+        ("table=x", rf"table=x is not known\. {tables}"),
+        ("figure=4.5", r"figure=4\.5 is not known.*Known figures: 4\.6, 4\.7, profile, curves, leaves, regions$"),
+        ("certificats", r"certificats is not known\. Did you mean certificates\? Known reports: all"),
     ):
-        reports_of("figure=4.5")
-    with pytest.raises(ConfigError, match=r"certificats is not known\. Did you mean certificates\? Known reports: all"):
-        reports_of("certificats")
+        with pytest.raises(ConfigError, match=message):
+            reports_of(words)
 
 
 @pytest.mark.parametrize(("write", "columns"), [(write_runs, RUN_COLUMNS), (write_fits, FIT_COLUMNS)])
@@ -50,11 +44,7 @@ def test_all_runs_are_written_and_what_has_no_row_is_named(tmp_path: Path) -> No
     (tmp_path / "runs/hopper/otr/depth-256/quick/seed-0").mkdir(parents=True)
     markdown, table = write_runs(tmp_path)
     (row,) = pd.read_csv(table).to_dict("records")
-    assert (row["run"], row["settings"], row["form"]) == (
-        "hopper/otr/depth-6/smoke/seed-0~0a1b2c3d",
-        "0a1b2c3d",
-        "tree",
-    )
+    assert (row["run"], row["settings"], row["form"]) == (run, "0a1b2c3d", "tree")
     assert (row["return_mean"], row["n_episodes"], row["seconds.train"]) == (3.5, 100, 2.25)
     assert "have no row: hopper/otr/depth-256/quick/seed-0." in markdown.read_text(encoding="utf-8")
 

@@ -14,14 +14,8 @@ from pipelines.training import checkpoints
 from pipelines.training.checkpoints import History, evaluations_so_far
 
 SHORT = ("train.steps=60", "train.eval_interval_steps=20")  # too short to learn anything
-SEARCH = (
-    "algo=ars",
-    "algo.n_directions=2",
-    "algo.n_top=1",
-    "algo.n_episodes=1",
-    "train.steps=8000",
-    "train.eval_interval_steps=2000",
-)
+OF_SEARCH = ("algo=ars", "algo.n_directions=2", "algo.n_top=1", "algo.n_episodes=1")
+SEARCH = (*OF_SEARCH, "train.steps=8000", "train.eval_interval_steps=2000")
 
 
 def files(folder: Path) -> dict[Path, tuple[int, bytes]]:
@@ -99,7 +93,7 @@ def test_a_checkpoint_that_is_replaced_while_it_is_read_is_no_error(
         evaluations_so_far(tmp_path)
 
 
-def test_the_title_of_several_runs_sums_up_what_is_done() -> None:
+def test_the_title_of_several_runs_sums_up_what_is_done_and_each_has_a_cross_where_it_ends() -> None:
     row = {"panel": "hopper", "label": "otr", "unit": STEPS, "mean": 1.0, "std": 1.0, "chosen": False,
            "final": float("nan")}  # fmt: skip
     under_way = {"under_way": "steps", "whole": 3000}
@@ -108,11 +102,7 @@ def test_the_title_of_several_runs_sums_up_what_is_done() -> None:
     rows += [{**row, "run": "c", "spent": spent, **FINISHED} for spent in (500, 3000)]
     figure = learning_curves(pd.DataFrame(rows))
     assert figure.get_suptitle() == "3 runs; thick: their mean; 2 under way, 3,000 of 6,000 steps"
-
-
-def test_each_run_has_a_cross_where_it_ends() -> None:
-    row = {"panel": "hopper", "label": "otr", "unit": STEPS, "mean": 1.0, "std": 1.0, "chosen": False, **FINISHED}
-    rows = [{**row, "run": run, "spent": spent, "final": final}
+    rows = [{**row, **FINISHED, "run": run, "spent": spent, "final": final}
             for run, end, final in (("a", 1000, 5.0), ("b", 2000, 9.0)) for spent in (500, end)]  # fmt: skip
     (panel,) = learning_curves(pd.DataFrame(rows)).axes
     crosses = [line for line in panel.lines if line.get_marker() == "x"]

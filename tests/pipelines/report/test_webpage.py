@@ -44,7 +44,6 @@ def config_of(run_dir: Path) -> Any:
 
 
 def stored(page: str, kind: str = "policy") -> list[dict[str, Any]]:
-    """Return what a page holds compressed: its policies, or its figures."""
     blocks = re.findall(rf'<script type="text/plain" class="{kind}" id="[\w-]+">([^<]*)</script>', page)
     return [json.loads(gzip.decompress(base64.b64decode(block))) for block in blocks]
 
@@ -53,20 +52,49 @@ def unpacked(data: dict[str, Any]) -> NDArray[Any]:
     return np.frombuffer(base64.b64decode(data["data"]), "<" + data["dtype"]).reshape(data["shape"])
 
 
+def results_of(folder: Path, *runs: Path, name: str | None = None) -> Path:
+    """Return a folder of results with links to runs, as they are named or under another name."""
+    for run in runs:
+        place = folder / "runs" / (name or run.relative_to(RESULTS / "runs"))
+        place.parent.mkdir(parents=True)
+        place.symlink_to(run)
+    return folder
+
+
+def page_of_results(folder: Path) -> str:
+    return write_results_page(folder, folder / "page.html", config_of).read_text(encoding="utf-8")
+
+
+def page_of_runs(folder: Path, *runs: Path, form: str | None = None, config: Callable[..., Any] = config_of) -> str:
+    return write_run_page([*runs], form, folder / "page.html", config).read_text(encoding="utf-8")
+
+
 @pytest.fixture(scope="module")
 def car(tmp_path_factory: pytest.TempPathFactory) -> str:
-    out = tmp_path_factory.mktemp("page") / "car.html"
-    return write_run_page([CAR], None, out, config_of).read_text(encoding="utf-8")
+    return page_of_runs(tmp_path_factory.mktemp("page"), CAR)
 
 
-def test_the_page_holds_the_tree_bit_for_bit(car: str) -> None:
+def test_the_page_holds_the_tree_bit_for_bit_its_program_and_its_proof(car: str) -> None:
     (data,) = stored(car)
     tree, held = page_tree(config_of(CAR), CAR, "pruned"), data["tree"]
     for name, array in (("left", tree.children_left), ("right", tree.children_right), ("P", tree.P), ("v", tree.v),
                         ("M", tree.M), ("c", tree.c)):  # fmt: skip
         np.testing.assert_array_equal(unpacked(held[name]), array)
-    assert held["head"]["name"] == tree.head.name and held["labels"] is None
-    assert unpacked(held["shares"]).sum() == pytest.approx(1.0) and len(held["colours"]) == tree.n_leaves
+    assert held["head"]["name"] == tree.head.name and held["labels"] is None and len(held["colours"]) == tree.n_leaves
+    shares = unpacked(held["shares"])
+    assert shares.sum() == pytest.approx(1.0) and (shares[unpacked(data["episode"]["leaves"])] > 0).all()
+    assert [feature["name"] for feature in data["features"]] == ["position", "velocity"]
+    assert (data["features"][0]["low"], data["features"][0]["high"]) == pytest.approx((-1.2, 0.6))
+    assert "double" in data["exports"]["C"] and "def " in data["exports"]["Python"] and not data["left_out"]
+    assert data["program"].startswith("if ") and data["answers"] == ["force"]
+    assert data["proof"].startswith("certificate: the minimal tree, of ")
+    assert data["proof"].endswith("otr-verify checks it again. The tree above is the pruned one.")
+    for array in (np.array([[0.1, -1e300], [5e-324, 3.0]]), np.array([-5, 7], np.int32), np.array([], np.uint16)):
+        np.testing.assert_array_equal(unpacked(packed(array)), array)
+        assert unpacked(packed(array)).dtype == array.dtype
+    tree, X = random_tree(np.random.default_rng(0), 9, 2, 1, 8), np.random.default_rng(1).normal(size=(50, 2))
+    shares = np.bincount(tree.apply(X), minlength=tree.n_leaves) / 50
+    np.testing.assert_allclose(unpacked(tree_data(tree, X)["shares"]), shares, atol=1e-7)
 
 
 def test_the_episode_is_the_first_one_evaluated(car: str) -> None:
@@ -75,9 +103,8 @@ def test_the_episode_is_the_first_one_evaluated(car: str) -> None:
     episode, tree = data["episode"], page_tree(config_of(CAR), CAR, "pruned")
     assert episode["return"] == pytest.approx(float(first["return"]), abs=1e-9)
     assert episode["n_steps"] == int(first["length"]) and episode["seed"] == 1000
-    states = play_seeds(tree.predict, config_of(CAR).env, [1000], keep_states=True, n_workers=1).states[
-        :: episode["stride"]
-    ]
+    states = play_seeds(tree.predict, config_of(CAR).env, [1000], keep_states=True, n_workers=1).states
+    states = states[:: episode["stride"]]
     low, high = np.array(episode["low"]), np.array(episode["high"])
     shown = low + unpacked(episode["states"]) / LEVELS * (high - low)
     np.testing.assert_allclose(shown, states, atol=float((high - low).max()) / LEVELS)
@@ -110,27 +137,11 @@ def test_labels_that_the_head_decides_are_decided_by_tests_on_the_page(monkeypat
     np.testing.assert_array_equal(shown.predict(X), tree.predict(X))
 
 
-def test_programs_ranges_and_names_stand_on_the_page(car: str) -> None:
-    (data,) = stored(car)
-    assert [feature["name"] for feature in data["features"]] == ["position", "velocity"]
-    assert (data["features"][0]["low"], data["features"][0]["high"]) == pytest.approx((-1.2, 0.6))
-    assert "double" in data["exports"]["C"] and "def " in data["exports"]["Python"] and not data["left_out"]
-    assert data["program"].startswith("if ") and data["answers"] == ["force"]
-
-
 def test_the_page_needs_no_network_and_its_scripts_are_whole(car: str) -> None:
     assert not re.findall(r"""(?:src|href)\s*=\s*["']?(?:https?:)?//""", car)
     assert "fetch(" not in car and "import(" not in car and "XMLHttpRequest" not in car
     assert car.count("<script") == car.count("</script>") == 2  # the policy, and the scripts
     assert "$" + "title" not in car and "<title>mountaincar: otr, depth 1, seed 0</title>" in car
-
-
-def test_what_acts_in_the_episode_is_visited_and_proofs_are_told(car: str) -> None:
-    (data,) = stored(car)
-    shares = unpacked(data["tree"]["shares"])
-    assert (shares[unpacked(data["episode"]["leaves"])] > 0).all()
-    assert data["proof"].startswith("certificate: the minimal tree, of ")
-    assert data["proof"].endswith("otr-verify checks it again. The tree above is the pruned one.")
 
 
 def test_a_proof_of_the_network_before_a_polish_says_so(tmp_path: Path) -> None:
@@ -154,14 +165,14 @@ def test_names_are_names_whatever_is_in_them(tmp_path: Path, monkeypatch: pytest
         config = config_of(run_dir)
         return dataclasses.replace(config, env=dataclasses.replace(config.env, name=evil))
 
-    page = write_run_page([CAR], None, tmp_path / "page.html", named).read_text(encoding="utf-8")
+    page = page_of_runs(tmp_path, CAR, config=named)
     assert evil not in page and page.count("</script>") == 2
     (data,) = stored(page)
     assert [feature["name"] for feature in data["features"]] == [evil, "$style"] and data["answers"] == ["<b>force"]
 
 
 def test_several_runs_are_chosen_from_a_list_and_terms_of_pid_have_ranges(tmp_path: Path) -> None:
-    page = write_run_page([LANDER, PID], None, tmp_path / "page.html", config_of).read_text(encoding="utf-8")
+    page = page_of_runs(tmp_path, LANDER, PID)
     lander, pid = stored(page)
     assert lander["tree"]["labels"] and lander["limits"] is None and "M" not in lander["tree"]
     assert page.count("<option") == 2 and '<option value="policy-1">pid, depth 1, seed 0</option>' in page
@@ -186,49 +197,32 @@ def test_a_long_episode_is_thinned_and_one_without_pictures_says_why(monkeypatch
     assert episode["no_frames"] == "video: it cannot be rendered here (no screen)." and "sprite" not in episode
 
 
-def test_packed_arrays_keep_their_numbers() -> None:
-    for array in (np.array([[0.1, -1e300], [5e-324, 3.0]]), np.array([-5, 7], np.int32), np.array([], np.uint16)):
-        np.testing.assert_array_equal(unpacked(packed(array)), array)
-        assert unpacked(packed(array)).dtype == array.dtype
-
-
-def test_leaves_that_are_not_visited_have_no_share() -> None:
-    tree = random_tree(np.random.default_rng(0), 9, 2, 1, 8)
-    X = np.random.default_rng(1).normal(size=(50, 2))
-    shares = unpacked(tree_data(tree, X)["shares"])
-    np.testing.assert_allclose(shares, np.bincount(tree.apply(X), minlength=tree.n_leaves) / 50, atol=1e-7)
-
-
 def test_a_tree_that_is_too_large_names_the_command_that_makes_its_page(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for run in (CAR, LANDER):
-        place = tmp_path / "results/runs" / run.relative_to(RESULTS / "runs")
-        place.parent.mkdir(parents=True)
-        place.symlink_to(run)
     # The car's tree has 14 numbers; the lander's four leaves are labels, and its three tests have 27.
     monkeypatch.setattr(webpage, "OF_MANY", dataclasses.replace(webpage.OF_MANY, tree_bytes=4 * 20, n_frames=0))
-    page = write_results_page(tmp_path / "results", tmp_path / "page.html", config_of).read_text(encoding="utf-8")
+    page = page_of_results(results_of(tmp_path, CAR, LANDER))
     (policy,) = stored(page)
     assert policy["env"] == "mountaincar" and 'data-policy="' not in page  # the lander's cell opens nothing
     line, of_polished = re.findall(r"<li>([^<]*)</li>", page)
     command = f"otr-report run={LANDER.relative_to(RESULTS / 'runs').as_posix()} tree=pruned results_dir={tmp_path}"
-    assert line.startswith("LunarLander, AugTree (2), quick, seed 0") and f"; {command}/results writes its page" in line
+    assert line.startswith("LunarLander, AugTree (2), quick, seed 0") and f"; {command} writes its page" in line
     assert "tree=polished" in of_polished
 
 
-def test_a_policy_that_two_cells_have_is_there_once(tmp_path: Path) -> None:
-    run = tmp_path / "results/runs/mountaincar/otr/depth-1/standard-ars/seed-0"
-    run.parent.mkdir(parents=True)
-    run.symlink_to(RESULTS / "runs/mountaincar/otr/depth-1/standard-ars/seed-0")
-    assert not json.loads((run / "summary.json").read_text())["polish"]["kept"]
-    page = write_results_page(tmp_path / "results", tmp_path / "page.html", config_of).read_text(encoding="utf-8")
-    (policy,) = stored(page)
+def test_a_policy_is_there_once_and_all_are_shown_where_no_run_is_in_the_tables(tmp_path: Path) -> None:
+    twice = RESULTS / "runs/mountaincar/otr/depth-1/standard-ars/seed-0"  # its polish was not kept
+    assert not json.loads((twice / "summary.json").read_text())["polish"]["kept"]
+    (policy,) = stored(page_of_results(results_of(tmp_path / "a", twice)))
     assert policy["form"] == "pruned"
+    page = page_of_results(results_of(tmp_path / "b", CAR, name="mountaincar/otr/depth-1/quick/seed-0~0a1b2c3d"))
+    (policy,) = stored(page)
+    assert policy["env"] == "mountaincar" and 'id="table-4-1"' not in page
 
 
 def test_numbers_are_rounded_where_no_visited_state_tells(tmp_path: Path) -> None:
-    page = write_run_page([CAR, LANDER], "pruned", tmp_path / "page.html", config_of).read_text(encoding="utf-8")
+    page = page_of_runs(tmp_path, CAR, LANDER, form="pruned")
     for data, folder in zip(stored(page), (CAR, LANDER), strict=True):
         tree = page_tree(config_of(folder), folder, "pruned")
         assert unpacked(data["tree"]["P"]).dtype == np.float32
@@ -241,18 +235,9 @@ def test_numbers_are_rounded_where_no_visited_state_tells(tmp_path: Path) -> Non
     assert not _rounds_unseen(tree.replace(v=tree.v + 1e300), X)
 
 
-def test_units_are_those_of_physical_environments() -> None:
-    assert unit_of(PENDULUM, "angle_rate") == "rad/s" and unit_of(PENDULUM, "cos_angle") == ""
-    assert unit_of(HOPPER, "x_velocity") == "m/s" and unit_of(HOPPER, "thigh_angle") == "rad"
-    assert unit_of(dataclasses.replace(HOPPER, id="My-v0"), "x_velocity") == ""
-
-
 def test_the_page_of_all_results_has_the_tables_and_a_policy_a_cell(tmp_path: Path) -> None:
-    for run in (CAR, LANDER, RESULTS / "runs/pendulum/linear/depth-0/quick/seed-0"):
-        place = tmp_path / "results/runs" / run.relative_to(RESULTS / "runs")
-        place.parent.mkdir(parents=True)
-        place.symlink_to(run)
-    page = write_results_page(tmp_path / "results", tmp_path / "page.html", config_of).read_text(encoding="utf-8")
+    linear = RESULTS / "runs/pendulum/linear/depth-0/quick/seed-0"
+    page = page_of_results(results_of(tmp_path, CAR, LANDER, linear))
     policies = stored(page)
     links = set(re.findall(r'data-policy="([^"]+)"', page))
     assert links and links <= set(re.findall(r'class="policy" id="([^"]+)"', page))
@@ -268,20 +253,9 @@ def test_the_page_of_all_results_has_the_tables_and_a_policy_a_cell(tmp_path: Pa
                                pytest.approx(summary["return_mean"], rel=1e-4)]]  # fmt: skip
 
 
-def test_where_no_run_is_in_the_tables_all_are_shown(tmp_path: Path) -> None:
-    run = tmp_path / "results/runs/mountaincar/otr/depth-1/quick/seed-0~0a1b2c3d"
-    run.parent.mkdir(parents=True)
-    run.symlink_to(CAR)
-    page = write_results_page(tmp_path / "results", tmp_path / "page.html", config_of).read_text(encoding="utf-8")
-    (policy,) = stored(page)
-    assert policy["env"] == "mountaincar" and 'id="table-4-1"' not in page
-
-
 def test_runs_that_differ_in_other_settings_are_told_apart(tmp_path: Path) -> None:
-    other = tmp_path / "mountaincar/otr/depth-1/quick/seed-0~0a1b2c3d"
-    other.parent.mkdir(parents=True)
-    other.symlink_to(CAR)
-    page = write_run_page([CAR, other], None, tmp_path / "page.html", config_of).read_text(encoding="utf-8")
+    name = "mountaincar/otr/depth-1/quick/seed-0~0a1b2c3d"
+    page = page_of_runs(tmp_path, CAR, results_of(tmp_path, CAR, name=name) / "runs" / name)
     names = re.findall(r"<option value=[^>]*>([^<]*)</option>", page)
     assert names == ["otr, depth 1, seed 0", "otr, depth 1, seed 0 ~0a1b2c3d"]
     assert names[1] in stored(page)[1]["about"]
@@ -296,7 +270,7 @@ def test_a_return_beside_a_pruned_tree_is_its_own(tmp_path: Path) -> None:
     summary = json.loads((CAR / "summary.json").read_text())
     summary["policies"]["pruned_tree"]["return_mean"] = 12.34
     (run / "summary.json").write_text(json.dumps(summary))
-    page = write_results_page(tmp_path / "results", tmp_path / "page.html", config_of).read_text(encoding="utf-8")
+    page = page_of_results(tmp_path / "results")
     (policy,) = stored(page)
     assert f"seed 0: 12.3 (the whole tree {summary['return_mean']:.1f}), pruned tree" in policy["about"]
     assert policy["export_command"].endswith(f"tree=pruned format=NAME results_dir={tmp_path}/results")
@@ -311,10 +285,11 @@ def test_what_cannot_be_shown_is_named_and_the_rest_is_written(
     import pipelines.report.webpage.policy as policy
 
     real: Callable[..., Any] = policy.tree_of
-    monkeypatch.setattr(
-        policy, "tree_of", lambda form, run, folder: object() if folder == CAR else real(form, run, folder)
-    )
-    page = write_run_page([CAR, LANDER], None, tmp_path / "page.html", config_of).read_text(encoding="utf-8")
+    assert unit_of(PENDULUM, "angle_rate") == "rad/s" and unit_of(PENDULUM, "cos_angle") == ""
+    assert unit_of(HOPPER, "x_velocity") == "m/s" and unit_of(HOPPER, "thigh_angle") == "rad"
+    assert unit_of(dataclasses.replace(HOPPER, id="My-v0"), "x_velocity") == ""
+    monkeypatch.setattr(policy, "tree_of", lambda *asked: object() if asked[2] == CAR else real(*asked))
+    page = page_of_runs(tmp_path, CAR, LANDER)
     assert len(stored(page)) == 1 and "Left out: 1</summary><ul><li>mountaincar, otr, depth 1, seed 0" in page
     assert "left out: mountaincar, otr, depth 1, seed 0" in capsys.readouterr().out
     with pytest.raises(PipelineError, match="too many leaves to be held as leaves"):

@@ -16,8 +16,6 @@ FOLDER = "runs/pendulum/otr/depth-4/smoke/seed-0"
 
 
 class FakeBackend:
-    """Keeps what it is given; fails where it is told to."""
-
     def __init__(self):
         self.started, self.rows, self.final, self.known_result, self.fails = 0, [], [], None, False
 
@@ -56,45 +54,29 @@ def backend(monkeypatch):
 
 @pytest.fixture
 def tracked(tiny):
-    """A job with tracking."""
     return RunJob(tiny(tracking="tensorboard", folder=FOLDER), FOLDER, "")
 
 
-def test_run_is_logged_as_it_goes_and_once(backend, tracked):
+def test_run_is_logged_as_it_goes_and_once_with_the_stages_added_later(backend, tracked):
     summary = run_job(tracked)
-    assert [step for step, _ in backend.rows] == [100, 200, 300]
     written = read_csv(tracked.run_dir / "train" / "evaluations.csv")
-    assert [numbers["selection/return_mean"] for _, numbers in backend.rows] == [
-        float(row["return_mean"]) for row in written
+    assert [(step, numbers["selection/return_mean"]) for step, numbers in backend.rows] == [
+        (step, float(row["return_mean"])) for step, row in zip((100, 200, 300), written, strict=True)
     ]
+    assert set(backend.rows[1][1]) >= {"train/steps", "train/steps_per_s", "selection/return_mean", "selection/best"}
     ((step, final),) = backend.final
-    assert step == 300
-    assert final["final/return_mean"] == summary["return_mean"]
+    assert (step, final["final/return_mean"]) == (300, summary["return_mean"])
     assert final["final/policies.pruned_tree.return_mean"] == summary["policies"]["pruned_tree"]["return_mean"]
     run_job(tracked)  # finished and logged: nothing anew
     assert len(backend.rows) == 3 and len(backend.final) == 1
-
-
-def test_finished_run_is_logged_from_its_files(backend, tracked):
-    run_job(dataclasses.replace(tracked, config=dataclasses.replace(tracked.config, tracking="none")))
-    assert backend.rows == []
-    run_job(tracked)
-    assert [step for step, _ in backend.rows] == [100, 200, 300]
-    assert set(backend.rows[1][1]) >= {"train/steps", "train/steps_per_s", "selection/return_mean", "selection/best"}
-    assert len(backend.final) == 1
-
-
-def test_a_stage_that_is_added_later_is_logged(backend, tracked):
-    run_job(tracked)
     certified = dataclasses.replace(tracked, config=dataclasses.replace(tracked.config, certify=True))
-    run_job(certified)
-    assert [step for step, _ in backend.rows] == [100, 200, 300] and len(backend.final) == 2
+    for _ in range(2):
+        run_job(certified)
+        assert len(backend.rows) == 3 and len(backend.final) == 2
     assert backend.final[1][1]["final/certify.certified"] == 1.0
-    run_job(certified)
-    assert len(backend.final) == 2
 
 
-def test_rows_that_were_logged_are_passed_over(backend, tracked):
+def test_rows_that_were_logged_are_skipped_and_a_run_made_anew_gets_a_new_record(backend, tracked):
     backend.rows = [(100, {}), (200, {})]
     tracker = Tracker(tracked.config)
     for steps in (100, 200, 300):
@@ -102,13 +84,9 @@ def test_rows_that_were_logged_are_passed_over(backend, tracked):
     assert [step for step, _ in backend.rows] == [100, 200, 300]
     assert backend.rows[2][1] == {
         "train/steps": 300, "train/seconds": 1.5, "selection/steps": 300, "selection/best": 1.0}  # fmt: skip
-
-
-def test_run_that_is_made_anew_gets_a_new_record(backend, tracked):
-    backend.rows, backend.known_result = [(300, {})], "of the run that was deleted"
+    backend.rows, backend.known_result = [(300, {})], "of the run that was deleted"  # and is made anew
     Tracker(tracked.config).segment_done({"steps": 100}, {"steps": 100})
-    assert backend.started == 1
-    assert [step for step, _ in backend.rows] == [100]
+    assert backend.started == 1 and [step for step, _ in backend.rows] == [100]
 
 
 def test_tracker_that_fails_warns_once_and_costs_nothing(backend, tracked, capsys):
@@ -135,28 +113,14 @@ def test_tracker_that_fails_midway_catches_up_at_the_end(backend, tracked):
     assert [step for step, _ in backend.rows] == [100, 200, 300]
 
 
-def test_tracking_is_no_part_of_a_run(tiny):
-    tracked = tiny(tracking="tensorboard", folder=FOLDER)
-    assert tracked.settings() == tiny().settings()
-    assert run_folder(tracked, {}) == FOLDER
-
-
-def test_unknown_tracker_is_refused(tiny):
-    with pytest.raises(ConfigError, match="tracking=wandb: use one of none, tensorboard"):
-        tiny(tracking="wandb")
-
-
-def test_missing_extra_is_named(tiny, monkeypatch):
-    monkeypatch.setattr(tracking, "find_spec", lambda module: None)
-    with pytest.raises(ConfigError, match=r"pip install 'otr\[tensorboard\]'"):
-        check_tracking(tiny(tracking="tensorboard"))
-    check_tracking(tiny())
-
-
-def test_tensorboard_reads_the_curves(tracked):
+def test_tensorboard_reads_the_curves_of_a_finished_run_without_a_printed_program(tracked, capsys):
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-    summary = run_job(tracked)
+    run_job(dataclasses.replace(tracked, config=dataclasses.replace(tracked.config, tracking="none")))
+    (tracked.run_dir / "prune" / "program.txt").unlink()  # as of a tree that is too large to be printed
+    summary = read_json(tracked.run_dir / "summary.json")
+    Tracker(tracked.config).finish(summary, tracked.run_dir)
+    assert "does not work" not in capsys.readouterr().out
     folder = Path(tracked.config.results_dir) / "tensorboard" / FOLDER.removeprefix("runs/")
     events = EventAccumulator(str(folder))
     events.Reload()
@@ -167,16 +131,18 @@ def test_tensorboard_reads_the_curves(tracked):
     assert (final.step, final.value) == (300, pytest.approx(summary["return_mean"], rel=1e-6))
     (text,) = events.Tensors("settings/text_summary")
     assert "| algo.learning_rate | 0.001 |" in text.tensor_proto.string_val[0].decode()
+    assert read_json(folder / "logged.json")["result"] is not None
     before = sorted(path.name for path in folder.iterdir())
-    run_job(tracked)
+    Tracker(tracked.config).finish(summary, tracked.run_dir)
     assert sorted(path.name for path in folder.iterdir()) == before
 
 
-def test_a_run_without_a_printed_program_is_logged(tracked, capsys):
-    run_job(dataclasses.replace(tracked, config=dataclasses.replace(tracked.config, tracking="none")))
-    (tracked.run_dir / "prune" / "program.txt").unlink()  # as of a tree that is too large to be printed
-    summary = read_json(tracked.run_dir / "summary.json")
-    Tracker(tracked.config).finish(summary, tracked.run_dir)
-    assert "does not work" not in capsys.readouterr().out
-    note = Path(tracked.config.results_dir) / "tensorboard" / FOLDER.removeprefix("runs/") / "logged.json"
-    assert read_json(note)["result"] is not None
+def test_tracking_is_no_part_of_a_run_and_what_there_is_not_is_named(tiny, monkeypatch):
+    tracked = tiny(tracking="tensorboard", folder=FOLDER)
+    assert tracked.settings() == tiny().settings() and run_folder(tracked, {}) == FOLDER
+    with pytest.raises(ConfigError, match="tracking=wandb: use one of none, tensorboard"):
+        tiny(tracking="wandb")
+    check_tracking(tiny())
+    monkeypatch.setattr(tracking, "find_spec", lambda module: None)
+    with pytest.raises(ConfigError, match=r"pip install 'otr\[tensorboard\]'"):
+        check_tracking(tracked)

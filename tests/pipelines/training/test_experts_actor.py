@@ -19,7 +19,6 @@ RESULTS = ("soft.safetensors", "soft.json", "evaluations.csv")
 
 @pytest.fixture
 def experts_run(fleet_run):
-    """Return a function that makes a run of three experts."""
     return lambda **changes: fleet_run(**{"method": EXPERTS, "depth": 3, **changes})
 
 

@@ -34,11 +34,7 @@ def test_lines_say_that_the_time_left_is_being_measured(tiny, monkeypatch, capsy
     now = 0.0
     monkeypatch.setattr(progress.time, "monotonic", lambda: now)
     with TrainingProgress(tiny(), 0) as shown:  # 100 of 300 steps are random
-        for step, seconds, said in (
-            (100, 0.1, "measuring"),
-            (200, 50.1, "50 s left"),
-            (300, 99.0, "0.0 s"),
-        ):
+        for step, seconds, said in ((100, 0.1, "measuring"), (200, 50.1, "50 s left"), (300, 99.0, "0.0 s")):
             now = seconds
             shown.at_step(step)
             shown.segment_done({"steps": step, "steps_per_s": 2.0}, {"best": False, "return_mean": 1.0})

@@ -13,18 +13,12 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-import otr
 from pipelines.cli.runs import run_config
 from pipelines.engine.store import write_files
 from pipelines.errors import ConfigError, PipelineError
 from pipelines.training.normalisation import input_units, normalised
 from pipelines.training.sb3_models import build_model
-from pipelines.training.soft_actor import (
-    SoftActorCriticPolicy,
-    SoftSacPolicy,
-    SoftSchedule,
-    soft_module,
-)
+from pipelines.training.soft_actor import SoftActorCriticPolicy, SoftSacPolicy, SoftSchedule, soft_module
 from pipelines.training.soft_trees import (
     SAC_TURN,
     Shape,
@@ -61,16 +55,8 @@ def make_model(actor: Shape, env_id: str = "CartPole-v1", algorithm: type = PPO,
         options = {"buffer_size": 1_000, "learning_starts": 20, "batch_size": 32, **options}
         return SAC(SoftSacPolicy, make_env(env_id, 1), policy_kwargs=kwargs, seed=0, device="cpu", **options)
     kwargs = {"actor": actor, "net_arch": {"pi": [], "vf": [8]}}
-    return algorithm(
-        SoftActorCriticPolicy,
-        make_env(env_id),
-        n_steps=N_STEPS,
-        batch_size=32,
-        policy_kwargs=kwargs,
-        seed=0,
-        device="cpu",
-        **options,
-    )
+    options = {"n_steps": N_STEPS, "batch_size": 32, "policy_kwargs": kwargs, "seed": 0, "device": "cpu", **options}
+    return algorithm(SoftActorCriticPolicy, make_env(env_id), **options)
 
 
 def learn_segment(model: BaseAlgorithm, env_id: str, segment: int, n_rollouts: int = 1) -> None:
@@ -92,34 +78,26 @@ def parameters(model: BaseAlgorithm) -> dict[str, torch.Tensor]:
     return {name: tensor.clone() for name, tensor in model.policy.state_dict().items()}
 
 
-@pytest.mark.parametrize("algorithm", [PPO, TRPO])
-def test_the_phases_of_pi_prl(algorithm: type) -> None:
-    model = make_model(ACTORS[2], algorithm=algorithm)
-    module = soft_module(model)
-    expected = [{"tests", "maps"}, {"architecture"}, {"tests", "maps"}, {"tests", "maps"}]
-    for segment, moving in enumerate(expected):
-        before = parameters(model)
-        learn_segment(model, "CartPole-v1", segment)
-        after = parameters(model)
-        prefix = "action_net."
-        names = ("tests", "maps", "architecture")
-        moved = {name for name in names if not torch.equal(before[prefix + name], after[prefix + name])}
-        assert moved == moving
-        assert module.is_discrete == (segment == 3)
-        assert not torch.equal(before["value_net.weight"], after["value_net.weight"])
-    np.testing.assert_array_equal(module.structure, module.architecture[:, 1] > module.architecture[:, 0])
-
-
-def test_the_phases_of_pi_prl_under_sac(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("algorithm", [PPO, TRPO, SAC])
+def test_the_phases_of_pi_prl(algorithm: type, monkeypatch: pytest.MonkeyPatch) -> None:
+    env_id = "Pendulum-v1" if algorithm is SAC else "CartPole-v1"
+    assert SAC_TURN > 1_000  # a turn of one step would leave Adam's moments of the other's gradients
     monkeypatch.setattr("pipelines.training.soft_actor.SAC_TURN", ROLLOUT)
-    model = make_model(ACTORS[2], "Pendulum-v1", SAC)
-    module = soft_module(model)
+    model = make_model(ACTORS[2], env_id, algorithm)
+    module, rates = soft_module(model), []
     for segment, moving in enumerate([{"tests", "maps"}, {"architecture"}, {"tests", "maps"}, {"tests", "maps"}]):
-        before = {name: tensor.clone() for name, tensor in module.named_parameters()}
-        learn_segment(model, "Pendulum-v1", segment)
+        before, others = {name: tensor.clone() for name, tensor in module.named_parameters()}, parameters(model)
+        learn_segment(model, env_id, segment)
         assert {name for name, tensor in module.named_parameters() if not torch.equal(before[name], tensor)} == moving
         assert module.is_discrete == (segment == 3)
-    assert SAC_TURN > 1_000  # a turn of one step would leave Adam's moments of the other's gradients
+        if algorithm is not SAC:
+            assert not torch.equal(others["value_net.weight"], model.policy.value_net.weight)
+            rates.append(model.policy.optimizer.param_groups[0]["lr"])
+    np.testing.assert_array_equal(module.structure, module.architecture[:, 1] > module.architecture[:, 0])
+    if algorithm is PPO:  # the learning rate falls linearly over all segments
+        assert rates == pytest.approx([3e-4, 2.4e-4, 1.8e-4, 1.2e-4])
+        start_rollout(model, 5 * ROLLOUT)
+        assert model.lr_schedule(1.0) == pytest.approx(0.6e-4)
 
 
 def test_beta_grows_geometrically_up_to_its_end() -> None:
@@ -132,21 +110,10 @@ def test_beta_grows_geometrically_up_to_its_end() -> None:
     assert float(module.features.beta) == 16.0
 
 
-def test_the_learning_rate_falls_linearly_over_all_segments() -> None:
-    model = make_model(ACTORS[0])
-    rates = []
-    for segment in range(4):
-        learn_segment(model, "CartPole-v1", segment)
-        rates.append(model.policy.optimizer.param_groups[0]["lr"])
-    assert rates == pytest.approx([3e-4, 2.4e-4, 1.8e-4, 1.2e-4])
-    start_rollout(model, 5 * ROLLOUT)
-    assert model.lr_schedule(1.0) == pytest.approx(0.6e-4)
+OF_ENV = [(PPO, "CartPole-v1"), (PPO, "Pendulum-v1"), (TRPO, "CartPole-v1"), (SAC, "Pendulum-v1")]
 
 
-@pytest.mark.parametrize(
-    ("algorithm", "env_id"),
-    [(PPO, "CartPole-v1"), (PPO, "Pendulum-v1"), (TRPO, "CartPole-v1"), (TRPO, "Pendulum-v1"), (SAC, "Pendulum-v1")],
-)
+@pytest.mark.parametrize(("algorithm", "env_id"), OF_ENV)
 @ids
 def test_the_hard_tree_is_the_policy_of_hard_tests(actor: Shape, algorithm: type, env_id: str) -> None:
     model = make_model(actor, env_id, algorithm)
@@ -158,28 +125,27 @@ def test_the_hard_tree_is_the_policy_of_hard_tests(actor: Shape, algorithm: type
     tree = harden(module, model.action_space, is_squashed=algorithm is SAC)
     X = clear_states(tree, 100, margin=1e-4).astype(np.float32)
     assert len(X) > 50
-    expected = model.predict(X, deterministic=True)[0]
+    policy, expected = SoftPolicy(module, tree.head), model.predict(X, deterministic=True)[0]
     np.testing.assert_allclose(tree.predict(X), expected, atol=1e-5)
-    np.testing.assert_allclose(SoftPolicy(module, tree.head).predict(X), expected, atol=1e-5)
+    np.testing.assert_allclose(policy.predict(X), expected, atol=1e-5)
     assert (tree.labels is not None) == (env_id == "CartPole-v1")
-
-
-def test_an_answer_does_not_depend_on_the_states_beside_it() -> None:
-    torch.manual_seed(0)
-    options = {"feature_depth": 3, "n_features": 2, "decision_depth": 3}
-    policy = SoftPolicy(build_module(Shape("cdt", options), 8, 2), otr.Identity())
-    X = np.random.default_rng(0).normal(size=(100, 8))
-    alone = np.concatenate([policy.predict(X[i : i + 1]) for i in range(100)])
+    alone = np.concatenate([policy.predict(X[i : i + 1]) for i in range(len(X))])  # no matter which states are beside
     np.testing.assert_allclose(alone, policy.predict(X), rtol=0, atol=1e-13)
 
 
-def test_axis_aligned_programs_are_refused() -> None:
+def test_what_has_no_meaning_is_refused() -> None:
     space = gym.spaces.Discrete(2)
     assert np.count_nonzero(harden(build_module(ACTORS[0], 4, 2), space, axis_aligned=True).P) == 3
-    with pytest.raises(ConfigError, match="oblique"):
-        harden(build_module(ACTORS[2], 4, 2), space, axis_aligned=True)
-    with pytest.raises(ConfigError, match="only Box and Discrete"):
-        harden(build_module(ACTORS[0], 4, 2), gym.spaces.MultiDiscrete([2, 2]))
+    words = ["env=mountaincar", "method=sdt", "depth=3", "algo.normalise=true"]
+    noisy = ["env=lunarlander", "method=sdt", "depth=2", "algo.use_sde=true"]
+    for ask, message in (
+        (lambda: harden(build_module(ACTORS[2], 4, 2), space, axis_aligned=True), "oblique"),
+        (lambda: harden(build_module(ACTORS[0], 4, 2), gym.spaces.MultiDiscrete([2, 2])), "only Box and Discrete"),
+        (lambda: run_config(words), r"algo.normalise=true and actor.rescale_inputs=true"),
+        (lambda: build_model(run_config(noisy), seed=0), "use_sde needs continuous actions"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            ask()
 
 
 @ids
@@ -210,19 +176,10 @@ def test_modules_trained_on_normalised_states_read_the_environments_own(actor: S
     seen = (own - statistics.mean) / np.sqrt(statistics.var)
     expected = model.predict(seen, deterministic=True)[0]
     units = input_units(model, config)
-    head = harden(own_units(soft_module(model), units), model.action_space).head
-    np.testing.assert_allclose(SoftPolicy(own_units(soft_module(model), units), head).predict(own), expected, atol=1e-5)
+    module = own_units(soft_module(model), units)
+    head = harden(module, model.action_space).head
+    np.testing.assert_allclose(SoftPolicy(module, head).predict(own), expected, atol=1e-5)
     assert np.abs(SoftPolicy(own_units(soft_module(model), None), head).predict(own) - expected).max() > 1e-3
-
-
-def test_states_are_not_rescaled_and_normalised() -> None:
-    with pytest.raises(ConfigError, match=r"algo.normalise=true and actor.rescale_inputs=true"):
-        run_config(["env=mountaincar", "method=sdt", "depth=3", "algo.normalise=true"])
-
-
-def test_noise_by_state_needs_continuous_actions() -> None:
-    with pytest.raises(ConfigError, match="use_sde needs continuous actions"):
-        build_model(run_config(["env=lunarlander", "method=sdt", "depth=2", "algo.use_sde=true"]), seed=0)
 
 
 @ids

@@ -13,7 +13,6 @@ class Dense(nn.Sequential):
     """Layers of which those after the first read the input beside the activations before them."""
 
     def forward(self, x: Tensor) -> Tensor:
-        """Return the outputs (n, w_last) of inputs (n, w_first)."""
         read = x
         for module in self:
             y = module(read)
@@ -36,7 +35,6 @@ def mlp(
 
 
 def linears(network: nn.Module) -> list[nn.Linear]:
-    """Return the layers of a network that have weights."""
     return [module for module in network.modules() if isinstance(module, nn.Linear)]
 
 
@@ -67,7 +65,6 @@ class AutogradSac:
         self.n_updates, self.rate_share = 0, 1.0
 
     def act(self, states: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
-        """Return actions (B, a) and their log-probabilities (B,)."""
         mean, log_std = self.actor(states).chunk(2, dim=1)
         normal = torch.distributions.Normal(mean, log_std.clamp(-20, 2).exp())
         unsquashed = normal.mean + normal.stddev * noise
@@ -75,7 +72,6 @@ class AutogradSac:
         return actions, (normal.log_prob(unsquashed) - torch.log(1 - actions**2 + 1e-6)).sum(1)
 
     def values(self, critics: nn.ModuleList, states: Tensor, actions: Tensor) -> Tensor:
-        """Return the two critics' values, (B, 2)."""
         return torch.cat([critic(torch.cat([states, actions], 1)) for critic in critics], 1)
 
     def update(self, batch: Minibatch, noise: Tensor) -> None:
@@ -103,7 +99,6 @@ class AutogradSac:
                 target.lerp_(parameter, self.shapes.tau)
 
     def step(self, optimiser: torch.optim.Optimizer, loss: Tensor) -> None:
-        """Do one step of an optimiser, whose parameters alone get the loss's gradients."""
         parameters = optimiser.param_groups[0]["params"]
         for parameter, gradient in zip(parameters, torch.autograd.grad(loss, parameters), strict=True):
             parameter.grad = gradient

@@ -6,17 +6,15 @@ import numpy as np
 import pytest
 from scipy.stats import mannwhitneyu
 
-from pipelines.config.algo import SacConfig
 from pipelines.config.stages import TrainConfig
 from pipelines.config.trainer import FleetConfig
 from pipelines.engine.store import read_csv
 from pipelines.stages.train import checkpoint_folder
 from pipelines.stages.train import train as train_by_sb3
 from pipelines.training.fleet.train import train_fleet
+from tests.pipelines.conftest import SAC
 
-THESIS_SAC = SacConfig(
-    "sac", 1e-3, 100, 0.99, [256, 256], 0.0, 1_000_000, 1_000, 0.005, 1, 1, "normal", 0.1, 0.01, "auto"
-)
+THESIS_SAC = dataclasses.replace(SAC, batch_size=100, critic=[256, 256], learning_starts=1_000)
 FLEET = FleetConfig("fleet", 1, 5)
 SEEDS = range(5)
 STEPS, INTERVAL = 6_000, 1_000
@@ -24,7 +22,6 @@ RANDOM_RETURN, LEARNT_RETURN = -1_000, -350
 
 
 def curve(out):
-    """Return the mean returns of a run's evaluations, one every INTERVAL steps."""
     return [float(row["return_mean"]) for row in read_csv(out / "evaluations.csv")]
 
 

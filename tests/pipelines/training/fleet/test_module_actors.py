@@ -13,7 +13,6 @@ SETTINGS = [RunSettings(1e-3, 0.99), RunSettings(1e-3, 0.97), RunSettings(3e-3, 
 
 
 def actor_of(tensors: dict[str, Tensor]) -> nn.Module:
-    """Return the module of a hand-written actor's layers."""
     return mlp([(tensors[f"actor.weight{i}"][0], tensors[f"actor.bias{i}"][0]) for i in range(2)], 0.0)
 
 

@@ -48,25 +48,18 @@ def draw_batch(generator: torch.Generator) -> tuple[Minibatch, Tensor]:
     def normal(*shape: int) -> Tensor:
         return torch.randn(*shape, generator=generator)
 
-    batch = Minibatch(
-        normal(BATCH, N_INPUTS),
-        normal(BATCH, N_ACTIONS).tanh(),
-        normal(BATCH),
-        normal(BATCH, N_INPUTS),
-        (torch.rand(BATCH, generator=generator) > 0.1).to(torch.get_default_dtype()),
-    )
-    return batch, normal(2 * BATCH, N_ACTIONS)
+    parts = normal(BATCH, N_INPUTS), normal(BATCH, N_ACTIONS).tanh(), normal(BATCH), normal(BATCH, N_INPUTS)
+    continues = (torch.rand(BATCH, generator=generator) > 0.1).to(torch.get_default_dtype())
+    return Minibatch(*parts, continues), normal(2 * BATCH, N_ACTIONS)
 
 
 def stacked(drawn: list[tuple[Minibatch, Tensor]]) -> tuple[Minibatch, Tensor]:
-    """Return the batches of several runs as one, (R, B, .) each."""
     fields = ("states", "actions", "rewards", "next_states", "continues")
     batch = Minibatch(*(torch.stack([getattr(one, field) for one, _ in drawn]) for field in fields))
     return batch, torch.stack([noise for _, noise in drawn])
 
 
 def learn(fleet: FleetSac, seeds: list[int], n_updates: int, rate_end: float = 1.0) -> None:
-    """Update every run of a fleet on batches of its own stream."""
     generators = [torch.Generator().manual_seed(1000 + seed) for seed in seeds]
     for n_done in range(n_updates):
         fleet.at_step(200 * n_done, 1 - (1 - rate_end) * n_done / n_updates)
@@ -74,7 +67,6 @@ def learn(fleet: FleetSac, seeds: list[int], n_updates: int, rate_end: float = 1
 
 
 def new_fleet(shapes: Shapes, seeds: list[int], settings: list[RunSettings] | None = None) -> FleetSac:
-    """Return a fleet with a run a seed."""
     fleet = FleetSac(shapes, settings or [RunSettings(1e-3, 0.99)] * len(seeds))
     for run, seed in enumerate(seeds):
         fleet.initialise(run, torch.Generator().manual_seed(seed))
@@ -88,12 +80,10 @@ class Box11x3(gym.Env):
     action_space = gym.spaces.Box(-1, 1, (N_ACTIONS,), np.float32)
 
     def reset(self, **kwargs: Any) -> tuple[np.ndarray, dict]:
-        """Return the only state."""
         return np.zeros(N_INPUTS, np.float32), {}
 
 
 def sb3_parameters(model: SAC) -> dict[str, Tensor]:
-    """Return Stable-Baselines3's parameters under our names."""
     policy = model.policy
     heads = [policy.actor.mu, policy.actor.log_std]
     if isinstance(policy, SoftSacPolicy):
@@ -126,7 +116,6 @@ def queued_noise(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Tensor]]:
 
 @contextmanager
 def float64() -> Iterator[None]:
-    """Make float64 torch's default type for a while."""
     torch.set_default_dtype(torch.float64)
     try:
         yield
@@ -144,14 +133,8 @@ def in_float64(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.mark.parametrize("dense", [False, True], ids=["layered", "dense"])
 @pytest.mark.parametrize("actor", [(), (6,), (8, 8)], ids=str)
-@pytest.mark.parametrize(
-    ("slope", "decay", "temperature"),
-    [(0.0, 0.0, None), (0.05, 1e-2, None), (0.0, 0.0, 0.2)],
-    ids=["plain", "leaky, weight decay", "fixed temperature"],
-)
-def test_gradients_are_those_of_autograd(
-    actor: tuple[int, ...], slope: float, decay: float, temperature: float | None, dense: bool
-) -> None:
+@pytest.mark.parametrize(("slope", "decay", "temperature"), [(0.05, 1e-2, None), (0.0, 0.0, 0.2)])
+def test_gradients_are_those_of_autograd(actor, slope, decay, temperature, dense) -> None:  # type: ignore[no-untyped-def]
     shapes = Shapes(N_INPUTS, N_ACTIONS, actor, (64, 64), BATCH, negative_slope=slope, tau=0.01, dense=dense)
     assert_learns_as_autograd(shapes, RunSettings(1e-3, 0.98, decay, temperature))
 
@@ -166,12 +149,11 @@ OPTIONS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
 }
 
 
-@pytest.mark.parametrize("falling", [False, True], ids=["constant", "falling"])
 @pytest.mark.parametrize("option", OPTIONS)
-def test_options_are_those_of_autograd(option: str, falling: bool) -> None:
+def test_options_are_those_of_autograd(option: str) -> None:
     of_shapes, of_run = OPTIONS[option]
     shapes = Shapes(N_INPUTS, N_ACTIONS, (6,), (64, 48), BATCH, negative_slope=0.05, tau=0.01, **of_shapes)
-    assert_learns_as_autograd(shapes, RunSettings(1e-3, 0.98, **of_run), falling)
+    assert_learns_as_autograd(shapes, RunSettings(1e-3, 0.98, **of_run), falling=True)
 
 
 @pytest.mark.parametrize("dense", [False, True], ids=["layered", "dense"])
@@ -223,7 +205,6 @@ def assert_learns_as_autograd(shapes: Shapes, settings: RunSettings, falling: bo
 
 
 def assert_gradients(ours: Layers, networks: list[torch.nn.Module]) -> None:
-    """Check the gradients of a stack against those of its networks."""
     for row, network in enumerate(networks):
         for weight, bias, linear in zip(ours.weights, ours.biases, linears(network), strict=True):
             assert linear.weight.grad.norm() > 1e-4
@@ -232,7 +213,6 @@ def assert_gradients(ours: Layers, networks: list[torch.nn.Module]) -> None:
 
 
 def assert_equal_numbers(ours: Tensor, theirs: Tensor) -> None:
-    """Check that float64 numbers differ by no more than 1e-10 of the largest."""
     assert ours.dtype == theirs.dtype == torch.float64
     assert float((ours - theirs).abs().max()) <= 1e-10 * float(theirs.abs().max())
 
@@ -240,26 +220,13 @@ def assert_equal_numbers(ours: Tensor, theirs: Tensor) -> None:
 @pytest.mark.usefixtures("in_float64")
 @pytest.mark.parametrize("soft", [None, *SOFT.values()], ids=["network", *SOFT])
 def test_fifty_updates_are_those_of_stable_baselines3(queued_noise: list[Tensor], soft: SoftTraining | None) -> None:
-    actor, slope, decay = (8, 8), 0.05, 1e-2
-    own = {"net_arch": {"pi": list(actor), "qf": [64, 64]}}
-    if soft:
-        actor, own = (), {"net_arch": {"pi": [], "qf": [64, 64]}, "actor": soft.shape}
+    actor, slope, decay = () if soft else (8, 8), 0.05, 1e-2
+    own = {"net_arch": {"pi": list(actor), "qf": [64, 64]}, "activation_fn": lambda: torch.nn.LeakyReLU(slope)}
+    own |= {"optimizer_kwargs": {"weight_decay": decay}, **({"actor": soft.shape} if soft else {})}
     model = SAC(
-        SoftSacPolicy if soft else "MlpPolicy",
-        Box11x3(),
-        learning_rate=1e-3,
-        batch_size=BATCH,
-        gamma=0.98,
-        tau=0.01,
-        buffer_size=10,
-        seed=0,
-        device="cpu",
-        policy_kwargs={
-            **own,
-            "activation_fn": lambda: torch.nn.LeakyReLU(slope),
-            "optimizer_kwargs": {"weight_decay": decay},
-        },
-    )
+        SoftSacPolicy if soft else "MlpPolicy", Box11x3(), learning_rate=1e-3, batch_size=BATCH, gamma=0.98, tau=0.01,
+        buffer_size=10, seed=0, device="cpu", policy_kwargs=own,
+    )  # fmt: skip
     model.learn(0)  # sets the logger up
     shapes = Shapes(N_INPUTS, N_ACTIONS, actor, (64, 64), BATCH, negative_slope=slope, tau=0.01, soft=soft)
     fleet = new_fleet(shapes, [0], [RunSettings(1e-3, 0.98, decay)])
@@ -293,7 +260,6 @@ def test_fifty_updates_are_those_of_stable_baselines3(queued_noise: list[Tensor]
 
 
 def assert_same(alone: FleetSac, fleet: FleetSac, run: int) -> None:
-    """Check that a run of a fleet has learnt the bits that it learnt alone."""
     for name, tensor in alone.tensors(0).items():
         assert torch.equal(tensor, fleet.tensors(run)[name]), name
 
@@ -319,11 +285,10 @@ def test_a_run_of_soft_trees_is_the_run_alone_and_goes_on_from_what_it_had_learn
     assert_same(again, alone, 0)
 
 
-@pytest.mark.parametrize(("actor", "critic"), [((), (64, 64)), ((6,), (256, 256)), ((7, 5), (100, 65))], ids=str)
-@pytest.mark.parametrize("dense", [False, True], ids=["layered", "dense"])
-def test_a_run_of_a_fleet_is_the_run_alone_bit_for_bit(
-    dense: bool, actor: tuple[int, ...], critic: tuple[int, ...]
-) -> None:
+@pytest.mark.parametrize(
+    ("actor", "critic", "dense"), [((), (64, 64), False), ((6,), (256, 256), True), ((7, 5), (100, 65), True)]
+)
+def test_a_run_of_a_fleet_is_the_run_alone_bit_for_bit(actor, critic, dense) -> None:  # type: ignore[no-untyped-def]
     shapes = Shapes(N_INPUTS, N_ACTIONS, actor, critic, BATCH, negative_slope=0.05, dense=dense)
     seeds = [0, 1, 2, 3]
     settings = [RunSettings(1e-3, 0.99), RunSettings(3e-4, 0.9, 1e-2), *[RunSettings(1e-3, 0.99)] * 2]
@@ -340,24 +305,7 @@ def test_a_run_of_a_fleet_is_the_run_alone_bit_for_bit(
     assert_same(alone, alike, 1)
 
 
-def test_a_run_stays_itself_in_hundreds_of_updates() -> None:
-    shapes = Shapes(N_INPUTS, N_ACTIONS, (6,), (32, 32), BATCH)
-    together, alone = new_fleet(shapes, [5, 6]), new_fleet(shapes, [6])
-    learn(together, [5, 6], 400)
-    learn(alone, [6], 400)
-    assert_same(alone, together, 1)
-
-
-@pytest.mark.parametrize("shape", [(1,), (3, 21), (100, 11), (8, 8), (200, 6)], ids=str)
-def test_every_network_of_a_stack_begins_alike(shape: tuple[int, ...]) -> None:
-    stack = new_stack(5, *shape)
-    assert stack.shape == (5, *shape) and not stack.any()
-    assert {network.data_ptr() % 64 for network in stack} == {0}
-    gap = stack.stride(0) - stack[0].numel()
-    assert 0 < gap <= 64 and stack[0].is_contiguous()
-
-
-@pytest.mark.parametrize("shape", [(100, 256, 1), (200, 11, 6), (1, 11, 6), (100, 14, 256)], ids=str)
+@pytest.mark.parametrize("shape", [(100, 256, 1), (1, 11, 6), (100, 14, 256)], ids=str)
 def test_a_product_among_others_is_the_product_alone(shape: tuple[int, int, int]) -> None:
     k, length, m = shape
     left, right, out = (new_stack(3, *sizes) for sizes in ((k, length), (length, m), (k, m)))
@@ -366,14 +314,16 @@ def test_a_product_among_others_is_the_product_alone(shape: tuple[int, int, int]
     for i in range(3):
         alone = multiply(left[i : i + 1], right[i : i + 1], new_stack(1, k, m))
         assert torch.equal(alone[0], out[i])
+    assert {network.data_ptr() % 64 for network in out} == {0}  # every network of a stack begins alike
+    assert 0 < out.stride(0) - out[0].numel() <= 64 and out[0].is_contiguous()
 
 
-def test_a_run_that_diverges_leaves_the_others_as_they_are() -> None:
+def test_a_run_stays_itself_in_hundreds_of_updates_also_beside_one_that_diverges() -> None:
     shapes = Shapes(N_INPUTS, N_ACTIONS, (6,), (32, 32), BATCH)
     fleet, alone = new_fleet(shapes, [0, 1]), new_fleet(shapes, [1])
     fleet.tensors(0)["critics.weight1"][0, 0, 0] = float("nan")
-    learn(fleet, [0, 1], 20)
-    learn(alone, [1], 20)
+    learn(fleet, [0, 1], 300)
+    learn(alone, [1], 300)
     assert fleet.tensors(0)["actor.weight0"].isnan().all()
     assert_same(alone, fleet, 1)
 

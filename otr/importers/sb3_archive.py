@@ -256,7 +256,7 @@ def _slope(actor: _Actor, given: float | None) -> float:
     activation = _activation(actor)
     known = _SLOPES.get(activation)
     if known is None and not (given is not None and "LeakyReLU" in activation):
-        remedy = RELU_REMEDY if _smooth(actor) else TRAIN_RELU
+        remedy = RELU_REMEDY if _smooth(actor) else f"{TRAIN_RELU}; or read the policy from its export (ONNX, .pt2)"
         if "LeakyReLU" in activation:
             remedy = "for this LeakyReLU, give negative_slope= to otr.from_sb3"
         raise InvalidNetworkError(f"the activation is {activation}; {remedy}")

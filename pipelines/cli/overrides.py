@@ -15,7 +15,7 @@ from hydra.errors import HydraException
 from pipelines.config.stages import SIDE
 from pipelines.errors import ConfigError
 
-FILES = ("program", "model", "oracle", "vec_normalize", "output", "results_dir")  # keys of otr-run
+FILES = ("program", "model", "oracle", "normalise", "output", "results_dir")  # keys of otr-run
 BOXES = ("box", "certification.box")
 SEARCH = "hydra.searchpath="
 PATHS = (

@@ -141,10 +141,10 @@ def test_statistics_beside_a_zip_are_used_and_the_command_says_so(normalised_pen
         return job, capsys.readouterr().err
 
     statistics = normalised_pendulum / "pendulum/vecnormalize.pkl"
-    (found, told), (given, silent) = asked(), asked(f"vec_normalize={statistics}")
+    (found, told), (given, silent) = asked(), asked(f"normalise={statistics}")
     assert found.folder == given.folder and found.config.imported.sha256 == given.config.imported.sha256
     assert f"is read with the statistics of {statistics}" in told and silent == ""
-    for word in ("vec_normalize=none", "vec_normalize=null", "vec_normalize=None"):
+    for word in ("normalise=none", "normalise=null", "normalise=None"):
         raw, silent = asked(word)
         assert raw.folder != found.folder and raw.config.imported.policy.domain is None and silent == ""
     oracle, told = asked("method=viper", "depth=3")
@@ -155,13 +155,13 @@ def test_statistics_beside_a_zip_are_used_and_the_command_says_so(normalised_pen
 
 
 def test_a_policy_that_is_worse_than_random_actions(normalised_pendulum):
-    words = ("env=Pendulum-v1", f"model={normalised_pendulum / 'pendulum.zip'}", "vec_normalize=none")
+    words = ("env=Pendulum-v1", f"model={normalised_pendulum / 'pendulum.zip'}", "normalise=none")
     (job,), (imitating,) = jobs(*words), jobs(*words, "method=viper")
     for name, config in (("network", job.config), ("oracle", imitating.config)):
         worse, better = ({"policies": {name: {"return_mean": mean}}} for mean in (-1500.0, -900.0))
         told = warning_below_random(config, worse)
         assert told.startswith("pendulum.zip returns -1,500.0, less than random actions do in Pendulum-v1 (-1,268.5): ")
-        assert told.endswith("vec_normalize=FILE names the file of its statistics")
+        assert told.endswith("normalise=FILE names the file of its statistics")
         assert warning_below_random(config, better) is None
         with_statistics = replace(config, imported=replace(config.imported, is_normalised=True))
         assert warning_below_random(with_statistics, worse).endswith("or with wrappers that this one lacks?")
@@ -272,8 +272,8 @@ def test_a_network_distilled_from_an_oracle_is_mapped_proved_and_polished(models
         (("method=model",), "method=model: which model"),
         (("model={}/statistics.pkl",), "read are .zip, .onnx, .pt2, .skops, .nnet, .pth, .pt, .json, .npz, not .pkl"),
         (("model={}/pendulum.zip",), "the policy reads 3 numbers, the observations of CartPole-v1 have 4"),
-        (("model={}/relu.zip", "vec_normalize={}/gone.pkl"), "vec_normalize=.*gone.pkl: there is no such file"),
-        (("model={}/relu.zip", "vec_normalize={}/statistics.pkl"), "3 means and 3 variances, the network has 4"),
+        (("model={}/relu.zip", "normalise={}/gone.pkl"), "normalise=.*gone.pkl: there is no such file"),
+        (("model={}/relu.zip", "normalise={}/statistics.pkl"), "3 means and 3 variances, the network has 4"),
         (("model={}/relu.zip", "method=otr"), "is imported by method=model, not by method=otr"),
         (("model={}/relu.zip", "depth=3"), "depth is the model's own; leave depth=3 out"),
         (("model={}/relu.zip", "train.steps=9"), "train.steps=9: nothing is trained, as model=.*relu.zip is there"),
@@ -284,9 +284,9 @@ def test_a_network_distilled_from_an_oracle_is_mapped_proved_and_polished(models
         (("oracle={}/tanh.zip", "method=sdt"), "who is to imitate it"),
         (("model={}/tanh.zip", "method=viper", "oracle=[8]"), "leave oracle=.8. out"),
         (("oracle={}/tanh.zip", "method=augtree", "method.features=deep"), "units of .* are tanh, which has none"),
-        (("model={}/network.onnx", "vec_normalize={}/statistics.pkl"), "belong to a Stable-Baselines3 zip, not to"),
+        (("model={}/network.onnx", "normalise={}/statistics.pkl"), "belong to a Stable-Baselines3 zip, not to"),
         (
-            ("method=viper", "vec_normalize={}/statistics.pkl"),
+            ("method=viper", "normalise={}/statistics.pkl"),
             "statistics.pkl: of which model. Add model=FILE or oracle",
         ),
         (("model={}",), "that is a folder, expected a file"),

@@ -217,7 +217,10 @@ def test_torch_exports_and_skops_files(models):
     assert job.folder.startswith("runs/CartPole-v1/model/depth-3/smoke/seed-0~")
     (job,) = jobs(*SMOKE, "method=augtree", "depth=3", f"oracle={models / 'probabilities.pt2'}")
     assert job.config.oracle == [3] and job.folder.startswith("runs/CartPole-v1/augtree/depth-3/smoke/seed-0~")
-    with pytest.raises(ConfigError, match=r"its units are tanh, which no tree is equal to. Of the methods that"):
+    with pytest.raises(
+        ConfigError,
+        match=r"\(tanh\) is not affine, and no unit of a ReLU network, and no tree is equal to it. Of the methods that",
+    ):
         jobs(*SMOKE, f"model={models / 'probabilities.pt2'}")
 
 
@@ -248,6 +251,31 @@ def test_a_tanh_policy_is_an_oracle(models):
     assert summary["oracle"]["hidden_widths"] == [5, 5] and "oracle" in summary["policies"]
     plan = otr_command("otr-plan", "-m", *SMOKE, "method=viper,ndps", *words[1:], cwd=models, COLUMNS="200")
     assert plan.stdout.count("is there") == 2, plan.stderr
+
+
+def test_a_model_with_any_units_and_statistics_is_an_oracle(models):
+    torch.manual_seed(0)
+    layers = (torch.nn.Linear(4, 8), torch.nn.SiLU(), torch.nn.LayerNorm(8), torch.nn.Linear(8, 2))
+    module, file = torch.nn.Sequential(*layers), models / "silu.onnx"
+    torch.onnx.export(module, (torch.zeros(1, 4),), file, dynamo=False, input_names=["x"], dynamic_axes={"x": [0]})
+    statistics = {"mean": [0.1, 0, 0, 0], "var": [4, 1, 1, 0.25], "epsilon": 0.0, "clip": 1.5}
+    (models / "statistics.json").write_text(json.dumps(statistics))
+    words = ("method=augtree", "oracle=silu.onnx", "normalise=statistics.json", "depth=2")
+    refused = otr_command("otr-run", *SMOKE, "model=silu.onnx", "normalise=statistics.json", cwd=models)
+    assert refused.returncode == 2 and "no tree is equal to it" in refused.stderr
+    told = "  otr-run env=CartPole-v1 method=augtree oracle=silu.onnx depth=3 normalise=statistics.json\n"
+    assert refused.stderr.endswith(told)
+    otr_succeeds("otr-run", *SMOKE, *words, cwd=models)
+    (run,) = models.glob("results/runs/CartPole-v1/augtree/depth-2/smoke/seed-0~*")
+    summary = json.loads((run / "summary.json").read_text())
+    assert summary["oracle"]["hidden_widths"] == [8] and summary["model"] == "silu.onnx"
+    (imported,) = models.glob("results/runs/CartPole-v1/model/depth-8/smoke/seed-0~*")
+    X = np.random.default_rng(3).normal(size=(500, 4))
+    seen = np.clip((X - statistics["mean"]) / np.sqrt(statistics["var"]), -1.5, 1.5)
+    outputs = module(torch.tensor(seen, dtype=torch.float32)).detach().numpy()
+    policy = load_oracle_network(imported / "import")
+    np.testing.assert_allclose(policy.forward(X), outputs, atol=1e-5)
+    assert policy.head == otr.Argmax()
 
 
 def test_a_network_distilled_from_an_oracle_is_mapped_proved_and_polished(models):
@@ -283,8 +311,11 @@ def test_a_network_distilled_from_an_oracle_is_mapped_proved_and_polished(models
         (("oracle={}/tanh.zip",), "who is to imitate it. Add method=viper or"),
         (("oracle={}/tanh.zip", "method=sdt"), "who is to imitate it"),
         (("model={}/tanh.zip", "method=viper", "oracle=[8]"), "leave oracle=.8. out"),
-        (("oracle={}/tanh.zip", "method=augtree", "method.features=deep"), "units of .* are tanh, which has none"),
-        (("model={}/network.onnx", "normalise={}/statistics.pkl"), "belong to a Stable-Baselines3 zip, not to"),
+        (
+            ("oracle={}/tanh.zip", "method=augtree", "method.features=deep"),
+            "has none of .the units are tanh.; leave it out",
+        ),
+        (("model={}/network.onnx", "normalise={}/statistics.pkl"), "3 means and 3 variances, the network has 4"),
         (
             ("method=viper", "normalise={}/statistics.pkl"),
             "statistics.pkl: of which model. Add model=FILE or oracle",

@@ -79,6 +79,10 @@ class SmoothNetwork:
         self.n_inputs, self.n_outputs, self.hidden_widths = layers.n_inputs, layers.n_outputs, layers.hidden_widths
         self.activation = activation
 
+    def __repr__(self) -> str:
+        widths = " -> ".join(map(str, (self.n_inputs, *self.hidden_widths, self.n_outputs)))
+        return f"SmoothNetwork({widths}, activation={self.activation!r}, head={self.head!r})"
+
     @property
     def reason(self) -> str:
         """Why no tree equals it, for messages."""

@@ -18,7 +18,7 @@ from otr.core.arrays import FloatArray
 from otr.core.smooth_network import Oracle
 from otr.errors import ArtefactError, InvalidNetworkError
 from otr.importers.assembly import Function, black_box, policy_of
-from otr.importers.sections import LIMIT_NUMBERS, Node, Sections
+from otr.importers.sections import LIMIT_NUMBERS, MEMORY, Node, Sections
 
 if TYPE_CHECKING:
     from onnx import GraphProto, ModelProto, NodeProto, TensorProto
@@ -126,16 +126,14 @@ def _read_graph(given: Any, output: str | None) -> _Graph:
             "without optimisation for one runtime"
         )
     if recurrent := [node for node in nodes if node.op_type in _RECURRENT]:
-        raise InvalidNetworkError(
-            f"{_describe(recurrent[0])} remembers earlier states, and a tree answers the present one; use a policy "
-            "without memory"
-        )
+        raise InvalidNetworkError(MEMORY.format(_describe(recurrent[0])))
     read = {name for node in nodes for name in node.input} | {output}
     inputs = [value for value in graph.input if value.name in read and value.name not in tensors]
     if len(inputs) != 1:
         raise InvalidNetworkError(
             f"{output!r} is computed from {len(inputs)} inputs ({', '.join(v.name for v in inputs[:5]) or 'none'}), "
-            "expected one: the states"
+            "expected one: the states; make constants of the others, such as masks of actions by "
+            "model.graph.initializer.append(onnx.numpy_helper.from_array(numpy.ones(shape, 'float32'), name))"
         )
     return _Graph(inputs[0].name, _shape(inputs[0]), output, nodes, tensors, opset)
 

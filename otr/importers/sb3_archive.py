@@ -184,7 +184,9 @@ def load_tensors(content: bytes, label: str, *, is_nested: bool = False) -> Tens
     try:
         tensors = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
-        raise ArtefactError(f"{label} holds more than tensors, and was not loaded: {error}") from error
+        found = re.search(r"GLOBAL (\S+)", str(error))
+        told = f"it names {found[1]}" if found else str(error).strip()[:200]
+        raise ArtefactError(f"{label} holds more than tensors, and was not loaded: {told}") from error
     except Exception as error:  # torch can fail in any way on what it did not write
         raise ArtefactError(f"{label} cannot be read ({error}); save the model again") from error
     tensors = _tensors_in(tensors, "") if is_nested and isinstance(tensors, dict) else tensors

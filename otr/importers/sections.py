@@ -28,6 +28,7 @@ _LENGTH = 2.0**700
 _LIMIT_ROWS = 256  # basis vectors at a time
 _N_BACK = 8  # nodes in which one unit may be written
 IMITATE = "train with these, or let a tree imitate the model as it is: otr.imitate(otr.read_policy(model), env)"
+MEMORY = "{} remembers earlier states, and a tree answers the present one; use a policy without memory"
 RANDOM = "answers otherwise every time; export the deterministic policy, of torch after module.eval()"
 _TOLERANCE, _NOISE = 1e-6, 1e-12  # of a node's answer, and of what it reads
 

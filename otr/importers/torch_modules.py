@@ -8,6 +8,7 @@ from __future__ import annotations
 import copy
 import inspect
 import io
+import logging
 import operator
 import re
 import warnings
@@ -26,7 +27,7 @@ from otr.core.network import ReluNetwork
 from otr.core.smooth_network import Oracle
 from otr.errors import InvalidNetworkError
 from otr.importers.assembly import Function, black_box, policy_of
-from otr.importers.sections import LIMIT_NUMBERS, Node, Sections
+from otr.importers.sections import LIMIT_NUMBERS, MEMORY, Node, Sections
 from otr.importers.torch_export_file import Call, Export, Name, Type, names_in, read_export
 
 if TYPE_CHECKING:
@@ -92,16 +93,24 @@ def exported(module: Any, state: Any) -> bytes:
     """Return the bytes of a module's export."""
     import torch
 
+    if any(isinstance(part, torch.nn.RNNBase) for part in module.modules()):
+        raise InvalidNetworkError(MEMORY.format("the module"))
+    silenced = logging.root.manager.disable
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
+            logging.disable(logging.ERROR)  # torch prints its stack
             written = io.BytesIO()
             torch.export.save(torch.export.export(module, (state,)), written)
     except Exception as error:  # foreign code can fail in any way
+        parts = ", ".join(f"module.{name}" for name, _ in module.named_children()) or "none"
         raise InvalidNetworkError(
-            f"the module cannot be exported for a state of {state.numel()} inputs ({str(error).strip()[:300]}); give "
-            "torch.export.export(module, (states,))"
+            f"the module cannot be exported for a state of {state.numel()} inputs ({str(error).strip()[:300]}); give a "
+            f"module whose forward(states) returns the actions alone, such as one of its parts ({parts}), or its "
+            "export, torch.export.export(module, (states,))"
         ) from error
+    finally:
+        logging.disable(silenced)
     return written.getvalue()
 
 
@@ -207,6 +216,8 @@ def sections_of_export(file: Path | bytes) -> tuple[Sections, Callable[[FloatArr
     `otr.from_torch` documents what is read, and errors.
     """
     export = read_export(file)
+    if recurrent := [call for call in export.calls if re.match(r"torch\.ops\.aten\.(lstm|gru|rnn)", call.target)]:
+        raise InvalidNetworkError(MEMORY.format(recurrent[0]))
     calls = [call for call in export.calls if not _is_check(call)]
     functions = [_function(call) for call in calls]
     nodes = [_node(call, function) for call, function in zip(calls, functions, strict=True)]

@@ -142,7 +142,7 @@ def test_policies_that_are_no_relu_network_are_refused(tmp_path: Path) -> None:
         (PPO("MlpPolicy", "Pendulum-v1", device="cpu"), "activation_fn=torch.nn.ReLU"),
         (build(SAC, "Pendulum-v1", qf, [4], nn.ELU), "Linear, ReLU and LeakyReLU|activation_fn=torch.nn.ReLU"),
         (build(SAC, "Pendulum-v1", qf, [4], nn.LeakyReLU, use_sde=True), "gSDE clips the mean of the actions at 2"),
-        (build(PPO, TwoDiscrete(), pi, [4]), "only Box and Discrete"),
+        (build(PPO, TwoDiscrete(), pi, [4]), "only Box and Discrete can be mapped: train with one label"),
         (PPO("CnnPolicy", Image(), device="cpu"), "CnnPolicy|feature extractor"),
     ]
     for model, message in refused:

@@ -2,6 +2,7 @@
 
 import io
 import zipfile
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -13,6 +14,7 @@ from stable_baselines3 import PPO, SAC
 
 import otr
 from otr.importers.critics import critics_of_zip
+from tests.importers.test_importers import FourActions
 
 torch.set_num_threads(1)
 RELU = {"activation_fn": torch.nn.ReLU, "net_arch": [8, 5]}
@@ -133,3 +135,37 @@ def test_other_policies_say_what_can_be_read(tmp_path):
             other.writestr(name, file.getvalue() if name == "policy.pth" else given.read(name))
     with pytest.raises(otr.InvalidNetworkError, match=r"the tensor 'lstm_actor.*; only 'MlpPolicy' of"):
         otr.from_sb3(tmp_path / "other.zip")
+
+
+PARTS = gym.spaces.Dict({"speed": gym.spaces.Box(-9, 9, (2,)), "at": gym.spaces.Discrete(3)})
+
+
+@pytest.mark.parametrize(
+    "seen",
+    [PARTS, gym.spaces.Discrete(5), gym.spaces.MultiBinary(4), gym.spaces.MultiDiscrete([2, 3])],
+    ids=["dict", "discrete", "binary", "several"],
+)
+@pytest.mark.parametrize("start", [0, 3])
+def test_observations_that_are_flattened(tmp_path: Path, seen: gym.Space, start: int) -> None:
+    """The network reads what FlattenObservation makes of them; labels count from 0."""
+
+    class Seen(FourActions):
+        observation_space = seen
+        action_space = gym.spaces.Discrete(4, start=start)
+
+        def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple:
+            return self.observation_space.sample(), {}
+
+    policy = "MultiInputPolicy" if seen is PARTS else "MlpPolicy"
+    relu = {"net_arch": [6], "activation_fn": torch.nn.ReLU}
+    model = PPO(policy, Seen(), policy_kwargs=relu, seed=0, device="cpu", n_steps=8)
+    with torch.no_grad():
+        for parameter in model.policy.parameters():
+            parameter.normal_()
+    model.save(tmp_path / "model.zip")
+    seen.seed(1)
+    samples = [seen.sample() for _ in range(40)]
+    flat = np.stack([gym.spaces.flatten(seen, each) for each in samples])
+    expected = [int(model.predict(each, deterministic=True)[0]) for each in samples]
+    for given in (model, tmp_path / "model.zip"):
+        assert otr.from_sb3(given).predict(flat).tolist() == expected

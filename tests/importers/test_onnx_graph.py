@@ -215,6 +215,17 @@ def test_a_model_of_one_state_alone_answers_several() -> None:
     np.testing.assert_allclose(read_policy(made).predict(X), np.tanh(X @ W1.T + B1) @ W2.T + B2, atol=1e-12)
 
 
+def test_masks_are_made_constants_as_the_message_says() -> None:
+    """As of ML-Agents, whose actions may be masked."""
+    made = model(HIDDEN[0], ("Tanh", ["z"], "a"), (*LAST[:2], "u", LAST[3]), ("Mul", ["u", "masks"], "y"))
+    made.graph.input.append(helper.make_tensor_value_info("masks", TensorProto.DOUBLE, (1, 2)))
+    with pytest.raises(otr.InvalidNetworkError, match=r"from 2 inputs \(x, masks\), .*initializer.append\("):
+        read_policy(made)
+    made.graph.initializer.append(numpy_helper.from_array(np.array([[1.0, 0.0]]), "masks"))
+    X = RNG.normal(size=(20, 3))
+    np.testing.assert_allclose(read_policy(made).predict(X), (np.tanh(X @ W1.T + B1) @ W2.T + B2) * [1, 0], atol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("nodes", "message"),
     [

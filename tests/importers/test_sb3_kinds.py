@@ -10,11 +10,11 @@ import pytest
 import torch
 from gymnasium.wrappers import FlattenObservation
 from sb3_contrib import ARS, QRDQN, TQC, TRPO, CrossQ, MaskablePPO
-from stable_baselines3 import PPO, SAC
+from stable_baselines3 import A2C, DDPG, DQN, PPO, SAC, TD3
 
 import otr
 from otr.importers.critics import critics_of_zip
-from tests.importers.test_importers import FourActions
+from tests.importers.test_importers import FourActions, WideBox
 
 torch.set_num_threads(1)
 RELU = {"activation_fn": torch.nn.ReLU, "net_arch": [8, 5]}
@@ -34,12 +34,21 @@ KINDS = {
     "ARS, clipped": (ARS, PENDULUM, LAYERS | {"squash_output": False}, {}),
     "ARS of labels": (ARS, CART, LAYERS, {}),
     "ARS without layers": (ARS, PENDULUM, {"net_arch": []}, {}),
-}
+    **{
+        f"{algorithm.__name__}, {n} layers": (algorithm, env, {**RELU, "net_arch": [6, 5][:n]}, {})
+        for algorithm, env in (
+            *((kind, WideBox()) for kind in (PPO, A2C, TRPO, SAC, TD3, DDPG)),
+            (A2C, FourActions()),
+            (DQN, FourActions()),
+        )
+        for n in range(3)
+    },
+}  # fmt: skip
 
 
 def drawn(algorithm, env, policy_kwargs, **settings):
     """Return a model with numbers so large that every limit and every unit comes into play."""
-    buffer = {} if algorithm in (PPO, ARS, TRPO, MaskablePPO) else {"buffer_size": 10}
+    buffer = {} if algorithm in (PPO, A2C, ARS, TRPO, MaskablePPO) else {"buffer_size": 10}
     policy = dict(policy_kwargs)
     model = algorithm("MlpPolicy", env, policy_kwargs=policy, seed=0, device="cpu", **buffer, **settings)
     generator = torch.Generator().manual_seed(0)
@@ -54,6 +63,9 @@ def drawn(algorithm, env, policy_kwargs, **settings):
 
 def assert_same(model, network):
     X = np.random.default_rng(0).normal(size=(300, network.n_inputs)).astype(np.float32)
+    if isinstance(model, DQN):
+        values = model.q_net(torch.from_numpy(X)).detach().numpy()
+        np.testing.assert_allclose(network.forward(X), values, atol=1e-4)
     acted, _ = model.predict(X, deterministic=True)
     found = network.predict(X)
     np.testing.assert_allclose(found.reshape(acted.shape), acted, atol=2e-5)
@@ -67,6 +79,7 @@ def test_a_policy_is_what_it_predicts(kind, tmp_path):
     model.save(tmp_path / "policy")
     for network in (otr.from_sb3(tmp_path / "policy"), otr.from_sb3(model)):
         assert_same(model, network)
+        assert network.hidden_widths[: len(policy_kwargs["net_arch"])] == tuple(policy_kwargs["net_arch"])
         tree = otr.map_network(network) if network.n_hidden < 14 else None
         if tree is not None:
             X = np.random.default_rng(1).normal(size=(50, network.n_inputs))

@@ -16,7 +16,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 import otr
 from otr.importers import read_policy
 from otr.importers.statistics import ObservationStatistics
-from tests.importers.test_importers import FourActions, WideBox, build
+from tests.importers.test_importers import Bomb, FourActions, WideBox, build
 
 torch.set_num_threads(1)
 
@@ -200,7 +200,7 @@ def test_files_of_numbers_that_are_no_statistics(tmp_path: Path) -> None:
         tmp_path / "a.json", b"[]", otr.InvalidNetworkError
     )
     assert "a.npz" in refusal(tmp_path / "a.npz", b"PK")
-    np.savez(tmp_path / "b.npz", mean=np.array([_Bomb(tmp_path / "ran")] * 3), var=VARIANCE, epsilon=1.0)
+    np.savez(tmp_path / "b.npz", mean=np.array([Bomb(tmp_path / "ran")] * 3), var=VARIANCE, epsilon=1.0)
     assert "holds no arrays of numbers" in refusal(tmp_path / "c.npz", (tmp_path / "b.npz").read_bytes())
     assert not (tmp_path / "ran").exists()
 
@@ -227,16 +227,6 @@ def test_statistics_that_do_not_fit_are_refused(tmp_path: Path) -> None:
             otr.from_sb3(model, normalise=statistics)
 
 
-class _Bomb:
-    """Unpickling this writes the sentinel file."""
-
-    def __init__(self, sentinel: Path) -> None:
-        self.sentinel = sentinel
-
-    def __reduce__(self) -> tuple:
-        return Path.touch, (self.sentinel,)
-
-
 def refusal(path: Path, content: bytes, error: type = otr.ArtefactError) -> str:
     path.write_bytes(content)
     with pytest.raises(error) as caught:
@@ -246,22 +236,22 @@ def refusal(path: Path, content: bytes, error: type = otr.ArtefactError) -> str:
 
 def test_code_in_a_file_of_statistics_is_not_run(tmp_path: Path) -> None:
     sentinel, path = tmp_path / "sentinel", tmp_path / "statistics.pkl"
-    pickle.loads(pickle.dumps(_Bomb(sentinel)))
+    pickle.loads(pickle.dumps(Bomb(sentinel)))
     assert sentinel.exists(), "the bomb works"
     sentinel.unlink()
 
     env = normalised(FourActions())
     model = build(PPO, env, {"vf": [8]}, [4])
     for place in (env, env.obs_rms):  # beside what is read: it changes nothing, and is not run
-        place.bomb = _Bomb(sentinel)
+        place.bomb = Bomb(sentinel)
     env.save(str(path))
     network = otr.from_sb3(model, normalise=path)
     np.testing.assert_array_equal(network.weights[0], otr.from_sb3(model, normalise=env).weights[0])
     for name in ("mean", "var"):
         env = normalised(FourActions())
-        setattr(env.obs_rms, name, _Bomb(sentinel))
+        setattr(env.obs_rms, name, Bomb(sentinel))
         assert "holds no statistics of observations" in refusal(path, pickle.dumps(env))
-    bomb = pickle.dumps(_Bomb(sentinel))
+    bomb = pickle.dumps(Bomb(sentinel))
     module = Path.touch.__module__  # pathlib, and pathlib._local in Python 3.13
     assert f"holds a {module}.Path.touch, expected a stable_baselines3" in refusal(path, bomb)
     assert "is no pickle" in refusal(
@@ -291,7 +281,7 @@ def test_numbers_of_other_kinds_are_refused(tmp_path: Path) -> None:
         env = normalised(FourActions())
         env.obs_rms.mean = wrong
         assert "holds no statistics of observations" in refusal(path, pickle.dumps(env))
-    for wrong in (np.array([True]), np.float64(0.0), _Bomb(tmp_path / "sentinel")):
+    for wrong in (np.array([True]), np.float64(0.0), Bomb(tmp_path / "sentinel")):
         env = normalised(FourActions())
         env.norm_obs = wrong
         assert "holds no statistics of observations" in refusal(path, pickle.dumps(env))

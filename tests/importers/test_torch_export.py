@@ -17,7 +17,7 @@ from torch import nn
 
 import otr
 from otr.importers import read_policy
-from tests.importers.test_importers import _Bomb, rewrite
+from tests.importers.test_importers import Bomb, rewrite
 
 torch.set_num_threads(1)
 STATES = torch.from_numpy(np.random.default_rng(0).normal(size=(200, 4)).astype(np.float32)) * 2
@@ -183,7 +183,7 @@ def test_no_pickle_is_opened(saved: Path, tmp_path: Path) -> None:
     """torch.export.load runs the code in one. That of a tensor is named here, that of the example states is skipped."""
     sentinel = tmp_path / "sentinel"
     bomb = io.BytesIO()
-    torch.save(_Bomb(sentinel), bomb)
+    torch.save(Bomb(sentinel), bomb)
     with zipfile.ZipFile(saved) as archive:
         names = {name.partition("/")[2]: name for name in archive.namelist()}
         config = json.loads(archive.read(names["data/weights/model_weights_config.json"]))

@@ -115,9 +115,10 @@ def from_sb3(
 
     That is the policy on a vector, or on what gymnasium's FlattenObservation makes one of, of PPO, A2C, TRPO, SAC, TD3,
     DDPG, DQN, TQC, QR-DQN, CrossQ, ARS and MaskablePPO, which is read without its masks, as a warning says. Actions
-    that tanh squashes end in `TanhBox`, others in `ClipBox` or, with discrete actions, `Argmax`; DQN's actor is the network of its action values, QR-DQN's of their means over
-    the quantiles. Batch normalisation is folded into the layer after it; where gSDE clips the mean, a layer of ReLU
-    units does. Stable-Baselines3 computes in float32, so its answers differ from the network's by about 1e-7 of the
+    that tanh squashes end in `TanhBox`, others in `ClipBox` or, with discrete actions, `Argmax`; DQN's actor is the
+    network of its action values, QR-DQN's of their means over the quantiles. Batch normalisation is folded into the
+    layer after it; where gSDE clips the mean, a layer of ReLU units does. Stable-Baselines3 computes in float32, so
+    its answers differ from the network's by about 1e-7 of the
     action box. A live model has no hooks. It is read as `model.save` writes it, and is run on fixed states: where it
     predicts otherwise than its layers, nothing is returned.
 

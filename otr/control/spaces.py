@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from otr.core.heads import Argmax, Identity
+from otr.core.heads import Argmax, Identity, Sign
 
 _VECTORS = (spaces.Box, spaces.Discrete, spaces.MultiBinary, spaces.MultiDiscrete)
 
@@ -123,6 +123,8 @@ def deciding(policy: Any, predict: Callable[[Any], Any], env: gym.Env[Any, Any])
 def with_answers(policy: Any, env: gym.Env[Any, Any]) -> Any:
     """Return a network with a head that answers with an environment's actions, where its own leaves that open."""
     space = env.action_space
+    if isinstance(policy.head, Sign):
+        return of_two_outputs(policy)
     if not isinstance(policy.head, Identity):
         return policy
     if isinstance(space, spaces.Discrete):
@@ -132,6 +134,15 @@ def with_answers(policy: Any, env: gym.Env[Any, Any]) -> Any:
             head=policy.head.clipped_to(*(np.float64(side).ravel() for side in (space.low, space.high)))
         )
     return policy
+
+
+def of_two_outputs(policy: Any) -> Any:
+    """Return a network whose output y decides between two labels (`Sign`) as one of outputs 0 and y; else itself."""
+    if not isinstance(policy.head, Sign):
+        return policy
+    weights = [*policy.weights[:-1], np.vstack((0 * policy.weights[-1], policy.weights[-1]))]
+    biases = [*policy.biases[:-1], np.append(0.0, policy.biases[-1])]
+    return policy.replace(weights=weights, biases=biases, head=Argmax())
 
 
 def _labels(answers: Any, n: int, n_labels: int) -> NDArray[np.int64]:

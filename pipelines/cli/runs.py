@@ -325,6 +325,11 @@ def _model(config: RunConfig, overrides: Sequence[str]) -> tuple[ImportedModel, 
     for override in overrides:
         if override.startswith(given):
             raise ConfigError(f"{override}: {key} is the model's own; leave {override} out")
+    if method.imitates and not imported.policy.hidden_widths:
+        raise ConfigError(
+            f"oracle={method.model} is linear, which is a tree of one leaf as it is; add model={method.model} in place "
+            f"of oracle and method={method.name}"
+        )
     if isinstance(imported.policy, otr.ReluNetwork):
         pass
     elif isinstance(method, AugTreeConfig) and method.features == "deep":

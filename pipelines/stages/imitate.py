@@ -10,6 +10,7 @@ from typing import Any
 
 import otr
 from otr.control.dagger.loop import DaggerProgress, DaggerSettings, TreeFit, run_dagger
+from otr.control.spaces import of_two_outputs
 from otr.core.smooth_network import Oracle
 from pipelines.config.methods import DistilledConfig, DistilledExpertsConfig, ImitatingConfig, NdpsConfig
 from pipelines.config.run import RunConfig
@@ -57,7 +58,7 @@ def imitate(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
 
     Of a network the actor's files are written in place of the tree, which the stage map makes.
     """
-    oracle = load_oracle(inputs["oracle"], Path(config.results_dir))
+    oracle = of_two_outputs(load_oracle(inputs["oracle"], Path(config.results_dir)))
     imitation, folder = config.imitate, working_folder(config, inputs)
     result = run_dagger(
         oracle,

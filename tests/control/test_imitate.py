@@ -92,6 +92,15 @@ def test_a_black_box_in_an_environment_of_keys(capsys):
     assert "imitate: augtree of depth 2" in capsys.readouterr().err
 
 
+def test_one_output_that_decides_between_two_labels():
+    """As a binary classifier of scikit-learn has it: the linear policy that balances the pole."""
+    falling = np.array([[0.05, 0.2, 1.0, 0.5]])
+    policy = otr.ReluNetwork([np.vstack((falling, -falling)), [[1.0, -1.0]]], [np.zeros(2), [0.0]], head=otr.Sign())
+    tree = otr.imitate(policy, "CartPole-v1", "lm_viper", 1, **SHORT, progress=False)
+    states = otr.rollout("CartPole-v1", policy, n_episodes=2).states
+    assert tree.head == otr.Argmax() and (tree.predict(states) == policy.predict(states)).mean() > 0.9
+
+
 def test_what_cannot_be_is_refused():
     with pytest.raises(ValueError, match="method='cart', expected one of augtree, viper"):
         otr.imitate(pendulum(), "Pendulum-v1", "cart")

@@ -45,6 +45,7 @@ def models(tmp_path_factory):
     network = otr.from_sb3(folder / "relu.zip").replace(head=otr.Identity())
     otr.save(otr.PatternTree(network), folder / "network.json")
     _write_onnx(network, folder / "network.onnx")
+    otr.save(otr.PatternTree(otr.ReluNetwork([np.ones((2, 4))], [np.zeros(2)])), folder / "linear.json")
     return folder
 
 
@@ -308,6 +309,7 @@ def test_a_network_distilled_from_an_oracle_is_mapped_proved_and_polished(models
         (("oracle={}/tanh.zip", "method=viper", "algo=ppo"), "algo=ppo: nothing is trained, as model=.*tanh.zip is"),
         (("model={}/relu.zip", "stages=[train]"), "no stage 'train'; it has import, map"),
         (("oracle=nosuch.zip", "method=viper"), "oracle=nosuch.zip: there is no such file"),
+        (("oracle={}/linear.json", "method=viper"), "linear.json is linear, which is a tree of one leaf as it is; add"),
         (("oracle={}/tanh.zip",), "who is to imitate it. Add method=viper or"),
         (("oracle={}/tanh.zip", "method=sdt"), "who is to imitate it"),
         (("model={}/tanh.zip", "method=viper", "oracle=[8]"), "leave oracle=.8. out"),

@@ -62,7 +62,7 @@ if TYPE_CHECKING:
         from_torch as from_torch,
         read_policy as read_policy,
     )
-    from otr.importers.vec_normalize import ObservationStatistics as ObservationStatistics
+    from otr.importers.statistics import ObservationStatistics as ObservationStatistics
     from otr.programs.c.source import to_c as to_c
     from otr.programs.dot import to_dot as to_dot
     from otr.programs.json import to_json as to_json
@@ -111,7 +111,7 @@ _NAMES_OF_MODULES = {
     "explanation.importance": "importance",
     "geometry.minimal_tree": "minimal_tree",
     "importers": "from_onnx from_sb3 from_sklearn from_torch read_policy",
-    "importers.vec_normalize": "ObservationStatistics",
+    "importers.statistics": "ObservationStatistics",
     "programs.c.source": "to_c",
     "programs.dot": "to_dot",
     "programs.json": "to_json",

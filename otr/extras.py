@@ -16,6 +16,7 @@ _EXTRAS = {
     "joblib": ("joblib", "learn"),
     "matplotlib": ("matplotlib", "plots"),
     "onnx": ("onnx", "onnx"),
+    "onnxruntime": ("onnxruntime", "onnx"),
     "skops": ("skops", "learn"),
     "sklearn": ("scikit-learn", "learn"),
     "torch": ("torch", "learn"),

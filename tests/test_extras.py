@@ -26,7 +26,7 @@ calls = {
     "otr.from_torch": lambda: otr.from_torch(None),
     "otr.from_sb3": lambda: otr.from_sb3(sys.argv[1]),
     "otr.from_sklearn": lambda: otr.from_sklearn(None),
-    "otr.importers.read_policy": lambda: importers.read_policy("policy.skops"),
+    "otr.read_policy": lambda: importers.read_policy("policy.skops"),
     "otr.from_onnx": lambda: otr.from_onnx(b""),
     "otr.rollout": lambda: otr.rollout("CartPole-v1", tree),
     "otr.evaluate": lambda: otr.evaluate("CartPole-v1", tree),

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from stable_baselines3 import PPO
+from stable_baselines3 import DQN, PPO, SAC
 
 import otr
 
@@ -48,3 +48,35 @@ def test_the_examples_run(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys:
     assert (read.predict(played.states) == played.actions).mean() > 0.99  # its numbers have four digits
     assert "\nnearest state of another label, " in why and "  decisions\n" in why
     assert names["proof"].max_error < 1e-9 and "double" in names["c_code"]
+
+
+MODELS = {
+    "PPO of [8, 8] ReLU": (PPO, "CartPole-v1", {"net_arch": [8, 8], "activation_fn": torch.nn.ReLU}),
+    "PPO as it is, tanh [64, 64]": (PPO, "CartPole-v1", {}),
+    "DQN as it is": (DQN, "CartPole-v1", {}),
+    "SAC as it is, [256, 256]": (SAC, "Pendulum-v1", {}),
+}
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_the_first_lines_work_for_what_people_train(name: str, tmp_path: Path) -> None:
+    algorithm, env, settings = MODELS[name]
+    options = {"buffer_size": 10} if algorithm is not PPO else {}
+    model = algorithm("MlpPolicy", env, policy_kwargs=settings, seed=0, device="cpu", **options)
+    model.save(tmp_path / "model.zip")
+    net = otr.read_policy(tmp_path / "model.zip")
+    played = otr.rollout(env, net, n_episodes=2)
+    theirs = model.predict(played.states.astype(np.float32), deterministic=True)[0]
+    np.testing.assert_allclose(played.actions, theirs.reshape(played.actions.shape), atol=1e-5)
+    if "tanh" in name:
+        with pytest.raises(TypeError, match=r"no tree equals .* a tree can imitate it: otr\.imitate\(policy, env\)"):
+            otr.tree(net, played.states)
+    else:
+        tree = otr.tree(net, played.states)
+        np.testing.assert_allclose(tree.predict(played.states), net.predict(played.states), atol=1e-9)
+        with pytest.raises(otr.TreeTooLargeError, match=r"use otr\.tree\(network, states\)"):
+            otr.map_network(net, max_leaves=2**10)
+    few = {"n_rounds": 1, "n_episodes": 1, "n_choice_episodes": 1}
+    short = otr.imitate(net, env, method="augtree", depth=3, progress=False, **few)
+    assert short.n_leaves <= 8 and len(otr.evaluate(env, short, n_episodes=2).returns) == 2
+    assert "return" in otr.to_text(short) and "double" in otr.to_c(short)

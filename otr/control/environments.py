@@ -12,7 +12,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from otr.control.answers import answer_reader
+from otr.control.spaces import answer_reader, flattened
 from otr.core.arrays import BoolArray, FloatArray, IntArray
 
 Make = Callable[[], gym.Env[Any, Any]]
@@ -88,7 +88,7 @@ class GymnasiumVectorEnv:
         self._n_playing = len(given) if envs is None else self._n_playing
         while len(self._envs) <= max(chosen):
             self._envs.append(self._make())
-            if any(self._envs[-1] is env for env in self._envs[:-1]):
+            if any(self._envs[-1].unwrapped is env.unwrapped for env in self._envs[:-1]):
                 self._envs.pop()
                 raise ValueError(
                     "env made the same environment twice, expected a new one each time: they are stepped together"
@@ -118,8 +118,10 @@ class GymnasiumVectorEnv:
                 answer = env.step(action)
                 states[j], rewards[j], terminated[j], truncated[j], _ = answer
         except (TypeError, ValueError) as error:
-            if answer is self:
+            if answer is self and "unpack" not in str(error):  # which a wrapper does with what step returns
                 raise
+            if answer is self:
+                raise ValueError(f"step(action) fails: {type(error).__name__}: {error}. {INTERFACE}") from error
             raise ValueError(f"step(action) returns {_shown(answer)}: {error}. {INTERFACE}") from error
         return Stepped(states.reshape(n, -1), rewards, terminated, truncated, actions)
 
@@ -164,24 +166,32 @@ def depends_on_past(make: Make, n_steps: int = 100) -> bool:
 def playable(env: Any) -> tuple[Make, bool]:
     """Return a maker of environments whose episodes depend on their seeds alone, and whether it makes several.
 
+    What they observe is flattened, and their labels begin at 0.
+
     Args:
         env: an id, a function that makes a new environment each time, or an environment, which is played one episode
             after another and left open.
 
     Raises:
         TypeError: it is none of these.
-        ValueError: an environment's episodes depend on those before, and it cannot be made anew.
+        ValueError: its spaces are none of a policy's, or its episodes depend on those before, and it cannot be made
+            anew.
     """
     if isinstance(env, gym.Env):
-        return _of_one(env)
+        make_one, makes_several = _of_one(flattened(env))
+        return make_one, makes_several
     if isinstance(env, str):
-        make: Make = functools.partial(gym.make, env, disable_env_checker=True)  # which costs time at every step
+        inner: Make = functools.partial(gym.make, env, disable_env_checker=True)  # which costs time at every step
     elif callable(env):
-        make = env
+        inner = env
     else:
         raise TypeError(
             f"env is a {type(env).__name__}, expected an environment, the id of one, or a function that makes one"
         )
+
+    def make() -> gym.Env[Any, Any]:
+        return flattened(inner())
+
     one = make()
     name = _name(one)
     is_known = _is_gymnasiums(one)

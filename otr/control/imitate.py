@@ -4,21 +4,27 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
-from otr.control.dagger.loop import DaggerProgress, DaggerSettings, TreeFit, run_dagger
-from otr.control.rollout import rollout
+from otr.control.dagger.loop import DaggerProgress, DaggerSettings, Play, TreeFit, run_dagger
+from otr.control.rollout import Rollout, rollout
+from otr.control.search.policy_numbers import Policy as Numbered
+from otr.control.search.polish import PolishReport
+from otr.control.search.polish import polish as search_numbers
+from otr.core.arrays import FloatArray, IntArray
 from otr.core.mapping import map_network
 from otr.core.pattern_tree import PatternTree
 from otr.core.smooth_network import Oracle
 from otr.core.tree import ObliqueTree
 from otr.extras import naming_the_extra
 
+_METHODS = ("augtree", "viper", "lm_viper", "ndps", "distilled_otr", "experts")
 _SEEDS = (2**24, 2**31)  # of the episodes; those below are for reports and `rollout`
 _EPISODES = ("oracle", "dagger", "selection")
 _EVERY_S = 5.0
@@ -29,11 +35,13 @@ def imitate(
     policy: Oracle,
     env: Any,
     method: str = "augtree",
-    depth: int = 3,
+    depth: int | Sequence[int] = 3,
     *,
     n_rounds: int = 20,
     n_episodes: int = 10,
     n_choice_episodes: int = 50,
+    max_steps: int | None = None,
+    polish: bool | Mapping[str, Any] = False,
     seed: int = 0,
     progress: bool = True,
     **options: Any,
@@ -44,15 +52,19 @@ def imitate(
     the policy and the tree return on the episodes that choose is printed; `evaluate` plays others.
 
     Args:
-        policy: a network, as `read_policy` returns it.
+        policy: as `read_policy` returns it. Where its outputs have no head, the largest one's label is the action, or
+            they are clipped to the actions' box.
         env: the id of a registered environment, a function that makes one, or an environment; as `rollout` takes it.
         method: "augtree" (tests on the state and the policy's hidden units), "viper" (CART), "lm_viper" (CART with
             affine leaves), "ndps" (oblique tests, affine leaves), "distilled_otr" (a small network, mapped), or
             "experts" (linear ones, of which one acts; for continuous actions).
-        depth: tests on a path; hidden neurons of "distilled_otr", at most 16; the number of "experts".
+        depth: tests on a path; hidden neurons of "distilled_otr", at most 16 in all; the number of "experts".
         n_rounds: in which the newest tree plays, and the next one is fitted.
         n_episodes: of a round.
         n_choice_episodes: on which the last two candidates are compared.
+        max_steps: of an episode, as `rollout` takes it.
+        polish: whether direct search improves the tree's numbers on the return in the end (`otr.polish`), or the
+            arguments of that by name, such as ``{"n_iterations": 30}``.
         seed: of episodes and fits.
         progress: whether lines on stderr say how far it is.
         options: of the method's fit, such as `min_samples_leaf`; see `otr.control.viper.CartFit` and so on.
@@ -68,68 +80,127 @@ def imitate(
         >>> tree.depth
         1
     """
-    printed_at = time.monotonic()
+    policy, feature_names = _fitted(policy, env)
 
-    def seeds(name: str, index: int, n: int) -> Sequence[int]:
-        generator = np.random.default_rng([seed, _EPISODES.index(name), index])
-        return [int(each) for each in generator.integers(*_SEEDS, n)]
-
-    def show(done: DaggerProgress) -> None:
-        nonlocal printed_at
-        if progress and time.monotonic() - printed_at > _EVERY_S:
-            printed_at = time.monotonic()
-            so_far = f"{done.n_leaves:,} leaves, return {done.return_mean:.1f}"
-            print(f"imitate: round {done.round} of {done.n_rounds}, {so_far}", file=sys.stderr, flush=True)
+    def play(playing: Any, seeds: Sequence[int], keep_states: bool) -> Rollout:
+        return rollout(env, playing, seeds=seeds, max_steps=max_steps)
 
     with TemporaryDirectory(prefix="otr-") as place:
         result = run_dagger(
             policy,
-            _fit(method, depth, policy, Path(place), options),
-            lambda play, own, keep_states: rollout(env, play, seeds=own),
-            seeds,
+            learner(method, policy, depth, Path(place), **options),
+            play,
+            partial(_seeds, seed),
             DaggerSettings(n_rounds, n_episodes, n_episodes, n_choice_episodes),
             np.random.SeedSequence(seed, spawn_key=(len(_EPISODES),)),
             Path(place),
-            on_round=show,
+            on_round=_Shown() if progress else None,
         )
-    chosen = result.iterates[result.round]
     if progress:
-        print(
-            f"imitate: {method} of depth {depth}, {chosen.n_leaves:,} leaves: return {chosen.selection_mean:.1f} over "
-            f"{chosen.n_selection_episodes} episodes, the policy's {result.oracle_mean:.1f} over {n_episodes}",
-            file=sys.stderr, flush=True,
-        )  # fmt: skip
-    return map_network(result.tree.network) if isinstance(result.tree, PatternTree) else result.tree
+        chosen = result.iterates[result.round]
+        _say(
+            f"{method} of depth {depth}, {chosen.n_leaves:,} leaves: return {chosen.selection_mean:.1f} over "
+            f"{chosen.n_selection_episodes} episodes, the policy's {result.oracle_mean:.1f} over {n_episodes}"
+        )
+    arguments = dict(polish) if isinstance(polish, Mapping) else {}
+    if isinstance(result.tree, PatternTree):
+        network = result.tree.network
+        tree = map_network(_polished(network, play, arguments, seed, progress) if polish else network)
+    else:
+        tree = _polished(result.tree, play, arguments, seed, progress) if polish else result.tree
+    return tree.replace(feature_names=feature_names) if feature_names else tree
 
 
-def _fit(method: str, depth: int, policy: Oracle, folder: Path, options: dict[str, Any]) -> TreeFit:
-    """Return the learner of a method."""
+def learner(method: str, policy: Oracle, depth: int | Sequence[int], folder: Path, **options: Any) -> TreeFit:
+    """Return the fit of a method's trees or networks, as `imitate` names them.
+
+    Args:
+        method, depth, options: as `imitate` takes them.
+        policy: that is imitated; its actions have a box, or are labels.
+        folder: in which "ndps" keeps what its next fit goes on from.
+
+    Raises:
+        ValueError: there is no such method.
+        TypeError: the fit has no such option, or the policy's head does not suit the method.
+    """
     from otr.control.augtree import AugTreeFit
     from otr.control.distilled_otr import StudentFit
     from otr.control.viper import CartFit, LinearModelTreeFit, box_of
 
-    def head() -> Any:
-        return policy.head if policy.head.gives_labels else box_of(policy.head)
-
-    def ndps() -> TreeFit:
-        from otr.control.ndps import NdpsImitator, NdpsSettings
-
-        updates = {"n_updates": 2_000} | options
-        return NdpsImitator(head(), NdpsSettings(depth=depth, **updates), 200, 25_000, folder)
-
-    def experts() -> TreeFit:
+    widths = (depth,) if isinstance(depth, int) else tuple(depth)
+    if method not in _METHODS:
+        raise ValueError(f"method={method!r}, expected one of {', '.join(_METHODS)}")
+    if method == "distilled_otr":
+        head = policy.head if policy.head.gives_labels else box_of(policy.head)
+        return StudentFit(head, tuple(width for width in widths if width), **options)
+    if len(widths) != 1:
+        raise ValueError(f"depth={depth}, expected a number; several widths are for method='distilled_otr'")
+    if method == "augtree":
+        return AugTreeFit(policy, widths[0], **options)
+    if method == "viper":
+        return CartFit(widths[0], **options)
+    if method == "lm_viper":
+        return LinearModelTreeFit(policy.head, widths[0], **options)
+    if method == "experts":
         from otr.control.experts import ExpertsFit
 
-        return ExpertsFit(box_of(policy.head), depth, **options)
+        return ExpertsFit(box_of(policy.head), widths[0], **options)
+    from otr.control.ndps import NdpsImitator, NdpsSettings
 
-    fits: dict[str, Callable[[], TreeFit]] = {
-        "augtree": lambda: AugTreeFit(policy, depth, **options),
-        "viper": lambda: CartFit(depth, **options),
-        "lm_viper": lambda: LinearModelTreeFit(policy.head, depth, **options),
-        "ndps": ndps,
-        "distilled_otr": lambda: StudentFit(head(), (depth,) if depth else (), **options),
-        "experts": experts,
-    }
-    if method not in fits:
-        raise ValueError(f"method={method!r}, expected one of {', '.join(fits)}")
-    return fits[method]()
+    head = policy.head if policy.head.gives_labels else box_of(policy.head)
+    rounds = {"n_updates": 2_000, "n_updates_next": 200, "max_samples": 25_000} | options
+    n_updates_next, max_samples = rounds.pop("n_updates_next"), rounds.pop("max_samples")
+    return NdpsImitator(head, NdpsSettings(depth=widths[0], **rounds), n_updates_next, max_samples, folder)
+
+
+def _fitted(policy: Oracle, env: Any) -> tuple[Oracle, list[str]]:
+    """Return a policy with a head that answers with an environment's actions, and names of the features, if any."""
+    from otr.control.environments import playable
+    from otr.control.spaces import keyed_names, with_answers
+
+    make, makes_several = playable(env)
+    one = make()
+    fitted, names = with_answers(policy, one), keyed_names(one)
+    if makes_several:
+        one.close()
+    return fitted, names
+
+
+def _seeds(seed: int, name: str, index: int, n: int) -> list[int]:
+    generator = np.random.default_rng([seed, _EPISODES.index(name), index])
+    return [int(each) for each in generator.integers(*_SEEDS, n)]
+
+
+def _polished(policy: Numbered, play: Play, options: dict[str, Any], seed: int, progress: bool) -> Numbered:
+    """Return what `otr.polish` makes of a policy, on the states that it visits."""
+
+    def returns(policies: Sequence[Any], seeds: IntArray) -> FloatArray:
+        return np.stack(
+            [play(each.predict, row.tolist(), False).returns for each, row in zip(policies, seeds, strict=True)]
+        )
+
+    def show(done: PolishReport) -> None:
+        if progress and done.confirmation is not None:
+            before, after = done.confirmation
+            kept = "kept" if done.kept else "not kept"
+            _say(f"polished, return {after:.1f}, before {before:.1f}: {kept}")
+
+    states = play(policy.predict, _seeds(seed, "selection", 2**20, 10), True).states
+    return search_numbers(policy, returns, states=states, seed=seed, report=show, **options)
+
+
+class _Shown:
+    """Prints how far DAgger is, every few seconds."""
+
+    def __init__(self) -> None:
+        self._printed_at = time.monotonic()
+
+    def __call__(self, done: DaggerProgress) -> None:
+        if time.monotonic() - self._printed_at > _EVERY_S:
+            self._printed_at = time.monotonic()
+            so_far = f"{done.n_leaves:,} leaves, return {done.return_mean:.1f}"
+            _say(f"round {done.round} of {done.n_rounds}, {so_far}")
+
+
+def _say(text: str) -> None:
+    print(f"imitate: {text}", file=sys.stderr, flush=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import closing, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,6 +40,7 @@ class Rollout:
         terminated, truncated: (n,) bool, how each episode ended.
         states: (sum of lengths, d) float64, the states acted on, episode after episode; without rows where not kept.
         actions: (sum of lengths, a), or (sum of lengths,) labels, as the environment was given them; likewise.
+        feature_names: of a state's numbers, from the keys of dictionaries; None where there are none.
     """
 
     seeds: IntArray
@@ -49,6 +50,7 @@ class Rollout:
     truncated: BoolArray
     states: FloatArray
     actions: NDArray[Any]
+    feature_names: list[str] | None = None
 
     @property
     def mean_return(self) -> float:
@@ -85,10 +87,12 @@ def rollout(
     Args:
         env: the id of a registered environment, ``"module:Id"`` too; a function that makes a new one each time, of
             which several are stepped side by side; or an environment, which is stepped alone and left open.
-            Observations are a Box, read as vectors (d,); actions a Box or Discrete.
+            Observations are vectors (d,): dictionaries, labels and arrays are flattened as gymnasium's
+            FlattenObservation does. Actions are a Box or Discrete, whose labels count from 0 here.
         policy: a tree, a network, or anything with ``predict(X)``, or a function, from states (n, d) float64 to
-            actions (n, a) or labels (n,). Actions are rounded to the action space's own type, and not clipped;
-            whole numbers that this type cannot hold are an error.
+            actions (n, a) or labels (n,); where its head is Identity, the label is the largest output's. Actions are
+            rounded to the action space's own type, and not clipped; whole numbers that this type cannot hold are an
+            error.
         n_episodes: at least 1; 100 without `seeds`.
         seed: of the episodes' own seeds, which are drawn from 2**20 upwards: never those that `evaluate` plays by
             default.
@@ -146,18 +150,21 @@ def _play(
     env: Any, policy: Any, n_episodes: int | None, seeds: Sequence[int], max_steps: int | None, *, keep_steps: bool
 ) -> Rollout:
     from otr.control.environments import GymnasiumVectorEnv, playable, require_limit
+    from otr.control.spaces import deciding, keyed_names
 
     if n_episodes not in (None, len(seeds)):
         raise ValueError(f"n_episodes is {n_episodes}, and there are {len(seeds)} seeds; give one of the two")
-    predict = _function(policy)
+    given = _function(policy)
     make, makes_several = playable(env)
     n_envs = SIDE_BY_SIDE if makes_several else 1
     envs = GymnasiumVectorEnv(make)
     with closing(envs) if makes_several else nullcontext():
         require_limit(envs.first, max_steps)
-        return play_side_by_side(
+        predict = deciding(policy, given, envs.first)
+        played = play_side_by_side(
             envs, lambda states, _: predict(states), seeds, n_envs=n_envs, max_steps=max_steps, keep_steps=keep_steps
         )
+        return replace(played, feature_names=keyed_names(envs.first) or None)
 
 
 def play_side_by_side(

@@ -313,5 +313,5 @@ def require_relu_network(network: object) -> None:
     if not isinstance(network, ReluNetwork):
         raise TypeError(
             f"network is a {type(network).__name__}, expected a ReluNetwork; a PatternTree has .network; no tree "
-            "equals a network of smooth units; a tree can imitate it: otr.imitate(policy, env)"
+            "equals a policy of other units; a tree can imitate it: otr.imitate(policy, env)"
         )

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import erf, expit
 
 from otr.core.arrays import FloatArray, as_states
+from otr.core.black_box import BlackBox
 from otr.core.domain import Domain
 from otr.core.head import Head
 from otr.core.network import ReluNetwork
@@ -78,6 +79,15 @@ class SmoothNetwork:
         self.n_inputs, self.n_outputs, self.hidden_widths = layers.n_inputs, layers.n_outputs, layers.hidden_widths
         self.activation = activation
 
+    def __repr__(self) -> str:
+        widths = " -> ".join(map(str, (self.n_inputs, *self.hidden_widths, self.n_outputs)))
+        return f"SmoothNetwork({widths}, activation={self.activation!r}, head={self.head!r})"
+
+    @property
+    def reason(self) -> str:
+        """Why no tree equals it, for messages."""
+        return f"the units are {self.activation}"
+
     def forward(self, X: ArrayLike) -> FloatArray:
         """Return the affine outputs y: (n, o) for states (n, d), (o,) for one state (d,)."""
         a = as_states(X, self.n_inputs)
@@ -102,4 +112,5 @@ class SmoothNetwork:
         return SmoothNetwork(**{name: getattr(self, name) for name in names} | changes)
 
 
-Oracle = ReluNetwork | SmoothNetwork  # what a tree can imitate
+Layered = ReluNetwork | SmoothNetwork
+Oracle = Layered | BlackBox  # what a tree can imitate

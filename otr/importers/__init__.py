@@ -21,14 +21,13 @@ from otr.errors import ArtefactError, InvalidNetworkError, OtrError
 from otr.extras import naming_the_extra
 from otr.files.artefacts import load
 from otr.importers.assembly import mappable, policy_of
-from otr.importers.onnx_file import sections_of_onnx
+from otr.importers.onnx_file import oracle_of_onnx, sections_of_onnx
 from otr.importers.sb3_archive import network_of_file, oracle_of_file
 from otr.importers.sb3_model import network_of_model
 from otr.importers.sklearn_estimator import policy_of_estimator, read_skops
+from otr.importers.statistics import AUTO, find_statistics, fold_observation_statistics, is_auto
 from otr.importers.stored_layers import network_of_nnet, policy_of_state_dict
-from otr.importers.torch_modules import policy_of_module
-from otr.importers.torch_nodes import sections_of_export
-from otr.importers.vec_normalize import AUTO, find_statistics, fold_observation_statistics, is_auto
+from otr.importers.torch_modules import oracle_of_export, oracle_of_module, policy_of_module, sections_of_export
 
 if TYPE_CHECKING:
     import torch
@@ -94,14 +93,14 @@ def from_torch(
     """
     if isinstance(module, str | os.PathLike):
         with _reading(module):
-            return mappable(_of_export(Path(module), head))
+            return _of_export(Path(module), head)
     from torch.export import ExportedProgram, save
 
     if isinstance(module, ExportedProgram):
         written = io.BytesIO()
         save(module, written)
-        return mappable(_of_export(written.getvalue(), head))
-    return mappable(policy_of_module(module, head))
+        return _of_export(written.getvalue(), head)
+    return policy_of_module(module, head)
 
 
 @naming_the_extra("otr.from_sb3")
@@ -111,21 +110,22 @@ def from_sb3(
     action_low: ArrayLike | None = None,
     action_high: ArrayLike | None = None,
     negative_slope: float | None = None,
-    vec_normalize: Any = AUTO,
+    normalise: Any = AUTO,
 ) -> ReluNetwork:
     """Return the deterministic actor of a Stable-Baselines3 model, or of sb3-contrib's.
 
-    That is the policy on a vector of PPO, A2C, TRPO, SAC, TD3, DDPG, DQN, TQC, QR-DQN, CrossQ, ARS and MaskablePPO,
-    which is read without its masks, as a warning says. Actions that tanh squashes end in `TanhBox`, others in `ClipBox`
-    or, with discrete actions, `Argmax`; DQN's actor is the network of its action values, QR-DQN's of their means over
-    the quantiles. Batch normalisation is folded into the layer after it; where gSDE clips the mean, a layer of ReLU
-    units does. Stable-Baselines3 computes in float32, so its answers differ from the network's by about 1e-7 of the
+    That is the policy on a vector, or on what gymnasium's FlattenObservation makes one of, of PPO, A2C, TRPO, SAC, TD3,
+    DDPG, DQN, TQC, QR-DQN, CrossQ, ARS and MaskablePPO, which is read without its masks, as a warning says. Actions
+    that tanh squashes end in `TanhBox`, others in `ClipBox` or, with discrete actions, `Argmax`; DQN's actor is the
+    network of its action values, QR-DQN's of their means over the quantiles. Batch normalisation is folded into the
+    layer after it; where gSDE clips the mean, a layer of ReLU units does. Stable-Baselines3 computes in float32, so
+    its answers differ from the network's by about 1e-7 of the
     action box. A live model has no hooks. It is read as `model.save` writes it, and is run on fixed states: where it
     predicts otherwise than its layers, nothing is returned.
 
     A model trained under VecNormalize expects normalised states. Mean and variance go into the first layer, so that the
     network takes raw states. They are those of a live model's environment, or of the ``vecnormalize.pkl`` that lies in
-    the folder named as the zip or beside the zip, which a warning says, or of `vec_normalize`. A warning also says
+    the folder named as the zip or beside the zip, which a warning says, or of `normalise`. A warning also says
     where a zip shows that it was trained under VecNormalize and there is no such file. VecNormalize clips the
     normalised state to +-clip_obs, which the network does not: it is the policy inside the box
     ``mean +- clip_obs * sqrt(variance + epsilon)`` and not outside. That box is the network's `domain`;
@@ -138,9 +138,8 @@ def from_sb3(
         model: a live model, or the path of the zip file that `model.save` wrote, with or without ".zip".
         action_low, action_high: (o,) limits of the action box in place of the model's.
         negative_slope: of LeakyReLU, for a file that does not tell; must agree with what can be known.
-        vec_normalize: the path of the file that `VecNormalize.save` wrote, a live VecNormalize, or
-            `ObservationStatistics(mean, variance, epsilon, clip)`; None for the network of the states that the model
-            saw, whatever these were; "auto" to find the statistics.
+        normalise: statistics, as `read_policy` takes them; None for the network of the states that the model saw,
+            whatever these were; "auto" to find the statistics.
 
     Raises:
         InvalidNetworkError: a policy that is no ReLU network on a vector of inputs: other activations, images,
@@ -160,19 +159,19 @@ def from_sb3(
     if isinstance(model, str | os.PathLike):
         with _reading(model):
             network = network_of_file(Path(model), action_low, action_high, negative_slope)
-        vec_normalize = _found_beside(Path(model)) if is_auto(vec_normalize) else vec_normalize
+        normalise = _found_beside(Path(model)) if is_auto(normalise) else normalise
     else:
         with _reading(model):
             network = network_of_model(model, action_low, action_high, negative_slope)
-        vec_normalize = model.get_vec_normalize_env() if is_auto(vec_normalize) else vec_normalize
-    return network if vec_normalize is None else fold_observation_statistics(network, vec_normalize)
+        normalise = model.get_vec_normalize_env() if is_auto(normalise) else normalise
+    return network if normalise is None else fold_observation_statistics(network, normalise)
 
 
-@naming_the_extra("otr.importers.read_policy")
+@naming_the_extra("otr.read_policy")
 def read_policy(
-    path: str | os.PathLike[str],
+    model: str | os.PathLike[str] | torch.nn.Module | ExportedProgram | ModelProto,
     *,
-    vec_normalize: str | os.PathLike[str] | None = AUTO,
+    normalise: Any = AUTO,
     output: str | None = None,
     layers: str | Sequence[str] | None = None,
     activation: str | None = None,
@@ -182,14 +181,19 @@ def read_policy(
     The suffix says what the file is: ``.zip`` of Stable-Baselines3 (`from_sb3`), ``.onnx`` (`from_onnx`), ``.pt2`` of
     torch (`from_torch`), ``.skops`` of scikit-learn (`from_sklearn`), ``.json`` and ``.npz`` of `otr.save`, ``.nnet``
     (ACAS Xu: its minima and maxima are the domain), ``.pth`` and ``.pt`` with a torch module's state_dict. It is read
-    as these functions read it, and with the same errors, but units may be smooth, too: tanh (the default of PPO and
-    A2C in Stable-Baselines3) and the others of `otr.core.smooth_network.ACTIVATIONS`, with torch's defaults. No tree is
-    equal to such a network. Of a model that ends in a Softmax or a Sigmoid the likelier label is the answer.
+    as these functions read it, and with the same errors, but units may be others, too. No tree is equal to such a
+    policy. Layers with tanh (the default of PPO and A2C in Stable-Baselines3) and the other units of
+    `otr.core.smooth_network.ACTIVATIONS` in a zip are a `SmoothNetwork`. An ONNX model, or an export of torch, that is
+    no ReLU network is a `BlackBox`: onnxruntime, or torch, answers, whatever its operators are. Of a model that ends in
+    a Softmax the likeliest label is the answer.
 
     Args:
-        path: of the file.
-        vec_normalize: path of the file that `VecNormalize.save` wrote, for a zip whose policy was trained under one; it
-            is found, or left out with None, as by `from_sb3`.
+        model: path of the file; or a torch module, its export or an ONNX model, in place of its file.
+        normalise: statistics of the states, where the policy saw ``(x - mean) / sqrt(var + epsilon)``: the path of the
+            ``.pkl`` that `VecNormalize.save` wrote, of JSON, or of an npz, with mean, var and epsilon, of which
+            ``std`` in place of var divides by ``std + epsilon``, and ``clip`` limits the result; a dictionary of these;
+            or a live VecNormalize or gymnasium's NormalizeObservation. Of a zip it is found, or left out with None, as
+            by `from_sb3`.
         output: name of the output that is the policy's, of an ONNX model with several.
         layers: of a state_dict, the names of the linear layers in order, or what their names begin with; None where no
             others are in it.
@@ -198,8 +202,8 @@ def read_policy(
 
     Raises:
         InvalidNetworkError: as the functions above; a classifier whose classes are not 0, 1, ..., the actions; a saved
-            tree other than a whole `PatternTree`, which stands for no network; statistics beside another file than a
-            zip, or `output` with another than an ONNX model.
+            tree other than a whole `PatternTree`, which stands for no network; statistics that do not fit; a model with
+            memory; or `output` with another than an ONNX model.
         ArtefactError: as the functions above; or the suffix is another one.
         MissingExtraError: a package that the kind of file needs is not installed.
 
@@ -209,7 +213,11 @@ def read_policy(
         >>> otr.read_policy("agent.pth").predict([1.0, 2.0, 3.0])
         array([6., 6.])
     """
-    path = Path(path)
+    if not isinstance(model, str | os.PathLike):
+        with _reading(model):
+            policy = _of_object(model, output)
+        return policy if is_auto(normalise) or normalise is None else fold_observation_statistics(policy, normalise)
+    path = Path(model)
     reader = _READERS.get(path.suffix)
     if reader is None:
         raise ArtefactError(
@@ -223,15 +231,32 @@ def read_policy(
         raise InvalidNetworkError(f"output={output!r} is one of several outputs of an ONNX model; {path} is none")
     with _reading(path):
         policy = reader(path, output=output, layers=layers, activation=activation)
-    if is_auto(vec_normalize):
-        vec_normalize = _found_beside(path) if path.suffix == ".zip" else None
-    if vec_normalize is None:
-        return policy
-    if path.suffix != ".zip":
-        raise InvalidNetworkError(f"statistics of VecNormalize belong to a Stable-Baselines3 zip, not to {path}")
-    if isinstance(policy, ReluNetwork):  # a call for each type, so that the type checker knows what comes back
-        return fold_observation_statistics(policy, vec_normalize)
-    return fold_observation_statistics(policy, vec_normalize)
+    if is_auto(normalise):
+        normalise = _found_beside(path) if path.suffix == ".zip" else None
+    return policy if normalise is None else fold_observation_statistics(policy, normalise)
+
+
+def read_black_box(content: bytes, suffix: str, output: str | None) -> Oracle:
+    """Return a policy of `read_policy` anew from the bytes, suffix and output that a `BlackBox` keeps."""
+    with _reading("the model"):
+        return oracle_of_onnx(content, output) if suffix == ".onnx" else oracle_of_export(content)
+
+
+def _of_object(model: Any, output: str | None) -> Oracle:
+    import torch
+
+    if isinstance(model, torch.nn.Module):
+        return oracle_of_module(model)
+    if isinstance(model, torch.export.ExportedProgram):
+        written = io.BytesIO()
+        torch.export.save(model, written)
+        return oracle_of_export(written.getvalue())
+    if hasattr(model, "SerializeToString"):
+        return oracle_of_onnx(model, output)
+    raise InvalidNetworkError(
+        f"a policy is read from the path of a file, a torch module, its export or an ONNX model, not from a "
+        f"{type(model).__name__}; of another policy, anything with predict(X) can be played by otr.rollout"
+    )
 
 
 def _found_beside(model: Path) -> Path | None:
@@ -242,9 +267,9 @@ def _found_beside(model: Path) -> Path | None:
     return file
 
 
-def _of_export(file: Path | bytes, head: Head | None = None, *, decides: bool = False) -> Oracle:
+def _of_export(file: Path | bytes, head: Head | None = None) -> ReluNetwork:
     sections, answer = sections_of_export(file)
-    return policy_of(sections, head, decides=decides, answer=answer)
+    return policy_of(sections, head, answer=answer)
 
 
 def _of_skops(path: Path) -> Oracle:
@@ -268,8 +293,8 @@ def _of_saved(path: Path) -> Oracle:
 
 _READERS: dict[str, Callable[..., Oracle]] = {
     ".zip": lambda path, **_: oracle_of_file(path),
-    ".onnx": lambda path, output, **_: policy_of(sections_of_onnx(path, output), decides=True),
-    ".pt2": lambda path, **_: _of_export(path, decides=True),
+    ".onnx": lambda path, output, **_: oracle_of_onnx(path, output),
+    ".pt2": lambda path, **_: oracle_of_export(path),
     ".skops": lambda path, **_: _of_skops(path),
     ".nnet": lambda path, **_: network_of_nnet(path),
     ".pth": lambda path, layers, activation, **_: policy_of_state_dict(path, layers, activation),
@@ -290,7 +315,7 @@ def from_onnx(
     or the subtraction of a LogSumExp. A model computes in its own type, mostly float32, so its answers differ from the
     network's by about 1e-7 of the size of the terms that are summed.
 
-    The file is data alone: at most 16 MiB are read, and of no other file.
+    The file is data alone: at most 32 MiB are read, and of no other file.
 
     Args:
         model: the path of a file, its bytes, or an `onnx.ModelProto`. Its input is (n, number of inputs), also with
@@ -311,7 +336,7 @@ def from_onnx(
         ReluNetwork(1 -> 1, negative_slope=0.0, dense=False, head=Identity())
     """
     with _reading(model):
-        return mappable(policy_of(sections_of_onnx(model, output), head))
+        return policy_of(sections_of_onnx(model, output), head)
 
 
 @naming_the_extra("otr.from_sklearn")

@@ -5,20 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, softmax
 
 from otr.core.arrays import FloatArray
+from otr.core.black_box import BlackBox
 from otr.core.head import Head
 from otr.core.heads import Argmax, Identity, Sign, TanhBox
 from otr.core.network import Dense, ReluNetwork
-from otr.core.smooth_network import Oracle, SmoothNetwork
+from otr.core.smooth_network import Layered, SmoothNetwork
 from otr.errors import InvalidNetworkError
-from otr.importers.sections import LIMIT_NUMBERS, Form, Sections, Source, refuse_unknown, too_large
+from otr.importers.sections import LIMIT_NUMBERS, RANDOM, Form, Sections, Source, refuse_others, too_large
 from otr.importers.units import DECISIONS, Neurons, neurons
 
+Function = Callable[[FloatArray], NDArray[Any]]
 TRAIN_RELU = (
     "a tree needs ReLU or LeakyReLU: train with torch.nn.ReLU (in Stable-Baselines3, "
     "policy_kwargs=dict(activation_fn=torch.nn.ReLU))"
@@ -32,7 +35,7 @@ _MAGNITUDES = (1e-3, 1.0, 1e3, 1e6)
 _ROUNDING = 1e-11  # of the size of a sum's terms
 
 
-def mappable(policy: Oracle) -> ReluNetwork:
+def mappable(policy: Layered) -> ReluNetwork:
     """Return a policy of ReLU units, or raise InvalidNetworkError, which says what to do."""
     if isinstance(policy, SmoothNetwork):
         raise InvalidNetworkError(f"the units are {policy.activation}; {RELU_REMEDY}")
@@ -45,7 +48,7 @@ def policy_of(
     *,
     decides: bool = False,
     answer: Callable[[FloatArray], NDArray[np.float64]] | None = None,
-) -> Oracle:
+) -> ReluNetwork:
     """Return the network of a model, compared with what the model answers on states of several magnitudes.
 
     Args:
@@ -55,8 +58,8 @@ def policy_of(
         answer: of the model on one state (d,), flattened; None for that of its nodes.
 
     Raises:
-        InvalidNetworkError: nodes that are neither affine nor known units, units of several kinds, of which one is
-            smooth, another head than `head`, a matrix that is too large, or another answer than the model's.
+        InvalidNetworkError: nodes that are neither affine nor units of a ReLU network, another head than `head`, a
+            matrix that is too large, or another answer than the model's.
     """
     end = _ending(sections)
     network = _network(sections, end)
@@ -130,25 +133,90 @@ def _elementwise(sections: Sections, form: Form) -> tuple[Source, FloatArray, Fl
 
 def _decision(sections: Sections, value: str) -> _End | None:
     """Return the end of a model that answers a label: ArgMax, of numbers that a Softmax may have left in order."""
-    if value in sections.sources:
-        source = sections.sources[value]
-    else:
-        _, names = sections._section(value)
-        if len(names) != 1:
-            return None
-        source = sections.sources[names[0]]
-    if source.is_real or source.unit is None or source.unit.kind != "ArgMax":
+    source = _argmax(sections, value)
+    if source is None:
         return None
     form = sections.form(source.read)
-    n_labels = len(form.offset)
-    if value != source.name and sections.labels_after(source, value, n_labels) != [[k] for k in range(n_labels)]:
-        raise InvalidNetworkError(f"{_name(source)} is followed by more than a shape; export the label itself")
     while (found := _elementwise(sections, form)) is not None:
         before, gains, offset = found
         if before.unit is None or before.unit.kind not in DECISIONS or np.ptp(gains) or np.ptp(offset) or gains[0] < 0:
             break
         form = sections.form(before.read)
     return _without_common(sections, _End(form, "ArgMax"))
+
+
+def _argmax(sections: Sections, value: str) -> Source | None:
+    """Return the ArgMax that makes a value; None for a value of real numbers."""
+    names = [value] if value in sections.sources else sections._section(value)[1]
+    source = sections.sources[names[0]]
+    if len(names) != 1 or source.is_real or source.unit is None or source.unit.kind != "ArgMax":
+        return None
+    n_labels = sections.size(source.read)
+    if value != source.name and sections.labels_after(source, value, n_labels) != [[k] for k in range(n_labels)]:
+        raise InvalidNetworkError(f"{_name(source)} is followed by more than a shape; export the label itself")
+    return source
+
+
+def black_box(
+    sections: Sections,
+    runtime: Callable[[str], tuple[Function, Function]],
+    reason: str,
+    content: bytes,
+    suffix: str,
+    output: str | None = None,
+) -> BlackBox:
+    """Return a model that is no ReLU network as it is: its sections say what it decides by.
+
+    Args:
+        sections: the model.
+        runtime: from the name of a value to functions that compute it, for one state (d,) and for several (n, d).
+        reason, content, suffix, output: as `BlackBox` has them.
+
+    Raises:
+        InvalidNetworkError: it answers otherwise every time, or whole numbers that are no ArgMax; or it cannot be run.
+    """
+    value = sections.output_name
+    head: Head = Identity()
+    if (labels := _argmax(sections, value)) is not None:
+        value, head = labels.read, Argmax()
+    elif not sections.is_real(value):
+        raise InvalidNetworkError(
+            "the model answers with whole numbers that are no argmax of its outputs; export it with the numbers that "
+            "decide as its answer"
+        )
+    while value in sections.sources and (unit := sections.sources[value].unit) and unit.kind in DECISIONS:
+        value, head = sections.sources[value].read, Argmax()
+    one, several = runtime(value)
+    n_inputs, width = sections.input.width, sections.size(value)
+    probes = np.random.default_rng(0).standard_normal((3, n_inputs))
+    try:
+        expected, again = ([one(probe).ravel() for probe in probes] for _ in "ab")
+    except Exception as error:  # foreign code can fail in any way
+        raise InvalidNetworkError(f"the model cannot be run on a state of {n_inputs} numbers: {error}") from error
+    if not np.array_equal(expected, again, equal_nan=True):
+        raise InvalidNetworkError(f"the model {RANDOM}")
+    try:
+        is_same = np.allclose(several(probes).reshape(len(probes), width), expected, rtol=1e-4, atol=1e-6)
+    except Exception:  # it may have the shape of one state in it
+        is_same = False
+
+    def run(X: FloatArray) -> FloatArray:
+        return several(X) if is_same else np.stack([one(x).ravel() for x in X])
+
+    return BlackBox(run, n_inputs, width, _first_layer(sections), reason, content, suffix, output, head=head)
+
+
+def _first_layer(sections: Sections) -> FloatArray:
+    """Return rows [weights | offset] of what the first cuts read; the states themselves where that cannot be read."""
+    d, rows = sections.input.width, []
+    for read in dict.fromkeys(source.read for source in sections.sources.values() if source.node is not None):
+        if sections._section(read)[1] == [sections.input.name]:
+            try:
+                form = sections.form(read)
+            except InvalidNetworkError:
+                continue
+            rows.append(np.column_stack((form.matrices.get(sections.input.name, np.zeros((0, d))), form.offset)))
+    return np.concatenate(rows) if rows else np.eye(d, d + 1)
 
 
 def _without_common(sections: Sections, end: _End) -> _End:
@@ -195,31 +263,17 @@ def _head(end: _End, width: int, given: Head | None, decides: bool) -> Head:
     return found
 
 
-def _network(sections: Sections, end: _End) -> Oracle:
+def _network(sections: Sections, end: _End) -> ReluNetwork:
     forms = _forms(sections, end.form)
     cuts = [sections.sources[name] for name in sections.sources if name in forms]
-    refuse_unknown(cuts)
-    kinds = {cut.unit.kind for cut in cuts if cut.unit is not None}
-    smooth = sorted(kinds - {"slope", "clip"})
-    if smooth and len(kinds) > 1:
-        told = ", ".join(sorted("relu" if kind == "slope" else kind for kind in kinds))
-        raise InvalidNetworkError(f"the units are {told}; one network has one kind, or none that is smooth")
-    if smooth and smooth[0] in ("ArgMax", *DECISIONS):
-        raise InvalidNetworkError(f"{_name(cuts[0])} is no end of the model; a head is its last step")
+    refuse_others(cuts)
     units = {cut.name: cut.unit for cut in cuts if cut.unit is not None}
     slopes = {float(value) for unit in units.values() for value in (unit.slope if unit.slope is not None else (9.0,))}
     slope = slopes.pop() if len(slopes) == 1 else -1.0
-    is_plain = bool(smooth) or 0 <= slope < 1
-    parts = {
-        cut.name: _as_they_are(cut.width, units[cut.name].gain) if is_plain else neurons(units[cut.name], cut.width)
-        for cut in cuts
-    }
+    is_plain = 0 <= slope < 1
+    parts = {cut.name: _as_they_are(cut.width) if is_plain else neurons(units[cut.name], cut.width) for cut in cuts}
     weights, biases, dense = _layers(sections.input, end.form, forms, parts)
-    if not smooth:
-        return ReluNetwork(weights, biases, negative_slope=slope if is_plain and cuts else 0.0, dense=dense)
-    if dense is not False:
-        raise InvalidNetworkError(f"{smooth[0]} units are read by more than the next layer; {TRAIN_RELU}")
-    return SmoothNetwork(weights, biases, activation=smooth[0])
+    return ReluNetwork(weights, biases, negative_slope=slope if is_plain and cuts else 0.0, dense=dense)
 
 
 def _forms(sections: Sections, last: Form) -> dict[str, Form]:
@@ -228,14 +282,14 @@ def _forms(sections: Sections, last: Form) -> dict[str, Form]:
     open_forms = [last]
     while open_forms:
         names = [name for name in open_forms.pop().matrices if name != sections.input.name and name not in forms]
-        refuse_unknown(map(sections.sources.__getitem__, names))
+        refuse_others(map(sections.sources.__getitem__, names))
         forms |= {name: sections.form(sections.sources[name].read) for name in names}
         open_forms += [forms[name] for name in names]
     return {name: forms[name] for name in sections.sources if name in forms}
 
 
-def _as_they_are(width: int, gain: float) -> Neurons:
-    return Neurons(np.arange(width), np.ones(width), np.zeros(width), np.full(width, gain), np.zeros(width))
+def _as_they_are(width: int) -> Neurons:
+    return Neurons(np.arange(width), np.ones(width), np.zeros(width), np.ones(width), np.zeros(width))
 
 
 def _layers(
@@ -300,7 +354,7 @@ def probe_states(n_inputs: int, n_states: int = 64) -> FloatArray:
     return np.concatenate((np.zeros((1, n_inputs)), *states))
 
 
-def reach(policy: Oracle, states: FloatArray) -> FloatArray:
+def reach(policy: Layered, states: FloatArray) -> FloatArray:
     """Return the size (n, o) of the terms that make up each output, to which rounding is in proportion."""
     weights, biases = [np.abs(W) for W in policy.weights], [np.abs(b) for b in policy.biases]
     if isinstance(policy, SmoothNetwork):  # a smooth unit of z is at most |z| + 1
@@ -309,7 +363,7 @@ def reach(policy: Oracle, states: FloatArray) -> FloatArray:
     return ReluNetwork(weights, biases, dense=policy.dense).forward(np.abs(states))
 
 
-def _require_same_answers(policy: Oracle, kind: str, answer: Callable[[FloatArray], NDArray[np.float64]]) -> None:
+def _require_same_answers(policy: ReluNetwork, kind: str, answer: Callable[[FloatArray], NDArray[np.float64]]) -> None:
     """Raise InvalidNetworkError where the model answers otherwise than the network, beyond rounding."""
     n_states = max(1, min(_PROBES, 2**20 // policy.n_inputs))
     states = probe_states(policy.n_inputs, n_states)

@@ -6,27 +6,29 @@ import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import erf
 
-from otr.core.smooth_network import ACTIVATIONS
+from otr.core.arrays import FloatArray
+from otr.core.smooth_network import Oracle
 from otr.errors import ArtefactError, InvalidNetworkError
-from otr.importers.sections import LIMIT_NUMBERS, Node, Sections
+from otr.importers.assembly import Function, black_box, policy_of
+from otr.importers.sections import LIMIT_NUMBERS, MEMORY, Node, Sections
 
 if TYPE_CHECKING:
     from onnx import GraphProto, ModelProto, NodeProto, TensorProto
 
 _FLOAT, _DOUBLE = 1, 11  # of onnx.TensorProto.DataType
-# Of these the reference computes, or keeps a constant, in float32.
-_PRECISE = {"Erf": erf, "Gelu": ACTIVATIONS["gelu"], "HardSwish": ACTIVATIONS["hardswish"]}
-_LIMIT_BYTES = 2**24  # four million numbers; what a file holds can take eighty times its size in memory
+_LIMIT_BYTES = 2**25  # eight million numbers; what a file holds can take eighty times its size in memory
 _LEAST_OPSET = 7  # before, operators broadcast by rules of their own
 _REMEDY = "export the policy again"
+_KINDS: dict[str, Any] = {"tensor(double)": np.float64, "tensor(float16)": np.float16}
+_RECURRENT = ("LSTM", "GRU", "RNN")
 _REALS = ("FLOAT", "DOUBLE", "FLOAT16", "BFLOAT16")
 
 
@@ -58,6 +60,56 @@ def sections_of_onnx(given: Any, output: str | None) -> Sections:
     return Sections(graph.input_name, graph.input_shape, nodes, constants, graph.output_name)
 
 
+def oracle_of_onnx(given: Any, output: str | None) -> Oracle:
+    """Return the policy of an ONNX model: its ReLU network, or else what onnxruntime answers."""
+    sections = sections_of_onnx(given, output)
+    try:
+        return policy_of(sections, decides=True)
+    except InvalidNetworkError as error:
+        content = _content(given)
+        return black_box(sections, partial(_runtime, content, sections), str(error), content, ".onnx", output)
+
+
+def _runtime(content: bytes, sections: Sections, value: str) -> tuple[Function, Function]:
+    """Return what onnxruntime makes of a value of the model, for one state and for several.
+
+    Where it cannot load the model, onnx's reference runs the nodes, a state at a time: onnxruntime computes few
+    operators in float64.
+    """
+    import onnxruntime
+    from onnx import helper
+
+    model, states = _checked_model(content), sections.input
+    graph, nodes = model.graph, _ancestors(model.graph.node, value)
+    constants = {tensor.name for tensor in graph.initializer}
+    inputs = [each for each in graph.input if each.name == states.name or each.name in constants]
+    for kept, wanted in ((graph.node, nodes), (graph.input, inputs), (graph.output, [
+        next((each for each in graph.output if each.name == value), helper.make_empty_tensor_value_info(value))
+    ])):  # fmt: skip
+        copied = [type(each).FromString(each.SerializeToString()) for each in wanted]
+        del kept[:]
+        kept.extend(copied)
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads, options.log_severity_level = 1, 4
+    try:
+        session = onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
+    except Exception:  # onnxruntime's own errors
+        by_reference = partial(sections.answer, value=value)
+        return by_reference, lambda X: np.stack([by_reference(x) for x in X])
+    declared = next(each for each in session.get_inputs() if each.name == states.name)
+    kind = _KINDS.get(declared.type, np.float32)
+    is_vector = len(declared.shape) == 1
+
+    def one(state: FloatArray) -> NDArray[Any]:
+        return several(state[None])
+
+    def several(X: FloatArray) -> NDArray[Any]:
+        given = X[0] if is_vector and len(X) == 1 else X.reshape(-1, *states.shape[1:])
+        return np.asarray(session.run([value], {states.name: given.astype(kind)})[0], dtype=np.float64)
+
+    return one, several
+
+
 def _read_graph(given: Any, output: str | None) -> _Graph:
     """Return what is needed of the model in a file, its bytes or a ModelProto; `otr.from_onnx` documents errors."""
     model = _checked_model(_content(given))
@@ -73,12 +125,15 @@ def _read_graph(given: Any, output: str | None) -> _Graph:
             f"{_describe(foreign[0])} is of the domain {foreign[0].domain!r}, expected ONNX's own operators; {_REMEDY} "
             "without optimisation for one runtime"
         )
+    if recurrent := [node for node in nodes if node.op_type in _RECURRENT]:
+        raise InvalidNetworkError(MEMORY.format(_describe(recurrent[0])))
     read = {name for node in nodes for name in node.input} | {output}
     inputs = [value for value in graph.input if value.name in read and value.name not in tensors]
     if len(inputs) != 1:
         raise InvalidNetworkError(
             f"{output!r} is computed from {len(inputs)} inputs ({', '.join(v.name for v in inputs[:5]) or 'none'}), "
-            "expected one: the states"
+            "expected one: the states; make constants of the others, such as masks of actions by "
+            "model.graph.initializer.append(onnx.numpy_helper.from_array(numpy.ones(shape, 'float32'), name))"
         )
     return _Graph(inputs[0].name, _shape(inputs[0]), output, nodes, tensors, opset)
 
@@ -220,8 +275,6 @@ def _runner(node: NodeProto, opset: int, is_constant: bool) -> Callable[[list[An
     if node.op_type == "Cast" and to in (_FLOAT, _DOUBLE):
         kind = np.float32 if is_constant and to == _FLOAT else np.float64
         return lambda operands: [np.asarray(operands[0]).astype(kind).astype(np.float64)]
-    if node.op_type in _PRECISE and not any(attribute.s == b"tanh" for attribute in node.attribute):
-        return lambda operands: [_PRECISE[node.op_type](np.asarray(operands[0], dtype=np.float64))]
     operators: list[Any] = []
 
     def run(operands: list[Any]) -> Sequence[Any]:

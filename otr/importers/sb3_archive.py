@@ -41,6 +41,8 @@ _PARTS = ("mlp_extractor.shared_net.", "mlp_extractor.policy_net.", "mlp_extract
           "critic_target.", "q_net.q_net.", "q_net_target.", "quantile_net.quantile_net.",
           "quantile_net_target.")  # fmt: skip
 _MODULES = r"stable_baselines3\.(common|dqn|sac|td3)|sb3_contrib\.(ars|common\.maskable|crossq|qrdqn|tqc)"
+# Observations that Stable-Baselines3 makes one vector of as gymnasium's FlattenObservation does, labels as 0 and 1 each
+_FLATTENED = r"dict\.Dict|discrete\.Discrete|multi_discrete\.MultiDiscrete|multi_binary\.MultiBinary"
 _GSDE_MEAN_LIMIT = 2.0  # the default of SAC's and TQC's clip_mean
 _DATA_BYTES = 2**24  # of text; its lists and dictionaries take twenty times as much memory
 
@@ -103,7 +105,7 @@ def _actor(file: Path | IO[bytes], action_low: ArrayLike | None, action_high: Ar
     tensors, data = read_archive(file)
     _refuse_other_policies(tensors, data)
     _refuse_other_actions(data)
-    n_observed, n_actions = _count(data, "observation_space"), _count(data, "action_space")
+    n_actions = _count(data, "action_space")
     mean_limit = float(_readable(data, "policy_kwargs").get("clip_mean", _GSDE_MEAN_LIMIT))
     weights, biases = actor_layers(tensors, n_actions, mean_limit)
     usual_units = _TANH if is_on_policy(tensors) else _RELU
@@ -113,18 +115,22 @@ def _actor(file: Path | IO[bytes], action_low: ArrayLike | None, action_high: Ar
             f"gSDE clips the mean of the actions at {mean_limit:g}, which ReLU units can do, and {units} cannot; "
             "train with use_sde=False"
         )
-    _require_widths(weights[0].shape[1], len(biases[-1]), n_observed, n_actions)
+    n_inputs = weights[0].shape[1]
+    is_flattened = re.search(_FLATTENED, str(_readable(data, "observation_space").get(":type:"))) is not None
+    n_observed = n_inputs if is_flattened else _count(data, "observation_space")
+    _require_widths(n_inputs, len(biases[-1]), n_observed, n_actions)
     head = _head(data, _is_squashed(tensors, data), n_actions, action_low, action_high)
     return _Actor(weights, biases, head, data, usual_units)
 
 
 def _refuse_other_actions(data: dict[str, Any]) -> None:
-    """Raise InvalidNetworkError unless the actions are a Box or Discrete from 0 on."""
-    space = _readable(data, "action_space")
-    kind = str(space.get(":type:"))
-    is_label = "spaces.discrete.Discrete" in kind and str(space.get("start", "0")) == "0"
-    if not is_label and "spaces.box.Box" not in kind:
-        raise InvalidNetworkError(f"the actions are {kind}; only Box and Discrete (start=0) can be mapped")
+    """Raise InvalidNetworkError unless the actions are a Box or Discrete, whose labels count from 0 here."""
+    kind = str(_readable(data, "action_space").get(":type:"))
+    if "spaces.discrete.Discrete" not in kind and "spaces.box.Box" not in kind:
+        raise InvalidNetworkError(
+            f"the actions are {kind}; only Box and Discrete can be mapped: train with one label for every combination "
+            "of actions, which a gymnasium.ActionWrapper splits (numpy.unravel_index)"
+        )
 
 
 def _is_squashed(tensors: Tensors, data: dict[str, Any]) -> bool:
@@ -184,7 +190,9 @@ def load_tensors(content: bytes, label: str, *, is_nested: bool = False) -> Tens
     try:
         tensors = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
-        raise ArtefactError(f"{label} holds more than tensors, and was not loaded: {error}") from error
+        found = re.search(r"GLOBAL (\S+)", str(error))
+        told = f"it names {found[1]}" if found else str(error).strip()[:200]
+        raise ArtefactError(f"{label} holds more than tensors, and was not loaded: {told}") from error
     except Exception as error:  # torch can fail in any way on what it did not write
         raise ArtefactError(f"{label} cannot be read ({error}); save the model again") from error
     tensors = _tensors_in(tensors, "") if is_nested and isinstance(tensors, dict) else tensors
@@ -225,8 +233,10 @@ def _refuse_other_policies(tensors: Tensors, data: dict[str, Any]) -> None:
     if "stable_baselines3.common.torch_layers.FlattenExtractor" not in extractor and extractor != "FlattenExtractor":
         raise InvalidNetworkError(f"the policy has the feature extractor {extractor}; leave it at FlattenExtractor")
     space = _readable(data, "observation_space")
-    if "spaces.box.Box" not in str(space.get(":type:")) or len(space.get("_shape") or ()) > 2:
-        raise InvalidNetworkError(f"the observations are {space.get(':type:')}; only vectors of inputs can be mapped")
+    kind, shape = str(space.get(":type:")), space.get("_shape") or ()
+    if not re.search(rf"spaces\.({_FLATTENED}|box\.Box)", kind) or len(shape) > 2:
+        shown = f"{kind} of shape {tuple(shape)}" if shape else kind
+        raise InvalidNetworkError(f"the observations are {shown}; only what is flattened to a vector can be mapped")
     if "maskable" in str(module):
         note = "the policy was trained with action masks; it is read without: it may choose what a mask would forbid"
         warnings.warn(note, stacklevel=4)
@@ -256,7 +266,7 @@ def _slope(actor: _Actor, given: float | None) -> float:
     activation = _activation(actor)
     known = _SLOPES.get(activation)
     if known is None and not (given is not None and "LeakyReLU" in activation):
-        remedy = RELU_REMEDY if _smooth(actor) else TRAIN_RELU
+        remedy = RELU_REMEDY if _smooth(actor) else f"{TRAIN_RELU}; or read the policy from its export (ONNX, .pt2)"
         if "LeakyReLU" in activation:
             remedy = "for this LeakyReLU, give negative_slope= to otr.from_sb3"
         raise InvalidNetworkError(f"the activation is {activation}; {remedy}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import io
 from typing import Any
 
@@ -44,13 +45,31 @@ def network_of_model(
     return network
 
 
+def _samples(space: Any, n: int) -> list[Any]:
+    """Return observations of a space, the same each time."""
+    chosen = copy.deepcopy(space)
+    chosen.seed(0)
+    return [chosen.sample() for _ in range(n)]
+
+
 def _require_same_answers(model: Any, network: ReluNetwork) -> None:
     """Raise InvalidNetworkError where the model predicts something else than the network, beyond float32's rounding."""
-    states = probe_states(network.n_inputs).astype(np.float32)
+    from gymnasium import spaces
+
+    seen, samples = model.observation_space, list[Any]()
+    if isinstance(seen, spaces.Box):
+        states = probe_states(network.n_inputs).astype(np.float32)
+    else:  # what is flattened can be of its space alone
+        samples = _samples(seen, 64)
+        flat: list[Any] = [spaces.flatten(seen, each) for each in samples]
+        states = np.stack(flat).astype(np.float32)
     outputs = network.forward(states)
     modes = [(part, part.training) for part in model.policy.modules()]  # predict switches to evaluation
     try:
-        found = model.policy.predict(states.reshape(-1, *model.observation_space.shape), deterministic=True)[0]
+        if samples:
+            found = np.stack([model.policy.predict(each, deterministic=True)[0] for each in samples])
+        else:
+            found = model.policy.predict(states.reshape(-1, *seen.shape), deterministic=True)[0]
         found = found.reshape(len(states), -1)
     except Exception as error:  # foreign code can fail in any way
         raise InvalidNetworkError(

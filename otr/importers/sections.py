@@ -25,8 +25,11 @@ _LIMIT_WORK = 2**28  # numbers that are computed for the matrix of a section
 _SCALES = tuple(2.0**power for power in (-10, 0, 10, 20, 700))  # of the points on which nodes are tried
 # A basis vector of this length drowns what a section adds, so that (f(length * e) - f(0)) / length has the stored bits.
 _LENGTH = 2.0**700
-_N_BACK = 8  # nodes in which one unit may be written: a GELU takes five
-_RANDOM = "answers otherwise every time; export the deterministic policy, of torch after module.eval()"
+_LIMIT_ROWS = 256  # basis vectors at a time
+_N_BACK = 8  # nodes in which one unit may be written
+IMITATE = "train with these, or let a tree imitate the model as it is: otr.imitate(otr.read_policy(model), env)"
+MEMORY = "{} remembers earlier states, and a tree answers the present one; use a policy without memory"
+RANDOM = "answers otherwise every time; export the deterministic policy, of torch after module.eval()"
 _TOLERANCE, _NOISE = 1e-6, 1e-12  # of a node's answer, and of what it reads
 
 
@@ -131,14 +134,32 @@ class Sections:
         self.input = next(iter(self.sources.values()))
 
     @classmethod
-    def of_steps(cls, steps: Sequence[tuple[str, Callable[[NDArray[Any]], NDArray[Any]]]], n_inputs: int) -> Sections:
-        """Return the sections of named functions, each of which reads what the one before it makes: (1, n) arrays."""
+    def of_steps(
+        cls,
+        steps: Sequence[tuple[str, Callable[[NDArray[Any]], NDArray[Any]]]],
+        n_inputs: int,
+        matrices: dict[int, FloatArray] | None = None,
+    ) -> Sections:
+        """Return the sections of named functions, each of which reads what the one before it makes: (1, n) arrays.
+
+        `matrices` are those that steps are likely to multiply by.
+        """
+        constants = {f"matrix {k}": matrix for k, matrix in (matrices or {}).items()}
 
         def node(k: int, name: str, step: Callable[[NDArray[Any]], NDArray[Any]]) -> Node:
-            return Node(name, (f"value {k}",), (f"value {k + 1}",), lambda given: [step(given[0])])
+            read = (f"value {k}", *(each for each in (f"matrix {k}",) if each in constants))
+            return Node(name, read, (f"value {k + 1}",), lambda given: [step(given[0])])
 
         nodes = [node(k, name, step) for k, (name, step) in enumerate(steps)]
-        return cls("value 0", (1, n_inputs), nodes, {}, f"value {len(nodes)}")
+        return cls("value 0", (1, n_inputs), nodes, constants, f"value {len(nodes)}")
+
+    def size(self, value: str) -> int:
+        """Return how many numbers a value has."""
+        return int(self._points[value][0].size)
+
+    def is_real(self, value: str) -> bool:
+        """Return whether a value's numbers are real, and no labels."""
+        return value not in self._labels and self._points[value][0].dtype.kind == "f"
 
     def form(self, value: str) -> Form:
         """Return the affine map of the section that makes a value.
@@ -147,32 +168,74 @@ class Sections:
             InvalidNetworkError: its matrix is too large, or it is no affine map.
         """
         nodes, names = self._section(value)
-        zeros = {name: np.zeros(self.sources[name].shape) for name in names}
-        offset = self._evaluated(nodes, value, zeros)
+        for name in names:
+            if not self.sources[name].is_real:
+                raise InvalidNetworkError(_refusal(self.sources[name]))
+            self._require_moderate(nodes, value, self.sources[name].width)
+        try:
+            made = self._stored(nodes, value, names)
+            if made is None:  # many basis vectors at a time, where the nodes take several states
+                made = self._measured(nodes, value, names, _LIMIT_ROWS)
+        except Exception:  # foreign operators can fail in any way on more states than the graph is of
+            made = None
+        if made is None or not self._holds(made, nodes, value, names):
+            made = self._measured(nodes, value, names, 1)
+            if not self._holds(made, nodes, value, names):
+                told = ", ".join(node.name for node in nodes[:8])
+                raise InvalidNetworkError(
+                    f"what makes {value!r} is not affine ({told}): between activations only affine operations can be "
+                    "read"
+                )
+        return made
+
+    def _stored(self, nodes: list[Node], value: str, names: list[str]) -> Form | None:
+        """Return the map of a section whose matrix is one of the constants that it reads; None where none is."""
+        if len(names) != 1:
+            return None
+        source = self.sources[names[0]]
+        offset = self._evaluated(nodes, value, {source.name: np.zeros(source.shape)})
+        constants = [self.constants[name] for node in nodes for name in node.inputs if name in self.constants]
+        found = [each for each in constants if np.ndim(each) == 2 and np.asarray(each).dtype.kind == "f"]
+        for W in (W for each in found for W in (each, each.T) if W.shape == (len(offset), source.width)):
+            # Points of whole numbers, of which products and most sums are exact
+            points = self._rng.integers(-8, 9, (4, source.width)).astype(np.float64)
+            size = np.abs(W).sum(axis=1).max() * 8 + np.abs(offset).max()
+            answers = [self._evaluated(nodes, value, {source.name: point.reshape(source.shape)}) for point in points]
+            if np.all(np.abs(points @ W.T + offset - answers) <= 1e-14 * size):
+                return Form({source.name: np.array(W, dtype=np.float64)}, offset)
+        return None
+
+    def _measured(self, nodes: list[Node], value: str, names: list[str], n_rows: int) -> Form:
+        """Return the map that a section's answers to zero and to basis vectors, `n_rows` at a time, show."""
+        offset = self._evaluated(nodes, value, {name: np.zeros(self.sources[name].shape) for name in names})
         matrices: dict[str, FloatArray] = {}
         for name in names:
             source = self.sources[name]
-            if not source.is_real:
-                raise InvalidNetworkError(_refusal(source))
-            self._require_moderate(nodes, value, source.width)
             columns = np.empty((source.width, len(offset)))
-            for j in range(source.width):
-                given = np.zeros(source.width)
-                given[j] = _LENGTH
-                moved = self._evaluated(nodes, value, zeros | {name: given.reshape(source.shape)})
-                columns[j] = (moved - offset) / _LENGTH
+            for start in range(0, source.width, n_rows):
+                rows = columns[start : start + n_rows]
+                given = {each: np.zeros((len(rows), self.sources[each].width)) for each in names}
+                np.fill_diagonal(given[name][:, start:], _LENGTH)
+                shaped = {each: self._stacked(self.sources[each].shape, given[each]) for each in names}
+                moved = self._evaluated(nodes, value, shaped, len(rows)).reshape(rows.shape)
+                rows[:] = (moved - offset) / _LENGTH
             if columns.any() or source.unit is not None:  # a layer of zeros keeps the layer before it
                 matrices[name] = np.ascontiguousarray(columns.T)
-        made = Form(matrices, offset)
-        self._check(made, nodes, value, names)
-        return made
+        return Form(matrices, offset)
 
-    def answer(self, state: FloatArray) -> NDArray[Any]:
-        """Return what the nodes make of one state, cuts and all, flattened."""
+    @staticmethod
+    def _stacked(shape: tuple[int, ...], rows: FloatArray) -> FloatArray:
+        """Return rows (k, width) as k states of a shape (1, ...), or a single one in its shape."""
+        if len(rows) > 1 and (len(shape) < 2 or shape[0] != 1):
+            raise ValueError(f"values of the shape {shape} are of one state alone")
+        return rows.reshape(shape if len(rows) == 1 else (len(rows), *shape[1:]))
+
+    def answer(self, state: FloatArray, value: str = "") -> NDArray[Any]:
+        """Return what the nodes make of one state, cuts and all, flattened: the answer, or another value."""
         values: dict[str, Any] = {self.input.name: state.reshape(self.input.shape)}
         for node in self._live:
             values.update(zip(node.outputs, self._run(node, values), strict=False))
-        return np.asarray(values[self.output_name]).ravel()
+        return np.asarray(values[value or self.output_name]).ravel()
 
     def labels_after(self, source: Source, value: str, n_labels: int) -> list[Any]:
         """Return what the nodes after a decision make of each label."""
@@ -188,7 +251,7 @@ class Sections:
             again = self._run(node, values)
             for name, value, other in zip(node.outputs, made, again, strict=False):
                 if not np.array_equal(value, other, equal_nan=np.asarray(value).dtype.kind == "f"):
-                    raise InvalidNetworkError(_RANDOM)
+                    raise InvalidNetworkError(RANDOM)
                 self.constants[name] = value
                 self._hold(np.size(value))
             return
@@ -215,7 +278,7 @@ class Sections:
             if unit is None and not np.array_equal(
                 points[0], self._run(node, {name: self._points[name][0] for name in live})[i], equal_nan=True
             ):
-                raise InvalidNetworkError(_RANDOM)
+                raise InvalidNetworkError(RANDOM)
             self._add(Source(name, points[0].shape, node, read, unit, points[0].dtype.kind == "f"), points[0])
 
     def _require_each_state(self, node: Node, live: list[str], output: int, made: NDArray[Any]) -> None:
@@ -299,13 +362,16 @@ class Sections:
                 wanted.update(name for name in node.inputs if name in self._points)
         return nodes[::-1], [name for name in self.sources if name in wanted]
 
-    def _evaluated(self, nodes: list[Node], value: str, given: dict[str, Any]) -> FloatArray:
+    def _evaluated(self, nodes: list[Node], value: str, given: dict[str, Any], n_states: int = 1) -> FloatArray:
         values = dict(given)
         with np.errstate(all="ignore"):
             for node in nodes:
                 made = zip(node.outputs, self._run(node, values), strict=False)
                 values.update((name, result) for name, result in made if name not in given)
-        return np.array(values[value], dtype=np.float64).ravel()
+        answer = np.array(values[value], dtype=np.float64)
+        if n_states > 1 and answer.shape[:1] != (n_states,):
+            raise ValueError(f"{n_states} states have answers of the shape {answer.shape}")
+        return answer.ravel()
 
     def _require_moderate(self, nodes: list[Node], value: str, width: int) -> None:
         size = self._points[value][0].size
@@ -318,26 +384,26 @@ class Sections:
                 f"{_LIMIT_WORK:,}: a network of this size has no tree that can be held"
             )
 
-    def _check(self, form: Form, nodes: list[Node], value: str, names: list[str]) -> None:
-        """Raise InvalidNetworkError where a section answers otherwise than its matrices."""
+    def _holds(self, form: Form, nodes: list[Node], value: str, names: list[str]) -> bool:
+        """Return whether a section answers a random point as its matrices do."""
         given = {name: self._rng.standard_normal(self.sources[name].shape) for name in names}
         expected, size = form.offset, np.abs(form.offset)
         for name, W in form.matrices.items():
             expected = expected + W @ given[name].ravel()
             size = size + np.abs(W) @ np.abs(given[name].ravel())
         found = self._evaluated(nodes, value, given)
-        if not np.all(np.abs(found - expected) <= 1e-9 * (size.max(initial=0) + 1e-300)):
-            told = ", ".join(node.name for node in nodes[:8])
-            raise InvalidNetworkError(
-                f"what makes {value!r} is not affine ({told}): between activations only affine operations can be read"
-            )
+        return bool(np.all(np.abs(found - expected) <= 1e-9 * (size.max(initial=0) + 1e-300)))
 
 
-def refuse_unknown(sources: Iterable[Source]) -> None:
-    """Raise InvalidNetworkError that names the cuts that are no known units, if there are any."""
-    unknown = [source for source in sources if source.node is not None and source.unit is None]
-    if unknown:
-        raise InvalidNetworkError(_refusal(*unknown))
+def refuse_others(sources: Iterable[Source]) -> None:
+    """Raise InvalidNetworkError that names the cuts that are no units of a ReLU network, if there are any."""
+    others = [
+        source
+        for source in sources
+        if source.node is not None and (source.unit is None or source.unit.kind not in ("slope", "clip"))
+    ]
+    if others:
+        raise InvalidNetworkError(_refusal(*others))
 
 
 def too_large(rows: int, columns: int) -> str:
@@ -351,9 +417,9 @@ def too_large(rows: int, columns: int) -> str:
 def _refusal(*sources: Source) -> str:
     told = ", ".join(source.node.name for source in sources[:5] if source.node)
     return (
-        f"{told} {'is' if len(sources) == 1 else 'are'} not affine, and no unit or head that is known; between "
-        "affine operations of any kind there may be ReLU, LeakyReLU, PReLU, Abs, and Clip, Max and Min with constants, "
-        "at the end Tanh or ArgMax, and each sees the numbers of one state"
+        f"{told} {'is' if len(sources) == 1 else 'are'} not affine, and no unit of a ReLU network; between affine "
+        "operations of any kind there may be ReLU, LeakyReLU, PReLU, Abs, and Clip, Max and Min with constants, at the "
+        f"end Tanh or ArgMax, and each sees the numbers of one state; {IMITATE}"
     )
 
 

@@ -13,7 +13,7 @@ from scipy.special import expit
 
 from otr.core.head import Head
 from otr.core.heads import Argmax, Identity, Sign
-from otr.core.smooth_network import Oracle
+from otr.core.smooth_network import Layered, SmoothNetwork
 from otr.errors import ArtefactError, InvalidNetworkError
 from otr.files.zip_members import read_members
 from otr.importers.assembly import policy_of, probe_states, reach
@@ -21,6 +21,7 @@ from otr.importers.sections import Sections
 
 Step = Callable[[NDArray[Any]], NDArray[Any]]
 _UNITS: dict[str, Step] = {"relu": lambda z: np.maximum(z, 0.0), "tanh": np.tanh, "logistic": expit}
+_SMOOTH = {"tanh": "tanh", "logistic": "sigmoid"}
 _ACCEPTED = "MLPClassifier or MLPRegressor, linear model, or Pipeline of scalers before one of these"
 _ROUNDING = 1e-9  # of the size of a sum's terms
 _LIMIT_BYTES = 2**26  # of a file's members
@@ -32,7 +33,7 @@ _TREE_REMEDY = (
 _TRUSTED = tuple(f"sklearn.neural_network._stochastic_optimizers.{name}" for name in ("AdamOptimizer", "SGDOptimizer"))
 
 
-def policy_of_estimator(estimator: Any) -> Oracle:
+def policy_of_estimator(estimator: Any) -> Layered:
     """Return the network of a fitted estimator, units smooth or not; `otr.from_sklearn` documents it."""
     from sklearn.pipeline import Pipeline
 
@@ -43,7 +44,14 @@ def policy_of_estimator(estimator: Any) -> Oracle:
         raise InvalidNetworkError(f"expected a fitted {_ACCEPTED}, got {estimator!r}; {_remedy(last)}")
     layers, head = _answer(last)
     steps = [*map(_scaled, scalers), *layers]
-    policy = policy_of(Sections.of_steps([(f"{last!r}, step {k},", s) for k, s in enumerate(steps)], n_inputs), head)
+    smooth = _SMOOTH.get(getattr(last, "activation", ""), "") if len(layers) > 1 else ""
+    read = steps[: len(scalers) + 1] if smooth else steps  # up to the first layer
+    sections = Sections.of_steps([(f"{last!r}, step {k},", s) for k, s in enumerate(read)], n_inputs)
+    policy: Layered = policy_of(sections, None if smooth else head)
+    if smooth:
+        weights, biases = _layers(last)
+        weights, biases = [policy.weights[0], *weights[1:]], [policy.biases[0], *biases[1:]]
+        policy = SmoothNetwork(weights, biases, activation=smooth, head=head)
     _require_same_answers(estimator, policy)
     return policy
 
@@ -137,12 +145,17 @@ def _remedy(estimator: Any) -> str:
 def _mlp(mlp: Any) -> list[Step]:
     if mlp.activation != "identity" and mlp.activation not in _UNITS:
         raise InvalidNetworkError(f"the activation is {mlp.activation!r}; fit with activation='relu'")
-    layers = list(zip(mlp.coefs_, mlp.intercepts_, strict=True))
-    if len(getattr(mlp, "classes_", ())) == 1:  # which it predicts whatever its outputs are
-        layers[-1] = (np.zeros_like(mlp.coefs_[-1]), np.full_like(mlp.intercepts_[-1], -1.0))
     between = [_UNITS[mlp.activation]] if mlp.activation != "identity" else []
-    steps = [step for W, b in layers for step in (_affine(np.transpose(W), b), *between)]
+    steps = [step for W, b in zip(*_layers(mlp), strict=True) for step in (_affine(W, b), *between)]
     return steps[: len(steps) - len(between)]
+
+
+def _layers(mlp: Any) -> tuple[list[Any], list[Any]]:
+    """Return the weights (n_out, n_in) and biases of an MLP."""
+    weights, biases = [np.transpose(W) for W in mlp.coefs_], list(mlp.intercepts_)
+    if len(getattr(mlp, "classes_", ())) == 1:  # which it predicts whatever its outputs are
+        weights[-1], biases[-1] = np.zeros_like(weights[-1]), np.full_like(biases[-1], -1.0)
+    return weights, biases
 
 
 def _mlp_head(mlp: Any) -> Head:
@@ -159,7 +172,7 @@ def _mlp_head(mlp: Any) -> Head:
     return Identity()
 
 
-def _require_same_answers(estimator: Any, policy: Oracle) -> None:
+def _require_same_answers(estimator: Any, policy: Layered) -> None:
     """Raise InvalidNetworkError where the estimator predicts otherwise than the network, but for rounding."""
     states = probe_states(policy.n_inputs)
     try:

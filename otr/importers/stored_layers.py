@@ -107,17 +107,26 @@ def _layers(tensors: Tensors, given: str | Sequence[str] | None) -> list[str]:
     if given is not None and not isinstance(given, str):
         found = list(given)
     else:
-        chosen = [name for name in names if given is None or name == given or name.startswith(f"{given}.")]
-        found = sorted(chosen, key=lambda name: [int(part) if part.isdigit() else 0 for part in name.split(".")])
-    shapes = [tuple(tensors[f"{name}.weight"].shape) for name in found if f"{name}.weight" in tensors]
-    is_chain = len(shapes) == len(found) > 0 and all(len(shape) == 2 for shape in shapes)
-    is_chain = is_chain and (given is not None or len({name.rpartition(".")[0] for name in found}) == 1)
-    if not is_chain or any(before[0] != after[1] for before, after in pairwise(shapes)):
+        found = [name for name in names if given is None or name == given or name.startswith(f"{given}.")]
+        if not _chain(tensors, found):  # in the order in which modules have them, or else of their numbers
+            found.sort(key=lambda name: [int(part) if part.isdigit() else 0 for part in name.split(".")])
+    is_of_one = given is not None or len({name.rpartition(".")[0] for name in found}) == 1
+    if not (is_of_one and _chain(tensors, found)):
+        parts = {name.partition(".")[0] for name in names} | {name.rpartition(".")[0] for name in names} - {""}
+        chains = [part for part in sorted(parts) if _chain(tensors, [n for n in names if n.startswith(f"{part}.")])]
+        such = f", such as {' or '.join(f'layers={part!r}' for part in chains[:4])}," if chains else ""
         raise InvalidNetworkError(
             f"the layers {', '.join(found) or 'none'} do not chain; give layers= their names in order, or what their "
-            f"names begin with, of {_shown(tensors, list(tensors))}"
+            f"names begin with{such} of {_shown(tensors, list(tensors))}"
         )
     return found
+
+
+def _chain(tensors: Tensors, names: list[str]) -> bool:
+    """Return whether layers are matrices, of which each reads what the one before it makes."""
+    shapes = [tuple(tensors[f"{name}.weight"].shape) for name in names if f"{name}.weight" in tensors]
+    is_linear = len(shapes) == len(names) > 0 and all(len(shape) == 2 for shape in shapes)
+    return is_linear and all(before[0] == after[1] for before, after in pairwise(shapes))
 
 
 def _shown(tensors: dict[str, Any], names: list[str]) -> str:

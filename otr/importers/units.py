@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_softmax, softmax
+from scipy.special import expit, log_softmax, softmax
 
 from otr.core.arrays import FloatArray
-from otr.core.smooth_network import ACTIVATIONS
 
 Function = Callable[[FloatArray], NDArray[Any]]
 DECISIONS: dict[str, Function] = {"Softmax": softmax, "LogSoftmax": log_softmax}
+_OF_HEADS: dict[str, Function] = {"tanh": np.tanh, "sigmoid": expit, **DECISIONS}
 _FAR = 2.0**900
 _NO_LIMIT = 3.4e38  # of float32: what clips there clips nothing
 _SCALES = (0.1, 1.0, 3.0, 10.0, 1000.0)
@@ -22,12 +22,11 @@ _SCALES = (0.1, 1.0, 3.0, 10.0, 1000.0)
 
 @dataclass(frozen=True)
 class Unit:
-    """A function of a vector: piecewise linear or smooth number by number, or a decision over all of them.
+    """A function of a vector: piecewise linear number by number, or one with which a policy ends.
 
     Attributes:
-        kind: "slope": z above zero and slope * z below; "clip" to [low, high]; a name in
-            `otr.core.smooth_network.ACTIVATIONS`; Softmax, LogSoftmax or ArgMax.
-        gain: by which a smooth one is multiplied.
+        kind: "slope": z above zero and slope * z below; "clip" to [low, high]; tanh, sigmoid, Softmax, LogSoftmax or
+            ArgMax.
         slope, low, high: (n,), for these two kinds; ReLU has all of them.
     """
 
@@ -35,7 +34,6 @@ class Unit:
     slope: FloatArray | None = None
     low: FloatArray | None = None
     high: FloatArray | None = None
-    gain: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -74,11 +72,7 @@ def recognised(answer: Function, width: int, rng: np.random.Generator) -> Unit |
             for limit in (low, high):  # so that points lie on both sides of it
                 near = np.where(np.isfinite(limit), limit, 0.0)
                 tried += [near + 1e-3 * (1 + np.abs(near)) * rng.standard_normal(width) for _ in range(3)]
-        names = [name for name in ACTIVATIONS if name not in ("hardtanh", "relu6")]  # these clip
-        candidates += [(Unit(name), ACTIVATIONS[name]) for name in names]
-        # As torch.onnx writes it, 0.5 * (z * (1 + erf(z / sqrt(2)))): the last factor is affine.
-        candidates += [(Unit("gelu", gain=2.0), lambda z: 2 * ACTIVATIONS["gelu"](z))]
-        candidates += [(Unit(name), function) for name, function in DECISIONS.items()]
+        candidates += [(Unit(name), function) for name, function in _OF_HEADS.items()]
         expected = [answer(z) for z in tried]
         for unit, function in candidates:
             far = 100 if unit.kind in DECISIONS else np.inf  # where onnx's reference has infinite logarithms

@@ -15,16 +15,7 @@ from hydra.errors import HydraException
 from pipelines.config.stages import SIDE
 from pipelines.errors import ConfigError
 
-FILES = (
-    "program",
-    "model",
-    "oracle",
-    "vec_normalize",
-    "output",
-    "results_dir",
-    "data",
-    "target",
-)  # keys of otr-run and -fit
+FILES = ("program", "model", "oracle", "normalise", "output", "results_dir", "data", "target")  # of otr-run and -fit
 BOXES = ("box", "certification.box")
 SEARCH = "hydra.searchpath="
 PATHS = (

@@ -59,7 +59,7 @@ OF_ORACLES = (
 
 # Settings that further stages alone read, and these
 SETTINGS_OF = {"polishing": {"polish", "simplify"}, "certification": {"certify"}, "simplification": {"simplify"}}
-OF_THE_FILE = ("method.model", "method.vec_normalize", "method.output")
+OF_THE_FILE = ("method.model", "method.normalise", "method.output")
 
 # For recipes: what they say of small actors is not said of oracles, nor of the linear policy.
 OmegaConf.register_new_resolver("dense_if_small", lambda depth: "input" if is_small(depth) else "none", replace=True)
@@ -76,6 +76,8 @@ def load_config(run_dir: Path, n_workers: int | None) -> RunConfig:
     try:
         cfg = DictConfig(OmegaConf.create(read_bytes(run_dir / CONFIG).decode()))
         cfg.pop("mp4", None)  # a further stage that is no more
+        if "vec_normalize" in cfg.method:  # as it was called before other statistics were taken
+            cfg.method.normalise = cfg.method.pop("vec_normalize")
         schema = schema_of(RunConfig)
         schema.algo = schema_of(ALGORITHMS[cfg.algo.name])
         schema.method = schema_of(METHODS[cfg.method.name])
@@ -232,7 +234,7 @@ class RunWorkflow(Workflow):
             made = self.composed(words)
             config = dataclasses.replace(made.config, program_text=text)
         elif isinstance(config.method, TakesModel) and (
-            config.method.model or config.method.vec_normalize or config.method.output or config.method.name == "model"
+            config.method.model or config.method.normalise or config.method.output or config.method.name == "model"
         ):
             imported, widths = _model(config, overrides)
             words.append(f"{'oracle' if config.method.imitates else 'depth'}={widths}")
@@ -318,21 +320,26 @@ def _model(config: RunConfig, overrides: Sequence[str]) -> tuple[ImportedModel, 
     if not method.model:
         raise ConfigError(f"method={method.name}: which model? Add model=FILE")
     name = "oracle" if method.imitates else "model"
-    imported = read_model(method.model, method.vec_normalize, config.env, name, method.output)
+    imported = read_model(method.model, method.normalise, config.env, name, method.output)
     key, given = ("oracle", "oracle=[") if method.imitates else ("depth", "depth=")
     for override in overrides:
         if override.startswith(given):
             raise ConfigError(f"{override}: {key} is the model's own; leave {override} out")
+    if method.imitates and not imported.policy.hidden_widths:
+        raise ConfigError(
+            f"oracle={method.model} is linear, which is a tree of one leaf as it is; add model={method.model} in place "
+            f"of oracle and method={method.name}"
+        )
     if isinstance(imported.policy, otr.ReluNetwork):
         pass
     elif isinstance(method, AugTreeConfig) and method.features == "deep":
         raise ConfigError(
-            f"method.features=deep reads activation patterns, and the units of {method.model} are "
-            f"{imported.policy.activation}, which has none; leave it out"
+            f"method.features=deep reads activation patterns, which {method.model} has none of "
+            f"({imported.policy.reason}); leave it out"
         )
     elif "map" in config.selected_stages and not method.imitates:
         raise ConfigError(
-            f"model={method.model}: its units are {imported.policy.activation}, which no tree is equal to. Of the "
+            f"model={method.model}: {imported.policy.reason.partition(';')[0]}, and no tree is equal to it. Of the "
             f"methods that imitate it, {OTHERS}; augtree makes a tree:\n  {imitating_command(config, overrides)}"
         )
     return imported, f"[{','.join(map(str, imported.policy.hidden_widths))}]".replace("[]", "0")

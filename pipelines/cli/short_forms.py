@@ -16,7 +16,7 @@ from pipelines.stages.parse import holds_tree
 # What stands for a method and its policy, and what is done with that.
 GIVEN_POLICIES = {"program": "evaluated", "model": "imported"}
 TRUE = ("true", "1", "yes", "on", "y")  # as OmegaConf reads them
-OF_A_MODEL = ("vec_normalize", "output")
+OF_A_MODEL = ("normalise", "output")
 SHORT = (*GIVEN_POLICIES, *OF_A_MODEL, "column", "box")  # their keys
 
 
@@ -54,7 +54,7 @@ def spelt_out(overrides: Sequence[str]) -> list[str]:
         elif key_of(override) in OF_A_MODEL:
             if not any(key_of(each) in ("model", "oracle", "method.model") for each in overrides):
                 raise ConfigError(f"{override}: of which model? Add model=FILE or oracle=FILE")
-            written.append(f"method.{override.replace('vec_normalize=null', 'vec_normalize=none')}")
+            written.append(f"method.{override.replace('normalise=null', 'normalise=none')}")
         elif override.startswith("oracle=") and isinstance(parse(override).value(), str):
             if not any(map(imitates, methods)):
                 raise ConfigError(f"{override}: who is to imitate it? Add {imitating()}")

@@ -9,8 +9,10 @@ from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as safetensors_bytes
 
 import otr
+from otr.core.black_box import BlackBox
 from otr.core.heads import head_from_dict
-from otr.core.smooth_network import Oracle, SmoothNetwork
+from otr.core.smooth_network import Layered, Oracle, SmoothNetwork
+from otr.importers import read_black_box
 from pipelines.engine.store import corrupt, json_text, read_bytes, read_json
 
 ACTOR_SCHEMA = "otr/actor/1"
@@ -21,6 +23,8 @@ def actor_files(network: Oracle) -> dict[str, bytes]:
 
     Units are ReLU with a slope and dense links, or of a smooth activation, which only an oracle has.
     """
+    if isinstance(network, BlackBox):
+        return _black_box_files(network)
     tensors: dict[str, np.ndarray] = {}
     for layer, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
         tensors[f"weight_{layer}"] = np.ascontiguousarray(weight)
@@ -37,7 +41,32 @@ def actor_files(network: Oracle) -> dict[str, bytes]:
     return {"actor.safetensors": safetensors_bytes(tensors), "actor.json": json_text(about).encode()}
 
 
-def _units(network: Oracle) -> dict[str, Any]:
+def _black_box_files(policy: BlackBox) -> dict[str, bytes]:
+    """Return the model's own file, and `actor.json`, which says how it is read."""
+    about = {
+        "schema": ACTOR_SCHEMA,
+        "file": f"policy{policy.suffix}",
+        "output": policy.output,
+        "hidden_widths": [int(width) for width in policy.hidden_widths],
+        "head": policy.head.to_dict(),
+        "middle": policy.middle.tolist(),
+        "scale": policy.scale.tolist(),
+        "clip": policy.clip if np.isfinite(policy.clip) else None,
+    }
+    return {about["file"]: policy.content, "actor.json": json_text(about).encode()}
+
+
+def _load_black_box(folder: Path, about: dict[str, Any]) -> BlackBox:
+    content = read_bytes(folder / about["file"])
+    policy = read_black_box(content, Path(about["file"]).suffix, about["output"])
+    if not isinstance(policy, BlackBox):
+        raise ValueError(f"{about['file']} is a ReLU network")
+    clip = np.inf if about["clip"] is None else about["clip"]
+    policy = policy.replace(head=head_from_dict(about["head"]))
+    return policy.fold_input_normalisation(np.array(about["middle"]), np.array(about["scale"]), clip)
+
+
+def _units(network: Layered) -> dict[str, Any]:
     if isinstance(network, otr.ReluNetwork):
         return {"negative_slope": network.negative_slope, "dense": network.dense}
     return {"activation": network.activation}
@@ -47,7 +76,7 @@ def load_actor(folder: Path) -> otr.ReluNetwork:
     """Return the network of `actor_files`; a truncated or foreign file, or smooth units, is an error that names it."""
     network = load_oracle_network(folder)
     if not isinstance(network, otr.ReluNetwork):
-        raise corrupt(folder / "actor.json", ValueError(f"units are {network.activation}, which no tree is equal to"))
+        raise corrupt(folder / "actor.json", ValueError(f"{network.reason}, which no tree is equal to"))
     return network
 
 
@@ -57,6 +86,8 @@ def load_oracle_network(folder: Path) -> Oracle:
     try:
         if about["schema"] != ACTOR_SCHEMA:
             raise ValueError(f"schema {about['schema']!r} where {ACTOR_SCHEMA!r} was expected")
+        if "file" in about:
+            return _load_black_box(folder, about)
         tensors = load_tensors(read_bytes(folder / "actor.safetensors"))
         layers = range(about["n_layers"])
         weights, biases = ([tensors[f"{kind}_{layer}"] for layer in layers] for kind in ("weight", "bias"))

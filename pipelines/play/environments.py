@@ -14,6 +14,7 @@ import gymnasium as gym
 import numpy as np
 
 from otr.control.environments import NOT_AFRESH, MadeAnew, depends_on_past
+from otr.control.spaces import flattened
 from pipelines.config.env import EnvConfig, PidTerms, search_here
 from pipelines.errors import ConfigError, did_you_mean
 from pipelines.play.pid_environment import PidObservation
@@ -57,10 +58,14 @@ def _make(env: EnvConfig) -> gym.Env:
         try:
             if "mujoco" in str(spec.entry_point):
                 _hear_mujoco_warnings()
-            return gym.make(spec, disable_env_checker=True, **env.kwargs)
+            made = gym.make(spec, disable_env_checker=True, **env.kwargs)
         except Exception as error:  # foreign code can fail in any way
             arguments = env.kwargs or "no arguments"
             raise ConfigError(f"env.id={env.id} with {arguments} cannot be made: {told(error)}") from error
+        try:
+            return flattened(made)
+        except ValueError as error:
+            raise ConfigError(f"{env.id}: {error}") from error
 
 
 def spec_of(env_id: str) -> Any:
@@ -148,13 +153,13 @@ def _hear_mujoco_warnings() -> None:
 def is_discrete(env: gym.Env) -> bool:
     """Return whether actions are labels 0, 1, ...; refuse actions that are neither these nor a vector in a box."""
     actions = env.action_space
-    if isinstance(actions, gym.spaces.Discrete) and int(actions.start) == 0:
+    if isinstance(actions, gym.spaces.Discrete):
         return True
     is_vector = isinstance(actions, gym.spaces.Box) and len(actions.shape) == 1 and actions.is_bounded()
     if is_vector and np.issubdtype(actions.dtype, np.floating):
         return False
     raise ConfigError(
-        f"{_id(env)}: the actions are {actions}; policies here choose one of n labels, Discrete(n) from 0 on, or give "
+        f"{_id(env)}: the actions are {actions}; policies here choose one of n labels, Discrete(n), or give "
         "a vector of real numbers, a Box of one dimension with limits. Wrap the environment, as "
         "gymnasium.wrappers.TransformAction and RescaleAction do, and register it so"
     )
@@ -176,16 +181,8 @@ def episode_limit(env: EnvConfig) -> int:
 
 
 def flat_state_size(env: gym.Env) -> int:
-    """Return the length of the state vector; refuse observations that are not a flat box."""
-    space = env.observation_space
-    if isinstance(space, gym.spaces.Box) and len(space.shape) in (2, 3) and space.dtype == np.uint8:
-        raise ConfigError(
-            f"{_id(env)}: the observations are images, {space}, and image policies are out of scope. Accepted is a "
-            "vector of numbers, a Box of one dimension, such as the positions and speeds of what the image shows"
-        )
-    if not isinstance(space, gym.spaces.Box) or len(space.shape) != 1 or space.shape[0] == 0:
-        raise ConfigError(
-            f"{_id(env)}: observations {space} are not a vector of numbers, a Box of one dimension, which programs "
-            "read. Wrap the environment, as gymnasium.wrappers.FlattenObservation does, and register it so"
-        )
-    return int(space.shape[0])
+    """Return the length of the state vector; refuse one of none."""
+    (n,) = env.observation_space.shape or (0,)
+    if n == 0:
+        raise ConfigError(f"{_id(env)}: the observations {env.observation_space} have no numbers")
+    return int(n)

@@ -68,7 +68,9 @@ def play_seeds(
             finally:
                 signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
             played = [future.result() for future in futures]
-            return Rollout(*(np.concatenate([getattr(part, each.name) for part in played]) for each in fields(Rollout)))
+            names = [each.name for each in fields(Rollout) if each.name != "feature_names"]
+            arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in played]) for name in names}
+            return Rollout(**arrays)
         except BaseException:  # do not wait for the other workers' episodes
             for process in multiprocessing.active_children():
                 process.terminate()

@@ -12,6 +12,7 @@ import numpy as np
 import yaml  # type: ignore[import-untyped]
 
 from otr.control.environments import INTERFACE
+from otr.control.spaces import keyed_names
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError
@@ -26,7 +27,7 @@ def own_environment(env_id: str, kwargs: Mapping[str, Any]) -> EnvConfig:
 
     Its name is the id as a folder can have it. Names of the observation's and the action's components are those that
     the environment's class gives as ``metadata["feature_names"]`` and ``metadata["action_names"]``, or conf/names.yaml
-    for it, if any.
+    for it, or the keys of its observations, if any.
 
     Raises:
         ConfigError: there is no such environment, its observations or actions are of a kind that no policy here has, or
@@ -38,6 +39,8 @@ def own_environment(env_id: str, kwargs: Mapping[str, Any]) -> EnvConfig:
     _try_out(made, env_id)
     names = {key: list(made.metadata.get(key, [])) for key in ("feature_names", "action_names")}
     names = names if any(names.values()) else _names_of_class(str(made.spec and made.spec.entry_point))
+    if not names.get("feature_names"):
+        names["feature_names"] = keyed_names(made)
     made.close()
     return dataclasses.replace(env, task=task, kwargs={}, **names)
 

@@ -27,7 +27,7 @@ def warning_below_random(config: RunConfig, summary: Mapping[str, Any]) -> str |
     if mean >= random:
         return None
     is_raw_zip = config.imported.name.endswith(".zip") and not config.imported.is_normalised
-    remedy = "was it trained under VecNormalize? vec_normalize=FILE names the file of its statistics"
+    remedy = "was it trained under VecNormalize? normalise=FILE names the file of its statistics"
     others = "was it trained for another environment, or with wrappers that this one lacks?"
     return (
         f"{config.imported.name} returns {mean:,.1f}, less than random actions do in {config.env.id} ({random:,.1f}): "

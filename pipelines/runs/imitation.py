@@ -26,7 +26,7 @@ def imitating_command(config: RunConfig, overrides: Sequence[str] = ()) -> str:
     words = [f"env={env.name}", "--config-dir", own[0]] if own else [f"env={env.id}"]
     words += [f"++env.kwargs.{name}={value}" for name, value in env.kwargs.items()]
     words += ["method=augtree", f"oracle={method.model}", f"depth={DEPTH}"]
-    given = {"vec_normalize": method.vec_normalize, "output": method.output}
+    given = {"normalise": method.normalise, "output": method.output}
     words += [f"{key}={value}" for key, value in given.items() if value]
     words += [each for each in overrides if each.startswith(NAMES)]
     return command_text("otr-run", words, config.results_dir)

@@ -9,7 +9,7 @@ import otr
 from otr.core.smooth_network import Oracle
 from otr.importers import read_policy
 from otr.importers.critics import Critics, critics_of_zip
-from otr.importers.vec_normalize import find_statistics
+from otr.importers.statistics import find_statistics
 from pipelines.config.env import EnvConfig
 from pipelines.config.model import ImportedModel
 from pipelines.config.run import RunConfig
@@ -39,14 +39,14 @@ def import_policy(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> N
 
 
 def read_model(
-    model: str, vec_normalize: str | None, env: EnvConfig, key: str = "model", output: str | None = None
+    model: str, normalise: str | None, env: EnvConfig, key: str = "model", output: str | None = None
 ) -> ImportedModel:
     """Return the policy in a file of one of the kinds that `otr.importers.read_policy` reads.
 
     Args:
         model: path of the file; a zip's suffix may be left out.
-        vec_normalize: path of the file that VecNormalize.save wrote, for a zip whose policy was trained under one, or
-            "none"; where it is None, a file is looked for beside the zip.
+        normalise: path of a file of statistics that `otr.read_policy` takes, or "none"; where it is None, one is looked
+            for beside a zip.
         env: its observations and actions are compared with the policy's.
         key: the setting that named the file, for what an error says.
         output: the policy's, of an ONNX model with several.
@@ -59,17 +59,17 @@ def read_model(
     if path.suffix == "" and not path.exists():  # Stable-Baselines3 adds the suffix where it is left out
         path = path.with_name(f"{path.name}.zip")
     statistics, note = None, ""
-    if vec_normalize is not None and vec_normalize.lower() != "none":
-        statistics = Path(vec_normalize).expanduser()
-    elif vec_normalize is None and path.suffix == ".zip" and path.is_file():
+    if normalise is not None and normalise.lower() != "none":
+        statistics = Path(normalise).expanduser()
+    elif normalise is None and path.suffix == ".zip" and path.is_file():
         statistics, note = find_statistics(path)
     files = [path, *([statistics] if statistics else [])]
     for file in files:
         if not file.is_file():
             what = "that is a folder, expected a file" if file.is_dir() else "there is no such file"
-            raise ConfigError(f"{key if file is path else 'vec_normalize'}={file}: {what}")
+            raise ConfigError(f"{key if file is path else 'normalise'}={file}: {what}")
     try:
-        network = read_policy(path, vec_normalize=statistics, output=output)
+        network = read_policy(path, normalise=statistics, output=output)
         policy = _fitted(network, spaces(env), env)
     except (otr.OtrError, ValueError) as error:
         raise ConfigError(f"{key}={model}: {error}") from error

@@ -40,7 +40,7 @@ class ReluActor:
 
     def exported(self, model: BaseAlgorithm) -> otr.ReluNetwork:
         """Return the model's actor as a network of the states that it was trained on."""
-        return otr.from_sb3(model, vec_normalize=None)
+        return otr.from_sb3(model, normalise=None)
 
     def evaluate(self, model: BaseAlgorithm) -> tuple[dict[str, bytes], Rollout]:
         """Return the files of what the actor becomes, and what came of its selection episodes."""

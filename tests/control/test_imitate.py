@@ -1,9 +1,12 @@
 """A tree that imitates a policy in one call: by every method, repeatable, with what it came to."""
 
+import gymnasium as gym
 import numpy as np
 import pytest
+import torch
 
 import otr
+from otr.core.black_box import BlackBox
 from otr.core.smooth_network import SmoothNetwork
 
 LOW, HIGH = [-2.0], [2.0]
@@ -47,10 +50,63 @@ def test_continuous_actions_stay_in_their_box_and_a_seed_repeats(method, capsys)
     assert np.abs(trees[0].predict(X)).max() <= 2 and capsys.readouterr().err == ""
 
 
+class Keys(gym.Env):
+    """A point that is pushed left or right, seen as a dictionary; actions are 1 and 2, and the middle is best."""
+
+    observation_space = gym.spaces.Dict(
+        {"speed": gym.spaces.Box(-9, 9, ()), "at": gym.spaces.Dict({"x": gym.spaces.Box(-9, 9, (2,))})}
+    )
+    action_space = gym.spaces.Discrete(2, start=1)
+
+    def _seen(self):
+        return {"speed": np.float32(0.0), "at": {"x": np.array([self.x, 1.0], dtype=np.float32)}}
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.x, self.t = self.np_random.uniform(-3, 3), 0
+        return self._seen(), {}
+
+    def step(self, action):
+        assert action in (1, 2)
+        self.x, self.t = self.x + 0.5 * (2 * action - 3), self.t + 1
+        return self._seen(), -abs(self.x), False, self.t == 10, {}
+
+
+def test_a_black_box_in_an_environment_of_keys(capsys):
+    """SiLU units and layer normalisation, observations that are a dictionary, labels from 1 on, a polish."""
+    torch.manual_seed(0)
+    steering = torch.nn.Linear(3, 4)
+    last = torch.nn.Linear(4, 2)
+    with torch.no_grad():
+        steering.weight.copy_(torch.tensor([[1.0, 0, 0], [-1.0, 0, 0], [0, 1, 0], [0, 0, 1]]))
+        last.weight.copy_(torch.tensor([[4.0, -4, 0, 0], [-4.0, 4, 0, 0]]))
+    policy = otr.read_policy(torch.nn.Sequential(steering, torch.nn.SiLU(), torch.nn.LayerNorm(4), last))
+    assert isinstance(policy, BlackBox) and policy.head == otr.Identity()
+    best = otr.evaluate(Keys, policy, n_episodes=20, max_steps=10)
+    for method, options in (("augtree", {}), ("distilled_otr", {"n_updates": 30})):
+        polish = {"n_iterations": 2, "n_candidates": 1, "n_selection_episodes": 5}
+        tree = otr.imitate(policy, Keys, method, 2, **SHORT, max_steps=10, polish=polish, **options)
+        assert tree.feature_names == ("at_x0", "at_x1", "speed") and "at_x0" in otr.to_text(tree)
+        assert otr.evaluate(Keys, tree, n_episodes=20, max_steps=10).mean_return > 1.2 * best.mean_return
+    assert otr.rollout(Keys(), policy, n_episodes=2, max_steps=10).feature_names == ["at_x0", "at_x1", "speed"]
+    assert "imitate: augtree of depth 2" in capsys.readouterr().err
+
+
+def test_one_output_that_decides_between_two_labels():
+    """As a binary classifier of scikit-learn has it: the linear policy that balances the pole."""
+    falling = np.array([[0.05, 0.2, 1.0, 0.5]])
+    policy = otr.ReluNetwork([np.vstack((falling, -falling)), [[1.0, -1.0]]], [np.zeros(2), [0.0]], head=otr.Sign())
+    tree = otr.imitate(policy, "CartPole-v1", "lm_viper", 1, **SHORT, progress=False)
+    states = otr.rollout("CartPole-v1", policy, n_episodes=2).states
+    assert tree.head == otr.Argmax() and (tree.predict(states) == policy.predict(states)).mean() > 0.9
+
+
 def test_what_cannot_be_is_refused():
     with pytest.raises(ValueError, match="method='cart', expected one of augtree, viper"):
         otr.imitate(pendulum(), "Pendulum-v1", "cart")
+    with pytest.raises(ValueError, match=r"depth=\[2, 2\], expected a number"):
+        otr.imitate(pendulum(), "Pendulum-v1", "viper", [2, 2])
     with pytest.raises(TypeError, match="n_leaf"):
         otr.imitate(pendulum(), "Pendulum-v1", "viper", n_leaf=3)
-    with pytest.raises(TypeError, match=r"smooth units; a tree can imitate it: otr\.imitate"):
+    with pytest.raises(TypeError, match=r"other units; a tree can imitate it: otr\.imitate"):
         otr.tree(pendulum(), np.zeros((1, 3)))

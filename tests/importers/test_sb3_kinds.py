@@ -2,6 +2,7 @@
 
 import io
 import zipfile
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -9,10 +10,11 @@ import pytest
 import torch
 from gymnasium.wrappers import FlattenObservation
 from sb3_contrib import ARS, QRDQN, TQC, TRPO, CrossQ, MaskablePPO
-from stable_baselines3 import PPO, SAC
+from stable_baselines3 import A2C, DDPG, DQN, PPO, SAC, TD3
 
 import otr
 from otr.importers.critics import critics_of_zip
+from tests.importers.test_importers import FourActions, WideBox
 
 torch.set_num_threads(1)
 RELU = {"activation_fn": torch.nn.ReLU, "net_arch": [8, 5]}
@@ -32,12 +34,21 @@ KINDS = {
     "ARS, clipped": (ARS, PENDULUM, LAYERS | {"squash_output": False}, {}),
     "ARS of labels": (ARS, CART, LAYERS, {}),
     "ARS without layers": (ARS, PENDULUM, {"net_arch": []}, {}),
-}
+    **{
+        f"{algorithm.__name__}, {n} layers": (algorithm, env, {**RELU, "net_arch": [6, 5][:n]}, {})
+        for algorithm, env in (
+            *((kind, WideBox()) for kind in (PPO, A2C, TRPO, SAC, TD3, DDPG)),
+            (A2C, FourActions()),
+            (DQN, FourActions()),
+        )
+        for n in range(3)
+    },
+}  # fmt: skip
 
 
 def drawn(algorithm, env, policy_kwargs, **settings):
     """Return a model with numbers so large that every limit and every unit comes into play."""
-    buffer = {} if algorithm in (PPO, ARS, TRPO, MaskablePPO) else {"buffer_size": 10}
+    buffer = {} if algorithm in (PPO, A2C, ARS, TRPO, MaskablePPO) else {"buffer_size": 10}
     policy = dict(policy_kwargs)
     model = algorithm("MlpPolicy", env, policy_kwargs=policy, seed=0, device="cpu", **buffer, **settings)
     generator = torch.Generator().manual_seed(0)
@@ -52,6 +63,9 @@ def drawn(algorithm, env, policy_kwargs, **settings):
 
 def assert_same(model, network):
     X = np.random.default_rng(0).normal(size=(300, network.n_inputs)).astype(np.float32)
+    if isinstance(model, DQN):
+        values = model.q_net(torch.from_numpy(X)).detach().numpy()
+        np.testing.assert_allclose(network.forward(X), values, atol=1e-4)
     acted, _ = model.predict(X, deterministic=True)
     found = network.predict(X)
     np.testing.assert_allclose(found.reshape(acted.shape), acted, atol=2e-5)
@@ -65,6 +79,7 @@ def test_a_policy_is_what_it_predicts(kind, tmp_path):
     model.save(tmp_path / "policy")
     for network in (otr.from_sb3(tmp_path / "policy"), otr.from_sb3(model)):
         assert_same(model, network)
+        assert network.hidden_widths[: len(policy_kwargs["net_arch"])] == tuple(policy_kwargs["net_arch"])
         tree = otr.map_network(network) if network.n_hidden < 14 else None
         if tree is not None:
             X = np.random.default_rng(1).normal(size=(50, network.n_inputs))
@@ -140,3 +155,37 @@ def test_labels_that_tie_in_the_probabilities_of_a_live_model_are_the_same() -> 
     with torch.no_grad():
         model.policy.action_net.weight.mul_(1e-6)
     assert otr.from_sb3(model).head == otr.Argmax()
+
+
+PARTS = gym.spaces.Dict({"speed": gym.spaces.Box(-9, 9, (2,)), "at": gym.spaces.Discrete(3)})
+
+
+@pytest.mark.parametrize(
+    "seen",
+    [PARTS, gym.spaces.Discrete(5), gym.spaces.MultiBinary(4), gym.spaces.MultiDiscrete([2, 3])],
+    ids=["dict", "discrete", "binary", "several"],
+)
+@pytest.mark.parametrize("start", [0, 3])
+def test_observations_that_are_flattened(tmp_path: Path, seen: gym.Space, start: int) -> None:
+    """The network reads what FlattenObservation makes of them; labels count from 0."""
+
+    class Seen(FourActions):
+        observation_space = seen
+        action_space = gym.spaces.Discrete(4, start=start)
+
+        def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple:
+            return self.observation_space.sample(), {}
+
+    policy = "MultiInputPolicy" if seen is PARTS else "MlpPolicy"
+    relu = {"net_arch": [6], "activation_fn": torch.nn.ReLU}
+    model = PPO(policy, Seen(), policy_kwargs=relu, seed=0, device="cpu", n_steps=8)
+    with torch.no_grad():
+        for parameter in model.policy.parameters():
+            parameter.normal_()
+    model.save(tmp_path / "model.zip")
+    seen.seed(1)
+    samples = [seen.sample() for _ in range(40)]
+    flat = np.stack([gym.spaces.flatten(seen, each) for each in samples])
+    expected = [int(model.predict(each, deterministic=True)[0]) for each in samples]
+    for given in (model, tmp_path / "model.zip"):
+        assert otr.from_sb3(given).predict(flat).tolist() == expected

@@ -2,8 +2,8 @@
 
 import io
 import warnings
+from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
 
 import numpy as np
 import onnx
@@ -17,8 +17,8 @@ from onnx.reference import ReferenceEvaluator
 from torch import nn
 
 import otr
-from otr.core.smooth_network import ACTIVATIONS
-from otr.importers import read_policy
+from otr.importers.assembly import policy_of
+from otr.importers.sections import Sections
 
 torch.set_num_threads(1)
 RNG = np.random.default_rng(0)
@@ -144,24 +144,26 @@ def test_what_is_not_affine_is_named(nodes: list, message: str) -> None:
         otr.from_onnx(model([*nodes, *LAYERS], gain=np.full(4, 1e12)))
 
 
-COMPOSED = {
-    "silu": [("Sigmoid", ["z"], "s"), ("Mul", ["z", "s"], "a")],
-    "hardswish": [("HardSwish", ["z"], "a")],
-    "mish": [("Softplus", ["z"], "p"), ("Tanh", ["p"], "t"), ("Mul", ["z", "t"], "a")],
-    "gelu": [("Div", ["z", "root"], "d"), ("Erf", ["d"], "e"), ("Add", ["e", "one"], "f"), ("Mul", ["z", "f"], "g"),
-             ("Mul", ["g", "half"], "a")],
-}  # fmt: skip
+def test_a_wide_layer_is_read_in_few_evaluations() -> None:
+    """Its matrix is a constant that the section reads; what only evaluates to a matrix takes many basis at a time."""
+    rng, n_calls = np.random.default_rng(0), 0
 
+    def times(W: np.ndarray) -> Callable:
+        def step(x: np.ndarray) -> np.ndarray:
+            nonlocal n_calls
+            n_calls += 1
+            return x @ W.T
 
-@pytest.mark.parametrize("name", COMPOSED)
-def test_a_unit_of_several_nodes(tmp_path: Path, name: str) -> None:
-    nodes = [("Identity", ["x"], "c"), LAYERS[0], *COMPOSED[name], LAYERS[2]]
-    made = model(nodes, root=np.sqrt(np.array(2.0)), one=np.array(1.0), half=np.array(0.5))
-    onnx.save(made, tmp_path / "policy.onnx")
-    policy = read_policy(tmp_path / "policy.onnx")
-    assert policy.activation == name
-    X = RNG.normal(size=(50, 4))
-    np.testing.assert_allclose(policy.forward(X), ACTIVATIONS[name](X @ W1.T + B1) @ W2.T + B2, atol=1e-12)
+        return step
+
+    W, V = rng.standard_normal((300, 4)), rng.standard_normal((2, 300))
+    steps = [("wide", times(W)), ("units", lambda z: np.maximum(z, 0)), ("last", times(V))]
+    for matrices, most in (({0: W, 2: V}, 100), ({2: W}, 110)):
+        n_calls = 0
+        network = policy_of(Sections.of_steps(steps, 4, matrices), answer=lambda x: V @ np.maximum(W @ x, 0))
+        assert n_calls < most
+        np.testing.assert_array_equal(network.weights[0], W)
+        np.testing.assert_array_equal(network.weights[1], V)
 
 
 def test_a_clip_far_away_is_no_section() -> None:

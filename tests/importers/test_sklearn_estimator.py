@@ -36,6 +36,7 @@ def mlp(kind: type = MLPClassifier, **options: Any) -> Any:
 
 READ = {
     "mlp": (mlp(), THREE),
+    "mlp without units": (mlp(activation="identity"), THREE),
     "mlp of two classes behind a scaler": (make_pipeline(StandardScaler(), mlp()), TWO),
     "stochastic gradient": (mlp(MLPRegressor, solver="sgd", learning_rate_init=1e-4), TARGETS),
     "several scalers": (
@@ -58,15 +59,23 @@ def test_answers_are_the_estimators(tmp_path: Path, name: str) -> None:
     estimator.fit(X, targets)
     skops.io.dump(estimator, tmp_path / "policy.skops")
     expected = estimator.predict(X)
+    widths = (4, 3) if "mlp" in repr(estimator).lower() and name != "mlp without units" else ()
     assert len(np.unique(expected, axis=0)) > 1
     for network in (
         otr.from_sklearn(estimator),
         otr.from_sklearn(tmp_path / "policy.skops"),
         read_policy(tmp_path / "policy.skops"),
     ):
-        assert network.n_inputs == 4 and network.hidden_widths == ((4, 3) if "mlp" in repr(estimator).lower() else ())
+        assert network.n_inputs == 4 and network.hidden_widths == widths
         answers = network.predict(X)
         np.testing.assert_allclose(answers, expected.reshape(answers.shape), atol=1e-9)
+
+
+@pytest.mark.parametrize("targets", [TWO, THREE])
+def test_labels_are_positions_among_the_classes(targets: np.ndarray) -> None:
+    fitted = mlp().fit(X, np.array(["no", "yes", "maybe"])[targets])
+    found = otr.map_network(otr.from_sklearn(fitted)).predict(X)
+    np.testing.assert_array_equal(fitted.classes_[found], fitted.predict(X))
 
 
 def test_names_of_columns_are_no_matter() -> None:
@@ -103,6 +112,8 @@ class Reversed(LogisticRegression):
         (make_pipeline(StandardScaler()), None, r"expected a fitted .* got StandardScaler\(\); one of another kind"),
         (GridSearchCV(Ridge(), {"alpha": [1.0, 2.0]}), TARGETS, r"got GridSearchCV\(.*; one of another kind cannot"),
         (RidgeClassifier(), np.column_stack((TWO, TWO)) == TWO[0], "predicts several labels at once"),
+        (mlp(), X > 0, "one classifier for each label"),
+        (mlp(MLPRegressor, loss="poisson"), np.abs(TARGETS[:, 0]), "squared_error"),
         (DecisionTreeClassifier(), TWO, r"DecisionTreeClassifier\(\); .*otr.learners.from_sklearn_tree"),
     ],
 )

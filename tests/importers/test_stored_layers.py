@@ -51,7 +51,7 @@ def test_layers_of_a_state_dict(tmp_path: Path, nested: bool) -> None:
     state = agent.state_dict()
     torch.save({"model": state, "epoch": 3} if nested else state, path)
     prefix = "model.actor" if nested else "actor"
-    with pytest.raises(otr.InvalidNetworkError, match=r"do not chain; give layers= .*critic.0.weight \(5, 3\)"):
+    with pytest.raises(otr.InvalidNetworkError, match=rf"do not chain; .* layers='{prefix}' or .*critic.0.weight"):
         read_policy(path)
     with pytest.raises(otr.InvalidNetworkError, match=r"give activation= one of .*relu"):
         read_policy(path, layers=prefix)
@@ -61,6 +61,17 @@ def test_layers_of_a_state_dict(tmp_path: Path, nested: bool) -> None:
         with pytest.warns(UserWarning, match=r"read are .*actor.2, not .*log_std \(2,\)"):
             policy = read_policy(path, layers=layers, activation="relu")
         np.testing.assert_allclose(policy.predict(X), expected, atol=1e-12)
+
+
+def test_layers_are_put_together_as_the_module_has_them(tmp_path: Path) -> None:
+    """As in skrl, whose last layer has another name than those before it."""
+    parts = nn.ModuleDict({"net": nn.Sequential(nn.Linear(3, 4), nn.ELU(), nn.Linear(4, 4)), "last": nn.Linear(4, 2)})
+    torch.save({"policy": parts.state_dict(), "value": parts.state_dict()}, tmp_path / "agent.pt")
+    with pytest.warns(UserWarning, match=r"read are policy.net.0, policy.net.2, policy.last, not"):
+        policy = read_policy(tmp_path / "agent.pt", layers="policy", activation="elu")
+    X = RNG.normal(size=(20, 3))
+    expected = nn.Sequential(*parts["net"], nn.ELU(), parts["last"]).double()(torch.from_numpy(X)).detach().numpy()
+    np.testing.assert_allclose(policy.predict(X), expected, atol=1e-12)
 
 
 def test_layers_that_alone_chain_need_no_names(tmp_path: Path) -> None:
@@ -84,7 +95,10 @@ def test_what_is_no_state_dict_says_how_to_export(tmp_path: Path) -> None:
     with pytest.raises(otr.InvalidNetworkError, match=r"is TorchScript, which holds code; save module.state_dict"):
         read_policy(tmp_path / "script.pt")
     torch.save(module, tmp_path / "whole.pth")
-    with pytest.raises(otr.ArtefactError, match=r"(?s)holds more than tensors.*; save module.state_dict\(\)"):
+    with pytest.raises(
+        otr.ArtefactError,
+        match=r"more than tensors, and was not loaded: it names torch.*; save module.state_d",
+    ):
         read_policy(tmp_path / "whole.pth")
     with pytest.raises(otr.InvalidNetworkError, match=r"layers= and activation= are for a state_dict"):
         read_policy(tmp_path / "policy.onnx", activation="relu")

@@ -16,9 +16,8 @@ import torch
 from torch import nn
 
 import otr
-from otr.core.smooth_network import SmoothNetwork
 from otr.importers import read_policy
-from tests.importers.test_importers import _Bomb, rewrite
+from tests.importers.test_importers import Bomb, rewrite
 
 torch.set_num_threads(1)
 STATES = torch.from_numpy(np.random.default_rng(0).normal(size=(200, 4)).astype(np.float32)) * 2
@@ -55,7 +54,7 @@ def written(program: torch.export.ExportedProgram, path: Path) -> Path:
     return path
 
 
-def assert_answers(network: otr.ReluNetwork | SmoothNetwork, module: nn.Module) -> None:
+def assert_answers(network: otr.ReluNetwork, module: nn.Module) -> None:
     with torch.no_grad():
         expected = copy.deepcopy(module).double()(STATES.double()).numpy()
     np.testing.assert_allclose(network.predict(STATES.numpy()), expected, rtol=0, atol=1e-12)
@@ -108,23 +107,16 @@ def test_any_number_of_states_and_none() -> None:
     assert_answers(otr.from_torch(exported(module, states=STATES[0])), module)
 
 
-SMOOTH = {"tanh": nn.Tanh, "sigmoid": nn.Sigmoid, "silu": nn.SiLU, "elu": nn.ELU, "gelu": nn.GELU}
-
-
-@pytest.mark.parametrize("name", SMOOTH)
-def test_smooth_units_are_an_oracle(tmp_path: Path, name: str) -> None:
-    module = sequential(SMOOTH[name]())
-    path = written(exported(module), tmp_path / "policy.pt2")
-    oracle = read_policy(path)
-    assert isinstance(oracle, SmoothNetwork) and oracle.activation == name
-    assert_answers(oracle, module)
-    with pytest.raises(otr.InvalidNetworkError, match=f"the units are {name}; a tree needs ReLU or LeakyReLU"):
-        otr.from_torch(path)
-
-
-def test_scaled_tanh_units(tmp_path: Path) -> None:
-    module = Policy(lambda m, x: m.two(torch.tanh(m.one(x)) * 2 + 0.5))
-    assert_answers(read_policy(written(exported(module), tmp_path / "policy.pt2")), module)
+def test_tanh_units_and_a_module_are_an_oracle(tmp_path: Path) -> None:
+    module = Policy(lambda m, x: m.two(torch.tanh(m.one(x)) * 2 + 0.5).softmax(dim=1))
+    for given in (written(exported(module), tmp_path / "policy.pt2"), exported(module), module):
+        policy = read_policy(given)
+        assert policy.head == otr.Argmax() and policy.suffix == ".pt2"
+        np.testing.assert_array_equal(policy.predict(STATES.numpy()), module(STATES).argmax(dim=1).numpy())
+    relu = read_policy(sequential(nn.ReLU()))
+    assert isinstance(relu, otr.ReluNetwork)
+    with pytest.raises(otr.InvalidNetworkError, match=r"not from a float; .*predict"):
+        read_policy(3.0)
 
 
 def test_probabilities_are_decided_or_need_their_head(tmp_path: Path) -> None:
@@ -191,7 +183,7 @@ def test_no_pickle_is_opened(saved: Path, tmp_path: Path) -> None:
     """torch.export.load runs the code in one. That of a tensor is named here, that of the example states is skipped."""
     sentinel = tmp_path / "sentinel"
     bomb = io.BytesIO()
-    torch.save(_Bomb(sentinel), bomb)
+    torch.save(Bomb(sentinel), bomb)
     with zipfile.ZipFile(saved) as archive:
         names = {name.partition("/")[2]: name for name in archive.namelist()}
         config = json.loads(archive.read(names["data/weights/model_weights_config.json"]))

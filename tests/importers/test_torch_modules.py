@@ -114,6 +114,32 @@ def test_a_module_that_does_something_else_is_refused(make: Callable, message: s
         otr.from_torch(make())
 
 
+class Agent(nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self.actor, self.critic = nn.Linear(3, 2), nn.Linear(3, 1)
+
+
+class Recurrent(nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self.memory, self.last = nn.GRU(3, 4), nn.Linear(4, 2)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return self.last(self.memory(x)[0])
+
+
+def test_what_is_no_policy_of_a_state_says_what_to_do() -> None:
+    for read in (otr.from_torch, otr.read_policy):
+        with pytest.raises(otr.InvalidNetworkError, match=r"such as one of its parts \(module.actor, module.critic\)"):
+            read(Agent())
+        with pytest.raises(otr.InvalidNetworkError, match="the module remembers earlier states"):
+            read(Recurrent())
+    program = torch.export.export(Recurrent(), (torch.zeros(1, 3),))
+    with pytest.raises(otr.InvalidNetworkError, match=r"\(gru\) remembers earlier states"):
+        otr.read_policy(program)
+
+
 def test_a_softmax_over_another_axis_is_refused() -> None:
     with pytest.raises(otr.InvalidNetworkError, match=r"module\[1\] \(Softmax\) goes over the states"):
         otr.from_torch(nn.Sequential(nn.Linear(3, 2), nn.Softmax(dim=0)), head=otr.Argmax())

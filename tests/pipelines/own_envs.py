@@ -49,6 +49,28 @@ class Insistent(Cart):
         return super().step(action)
 
 
+class Keyed(PushOrPull):
+    """The cart seen as a dictionary, whose labels begin at 1."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        parts = {"speed": gym.spaces.Box(-10, 10, (), np.float64), "on right": gym.spaces.Discrete(2)}
+        self.observation_space = gym.spaces.Dict(parts)
+        self.action_space = gym.spaces.Discrete(2, start=1)
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
+        (x, v), info = super().reset(seed=seed)
+        return {"speed": np.float64(v), "on right": int(x > 0)}, info
+
+    def step(self, action: Any) -> Any:
+        (x, v), *others = super().step(action)
+        return {"speed": np.float64(v), "on right": int(x > 0)}, *others
+
+    def force(self, action: Any) -> float:
+        assert action in (1, 2)
+        return 2.0 * int(action) - 3.0
+
+
 class Unsuitable(Cart):
     def __init__(self, observations: gym.Space | None = None, actions: gym.Space | None = None) -> None:
         super().__init__()
@@ -131,10 +153,8 @@ class NeedsAFile(Cart):
 
 SPACES: dict[str, dict[str, gym.Space]] = {
     "Images": {"observations": gym.spaces.Box(0, 255, (8, 8, 3), np.uint8)},
-    "Parts": {"observations": gym.spaces.Dict(x=gym.spaces.Box(-1, 1, (2,)))},
-    "Cells": {"observations": gym.spaces.Discrete(4)},
+    "Words": {"observations": gym.spaces.Text(4)},
     "Keys": {"actions": gym.spaces.MultiDiscrete([2, 2])},
-    "FromOne": {"actions": gym.spaces.Discrete(2, start=1)},
     "Fixed": {"observations": gym.spaces.Box(np.array([-5.0, 0.5]), np.array([5.0, 0.5]), dtype=np.float64)},
     "Boundless": {"actions": gym.spaces.Box(-np.inf, np.inf, (1,))},
 }
@@ -143,7 +163,7 @@ gym.register("Cart-v0", entry_point=Cart, max_episode_steps=50)
 
 gym.register("Endless-v0", entry_point=Cart)
 gym.register("SaidToBeNoisy-v0", entry_point=Noisy, max_episode_steps=50, nondeterministic=True)
-for kind in Cart.__subclasses__():
+for kind in (*Cart.__subclasses__(), Keyed):
     gym.register(f"{kind.__name__}-v0", entry_point=kind, max_episode_steps=50)
 for name, spaces in SPACES.items():
     gym.register(f"{name}-v0", entry_point=Unsuitable, kwargs=spaces, max_episode_steps=50)

@@ -11,6 +11,7 @@ from typing import IO, Any
 import numpy as np
 
 from otr.core.arrays import FloatArray
+from otr.core.black_box import BlackBox
 from otr.core.network import ReluNetwork
 from otr.core.pattern_tree import PatternTree
 from otr.core.smooth_network import Oracle
@@ -145,6 +146,8 @@ class GrowingArray:
 
 
 def _digest(oracle: Oracle) -> str:
+    if isinstance(oracle, BlackBox):
+        return oracle.digest
     units = f"{oracle.negative_slope} {oracle.dense}" if isinstance(oracle, ReluNetwork) else oracle.activation
     digest = hashlib.sha256(f"{units} {oracle.head!r}".encode())
     for array in (*oracle.weights, *oracle.biases):

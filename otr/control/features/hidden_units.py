@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otr.core.arrays import BoolArray, FloatArray
+from otr.core.black_box import BlackBox
 from otr.core.network import ReluNetwork
 from otr.core.smooth_network import Oracle
 from otr.learners.base.units import Units
@@ -55,7 +56,10 @@ class AffineFeatures:
 
 def first_layer_features(network: Oracle, *, include_inputs: bool) -> AffineFeatures:
     """Return x (d), where included, and z_1 = W_1 x + b_1 (n_1)."""
-    first = AffineFeatures(network.weights[0], network.biases[0])
+    if isinstance(network, BlackBox):
+        first = AffineFeatures(network.first_layer[:, :-1], network.first_layer[:, -1])
+    else:
+        first = AffineFeatures(network.weights[0], network.biases[0])
     d = network.n_inputs
     return AffineFeatures(np.eye(d), np.zeros(d)).joined(first) if include_inputs else first
 

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 import otr
+from otr.core.black_box import BlackBox
 from otr.core.smooth_network import Oracle
 from otr.importers.critics import Critics
 from otr.learners.networks.denormals import denormals_as_zero
@@ -54,7 +55,7 @@ class CriticPolish:
         self._policy, self._critics, self._settings = policy, critics, config.polishing.critic
         self._n_candidates, self._free = config.polishing.n_candidates, config.polishing.free
         self._tied = config.method.ties_repeats
-        self._oracle = None if oracle is None else OraclePlay(oracle, critics)
+        self._oracle = None if oracle is None or isinstance(oracle, BlackBox) else OraclePlay(oracle, critics)
         self._seeds = stream_seeds(3, config.seed, "polish", STREAM_ELEMENT)
         self._env = Autoreset(make_vector_env(config.env, environments))
         limits = policy.head.limits(policy.n_outputs)

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 import otr
 from otr.control.policy_module import policy_module
 from otr.control.search.state_moments import scale_of
-from otr.core.smooth_network import Oracle
+from otr.core.smooth_network import Layered
 from otr.importers.critics import Critics
 from pipelines.errors import ConfigError
 
@@ -90,7 +90,7 @@ def check_head(head: otr.Head) -> None:
 class OraclePlay:
     """An oracle's stochastic policy, as it explored while it was trained."""
 
-    def __init__(self, oracle: Oracle, critics: Critics) -> None:
+    def __init__(self, oracle: Layered, critics: Critics) -> None:
         """Take the actor, and its deviations from its critics; without these its actions have no noise of their own."""
         weights, biases = list(oracle.weights), list(oracle.biases)
         self._n_actions, self._has_deviations = len(biases[-1]), critics.log_std is not None

@@ -8,7 +8,9 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
+import otr
 from pipelines.cli.runs import RUN
 from pipelines.config.env import EnvConfig, _code_sha256
 from pipelines.errors import ConfigError
@@ -142,12 +144,11 @@ def test_methods_budgets_and_arguments_of_custom_environments():
         ((f"env={MODULE}:Card-v0",), f"Environment `Card` doesn't exist. Did you mean {MODULE}:Cart-v0"),
         (("env=ALE/Pong-v5",), "no such environment. There are: ant, .*; besides, any registered id, as CartPole-v1"),
         (("env=Hopper-v9",), "Did you mean Hopper-v5 or Hopper-v4"),
-        ((f"env={MODULE}:Images-v0",), "are images, .* out of scope. Accepted is a vector"),
-        ((f"env={MODULE}:Parts-v0",), "observations .* are not a vector of numbers"),
-        ((f"env={MODULE}:Keys-v0",), "the actions are MultiDiscrete"),
+        ((f"env={MODULE}:Images-v0",), "are images, .* out of scope. Accepted is"),
+        ((f"env={MODULE}:Words-v0",), r"the observations are Text\(.*, which no vector of one length holds"),
+        ((f"env={MODULE}:Keys-v0",), r"the actions are MultiDiscrete.* one of 4 labels, by a gymnasium.ActionWrapper"),
         ((f"env={MODULE}:Unseeded-v0",), r"reset\(seed=0\) gives .* and, again, .* draw from self.np_random"),
         ((f"env={MODULE}:Noisy-v0",), r"the first step after it gives .* and, again, .* with nondeterministic=True"),
-        ((f"env={MODULE}:FromOne-v0",), r"Discrete\(n\) from 0 on"),
         ((f"env={MODULE}:Boundless-v0",), "with limits"),
         ((f"env={MODULE}:Endless-v0",), "episodes have no limit, so one may never end; give one as"),
         (("env=CartPole-v1", "env.feature_names=[a,b]"), "env.feature_names has 2 names, the policy has 4"),
@@ -162,6 +163,16 @@ def test_methods_budgets_and_arguments_of_custom_environments():
 def test_what_is_refused_before_anything_runs(words, told):
     with pytest.raises(ConfigError, match=told):
         job(*words)
+
+
+def test_a_dictionary_is_flattened_and_labels_begin_at_zero(tmp_path):
+    words = (f"env={MODULE}:Keyed-v0", "depth=2", "budget=smoke", "n_workers=1", "evaluate.n_episodes=3", "algo=ars")
+    done = otr_command("otr-run", *words, cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (run,) = tmp_path.glob("results/runs/*Keyed-v0/otr/depth-2/smoke-ars/seed-0*")
+    assert otr.load(run / "map/tree").n_inputs == 3
+    config = yaml.safe_load((run / "config.yaml").read_text())
+    assert config["env"]["feature_names"] == ["on_right0", "on_right1", "speed"]
 
 
 def test_a_file_of_ones_own_and_a_sweep(tmp_path):

@@ -55,11 +55,11 @@ def test_the_command_can_be_given_as_it_is(config):
 
 
 def test_arguments_of_the_environment_and_statistics_are_in_the_command():
-    config = run_config(["env=CartPole-v1", "method=model", "method.model=a.zip", "method.vec_normalize=s.pkl"])
+    config = run_config(["env=CartPole-v1", "method=model", "method.model=a.zip", "method.normalise=s.pkl"])
     env = EnvConfig("maze", "discrete", "my_module:Maze-v0", {"size": 5})
     config = dataclasses.replace(config, env=env, imported=ImportedModel(NETWORK, "a.zip", "0"))
     assert imitating_command(config) == (
-        "otr-run env=my_module:Maze-v0 ++env.kwargs.size=5 method=augtree oracle=a.zip depth=3 vec_normalize=s.pkl"
+        "otr-run env=my_module:Maze-v0 ++env.kwargs.size=5 method=augtree oracle=a.zip depth=3 normalise=s.pkl"
     )
 
 

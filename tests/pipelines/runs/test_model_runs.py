@@ -45,6 +45,7 @@ def models(tmp_path_factory):
     network = otr.from_sb3(folder / "relu.zip").replace(head=otr.Identity())
     otr.save(otr.PatternTree(network), folder / "network.json")
     _write_onnx(network, folder / "network.onnx")
+    otr.save(otr.PatternTree(otr.ReluNetwork([np.ones((2, 4))], [np.zeros(2)])), folder / "linear.json")
     return folder
 
 
@@ -141,10 +142,10 @@ def test_statistics_beside_a_zip_are_used_and_the_command_says_so(normalised_pen
         return job, capsys.readouterr().err
 
     statistics = normalised_pendulum / "pendulum/vecnormalize.pkl"
-    (found, told), (given, silent) = asked(), asked(f"vec_normalize={statistics}")
+    (found, told), (given, silent) = asked(), asked(f"normalise={statistics}")
     assert found.folder == given.folder and found.config.imported.sha256 == given.config.imported.sha256
     assert f"is read with the statistics of {statistics}" in told and silent == ""
-    for word in ("vec_normalize=none", "vec_normalize=null", "vec_normalize=None"):
+    for word in ("normalise=none", "normalise=null", "normalise=None"):
         raw, silent = asked(word)
         assert raw.folder != found.folder and raw.config.imported.policy.domain is None and silent == ""
     oracle, told = asked("method=viper", "depth=3")
@@ -155,13 +156,13 @@ def test_statistics_beside_a_zip_are_used_and_the_command_says_so(normalised_pen
 
 
 def test_a_policy_that_is_worse_than_random_actions(normalised_pendulum):
-    words = ("env=Pendulum-v1", f"model={normalised_pendulum / 'pendulum.zip'}", "vec_normalize=none")
+    words = ("env=Pendulum-v1", f"model={normalised_pendulum / 'pendulum.zip'}", "normalise=none")
     (job,), (imitating,) = jobs(*words), jobs(*words, "method=viper")
     for name, config in (("network", job.config), ("oracle", imitating.config)):
         worse, better = ({"policies": {name: {"return_mean": mean}}} for mean in (-1500.0, -900.0))
         told = warning_below_random(config, worse)
         assert told.startswith("pendulum.zip returns -1,500.0, less than random actions do in Pendulum-v1 (-1,268.5): ")
-        assert told.endswith("vec_normalize=FILE names the file of its statistics")
+        assert told.endswith("normalise=FILE names the file of its statistics")
         assert warning_below_random(config, better) is None
         with_statistics = replace(config, imported=replace(config.imported, is_normalised=True))
         assert warning_below_random(with_statistics, worse).endswith("or with wrappers that this one lacks?")
@@ -217,7 +218,10 @@ def test_torch_exports_and_skops_files(models):
     assert job.folder.startswith("runs/CartPole-v1/model/depth-3/smoke/seed-0~")
     (job,) = jobs(*SMOKE, "method=augtree", "depth=3", f"oracle={models / 'probabilities.pt2'}")
     assert job.config.oracle == [3] and job.folder.startswith("runs/CartPole-v1/augtree/depth-3/smoke/seed-0~")
-    with pytest.raises(ConfigError, match=r"its units are tanh, which no tree is equal to. Of the methods that"):
+    with pytest.raises(
+        ConfigError,
+        match=r"\(tanh\) is not affine, .* no tree is equal to it. Of the methods that",
+    ):
         jobs(*SMOKE, f"model={models / 'probabilities.pt2'}")
 
 
@@ -250,6 +254,31 @@ def test_a_tanh_policy_is_an_oracle(models):
     assert plan.stdout.count("is there") == 2, plan.stderr
 
 
+def test_a_model_with_any_units_and_statistics_is_an_oracle(models):
+    torch.manual_seed(0)
+    layers = (torch.nn.Linear(4, 8), torch.nn.SiLU(), torch.nn.LayerNorm(8), torch.nn.Linear(8, 2))
+    module, file = torch.nn.Sequential(*layers), models / "silu.onnx"
+    torch.onnx.export(module, (torch.zeros(1, 4),), file, dynamo=False, input_names=["x"], dynamic_axes={"x": [0]})
+    statistics = {"mean": [0.1, 0, 0, 0], "var": [4, 1, 1, 0.25], "epsilon": 0.0, "clip": 1.5}
+    (models / "statistics.json").write_text(json.dumps(statistics))
+    words = ("method=augtree", "oracle=silu.onnx", "normalise=statistics.json", "depth=2")
+    refused = otr_command("otr-run", *SMOKE, "model=silu.onnx", "normalise=statistics.json", cwd=models)
+    assert refused.returncode == 2 and "no tree is equal to it" in refused.stderr
+    told = "  otr-run env=CartPole-v1 method=augtree oracle=silu.onnx depth=3 normalise=statistics.json\n"
+    assert refused.stderr.endswith(told)
+    otr_succeeds("otr-run", *SMOKE, *words, cwd=models)
+    (run,) = models.glob("results/runs/CartPole-v1/augtree/depth-2/smoke/seed-0~*")
+    summary = json.loads((run / "summary.json").read_text())
+    assert summary["oracle"]["hidden_widths"] == [8] and summary["model"] == "silu.onnx"
+    (imported,) = models.glob("results/runs/CartPole-v1/model/depth-8/smoke/seed-0~*")
+    X = np.random.default_rng(3).normal(size=(500, 4))
+    seen = np.clip((X - statistics["mean"]) / np.sqrt(statistics["var"]), -1.5, 1.5)
+    outputs = module(torch.tensor(seen, dtype=torch.float32)).detach().numpy()
+    policy = load_oracle_network(imported / "import")
+    np.testing.assert_allclose(policy.forward(X), outputs, atol=1e-5)
+    assert policy.head == otr.Argmax()
+
+
 def test_a_network_distilled_from_an_oracle_is_mapped_proved_and_polished(models):
     words = ("method=distilled_otr", "oracle=tanh.zip", "depth=2", "method.n_updates=20", "certify=true", "polish=true")
     done = otr_succeeds("otr-run", *SMOKE, *words, cwd=models)
@@ -272,21 +301,25 @@ def test_a_network_distilled_from_an_oracle_is_mapped_proved_and_polished(models
         (("method=model",), "method=model: which model"),
         (("model={}/statistics.pkl",), "read are .zip, .onnx, .pt2, .skops, .nnet, .pth, .pt, .json, .npz, not .pkl"),
         (("model={}/pendulum.zip",), "the policy reads 3 numbers, the observations of CartPole-v1 have 4"),
-        (("model={}/relu.zip", "vec_normalize={}/gone.pkl"), "vec_normalize=.*gone.pkl: there is no such file"),
-        (("model={}/relu.zip", "vec_normalize={}/statistics.pkl"), "3 means and 3 variances, the network has 4"),
+        (("model={}/relu.zip", "normalise={}/gone.pkl"), "normalise=.*gone.pkl: there is no such file"),
+        (("model={}/relu.zip", "normalise={}/statistics.pkl"), "3 means and 3 variances, the network has 4"),
         (("model={}/relu.zip", "method=otr"), "is imported by method=model, not by method=otr"),
         (("model={}/relu.zip", "depth=3"), "depth is the model's own; leave depth=3 out"),
         (("model={}/relu.zip", "train.steps=9"), "train.steps=9: nothing is trained, as model=.*relu.zip is there"),
         (("oracle={}/tanh.zip", "method=viper", "algo=ppo"), "algo=ppo: nothing is trained, as model=.*tanh.zip is"),
         (("model={}/relu.zip", "stages=[train]"), "no stage 'train'; it has import, map"),
         (("oracle=nosuch.zip", "method=viper"), "oracle=nosuch.zip: there is no such file"),
+        (("oracle={}/linear.json", "method=viper"), "linear.json is linear, which is a tree of one leaf as it is; add"),
         (("oracle={}/tanh.zip",), "who is to imitate it. Add method=viper or"),
         (("oracle={}/tanh.zip", "method=sdt"), "who is to imitate it"),
         (("model={}/tanh.zip", "method=viper", "oracle=[8]"), "leave oracle=.8. out"),
-        (("oracle={}/tanh.zip", "method=augtree", "method.features=deep"), "units of .* are tanh, which has none"),
-        (("model={}/network.onnx", "vec_normalize={}/statistics.pkl"), "belong to a Stable-Baselines3 zip, not to"),
         (
-            ("method=viper", "vec_normalize={}/statistics.pkl"),
+            ("oracle={}/tanh.zip", "method=augtree", "method.features=deep"),
+            "has none of .the units are tanh",
+        ),
+        (("model={}/network.onnx", "normalise={}/statistics.pkl"), "3 means and 3 variances, the network has 4"),
+        (
+            ("method=viper", "normalise={}/statistics.pkl"),
             "statistics.pkl: of which model. Add model=FILE or oracle",
         ),
         (("model={}",), "that is a folder, expected a file"),

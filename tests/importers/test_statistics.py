@@ -1,4 +1,5 @@
 import io
+import json
 import pickle
 import re
 import struct
@@ -14,8 +15,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 import otr
 from otr.importers import read_policy
-from otr.importers.vec_normalize import ObservationStatistics
-from tests.importers.test_importers import FourActions, WideBox, build
+from otr.importers.statistics import ObservationStatistics
+from tests.importers.test_importers import Bomb, FourActions, WideBox, build
 
 torch.set_num_threads(1)
 
@@ -59,7 +60,7 @@ def test_the_network_takes_raw_states(tmp_path: Path, algorithm: type) -> None:
         ObservationStatistics(MEAN, VARIANCE, 1e-4, 3.0),
     ):
         for source in (model, tmp_path / "model"):
-            network = otr.from_sb3(source, vec_normalize=statistics)
+            network = otr.from_sb3(source, normalise=statistics)
             np.testing.assert_allclose(network.predict(X[inside]), expected[inside], atol=2e-5)
             assert np.abs(network.predict(X) - expected).max() > 0.01, "outside, VecNormalize clips and this does not"
             assert network.domain is not None
@@ -74,9 +75,9 @@ def test_every_protocol_is_read(tmp_path: Path, protocol: int) -> None:
     with (tmp_path / "statistics.pkl").open("wb") as file:
         pickle.dump(env, file, protocol=protocol)
     model = build(PPO, env, {"vf": [8]}, [4])
-    network = otr.from_sb3(model, vec_normalize=tmp_path / "statistics.pkl")
-    np.testing.assert_array_equal(network.weights[0], otr.from_sb3(model, vec_normalize=env).weights[0])
-    raw = otr.from_sb3(model, vec_normalize=None)
+    network = otr.from_sb3(model, normalise=tmp_path / "statistics.pkl")
+    np.testing.assert_array_equal(network.weights[0], otr.from_sb3(model, normalise=env).weights[0])
+    raw = otr.from_sb3(model, normalise=None)
     np.testing.assert_allclose(network.weights[0], raw.weights[0] / np.sqrt(VARIANCE + 1e-8))
 
 
@@ -88,7 +89,7 @@ def test_statistics_of_a_live_model_are_folded_in() -> None:
     network = otr.from_sb3(model)
     np.testing.assert_allclose(network.predict(X), expected, atol=1e-5)
     assert network.domain is not None and network.domain.contains(X).all()
-    raw = otr.from_sb3(model, vec_normalize=None)
+    raw = otr.from_sb3(model, normalise=None)
     assert raw.domain is None and np.abs(raw.predict(X) - expected).max() > 0.01
     np.testing.assert_allclose(raw.predict(env.normalize_obs(X)), expected, atol=1e-5)
     env.norm_obs = np.bool_(False)
@@ -101,24 +102,24 @@ def test_statistics_beside_a_zip_are_found(tmp_path: Path, place: str) -> None:
     build(PPO, env, {"vf": [8]}, [6]).save(tmp_path / "model.zip")
     (tmp_path / place).parent.mkdir(exist_ok=True)
     env.save(str(tmp_path / place))
-    raw = otr.from_sb3(tmp_path / "model", vec_normalize=None)
+    raw = otr.from_sb3(tmp_path / "model", normalise=None)
     for read in (otr.from_sb3, read_policy):
-        with pytest.warns(UserWarning, match=rf"is read with the statistics of .*{place}, .* vec_normalize=None says"):
+        with pytest.warns(UserWarning, match=rf"is read with the statistics of .*{place}, .* normalise=None says"):
             network = read(tmp_path / "model.zip")
         np.testing.assert_allclose(network.weights[0], raw.weights[0] / np.sqrt(VARIANCE + 1e-8))
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             np.testing.assert_array_equal(
-                read(tmp_path / "model.zip", vec_normalize=None).weights[0], raw.weights[0], "none wins"
+                read(tmp_path / "model.zip", normalise=None).weights[0], raw.weights[0], "none wins"
             )
             np.testing.assert_array_equal(
-                read(tmp_path / "model.zip", vec_normalize=tmp_path / place).weights[0], network.weights[0]
+                read(tmp_path / "model.zip", normalise=tmp_path / place).weights[0], network.weights[0]
             )
     two = DummyVecEnv([lambda: gym.make("MountainCarContinuous-v0")])
     VecNormalize(two).save(str(tmp_path / place))
     with (
         pytest.warns(UserWarning),
-        pytest.raises(otr.InvalidNetworkError, match=rf"{place} are of 2 means .* or vec_normalize=None"),
+        pytest.raises(otr.InvalidNetworkError, match=rf"{place} are of 2 means .* or normalise=None"),
     ):
         otr.from_sb3(tmp_path / "model.zip")
 
@@ -134,7 +135,7 @@ def test_a_zip_shows_that_its_statistics_are_missing(tmp_path: Path, algorithm: 
         with warnings.catch_warnings(record=True) as told:
             warnings.simplefilter("always")
             otr.from_sb3(tmp_path / "model")
-            otr.from_sb3(tmp_path / "model", vec_normalize=None)
+            otr.from_sb3(tmp_path / "model", normalise=None)
         if kind is not VecNormalize:
             assert not told
             continue
@@ -151,16 +152,57 @@ def test_what_is_not_normalised_or_not_clipped(tmp_path: Path) -> None:
         raw.norm_obs = no
         raw.save(str(tmp_path / "raw.pkl"))
         for statistics in (raw, tmp_path / "raw.pkl"):
-            network = otr.from_sb3(model, vec_normalize=statistics)
+            network = otr.from_sb3(model, normalise=statistics)
             assert network.domain is None
             np.testing.assert_array_equal(network.weights[0], otr.from_sb3(model).weights[0])
     yes = normalised(FourActions())
     yes.norm_obs = np.bool_(True)
     yes.save(str(tmp_path / "yes.pkl"))
-    assert otr.from_sb3(model, vec_normalize=tmp_path / "yes.pkl").domain is not None
-    free = otr.from_sb3(model, vec_normalize=ObservationStatistics(MEAN, VARIANCE, clip=np.inf))
+    assert otr.from_sb3(model, normalise=tmp_path / "yes.pkl").domain is not None
+    free = otr.from_sb3(model, normalise=ObservationStatistics(MEAN, VARIANCE, clip=np.inf))
     assert free.domain is None
     np.testing.assert_allclose(free.weights[0], otr.from_sb3(model).weights[0] / np.sqrt(VARIANCE + 1e-8))
+
+
+@pytest.mark.parametrize("kind", ["dict", "json", "npz", "gymnasium"])
+@pytest.mark.parametrize("units", [torch.nn.ReLU, torch.nn.SiLU])
+def test_statistics_beside_any_policy(tmp_path: Path, kind: str, units: type) -> None:
+    """A ReLU network has them in its first layer, inside its domain; a black box sees the states as training did."""
+    torch.manual_seed(0)
+    module = torch.nn.Sequential(torch.nn.Linear(3, 5), units(), torch.nn.Linear(5, 2)).double()
+    given = {"mean": MEAN, "var": VARIANCE, "epsilon": 1e-3, "clip": 0.8}
+    if kind == "gymnasium":
+        env = gym.wrappers.NormalizeObservation(gym.make("Pendulum-v1"), epsilon=1e-3)
+        env.obs_rms.mean, env.obs_rms.var = MEAN, VARIANCE
+        statistics, given = env, {**given, "clip": np.inf}
+    elif kind == "json":  # rsl_rl's (x - mean) / (std + epsilon)
+        given |= {"std": np.sqrt(VARIANCE)}
+        statistics = tmp_path / "statistics.json"
+        statistics.write_text(json.dumps({k: np.array(v).tolist() for k, v in given.items() if k != "var"}))
+    else:
+        statistics = given if kind == "dict" else tmp_path / "statistics.npz"
+        np.savez(tmp_path / "statistics.npz", **given)
+    policy = read_policy(module, normalise=statistics)
+    X = MEAN + np.sqrt(VARIANCE) * np.random.default_rng(0).normal(size=(200, 3))
+    scale = np.sqrt(VARIANCE) + 1e-3 if kind == "json" else np.sqrt(VARIANCE + 1e-3)
+    Z = (X - MEAN) / scale
+    if units is torch.nn.ReLU:
+        inside = np.abs(Z).max(axis=1) < given["clip"]
+        assert (policy.domain is None) is (kind == "gymnasium") and inside.any()
+        X, Z = X[inside], Z[inside]
+    expected = module(torch.tensor(np.clip(Z, -given["clip"], given["clip"]))).detach().numpy()
+    np.testing.assert_allclose(policy.predict(X), expected, rtol=1e-12, atol=1e-12)
+
+
+def test_files_of_numbers_that_are_no_statistics(tmp_path: Path) -> None:
+    assert "is no JSON" in refusal(tmp_path / "a.json", b"{")
+    assert "has nothing, expected mean, epsilon, and var" in refusal(
+        tmp_path / "a.json", b"[]", otr.InvalidNetworkError
+    )
+    assert "a.npz" in refusal(tmp_path / "a.npz", b"PK")
+    np.savez(tmp_path / "b.npz", mean=np.array([Bomb(tmp_path / "ran")] * 3), var=VARIANCE, epsilon=1.0)
+    assert "holds no arrays of numbers" in refusal(tmp_path / "c.npz", (tmp_path / "b.npz").read_bytes())
+    assert not (tmp_path / "ran").exists()
 
 
 def test_statistics_that_do_not_fit_are_refused(tmp_path: Path) -> None:
@@ -170,53 +212,46 @@ def test_statistics_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     refused = [
         (ObservationStatistics(MEAN[:2], VARIANCE[:2]), "2 means and 2 variances, the network has 3 inputs"),
         (ObservationStatistics(MEAN, -VARIANCE), r"smallest variance \+ epsilon is -4"),
-        (ObservationStatistics(MEAN, VARIANCE, clip=0.0), "clip_obs is 0"),
-        (ObservationStatistics(MEAN, VARIANCE, clip=1e200), r"clip_obs is 1e\+200, which gives no box"),
+        (ObservationStatistics(MEAN, VARIANCE, clip=0.0), "the clip is 0"),
+        (ObservationStatistics(MEAN, VARIANCE, clip=1e200), r"the clip is 1e\+200, which gives no box"),
         (ObservationStatistics(MEAN * np.nan, VARIANCE), "finite means"),
         (several, r"the observations \['far', 'near'\]"),
         (tmp_path / "several.pkl", r"the observations \['far', 'near'\]"),
-        ({"mean": MEAN}, "vec_normalize is a dict, expected the path"),
+        (MEAN, "normalise is a ndarray, expected the path"),
+        ({"mean": MEAN, "var": VARIANCE}, "normalise has 'mean', 'var', expected mean, epsilon, and var, of"),
+        ({"mean": MEAN, "var": VARIANCE, "std": VARIANCE, "epsilon": 1}, "or std, of"),
+        ({"mean": MEAN, "var": ["x"] * 3, "epsilon": 1}, "all of them real numbers"),
     ]
     for statistics, message in refused:
         with pytest.raises(otr.InvalidNetworkError, match=message):
-            otr.from_sb3(model, vec_normalize=statistics)
-
-
-class _Bomb:
-    """Unpickling this writes the sentinel file."""
-
-    def __init__(self, sentinel: Path) -> None:
-        self.sentinel = sentinel
-
-    def __reduce__(self) -> tuple:
-        return Path.touch, (self.sentinel,)
+            otr.from_sb3(model, normalise=statistics)
 
 
 def refusal(path: Path, content: bytes, error: type = otr.ArtefactError) -> str:
     path.write_bytes(content)
     with pytest.raises(error) as caught:
-        otr.from_sb3(build(PPO, FourActions(), {"vf": [8]}, [4]), vec_normalize=path)
+        otr.from_sb3(build(PPO, FourActions(), {"vf": [8]}, [4]), normalise=path)
     return str(caught.value)
 
 
 def test_code_in_a_file_of_statistics_is_not_run(tmp_path: Path) -> None:
     sentinel, path = tmp_path / "sentinel", tmp_path / "statistics.pkl"
-    pickle.loads(pickle.dumps(_Bomb(sentinel)))
+    pickle.loads(pickle.dumps(Bomb(sentinel)))
     assert sentinel.exists(), "the bomb works"
     sentinel.unlink()
 
     env = normalised(FourActions())
     model = build(PPO, env, {"vf": [8]}, [4])
     for place in (env, env.obs_rms):  # beside what is read: it changes nothing, and is not run
-        place.bomb = _Bomb(sentinel)
+        place.bomb = Bomb(sentinel)
     env.save(str(path))
-    network = otr.from_sb3(model, vec_normalize=path)
-    np.testing.assert_array_equal(network.weights[0], otr.from_sb3(model, vec_normalize=env).weights[0])
+    network = otr.from_sb3(model, normalise=path)
+    np.testing.assert_array_equal(network.weights[0], otr.from_sb3(model, normalise=env).weights[0])
     for name in ("mean", "var"):
         env = normalised(FourActions())
-        setattr(env.obs_rms, name, _Bomb(sentinel))
+        setattr(env.obs_rms, name, Bomb(sentinel))
         assert "holds no statistics of observations" in refusal(path, pickle.dumps(env))
-    bomb = pickle.dumps(_Bomb(sentinel))
+    bomb = pickle.dumps(Bomb(sentinel))
     module = Path.touch.__module__  # pathlib, and pathlib._local in Python 3.13
     assert f"holds a {module}.Path.touch, expected a stable_baselines3" in refusal(path, bomb)
     assert "is no pickle" in refusal(
@@ -237,7 +272,7 @@ def test_files_that_are_no_statistics(tmp_path: Path) -> None:
     assert "the limit is 16,777,216" in refusal(path, bytes(2**24 + 1))
     for place in (tmp_path / "none.pkl", tmp_path):
         with pytest.raises(otr.ArtefactError, match="cannot be read"):
-            otr.from_sb3(build(PPO, FourActions(), {"vf": [8]}, [4]), vec_normalize=place)
+            otr.from_sb3(build(PPO, FourActions(), {"vf": [8]}, [4]), normalise=place)
 
 
 def test_numbers_of_other_kinds_are_refused(tmp_path: Path) -> None:
@@ -246,7 +281,7 @@ def test_numbers_of_other_kinds_are_refused(tmp_path: Path) -> None:
         env = normalised(FourActions())
         env.obs_rms.mean = wrong
         assert "holds no statistics of observations" in refusal(path, pickle.dumps(env))
-    for wrong in (np.array([True]), np.float64(0.0), _Bomb(tmp_path / "sentinel")):
+    for wrong in (np.array([True]), np.float64(0.0), Bomb(tmp_path / "sentinel")):
         env = normalised(FourActions())
         env.norm_obs = wrong
         assert "holds no statistics of observations" in refusal(path, pickle.dumps(env))
@@ -255,4 +290,4 @@ def test_numbers_of_other_kinds_are_refused(tmp_path: Path) -> None:
         env.obs_rms.var = wrong
         assert "expected real numbers" in refusal(path, pickle.dumps(env), otr.InvalidNetworkError)
         with pytest.raises(otr.InvalidNetworkError, match="expected real numbers"):
-            otr.from_sb3(build(PPO, env, {"vf": [8]}, [4]), vec_normalize=env)
+            otr.from_sb3(build(PPO, env, {"vf": [8]}, [4]), normalise=env)

@@ -64,7 +64,7 @@ def errors(tmp_path_factory):
 NEEDS = {
     "torch, learn": ("otr.from_torch", "otr.from_sb3", "otr.control.SoftTree"),
     "scikit-learn, learn": ("otr.from_sklearn", "otr.learners.CARTClassifier"),
-    "skops, learn": ("otr.importers.read_policy",),
+    "skops, learn": ("otr.read_policy",),
     "onnx, onnx": ("otr.from_onnx", "otr.to_onnx"),
     "gymnasium, run": ("otr.rollout", "otr.evaluate"),
     "matplotlib, plots": ("otr.draw_tree", "otr.save_picture"),

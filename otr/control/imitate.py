@@ -59,9 +59,8 @@ def imitate(
             "experts" (linear ones, of which one acts; for continuous actions).
         depth: tests on a path; hidden neurons of "distilled_otr", at most 16 in all; the number of "experts".
         n_rounds: in which the newest tree plays, and the next one is fitted.
-        n_episodes: of a round.
+        n_episodes, max_steps: of a round, and of an episode, as `rollout` takes it.
         n_choice_episodes: on which the last two candidates are compared.
-        max_steps: of an episode, as `rollout` takes it.
         polish: whether direct search then improves the tree's numbers on the return, or arguments of `otr.polish`.
         seed: of episodes and fits.
         progress: whether lines on stderr say how far it is.

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from otr.control.dagger.loop import DaggerProgress, DaggerSettings, Play, TreeFit, run_dagger
+from otr.control.dagger.loop import DaggerProgress, DaggerResult, DaggerSettings, Play, TreeFit, run_dagger
 from otr.control.rollout import Rollout, rollout
 from otr.control.search.policy_numbers import Policy as Numbered
 from otr.control.search.polish import PolishReport
@@ -48,23 +48,20 @@ def imitate(
 ) -> ObliqueTree:
     """Return a tree that imitates a policy, the best of DAgger's rounds on episodes of its own (Ross et al. 2011).
 
-    It is for policies that no tree equals, such as those with tanh units, and for shorter trees than a network's. What
-    the policy and the tree return on the episodes that choose is printed; `evaluate` plays others.
+    It is for policies that no tree equals, and for shorter trees than a network's. What the policy and the tree return
+    on the episodes that choose is printed; `evaluate` plays others.
 
     Args:
-        policy: as `read_policy` returns it. Where its outputs have no head, the largest one's label is the action, or
-            they are clipped to the actions' box.
+        policy: as `read_policy` returns it; without a head, its largest output is the label, or all are clipped.
         env: the id of a registered environment, a function that makes one, or an environment; as `rollout` takes it.
         method: "augtree" (tests on the state and the policy's hidden units), "viper" (CART), "lm_viper" (CART with
             affine leaves), "ndps" (oblique tests, affine leaves), "distilled_otr" (a small network, mapped), or
             "experts" (linear ones, of which one acts; for continuous actions).
         depth: tests on a path; hidden neurons of "distilled_otr", at most 16 in all; the number of "experts".
         n_rounds: in which the newest tree plays, and the next one is fitted.
-        n_episodes: of a round.
+        n_episodes, max_steps: of a round, and of an episode, as `rollout` takes it.
         n_choice_episodes: on which the last two candidates are compared.
-        max_steps: of an episode, as `rollout` takes it.
-        polish: whether direct search improves the tree's numbers on the return in the end (`otr.polish`), or the
-            arguments of that by name, such as ``{"n_iterations": 30}``.
+        polish: whether direct search then improves the tree's numbers on the return, or arguments of `otr.polish`.
         seed: of episodes and fits.
         progress: whether lines on stderr say how far it is.
         options: of the method's fit, such as `min_samples_leaf`; see `otr.control.viper.CartFit` and so on.
@@ -97,18 +94,28 @@ def imitate(
             on_round=_Shown() if progress else None,
         )
     if progress:
-        chosen = result.iterates[result.round]
-        _say(
-            f"{method} of depth {depth}, {chosen.n_leaves:,} leaves: return {chosen.selection_mean:.1f} over "
-            f"{chosen.n_selection_episodes} episodes, the policy's {result.oracle_mean:.1f} over {n_episodes}"
-        )
-    arguments = dict(polish) if isinstance(polish, Mapping) else {}
-    if isinstance(result.tree, PatternTree):
-        network = result.tree.network
-        tree = map_network(_polished(network, play, arguments, seed, progress) if polish else network)
-    else:
-        tree = _polished(result.tree, play, arguments, seed, progress) if polish else result.tree
+        _say(f"{method} of depth {depth}, {_summary(result)}")
+    tree = _finished(result.tree, play, polish, seed, progress)
     return tree.replace(feature_names=feature_names) if feature_names else tree
+
+
+def _summary(result: DaggerResult) -> str:
+    chosen = result.iterates[result.round]
+    return (
+        f"{chosen.n_leaves:,} leaves: return {chosen.selection_mean:.1f} over {chosen.n_selection_episodes} episodes, "
+        f"the policy's {result.oracle_mean:.1f}"
+    )
+
+
+def _finished(
+    found: ObliqueTree | PatternTree, play: Play, polish: bool | Mapping[str, Any], seed: int, progress: bool
+) -> ObliqueTree:
+    """Return the tree of what DAgger chose, polished where that is asked for."""
+    arguments = dict(polish) if isinstance(polish, Mapping) else {}
+    if isinstance(found, PatternTree):
+        network = found.network
+        return map_network(_polished(network, play, arguments, seed, progress) if polish else network)
+    return _polished(found, play, arguments, seed, progress) if polish else found
 
 
 def learner(method: str, policy: Oracle, depth: int | Sequence[int], folder: Path, **options: Any) -> TreeFit:

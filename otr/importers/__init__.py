@@ -218,6 +218,16 @@ def read_policy(
             policy = _of_object(model, output)
         return policy if is_auto(normalise) or normalise is None else fold_observation_statistics(policy, normalise)
     path = Path(model)
+    reader = _reader(path, output, of_layers=(layers, activation) != (None, None))
+    with _reading(path):
+        policy = reader(path, output=output, layers=layers, activation=activation)
+    if is_auto(normalise):
+        normalise = _found_beside(path) if path.suffix == ".zip" else None
+    return policy if normalise is None else fold_observation_statistics(policy, normalise)
+
+
+def _reader(path: Path, output: str | None, *, of_layers: bool) -> Callable[..., Oracle]:
+    """Return what reads a kind of file; raise where it is another kind, or has no such arguments."""
     reader = _READERS.get(path.suffix)
     if reader is None:
         raise ArtefactError(
@@ -225,15 +235,11 @@ def read_policy(
             "written by torch.export.save(torch.export.export(module, (states,)), 'policy.pt2'), a scikit-learn "
             "estimator by skops.io.dump(estimator, 'policy.skops')"
         )
-    if (layers, activation) != (None, None) and path.suffix not in (".pth", ".pt"):
+    if of_layers and path.suffix not in (".pth", ".pt"):
         raise InvalidNetworkError(f"layers= and activation= are for a state_dict (.pth, .pt); {path} says both itself")
     if output is not None and path.suffix != ".onnx":
         raise InvalidNetworkError(f"output={output!r} is one of several outputs of an ONNX model; {path} is none")
-    with _reading(path):
-        policy = reader(path, output=output, layers=layers, activation=activation)
-    if is_auto(normalise):
-        normalise = _found_beside(path) if path.suffix == ".zip" else None
-    return policy if normalise is None else fold_observation_statistics(policy, normalise)
+    return reader
 
 
 def read_black_box(content: bytes, suffix: str, output: str | None) -> Oracle:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 
 from otr.core.arrays import FloatArray
 from otr.errors import InvalidNetworkError, OtrError
-from otr.importers.units import Unit, recognised
+from otr.importers.units import Form, Node, Source, Unit, recognised
 
 LIMIT_NUMBERS = 2**24  # of a matrix: a product of thin ones can be far larger than the file
 _LIMIT_WIDTH = 2**20  # of a value: a file of a hundred bytes can declare any number of inputs
@@ -31,49 +30,6 @@ IMITATE = "train with these, or let a tree imitate the model as it is: otr.imita
 MEMORY = "{} remembers earlier states, and a tree answers the present one; use a policy without memory"
 RANDOM = "answers otherwise every time; export the deterministic policy, of torch after module.eval()"
 _TOLERANCE, _NOISE = 1e-6, 1e-12  # of a node's answer, and of what it reads
-
-
-@dataclass(frozen=True)
-class Node:
-    """One operation.
-
-    Attributes:
-        name: in messages, with the operator.
-        inputs, outputs: names of values; an input "" is left out.
-        run: from the inputs' arrays (None for one left out) to the outputs'; it changes none of them.
-        reads_shape: whether the answer depends on the shape of what it reads and not on its numbers.
-    """
-
-    name: str
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    run: Callable[[list[Any]], Sequence[Any]]
-    reads_shape: bool = False
-
-
-@dataclass(frozen=True)
-class Source:
-    """What a section reads: the states, or the answer of a cut."""
-
-    name: str
-    shape: tuple[int, ...]
-    node: Node | None = None
-    read: str = ""  # the value that the cut reads
-    unit: Unit | None = None  # None for one that was not recognised
-    is_real: bool = True
-
-    @property
-    def width(self) -> int:
-        """How many numbers it has."""
-        return math.prod(self.shape)
-
-
-@dataclass(frozen=True)
-class Form:
-    """A value as a sum over sources: sum of matrices[name] @ source + offset, all flattened."""
-
-    matrices: dict[str, FloatArray]
-    offset: FloatArray
 
 
 class Sections:

@@ -1,8 +1,9 @@
-"""Units and heads, recognised by their values: what an operator is called, and by which format, plays no part."""
+"""Nodes of a graph, and units and heads, recognised by their values: what an operator is called plays no part."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,6 +35,49 @@ class Unit:
     slope: FloatArray | None = None
     low: FloatArray | None = None
     high: FloatArray | None = None
+
+
+@dataclass(frozen=True)
+class Node:
+    """One operation.
+
+    Attributes:
+        name: in messages, with the operator.
+        inputs, outputs: names of values; an input "" is left out.
+        run: from the inputs' arrays (None for one left out) to the outputs'; it changes none of them.
+        reads_shape: whether the answer depends on the shape of what it reads and not on its numbers.
+    """
+
+    name: str
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    run: Callable[[list[Any]], Sequence[Any]]
+    reads_shape: bool = False
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a section reads: the states, or the answer of a cut."""
+
+    name: str
+    shape: tuple[int, ...]
+    node: Node | None = None
+    read: str = ""  # the value that the cut reads
+    unit: Unit | None = None  # None for one that was not recognised
+    is_real: bool = True
+
+    @property
+    def width(self) -> int:
+        """How many numbers it has."""
+        return math.prod(self.shape)
+
+
+@dataclass(frozen=True)
+class Form:
+    """A value as a sum over sources: sum of matrices[name] @ source + offset, all flattened."""
+
+    matrices: dict[str, FloatArray]
+    offset: FloatArray
 
 
 @dataclass(frozen=True)

@@ -4,15 +4,26 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
-from otr.control.dagger.loop import DaggerProgress, DaggerSettings, TreeFit, run_dagger
+from otr.control.dagger.loop import DaggerProgress, TreeFit, run_dagger
 from otr.control.rollout import rollout
+from otr.control.settings import (
+    AugTreeSettings,
+    CartSettings,
+    DaggerSettings,
+    ExpertsSettings,
+    FitSettings,
+    ModelTreeSettings,
+    NdpsSettings,
+    StudentSettings,
+)
 from otr.core.mapping import map_network
 from otr.core.pattern_tree import PatternTree
 from otr.core.smooth_network import Oracle
@@ -22,6 +33,14 @@ from otr.extras import naming_the_extra
 _SEEDS = (2**24, 2**31)  # of the episodes; those below are for reports and `rollout`
 _EPISODES = ("oracle", "dagger", "selection")
 _EVERY_S = 5.0
+METHODS: dict[str, type[FitSettings]] = {
+    "augtree": AugTreeSettings,
+    "viper": CartSettings,
+    "lm_viper": ModelTreeSettings,
+    "ndps": NdpsSettings,
+    "distilled_otr": StudentSettings,
+    "experts": ExpertsSettings,
+}
 
 
 @naming_the_extra("otr.imitate")
@@ -55,7 +74,7 @@ def imitate(
         n_choice_episodes: on which the last two candidates are compared.
         seed: of episodes and fits.
         progress: whether lines on stderr say how far it is.
-        options: of the method's fit, such as `min_samples_leaf`; see `otr.control.viper.CartFit` and so on.
+        options: of the method's fit, such as `min_samples_leaf`; see `otr.control.settings`.
 
     Raises:
         ValueError: there is no such method; or as `rollout`.
@@ -68,7 +87,9 @@ def imitate(
         >>> tree = otr.imitate(policy, "CartPole-v1", method="augtree", depth=3)  # doctest: +SKIP
         >>> print(otr.to_text(tree))  # doctest: +SKIP
     """
-    printed_at = time.monotonic()
+    if method not in METHODS:
+        raise ValueError(f"method={method!r}, expected one of {', '.join(METHODS)}")
+    settings, printed_at = METHODS[method](**options), time.monotonic()
 
     def seeds(name: str, index: int, n: int) -> Sequence[int]:
         generator = np.random.default_rng([seed, _EPISODES.index(name), index])
@@ -84,7 +105,7 @@ def imitate(
     with TemporaryDirectory(prefix="otr-") as place:
         result = run_dagger(
             policy,
-            _fit(method, depth, policy, Path(place), options),
+            tree_fit(settings, depth, policy, Path(place)),
             lambda play, own, keep_states: rollout(env, play, seeds=own),
             seeds,
             DaggerSettings(n_rounds, n_episodes, n_episodes, n_choice_episodes),
@@ -102,34 +123,42 @@ def imitate(
     return map_network(result.tree.network) if isinstance(result.tree, PatternTree) else result.tree
 
 
-def _fit(method: str, depth: int, policy: Oracle, folder: Path, options: dict[str, Any]) -> TreeFit:
-    """Return the learner of a method."""
-    from otr.control.augtree import AugTreeFit
-    from otr.control.distilled_otr import StudentFit
+def tree_fit(settings: FitSettings, depth: int | Sequence[int], oracle: Oracle, folder: Path) -> TreeFit:
+    """Return the learner of a kind of settings, which may be of a subclass.
+
+    Args:
+        settings: one of `METHODS`.
+        depth: tests on a path, experts, or the widths of a student's hidden layers.
+        oracle: the network that is imitated.
+        folder: for the learner's working files.
+
+    Raises:
+        TypeError: the oracle's head does not suit the learner.
+        ValueError: a setting is out of its range.
+    """
+    kind = next(kind for kind in METHODS.values() if isinstance(settings, kind))
+    options: dict[str, Any] = {field.name: getattr(settings, field.name) for field in fields(kind)}
+    tests = depth if isinstance(depth, int) else depth[0]
+    if kind is AugTreeSettings:
+        from otr.control.augtree import AugTreeFit
+
+        return AugTreeFit(oracle, tests, **options)
     from otr.control.viper import CartFit, LinearModelTreeFit, box_of
 
-    def head() -> Any:
-        return policy.head if policy.head.gives_labels else box_of(policy.head)
-
-    def ndps() -> TreeFit:
-        from otr.control.ndps import NdpsImitator, NdpsSettings
-
-        updates = {"n_updates": 2_000} | options
-        return NdpsImitator(head(), NdpsSettings(depth=depth, **updates), 200, 25_000, folder)
-
-    def experts() -> TreeFit:
+    if kind is CartSettings:
+        return CartFit(tests, **options)
+    if kind is ModelTreeSettings:
+        return LinearModelTreeFit(oracle.head, tests, **options)
+    if kind is ExpertsSettings:
         from otr.control.experts import ExpertsFit
 
-        return ExpertsFit(box_of(policy.head), depth, **options)
+        return ExpertsFit(box_of(oracle.head), tests, **options)
+    head = oracle.head if oracle.head.gives_labels else box_of(oracle.head)
+    if kind is NdpsSettings:
+        from otr.control.ndps import NdpsImitator
 
-    fits: dict[str, Callable[[], TreeFit]] = {
-        "augtree": lambda: AugTreeFit(policy, depth, **options),
-        "viper": lambda: CartFit(depth, **options),
-        "lm_viper": lambda: LinearModelTreeFit(policy.head, depth, **options),
-        "ndps": ndps,
-        "distilled_otr": lambda: StudentFit(head(), (depth,) if depth else (), **options),
-        "experts": experts,
-    }
-    if method not in fits:
-        raise ValueError(f"method={method!r}, expected one of {', '.join(fits)}")
-    return fits[method]()
+        return NdpsImitator(head, tests, folder, **options)
+    from otr.control.distilled_otr import StudentFit
+
+    widths = (depth,) if isinstance(depth, int) else tuple(depth)
+    return StudentFit(head, tuple(width for width in widths if width), **options)

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, field, fields
 from typing import Annotated, Any, ClassVar
 
+from otr.control.settings import SearchSettings
+from otr.core.setting import CountOrZero, LearningRate
 from pipelines.config.setting import (
     EXECUTION,
     AsBefore,
@@ -53,34 +55,29 @@ class AlgoConfig:
 
 
 @dataclass(frozen=True)
-class ArsConfig(AlgoConfig):
-    """Augmented random search (Mania et al. 2018); see `otr.control.search.direct_search.SearchSettings`.
+class ArsConfig(SearchSettings, AlgoConfig):
+    """Augmented random search (Mania et al. 2018) with the library's settings.
 
     Step and noise are in units of a network that reads normalised states and acts in half widths of the action box.
     """
 
-    n_directions: Count
-    n_top: Count
-    step_size: Positive
-    noise: Positive
-    step_size_end: Share
-    noise_end: Share
-    momentum: Annotated[float, Range(0, 1, open=True)]
-    n_episodes: Count  # of each policy that is tried in an iteration
+    n_episodes: Count = 1  # of each policy that is tried in an iteration
     # Whether the two policies of a direction, or all of an iteration, start from the same states
-    common_starts: Annotated[str, OneOf("pair", "all")]
-    normalise: bool  # whether states are normalised by what was visited so far, the paper's V2; V1 is without
-    alive_bonus: Annotated[float, Range()]  # taken off every step's reward while searching
+    common_starts: Annotated[str, OneOf("pair", "all")] = "pair"
+    # Whether states are normalised by the mean and deviation of those visited so far, the paper's V2; V1 is without
+    normalise: bool = True
+    # Of the environment's reward for every step, taken off while searching
+    alive_bonus: Annotated[float, Range()] = 0.0
     # Steps of an episode at first, 0 for whole ones; they grow linearly to whole ones over this share of the search
-    first_horizon: Annotated[int, Range(0)]
-    horizon_until: Annotated[float, Range(1e-6, 1)]
+    first_horizon: CountOrZero = 0
+    horizon_until: Annotated[float, Range(1e-6, 1)] = 1.0
     # Searches of `start_steps` from different networks, of which the best one goes on, for as many steps at
     # least; 1 for none to choose from
-    n_starts: Count
-    start_steps: Count
+    n_starts: Count = 1
+    start_steps: Count = 100_000
     # Who computes the environments: gymnasium, or numpy for those that were compared with gymnasium
-    environments: Annotated[str, OneOf("gymnasium", "numpy")]
-    expected_steps_per_s: Annotated[float, Range(1), EXECUTION]
+    environments: Annotated[str, OneOf("gymnasium", "numpy")] = "gymnasium"
+    expected_steps_per_s: Annotated[float, Range(1), EXECUTION] = 8_000.0
 
     @property
     def training_rate(self) -> float:
@@ -95,8 +92,6 @@ class ArsConfig(AlgoConfig):
                 f"{key}={depth}: algo=ars searches small networks, up to {MOST_LAYERS} layers of {WIDEST_LAYER} neurons"
                 "; others, as algo=sac, train larger ones"
             )
-        if self.n_top > self.n_directions:
-            raise ConfigError(f"algo.n_top={self.n_top} is more than algo.n_directions={self.n_directions}")
         if actor.rescale_inputs:
             raise ConfigError("actor.rescale_inputs=true: algo=ars normalises states itself; leave it out")
 
@@ -105,7 +100,7 @@ class ArsConfig(AlgoConfig):
 class GradientConfig(AlgoConfig):
     """What algorithms with critics have: the widths of their hidden layers in `critic`; `weight_decay` is Adam's."""
 
-    learning_rate: Annotated[float, Range(1e-12, 10)]
+    learning_rate: LearningRate
     batch_size: Count
     gamma: Share
     critic: list[Width]
@@ -167,7 +162,7 @@ class OffPolicyConfig(GradientConfig):
     """What algorithms with a replay buffer share."""
 
     buffer_size: Count
-    learning_starts: Annotated[int, Range(0)]
+    learning_starts: CountOrZero
     tau: Annotated[float, Range(1e-12, 1)]
     train_freq: Count
     gradient_steps: Count
@@ -205,7 +200,7 @@ class SacConfig(ContinuousConfig):
         str, Text(r"auto|([0-9]+\.?[0-9]*|\.[0-9]+)(e-?[0-9]+)?", "use auto, or a number for a fixed temperature")
     ]
     # Of the critics; None is `learning_rate`, which then is the actor's and the temperature's
-    critic_learning_rate: Annotated[float | None, Range(1e-12, 10), AsBefore(None)] = None
+    critic_learning_rate: Annotated[LearningRate | None, AsBefore(None)] = None
     learning_rate_end: Annotated[float, Range(0, 1), AsBefore(1.0)] = 1.0  # share of both at the end, reached linearly
     # "layer": each hidden layer of the critics is normalised before its activation (Ba et al. 2016), without gains
     critic_norm: Annotated[str, OneOf("none", "layer"), AsBefore("none")] = "none"

@@ -3,25 +3,18 @@
 A killed run goes on from its last whole round; its working files lie with the checkpoints until the stage is done.
 """
 
+import sys
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import otr
-from otr.control.dagger.loop import DaggerProgress, DaggerSettings, TreeFit, run_dagger
-from otr.core.smooth_network import Oracle
-from pipelines.config.methods import (
-    AugTreeConfig,
-    DistilledConfig,
-    DistilledExpertsConfig,
-    ImitatingConfig,
-    LmViperConfig,
-    NdpsConfig,
-    ViperConfig,
-)
+from otr.control.dagger.loop import DaggerProgress, run_dagger
+from otr.control.imitate import tree_fit
+from otr.control.settings import FitSettings
+from pipelines.config.methods import ImitatingConfig
 from pipelines.config.run import RunConfig
-from pipelines.config.setting import keyed_settings
 from pipelines.engine.archive import verified_manifest
 from pipelines.engine.console import duration
 from pipelines.engine.digests import digest
@@ -66,15 +59,18 @@ def imitate(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     Of a network the actor's files are written in place of the tree, which the stage map makes.
     """
     oracle = load_oracle(inputs["oracle"], Path(config.results_dir))
-    imitation, folder = config.imitate, working_folder(config, inputs)
+    folder = working_folder(config, inputs)
+    assert isinstance(config.method, FitSettings)
+    depth = config.hidden_widths if config.method.is_mapped else config.depth
+    fit = tree_fit(config.method, depth, oracle, folder)
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(1)
     result = run_dagger(
         oracle,
-        _fit(config, oracle, folder),
+        fit,
         lambda policy, seeds, keep: play_seeds(policy, config.env, seeds, keep_states=keep, n_workers=1),
         lambda name, index, n: episode_seeds(config.seed, "imitate", n, STREAM_ELEMENTS[name], index),
-        DaggerSettings(
-            imitation.n_rounds, imitation.n_episodes, imitation.n_initial_episodes, imitation.n_choice_episodes
-        ),
+        config.imitate,
         stream(config.seed, "imitate", STREAM_ELEMENTS["fit"]),
         folder,
         on_round=lambda progress: _show(progress, config),
@@ -98,53 +94,6 @@ def imitate(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
             "n_steps": result.n_steps,
         },
     )
-
-
-def _fit(config: RunConfig, oracle: Oracle, folder: Path) -> TreeFit:
-    """Return the learner of a method's trees or networks."""
-    from otr.control.augtree import AugTreeFit  # imports scikit-learn, as the next line does
-    from otr.control.distilled_otr import StudentFit
-    from otr.control.viper import CartFit, LinearModelTreeFit, box_of
-
-    method = config.method
-    options = {name: value for name, value in keyed_settings(method).items() if name != "name"}
-    if isinstance(method, ViperConfig):
-        return CartFit(config.depth, **options)
-    if isinstance(method, LmViperConfig):
-        return LinearModelTreeFit(oracle.head, config.depth, **options)
-    if isinstance(method, DistilledConfig):
-        head = oracle.head if oracle.head.gives_labels else box_of(oracle.head)
-        options["dense"] = "input" if method.dense == "input" else False
-        return StudentFit(head, config.hidden_widths, **options)
-    if isinstance(method, DistilledExpertsConfig):
-        return _experts(config.depth, oracle, options)
-    if isinstance(method, NdpsConfig):
-        return _ndps(method, config.depth, oracle, folder)
-    assert isinstance(method, AugTreeConfig)
-    return AugTreeFit(oracle, config.depth, **options)
-
-
-def _experts(n_experts: int, oracle: Oracle, options: dict[str, Any]) -> TreeFit:
-    import torch
-
-    from otr.control.experts import ExpertsFit
-    from otr.control.viper import box_of
-
-    torch.set_num_threads(1)
-    return ExpertsFit(box_of(oracle.head), n_experts, **options)
-
-
-def _ndps(method: NdpsConfig, depth: int, oracle: Oracle, folder: Path) -> TreeFit:
-    import torch
-
-    from otr.control.ndps import NdpsImitator, NdpsSettings
-    from otr.control.viper import box_of
-
-    torch.set_num_threads(1)
-    own = {name: value for name, value in asdict(method).items() if name in {f.name for f in fields(NdpsSettings)}}
-    settings = NdpsSettings(depth=depth, **own)
-    head = oracle.head if oracle.head.gives_labels else box_of(oracle.head)
-    return NdpsImitator(head, settings, method.n_updates_next, method.max_samples, folder)
 
 
 def _show(progress: DaggerProgress, config: RunConfig) -> None:

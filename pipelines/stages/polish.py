@@ -30,7 +30,6 @@ from pipelines.stages.evaluate import EPISODE_COLUMNS, episode_rows
 from pipelines.stages.map import map_actor
 from pipelines.stages.prune import load_tree, prune
 from pipelines.training.critics import CRITICS, load_critics
-from pipelines.training.search.policy_search import search_settings
 
 Policy = TypeVar("Policy", otr.ObliqueTree, otr.ReluNetwork)
 
@@ -106,10 +105,10 @@ def search(policy: Policy, config: RunConfig, purpose: str) -> Polished:
             player.returns,
             states=visited.states,
             n_iterations=max(1, round(polishing.steps / vectors_steps)),
-            settings=search_settings(polishing),
-            scale="sensitivity" if polishing.scale == "sensitivity" else "uniform",
+            settings=polishing,
+            scale=polishing.scale,
             n_episodes=polishing.n_episodes,
-            common_starts="all" if polishing.common_starts == "all" else "pair",
+            common_starts=polishing.common_starts,
             n_selection_episodes=polishing.n_selection_episodes,
             n_candidates=polishing.n_candidates,
             free=polishing.free and purpose == "polish",  # a shorter program stays as short

@@ -104,7 +104,8 @@ def test_augtree_answers_like_an_oblique_oracle_where_cart_cannot():
     oracle = oblique_oracle()
     X, outputs, weights = labelled(oracle)
     augmented = {
-        features: AugTreeFit(oracle, 4, features)(X, outputs, weights, generator()) for features in ("all", "z")
+        features: AugTreeFit(oracle, 4, features=features)(X, outputs, weights, generator())
+        for features in ("all", "z")
     }
     plain = CartFit(4)(X, outputs, weights, generator())
     assert accuracy(augmented["all"], oracle) > 0.95
@@ -182,7 +183,7 @@ def test_the_tree_on_x_is_the_tree_on_the_features(seed, features, discrete):
     rng = np.random.default_rng(seed)
     network = make_network(rng, (5, 4), n_outputs=3, head="argmax" if discrete else "clip_box")
     X = rng.normal(size=(300, 3))
-    fit = AugTreeFit(network, 4, features, max_samples=300)
+    fit = AugTreeFit(network, 4, features=features, max_samples=300)
     answers = network.forward(X) if discrete else network.predict(X)
     tree = fit(X, answers, np.ones(300) if discrete else None, np.random.default_rng(1))
     A = fit._features(X).A
@@ -282,12 +283,12 @@ def test_errors():
     with pytest.raises(ValueError, match="at least 1 hidden layers, this one has 0"):
         AugTreeFit(linear, 3)
     with pytest.raises(ValueError, match="at least 2 hidden layers, this one has 1"):
-        AugTreeFit(oblique_oracle(), 3, "deep")
-    with pytest.raises(ValueError, match="features='x'"):
-        AugTreeFit(oblique_oracle(), 3, "x")
-    with pytest.raises(ValueError, match="criterion='mse'"):
+        AugTreeFit(oblique_oracle(), 3, features="deep")
+    with pytest.raises(ValueError, match="features=x: use one of all, z, deep"):
+        AugTreeFit(oblique_oracle(), 3, features="x")
+    with pytest.raises(ValueError, match="criterion=mse: use one of gini, entropy"):
         AugTreeFit(oblique_oracle(), 3, criterion="mse")
-    with pytest.raises(ValueError, match="criterion='mse'"):
+    with pytest.raises(ValueError, match="criterion=mse: use one of gini, entropy"):
         CartFit(3, criterion="mse")
 
 

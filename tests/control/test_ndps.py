@@ -10,7 +10,7 @@ from otr.core.mapping import perfect_tree_children
 
 torch.set_num_threads(1)
 
-SETTINGS = NdpsSettings(depth=2, n_updates=1_000, batch_size=256)
+SETTINGS = NdpsSettings(n_updates=1_000, batch_size=256)
 FEW = dataclasses.replace(SETTINGS, n_updates=30)  # where it does not matter how good the tree is
 
 
@@ -39,6 +39,7 @@ def fit(
         np.random.default_rng(seed),
         head=head,
         n_outputs=2,
+        depth=2,
         settings=settings,
         start=start.module if start else None,
     )
@@ -71,11 +72,11 @@ def test_a_component_that_varies_little_beside_its_mean_is_learnt(spread, has_bo
     wave, unit = np.clip(X[:, 0], -1.0, 1.0), spread or 1.0
     actions = np.stack([wave, 100.0 + spread * wave], axis=1)
     head = otr.ClipBox([-1.0, 100.0 - unit], [1.0, 100.0 + unit]) if has_box else otr.Identity()
-    settings, start = NdpsSettings(depth=4, n_updates=300, leaves=leaves), None
+    settings, start = NdpsSettings(n_updates=300, leaves=leaves), None
     for _ in range(2):
         fitted = fit_ndps(
             X, actions, np.ones(len(X)), np.random.default_rng(0),
-            head=head, n_outputs=2, settings=settings, start=start,
+            head=head, n_outputs=2, depth=4, settings=settings, start=start,
         )  # fmt: skip
         error, error_beside_mean = np.sqrt(np.square(fitted.tree.predict(X) - actions).mean(axis=0)) / [1.0, unit]
         assert error < (0.1 if leaves == "linear" else 0.3)
@@ -103,8 +104,10 @@ def test_constant_leaves_are_recovered_and_rounds_go_on(gives_labels):
     head = otr.Argmax() if gives_labels else otr.Identity()
     settings = dataclasses.replace(SETTINGS, leaves="constant")
     weights, generator = np.ones(len(X)), np.random.default_rng(0)
-    first = fit_ndps(X, answers, weights, generator, head=head, n_outputs=2, settings=settings)
-    again = fit_ndps(X, answers, weights, generator, head=head, n_outputs=2, settings=settings, start=first.module)
+    first = fit_ndps(X, answers, weights, generator, head=head, n_outputs=2, depth=2, settings=settings)
+    again = fit_ndps(
+        X, answers, weights, generator, head=head, n_outputs=2, depth=2, settings=settings, start=first.module
+    )
     for fitted in (first.tree, again.tree):
         assert (fitted.depth, fitted.n_leaves) == (2, 4) and not fitted.M.any()
         assert np.isclose(fitted.predict(X), answers, atol=0.1).mean() > 0.97
@@ -116,7 +119,7 @@ def test_weights_count():
     labels = np.repeat([0, 1], 500)  # every state has both answers
     weights = np.repeat([1.0, 3.0], 500)
     fitted = fit_ndps(
-        X, labels, weights, np.random.default_rng(0), head=otr.Argmax(), n_outputs=2, settings=SETTINGS
+        X, labels, weights, np.random.default_rng(0), head=otr.Argmax(), n_outputs=2, depth=2, settings=SETTINGS
     ).tree
     assert fitted.predict(X).mean() > 0.95
 

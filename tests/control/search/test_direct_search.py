@@ -64,8 +64,13 @@ def test_equal_returns_move_nothing():
 
 @pytest.mark.parametrize(
     ("wrong", "message"),
-    [({"n_top": 9}, "n_top=9 of n_directions=8"), ({"noise": 0.0}, "noise=0.0"), ({"momentum": 1.0}, "momentum=1.0")],
+    [
+        ({"n_top": 9}, "n_top=9 is more than n_directions=8"),
+        ({"n_top": 2.5}, "n_top=2.5 is not a whole number"),
+        ({"noise": 0.0}, "noise=0.0"),
+        ({"momentum": 1.0}, "momentum=1.0"),
+    ],
 )
 def test_settings_that_make_no_search_are_refused(wrong, message):
     with pytest.raises(ValueError, match=message):
-        SearchSettings(**wrong)
+        DirectSearch(np.zeros(3), SearchSettings(**wrong), 0)

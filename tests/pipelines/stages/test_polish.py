@@ -66,7 +66,7 @@ def test_a_tree_of_any_method_is_polished_and_what_is_zero_stays(tiny, tmp_path)
         each.mkdir()
     linear(folder, 0.1)
     config = tiny(
-        method=ViperConfig("viper", 100, 1),
+        method=ViperConfig("viper", max_samples=100),
         prune=PruneConfig(5, None),
         evaluate=EvaluateConfig(20, 1000),
         polishing=SHORT,
@@ -103,7 +103,7 @@ def test_a_scale_by_sensitivity_reports_its_size_and_is_keyed(tiny, tmp_path):
         each.mkdir()
     linear(folder, 0.1)
     polishing = dataclasses.replace(SHORT, scale="sensitivity", steps=100_000)
-    config = tiny(method=ViperConfig("viper", 100, 1), polishing=polishing)
+    config = tiny(method=ViperConfig("viper", max_samples=100), polishing=polishing)
     polish({"prune": folder}, config, out)
     report = read_json(out / "report.json")
     assert report["size"] in [8.0 / 2**n for n in range(13)]
@@ -240,7 +240,7 @@ def test_a_shorter_tree_that_loses_after_its_second_polish_is_searched_for_again
 
     monkeypatch.setattr(simplify_module.otr, "simplify", attempt)
     monkeypatch.setattr(simplify_module, "_polished_again", lambda simpler, config: (simpler, {"polished_again": {}}))
-    config = tiny(method=ViperConfig("viper", 100, 1), simplification=SimplificationConfig(n_episodes=10))
+    config = tiny(method=ViperConfig("viper", max_samples=100), simplification=SimplificationConfig(n_episodes=10))
     for n_worse[0], n_attempts in ((2, 3), (9, 4)):
         allowed.clear()
         simplify_module.simplify({"polish": folder}, config, out)
@@ -316,7 +316,7 @@ def test_a_pid_policy_is_polished_as_its_network_or_as_its_tree_with_constant_ga
 
 
 def test_settings_that_do_not_go_together_are_refused(tiny):
-    viper = ViperConfig("viper", 100, 1)
+    viper = ViperConfig("viper", max_samples=100)
     for changes, told in (
         ({"method": viper, "polishing": PolishingConfig(numbers="network")}, "method=viper stands for no network"),
         (

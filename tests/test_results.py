@@ -18,7 +18,7 @@ from pipelines.report.tabulate import TABLES
 from pipelines.runs.derived import opened_run
 from pipelines.runs.verify import certified_stage
 from pipelines.stages.oracle import load_oracle
-from pipelines.stages.train import train_settings
+from pipelines.training.settings import train_keys
 from tests.committed import RESULTS
 from tests.pipelines.conftest import otr_succeeds
 
@@ -86,7 +86,7 @@ def of_every_kind():
 def test_a_committed_training_has_the_settings_that_its_command_gives(run):
     """Whoever gives the command again trains nothing, also where settings that were keyed are gone since."""
     folder = RESULTS / "runs" / run / "seed-0"
-    assert train_settings(load_config(folder, None)) == verified_manifest(folder / "train")["settings"]
+    assert train_keys(load_config(folder, None)) == verified_manifest(folder / "train")["settings"]
 
 
 @pytest.mark.parametrize("run_dir", list(of_every_kind()))

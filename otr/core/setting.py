@@ -32,7 +32,7 @@ class Range:
         """Return what is wrong with a value, to stand after it; None where nothing is."""
         if isinstance(value, bool) or not isinstance(value, Real):
             return " is not a number"
-        if self.low <= value < self.high or (value == self.high and not self.open):
+        if self.low <= float(value) < self.high or (value == self.high and not self.open):
             return None
         if self.open or self.remedy:
             return f": {self.remedy or f'give a number{self.limits}'}"
@@ -86,10 +86,11 @@ def declared(kind: type) -> dict[str, tuple[Any, ...]]:
 
 def check_settings(settings: Any) -> None:
     """Raise ValueError if a setting of a dataclass is not in its field's range, or no whole number where that is."""
-    kinds = get_type_hints(type(settings))
-    for name in declared(type(settings)):
+    kind: Any = type(settings)
+    kinds = get_type_hints(kind)
+    for name in declared(kind):
         value = getattr(settings, name)
-        wrong = problem(type(settings), name, value, name)
+        wrong = problem(kind, name, value, name)
         if wrong is None and kinds[name] is int and not isinstance(value, Integral):
             wrong = f"{name}={value} is not a whole number"
         if wrong is not None:
@@ -107,7 +108,7 @@ class Checked:
         check_settings(self)
 
 
-def problem(kind: type, name: str, value: Any, key: str) -> str | None:
+def problem(kind: Any, name: str, value: Any, key: str) -> str | None:
     """Return why the field `name` of `kind` cannot have this value, called `key`; None where it can."""
     if isinstance(value, dict):
         return next(filter(None, (problem(kind, name, value[part], f"{key}.{part}") for part in value)), None)

@@ -35,13 +35,13 @@ from pipelines.play.boxes import given_box
 from pipelines.play.environments import episode_limit, is_discrete, make_env, registered_ids
 from pipelines.play.own_environment import check_environment, own_environment
 from pipelines.play.video import check_video
+from pipelines.runs.fleets import fleets
 from pipelines.runs.imitation import OTHERS, imitating_command
 from pipelines.runs.result import result_row
 from pipelines.runs.run_job import RunJob, run_job, run_jobs
 from pipelines.stages.import_model import read_model
 from pipelines.stages.parse import policy_tree, read_program
-from pipelines.stages.polish import check_polish
-from pipelines.stages.train import fleets
+from pipelines.stages.polish import POLISH, check_polish
 from pipelines.tracking.tracker import check_tracking
 
 # The groups and keys that decide how an oracle is trained, and where and how that is done.
@@ -112,7 +112,7 @@ def _check_later_stages(config: RunConfig) -> None:
     check_tracking(config)
     check_video(config)
     if "polish" in config.selected_stages:
-        check_polish(config)
+        check_polish(POLISH.of(config))
 
 
 class RunWorkflow(Workflow):

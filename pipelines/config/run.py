@@ -181,12 +181,21 @@ class RunConfig:
         return self.polish or "polish" in self.selected_stages
 
     @property
+    def has_oracle(self) -> bool:
+        """Whether it is known which run trains or imports the oracle."""
+        return self.oracle_run is not None
+
+    @property
     def has_critics(self) -> bool:
         """Whether the oracle, or without one the actor, is trained or imported with critics that are kept."""
         made_by = self.oracle_run or self
-        if made_by.imported is not None:
-            return made_by.imported.critics is not None
-        return made_by.fleet is not None
+        return made_by.fleet is not None if made_by.imported is None else made_by.imported.critics is not None
+
+    @property
+    def actor_folder(self) -> str:
+        """The folder, below `results_dir`, of the stage that trains or imports the oracle, or without one the actor."""
+        made_by = self.oracle_run or self
+        return f"{made_by.folder}/{made_by.method.actor_stage}"
 
     @property
     def polishes_network(self) -> bool:

@@ -8,7 +8,7 @@ from pipelines.config.run import RunConfig
 from pipelines.engine.store import exists, read_csv
 from pipelines.play.episodes import play_each
 from pipelines.runs.derived import opened_run
-from pipelines.stages.evaluate import episodes_file, load_policies
+from pipelines.stages.evaluate import EVALUATE, episodes_file, load_policies
 from pipelines.stages.polish import load_searched
 
 TOLERANCE = 1e-6  # of the return, relative
@@ -21,12 +21,12 @@ def replay(config: RunConfig, run_dir: Path) -> int:
     recorded versions all of them come back.
     """
     with opened_run(config, run_dir) as whole:
-        policies = load_policies({name: whole / name for name in config.method.stages}, config)
+        policies = load_policies({name: whole / name for name in config.method.stages}, EVALUATE.of(config))
         recorded_in = {name: run_dir / "evaluate" / episodes_file(name) for name in policies}
         if exists(run_dir / "polish" / "episodes.csv"):
             policies["polished"] = load_searched(whole / "polish")
             recorded_in["polished"] = run_dir / "polish" / "episodes.csv"
-    played = play_each(policies, config)
+    played = play_each(policies, EVALUATE.of(config))
     n_different = 0
     for name in played:
         recorded = np.array([float(row["return"]) for row in read_csv(recorded_in[name])])

@@ -82,4 +82,4 @@ def _row(label: str, file: str, changes: dict[str, Any], fitted: FittedTree, sec
 
 
 # It reads stage tune where the method has a grid: `pipelines.supervised.fit_job.stages_of` sets its inputs.
-FIT = Stage("fit", version=1, inputs=(), settings=fit_settings, run=fit, is_transient=True)
+FIT = Stage("fit", version=1, inputs=(), keyed=fit_settings, run=fit, together=fit_together, is_transient=True)

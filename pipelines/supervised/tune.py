@@ -133,4 +133,4 @@ def _number(value: float) -> float | None:
     return None if np.isnan(value) else float(value)
 
 
-TUNE = Stage("tune", VERSION, inputs=(), settings=tune_settings, run=tune, checkpoints=checkpoint_folder)
+TUNE = Stage("tune", VERSION, inputs=(), keyed=tune_settings, run=tune, checkpoints=checkpoint_folder)

@@ -8,9 +8,9 @@ from typing import Any, Self
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn
 
-from pipelines.config.run import RunConfig
 from pipelines.engine.console import duration
 from pipelines.training.estimates import learning_starts
+from pipelines.training.settings import TrainSettings
 
 REFRESH_S = 0.25
 MEASURED_S = 3.0  # of learning, before the time left is told
@@ -55,7 +55,7 @@ class TrainingDisplay:
 
     def __init__(
         self,
-        config: RunConfig,
+        config: TrainSettings,
         prefix: str,
         n_steps: int,
         done_steps: int,
@@ -110,7 +110,7 @@ class TrainingDisplay:
 class TrainingProgress(TrainingDisplay):
     """Shows one training run; among jobs side by side its lines begin with the job's name."""
 
-    def __init__(self, config: RunConfig, done_steps: int) -> None:
+    def __init__(self, config: TrainSettings, done_steps: int) -> None:
         digest = "".join(config.folder.partition("~")[1:])  # of other settings
         job = f"{config.env.name} depth {config.depth} seed {config.seed}{digest}: " if config.side_by_side else ""
         super().__init__(config, f"{job}train: ", config.train.steps, done_steps, learning_starts(config))

@@ -104,8 +104,12 @@ def polish(
     """
     if n_iterations < 1:
         raise ValueError(f"n_iterations={n_iterations} is not at least 1")
-    chosen = {"n_selection_episodes": n_selection_episodes, "n_candidates": n_candidates}
-    check_settings(PolishSettings(scale=scale, n_episodes=n_episodes, common_starts=common_starts, **chosen))
+    check_settings(
+        PolishSettings(
+            scale=scale, n_episodes=n_episodes, common_starts=common_starts,
+            n_selection_episodes=n_selection_episodes, n_candidates=n_candidates,
+        )
+    )  # fmt: skip
     numbers = policy_numbers(policy, states, free=free, tied=tied)
     play = Episodes(evaluate, seed, n_episodes, shared_by_all=common_starts == "all")
     search, size = DirectSearch(numbers.start, settings, seed), 1.0

@@ -9,14 +9,14 @@ from otr.control.search.direct_search import DirectSearch
 from otr.control.search.small_networks import NetworkShape
 from otr.control.search.state_moments import StateMoments
 from pipelines.config.algo import ArsConfig
-from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import FIRST_STREAM_SEED, LAST_STREAM_SEED, stream, stream_seed
 from pipelines.play.environments import episode_limit
 from pipelines.play.episodes import Played, Player
 from pipelines.play.spaces import spaces
+from pipelines.training.settings import TrainSettings
 
 
-def network_shape(config: RunConfig) -> NetworkShape:
+def network_shape(config: TrainSettings) -> NetworkShape:
     """Return the shape of a run's actor."""
     space = spaces(config.env)
     return NetworkShape(
@@ -36,7 +36,7 @@ class PolicySearch:
         n_steps: environment steps that it played.
     """
 
-    def __init__(self, config: RunConfig, start: int) -> None:
+    def __init__(self, config: TrainSettings, start: int) -> None:
         """Begin the run's search number `start`, at a network whose outputs are zero."""
         assert isinstance(config.algo, ArsConfig)
         algo = config.algo

@@ -58,7 +58,7 @@ def test_missing_input_names_the_command(tiny, tmp_path):
 def test_changed_input_makes_the_stage_again(tiny, tmp_path):
     run_stage(FIRST, tmp_path / "run", tiny(), "")
     run_stage(SECOND, tmp_path / "run", tiny(), "")
-    newer = Stage("first", 2, (), FIRST.settings, lambda i, c, out: (out / "value.txt").write_text("new\n"))
+    newer = Stage("first", 2, (), FIRST.keyed, lambda i, c, out: (out / "value.txt").write_text("new\n"))
     run_stage(newer, tmp_path / "run", tiny(), "")
     assert not run_stage(SECOND, tmp_path / "run", tiny(), "").skipped
     assert (tmp_path / "run/second/value.txt").read_text() == "new\nthen\n"
@@ -109,7 +109,7 @@ def test_status_without_running(tiny, tmp_path):
     run_stage(FIRST, tmp_path / "run", tiny(), "")
     assert stage_status(FIRST, folder, tiny()) == "done"
     assert stage_status(FIRST, folder, tiny(seed=1)) == "other settings"
-    assert stage_status(Stage("first", 2, (), FIRST.settings, write_seed), folder, tiny()) == "stale"
+    assert stage_status(Stage("first", 2, (), FIRST.keyed, write_seed), folder, tiny()) == "stale"
 
 
 def test_two_processes_do_a_job_once(tiny, tmp_path):

@@ -17,9 +17,9 @@ from pipelines.play.environments import make_env
 from pipelines.play.episodes import play_seeds
 from pipelines.play.pid_environment import PidObservation
 from pipelines.play.spaces import feature_names
-from pipelines.stages.train import train_settings
 from pipelines.training.actors import actor_of
 from pipelines.training.sb3_models import build_model
+from pipelines.training.settings import train_keys
 from tests.control.pids import thesis_policy
 from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM, otr_command, otr_succeeds
 from tests.pipelines.own_envs import Cart
@@ -164,11 +164,11 @@ def test_small_output_weights_become_zero(pid):
 
 def test_terms_and_penalty_are_part_of_a_training_s_key(pid, tiny):
     keys = [
-        train_settings(pid(method=dataclasses.replace(PID, **changes)))
+        train_keys(pid(method=dataclasses.replace(PID, **changes)))
         for changes in ({}, {"l1": 0.0}, {"n_history": 2}, {"goal": [0.0, 0.0, 0.0]})
     ]
     assert all(one != other for i, one in enumerate(keys) for other in keys[:i])
-    assert set(train_settings(tiny())["env"]) == {"id", "kwargs"}  # as before, so that what was trained stays valid
+    assert set(train_keys(tiny())["env"]) == {"id", "kwargs"}  # as before, so that what was trained stays valid
 
 
 # --- the command line ---------------------------------------------------------------------------------------------

@@ -269,8 +269,8 @@ def test_a_long_polish_is_announced_and_planned(command, tiny, tmp_path, capsys)
     assert estimated_seconds(tiny(env=MOUNTAIN_CAR)) == pytest.approx((1_000_000 + 2_300 * 999 / 2) / 300_000)
     slow = PolishingConfig(environments="gymnasium")
     assert estimated_seconds(tiny(env=MOUNTAIN_CAR, polishing=slow)) == pytest.approx((1_000_000 + 1_148_850) / 8_000)
-    announce_polish(lander)
-    announce_polish(tiny(env=MOUNTAIN_CAR))
+    announce_polish([lander])
+    announce_polish([tiny(env=MOUNTAIN_CAR)])
     assert capsys.readouterr().out == (
         "polish: a search of 1,000,000 steps, about 2 min on one core; one that is stopped begins anew\n"
     )

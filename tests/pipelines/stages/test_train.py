@@ -18,12 +18,13 @@ from pipelines.play.episodes import play_seeds
 from pipelines.play.selection import compare_with_trained
 from pipelines.runs.run_job import RunJob
 from pipelines.runs.stage_table import STAGES
-from pipelines.stages.train import TRAIN, checkpoint_folder, train_settings, trained_steps
+from pipelines.stages.train import TRAIN, checkpoint_folder, trained_steps
 from pipelines.training import sb3_checkpoints as checkpoint_module
 from pipelines.training import sb3_training
 from pipelines.training.actors import actor_of
 from pipelines.training.estimates import estimated_bytes, segment_steps
 from pipelines.training.sb3_models import build_model
+from pipelines.training.settings import train_keys
 from tests.pipelines.conftest import HOPPER, LANDER, PPO, SAC
 from tests.pipelines.sweeps import do_until_killed
 
@@ -182,8 +183,8 @@ def test_states_without_bounds_cannot_be_rescaled(tiny):
 
 
 def test_younger_settings_leave_earlier_results_valid(tiny):
-    assert "rescale_inputs" not in train_settings(tiny())["actor"]
-    assert train_settings(tiny(actor=ActorConfig(0.0, rescale_inputs=True)))["actor"]["rescale_inputs"] is True
+    assert "rescale_inputs" not in train_keys(tiny())["actor"]
+    assert train_keys(tiny(actor=ActorConfig(0.0, rescale_inputs=True)))["actor"]["rescale_inputs"] is True
 
 
 def test_training_that_cannot_be_put_in_its_place_is_not_lost(tiny, tmp_path, monkeypatch):

@@ -36,11 +36,11 @@ class StudentFit(StudentSettings, Checked):
 
     Attributes:
         head: `Argmax` for labels, else the box of the actions (`ClipBox`).
-        widths: hidden neurons of each layer.
+        hidden_widths: hidden neurons of each layer.
     """
 
     head: Head
-    widths: tuple[int, ...]
+    hidden_widths: tuple[int, ...]
 
     def __call__(
         self, X: FloatArray, answers: FloatArray, weights: FloatArray | None, generator: np.random.Generator
@@ -58,10 +58,12 @@ class StudentFit(StudentSettings, Checked):
         if not self.head.gives_labels and (box is None or not np.isfinite(box).all()):
             raise ValueError(f"the head is {self.head!r}, expected Argmax or a ClipBox with finite limits")
         dense: Literal["input", False] = "input" if self.dense == "input" else False
-        shape = NetworkShape(X.shape[1], self.widths, answers.shape[1], box, dense, self.negative_slope)
+        shape = NetworkShape(X.shape[1], self.hidden_widths, answers.shape[1], box, dense, self.negative_slope)
         loss = _Loss.of(shape, (states - mean) / scale, answers[rows], self.ridge)
         few = max(1, round(self.n_updates * _SHARE_OF_A_START))
-        starts = [loss.minimised(loss.initial(generator), few) for _ in range(self.n_starts if self.widths else 1)]
+        starts = [
+            loss.minimised(loss.initial(generator), few) for _ in range(self.n_starts if self.hidden_widths else 1)
+        ]
         best, _ = min(starts, key=lambda start: start[1])
         vector, _ = loss.minimised(best, self.n_updates)
         return PatternTree(shape.network(vector, mean, scale))
@@ -88,7 +90,7 @@ class _Loss:
     def initial(self, generator: np.random.Generator) -> FloatArray:
         """Return a random network whose answer is zero; the first layer's neurons turn at a state of the data each."""
         vector = self.shape.initial(generator)
-        if self.shape.widths:
+        if self.shape.hidden_widths:
             rows, columns = self.shape.shapes[0]
             first = vector[: rows * columns].reshape(rows, columns)
             first[:, -1] = -(first[:, :-1] * self.X[generator.integers(len(self.X), size=rows)]).sum(axis=1)
@@ -115,7 +117,7 @@ class _Loss:
         for layer in reversed(range(len(forms))):
             parts.append(np.column_stack((errors.T @ read[layer], errors.sum(axis=0))).ravel())
             if layer:
-                width = self.shape.widths[layer - 1]
+                width = self.shape.hidden_widths[layer - 1]
                 errors = (errors @ forms[layer][:, :width]) * np.where(signs[layer - 1], 1.0, slope)
         gradient = np.concatenate(parts[::-1]) + self.ridge * vector
         return value + 0.5 * self.ridge * float(vector @ vector), gradient

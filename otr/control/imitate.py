@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from otr import control
 from otr.control.dagger.loop import DaggerProgress, TreeFit, run_dagger
 from otr.control.rollout import rollout
 from otr.control.settings import (
@@ -138,27 +139,22 @@ def tree_fit(settings: FitSettings, depth: int | Sequence[int], oracle: Oracle, 
     """
     kind = next(kind for kind in METHODS.values() if isinstance(settings, kind))
     options: dict[str, Any] = {field.name: getattr(settings, field.name) for field in fields(kind)}
-    tests = depth if isinstance(depth, int) else depth[0]
-    if kind is AugTreeSettings:
-        from otr.control.augtree import AugTreeFit
-
-        return AugTreeFit(oracle, tests, **options)
-    from otr.control.viper import CartFit, LinearModelTreeFit, box_of
-
-    if kind is CartSettings:
-        return CartFit(tests, **options)
-    if kind is ModelTreeSettings:
-        return LinearModelTreeFit(oracle.head, tests, **options)
-    if kind is ExpertsSettings:
-        from otr.control.experts import ExpertsFit
-
-        return ExpertsFit(box_of(oracle.head), tests, **options)
-    head = oracle.head if oracle.head.gives_labels else box_of(oracle.head)
-    if kind is NdpsSettings:
-        from otr.control.ndps import NdpsImitator
-
-        return NdpsImitator(head, tests, folder, **options)
-    from otr.control.distilled_otr import StudentFit
-
     widths = (depth,) if isinstance(depth, int) else tuple(depth)
-    return StudentFit(head, tuple(width for width in widths if width), **options)
+
+    def head() -> Any:
+        return oracle.head if oracle.head.gives_labels else box()
+
+    def box() -> Any:
+        from otr.control.viper import box_of  # imports scikit-learn
+
+        return box_of(oracle.head)
+
+    fits: dict[type[FitSettings], Callable[[], TreeFit]] = {
+        AugTreeSettings: lambda: control.AugTreeFit(oracle, *widths, **options),
+        CartSettings: lambda: control.CartFit(*widths, **options),
+        ModelTreeSettings: lambda: control.LinearModelTreeFit(oracle.head, *widths, **options),
+        NdpsSettings: lambda: control.NdpsImitator(head(), *widths, folder, **options),
+        StudentSettings: lambda: control.StudentFit(head(), tuple(each for each in widths if each), **options),
+        ExpertsSettings: lambda: control.ExpertsFit(box(), *widths, **options),
+    }
+    return fits[kind]()

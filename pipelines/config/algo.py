@@ -25,10 +25,15 @@ from pipelines.errors import ConfigError
 MOST_LAYERS, WIDEST_LAYER = 2, 32  # of an actor that is searched
 
 
-def is_small(depth: Any) -> bool:
+def widths_of(layers: Any) -> tuple[int, ...]:
+    """Return the hidden widths that a setting gives: 6 is (6,), [8, 8] is (8, 8), and 0, the linear policy, is ()."""
+    return tuple(width for width in (layers if isinstance(layers, Sequence) else [layers]) if width)
+
+
+def is_small(layers: Any) -> bool:
     """Return whether a network of these hidden layers has neurons, and no more than a search moves."""
-    widths = list(depth) if isinstance(depth, Sequence) else [depth]
-    return len(widths) <= MOST_LAYERS and all(isinstance(width, int) and 0 < width <= WIDEST_LAYER for width in widths)
+    widths = widths_of(layers)
+    return 0 < len(widths) <= MOST_LAYERS and all(isinstance(width, int) and width <= WIDEST_LAYER for width in widths)
 
 
 @dataclass(frozen=True)
@@ -50,8 +55,8 @@ class AlgoConfig:
         """The environment steps that training does at least, and in whole multiples."""
         return 1
 
-    def check(self, key: str, depth: int | list[int], actor: ActorConfig) -> None:
-        """Raise ConfigError if the algorithm does not train this actor."""
+    def check(self, key: str, layers: int | list[int], actor: ActorConfig) -> None:
+        """Raise ConfigError if the algorithm does not train an actor of these hidden layers, the value of `key`."""
 
 
 @dataclass(frozen=True)
@@ -84,12 +89,11 @@ class ArsConfig(SearchSettings, AlgoConfig):
         """The likely environment steps per second on one core."""
         return self.expected_steps_per_s
 
-    def check(self, key: str, depth: int | list[int], actor: ActorConfig) -> None:
+    def check(self, key: str, layers: int | list[int], actor: ActorConfig) -> None:
         """Refuse networks too large to be searched, and settings that make no search."""
-        widths = [depth] if isinstance(depth, int) else depth
-        if len(widths) > MOST_LAYERS or max(widths) > WIDEST_LAYER:
+        if widths_of(layers) and not is_small(layers):
             raise ConfigError(
-                f"{key}={depth}: algo=ars searches small networks, up to {MOST_LAYERS} layers of {WIDEST_LAYER} neurons"
+                f"{key}={layers}: algo=ars searches small networks, up to {MOST_LAYERS} layers of {WIDEST_LAYER} neurons"
                 "; others, as algo=sac, train larger ones"
             )
         if actor.rescale_inputs:
@@ -125,9 +129,9 @@ class OnPolicyConfig(GradientConfig):
         """A rollout of `n_steps` in each environment."""
         return self.n_steps * self.n_envs
 
-    def check(self, key: str, depth: int | list[int], actor: ActorConfig) -> None:
+    def check(self, key: str, layers: int | list[int], actor: ActorConfig) -> None:
         """Refuse states that are normalised twice."""
-        super().check(key, depth, actor)
+        super().check(key, layers, actor)
         if self.normalise and actor.rescale_inputs:
             raise ConfigError("algo.normalise=true and actor.rescale_inputs=true both change the states: leave one out")
 

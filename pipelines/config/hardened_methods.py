@@ -48,7 +48,7 @@ class SoftConfig(HardenedConfig):
 
     forms: ClassVar[Mapping[str, str]] = {"soft": "soft", "discretised": "discretised"}
 
-    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
+    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle_widths: Sequence[int]) -> None:
         """Refuse algorithms that train no soft trees."""
         if not isinstance(algo, OnPolicyConfig | SacConfig):
             raise ConfigError(
@@ -123,7 +123,7 @@ class ExpertsConfig(HardenedConfig):
         """Refuse all but a number of experts."""
         check_n_experts(self.name, depth)
 
-    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
+    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle_widths: Sequence[int]) -> None:
         """Refuse algorithms that train no experts."""
         if not isinstance(algo, SacConfig):
             raise ConfigError(f"method=experts is trained by algo=sac, not {algo.name}; leave algo out")

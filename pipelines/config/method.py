@@ -40,7 +40,7 @@ class MethodConfig:
     def check_depth(self, depth: Any) -> None:
         """Raise ConfigError if the method makes no tree of this depth."""
 
-    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
+    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle_widths: Sequence[int]) -> None:
         """Raise ConfigError if the method cannot be used with this algorithm, this actor or this oracle."""
 
 

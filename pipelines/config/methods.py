@@ -95,7 +95,7 @@ class PidConfig(MappedConfig):
         """The goal and the length of the integral's window."""
         return PidTerms(tuple(self.goal), self.n_history)
 
-    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
+    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle_widths: Sequence[int]) -> None:
         """Refuse other algorithms than DDPG, and rescaled inputs."""
         if not isinstance(algo, DdpgConfig):
             raise ConfigError(f"method=pid is trained by algo=ddpg_pid, not {algo.name}")
@@ -110,11 +110,13 @@ class ImitatingConfig(TakesModel, MethodConfig):
     imitates = True
     fit_s: ClassVar[float]  # seconds of one fit at depth 6, measured on the lander
 
-    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
+    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle_widths: Sequence[int]) -> None:
         """Refuse an oracle that is no network."""
-        super().check(algo, actor, oracle)
-        if not oracle:
-            raise ConfigError(f"oracle={oracle}: give the hidden layers of the network to imitate, as oracle=[256,256]")
+        super().check(algo, actor, oracle_widths)
+        if not oracle_widths:
+            raise ConfigError(
+                f"oracle={oracle_widths}: give the hidden layers of the network to imitate, as oracle=[256,256]"
+            )
 
 
 @dataclass(frozen=True)
@@ -158,11 +160,13 @@ class AugTreeConfig(AugTreeSettings, ImitatingTreeConfig):
     label = "AugTree"
     fit_s = 0.7
 
-    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
+    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle_widths: Sequence[int]) -> None:
         """Refuse deep features of an oracle with one layer."""
-        super().check(algo, actor, oracle)
-        if self.features == "deep" and len(oracle) < 2:
-            raise ConfigError(f"method.features=deep reads the oracle's deeper layers, but oracle={oracle} has one")
+        super().check(algo, actor, oracle_widths)
+        if self.features == "deep" and len(oracle_widths) < 2:
+            raise ConfigError(
+                f"method.features=deep reads the oracle's deeper layers, but oracle={oracle_widths} has one"
+            )
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
 
 from otr.control.settings import DaggerSettings
-from pipelines.config.algo import AlgoConfig, ArsConfig, PpoConfig, SacConfig
+from pipelines.config.algo import AlgoConfig, ArsConfig, PpoConfig, SacConfig, widths_of
 from pipelines.config.budget import BudgetConfig
 from pipelines.config.env import EnvConfig
 from pipelines.config.hardened_methods import SoftConfig
@@ -205,8 +205,7 @@ class RunConfig:
     @property
     def hidden_widths(self) -> tuple[int, ...]:
         """Widths of the actor's hidden layers; empty for depth 0, the linear policy."""
-        widths = [self.depth] if isinstance(self.depth, int) else list(self.depth)
-        return tuple(width for width in widths if width > 0)
+        return widths_of(self.depth)
 
     @property
     def is_trained(self) -> bool:

@@ -97,12 +97,9 @@ def _domain(inputs: Mapping[str, Path], settings: CertifySettings) -> tuple[otr.
 
 
 _USUAL = picked(
-    env="env",
-    n_episodes="prune.n_episodes",
-    seed="seed",
-    max_leaves="certification.max_leaves",
-    max_seconds="certification.max_seconds",
-)
+    env="env", n_episodes="prune.n_episodes", seed="seed", max_leaves="certification.max_leaves",
+    max_seconds="certification.max_seconds"
+)  # fmt: skip
 
 
 def _keyed(settings: CertifySettings) -> dict[str, Any]:

@@ -17,11 +17,11 @@ from pipelines.config.env import EnvConfig
 from pipelines.config.methods import ImitatingConfig
 from pipelines.config.setting import keyed_settings
 from pipelines.engine.archive import verified_manifest
-from pipelines.engine.console import duration
 from pipelines.engine.digests import digest
 from pipelines.engine.seeding import episode_seeds, stream
 from pipelines.engine.stage import Stage
 from pipelines.engine.store import write_csv, write_files, write_json
+from pipelines.engine.time_left import time_left
 from pipelines.play.actor_files import actor_files
 from pipelines.play.episodes import play_seeds, playing_seconds
 from pipelines.play.printed_programs import write_program
@@ -117,10 +117,10 @@ def _show(progress: DaggerProgress, settings: ImitateSettings) -> None:
         return
     job = f"{settings.env.name} {settings.method.name} depth {settings.depth} seed {settings.seed}: "
     prefix = job * settings.side_by_side
-    left = duration((n_rounds - r) * progress.seconds)
+    left = time_left((n_rounds - r) * progress.seconds)
     print(
         f"{prefix}imitate: round {r}/{n_rounds}  {progress.n_rows:,} states  return {progress.return_mean:.1f}  "
-        f"{progress.n_leaves:,} leaves  about {left} left",
+        f"{progress.n_leaves:,} leaves  about {left}",
         flush=True,
     )
 

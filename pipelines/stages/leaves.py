@@ -50,10 +50,7 @@ def numbers_of_leaves(n_reached: int) -> list[int]:
 
 
 LEAVES_KEYS = picked(
-    env="env",
-    seed="seed",
-    n_prune_episodes="prune.n_episodes",
-    n_episodes="evaluate.n_episodes",
-    first_seed="evaluate.first_seed",
-)
+    env="env", seed="seed", n_prune_episodes="prune.n_episodes", n_episodes="evaluate.n_episodes",
+    first_seed="evaluate.first_seed"
+)  # fmt: skip
 LEAVES = Stage("leaves", version=1, inputs=("prune",), keyed=LEAVES_KEYS, run=leaves, settings=LeavesSettings)

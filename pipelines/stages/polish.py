@@ -329,13 +329,9 @@ def _told(report: PolishReport, settings: SearchedSettings) -> dict[str, Any]:
 
 
 _BY_SEARCH = picked(
-    env="env",
-    seed="seed",
-    polishing="polishing",
-    max_leaves="map.max_leaves",
-    prune="prune",
-    evaluate="evaluate",
-)
+    env="env", seed="seed", polishing="polishing", max_leaves="map.max_leaves", prune="prune",
+    evaluate="evaluate"
+)  # fmt: skip
 
 
 def polish_keys(settings: PolishStageSettings) -> dict[str, Any]:
@@ -348,13 +344,6 @@ def polish_keys(settings: PolishStageSettings) -> dict[str, Any]:
 
 # Its inputs depend on the method: `pipelines.runs.stage_table.stages_of` sets them.
 POLISH = Stage(
-    "polish",
-    version=episodes_version,
-    inputs=(),
-    keyed=and_names(polish_keys),
-    run=polish,
-    settings=PolishStageSettings,
-    announce=announce_polish,
-    seconds_left=estimated_seconds,
-    check=check_critics,
-)
+    "polish", version=episodes_version, inputs=(), keyed=and_names(polish_keys), run=polish,
+    settings=PolishStageSettings, announce=announce_polish, seconds_left=estimated_seconds, check=check_critics,
+)  # fmt: skip

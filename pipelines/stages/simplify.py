@@ -215,14 +215,9 @@ def _report(
 
 
 SIMPLIFY_KEYS = picked(
-    env="env",
-    seed="seed",
-    n_episodes="simplification.n_episodes",
-    return_loss="simplification.return_loss",
-    action_bound="simplification.action_bound",
-    refit="simplification.refit",
-    evaluate="evaluate",
-)
+    env="env", seed="seed", n_episodes="simplification.n_episodes", return_loss="simplification.return_loss",
+    action_bound="simplification.action_bound", refit="simplification.refit", evaluate="evaluate"
+)  # fmt: skip
 # After polish=true it reads the stage polish alone (`pipelines.runs.stage_table.stages_of`), keyed by the
 # settings of polishing.
 SIMPLIFY = Stage(

@@ -102,14 +102,6 @@ def _bytes_left(settings: TrainSettings, n_steps: int) -> int:
 
 
 TRAIN = Stage(
-    "train",
-    VERSION,
-    inputs=(),
-    keyed=train_keys,
-    run=train,
-    settings=TrainSettings,
-    announce=announce_training,
-    seconds_left=seconds_left,
-    together=train_together,
-    checkpoints=checkpoint_folder,
-)
+    "train", VERSION, inputs=(), keyed=train_keys, run=train, settings=TrainSettings, announce=announce_training,
+    seconds_left=seconds_left, together=train_together, checkpoints=checkpoint_folder,
+)  # fmt: skip

@@ -88,11 +88,7 @@ def polish(
         scale: of all numbers 1, or by sensitivity: smaller where the actions react more
             (`otr.control.search.sensitivity`), of a size that is found: the largest of 8, 4, 2 and so on at which
             the median of the first vectors loses less than 5 % of the return.
-        n_episodes: of every vector tried.
-        common_starts: who shares the starts of an iteration, the two policies of a direction or all.
-        n_selection_episodes: of each candidate; as many more confirm the best.
-        n_candidates: how many of the search's iterates are candidates, the last one among them.
-        free: whether coefficients that are zero move, too.
+        n_episodes, common_starts, n_selection_episodes, n_candidates, free: see `otr.control.settings.PolishSettings`.
         tied: whether a tree's tests that are equal, and its leaves that are, stay equal.
         seed: of directions and episodes.
         report: called after every candidate, and at the end.

@@ -142,8 +142,8 @@ def test_a_tree_keeps_its_structure_labels_and_zeros() -> None:
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
-        ({"n_candidates": 0}, "n_candidates is 0, expected at least 1"),
-        ({"common_starts": "none"}, "common_starts is 'none'"),
+        ({"n_candidates": 0}, "n_candidates=0 is not at least 1"),
+        ({"common_starts": "none"}, "common_starts=none: use one of pair, all"),
         ({"states": np.ones((3, 1))}, r"expected \(n, 2\)"),
     ],
 )

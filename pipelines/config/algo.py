@@ -93,8 +93,8 @@ class ArsConfig(SearchSettings, AlgoConfig):
         """Refuse networks too large to be searched, and settings that make no search."""
         if widths_of(layers) and not is_small(layers):
             raise ConfigError(
-                f"{key}={layers}: algo=ars searches small networks, up to {MOST_LAYERS} layers of {WIDEST_LAYER} neurons"
-                "; others, as algo=sac, train larger ones"
+                f"{key}={layers}: algo=ars searches small networks, up to {MOST_LAYERS} layers of {WIDEST_LAYER} "
+                "neurons; others, as algo=sac, train larger ones"
             )
         if actor.rescale_inputs:
             raise ConfigError("actor.rescale_inputs=true: algo=ars normalises states itself; leave it out")

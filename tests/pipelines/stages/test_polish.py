@@ -171,7 +171,7 @@ def test_keys_of_certify_and_simplify_without_polish_are_as_they_were():
         assert plain["polish"].inputs == ((config.actor_stage, "prune") if config.is_mapped else ("prune",))
         assert list(plain)[-5:] == ["polish", "certify", "simplify", "leaves", "video"]
         for name in ("certify", "simplify"):
-            assert (plain[name].settings, plain[name].version) == (polished[name].settings, polished[name].version)
+            assert (plain[name].keyed, plain[name].version) == (polished[name].keyed, polished[name].version)
 
 
 def test_what_is_listed_beside_polish_is_of_the_polished_policy(tiny):

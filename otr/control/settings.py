@@ -20,6 +20,7 @@ from otr.core.setting import (
     NotNegative,
     OneOf,
     Positive,
+    Range,
     Share,
 )
 
@@ -166,6 +167,18 @@ class ExpertsSettings(FitSettings):
     batch_size: Count = 256
     learning_rate: LearningRate = 0.01
     balance: NotNegative = 0.01
+
+
+@dataclass(frozen=True, kw_only=True)
+class RelaxedProgramSettings:
+    """Of `otr.control.RelaxedProgram`, pi-PRL.
+
+    Attributes:
+        structure_penalty: a hole's logit of `if` starts at minus this times the hole's level, so that a deeper program
+            has to earn its depth.
+    """
+
+    structure_penalty: Annotated[float, Range(0, 100)] = 0.25
 
 
 @dataclass(frozen=True)

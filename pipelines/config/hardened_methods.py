@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
-from otr.control.settings import ExpertsSettings
+from otr.control.settings import ExpertsSettings, RelaxedProgramSettings
 from otr.core.setting import Hardness, Leaves
 from pipelines.config.algo import AlgoConfig, OnPolicyConfig, SacConfig
 from pipelines.config.method import GrownConfig
@@ -89,10 +89,9 @@ class CdtConfig(SoftConfig):
 
 
 @dataclass(frozen=True)
-class PiPrlConfig(SoftConfig):
+class PiPrlConfig(RelaxedProgramSettings, SoftConfig):
     """pi-PRL (Qiu & Zhu 2022): `discretise_at` is the fraction of the steps at which the structure is chosen."""
 
-    structure_penalty: Annotated[float, Range(0, 100)] = 0.25
     discretise_at: Share = 0.2
 
     label = "π-PRL"

@@ -55,7 +55,7 @@ def test_other_settings_of_a_method_are_another_training(tiny):
     [
         ({"algo": PPO, "depth": 0}, "depth=0: method=sdt grows a tree"),
         ({"algo": PPO, "method": SdtConfig("sdt", 0.0, 20.0, 0.8, 0.05, "constant")}, "method.beta_first=0"),
-        ({"algo": PPO, "method": PiPrlConfig("pi_prl", 1.0, 20.0, 0.8, 0.05, 0.25, 1.5)}, "method.discretise_at=1.5"),
+        ({"algo": PPO, "method": PiPrlConfig("pi_prl", discretise_at=1.5)}, "method.discretise_at=1.5"),
     ],
 )
 def test_what_is_refused(tiny, changes, words):

@@ -1,7 +1,6 @@
 """Stage certify: the minimal tree of a mapped actor on its environment's states, and the proof that it is exact."""
 
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,7 +8,7 @@ from typing import Any
 import otr
 from pipelines.config.method import MethodConfig
 from pipelines.config.stages import CertificationConfig
-from pipelines.engine.stage import Stage, picked
+from pipelines.engine.stage import Inputs, Stage, picked
 from pipelines.engine.store import write_json
 from pipelines.play.actor_files import load_actor
 from pipelines.play.boxes import box_around, given_box
@@ -29,7 +28,7 @@ class CertifySettings(PlaysPruning):
     certification: CertificationConfig
 
 
-def certify(inputs: Mapping[str, Path], settings: CertifySettings, out: Path) -> None:
+def certify(inputs: Inputs, settings: CertifySettings, out: Path) -> None:
     """Write the minimal tree, its `program.txt`, `certificate.json` and `report.json`.
 
     The domain is the box that is given or, without one, the box of states that the environment declares (gymnasium's
@@ -83,7 +82,7 @@ def certify(inputs: Mapping[str, Path], settings: CertifySettings, out: Path) ->
     )
 
 
-def _domain(inputs: Mapping[str, Path], settings: CertifySettings) -> tuple[otr.Domain, str]:
+def _domain(inputs: Inputs, settings: CertifySettings) -> tuple[otr.Domain, str]:
     """Return the box on which the tree is proved, and what it is."""
     if settings.certification.box is not None:
         return given_box(settings.env, settings.certification.box), GIVEN

@@ -1,6 +1,5 @@
 """Stage evaluate: network, tree and pruned tree on the same fixed episodes."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,7 +8,7 @@ import numpy as np
 
 import otr
 from pipelines.config.method import MethodConfig
-from pipelines.engine.stage import Stage, picked
+from pipelines.engine.stage import Inputs, Stage, picked
 from pipelines.engine.store import write_csv, write_json
 from pipelines.errors import PolicyMismatchError
 from pipelines.play.actor_files import load_actor
@@ -33,7 +32,7 @@ def episodes_file(form: str) -> str:
     return "episodes.csv" if form == "tree" else f"episodes_{form}.csv"
 
 
-def load_policies(inputs: Mapping[str, Path], settings: EvaluateSettings) -> dict[str, Any]:
+def load_policies(inputs: Inputs, settings: EvaluateSettings) -> dict[str, Any]:
     """Return the forms of the policy that a run left: what the tree stands for, the tree and the pruned tree.
 
     The first is the oracle where one was imitated, the actor's network where it was mapped, and the soft tree where
@@ -59,7 +58,7 @@ def load_policies(inputs: Mapping[str, Path], settings: EvaluateSettings) -> dic
     return policies
 
 
-def evaluate(inputs: Mapping[str, Path], settings: EvaluateSettings, out: Path) -> None:
+def evaluate(inputs: Inputs, settings: EvaluateSettings, out: Path) -> None:
     """Play the fixed episodes with each form of the policy; write an episodes file each and `report.json`.
 
     `episodes.csv` is the tree's. Fidelity is the share of the visited states in which the pruned tree does the same as

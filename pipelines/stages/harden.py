@@ -1,6 +1,5 @@
 """Stage harden: the tree that a trained soft tree or experts become, which is the policy from here on."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,7 +8,7 @@ import otr
 from pipelines.config.algo import AlgoConfig, SacConfig
 from pipelines.config.env import EnvConfig
 from pipelines.config.method import MethodConfig
-from pipelines.engine.stage import Stage, picked
+from pipelines.engine.stage import Inputs, Stage, picked
 from pipelines.engine.store import write_json
 from pipelines.play.environments import make_env
 from pipelines.play.printed_programs import write_program
@@ -24,7 +23,7 @@ class HardenSettings:
     method: MethodConfig
 
 
-def harden_actor(inputs: Mapping[str, Path], settings: HardenSettings, out: Path) -> None:
+def harden_actor(inputs: Inputs, settings: HardenSettings, out: Path) -> None:
     """Write the hard tree, its program and `report.json`.
 
     Of SDT and CDT the authors' own discretisation too, `discretised.npz`: each test keeps its largest weight alone.

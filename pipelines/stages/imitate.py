@@ -4,7 +4,6 @@ A killed run goes on from its last whole round; its working files lie with the c
 """
 
 import sys
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from pipelines.config.setting import keyed_settings
 from pipelines.engine.archive import verified_manifest
 from pipelines.engine.digests import digest
 from pipelines.engine.seeding import episode_seeds, stream
-from pipelines.engine.stage import Stage
+from pipelines.engine.stage import Inputs, Stage
 from pipelines.engine.store import write_csv, write_files, write_json
 from pipelines.engine.time_left import time_left
 from pipelines.play.actor_files import actor_files
@@ -61,13 +60,13 @@ def imitate_keys(settings: ImitateSettings) -> dict[str, Any]:
     }
 
 
-def working_folder(settings: ImitateSettings, inputs: Mapping[str, Path]) -> Path:
+def working_folder(settings: ImitateSettings, inputs: Inputs) -> Path:
     """Return where the data set and the iterates lie while the run is under way."""
     key = digest([VERSION, imitate_keys(settings), verified_manifest(inputs["oracle"])["output_digest"]])
     return Path(settings.results_dir) / "checkpoints" / key[:16]
 
 
-def imitate(inputs: Mapping[str, Path], settings: ImitateSettings, out: Path) -> None:
+def imitate(inputs: Inputs, settings: ImitateSettings, out: Path) -> None:
     """Imitate the oracle; write the chosen tree and its program, `iterates.csv` and `report.json`.
 
     Of a network the actor's files are written in place of the tree, which the stage map makes.

@@ -1,7 +1,6 @@
 """Stage import: a policy that was trained elsewhere, as a network that acts in the run's environment."""
 
 import hashlib
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from otr.importers.critics import Critics, critics_of_zip
 from otr.importers.vec_normalize import find_statistics
 from pipelines.config.env import EnvConfig
 from pipelines.config.model import ImportedModel
-from pipelines.engine.stage import Stage
+from pipelines.engine.stage import Inputs, Stage
 from pipelines.engine.store import write_files, write_json
 from pipelines.errors import ConfigError
 from pipelines.play.actor_files import actor_files
@@ -34,7 +33,7 @@ def import_keys(settings: ImportSettings) -> dict[str, Any]:
     return {"env": settings.env.settings(), "model_sha256": settings.imported.sha256}
 
 
-def import_policy(inputs: Mapping[str, Path], settings: ImportSettings, out: Path) -> None:
+def import_policy(inputs: Inputs, settings: ImportSettings, out: Path) -> None:
     """Write the network as a trained actor is, and `report.json`, which names the file that it came from."""
     network, critics = settings.imported.policy, settings.imported.critics
     write_files(actor_files(network), out)

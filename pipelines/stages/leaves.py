@@ -1,6 +1,5 @@
 """Stage leaves: the return against the number of leaves kept, OTR-hat(k) for k = 1, 2, 4, ... and all reached."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,7 +7,7 @@ from typing import Any
 import numpy as np
 
 import otr
-from pipelines.engine.stage import Stage, picked
+from pipelines.engine.stage import Inputs, Stage, picked
 from pipelines.engine.store import write_csv, write_json
 from pipelines.play.episodes import PlaysEvaluation, PlaysPruning, moments, play_evaluation, play_pruning
 from pipelines.stages.prune import load_tree
@@ -21,7 +20,7 @@ class LeavesSettings(PlaysPruning, PlaysEvaluation):
     """What the stage reads of a run's configuration."""
 
 
-def leaves(inputs: Mapping[str, Path], settings: LeavesSettings, out: Path) -> None:
+def leaves(inputs: Inputs, settings: LeavesSettings, out: Path) -> None:
     """Play the evaluation episodes with each OTR-hat(k) of the pruned tree, or the polished one; write `returns.csv`.
 
     The k leaves are those that the tree visits most often in the episodes that it was pruned with, so that no episode

@@ -1,13 +1,12 @@
 """Stage map: the actor, trained or imported, as an oblique tree, exactly."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import otr
 from pipelines.config.env import EnvConfig
 from pipelines.config.stages import MapConfig
-from pipelines.engine.stage import Stage, picked
+from pipelines.engine.stage import Inputs, Stage, picked
 from pipelines.engine.store import write_json
 from pipelines.play.actor_files import load_actor
 from pipelines.play.printed_programs import write_program
@@ -21,7 +20,7 @@ class MapSettings:
     map: MapConfig
 
 
-def map_actor(inputs: Mapping[str, Path], settings: MapSettings, out: Path) -> None:
+def map_actor(inputs: Inputs, settings: MapSettings, out: Path) -> None:
     """Map the actor and write `tree.npz` with `tree.json`, `report.json`, and `program.txt` where the tree is explicit.
 
     A tree of more than `map.max_leaves` leaves is held as activation patterns and never written out.

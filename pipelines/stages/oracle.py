@@ -6,7 +6,6 @@ first trains or imports it; the others find it there. This stage
 keeps where it lies and what it was, so that what is made from it is keyed by its content.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from typing import Any
 from otr.core.smooth_network import Oracle
 from pipelines.config.run import RunConfig
 from pipelines.engine.archive import MANIFEST, verified_manifest
-from pipelines.engine.stage import Stage, part_of
+from pipelines.engine.stage import Inputs, Stage, part_of
 from pipelines.engine.store import exists, read_csv, read_json, write_json
 from pipelines.errors import PipelineError
 from pipelines.play.actor_files import load_oracle_network
@@ -39,7 +38,7 @@ def oracle_keys(settings: OracleSettings) -> dict[str, Any]:
     return train_keys(part_of(run, TrainSettings)) if run.is_trained else import_keys(part_of(run, ImportSettings))
 
 
-def refer(inputs: Mapping[str, Path], settings: OracleSettings, out: Path) -> None:
+def refer(inputs: Inputs, settings: OracleSettings, out: Path) -> None:
     """Write `oracle.json`: the trained oracle's folder below the results, its digest and its selection return."""
     run = settings.oracle_run
     folder = Path(run.folder) / run.method.actor_stage

@@ -1,7 +1,6 @@
 """Stage parse: a program that somebody wrote, as an oblique tree."""
 
 import hashlib
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ import otr
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import EnvConfig
 from pipelines.config.methods import ProgramConfig
-from pipelines.engine.stage import Stage
+from pipelines.engine.stage import Inputs, Stage
 from pipelines.engine.store import write_json, write_text
 from pipelines.errors import ConfigError, did_you_mean
 from pipelines.play.printed_programs import write_program
@@ -39,7 +38,7 @@ def parse_keys(settings: ParseSettings) -> dict[str, Any]:
     }
 
 
-def parse(inputs: Mapping[str, Path], settings: ParseSettings, out: Path) -> None:
+def parse(inputs: Inputs, settings: ParseSettings, out: Path) -> None:
     """Write the program as it is, its tree, the tree's own program and `report.json`."""
     program = settings.method.program
     tree = policy_tree(settings.program_text, settings.env, program)

@@ -1,7 +1,7 @@
 """Stage polish: the numbers of a finished policy improved on its return, by direct search or by an oracle's critics."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -19,7 +19,7 @@ from pipelines.config.stages import MapConfig, PolishingConfig
 from pipelines.engine.archive import MANIFEST
 from pipelines.engine.console import duration
 from pipelines.engine.seeding import episode_seeds, stream_seed
-from pipelines.engine.stage import Stage, part_of, picked
+from pipelines.engine.stage import Inputs, Stage, part_of, picked
 from pipelines.engine.store import exists, read_json, write_csv, write_files, write_json
 from pipelines.errors import ConfigError
 from pipelines.play.actor_files import actor_files, load_actor, load_oracle_network
@@ -69,7 +69,7 @@ class PolishStageSettings(SearchedSettings):
     results_dir: str
 
 
-def polish(inputs: Mapping[str, Path], settings: PolishStageSettings, out: Path) -> None:
+def polish(inputs: Inputs, settings: PolishStageSettings, out: Path) -> None:
     """Improve, and write the polished tree, `program.txt`, `candidates.csv`, `episodes.csv` and `report.json`.
 
     Of a mapped tree the network's numbers move, unless `polishing.numbers=tree`: then `out` has the actor's

@@ -1,7 +1,6 @@
 """Stage prune: the paths that the policy reaches in its environment, OTR-hat, or the k most frequent of them."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 import otr
 from otr.control import constant_gains
 from pipelines.config.method import MethodConfig
-from pipelines.engine.stage import Stage, picked
+from pipelines.engine.stage import Inputs, Stage, picked
 from pipelines.engine.store import write_json, write_text
 from pipelines.errors import PolicyMismatchError
 from pipelines.play.actor_files import load_actor
@@ -27,7 +26,7 @@ class PruneSettings(PlaysPruning):
     method: MethodConfig
 
 
-def prune(inputs: Mapping[str, Path], settings: PruneSettings, out: Path) -> None:
+def prune(inputs: Inputs, settings: PruneSettings, out: Path) -> None:
     """Play `prune.n_episodes` episodes, keep the paths they reach, and write the pruned tree and its report.
 
     The episodes are the run's own and not the ones it is evaluated on. A path is an activation pattern where the tree

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from otr.shorten.edits import n_numbers, without_idle_head
 from otr.shorten.simplify import Judge, Simplification
 from pipelines.config.stages import SimplificationConfig
 from pipelines.engine.seeding import episode_seeds
-from pipelines.engine.stage import Stage, picked
+from pipelines.engine.stage import Inputs, Stage, picked
 from pipelines.engine.store import write_csv, write_json
 from pipelines.play.episodes import Rollout, moments, play_evaluation, play_seeds
 from pipelines.play.printed_programs import and_names, write_picture, write_program
@@ -37,7 +37,7 @@ class SimplifySettings(SearchedSettings):
     simplification: SimplificationConfig
 
 
-def simplify(inputs: Mapping[str, Path], settings: SimplifySettings, out: Path) -> None:
+def simplify(inputs: Inputs, settings: SimplifySettings, out: Path) -> None:
     """Write the simpler tree, its `program.txt`, its `episodes.csv` on the evaluation seeds, and `report.json`.
 
     A change is allowed if on the deciding episodes the mean return falls by no more than `return_loss` of its size, one

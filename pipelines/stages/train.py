@@ -1,13 +1,13 @@
 """Stage train: the actor, the best of its evaluations, by Stable-Baselines3, in a fleet, or by direct search."""
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from pipelines.config.algo import ArsConfig
 from pipelines.engine.console import duration
 from pipelines.engine.digests import digest
-from pipelines.engine.stage import Stage
+from pipelines.engine.stage import Inputs, Stage
 from pipelines.errors import PipelineError
 from pipelines.training.checkpoints import evaluations_so_far
 from pipelines.training.estimates import estimated_bytes, estimated_seconds
@@ -17,7 +17,7 @@ VERSION = 1
 LONG_RUN_S = 60.0
 
 
-def train(inputs: Mapping[str, Path], settings: TrainSettings, out: Path) -> None:
+def train(inputs: Inputs, settings: TrainSettings, out: Path) -> None:
     """Train, and write the best actor, `evaluations.csv` and `progress.csv` into `out`; raises as `train_by_sb3`.
 
     Where Ctrl-C stops it, the checkpoint of the last whole segment stays.
@@ -37,7 +37,7 @@ def train(inputs: Mapping[str, Path], settings: TrainSettings, out: Path) -> Non
 
 
 def train_together(
-    inputs: Sequence[Mapping[str, Path]], runs: Sequence[TrainSettings], outs: Sequence[Path]
+    inputs: Sequence[Inputs], runs: Sequence[TrainSettings], outs: Sequence[Path]
 ) -> list[Exception | None]:
     """Do `train` for the runs of a fleet as one; return what each failed with."""
     from pipelines.training.fleet.train import train_fleet  # imports torch
@@ -45,7 +45,7 @@ def train_together(
     return train_fleet(runs, [checkpoint_folder(settings) for settings in runs], outs)
 
 
-def checkpoint_folder(settings: TrainSettings, inputs: Mapping[str, Path] | None = None) -> Path:
+def checkpoint_folder(settings: TrainSettings, inputs: Inputs | None = None) -> Path:
     """Return where the run's checkpoints lie while it trains; training reads no other stage.
 
     Runs that lie side by side and train alike share them, as they share the result.

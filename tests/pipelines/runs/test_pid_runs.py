@@ -162,13 +162,12 @@ def test_small_output_weights_become_zero(pid):
     assert actor.exported(model).weights[-1][9:12, 0].tolist() == pytest.approx([0.0, 0.0, 0.011])
 
 
-def test_terms_and_penalty_are_part_of_a_training_s_key(pid, tiny):
+def test_terms_and_penalty_are_part_of_a_training_s_key(pid):
     keys = [
         train_keys(pid(method=dataclasses.replace(PID, **changes)))
         for changes in ({}, {"l1": 0.0}, {"n_history": 2}, {"goal": [0.0, 0.0, 0.0]})
     ]
     assert all(one != other for i, one in enumerate(keys) for other in keys[:i])
-    assert set(train_keys(tiny())["env"]) == {"id", "kwargs"}  # as before, so that what was trained stays valid
 
 
 # --- the command line ---------------------------------------------------------------------------------------------

@@ -6,14 +6,11 @@ import json
 import pytest
 
 from pipelines.cli.runs import load_config
-from pipelines.config.methods import METHODS
 from pipelines.config.run import RunConfig
 from pipelines.engine.archive import MANIFEST, read_manifest
 from pipelines.engine.store import exists
 from pipelines.runs.stage_table import STAGES, stages_of
 from tests.committed import RESULTS
-
-NOT_COMMITTED = {"distilled_experts", "experts", "model", "program"}  # methods
 
 
 @pytest.mark.parametrize("stage", STAGES.values(), ids=STAGES)
@@ -24,12 +21,20 @@ def test_a_stage_is_given_a_part_of_the_configuration_under_its_names(stage):
     assert not given & {"algo", "train"} or stage.name in ("train", "harden")  # who trained is no later stage's matter
 
 
-@pytest.mark.parametrize("method", sorted(METHODS.keys() - NOT_COMMITTED))
-def test_committed_stages_are_found_by_the_keys_of_today(method):
-    """One run of a method; what its oracle was, and who polished by critics, only the command that made it tells."""
-    folder = min((RESULTS / "runs").glob(f"*/{method}/depth-*/*/seed-0/summary.json")).parent
+def committed_runs():
+    """Return a run of each method and trainer."""
+    found = {}
+    for summary in sorted((RESULTS / "runs").glob("*/*/depth-*/*/seed-0/summary.json")):
+        _, method, _, level, _ = summary.relative_to(RESULTS / "runs").parts[:5]
+        found.setdefault(f"{method} {level.partition('-')[2]}".strip(), summary.parent)
+    return found
+
+
+@pytest.mark.parametrize("folder", committed_runs().values(), ids=committed_runs())
+def test_committed_stages_are_found_by_the_keys_of_today(folder):
+    """Also where settings are younger; of an oracle, and of who polished by critics, only the command tells."""
     config, found = load_config(folder, None), 0
-    for name, stage in stages_of(method).items():
+    for name, stage in stages_of(config.method.name).items():
         if name not in ("oracle", "polish") and exists(folder / name / MANIFEST):
             recorded = read_manifest(folder / name)["settings"]
             assert json.loads(json.dumps(stage.keyed(stage.of(config)))) == recorded, name

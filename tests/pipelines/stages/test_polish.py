@@ -111,9 +111,6 @@ def test_a_scale_by_sensitivity_reports_its_size_and_is_keyed(tiny, tmp_path):
     n_sets = 3 + np.log2(8.0 / report["size"])  # of 16 policies: the start, each size, the iteration
     n_chosen = 2 if report["confirmation_return"] is None else 4
     assert report["n_episodes_played"] == n_sets * 16 * 32 + n_chosen * 200
-    # Runs from before there was a scale keep their folders and keys.
-    plain = tiny(polishing=SHORT)
-    assert "scale" not in plain.settings()["polishing"] and "scale" not in plain.polishing.settings()
     assert config.settings()["polishing"]["scale"] == config.polishing.settings()["scale"] == "sensitivity"
 
 

@@ -24,7 +24,6 @@ from pipelines.training import sb3_training
 from pipelines.training.actors import actor_of
 from pipelines.training.estimates import estimated_bytes, segment_steps
 from pipelines.training.sb3_models import build_model
-from pipelines.training.settings import train_keys
 from tests.pipelines.conftest import HOPPER, LANDER, PPO, SAC
 from tests.pipelines.sweeps import do_until_killed
 
@@ -180,11 +179,6 @@ def test_rescaled_inputs_are_folded_into_the_program(tiny, tmp_path):
 def test_states_without_bounds_cannot_be_rescaled(tiny):
     with pytest.raises(ConfigError, match="have no bounds"):
         build_model(tiny(env=HOPPER, actor=ActorConfig(0.0, rescale_inputs=True)), 0)
-
-
-def test_younger_settings_leave_earlier_results_valid(tiny):
-    assert "rescale_inputs" not in train_keys(tiny())["actor"]
-    assert train_keys(tiny(actor=ActorConfig(0.0, rescale_inputs=True)))["actor"]["rescale_inputs"] is True
 
 
 def test_training_that_cannot_be_put_in_its_place_is_not_lost(tiny, tmp_path, monkeypatch):

@@ -1,7 +1,7 @@
 """The algorithm that trains a run: a file of conf/algo."""
 
 from collections.abc import Sequence
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
 
 from otr.control.settings import SearchSettings
@@ -18,6 +18,7 @@ from pipelines.config.setting import (
     Share,
     Text,
     Width,
+    declared,
 )
 from pipelines.config.stages import ActorConfig, ActorValue
 from pipelines.errors import ConfigError
@@ -104,20 +105,20 @@ class ArsConfig(SearchSettings, AlgoConfig):
 class GradientConfig(AlgoConfig):
     """What algorithms with critics have: the widths of their hidden layers in `critic`; `weight_decay` is Adam's."""
 
-    learning_rate: LearningRate
-    batch_size: Count
-    gamma: Share
-    critic: list[Width]
-    weight_decay: Annotated[float, Range(0, 10)]
+    learning_rate: LearningRate = 1e-3
+    batch_size: Count = 100
+    gamma: Share = 0.99
+    critic: list[Width] = field(default_factory=lambda: [256, 256])
+    weight_decay: Annotated[float, Range(0, 10)] = 0.0
 
 
 @dataclass(frozen=True)
 class OnPolicyConfig(GradientConfig):
     """What PPO and TRPO share, under Stable-Baselines3's names."""
 
-    n_envs: Annotated[int, Range(1, 4096)]
-    n_steps: Annotated[int, Range(2)]
-    gae_lambda: Share
+    n_envs: Annotated[int, Range(1, 4096)] = 1
+    n_steps: Annotated[int, Range(2)] = 2048
+    gae_lambda: Share = 0.95
     # Whether states, and rewards by the deviation of their discounted sum, are normalised by what was met so far
     # (VecNormalize); the states' part is affine and is folded into the actor, which reads the environment's own states
     normalise: Annotated[bool, AsBefore(False)] = field(default=False, kw_only=True)
@@ -140,11 +141,11 @@ class OnPolicyConfig(GradientConfig):
 class PpoConfig(OnPolicyConfig):
     """Proximal policy optimisation, under Stable-Baselines3's names."""
 
-    n_epochs: Count
-    clip_range: Annotated[float, Range(1e-6, 10)]
-    ent_coef: NotNegative
-    vf_coef: NotNegative
-    max_grad_norm: Positive
+    n_epochs: Count = 10
+    clip_range: Annotated[float, Range(1e-6, 10)] = 0.2
+    ent_coef: NotNegative = 0.0
+    vf_coef: NotNegative = 0.5
+    max_grad_norm: Positive = 0.5
     # Explore by a linear function of the state that is drawn anew every `sde_sample_freq` steps (-1: every
     # rollout), instead of by noise drawn at every step; for continuous actions
     use_sde: Annotated[bool, AsBefore(False)] = False
@@ -155,31 +156,31 @@ class PpoConfig(OnPolicyConfig):
 class TrpoConfig(OnPolicyConfig):
     """Trust region policy optimisation, under sb3-contrib's names."""
 
-    target_kl: Positive
-    cg_max_steps: Count
-    cg_damping: NotNegative
-    n_critic_updates: Count
+    target_kl: Positive = 0.01
+    cg_max_steps: Count = 15
+    cg_damping: NotNegative = 0.1
+    n_critic_updates: Count = 10
 
 
 @dataclass(frozen=True)
 class OffPolicyConfig(GradientConfig):
     """What algorithms with a replay buffer share."""
 
-    buffer_size: Count
-    learning_starts: CountOrZero
-    tau: Annotated[float, Range(1e-12, 1)]
-    train_freq: Count
-    gradient_steps: Count
+    buffer_size: Count = 1_000_000
+    learning_starts: CountOrZero = 10_000
+    tau: Annotated[float, Range(1e-12, 1)] = 0.005
+    train_freq: Count = 1
+    gradient_steps: Count = 1
 
 
 @dataclass(frozen=True)
 class DqnConfig(OffPolicyConfig):
     """Deep Q-learning, for labels: the actor is the network of the action values, so `critic` stays empty."""
 
-    target_update_interval: Count  # steps between updates of the target network
-    exploration_fraction: Annotated[float, Range(1e-6, 1)]  # of all steps, over which random actions become rarer
-    exploration_final_eps: Share  # their share from then on
-    max_grad_norm: Positive
+    target_update_interval: Count = 250  # steps between updates of the target network
+    exploration_fraction: Annotated[float, Range(1e-6, 1)] = 0.12  # of all steps, until random actions are rare
+    exploration_final_eps: Share = 0.1  # their share from then on
+    max_grad_norm: Positive = 10.0
 
     steps_per_s = 900.0
 
@@ -188,9 +189,9 @@ class DqnConfig(OffPolicyConfig):
 class ContinuousConfig(OffPolicyConfig):
     """What SAC, TD3 and DDPG share; `action_noise_dt` is of the Ornstein-Uhlenbeck process."""
 
-    action_noise: Annotated[str, OneOf("none", "normal", "ornstein_uhlenbeck")]
-    action_noise_std: NotNegative
-    action_noise_dt: Positive
+    action_noise: Annotated[str, OneOf("none", "normal", "ornstein_uhlenbeck")] = "normal"
+    action_noise_std: NotNegative = 0.1
+    action_noise_dt: Positive = 0.01
 
 
 @dataclass(frozen=True)
@@ -202,7 +203,7 @@ class SacConfig(ContinuousConfig):
 
     ent_coef: Annotated[
         str, Text(r"auto|([0-9]+\.?[0-9]*|\.[0-9]+)(e-?[0-9]+)?", "use auto, or a number for a fixed temperature")
-    ]
+    ] = "auto"
     # Of the critics; None is `learning_rate`, which then is the actor's and the temperature's
     critic_learning_rate: Annotated[LearningRate | None, AsBefore(None)] = None
     learning_rate_end: Annotated[float, Range(0, 1), AsBefore(1.0)] = 1.0  # share of both at the end, reached linearly
@@ -217,16 +218,18 @@ class SacConfig(ContinuousConfig):
     @classmethod
     def of_fleets(cls) -> dict[str, Any]:
         """Return the settings that other trainers do not have, with the values that mean what these do."""
-        return {each.name: each.default for each in fields(cls) if each.default is not MISSING}
+        kind: Any = cls
+        marked = ((name, marker) for name, markers in declared(kind).items() for marker in markers)
+        return {name: marker.value for name, marker in marked if isinstance(marker, AsBefore)}
 
 
 @dataclass(frozen=True)
 class Td3Config(ContinuousConfig):
     """Twin delayed DDPG."""
 
-    policy_delay: Count
-    target_policy_noise: NotNegative
-    target_noise_clip: NotNegative
+    policy_delay: Count = 2
+    target_policy_noise: NotNegative = 0.2
+    target_noise_clip: NotNegative = 0.5
 
     steps_per_s = 240.0
 

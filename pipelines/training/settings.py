@@ -33,14 +33,9 @@ class TrainSettings(PlaysSelection):
 
 def train_keys(settings: TrainSettings) -> dict[str, Any]:
     """Return what decides the trained actor; programs' names and later stages' settings do not."""
-    keyed: dict[str, Any] = {
-        "env": settings.env.settings(),
-        "hidden_widths": list(settings.hidden_widths),
-        "algo": keyed_settings(settings.algo),
-        "actor": keyed_settings(settings.actor),
-        "train": keyed_settings(settings.train),
-        "seed": settings.seed,
-    }
+    env, hidden_widths = settings.env.settings(), list(settings.hidden_widths)
+    keyed: dict[str, Any] = {"env": env, "hidden_widths": hidden_widths, "seed": settings.seed}
+    keyed |= {name: keyed_settings(getattr(settings, name)) for name in ("algo", "actor", "train")}
     if settings.method.decides_training:
         keyed["method"] = keyed_settings(settings.method)
     if settings.fleet:

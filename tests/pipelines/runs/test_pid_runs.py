@@ -21,7 +21,7 @@ from pipelines.training.actors import actor_of
 from pipelines.training.sb3_models import build_model
 from pipelines.training.settings import train_keys
 from tests.control.pids import thesis_policy
-from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM, otr_command, otr_succeeds
+from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM, SAC, otr_command, otr_succeeds
 from tests.pipelines.own_envs import Cart
 from tests.pipelines.stages.test_train import DDPG, assert_is_what_was_trained
 
@@ -203,22 +203,9 @@ def test_words_that_a_pid_policy_implies():
     assert not run_config(["env=mountaincar", "method=pid", "budget=quick"]).actor.rescale_inputs
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"algo": None}, "method=pid is trained by algo=ddpg_pid, not sac"),
-        ({"method": dataclasses.replace(PID, n_history=0)}, "method.n_history=0"),
-        ({"method": dataclasses.replace(PID, l1=-1.0)}, "method.l1=-1"),
-    ],
-)
-def test_what_is_refused(tiny, pid, changes, words):
-    if changes.get("algo", DDPG) is None:
-        changes = {"algo": tiny().algo}
-    with pytest.raises(ConfigError, match=words):
-        pid(**changes)
-
-
-def test_environments_that_do_not_fit_are_refused(pid):
+def test_environments_and_algorithms_that_do_not_fit_are_refused(pid):
+    with pytest.raises(ConfigError, match="method=pid is trained by algo=ddpg_pid, not sac"):
+        pid(algo=SAC)
     with pytest.raises(ConfigError, match="has 3 numbers, the states of Hopper-v4 have 11"):
         make_env(pid(env=HOPPER).env)
     with pytest.raises(ConfigError, match="needs continuous actions"):

@@ -7,7 +7,7 @@ import pytest
 
 import otr
 from pipelines.cli.runs import RUN, run_config
-from pipelines.config.hardened_methods import PiPrlConfig, SdtConfig
+from pipelines.config.hardened_methods import SdtConfig
 from pipelines.errors import ConfigError
 from pipelines.training.settings import train_keys
 from tests.pipelines.conftest import PPO, otr_command, otr_succeeds
@@ -53,8 +53,6 @@ def test_other_settings_of_a_method_are_another_training(tiny):
     ("changes", "words"),
     [
         ({"algo": PPO, "depth": 0}, "depth=0: method=sdt grows a tree"),
-        ({"algo": PPO, "method": SdtConfig("sdt", 0.0, 20.0, 0.8, 0.05, "constant")}, "method.beta_first=0"),
-        ({"algo": PPO, "method": PiPrlConfig("pi_prl", discretise_at=1.5)}, "method.discretise_at=1.5"),
     ],
 )
 def test_what_is_refused(tiny, changes, words):
@@ -127,7 +125,6 @@ def test_experts_bring_soft_actor_critic_and_the_fleet(budget):
         (("depth=[3,3]",), "depth=.3, 3.: of method=experts"),
         (("algo=td3",), "method=experts is trained by algo=sac, not td3"),
         (("trainer=sb3",), "method=experts is trained by trainer=fleet, not trainer=sb3"),
-        (("method.balance=-1",), "method.balance=-1.0 is not at least 0"),
     ],
 )
 def test_what_experts_are_refused_for(words, message):

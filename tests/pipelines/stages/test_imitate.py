@@ -6,7 +6,6 @@ import shutil
 import numpy as np
 import pytest
 
-from otr.control.settings import DaggerSettings
 from pipelines.config.methods import AugTreeConfig, ViperConfig
 from pipelines.engine.seeding import FIRST_STREAM_SEED, STREAMS, episode_seeds
 from pipelines.engine.store import read_csv
@@ -97,14 +96,9 @@ def test_fleet_trains_several_oracles_at_once(tmp_path):
         ({"depth": 0}, "depth=0: method=viper grows a tree"),
         ({"depth": [2, 2]}, r"depth=\[2, 2\]: method=viper grows a tree"),
         ({"oracle": []}, r"oracle=\[\]"),
-        ({"imitate": DaggerSettings(n_episodes=0)}, "imitate.n_episodes=0"),
         (
             {"method": AugTreeConfig("augtree", features="deep", max_samples=10), "oracle": [8]},
             "features=deep",
-        ),
-        (
-            {"method": AugTreeConfig("augtree", features="x", max_samples=10)},
-            "method.features=x: use one of all",
         ),
     ],
 )

@@ -322,8 +322,6 @@ def test_settings_that_do_not_go_together_are_refused(tiny):
         ),
         ({"method": viper, "polish": True, "certify": True}, "certify=true: a tree of method=viper stands for no"),
         ({"polishing": PolishingConfig(n_top=30)}, "polishing.n_top=30 is more than polishing.n_directions=24"),
-        ({"polishing": PolishingConfig(numbers="both")}, "polishing.numbers=both: use one of network, tree"),
-        ({"polishing": PolishingConfig(momentum=1.0)}, "polishing.momentum=1.0: give a number from 0 to below 1"),
     ):
         with pytest.raises(ConfigError, match=told):
             tiny(**changes)

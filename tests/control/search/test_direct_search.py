@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from otr.control.search.direct_search import DirectSearch, SearchSettings
+from otr.control.search.direct_search import DirectSearch
+from otr.control.settings import SearchSettings
 
 
 def test_step_is_the_papers():

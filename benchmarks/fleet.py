@@ -37,7 +37,7 @@ from benchmarks.measure import Entry, alternate
 from benchmarks.training import plain_trainer
 from pipelines.cli import runs
 from pipelines.config.run import RunConfig
-from pipelines.stages.train import fleets
+from pipelines.runs.fleets import fleets
 from pipelines.training.actors import actor_of
 from pipelines.training.fleet.adam import RunSettings
 from pipelines.training.fleet.fleet_run import FleetRun

@@ -31,7 +31,7 @@ from pipelines.engine.store import exists
 from pipelines.play.actor_files import load_actor
 from pipelines.play.episodes import Player, play_seeds
 from pipelines.runs.derived import opened_run
-from pipelines.stages.polish import environments, load_searched, load_tree
+from pipelines.stages.polish import POLISH, environments, load_searched, load_tree
 
 N_EPISODES = {"LunarLander-v3": 1_000, "Pendulum-v1": 5_000, "MountainCarContinuous-v0": 1_000}
 N_OTHER_EPISODES, N_QUICK_EPISODES = 100, 20
@@ -105,7 +105,7 @@ def played_run(run_dir: Path, name: str, n_episodes: int | None = None) -> Polis
 
 def _returns(policies: Sequence[Any], config: RunConfig, seeds: Sequence[int]) -> np.ndarray:
     """Return the returns (k, m) of policies from the same first states."""
-    if environments(config) == "numpy":
+    if environments(POLISH.of(config)) == "numpy":
         with closing(Player(config.env, "numpy")) as episodes:
             return episodes.play(policies, np.tile(seeds, (len(policies), 1))).returns
     return np.array([play_seeds(policy.predict, config.env, seeds).returns for policy in policies])

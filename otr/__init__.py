@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from otr import control as control, importers as importers, learners as learners
     from otr.control.imitate import imitate as imitate
     from otr.control.rollout import Rollout as Rollout, evaluate as evaluate, rollout as rollout
-    from otr.control.search.direct_search import SearchSettings as SearchSettings
     from otr.control.search.polish import polish as polish
+    from otr.control.settings import SearchSettings as SearchSettings
     from otr.core.domain import Domain as Domain
     from otr.core.head import Head as Head
     from otr.core.heads import (
@@ -94,8 +94,8 @@ __version__ = "0.1.0"
 _NAMES_OF_MODULES = {
     "control.imitate": "imitate",
     "control.rollout": "Rollout evaluate rollout",
-    "control.search.direct_search": "SearchSettings",
     "control.search.polish": "polish",
+    "control.settings": "SearchSettings",
     "core.domain": "Domain",
     "core.head": "Head",
     "core.heads": "Argmax ClipBox Exp Identity PidBox Sign TanhBox head_from_dict",

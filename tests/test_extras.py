@@ -46,8 +46,8 @@ for name, call in calls.items():
 print(json.dumps(errors))
 """
 NUMPY_ALONE = {  # names of otr.control that need nothing else
-    "DaggerProgress", "DaggerResult", "DaggerSettings", "Iterate", "StudentFit", "argmax_leaves", "constant_gains",
-    "draw_rows", "pid_network", "pid_observation", "pid_observation_names", "run_dagger",
+    "DaggerProgress", "DaggerResult", "DaggerSettings", "Iterate", "NdpsSettings", "StudentFit", "argmax_leaves",
+    "constant_gains", "draw_rows", "pid_network", "pid_observation", "pid_observation_names", "run_dagger",
 }  # fmt: skip
 
 

@@ -18,7 +18,6 @@ from pipelines.report.tabulate import TABLES
 from pipelines.runs.derived import opened_run
 from pipelines.runs.verify import certified_stage
 from pipelines.stages.oracle import load_oracle
-from pipelines.stages.train import train_settings
 from tests.committed import RESULTS
 from tests.pipelines.conftest import otr_succeeds
 
@@ -80,13 +79,6 @@ def of_every_kind():
         kinds = set(summary.relative_to(RESULTS / "runs").parts[:2])
         yield pytest.param(summary.parent, marks=pytest.mark.slow if kinds <= seen else (), id=id_of(summary.parent))
         seen |= kinds
-
-
-@pytest.mark.parametrize("run", ["pendulum/otr/depth-6/quick", "pendulum/otr/depth-6/quick-fleet"])
-def test_a_committed_training_has_the_settings_that_its_command_gives(run):
-    """Whoever gives the command again trains nothing, also where settings that were keyed are gone since."""
-    folder = RESULTS / "runs" / run / "seed-0"
-    assert train_settings(load_config(folder, None)) == verified_manifest(folder / "train")["settings"]
 
 
 @pytest.mark.parametrize("run_dir", list(of_every_kind()))

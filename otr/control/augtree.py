@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +12,11 @@ from otr.control.dagger.row_sampling import draw_rows
 from otr.control.features.binned import quantised, with_thresholds_between
 from otr.control.features.hidden_units import AffineFeatures, deep_features, first_layer_features
 from otr.control.features.screening import best_columns
-from otr.control.viper import Criterion, centred, check_criterion, fit_cart, with_head
+from otr.control.settings import AugTreeSettings
+from otr.control.viper import centred, fit_cart, with_head
 from otr.core.arrays import FloatArray, IntArray
 from otr.core.network import ReluNetwork
+from otr.core.setting import Checked
 from otr.core.smooth_network import Oracle
 from otr.core.tree import ObliqueTree
 from otr.learners.model_tree import LinearTreeRegressor, grow_models
@@ -25,7 +26,7 @@ _N_SEARCHED = 8
 
 
 @dataclass(frozen=True, eq=False)
-class AugTreeFit:
+class AugTreeFit(AugTreeSettings, Checked):
     """AugTree's fit: a tree whose tests are axis-aligned on features A x + a, and so oblique on x.
 
     The features are the oracle's first pre-activations z_1 and, unless left out, x itself; ``"deep"`` adds those of
@@ -40,35 +41,14 @@ class AugTreeFit:
     Attributes:
         oracle: the network that is imitated.
         max_depth: number of tests on the features on a path at most; an argmax over linear leaves adds its own.
-        features: "all" for [x, z_1], "z" for z_1, "deep" for [x, z_1, z_2, ...].
-        leaves: "constant" or "linear".
-        max_patterns: for "deep", activation patterns a layer.
-        weighted: draw rows by weight, as VIPER does; else every row is as likely. A PPO oracle's weights are large
-            where it is sure, far from the states that decide an episode.
-        criterion: of constant leaves and labels: "entropy" or "gini". A tree with about as many leaves as there are
-            labels has to give a rare one a leaf of its own, which Gini's gain rewards less.
-        max_samples: rows drawn for a fit.
-        min_samples_leaf: drawn rows in a leaf at least.
     """
 
     oracle: Oracle
     max_depth: int
-    features: Literal["all", "z", "deep"] = "all"
-    leaves: Literal["constant", "linear"] = "constant"
-    max_patterns: int = 4
-    weighted: bool = False
-    criterion: Criterion = "entropy"
-    max_samples: int = 10_000
-    min_samples_leaf: int = 1
 
     def __post_init__(self) -> None:
-        """Raise ValueError for an unknown choice, or an oracle without the hidden layers that it needs."""
-        if self.features not in ("all", "z", "deep") or self.leaves not in ("constant", "linear"):
-            raise ValueError(
-                f"features={self.features!r}, leaves={self.leaves!r}; expected features to be 'all', 'z' or 'deep' and "
-                "leaves to be 'constant' or 'linear'"
-            )
-        check_criterion(self.criterion)
+        """Raise ValueError for a setting out of its range, or an oracle without the hidden layers that it needs."""
+        super().__post_init__()
         n_needed = 2 if self.features == "deep" else 1
         if self.features == "deep" and not isinstance(self.oracle, ReluNetwork):
             raise ValueError("features='deep' reads activation patterns, which an oracle of smooth units has none of")

@@ -12,15 +12,17 @@ from scipy.special import logsumexp
 from otr.control.dagger.row_sampling import draw_rows
 from otr.control.search.small_networks import NetworkShape
 from otr.control.search.state_moments import scale_of
+from otr.control.settings import StudentSettings
 from otr.core.arrays import BoolArray, FloatArray
 from otr.core.head import Head
 from otr.core.pattern_tree import PatternTree
+from otr.core.setting import Checked
 
 _SHARE_OF_A_START = 0.25  # of the updates: what every start is given before the best of them goes on
 
 
 @dataclass(frozen=True)
-class StudentFit:
+class StudentFit(StudentSettings, Checked):
     """The fit of a DAgger run whose imitators are small networks, with a linear map of the state beside the neurons.
 
     The student f minimises, over n rows drawn alike from the data,
@@ -34,23 +36,11 @@ class StudentFit:
 
     Attributes:
         head: `Argmax` for labels, else the box of the actions (`ClipBox`).
-        widths: hidden neurons of each layer.
-        dense: "input" for the linear map beside the neurons.
-        negative_slope: of the activation below zero.
-        max_samples: rows drawn for a fit, each as likely.
-        n_starts: networks that the fit begins with.
-        n_updates: iterations of L-BFGS of the best start; each start has a quarter as many before.
-        ridge: weight of the squares of all numbers.
+        hidden_widths: hidden neurons of each layer.
     """
 
     head: Head
-    widths: tuple[int, ...]
-    dense: Literal[False, "input"] = "input"
-    negative_slope: float = 0.0
-    max_samples: int = 25_000
-    n_starts: int = 3
-    n_updates: int = 200
-    ridge: float = 1e-5
+    hidden_widths: tuple[int, ...]
 
     def __call__(
         self, X: FloatArray, answers: FloatArray, weights: FloatArray | None, generator: np.random.Generator
@@ -67,10 +57,13 @@ class StudentFit:
         box = None if self.head.gives_labels else self.head.limits(answers.shape[1])
         if not self.head.gives_labels and (box is None or not np.isfinite(box).all()):
             raise ValueError(f"the head is {self.head!r}, expected Argmax or a ClipBox with finite limits")
-        shape = NetworkShape(X.shape[1], self.widths, answers.shape[1], box, self.dense, self.negative_slope)
+        dense: Literal["input", False] = "input" if self.dense == "input" else False
+        shape = NetworkShape(X.shape[1], self.hidden_widths, answers.shape[1], box, dense, self.negative_slope)
         loss = _Loss.of(shape, (states - mean) / scale, answers[rows], self.ridge)
         few = max(1, round(self.n_updates * _SHARE_OF_A_START))
-        starts = [loss.minimised(loss.initial(generator), few) for _ in range(self.n_starts if self.widths else 1)]
+        starts = [
+            loss.minimised(loss.initial(generator), few) for _ in range(self.n_starts if self.hidden_widths else 1)
+        ]
         best, _ = min(starts, key=lambda start: start[1])
         vector, _ = loss.minimised(best, self.n_updates)
         return PatternTree(shape.network(vector, mean, scale))
@@ -97,7 +90,7 @@ class _Loss:
     def initial(self, generator: np.random.Generator) -> FloatArray:
         """Return a random network whose answer is zero; the first layer's neurons turn at a state of the data each."""
         vector = self.shape.initial(generator)
-        if self.shape.widths:
+        if self.shape.hidden_widths:
             rows, columns = self.shape.shapes[0]
             first = vector[: rows * columns].reshape(rows, columns)
             first[:, -1] = -(first[:, :-1] * self.X[generator.integers(len(self.X), size=rows)]).sum(axis=1)
@@ -124,7 +117,7 @@ class _Loss:
         for layer in reversed(range(len(forms))):
             parts.append(np.column_stack((errors.T @ read[layer], errors.sum(axis=0))).ravel())
             if layer:
-                width = self.shape.widths[layer - 1]
+                width = self.shape.hidden_widths[layer - 1]
                 errors = (errors @ forms[layer][:, :width]) * np.where(signs[layer - 1], 1.0, slope)
         gradient = np.concatenate(parts[::-1]) + self.ridge * vector
         return value + 0.5 * self.ridge * float(vector @ vector), gradient

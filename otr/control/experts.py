@@ -13,10 +13,12 @@ from torch.nn import functional
 from otr.control.dagger.row_sampling import draw_rows
 from otr.control.label_leaves import argmax_leaves
 from otr.control.search.state_moments import scale_of
+from otr.control.settings import ExpertsSettings
 from otr.control.soft_tree import LEAF_SCALE, as_numpy, initial_tests, substitute_inputs, with_ones
 from otr.core.arrays import FloatArray
 from otr.core.head import Head
 from otr.core.heads import Identity
+from otr.core.setting import Checked
 from otr.core.tree import ObliqueTree
 
 
@@ -97,7 +99,7 @@ class LinearExperts(nn.Module):
 
 
 @dataclass(frozen=True)
-class ExpertsFit:
+class ExpertsFit(ExpertsSettings, Checked):
     """The fit of a DAgger run whose imitators are linear experts, for oracles of continuous actions.
 
     Over rows drawn alike from the data, Adam minimises half the squared difference of the actions, in units of half
@@ -107,20 +109,10 @@ class ExpertsFit:
     Attributes:
         head: the box of the actions (`ClipBox`).
         n_experts: K.
-        max_samples: rows drawn for a fit, each as likely.
-        n_updates: of Adam, whose learning rate falls linearly to zero.
-        batch_size: rows an update.
-        learning_rate: of the first update.
-        balance: weight of how unevenly the experts are used.
     """
 
     head: Head
     n_experts: int
-    max_samples: int = 25_000
-    n_updates: int = 3_000
-    batch_size: int = 256
-    learning_rate: float = 0.01
-    balance: float = 0.01
 
     def __call__(
         self, X: FloatArray, answers: FloatArray, weights: FloatArray | None, generator: np.random.Generator

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,11 +13,22 @@ from typing import Any
 
 import numpy as np
 
-from otr.control.dagger.loop import DaggerProgress, DaggerResult, DaggerSettings, Play, TreeFit, run_dagger
+from otr import control
+from otr.control.dagger.loop import DaggerProgress, DaggerResult, Play, TreeFit, run_dagger
 from otr.control.rollout import Rollout, rollout
 from otr.control.search.policy_numbers import Policy as Numbered
 from otr.control.search.polish import PolishReport
 from otr.control.search.polish import polish as search_numbers
+from otr.control.settings import (
+    AugTreeSettings,
+    CartSettings,
+    DaggerSettings,
+    ExpertsSettings,
+    FitSettings,
+    ModelTreeSettings,
+    NdpsSettings,
+    StudentSettings,
+)
 from otr.core.arrays import FloatArray, IntArray
 from otr.core.mapping import map_network
 from otr.core.pattern_tree import PatternTree
@@ -28,6 +40,14 @@ _METHODS = ("augtree", "viper", "lm_viper", "ndps", "distilled_otr", "experts")
 _SEEDS = (2**24, 2**31)  # of the episodes; those below are for reports and `rollout`
 _EPISODES = ("oracle", "dagger", "selection")
 _EVERY_S = 5.0
+METHODS: dict[str, type[FitSettings]] = {
+    "augtree": AugTreeSettings,
+    "viper": CartSettings,
+    "lm_viper": ModelTreeSettings,
+    "ndps": NdpsSettings,
+    "distilled_otr": StudentSettings,
+    "experts": ExpertsSettings,
+}
 
 
 @naming_the_extra("otr.imitate")
@@ -64,7 +84,7 @@ def imitate(
         polish: whether direct search then improves the tree's numbers on the return, or arguments of `otr.polish`.
         seed: of episodes and fits.
         progress: whether lines on stderr say how far it is.
-        options: of the method's fit, such as `min_samples_leaf`; see `otr.control.viper.CartFit` and so on.
+        options: of the method's fit, such as `min_samples_leaf`; see `otr.control.settings`.
 
     Raises:
         ValueError: there is no such method; or as `rollout`.
@@ -77,6 +97,9 @@ def imitate(
         >>> tree.depth
         1
     """
+    if method not in METHODS:
+        raise ValueError(f"method={method!r}, expected one of {', '.join(METHODS)}")
+    settings = METHODS[method](**options)
     policy, feature_names = _fitted(policy, env)
 
     def play(playing: Any, seeds: Sequence[int], keep_states: bool) -> Rollout:
@@ -85,7 +108,7 @@ def imitate(
     with TemporaryDirectory(prefix="otr-") as place:
         result = run_dagger(
             policy,
-            learner(method, policy, depth, Path(place), **options),
+            tree_fit(settings, depth, policy, Path(place)),
             play,
             partial(_seeds, seed),
             DaggerSettings(n_rounds, n_episodes, n_episodes, n_choice_episodes),
@@ -116,48 +139,6 @@ def _finished(
         network = found.network
         return map_network(_polished(network, play, arguments, seed, progress) if polish else network)
     return _polished(found, play, arguments, seed, progress) if polish else found
-
-
-def learner(method: str, policy: Oracle, depth: int | Sequence[int], folder: Path, **options: Any) -> TreeFit:
-    """Return the fit of a method's trees or networks, as `imitate` names them.
-
-    Args:
-        method, depth, options: as `imitate` takes them.
-        policy: that is imitated; its actions have a box, or are labels.
-        folder: in which "ndps" keeps what its next fit goes on from.
-
-    Raises:
-        ValueError: there is no such method.
-        TypeError: the fit has no such option, or the policy's head does not suit the method.
-    """
-    from otr.control.augtree import AugTreeFit
-    from otr.control.distilled_otr import StudentFit
-    from otr.control.viper import CartFit, LinearModelTreeFit, box_of
-
-    widths = (depth,) if isinstance(depth, int) else tuple(depth)
-    if method not in _METHODS:
-        raise ValueError(f"method={method!r}, expected one of {', '.join(_METHODS)}")
-    if method == "distilled_otr":
-        head = policy.head if policy.head.gives_labels else box_of(policy.head)
-        return StudentFit(head, tuple(width for width in widths if width), **options)
-    if len(widths) != 1:
-        raise ValueError(f"depth={depth}, expected a number; several widths are for method='distilled_otr'")
-    if method == "augtree":
-        return AugTreeFit(policy, widths[0], **options)
-    if method == "viper":
-        return CartFit(widths[0], **options)
-    if method == "lm_viper":
-        return LinearModelTreeFit(policy.head, widths[0], **options)
-    if method == "experts":
-        from otr.control.experts import ExpertsFit
-
-        return ExpertsFit(box_of(policy.head), widths[0], **options)
-    from otr.control.ndps import NdpsImitator, NdpsSettings
-
-    head = policy.head if policy.head.gives_labels else box_of(policy.head)
-    rounds = {"n_updates": 2_000, "n_updates_next": 200, "max_samples": 25_000} | options
-    n_updates_next, max_samples = rounds.pop("n_updates_next"), rounds.pop("max_samples")
-    return NdpsImitator(head, NdpsSettings(depth=widths[0], **rounds), n_updates_next, max_samples, folder)
 
 
 def _fitted(policy: Oracle, env: Any) -> tuple[Oracle, list[str]]:
@@ -211,3 +192,39 @@ class _Shown:
 
 def _say(text: str) -> None:
     print(f"imitate: {text}", file=sys.stderr, flush=True)
+
+
+def tree_fit(settings: FitSettings, depth: int | Sequence[int], oracle: Oracle, folder: Path) -> TreeFit:
+    """Return the learner of a kind of settings, which may be of a subclass.
+
+    Args:
+        settings: one of `METHODS`.
+        depth: tests on a path, experts, or the widths of a student's hidden layers.
+        oracle: the network that is imitated.
+        folder: for the learner's working files.
+
+    Raises:
+        TypeError: the oracle's head does not suit the learner.
+        ValueError: a setting is out of its range.
+    """
+    kind = next(kind for kind in METHODS.values() if isinstance(settings, kind))
+    options: dict[str, Any] = {field.name: getattr(settings, field.name) for field in fields(kind)}
+    widths = (depth,) if isinstance(depth, int) else tuple(depth)
+
+    def head() -> Any:
+        return oracle.head if oracle.head.gives_labels else box()
+
+    def box() -> Any:
+        from otr.control.viper import box_of  # imports scikit-learn
+
+        return box_of(oracle.head)
+
+    fits: dict[type[FitSettings], Callable[[], TreeFit]] = {
+        AugTreeSettings: lambda: control.AugTreeFit(oracle, *widths, **options),
+        CartSettings: lambda: control.CartFit(*widths, **options),
+        ModelTreeSettings: lambda: control.LinearModelTreeFit(oracle.head, *widths, **options),
+        NdpsSettings: lambda: control.NdpsImitator(head(), *widths, folder, **options),
+        StudentSettings: lambda: control.StudentFit(head(), tuple(each for each in widths if each), **options),
+        ExpertsSettings: lambda: control.ExpertsFit(box(), *widths, **options),
+    }
+    return fits[kind]()

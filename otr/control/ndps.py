@@ -6,7 +6,6 @@ import copy
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import torch
@@ -15,9 +14,11 @@ from torch.nn import functional
 
 from otr.control.dagger.row_sampling import draw_rows
 from otr.control.search.state_moments import CONSTANT
+from otr.control.settings import NdpsSettings
 from otr.control.soft_tree import SoftTree
 from otr.core.arrays import BoolArray, FloatArray, IntArray
 from otr.core.head import Head
+from otr.core.setting import check_settings
 from otr.core.tree import ObliqueTree
 
 _MAX_ACTIVE_SETS = 20
@@ -25,35 +26,6 @@ _MAX_LBFGS_STEPS = 25
 _LARGE_MEAN = 10.0  # in standard deviations: Adam's updates do not reach a larger one in time
 _CONSTANT = 1e-12  # deviation, compared with the largest number of a component, that rounding alone may make
 _SPREAD_OF_ZEROS = 1e-8  # what answers that are all 0 are divided by, so that what training adds to them stays small
-
-
-@dataclass(frozen=True)
-class NdpsSettings:
-    """How a tree is fitted.
-
-    Attributes:
-        depth: tests on each path of the tree.
-        n_updates: Adam's updates; the time of a fit depends on them and not on the number of rows.
-        batch_size: rows an update.
-        learning_rate: at first; it falls to zero along a cosine.
-        beta_first, beta_last: how hard the tests are at first and at last; beta grows geometrically.
-        ridge: of the leaves' refit, towards the soft tree's leaves, in rows: 1 weighs as much as one row.
-        leaves: "linear", a map of the state each, or "constant", an action or label each as in the thesis's Figure 4.5.
-    """
-
-    depth: int = 6
-    n_updates: int = 3_000
-    batch_size: int = 512
-    learning_rate: float = 0.02
-    beta_first: float = 1.0
-    beta_last: float = 50.0
-    ridge: float = 1.0
-    leaves: Literal["linear", "constant"] = "linear"
-
-    @property
-    def affine_leaves(self) -> bool:
-        """Whether the leaves are maps of the state."""
-        return self.leaves == "linear"
 
 
 @dataclass(frozen=True)
@@ -72,6 +44,7 @@ def fit_ndps(
     *,
     head: Head,
     n_outputs: int,
+    depth: int,
     settings: NdpsSettings,
     start: SoftTree | None = None,
 ) -> NdpsFit:
@@ -90,6 +63,7 @@ def fit_ndps(
         generator: of the mini-batches and of the first tests.
         head: of the tree.
         n_outputs: o, or the number of labels.
+        depth: tests on each path of the tree.
         settings: see `NdpsSettings`.
         start: the module of the last round's fit; None to start afresh.
 
@@ -97,8 +71,9 @@ def fit_ndps(
         The tree, and the module that the next fit may start from.
 
     Raises:
-        ValueError: the shapes do not agree.
+        ValueError: the shapes do not agree, or a setting is out of its range.
     """
+    check_settings(settings)
     if len(X) == 0 or len(answers) != len(X) or len(weights) != len(X):
         raise ValueError(f"{len(X)} states, {len(answers)} answers and {len(weights)} weights; give as many of each")
     X = np.asarray(X, dtype=np.float64)  # the leaves' refit counts in this type
@@ -107,9 +82,7 @@ def fit_ndps(
     problem = _StandardisedRows.of((X - centre) / spread, answers, weights / weights.mean(), head, n_outputs)
     torch_generator = torch.Generator().manual_seed(int(generator.integers(2**63)))
     if start is None:
-        module = SoftTree(
-            X.shape[1], n_outputs, settings.depth, affine_leaves=settings.affine_leaves, generator=torch_generator
-        )
+        module = SoftTree(X.shape[1], n_outputs, depth, affine_leaves=settings.affine_leaves, generator=torch_generator)
     else:
         module = copy.deepcopy(start)
         module.substitute(centre, spread)
@@ -125,7 +98,7 @@ def fit_ndps(
 
 
 @dataclass(frozen=True)
-class NdpsImitator:
+class NdpsImitator(NdpsSettings):
     """NDPS as the fit of a DAgger run: each round goes on from the soft tree of the round before.
 
     The soft trees lie in `folder` under the number of rows that they were fitted to, so that a resumed run goes on from
@@ -133,16 +106,12 @@ class NdpsImitator:
 
     Attributes:
         head: of the tree: `Argmax` for labels, else the box of the actions.
-        settings: of the first fit.
-        n_updates_next: updates of the fits after it.
-        max_samples: rows drawn for a fit, each as likely.
+        depth: tests on each path of the tree.
         folder: of the soft trees.
     """
 
     head: Head
-    settings: NdpsSettings
-    n_updates_next: int
-    max_samples: int
+    depth: int
     folder: Path
 
     def __call__(
@@ -153,10 +122,10 @@ class NdpsImitator:
         n_outputs = answers.shape[1]
         targets = answers[rows] if weights is None else answers[rows].argmax(axis=1)
         start = self._before(len(X), X.shape[1], n_outputs)
-        settings = replace(self.settings, n_updates=self.n_updates_next) if start else self.settings
+        settings = replace(self, n_updates=self.n_updates_next) if start else self
         fit = fit_ndps(
             np.asarray(X[rows]), targets, counts.astype(np.float64), generator,
-            head=self.head, n_outputs=n_outputs, settings=settings, start=start,
+            head=self.head, n_outputs=n_outputs, depth=self.depth, settings=settings, start=start,
         )  # fmt: skip
         self.folder.mkdir(parents=True, exist_ok=True)
         arrays = {name: tensor.numpy() for name, tensor in fit.module.state_dict().items()}
@@ -168,7 +137,7 @@ class NdpsImitator:
         earlier = [path for path in self.folder.glob("soft-*.npz") if int(path.stem.split("-")[1]) < n_rows]
         if not earlier:
             return None
-        module = SoftTree(n_inputs, n_outputs, self.settings.depth, affine_leaves=self.settings.affine_leaves).double()
+        module = SoftTree(n_inputs, n_outputs, self.depth, affine_leaves=self.affine_leaves).double()
         with np.load(max(earlier), allow_pickle=False) as saved:
             module.load_state_dict({name: torch.from_numpy(saved[name]) for name in saved})
         return module

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from otr.control.label_leaves import decided_leaves
+from otr.control.settings import RelaxedProgramSettings
 from otr.control.soft_tree import (
     LEAF_SCALE,
     affine_leaves,
@@ -55,7 +56,7 @@ class RelaxedProgram(nn.Module):
         n_outputs: int,
         depth: int,
         *,
-        structure_penalty: float = 0.25,
+        structure_penalty: float = RelaxedProgramSettings.structure_penalty,
         beta: float = 1.0,
         generator: torch.Generator | None = None,
     ) -> None:
@@ -69,8 +70,7 @@ class RelaxedProgram(nn.Module):
             n_inputs: d.
             n_outputs: o.
             depth: the most tests on a path.
-            structure_penalty: a hole's logit of `if` starts at minus this times the hole's level, so that a deeper
-                program has to earn its depth.
+            structure_penalty: see `otr.control.settings.RelaxedProgramSettings`.
             beta: how hard the tests are at first.
             generator: None for torch's own.
         """

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,41 +10,28 @@ from sklearn.tree import DecisionTreeClassifier, DecisionTreeRegressor
 
 from otr.control.dagger.row_sampling import draw_rows
 from otr.control.label_leaves import decided_leaves
+from otr.control.settings import CartSettings, ModelTreeSettings
 from otr.core.arrays import FloatArray, IntArray
 from otr.core.head import Head
+from otr.core.setting import Checked, Criterion
 from otr.core.tree import ObliqueTree
 from otr.learners.base.single_tree import class_tree
 from otr.learners.cart import grow_cart
 from otr.learners.model_tree import LinearTreeRegressor
 
-Criterion = Literal["gini", "entropy"]
-
 
 @dataclass(frozen=True)
-class CartFit:
+class CartFit(CartSettings, Checked):
     """VIPER's fit: CART by scikit-learn on the rows that `draw_rows` draws.
 
     Labels: a classification tree on the resampled rows, a row that was drawn k times counting k times.
     Continuous actions: a regression tree on a subsample, unweighted.
 
     Attributes:
-        max_depth: number of tests on a path at most.
-        max_samples: rows drawn for a fit.
-        min_samples_leaf: distinct rows in a leaf at least.
-        criterion: of labels, "gini" or "entropy".
-        weighted: draw the rows of labels by weight; else every row is as likely, which is DAgger with CART (Ross et
-            al. 2011).
+        max_depth: number of axis-aligned tests on a path at most.
     """
 
     max_depth: int
-    max_samples: int = 100_000
-    min_samples_leaf: int = 1
-    criterion: Criterion = "gini"
-    weighted: bool = True
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for an unknown criterion."""
-        check_criterion(self.criterion)
 
     def __call__(
         self, X: FloatArray, answers: FloatArray, weights: FloatArray | None, generator: np.random.Generator
@@ -59,7 +45,7 @@ class CartFit:
 
 
 @dataclass(frozen=True)
-class LinearModelTreeFit:
+class LinearModelTreeFit(ModelTreeSettings, Checked):
     """LM-VIPER's fit: axis-aligned tests over affine leaves, by `otr.learners.LinearTreeRegressor`.
 
     Continuous actions: the leaves are fitted to the oracle's actions and their values clipped to its box. Labels: the
@@ -69,15 +55,10 @@ class LinearModelTreeFit:
     Attributes:
         head: the oracle's: `Argmax`, `TanhBox` or `ClipBox`.
         max_depth: number of axis-aligned tests on a path at most.
-        max_samples: rows drawn for a fit.
-        min_samples_leaf, alpha: of `LinearTreeRegressor`.
     """
 
     head: Head
     max_depth: int
-    max_samples: int = 100_000
-    min_samples_leaf: int = 10
-    alpha: float = 0.1
 
     def __call__(
         self, X: FloatArray, answers: FloatArray, weights: FloatArray | None, generator: np.random.Generator
@@ -120,12 +101,6 @@ def fit_cart(
     shares = np.zeros((tree.n_leaves, n_outputs))  # 0 for labels that no row has
     shares[:, model.classes_] = tree.c
     return class_tree(tree, shares)
-
-
-def check_criterion(criterion: str) -> None:
-    """Raise ValueError for what is not a `Criterion`."""
-    if criterion not in get_args(Criterion):
-        raise ValueError(f"criterion={criterion!r}; expected 'gini' or 'entropy'")
 
 
 def centred(outputs: FloatArray) -> FloatArray:

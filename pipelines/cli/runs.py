@@ -26,7 +26,7 @@ from pipelines.config.methods import METHODS, AugTreeConfig, ProgramConfig, Take
 from pipelines.config.model import ImportedModel
 from pipelines.config.recipe import OF_TRAINING, TRAINED_BY, always_implied, recipe, remaining
 from pipelines.config.run import RunConfig, changes_text, run_folder
-from pipelines.config.setting import not_keyed
+from pipelines.config.setting import declared, not_keyed
 from pipelines.config.trainer import SHRINK, TRAINERS, FleetConfig, TrainerConfig
 from pipelines.engine.job import Job
 from pipelines.engine.store import CONFIG, corrupt, read_bytes
@@ -35,13 +35,14 @@ from pipelines.play.boxes import given_box
 from pipelines.play.environments import episode_limit, is_discrete, make_env, registered_ids
 from pipelines.play.own_environment import check_environment, own_environment
 from pipelines.play.video import check_video
+from pipelines.runs.fleets import fleets
 from pipelines.runs.imitation import OTHERS, imitating_command
 from pipelines.runs.result import result_row
 from pipelines.runs.run_job import RunJob, run_job, run_jobs
+from pipelines.runs.stage_table import STAGES
 from pipelines.stages.import_model import read_model
 from pipelines.stages.parse import policy_tree, read_program
-from pipelines.stages.polish import check_polish
-from pipelines.stages.train import fleets
+from pipelines.stages.polish import POLISH, check_polish
 from pipelines.tracking.tracker import check_tracking
 
 # The groups and keys that decide how an oracle is trained, and where and how that is done.
@@ -58,7 +59,10 @@ OF_ORACLES = (
 )
 
 # Settings that further stages alone read, and these
-SETTINGS_OF = {"polishing": {"polish", "simplify"}, "certification": {"certify"}, "simplification": {"simplify"}}
+SETTINGS_OF = {
+    name: {stage.name for stage in STAGES.values() if stage.settings and name in declared(stage.settings)}
+    for name in ("polishing", "certification", "simplification")
+}
 OF_THE_FILE = ("method.model", "method.normalise", "method.output")
 
 # For recipes: what they say of small actors is not said of oracles, nor of the linear policy.
@@ -114,7 +118,7 @@ def _check_later_stages(config: RunConfig) -> None:
     check_tracking(config)
     check_video(config)
     if "polish" in config.selected_stages:
-        check_polish(config)
+        check_polish(POLISH.of(config))
 
 
 class RunWorkflow(Workflow):

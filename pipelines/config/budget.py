@@ -1,9 +1,11 @@
 """How much a run spends: a file of conf/budget."""
 
 from dataclasses import dataclass, field
-from typing import Annotated
 
-from pipelines.config.setting import Count, FreeText, Range
+from otr.control.settings import DaggerSettings
+from otr.core.setting import CountOrZero
+from pipelines.config.setting import Count, FreeText
+from pipelines.config.stages import CriticPolishConfig
 
 
 @dataclass(frozen=True)
@@ -16,12 +18,12 @@ class BudgetConfig:
     n_selection_episodes: Count
     n_prune_episodes: Count
     n_evaluation_episodes: Count
-    max_learning_starts: Annotated[int, Range(0)]
+    max_learning_starts: CountOrZero
     # In place of n_evaluation_episodes for the evaluation itself, for tasks where more of them are cheap
     evaluation_episodes: dict[str, Count] = field(default_factory=dict)
-    n_rounds: Annotated[int, Range(0)] = 50
-    n_round_episodes: Count = 25
-    n_choice_episodes: Annotated[int, Range(0)] = 100
+    n_rounds: CountOrZero = DaggerSettings.n_rounds
+    n_round_episodes: Count = DaggerSettings.n_episodes
+    n_choice_episodes: CountOrZero = DaggerSettings.n_choice_episodes
     # The same for soft trees, whose steps are cheaper and teach less
     on_policy_steps: dict[str, Count] = field(default_factory=dict)
     # Steps between their evaluations. Training goes on with new episodes after each, in several environments at
@@ -30,8 +32,8 @@ class BudgetConfig:
     # Environment steps of polishing per task, about
     polish_steps: dict[str, Count] = field(default_factory=dict)
     # Environment steps of polishing by critics, and of the play before it
-    critic_steps: Count = 100_000
-    refill_steps: Count = 50_000
+    critic_steps: Count = CriticPolishConfig.steps
+    refill_steps: Count = CriticPolishConfig.refill_steps
     # What is spent on PID policies in place of the above: steps, eval_interval_steps, n_selection_episodes,
     # n_evaluation_episodes and polish_steps
     pid: dict[str, Count] = field(default_factory=dict)

@@ -4,8 +4,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
+from otr.control.settings import ExpertsSettings, RelaxedProgramSettings
+from otr.core.setting import Hardness, Leaves
 from pipelines.config.algo import AlgoConfig, OnPolicyConfig, SacConfig
-from pipelines.config.method import GrownConfig, Hardness, Leaves
+from pipelines.config.method import GrownConfig
 from pipelines.config.setting import NotNegative, Range, Share
 from pipelines.config.stages import ActorConfig
 from pipelines.errors import ConfigError
@@ -39,14 +41,14 @@ class HardenedConfig(GrownConfig):
 class SoftConfig(HardenedConfig):
     """A method whose actor is a soft tree, trained by policy gradient."""
 
-    beta_first: Hardness  # how hard its tests are at first and at last, growing geometrically
-    beta_last: Hardness
-    anneal_until: Share  # the fraction of the steps at which beta has reached its last value
-    learning_rate_end: Share  # what is left of the algorithm's learning rate at the end, a fraction; it falls linearly
+    beta_first: Hardness = 1.0  # how hard its tests are at first and at last, growing geometrically
+    beta_last: Hardness = 50.0
+    anneal_until: Share = 0.8  # the fraction of the steps at which beta has reached its last value
+    learning_rate_end: Share = 0.05  # what is left of the algorithm's learning rate at the end; it falls linearly
 
     forms: ClassVar[Mapping[str, str]] = {"soft": "soft", "discretised": "discretised"}
 
-    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
+    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle_widths: Sequence[int]) -> None:
         """Refuse algorithms that train no soft trees."""
         if not isinstance(algo, OnPolicyConfig | SacConfig):
             raise ConfigError(
@@ -58,7 +60,7 @@ class SoftConfig(HardenedConfig):
 class SdtConfig(SoftConfig):
     """A soft decision tree (Silva et al. 2020), with constant or affine leaves."""
 
-    leaves: Leaves
+    leaves: Leaves = "constant"
 
     label = "SDT"
 
@@ -71,7 +73,8 @@ class SdtConfig(SoftConfig):
 class CdtConfig(SoftConfig):
     """A cascading decision tree (Ding et al. 2020) with `n_features` features between its two trees."""
 
-    n_features: Annotated[int, Range(1, 1024)]
+    beta_last: Hardness = 30.0
+    n_features: Annotated[int, Range(1, 1024)] = 8
 
     label = "CDT"
 
@@ -86,11 +89,10 @@ class CdtConfig(SoftConfig):
 
 
 @dataclass(frozen=True)
-class PiPrlConfig(SoftConfig):
+class PiPrlConfig(RelaxedProgramSettings, SoftConfig):
     """pi-PRL (Qiu & Zhu 2022): `discretise_at` is the fraction of the steps at which the structure is chosen."""
 
-    structure_penalty: Annotated[float, Range(0, 100)]
-    discretise_at: Share
+    discretise_at: Share = 0.2
 
     label = "π-PRL"
     forms: ClassVar[Mapping[str, str]] = {"soft": "relaxed"}
@@ -104,7 +106,8 @@ class PiPrlConfig(SoftConfig):
 class ExpertsConfig(HardenedConfig):
     """Linear experts, `depth` of them, of which a hard linear router lets one act (SMoSE, AAAI 2025)."""
 
-    balance: NotNegative  # weight of `otr.control.LinearExperts.balance`, how unevenly they are used, in the loss
+    # Weight of `otr.control.LinearExperts.balance`, how unevenly they are used, in the actor's loss
+    balance: NotNegative = ExpertsSettings.balance
 
     label = "Experts"
     fleet_only = True
@@ -119,7 +122,7 @@ class ExpertsConfig(HardenedConfig):
         """Refuse all but a number of experts."""
         check_n_experts(self.name, depth)
 
-    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
+    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle_widths: Sequence[int]) -> None:
         """Refuse algorithms that train no experts."""
         if not isinstance(algo, SacConfig):
             raise ConfigError(f"method=experts is trained by algo=sac, not {algo.name}; leave algo out")

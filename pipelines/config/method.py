@@ -2,16 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 from pipelines.config.algo import AlgoConfig
 from pipelines.config.env import PidTerms
-from pipelines.config.setting import FreeText, OneOf, Range
+from pipelines.config.setting import FreeText
 from pipelines.config.stages import ActorConfig
 from pipelines.errors import ConfigError
-
-Leaves = Annotated[str, OneOf("constant", "linear")]
-Hardness = Annotated[float, Range(1e-6, 1e6)]
 
 
 @dataclass(frozen=True)
@@ -43,7 +40,7 @@ class MethodConfig:
     def check_depth(self, depth: Any) -> None:
         """Raise ConfigError if the method makes no tree of this depth."""
 
-    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
+    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle_widths: Sequence[int]) -> None:
         """Raise ConfigError if the method cannot be used with this algorithm, this actor or this oracle."""
 
 

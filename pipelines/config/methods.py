@@ -8,17 +8,24 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
 
+from otr.control.settings import (
+    AugTreeSettings,
+    CartSettings,
+    ExpertsSettings,
+    ModelTreeSettings,
+    NdpsSettings,
+    StudentSettings,
+)
 from pipelines.config.algo import AlgoConfig, DdpgConfig
 from pipelines.config.env import PidTerms
 from pipelines.config.hardened_methods import CdtConfig, ExpertsConfig, PiPrlConfig, SdtConfig, check_n_experts
-from pipelines.config.method import GrownConfig, Hardness, Leaves, MethodConfig
-from pipelines.config.setting import DERIVED, AsBefore, Count, FreeText, NotNegative, OneOf, Positive, Range
+from pipelines.config.method import GrownConfig, MethodConfig
+from pipelines.config.setting import DERIVED, Count, FreeText, NotNegative, Positive, Range
 from pipelines.config.stages import ActorConfig
 from pipelines.errors import ConfigError
 
 # After all others, where polish=true, certify=true and so on ask for them
 EXTRA_STAGES = ("polish", "certify", "simplify", "leaves", "video")
-Criterion = Annotated[str, OneOf("gini", "entropy")]
 
 
 @dataclass(frozen=True)
@@ -67,15 +74,17 @@ class LinearPolicyConfig(MappedConfig):
 class PidConfig(MappedConfig):
     """A PID policy, whose actor gives the gains (Orfanos 2023, section 4.1.1)."""
 
-    goal: Annotated[list[float], Range()]  # the state to come to rest in, one number a component
-    n_history: Count  # states before the present one that the policy knows
-    l1: NotNegative  # weight of the sum of the gains' absolute output weights in the actor's loss
+    # The state to come to rest in, one number a component; of the pendulum cosine and sine of the angle, angle rate
+    goal: Annotated[list[float], Range()] = field(default_factory=lambda: [1.0, 0.0, 0.0])
+    n_history: Count = 5  # states before the present one that the policy knows, over which the integral sums
+    # Weight of the sum of the gains' absolute output weights in the actor's loss, so that gains are nearly constant
+    l1: NotNegative = 2.5
     # Scale of the first hidden layer's initial weights and biases, in units of torch's own. The penalty is on the
     # output weights alone, so gains vary more cheaply behind large first-layer weights.
-    first_layer_scale: Positive
+    first_layer_scale: Positive = 10.0
     # Output weights smaller than this are set to zero before every evaluation: the penalty, taken in steps of the
-    # learning rate's size, leaves them swinging about it
-    zero_below: NotNegative
+    # learning rate's size (three of Adam's), leaves them swinging about it
+    zero_below: NotNegative = 0.01
 
     label = "PID"
     forms: ClassVar[Mapping[str, str]] = {"constant_gains": "constant gains"}
@@ -86,7 +95,7 @@ class PidConfig(MappedConfig):
         """The goal and the length of the integral's window."""
         return PidTerms(tuple(self.goal), self.n_history)
 
-    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
+    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle_widths: Sequence[int]) -> None:
         """Refuse other algorithms than DDPG, and rescaled inputs."""
         if not isinstance(algo, DdpgConfig):
             raise ConfigError(f"method=pid is trained by algo=ddpg_pid, not {algo.name}")
@@ -101,23 +110,18 @@ class ImitatingConfig(TakesModel, MethodConfig):
     imitates = True
     fit_s: ClassVar[float]  # seconds of one fit at depth 6, measured on the lander
 
-    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
+    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle_widths: Sequence[int]) -> None:
         """Refuse an oracle that is no network."""
-        super().check(algo, actor, oracle)
-        if not oracle:
-            raise ConfigError(f"oracle={oracle}: give the hidden layers of the network to imitate, as oracle=[256,256]")
+        super().check(algo, actor, oracle_widths)
+        if not oracle_widths:
+            raise ConfigError(
+                f"oracle={oracle_widths}: give the hidden layers of the network to imitate, as oracle=[256,256]"
+            )
 
 
 @dataclass(frozen=True)
-class DistilledConfig(ImitatingConfig, MappedConfig):
-    """OTR whose network is fitted to an oracle; the names are those of `otr.control.StudentFit`."""
-
-    dense: Annotated[str, OneOf("none", "input")]
-    negative_slope: Annotated[float, Range(0, 1, open=True)]
-    max_samples: Count
-    n_starts: Count
-    n_updates: Count
-    ridge: NotNegative
+class DistilledConfig(StudentSettings, ImitatingConfig, MappedConfig):
+    """OTR whose network is fitted to an oracle."""
 
     label = "OTR, distilled"
     stages = ("oracle", "imitate", "map", "prune", "evaluate")
@@ -134,79 +138,48 @@ class ImitatingTreeConfig(ImitatingConfig, GrownConfig):
 
 
 @dataclass(frozen=True)
-class ViperConfig(ImitatingTreeConfig):
-    """VIPER: CART on rows drawn by the oracle's weights; the names are those of `otr.control.CartFit`."""
-
-    max_samples: Count
-    min_samples_leaf: Count
-    criterion: Annotated[Criterion, AsBefore("gini")] = field(default="gini", kw_only=True)
-    weighted: Annotated[bool, AsBefore(True)] = field(default=True, kw_only=True)
+class ViperConfig(CartSettings, ImitatingTreeConfig):
+    """VIPER: CART on rows drawn by the oracle's weights."""
 
     label = "VIPER"
     fit_s = 0.3
 
 
 @dataclass(frozen=True)
-class LmViperConfig(ImitatingTreeConfig):
-    """LM-VIPER: a linear model in every leaf; the names are those of `otr.control.LinearModelTreeFit`."""
-
-    max_samples: Count
-    min_samples_leaf: Count
-    alpha: NotNegative
+class LmViperConfig(ModelTreeSettings, ImitatingTreeConfig):
+    """LM-VIPER: a linear model in every leaf."""
 
     label = "LM-VIPER"
     fit_s = 4.0
 
 
 @dataclass(frozen=True)
-class AugTreeConfig(ImitatingTreeConfig):
-    """AugTree: tests on the oracle's hidden units; the names are those of `otr.control.AugTreeFit`."""
-
-    features: Annotated[str, OneOf("all", "z", "deep")]
-    leaves: Leaves
-    max_patterns: Count
-    weighted: bool
-    criterion: Criterion
-    max_samples: Count
-    min_samples_leaf: Count
+class AugTreeConfig(AugTreeSettings, ImitatingTreeConfig):
+    """AugTree: tests on the oracle's hidden units."""
 
     label = "AugTree"
     fit_s = 0.7
 
-    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle: Sequence[int]) -> None:
+    def check(self, algo: AlgoConfig, actor: ActorConfig, oracle_widths: Sequence[int]) -> None:
         """Refuse deep features of an oracle with one layer."""
-        super().check(algo, actor, oracle)
-        if self.features == "deep" and len(oracle) < 2:
-            raise ConfigError(f"method.features=deep reads the oracle's deeper layers, but oracle={oracle} has one")
+        super().check(algo, actor, oracle_widths)
+        if self.features == "deep" and len(oracle_widths) < 2:
+            raise ConfigError(
+                f"method.features=deep reads the oracle's deeper layers, but oracle={oracle_widths} has one"
+            )
 
 
 @dataclass(frozen=True)
-class NdpsConfig(ImitatingTreeConfig):
-    """NDPS: a soft tree fitted to the oracle, hardened and refitted; names as in `otr.control.NdpsImitator`."""
-
-    max_samples: Count  # rows drawn for a fit
-    n_updates: Count  # Adam's updates of the first fit, and of those that go on from the last round's tree
-    n_updates_next: Count
-    batch_size: Count  # this and what follows: see `otr.control.NdpsSettings`
-    learning_rate: Annotated[float, Range(1e-12, 10)]
-    beta_first: Hardness
-    beta_last: Hardness
-    ridge: NotNegative
-    leaves: Annotated[Leaves, AsBefore("linear")] = field(default="linear", kw_only=True)
+class NdpsConfig(NdpsSettings, ImitatingTreeConfig):
+    """NDPS: a soft tree fitted to the oracle, hardened and refitted."""
 
     label = "NDPS"
     fit_s = 0.7
 
 
 @dataclass(frozen=True)
-class DistilledExpertsConfig(ImitatingTreeConfig):
-    """Linear experts fitted to an oracle of continuous actions; the names are those of `otr.control.ExpertsFit`."""
-
-    max_samples: Count
-    n_updates: Count
-    batch_size: Count
-    learning_rate: Annotated[float, Range(1e-12, 10)]
-    balance: NotNegative
+class DistilledExpertsConfig(ExpertsSettings, ImitatingTreeConfig):
+    """Linear experts fitted to an oracle of continuous actions."""
 
     label = "Experts, distilled"
     continuous_only = True

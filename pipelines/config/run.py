@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
 
-from pipelines.config.algo import AlgoConfig, ArsConfig, PpoConfig, SacConfig
+from otr.control.settings import DaggerSettings
+from pipelines.config.algo import AlgoConfig, ArsConfig, PpoConfig, SacConfig, widths_of
 from pipelines.config.budget import BudgetConfig
 from pipelines.config.env import EnvConfig
 from pipelines.config.hardened_methods import SoftConfig
@@ -31,7 +32,6 @@ from pipelines.config.stages import (
     ActorConfig,
     CertificationConfig,
     EvaluateConfig,
-    ImitateConfig,
     MapConfig,
     PolishingConfig,
     PruneConfig,
@@ -54,15 +54,15 @@ class RunConfig:
     algo: Annotated[AlgoConfig, OnlyWhere("is_trained")]
     method: MethodConfig
     budget: BudgetConfig
-    # Hidden neurons of the actor, or a list of them, one a hidden layer; tests on the longest path of a grown tree
-    depth: Any
-    seed: Seed
-    actor: Annotated[ActorConfig, OnlyWhere("is_trained")]
     train: Annotated[TrainConfig, OnlyWhere("is_trained")]
-    map: Annotated[MapConfig, OnlyWhere("is_mapped")]
     prune: PruneConfig
     evaluate: EvaluateConfig
     results_dir: Folder
+    # Hidden neurons of the actor, or a list of them, one a hidden layer; tests on the longest path of a grown tree
+    depth: Any = 6
+    seed: Seed = 0
+    actor: Annotated[ActorConfig, OnlyWhere("is_trained")] = field(default_factory=ActorConfig)
+    map: Annotated[MapConfig, OnlyWhere("is_mapped")] = field(default_factory=MapConfig)
     trainer: TrainerConfig = field(default_factory=lambda: TrainerConfig("sb3"))
     stages: Annotated[list[FreeText] | None, EXECUTION] = None  # the stages to do; None for all
     n_workers: Annotated[Count | None, EXECUTION] = None
@@ -76,7 +76,7 @@ class RunConfig:
     tracking: Annotated[str, OneOf("none", "tensorboard"), EXECUTION] = "none"  # where the run is logged, too
     # Hidden widths of the network that is imitated, trained or imported
     oracle: Annotated[list[OracleWidth], OnlyWhere("imitates")] = field(default_factory=lambda: [256, 256])
-    imitate: Annotated[ImitateConfig, OnlyWhere("imitates")] = field(default_factory=ImitateConfig)
+    imitate: Annotated[DaggerSettings, OnlyWhere("imitates")] = field(default_factory=DaggerSettings)
     polishing: PolishingConfig = field(default_factory=PolishingConfig)
     certification: CertificationConfig = field(default_factory=CertificationConfig)
     simplification: SimplificationConfig = field(default_factory=SimplificationConfig)
@@ -157,10 +157,6 @@ class RunConfig:
     def _check_polishing(self) -> None:
         """Refuse settings of polishing that do not go together, or not with the method."""
         polishing = self.polishing
-        if polishing.n_top > polishing.n_directions:
-            raise ConfigError(
-                f"polishing.n_top={polishing.n_top} is more than polishing.n_directions={polishing.n_directions}"
-            )
         is_read = bool(getattr(self.method, "model", "")) and self.imported is None  # not yet
         is_known = not is_read and (self.oracle_run is not None or not self.method.imitates)
         if polishing.by == "critic" and self.is_polished and is_known and not self.has_critics:
@@ -185,12 +181,21 @@ class RunConfig:
         return self.polish or "polish" in self.selected_stages
 
     @property
+    def has_oracle(self) -> bool:
+        """Whether it is known which run trains or imports the oracle."""
+        return self.oracle_run is not None
+
+    @property
     def has_critics(self) -> bool:
         """Whether the oracle, or without one the actor, is trained or imported with critics that are kept."""
         made_by = self.oracle_run or self
-        if made_by.imported is not None:
-            return made_by.imported.critics is not None
-        return made_by.fleet is not None
+        return made_by.fleet is not None if made_by.imported is None else made_by.imported.critics is not None
+
+    @property
+    def actor_folder(self) -> str:
+        """The folder, below `results_dir`, of the stage that trains or imports the oracle, or without one the actor."""
+        made_by = self.oracle_run or self
+        return f"{made_by.folder}/{made_by.method.actor_stage}"
 
     @property
     def polishes_network(self) -> bool:
@@ -200,8 +205,7 @@ class RunConfig:
     @property
     def hidden_widths(self) -> tuple[int, ...]:
         """Widths of the actor's hidden layers; empty for depth 0, the linear policy."""
-        widths = [self.depth] if isinstance(self.depth, int) else list(self.depth)
-        return tuple(width for width in widths if width > 0)
+        return widths_of(self.depth)
 
     @property
     def is_trained(self) -> bool:

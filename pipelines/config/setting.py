@@ -8,59 +8,23 @@ out, which are all that no marker leaves out.
 """
 
 import dataclasses
-import functools
-import math
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from types import NoneType, UnionType
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
+from otr.core.setting import AsBefore as AsBefore
+from otr.core.setting import Count as Count
+from otr.core.setting import NotNegative as NotNegative
+from otr.core.setting import OneOf as OneOf
+from otr.core.setting import Positive as Positive
+from otr.core.setting import Range as Range
+from otr.core.setting import Share as Share
+from otr.core.setting import declared as declared
+from otr.core.setting import problem
 from pipelines.errors import ConfigError
 
 LARGEST_SEED = 2**32 - 1
-
-
-@dataclass(frozen=True)
-class Range:
-    """A number from `low` to `high`, or below it where `open`; of a list or a dict, every number in it.
-
-    `remedy` tells what to give, where that says more than the bounds.
-    """
-
-    low: float = -math.inf
-    high: float = math.inf
-    open: bool = False
-    remedy: str = ""
-
-    def problem(self, value: Any) -> str | None:
-        """Return what is wrong with a value, to stand after it; None where nothing is."""
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            return " is not a number"
-        if self.low <= value < self.high or (value == self.high and not self.open):
-            return None
-        if self.open or self.remedy:
-            return f": {self.remedy or f'give a number{self.limits}'}"
-        low, high = _number(self.low), _number(self.high)
-        return f" is not at least {low}" if self.high == math.inf else f" is not between {low} and {high}"
-
-    @property
-    def limits(self) -> str:
-        """The bounds in words, to stand after what has them."""
-        if self.high == math.inf:
-            return "" if self.low == -math.inf else f" of at least {_number(self.low)}"
-        return f" from {_number(self.low)} to {'below ' * self.open}{_number(self.high)}"
-
-
-class OneOf:
-    """One of these texts."""
-
-    def __init__(self, *options: str) -> None:
-        self.options = options
-
-    def problem(self, value: Any) -> str | None:
-        """Return what is wrong with a value, to stand after it; None where nothing is."""
-        return None if value in self.options else f": use one of {', '.join(self.options)}"
 
 
 @dataclass(frozen=True)
@@ -83,13 +47,6 @@ class NotKeyed:
 
 
 @dataclass(frozen=True)
-class AsBefore:
-    """A setting younger than committed results: keyed only where it differs from `value`, which means "as before"."""
-
-    value: Any
-
-
-@dataclass(frozen=True)
 class OnlyWhere:
     """A setting that only some methods read: keyed where the method's attribute of this name is true."""
 
@@ -99,21 +56,10 @@ class OnlyWhere:
 EXECUTION = NotKeyed()  # how something is done, and where
 DERIVED = NotKeyed()  # worked out from settings that are keyed
 
-Count = Annotated[int, Range(1)]
 Width = Annotated[int, Range(1, remedy="every layer needs at least 1 neuron")]
 Seed = Annotated[int, Range(0, LARGEST_SEED)]
-Share = Annotated[float, Range(0, 1)]
-Positive = Annotated[float, Range(1e-12)]
-NotNegative = Annotated[float, Range(0)]
 FreeText = Annotated[str, Text()]
 Folder = Annotated[str, Text(".+", "give a folder, or leave it out (and OTR_RESULTS_DIR unset)"), EXECUTION]
-
-
-@functools.cache
-def declared(kind: type) -> dict[str, tuple[Any, ...]]:
-    """Return the markers of every field of a configuration's class, in order, those of its parts' types included."""
-    hints = get_type_hints(kind, include_extras=True)
-    return {field.name: tuple(_markers(hints[field.name])) for field in dataclasses.fields(kind)}
 
 
 def not_keyed(kind: type) -> tuple[str, ...]:
@@ -140,20 +86,16 @@ def check_settings(config: Any, prefix: str = "") -> None:
             check_settings(value, f"{prefix}{name}.")
         else:
             check_setting(config.__class__, name, value, f"{prefix}{name}")
+    between = config.problem(prefix) if hasattr(config, "problem") else None
+    if between:
+        raise ConfigError(between)
 
 
 def check_setting(kind: Any, name: str, value: Any, key: str) -> None:
     """Raise ConfigError if the field `name` of `kind` cannot have this value; `key` is what the message calls it."""
-    if isinstance(value, dict):
-        for part in value:
-            check_setting(kind, name, value[part], f"{key}.{part}")
-        return
-    for marker in declared(kind)[name]:
-        for leaf in _leaves(value) if hasattr(marker, "problem") else ():
-            problem = marker.problem(leaf)
-            if problem:
-                part = "" if leaf is value or problem[0] == ":" else f": {leaf}"
-                raise ConfigError(f"{key}={value}{part}{problem}" if value != "" else f"{key}{problem}")
+    wrong = problem(kind, name, value, key)
+    if wrong:
+        raise ConfigError(wrong)
 
 
 def keyed_settings(config: Any, method: Any = None) -> dict[str, Any]:
@@ -176,13 +118,6 @@ def _leaves_out(marker: Any, value: Any, method: Any) -> bool:
         case OnlyWhere(attribute):
             return not getattr(method, attribute)
     return False
-
-
-def _markers(hint: Any) -> Iterator[Any]:
-    """Yield the markers in a type, at any depth: of `list[Count] | None`, those of Count."""
-    yield from getattr(hint, "__metadata__", ())
-    for part in (hint.__origin__,) if hasattr(hint, "__metadata__") else get_args(hint):
-        yield from _markers(part)
 
 
 def _alternatives(hint: Any) -> list[Any]:
@@ -216,16 +151,3 @@ def _in_words(hint: Any, markers: tuple[Any, ...], *, plural: bool = False) -> s
 
 
 _EXAMPLES = {int: "8,8", float: "0.5,1"}
-
-
-def _leaves(value: Any) -> Iterator[Any]:
-    """Yield what is in a list, at any depth; of anything else itself, and of None nothing."""
-    if isinstance(value, list | tuple):
-        for part in value:
-            yield from _leaves(part)
-    elif value is not None:
-        yield value
-
-
-def _number(value: float) -> str:
-    return str(int(value)) if math.isfinite(value) and value == int(value) else f"{value:g}"

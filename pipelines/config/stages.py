@@ -1,15 +1,15 @@
-"""The actor, and what each stage of a run is told beside the method."""
+"""The actor, and the settings of the stages of a run that are not the method's."""
 
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
+from otr.control.settings import PolishSettings
+from otr.core.setting import BelowOne, CountOrZero, LearningRate
 from pipelines.config.setting import (
     AsBefore,
     Count,
     NotNegative,
     OneOf,
-    Positive,
-    Range,
     Seed,
     Share,
     Text,
@@ -21,7 +21,7 @@ from pipelines.config.setting import (
 class ActorConfig:
     """The actor beside its widths (`depth`)."""
 
-    negative_slope: Annotated[float, Range(0, 1, open=True)] = 0.0  # 0 is ReLU, above 0 leaky ReLU
+    negative_slope: BelowOne = 0.0  # 0 is ReLU, above 0 leaky ReLU
     # Train on states rescaled from the environment's box to [-1, 1]; the rescaling is affine and is folded into the
     # first layer afterwards, so the program reads the environment's own states
     rescale_inputs: Annotated[bool, AsBefore(False)] = False
@@ -41,25 +41,14 @@ class TrainConfig:
     steps: Count
     eval_interval_steps: Count
     n_selection_episodes: Count
-    max_learning_starts: Annotated[int, Range(0)]
-
-
-@dataclass(frozen=True)
-class ImitateConfig:
-    """Imitation under DAgger: the oracle plays first, then the imitator, which is fitted anew after every round."""
-
-    n_initial_episodes: Count = 25  # episodes of the oracle
-    n_rounds: Annotated[int, Range(0)] = 50  # rounds, and episodes of the imitator in each
-    n_episodes: Count = 25
-    # Episodes on which the last two candidates are compared; none of them is reported
-    n_choice_episodes: Annotated[int, Range(0)] = 100
+    max_learning_starts: CountOrZero
 
 
 @dataclass(frozen=True)
 class MapConfig:
     """Mapping: up to `max_leaves` the tree is written out, beyond it is held as activation patterns."""
 
-    max_leaves: Count
+    max_leaves: Count = 1024
 
 
 @dataclass(frozen=True)
@@ -67,7 +56,7 @@ class PruneConfig:
     """Pruning: the paths reached in `n_episodes` are kept; with `k` only the k most frequent of them."""
 
     n_episodes: Count
-    k: Count | None
+    k: Count | None = None
 
 
 # What an actor climbs: the lesser of two critics' values, or their mean
@@ -85,13 +74,13 @@ class CriticPolishConfig:
     student_share: Share = 0.3
     refill_noise: NotNegative = 0.1  # standard deviation of what is added to actions in [-1, 1] while it is filled
     noise: NotNegative = 0.1  # and from then on
-    learning_rate: Annotated[float, Range(1e-12, 10)] = 1e-3
+    learning_rate: LearningRate = 1e-3
     batch_size: Count = 100
     actor_value: ActorValue = "min"
 
 
 @dataclass(frozen=True)
-class PolishingConfig:
+class PolishingConfig(PolishSettings):
     """Polishing: the finished policy's numbers improved on its return, by direct search (`otr.polish`) or critics."""
 
     # Null is by the critics where the method imitates an oracle that has some, else by search
@@ -102,21 +91,6 @@ class PolishingConfig:
     # Whose numbers: the network's, where a tree is mapped from one, which is then mapped and pruned anew, or the pruned
     # tree's. None is the network's where there is one
     numbers: Annotated[str | None, OneOf("network", "tree")] = None
-    free: bool = False  # whether coefficients that are zero move, too
-    n_directions: Count = 24  # this and what follows: see `otr.SearchSettings`
-    n_top: Count = 12
-    step_size: Positive = 0.03
-    noise: Positive = 0.03
-    step_size_end: Share = 0.05
-    noise_end: Share = 0.2
-    momentum: Annotated[float, Range(0, 1, open=True)] = 0.0
-    # What step and noise of each number are multiplied by: 1, or less where the actions react more to it
-    scale: Annotated[str, OneOf("uniform", "sensitivity"), AsBefore("uniform")] = "uniform"
-    n_episodes: Count = 1  # of every vector tried
-    # Who shares the starts of an iteration: the two policies of a direction, or all
-    common_starts: Annotated[str, OneOf("pair", "all")] = "pair"
-    n_selection_episodes: Count = 100  # of each candidate; as many more confirm the best
-    n_candidates: Count = 20
     # Who computes the environments; None is numpy where that was compared with gymnasium, else gymnasium
     environments: Annotated[str | None, OneOf("gymnasium", "numpy")] = None
 
@@ -150,7 +124,7 @@ class SimplificationConfig:
     """Simplifying: what the program may lose, on episodes that are not reported."""
 
     n_episodes: Count = 100  # that decide
-    return_loss: Annotated[float, Range(0, 1, open=True)] = 0.02  # share of the mean return that may be lost on them
+    return_loss: BelowOne = 0.02  # share of the mean return that may be lost on them
     # Instead of that: no action may change by more, anywhere in the environment's box of states or, where that is
     # open, in the box around those visited
     action_bound: NotNegative | None = None
@@ -162,4 +136,4 @@ class EvaluateConfig:
     """Evaluation: episode i starts from `reset(seed=first_seed + i)`, for every method alike."""
 
     n_episodes: Count
-    first_seed: Seed
+    first_seed: Seed = 1000

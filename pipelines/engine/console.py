@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -12,7 +12,7 @@ from rich.table import Table
 
 from pipelines.engine.wrapping import columns, fitted
 
-PATIENCE_S, EVERY_S = 1.5, 10.0
+PATIENCE_S = 1.5
 SHORT_PROGRAM = 40  # lines; a longer one is named, not shown
 T = TypeVar("T")
 
@@ -38,21 +38,6 @@ def counted(items: Sequence[T], what: str) -> Iterator[T]:
         yield item
     if shown:
         print("\r\033[K", end="", file=sys.stderr, flush=True)
-
-
-def progress_lines(what: str, unit: str) -> Callable[[int, int], None]:
-    """Return a function that prints how much of all is done, at most every ten seconds, with the time left."""
-    began = said = time.monotonic()
-
-    def tell(done: int, total: int) -> None:
-        nonlocal said
-        now = time.monotonic()
-        if now - said >= EVERY_S:
-            said, spent = now, now - began
-            left = duration(spent / done * (total - done)) if done else "?"
-            print(f"{what}: {done:,} of {total:,} {unit}, {duration(spent)}, about {left} left", flush=True)
-
-    return tell
 
 
 def show_rows(what: str, rows: Mapping[str, Mapping[str, str]]) -> None:

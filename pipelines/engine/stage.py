@@ -9,9 +9,9 @@ import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import asdict, dataclass, is_dataclass
+from dataclasses import asdict, dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from filelock import FileLock, Timeout
 
@@ -30,39 +30,62 @@ from pipelines.engine.digests import digest, setting_differences
 from pipelines.engine.store import exists, unfinished, write_json
 from pipelines.errors import MissingInputError, OtherSettingsError, PipelineError
 
+Part = TypeVar("Part")
+Inputs = Mapping[str, Path]  # the folders of the stages that a stage reads, by name
+
 
 @dataclass(frozen=True)
 class Stage:
-    """One step of a method."""
+    """One step of a method. It is given its settings, never the job's whole configuration."""
 
     name: str  # its folder's name
-    # Raised when the same inputs and settings would give something else; of a function, for these configurations alone
+    # Raised when the same inputs and settings would give something else; of a function, for these settings alone
     version: int | Callable[[Any], int]
     inputs: tuple[str, ...]  # the stages whose folders it reads
-    settings: Callable[[Any], dict[str, Any]]  # picks, from the run's configuration, what decides the result; JSON-able
-    # `(inputs, config, out)` writes the result's files into the empty folder `out`
-    run: Callable[[Mapping[str, Path], Any, Path], None]
+    keyed: Callable[[Any], dict[str, Any]]  # picks, from its settings, what decides the result; JSON-able
+    # `(inputs, settings, out)` writes the result's files into the empty folder `out`
+    run: Callable[[Inputs, Any, Path], None]
+    # A dataclass, of which each field is the job's configuration's of that name; None for the configuration itself
+    settings: type | None = None
+    # Prints, for the settings of those that are made together, how long that will take; raises where it cannot be done
+    announce: Callable[[Sequence[Any]], None] | None = None
+    seconds_left: Callable[[Any], float] | None = None  # the likely time of what is not done yet, on one core
+    check: Callable[[Any], None] | None = None  # raises, before any stage of the job, where this one cannot be done
+    # `run` for several jobs in one go: returns what each failed with, or None
+    together: Callable[[Sequence[Inputs], Sequence[Any], Sequence[Path]], Sequence[Exception | None]] | None = None
+    is_of_other_job: bool = False  # it refers to what another job makes, which is done before
     is_transient: bool = False  # its result is large and serves the stages after it; it may be gone once these are done
-    # From `(config, inputs)` to the folder in which it keeps what it has done so far; that folder is removed once
+    # From `(settings, inputs)` to the folder in which it keeps what it has done so far; that folder is removed once
     # the result is in its place
-    checkpoints: Callable[[Any, Mapping[str, Path]], Path] | None = None
+    checkpoints: Callable[[Any, Inputs], Path] | None = None
+
+    def of(self, config: Any) -> Any:
+        """Return the stage's settings in a job's configuration."""
+        return config if self.settings is None else part_of(config, self.settings)
 
     def version_of(self, config: Any) -> int:
         """Return the version for a configuration."""
-        return self.version if isinstance(self.version, int) else self.version(config)
+        return self.version if isinstance(self.version, int) else self.version(self.of(config))
+
+
+def part_of(config: Any, kind: type[Part]) -> Part:
+    """Return a dataclass of what a configuration has under the names of its fields."""
+    assert is_dataclass(kind)
+    part: Part = kind(**{field.name: getattr(config, field.name) for field in fields(kind)})
+    return part
 
 
 def picked(**paths: str) -> Callable[[Any], dict[str, Any]]:
-    """Return a stage's `settings`: under each name what lies at its dotted path in the run's configuration.
+    """Return a stage's `keyed`: under each name what lies at its dotted path in the settings.
 
-    A part of the configuration is picked with all its settings, or with what its own function `settings` returns.
+    A part of them is picked with all that it holds, or with what its own function `settings` returns.
     """
 
-    def settings(config: Any) -> dict[str, Any]:
-        found = {name: operator.attrgetter(path)(config) for name, path in paths.items()}
+    def keyed(settings: Any) -> dict[str, Any]:
+        found = {name: operator.attrgetter(path)(settings) for name, path in paths.items()}
         return {name: _plain(value) for name, value in found.items()}
 
-    return settings
+    return keyed
 
 
 def _plain(value: Any) -> Any:
@@ -93,13 +116,11 @@ def run_stage(
     inputs = {name: _input_folder(run_dir, name, stage, rerun_command) for name in stage.inputs}
     result = _found_or_made(stage, run_dir, config, inputs, derive)
     if stage.checkpoints:  # only now that the result is in its place
-        shutil.rmtree(stage.checkpoints(config, inputs), ignore_errors=True)
+        shutil.rmtree(stage.checkpoints(stage.of(config), inputs), ignore_errors=True)
     return result
 
 
-def _found_or_made(
-    stage: Stage, run_dir: Path, config: Any, inputs: Mapping[str, Path], derive: Derive | None
-) -> StageResult:
+def _found_or_made(stage: Stage, run_dir: Path, config: Any, inputs: Inputs, derive: Derive | None) -> StageResult:
     """Return a stage's result: the one in its folder, a sibling run's, or a new one."""
     wanted = stage_key(stage, config, inputs)
     folder = run_dir / stage.name
@@ -120,18 +141,14 @@ def _found_or_made(
                 require_whole(run_dir / name)
             with opened(run_dir, stage.inputs, derive) as whole, unfinished(folder) as temporary:
                 origin, start = _origin(), time.monotonic()
-                stage.run({name: whole / name for name in stage.inputs}, config, temporary)
+                stage.run({name: whole / name for name in stage.inputs}, stage.of(config), temporary)
                 seconds = round(time.monotonic() - start, 3)
                 _finish(stage, folder, temporary, config, wanted, seconds, origin)
     return StageResult(folder, skipped=False, seconds=seconds)
 
 
-def run_stage_together(
-    stage: Stage,
-    requests: Sequence[tuple[Path, Any]],
-    run: Callable[[Sequence[Mapping[str, Path]], Sequence[Any], Sequence[Path]], Sequence[Exception | None]],
-) -> list[Exception | None]:
-    """Make the results of a stage for several runs in one go, where nothing is in the way.
+def run_stage_together(stage: Stage, requests: Sequence[tuple[Path, Any]]) -> list[Exception | None]:
+    """Make the results of a stage for several runs in one go (`Stage.together`), where nothing is in the way.
 
     Runs that have theirs, that another process is at, or whose result another run holds are left for `run_stage`, which
     knows what to do. What one run fails at does not touch the others.
@@ -139,7 +156,6 @@ def run_stage_together(
     Args:
         stage: the stage; what it reads is done in every run folder.
         requests: run folder and configuration of each run.
-        run: `(inputs, configs, outs)` writes each run's files and returns what it failed with, or None.
 
     Returns:
         What each request failed with, or None.
@@ -160,7 +176,9 @@ def run_stage_together(
             return errors
         origin, start = _origin(), time.monotonic()
         folders = [stack.enter_context(unfinished(folder)) for _, folder, _ in chosen]
-        failures = run([inputs[i] for i, _, _ in chosen], [requests[i][1] for i, _, _ in chosen], folders)
+        assert stage.together is not None
+        settings = [stage.of(requests[i][1]) for i, _, _ in chosen]
+        failures = stage.together([inputs[i] for i, _, _ in chosen], settings, folders)
         share = round((time.monotonic() - start) / len(chosen), 3)
         for (i, folder, wanted), temporary, failure in zip(chosen, folders, failures, strict=True):
             errors[i] = failure
@@ -169,12 +187,11 @@ def run_stage_together(
     return errors
 
 
-def stage_key(stage: Stage, config: Any, inputs: Mapping[str, Path]) -> str:
+def stage_key(stage: Stage, config: Any, inputs: Inputs) -> str:
     """Return the key of a stage's result: what it is made by, with and from."""
     digests = {name: verified_manifest(folder)["output_digest"] for name, folder in inputs.items()}
-    return digest(
-        {"stage": stage.name, "version": stage.version_of(config), "settings": stage.settings(config), "in": digests}
-    )
+    keyed = stage.keyed(stage.of(config))
+    return digest({"stage": stage.name, "version": stage.version_of(config), "settings": keyed, "in": digests})
 
 
 def stage_status(stage: Stage, folder: Path, config: Any, wanted: str | None = None) -> str:
@@ -185,7 +202,7 @@ def stage_status(stage: Stage, folder: Path, config: Any, wanted: str | None = N
     if not exists(folder / MANIFEST):
         return "missing"
     manifest = read_manifest(folder)
-    if manifest["settings"] != stage.settings(config):
+    if manifest["settings"] != stage.keyed(stage.of(config)):
         return "other settings"
     current = manifest["version"] == stage.version_of(config) if wanted is None else manifest["key"] == wanted
     return "done" if current else "stale"
@@ -211,7 +228,7 @@ def _finish(
             "stage": stage.name,
             "version": stage.version_of(config),
             "key": wanted,
-            "settings": stage.settings(config),
+            "settings": stage.keyed(stage.of(config)),
             "outputs": outputs,
             "output_digest": digest(outputs),
             "seconds": seconds,
@@ -232,7 +249,7 @@ def _input_folder(run_dir: Path, name: str, stage: Stage, rerun_command: str) ->
 
 def _other_settings(stage: Stage, folder: Path, config: Any) -> OtherSettingsError:
     old = read_manifest(folder)["settings"]
-    changes = setting_differences(stage.settings(config), old)
+    changes = setting_differences(stage.keyed(stage.of(config)), old)
     lines = [f"  {key}: there was {was!r}, asked for {now!r}" for key, (now, was) in changes.items()]
     return OtherSettingsError(
         "\n".join([f"{folder} was made with other settings, which are never overwritten:", *lines])

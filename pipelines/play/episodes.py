@@ -10,7 +10,7 @@ import signal
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -23,7 +23,7 @@ from otr.control.rollout import Policy as Policy
 from otr.control.rollout import Rollout as Rollout
 from otr.control.search.policy_stack import stack_policies
 from pipelines.config.env import EnvConfig
-from pipelines.config.run import RunConfig
+from pipelines.config.stages import EvaluateConfig, PruneConfig, TrainConfig
 from pipelines.engine.seeding import episode_seeds, evaluation_seeds
 from pipelines.play.classic_control import ClassicControlVectorEnv
 from pipelines.play.environments import episode_limit, is_made_anew, make_env
@@ -37,6 +37,34 @@ SHARE_PLAYED = 0.5  # of an episode's longest length
 STEPS_WORTH_A_PROCESS = 20_000  # below this a second process costs more time to start than it saves
 # Episodes of many policies under way at a time; a step of the numpy plants costs the same for hundreds of them.
 MOST_AT_ONCE = {"gymnasium": 256, "numpy": 8192}
+
+
+@dataclass(frozen=True)
+class PlaysPruning:
+    """What a stage has that plays the episodes that a run is pruned with."""
+
+    env: EnvConfig
+    n_workers: int | None
+    seed: int
+    prune: PruneConfig
+
+
+@dataclass(frozen=True)
+class PlaysEvaluation:
+    """What a stage has that plays the episodes that are reported."""
+
+    env: EnvConfig
+    n_workers: int | None
+    evaluate: EvaluateConfig
+
+
+@dataclass(frozen=True)
+class PlaysSelection:
+    """What a training has that plays the episodes which decide what of it is kept."""
+
+    env: EnvConfig
+    seed: int
+    train: TrainConfig
 
 
 def play_seeds(
@@ -97,19 +125,19 @@ def _play(
         return play_side_by_side(envs, lambda states, _: policy(states), seeds, n_envs=n_envs, keep_steps=keep_states)
 
 
-def play_pruning(policy: Policy, config: RunConfig) -> Rollout:
+def play_pruning(policy: Policy, config: PlaysPruning) -> Rollout:
     """Play the episodes that a run is pruned with, states and actions kept."""
     seeds = episode_seeds(config.seed, "prune", config.prune.n_episodes)
     return play_seeds(policy, config.env, seeds, keep_states=True, n_workers=config.n_workers)
 
 
-def play_selection(policy: Policy, config: RunConfig) -> Rollout:
+def play_selection(policy: Policy, config: PlaysSelection) -> Rollout:
     """Play the episodes that decide which actor of a training is kept, states and actions kept."""
     seeds = episode_seeds(config.seed, "selection", config.train.n_selection_episodes)
     return play_seeds(policy, config.env, seeds, keep_states=True, n_workers=1)
 
 
-def play_evaluation(policy: Policy, config: RunConfig, *, keep_states: bool = False) -> Rollout:
+def play_evaluation(policy: Policy, config: PlaysEvaluation, *, keep_states: bool = False) -> Rollout:
     """Play episode i from `reset(seed=first_seed + i)`, for every policy alike; states and actions if asked for."""
     return play_seeds(
         policy,
@@ -121,7 +149,7 @@ def play_evaluation(policy: Policy, config: RunConfig, *, keep_states: bool = Fa
     )
 
 
-def play_each(policies: Mapping[str, Any], config: RunConfig) -> dict[str, Rollout]:
+def play_each(policies: Mapping[str, Any], config: PlaysEvaluation) -> dict[str, Rollout]:
     """Play the evaluation episodes with each policy, states and actions kept.
 
     A policy that does what an earlier one did, in every state of that one's episodes, has the same episodes: they are
@@ -139,7 +167,7 @@ def _acts_as(policy: Any, played: Rollout) -> bool:
     return np.array_equal(np.asarray(policy.predict(played.states)).astype(played.actions.dtype), played.actions)
 
 
-def episodes_version(config: RunConfig) -> int:
+def episodes_version(config: PlaysEvaluation) -> int:
     """Return the version of stages that report evaluation episodes: 2 where each has its own environment."""
     return 2 if is_made_anew(config.env) else 1
 

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 import otr
-from pipelines.config.run import RunConfig
+from pipelines.config.env import EnvConfig
 from pipelines.errors import PipelineError, PolicyMismatchError
 from pipelines.play.actor_files import actor_files
 from pipelines.play.agreement import answers_agree
-from pipelines.play.episodes import Rollout, play_selection
+from pipelines.play.episodes import PlaysSelection, Rollout, play_selection
 from pipelines.play.spaces import state_box
 
 TOLERANCE = 1e-5  # between the float64 network and the trainer's float32 one, relative
@@ -30,13 +30,13 @@ class InputUnits:
     scale: np.ndarray
 
 
-def units_of_box(config: RunConfig) -> InputUnits | None:
-    """Return the units of the environment's box where a run's settings ask for them; None for its own."""
-    return InputUnits(*state_box(config.env)) if config.actor.rescale_inputs else None
+def units_of_box(env: EnvConfig, rescale_inputs: bool) -> InputUnits | None:
+    """Return the units of the environment's box where inputs are rescaled to it; None for its own."""
+    return InputUnits(*state_box(env)) if rescale_inputs else None
 
 
 def evaluate_network(
-    network: otr.ReluNetwork, trained: Predict, config: RunConfig, units: InputUnits | None
+    network: otr.ReluNetwork, trained: Predict, config: PlaysSelection, units: InputUnits | None
 ) -> tuple[dict[str, bytes], Rollout]:
     """Return the files of an actor, as it reads the environment's own states, and what came of its selection episodes.
 

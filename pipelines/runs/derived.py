@@ -31,7 +31,7 @@ def derive(config: RunConfig, run_dir: Path, folder: Path) -> dict[str, bytes]:
     with TemporaryDirectory(prefix="otr-") as place:
         out = Path(place)
         if folder.name == "map":
-            otr.save(full_tree(load_actor(run_dir / config.method.actor_stage), config), out / "tree")
+            otr.save(full_tree(load_actor(run_dir / config.method.actor_stage), config.map.max_leaves), out / "tree")
         paths = otr.load(folder / "paths") if (folder / "paths.json").is_file() else None
         if isinstance(paths, otr.PatternTree):
             otr.save(paths.to_tree(), out / "tree")

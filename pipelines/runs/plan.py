@@ -11,8 +11,7 @@ from pipelines.engine.store import exists
 from pipelines.engine.wrapping import columns, fitted
 from pipelines.errors import PipelineError
 from pipelines.runs.run_job import RunJob
-from pipelines.stages import imitate, polish
-from pipelines.stages.train import seconds_left, trained_steps
+from pipelines.stages.train import TRAIN, seconds_left, trained_steps
 
 
 def job_plan(job: RunJob, planned: set[str]) -> tuple[str, float]:
@@ -20,7 +19,6 @@ def job_plan(job: RunJob, planned: set[str]) -> tuple[str, float]:
 
     `planned` has the folders of the oracles that jobs before it train; its own is added.
     """
-    config = job.config
     statuses = {stage.name: _status(job, stage) for stage in job.stages}
     if "other settings" in statuses.values():
         names = [name for name, status in statuses.items() if status == "other settings"]
@@ -28,12 +26,13 @@ def job_plan(job: RunJob, planned: set[str]) -> tuple[str, float]:
     left = [name for name, status in statuses.items() if status != "done"]
     if not left:
         return ("skip" if has_summary(job) else "write the summary"), 0.0
-    polish_s = polish.estimated_seconds(config) if "polish" in left else 0.0
-    polished = f", polish for about {duration(polish_s)}" if "polish" in left else ""
+    likely = {stage.name: stage.seconds_left(stage.of(job.config)) for stage in job.stages
+              if stage.seconds_left and stage.name in left}  # fmt: skip
+    seconds = sum(likely.values())
+    polished = f", polish for about {duration(likely['polish'])}" if "polish" in left else ""
     if "train" in left:
-        done = trained_steps(config)
-        return (f"resume at step {done:,}" if done else "run") + polished, seconds_left(config) + polish_s
-    seconds = polish_s + (imitate.estimated_seconds(config) if "imitate" in left else 0.0)
+        done = trained_steps(TRAIN.of(job.config))
+        return (f"resume at step {done:,}" if done else "run") + polished, seconds
     if job.oracle and "oracle" in left:
         what, oracle_seconds = _oracle_plan(job.oracle, planned)
         return f"run, {what}{polished}", seconds + oracle_seconds
@@ -59,9 +58,10 @@ def _oracle_plan(oracle: RunJob, planned: set[str]) -> tuple[str, float]:
     if oracle.folder in planned:
         return f"oracle {name} as above", 0.0
     planned.add(oracle.folder)
-    done = trained_steps(oracle.config)
+    settings = TRAIN.of(oracle.config)
+    done = trained_steps(settings)
     how = f"resume at step {done:,}" if done else "train"
-    return f"{how} oracle {name}", seconds_left(oracle.config)
+    return f"{how} oracle {name}", seconds_left(settings)
 
 
 def print_plan(jobs: Sequence[RunJob]) -> None:

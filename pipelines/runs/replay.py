@@ -9,7 +9,7 @@ from pipelines.engine.archive import is_whole
 from pipelines.engine.store import exists, read_csv
 from pipelines.play.episodes import play_each
 from pipelines.runs.derived import opened_run
-from pipelines.stages.evaluate import episodes_file, load_policies
+from pipelines.stages.evaluate import EVALUATE, episodes_file, load_policies
 from pipelines.stages.polish import load_searched
 
 TOLERANCE = 1e-6  # of the return, relative
@@ -25,12 +25,13 @@ def replay(config: RunConfig, run_dir: Path) -> int:
     if not has_tree:
         print(f"{run_dir}: tree: not played again, as the archive has the pruned one alone", flush=True)
     with opened_run(config, run_dir) as whole:
-        policies = load_policies({name: whole / name for name in config.method.stages}, config, tree=has_tree)
+        inputs = {name: whole / name for name in config.method.stages}
+        policies = load_policies(inputs, EVALUATE.of(config), tree=has_tree)
         recorded_in = {name: run_dir / "evaluate" / episodes_file(name) for name in policies}
         if exists(run_dir / "polish" / "episodes.csv"):
             policies["polished"] = load_searched(whole / "polish")
             recorded_in["polished"] = run_dir / "polish" / "episodes.csv"
-    played = play_each(policies, config)
+    played = play_each(policies, EVALUATE.of(config))
     n_different = 0
     for name in played:
         recorded = np.array([float(row["return"]) for row in read_csv(recorded_in[name])])

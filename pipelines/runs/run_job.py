@@ -1,4 +1,4 @@
-"""Doing runs: the stages of each in order, those of a fleet trained as one."""
+"""Doing runs: the stages of each in order, those that several make together as one."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -26,8 +26,6 @@ from pipelines.runs.imitation import advice
 from pipelines.runs.result import show_result
 from pipelines.runs.stage_table import stages_of
 from pipelines.runs.summary import summarise
-from pipelines.stages.polish import announce_polish, check_critics
-from pipelines.stages.train import TRAIN, announce_training, train_together
 from pipelines.tracking.tracker import Tracker
 
 
@@ -44,11 +42,6 @@ class RunJob(Job):
     def stages(self) -> tuple[Stage, ...]:
         stages = stages_of(self.config.method.name, polished=self.config.is_polished)
         return tuple(stages[name] for name in self.config.selected_stages)
-
-    @property
-    def trained(self) -> "RunJob":
-        """The job whose stage train this one needs: the oracle's, or its own."""
-        return self.oracle or self
 
     def side_by_side(self) -> Self:
         """Return a job that knows, as its oracle's does, that others share its terminal and its cores."""
@@ -69,50 +62,58 @@ def run_job(job: RunJob) -> dict[str, Any] | None:
 
 
 def run_jobs(jobs: Sequence[RunJob]) -> list[Exception | None]:
-    """Do jobs one after the other, those of one fleet after training them as one; return what each failed with."""
-    trained = {job.trained.folder: job.trained for job in jobs if _trains(job)}
+    """Do jobs one after the other, what several make together first; return what each failed with."""
+    made = {each[0].folder: each for each in map(_made_together, jobs) if each}
     errors: dict[str, Exception | None] = {}
     try:
-        if len(trained) > 1:
-            fleet = list(trained.values())
+        if len(made) > 1:
+            fleet, stage = [job for job, _ in made.values()], next(iter(made.values()))[1]
             with disk_errors_explained(fleet[0]):
-                errors = dict(zip(trained, _train_together(fleet), strict=True))
-    except Exception as error:  # of the whole fleet, as a full disk is
+                errors = dict(zip(made, _make_together(stage, fleet), strict=True))
+    except Exception as error:  # of all of them, as a full disk is
         return [error] * len(jobs)
-    return [errors.get(job.trained.folder) or failure(run_job, job) for job in jobs]
+    return [errors.get((job.oracle or job).folder) or failure(run_job, job) for job in jobs]
 
 
-def _trains(job: RunJob) -> bool:
-    """Return whether a job asks for training, its own or its oracle's."""
-    return job.config.is_trained and not {"train", "oracle"}.isdisjoint(job.config.selected_stages)
+def _made_together(job: RunJob) -> tuple[RunJob, Stage] | None:
+    """Return the stage that a job, or the one before it, may make with those of others; None where there is none."""
+    for stage in job.stages:
+        if stage.is_of_other_job and job.oracle:
+            return _made_together(job.oracle)
+        if stage.together:
+            return job, stage
+    return None
 
 
-def _train_together(jobs: Sequence[RunJob]) -> list[Exception | None]:
-    """Train the runs of a fleet as one, as far as they need it; `run_job` then finds each one's training done."""
-    missing = [job for job in jobs if stage_status(TRAIN, job.run_dir / "train", job.config) == "missing"]
+def _make_together(stage: Stage, jobs: Sequence[RunJob]) -> list[Exception | None]:
+    """Make a stage of several jobs as one, as far as they need it; `run_job` then finds each one's done."""
+    missing = [job for job in jobs if _is_missing(stage, job)]
     for job in missing:
         print(f"{job.run_dir}", flush=True)
         job.run_dir.mkdir(parents=True, exist_ok=True)
         write_config(job)
-    if missing:
-        announce_training([job.config for job in missing])
-    return run_stage_together(TRAIN, [(job.run_dir, job.config) for job in jobs], train_together)
+    if missing and stage.announce:
+        stage.announce([stage.of(job.config) for job in missing])
+    return run_stage_together(stage, [(job.run_dir, job.config) for job in jobs])
+
+
+def _is_missing(stage: Stage, job: RunJob) -> bool:
+    return stage_status(stage, job.run_dir / stage.name, job.config) == "missing"
 
 
 def _run_stages(job: RunJob) -> dict[str, Any] | None:
     config, run_dir = job.config, job.run_dir
     print(f"{run_dir}", flush=True)
-    if any(stage.name == "polish" for stage in job.stages):
-        check_critics(config)
+    for stage in job.stages:
+        if stage.check:
+            stage.check(stage.of(config))
     run_dir.mkdir(parents=True, exist_ok=True)
     for stage in job.stages:
-        if stage.name == "oracle" and job.oracle and stage_status(stage, run_dir / "oracle", config) != "done":
+        if stage.is_of_other_job and job.oracle and stage_status(stage, run_dir / stage.name, config) != "done":
             _run_stages(job.oracle)
             print(f"{run_dir}", flush=True)
-        if stage.name == "train" and stage_status(stage, run_dir / "train", config) == "missing":
-            announce_training([config])
-        if stage.name == "polish" and stage_status(stage, run_dir / "polish", config) == "missing":
-            announce_polish(config)
+        if stage.announce and _is_missing(stage, job):
+            stage.announce([stage.of(config)])
         if stage.checkpoints:
             write_config(job)
         try:

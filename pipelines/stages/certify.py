@@ -1,17 +1,18 @@
 """Stage certify: the minimal tree of a mapped actor on its environment's states, and the proof that it is exact."""
 
 import time
-from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import otr
-from pipelines.config.run import RunConfig
-from pipelines.engine.stage import Stage, picked
+from pipelines.config.method import MethodConfig
+from pipelines.config.stages import CertificationConfig
+from pipelines.engine.stage import Inputs, Stage, picked
 from pipelines.engine.store import write_json
 from pipelines.play.actor_files import load_actor
 from pipelines.play.boxes import box_around, given_box
-from pipelines.play.episodes import play_pruning
+from pipelines.play.episodes import PlaysPruning, play_pruning
 from pipelines.play.printed_programs import and_names, write_program
 from pipelines.play.spaces import spaces, state_limits
 
@@ -19,7 +20,15 @@ MARGIN = 0.05  # of the width of what was visited, on either side
 GIVEN = "the given box"
 
 
-def certify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
+@dataclass(frozen=True)
+class CertifySettings(PlaysPruning):
+    """What the stage reads of a run's configuration."""
+
+    method: MethodConfig
+    certification: CertificationConfig
+
+
+def certify(inputs: Inputs, settings: CertifySettings, out: Path) -> None:
     """Write the minimal tree, its `program.txt`, `certificate.json` and `report.json`.
 
     The domain is the box that is given or, without one, the box of states that the environment declares (gymnasium's
@@ -28,15 +37,15 @@ def certify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     the policy that was trained (`from_sb3`), the report has that, too. A tree or a proof that would be too large, or
     take too long, is told in the report. After polish=true the actor is the polished one.
     """
-    network = load_actor(inputs.get("polish") or inputs[config.method.actor_stage])
-    domain, whence = _domain(inputs, config)
+    network = load_actor(inputs.get("polish") or inputs[settings.method.actor_stage])
+    domain, whence = _domain(inputs, settings)
     report: dict[str, Any] = (
         {"domain": whence} | domain.to_dict() | ({"policy": "polished"} if "polish" in inputs else {})
     )
     own = network.domain if "polish" not in inputs else None
     if own is not None and not own.contains([domain.low, domain.high]).all():
         report["network_domain"] = own.to_dict()  # which the domain reaches beyond
-    limits = config.certification
+    limits = settings.certification
     began = time.monotonic()
     try:
         tree = otr.minimal_tree(
@@ -51,7 +60,7 @@ def certify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
         write_json(out / "report.json", {"certified": False, "reason": str(error)} | report)
         return
     otr.save(tree, out / "tree")
-    write_program(tree, config.env, out)
+    write_program(tree, settings.env, out)
     certificate.save(out / "certificate.json")
     write_json(
         out / "report.json",
@@ -73,39 +82,35 @@ def certify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     )
 
 
-def _domain(inputs: Mapping[str, Path], config: RunConfig) -> tuple[otr.Domain, str]:
+def _domain(inputs: Inputs, settings: CertifySettings) -> tuple[otr.Domain, str]:
     """Return the box on which the tree is proved, and what it is."""
-    if config.certification.box is not None:
-        return given_box(config.env, config.certification.box), GIVEN
-    limits = state_limits(config.env)
+    if settings.certification.box is not None:
+        return given_box(settings.env, settings.certification.box), GIVEN
+    limits = state_limits(settings.env)
     if limits is not None:
         return otr.Domain(*limits), "the environment's box of states"
     policy: Any = load_actor(inputs["polish"]) if "polish" in inputs else otr.load(inputs["map"] / "tree")
     return box_around(
-        play_pruning(policy.predict, config).states, MARGIN
-    ), f"the box around the states of {config.prune.n_episodes} episodes"
+        play_pruning(policy.predict, settings).states, MARGIN
+    ), f"the box around the states of {settings.prune.n_episodes} episodes"
 
 
 _USUAL = picked(
-    env="env",
-    n_episodes="prune.n_episodes",
-    seed="seed",
-    max_leaves="certification.max_leaves",
-    max_seconds="certification.max_seconds",
-)
+    env="env", n_episodes="prune.n_episodes", seed="seed", max_leaves="certification.max_leaves",
+    max_seconds="certification.max_seconds"
+)  # fmt: skip
 
 
-def _settings(config: RunConfig) -> dict[str, Any]:
+def _keyed(settings: CertifySettings) -> dict[str, Any]:
     """Return the settings of a certificate; the box only where one is given, as certificates are older than it."""
-    box = config.certification.box
-    return _USUAL(config) | ({} if box is None else {"box": list(box)})
+    box = settings.certification.box
+    return _USUAL(settings) | ({} if box is None else {"box": list(box)})
 
 
-def _version(config: RunConfig) -> int:
+def _version(settings: CertifySettings) -> int:
     """Return 3 for labels, whose proofs lead to where the network has them, else 2."""
-    return 3 if spaces(config.env).box is None else 2
+    return 3 if spaces(settings.env).box is None else 2
 
 
-CERTIFY_SETTINGS = and_names(_settings)
 # Its inputs depend on the method and on polish=true: `pipelines.runs.stage_table.stages_of` sets them.
-CERTIFY = Stage("certify", version=_version, inputs=(), settings=CERTIFY_SETTINGS, run=certify)
+CERTIFY = Stage("certify", version=_version, inputs=(), keyed=and_names(_keyed), run=certify, settings=CertifySettings)

@@ -1,22 +1,30 @@
 """Stage evaluate: network, tree and pruned tree on the same fixed episodes."""
 
-from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import otr
-from pipelines.config.run import RunConfig
-from pipelines.engine.stage import Stage, picked
+from pipelines.config.method import MethodConfig
+from pipelines.engine.stage import Inputs, Stage, picked
 from pipelines.engine.store import write_csv, write_json
 from pipelines.errors import PolicyMismatchError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.agreement import answers_agree
-from pipelines.play.episodes import Rollout, episodes_version, moments, play_each
+from pipelines.play.episodes import PlaysEvaluation, Rollout, episodes_version, moments, play_each
 from pipelines.stages.oracle import load_oracle
 
 EPISODE_COLUMNS = ("episode", "seed", "return", "length", "terminated", "truncated")
+
+
+@dataclass(frozen=True)
+class EvaluateSettings(PlaysEvaluation):
+    """What the stage reads of a run's configuration."""
+
+    method: MethodConfig
+    results_dir: str
 
 
 def episodes_file(form: str) -> str:
@@ -24,7 +32,7 @@ def episodes_file(form: str) -> str:
     return "episodes.csv" if form == "tree" else f"episodes_{form}.csv"
 
 
-def load_policies(inputs: Mapping[str, Path], config: RunConfig, *, tree: bool = True) -> dict[str, Any]:
+def load_policies(inputs: Inputs, settings: EvaluateSettings, *, tree: bool = True) -> dict[str, Any]:
     """Return the forms of the policy that a run left: what the tree stands for, the tree and the pruned tree.
 
     The first is the oracle where one was imitated, the actor's network where it was mapped, and the soft tree where
@@ -32,17 +40,17 @@ def load_policies(inputs: Mapping[str, Path], config: RunConfig, *, tree: bool =
     gains averaged. A program's tree stands for nothing else. Without `tree` there is the pruned one alone.
     """
     policies: dict[str, Any] = {}
-    if "soft" in config.method.forms:
+    if "soft" in settings.method.forms:
         from pipelines.training.soft_trees import SoftPolicy, load_soft  # imports torch
 
         hard: Any = otr.load(inputs["harden"] / "tree")
         policies["soft"] = SoftPolicy(load_soft(inputs["train"]), hard.head)
     if "oracle" in inputs:
-        policies["oracle"] = load_oracle(inputs["oracle"], Path(config.results_dir))
+        policies["oracle"] = load_oracle(inputs["oracle"], Path(settings.results_dir))
     if "map" in inputs:
-        policies["network"] = load_actor(inputs[config.method.actor_stage])
+        policies["network"] = load_actor(inputs[settings.method.actor_stage])
     if tree:
-        policies["tree"] = otr.load(inputs[config.method.tree_stage] / "tree")
+        policies["tree"] = otr.load(inputs[settings.method.tree_stage] / "tree")
     policies["pruned_tree"] = otr.load(inputs["prune"] / "tree")
     if (inputs["prune"] / "constant_gains.json").is_file():
         policies["constant_gains"] = otr.load(inputs["prune"] / "constant_gains")
@@ -51,7 +59,7 @@ def load_policies(inputs: Mapping[str, Path], config: RunConfig, *, tree: bool =
     return policies
 
 
-def evaluate(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
+def evaluate(inputs: Inputs, settings: EvaluateSettings, out: Path) -> None:
     """Play the fixed episodes with each form of the policy; write an episodes file each and `report.json`.
 
     `episodes.csv` is the tree's. Fidelity is the share of the visited states in which the pruned tree does the same as
@@ -61,9 +69,9 @@ def evaluate(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     Raises:
         PolicyMismatchError: network and tree act differently in a state; the message shows it.
     """
-    policies = load_policies(inputs, config)
+    policies = load_policies(inputs, settings)
     whole = "network" if "network" in policies else "tree"
-    played = play_each(policies, config)
+    played = play_each(policies, settings)
     states = played[whole].states
     answers, outputs = policies[whole].predict(states), policies[whole].forward(states)
     if whole == "network":
@@ -109,5 +117,7 @@ def _require_agreement(states: np.ndarray, network: np.ndarray, tree: np.ndarray
 
 
 # Its inputs depend on the method: `pipelines.runs.stage_table.stages_of` sets them.
-EVALUATE_SETTINGS = picked(env="env", n_episodes="evaluate.n_episodes", first_seed="evaluate.first_seed")
-EVALUATE = Stage("evaluate", version=episodes_version, inputs=(), settings=EVALUATE_SETTINGS, run=evaluate)
+EVALUATE_KEYS = picked(env="env", n_episodes="evaluate.n_episodes", first_seed="evaluate.first_seed")
+EVALUATE = Stage(
+    "evaluate", version=episodes_version, inputs=(), keyed=EVALUATE_KEYS, run=evaluate, settings=EvaluateSettings
+)

@@ -1,7 +1,7 @@
 """Stage import: a policy that was trained elsewhere, as a network that acts in the run's environment."""
 
 import hashlib
-from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +12,7 @@ from otr.importers.critics import Critics, critics_of_zip
 from otr.importers.statistics import find_statistics
 from pipelines.config.env import EnvConfig
 from pipelines.config.model import ImportedModel
-from pipelines.config.run import RunConfig
-from pipelines.engine.stage import Stage
+from pipelines.engine.stage import Inputs, Stage
 from pipelines.engine.store import write_files, write_json
 from pipelines.errors import ConfigError
 from pipelines.play.actor_files import actor_files
@@ -21,21 +20,27 @@ from pipelines.play.spaces import Spaces, spaces
 from pipelines.training.critics import critics_file
 
 
-def import_settings(config: RunConfig) -> dict[str, Any]:
+@dataclass(frozen=True)
+class ImportSettings:
+    """What the stage reads of a run's configuration."""
+
+    env: EnvConfig
+    imported: ImportedModel
+
+
+def import_keys(settings: ImportSettings) -> dict[str, Any]:
     """Return what decides the network: the files, and the environment, whose actions its answers are clipped to."""
-    assert config.imported is not None
-    return {"env": config.env.settings(), "model_sha256": config.imported.sha256}
+    return {"env": settings.env.settings(), "model_sha256": settings.imported.sha256}
 
 
-def import_policy(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
+def import_policy(inputs: Inputs, settings: ImportSettings, out: Path) -> None:
     """Write the network as a trained actor is, and `report.json`, which names the file that it came from."""
-    assert config.imported is not None
-    network = config.imported.policy
+    network, critics = settings.imported.policy, settings.imported.critics
     write_files(actor_files(network), out)
-    if config.imported.critics is not None:
-        write_files(critics_file(config.imported.critics), out)
+    if critics is not None:
+        write_files(critics_file(critics), out)
     widths = [int(width) for width in network.hidden_widths]
-    write_json(out / "report.json", {"model": config.imported.name, "hidden_widths": widths})
+    write_json(out / "report.json", {"model": settings.imported.name, "hidden_widths": widths})
 
 
 def read_model(
@@ -110,4 +115,4 @@ def _fitted(network: Oracle, space: Spaces, env: EnvConfig) -> Oracle:
     return network.replace(head=head)
 
 
-IMPORT = Stage("import", version=1, inputs=(), settings=import_settings, run=import_policy)
+IMPORT = Stage("import", version=1, inputs=(), keyed=import_keys, run=import_policy, settings=ImportSettings)

@@ -1,35 +1,39 @@
 """Stage leaves: the return against the number of leaves kept, OTR-hat(k) for k = 1, 2, 4, ... and all reached."""
 
-from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import otr
-from pipelines.config.run import RunConfig
-from pipelines.engine.stage import Stage, picked
+from pipelines.engine.stage import Inputs, Stage, picked
 from pipelines.engine.store import write_csv, write_json
-from pipelines.play.episodes import moments, play_evaluation, play_pruning
+from pipelines.play.episodes import PlaysEvaluation, PlaysPruning, moments, play_evaluation, play_pruning
 from pipelines.stages.prune import load_tree
 
 COLUMNS = ("n_leaves", "share_of_states", "return_mean", "return_std", "n_episodes")
 
 
-def leaves(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
+@dataclass(frozen=True)
+class LeavesSettings(PlaysPruning, PlaysEvaluation):
+    """What the stage reads of a run's configuration."""
+
+
+def leaves(inputs: Inputs, settings: LeavesSettings, out: Path) -> None:
     """Play the evaluation episodes with each OTR-hat(k) of the pruned tree, or the polished one; write `returns.csv`.
 
     The k leaves are those that the tree visits most often in the episodes that it was pruned with, so that no episode
     chooses on which it is judged. `share_of_states` is the share of their states that lies in these leaves.
     """
     tree = load_tree(inputs.get("polish") or inputs["prune"])
-    states = play_pruning(tree.predict, config).states
+    states = play_pruning(tree.predict, settings).states
     visits = np.sort(np.bincount(tree.apply(states), minlength=tree.n_leaves))[::-1]
     n_reached = int(np.count_nonzero(visits))
     rows: list[dict[str, Any]] = []
     for k in numbers_of_leaves(n_reached):
         kept = otr.prune_to_k(tree, states, k)
-        played = play_evaluation(kept.predict, config)
+        played = play_evaluation(kept.predict, settings)
         share = float(visits[:k].sum() / len(states))
         row = {"n_leaves": k, "share_of_states": share, **moments(played), "n_episodes": len(played.seeds)}
         rows.append(row)
@@ -44,11 +48,8 @@ def numbers_of_leaves(n_reached: int) -> list[int]:
     return [*(2**i for i in range((n_reached - 1).bit_length())), n_reached]
 
 
-LEAVES_SETTINGS = picked(
-    env="env",
-    seed="seed",
-    n_prune_episodes="prune.n_episodes",
-    n_episodes="evaluate.n_episodes",
-    first_seed="evaluate.first_seed",
-)
-LEAVES = Stage("leaves", version=1, inputs=("prune",), settings=LEAVES_SETTINGS, run=leaves)
+LEAVES_KEYS = picked(
+    env="env", seed="seed", n_prune_episodes="prune.n_episodes", n_episodes="evaluate.n_episodes",
+    first_seed="evaluate.first_seed"
+)  # fmt: skip
+LEAVES = Stage("leaves", version=1, inputs=("prune",), keyed=LEAVES_KEYS, run=leaves, settings=LeavesSettings)

@@ -6,41 +6,50 @@ first trains or imports it; the others find it there. This stage
 keeps where it lies and what it was, so that what is made from it is keyed by its content.
 """
 
-from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from otr.core.smooth_network import Oracle
 from pipelines.config.run import RunConfig
 from pipelines.engine.archive import MANIFEST, verified_manifest
-from pipelines.engine.stage import Stage
+from pipelines.engine.stage import Inputs, Stage, part_of
 from pipelines.engine.store import exists, read_csv, read_json, write_json
 from pipelines.errors import PipelineError
 from pipelines.play.actor_files import load_oracle_network
-from pipelines.stages.import_model import import_settings
-from pipelines.stages.train import train_settings
+from pipelines.stages.import_model import ImportSettings, import_keys
+from pipelines.training.settings import TrainSettings, train_keys
 
 REFERENCE = "oracle.json"
 
 
-def oracle_settings(config: RunConfig) -> dict[str, Any]:
+@dataclass(frozen=True)
+class OracleSettings:
+    """What the stage reads of a run's configuration."""
+
+    oracle_run: RunConfig
+    oracle: list[int]
+    results_dir: str
+
+
+def oracle_keys(settings: OracleSettings) -> dict[str, Any]:
     """Return what decides the oracle: the settings of its training, or the file that it is imported from."""
-    assert config.oracle_run is not None
-    return (train_settings if config.oracle_run.is_trained else import_settings)(config.oracle_run)
+    run = settings.oracle_run
+    return train_keys(part_of(run, TrainSettings)) if run.is_trained else import_keys(part_of(run, ImportSettings))
 
 
-def refer(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
+def refer(inputs: Inputs, settings: OracleSettings, out: Path) -> None:
     """Write `oracle.json`: the trained oracle's folder below the results, its digest and its selection return."""
-    assert config.oracle_run is not None
-    folder = Path(config.oracle_run.folder) / config.oracle_run.method.actor_stage
-    made = Path(config.results_dir) / folder
+    run = settings.oracle_run
+    folder = Path(run.folder) / run.method.actor_stage
+    made = Path(settings.results_dir) / folder
     about: dict[str, Any] = {
         "folder": folder.as_posix(),
         "output_digest": verified_manifest(made)["output_digest"],
-        "hidden_widths": list(config.oracle),
+        "hidden_widths": list(settings.oracle),
     }
-    if config.imported is not None:
-        about["model"] = config.imported.name
+    if run.imported is not None:
+        about["model"] = run.imported.name
     else:
         evaluations = read_csv(made / "evaluations.csv")
         about["selection_return"] = max(float(row["return_mean"]) for row in evaluations)
@@ -58,4 +67,6 @@ def load_oracle(reference: Path, results_dir: Path) -> Oracle:
     return load_oracle_network(folder)
 
 
-ORACLE = Stage("oracle", version=1, inputs=(), settings=oracle_settings, run=refer)
+ORACLE = Stage(
+    "oracle", version=1, inputs=(), keyed=oracle_keys, run=refer, settings=OracleSettings, is_of_other_job=True
+)

@@ -1,6 +1,7 @@
 """Stage parse: a program that somebody wrote, as an oblique tree."""
 
-from collections.abc import Mapping
+import hashlib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -8,8 +9,7 @@ import otr
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import EnvConfig
 from pipelines.config.methods import ProgramConfig
-from pipelines.config.run import RunConfig
-from pipelines.engine.stage import Stage
+from pipelines.engine.stage import Inputs, Stage
 from pipelines.engine.store import write_json, write_text
 from pipelines.errors import ConfigError, did_you_mean
 from pipelines.play.printed_programs import write_program
@@ -19,32 +19,34 @@ TREE_FILES = (".json", ".npz")
 DIGITS = 17  # that tell one float64 from another
 
 
-def parse_settings(config: RunConfig) -> dict[str, Any]:
+@dataclass(frozen=True)
+class ParseSettings:
+    """What the stage reads of a run's configuration."""
+
+    env: EnvConfig
+    method: ProgramConfig
+    program_text: str
+
+
+def parse_keys(settings: ParseSettings) -> dict[str, Any]:
     """Return what decides the tree: the program's text, and what the environment makes of its answers."""
     return {
-        "env": config.env.settings(),
-        "program_sha256": config.settings()["program_sha256"],
-        "feature_names": config.env.feature_names,
-        "action_names": config.env.action_names,
+        "env": settings.env.settings(),
+        "program_sha256": hashlib.sha256(settings.program_text.encode()).hexdigest(),
+        "feature_names": settings.env.feature_names,
+        "action_names": settings.env.action_names,
     }
 
 
-def parse(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
+def parse(inputs: Inputs, settings: ParseSettings, out: Path) -> None:
     """Write the program as it is, its tree, the tree's own program and `report.json`."""
-    assert isinstance(config.method, ProgramConfig) and config.program_text is not None
-    tree = policy_tree(config.program_text, config.env, config.method.program)
-    write_text(out / "source.txt", config.program_text)
+    program = settings.method.program
+    tree = policy_tree(settings.program_text, settings.env, program)
+    write_text(out / "source.txt", settings.program_text)
     otr.save(tree, out / "tree")
-    write_program(tree, config.env, out)
-    write_json(
-        out / "report.json",
-        {
-            "kind": "oblique_tree",
-            "program": Path(config.method.program).name,
-            "n_leaves": tree.n_leaves,
-            "depth": tree.depth,
-        },
-    )
+    write_program(tree, settings.env, out)
+    about = {"kind": "oblique_tree", "program": Path(program).name, "n_leaves": tree.n_leaves, "depth": tree.depth}
+    write_json(out / "report.json", about)
 
 
 def policy_tree(text: str, env: EnvConfig, where: str) -> otr.ObliqueTree:
@@ -124,4 +126,4 @@ def read_program(name: str, env: EnvConfig) -> str:
         raise ConfigError(f"program={name} cannot be read: {reason}") from error
 
 
-PARSE = Stage("parse", version=1, inputs=(), settings=parse_settings, run=parse)
+PARSE = Stage("parse", version=1, inputs=(), keyed=parse_keys, run=parse, settings=ParseSettings)

@@ -1,7 +1,7 @@
 """Stage polish: the numbers of a finished policy improved on its return, by direct search or by an oracle's critics."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -14,23 +14,31 @@ import numpy as np
 import otr
 from otr.control.search.policy_numbers import policy_numbers
 from otr.control.search.polish import Episodes, PolishReport, best_confirmed
-from pipelines.config.run import RunConfig
+from pipelines.config.method import MethodConfig
+from pipelines.config.stages import MapConfig, PolishingConfig
 from pipelines.engine.archive import MANIFEST
 from pipelines.engine.console import duration
 from pipelines.engine.seeding import episode_seeds, stream_seed
-from pipelines.engine.stage import Stage, picked
+from pipelines.engine.stage import Inputs, Stage, part_of, picked
 from pipelines.engine.store import exists, read_json, write_csv, write_files, write_json
 from pipelines.errors import ConfigError
 from pipelines.play.actor_files import actor_files, load_actor, load_oracle_network
 from pipelines.play.environments import is_discrete, make_env
-from pipelines.play.episodes import Player, episodes_version, moments, play_each, playing_seconds
+from pipelines.play.episodes import (
+    Player,
+    PlaysEvaluation,
+    PlaysPruning,
+    episodes_version,
+    moments,
+    play_each,
+    playing_seconds,
+)
 from pipelines.play.printed_programs import and_names, write_program
 from pipelines.play.vector_envs import check_environments, fastest_environments
 from pipelines.stages.evaluate import EPISODE_COLUMNS, episode_rows
-from pipelines.stages.map import map_actor
-from pipelines.stages.prune import load_tree, prune
+from pipelines.stages.map import MapSettings, map_actor
+from pipelines.stages.prune import PruneSettings, load_tree, prune
 from pipelines.training.critics import CRITICS, load_critics
-from pipelines.training.search.policy_search import search_settings
 
 Policy = TypeVar("Policy", otr.ObliqueTree, otr.ReluNetwork)
 
@@ -40,7 +48,28 @@ UPDATES_PER_S = 250.0  # of a small actor and its critics, a step of the environ
 CANDIDATE_COLUMNS = ("iteration", "selection_mean", "n_selection_episodes")
 
 
-def polish(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
+@dataclass(frozen=True)
+class SearchedSettings(PlaysPruning, PlaysEvaluation):
+    """What a search over a policy's numbers reads of a run's configuration."""
+
+    method: MethodConfig
+    polishing: PolishingConfig
+
+
+@dataclass(frozen=True)
+class PolishStageSettings(SearchedSettings):
+    """What the stage reads of a run's configuration."""
+
+    map: MapConfig
+    polishes_network: bool
+    has_oracle: bool
+    has_critics: bool
+    actor_folder: str
+    folder: str
+    results_dir: str
+
+
+def polish(inputs: Inputs, settings: PolishStageSettings, out: Path) -> None:
     """Improve, and write the polished tree, `program.txt`, `candidates.csv`, `episodes.csv` and `report.json`.
 
     Of a mapped tree the network's numbers move, unless `polishing.numbers=tree`: then `out` has the actor's
@@ -48,35 +77,35 @@ def polish(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     PID policy's tree is the one with constant gains, whose leaves are affine. `episodes.csv` has the evaluation
     episodes of the network or tree that was polished.
     """
-    actor = config.method.actor_stage
-    improved = improve_by_critic if polishes_by(config) == "critic" else partial(search, purpose="polish")
-    if config.polishes_network:
+    actor = settings.method.actor_stage
+    improved = improve_by_critic if polishes_by(settings) == "critic" else partial(search, purpose="polish")
+    if settings.polishes_network:
         network = load_actor(inputs[actor])
-        polished: Any = improved(network, config)
+        polished: Any = improved(network, settings)
         write_files(actor_files(polished.policy), out)
         with TemporaryDirectory(prefix="otr-") as full:
-            map_actor({actor: out}, config, Path(full))
-            prune({actor: out, "map": Path(full)}, config, out)
+            map_actor({actor: out}, part_of(settings, MapSettings), Path(full))
+            prune({actor: out, "map": Path(full)}, part_of(settings, PruneSettings), out)
         before: Any = network
     else:
         before = load_tree(inputs["prune"])
-        polished = improved(before, config)
+        polished = improved(before, settings)
         otr.save(polished.policy, out / "tree")
-        write_program(polished.policy, config.env, out)
+        write_program(polished.policy, settings.env, out)
     write_csv(out / "candidates.csv", polished.candidates, CANDIDATE_COLUMNS)
     tree: Any = otr.load(out / "tree")
     policies = {"before": before, "after": polished.policy, "pruned": tree}
-    played = play_each(policies, config)
+    played = play_each(policies, settings)
     write_csv(out / "episodes.csv", episode_rows(played["after"]), EPISODE_COLUMNS)
     write_json(
         out / "report.json",
         {
-            "numbers": "network" if config.polishes_network else "tree",
-            "free": config.polishing.free,
+            "numbers": "network" if settings.polishes_network else "tree",
+            "free": settings.polishing.free,
             **polished.report,
             "n_leaves": tree.n_leaves,
             "depth": tree.depth,
-            "n_episodes": config.evaluate.n_episodes,
+            "n_episodes": settings.evaluate.n_episodes,
             **moments(played["before"], "_before"),
             **moments(played["after"]),
             **moments(played["pruned"], "_pruned"),
@@ -93,12 +122,12 @@ class Polished:
     candidates: list[dict[str, Any]]
 
 
-def search(policy: Policy, config: RunConfig, purpose: str) -> Polished:
+def search(policy: Policy, settings: SearchedSettings, purpose: str) -> Polished:
     """Polish a policy on its return in the run's environment; each purpose has directions and episodes of its own."""
-    polishing, account = config.polishing, _Account(purpose)
+    polishing, account = settings.polishing, _Account(purpose)
     index = ("polish", "simplify").index(purpose)
-    with closing(Player(config.env, environments(config))) as player:
-        seeds = np.array([episode_seeds(config.seed, "prune", config.prune.n_episodes)])
+    with closing(Player(settings.env, environments(settings))) as player:
+        seeds = np.array([episode_seeds(settings.seed, "prune", settings.prune.n_episodes)])
         visited = player.play([policy], seeds, keep_states=True)
         vectors_steps = 2 * polishing.n_directions * polishing.n_episodes * visited.lengths.mean()
         polished = otr.polish(
@@ -106,22 +135,22 @@ def search(policy: Policy, config: RunConfig, purpose: str) -> Polished:
             player.returns,
             states=visited.states,
             n_iterations=max(1, round(polishing.steps / vectors_steps)),
-            settings=search_settings(polishing),
-            scale="sensitivity" if polishing.scale == "sensitivity" else "uniform",
+            settings=polishing,
+            scale=polishing.scale,
             n_episodes=polishing.n_episodes,
-            common_starts="all" if polishing.common_starts == "all" else "pair",
+            common_starts=polishing.common_starts,
             n_selection_episodes=polishing.n_selection_episodes,
             n_candidates=polishing.n_candidates,
             free=polishing.free and purpose == "polish",  # a shorter program stays as short
-            tied=config.method.ties_repeats,
-            seed=stream_seed(config.seed, "polish", index),
+            tied=settings.method.ties_repeats,
+            seed=stream_seed(settings.seed, "polish", index),
             report=account.announce,
         )
     account.n_steps = player.n_steps - int(visited.lengths.sum())
-    return account.polished(polished, config, **account.size(config))
+    return account.polished(polished, settings, **account.size(settings))
 
 
-def improve_by_critic(policy: Any, config: RunConfig) -> Polished:
+def improve_by_critic(policy: Any, settings: PolishStageSettings) -> Polished:
     """Polish a policy by the critics of the actor that it was made from, with the soft actor-critic.
 
     Raises:
@@ -130,23 +159,26 @@ def improve_by_critic(policy: Any, config: RunConfig) -> Polished:
     """
     from pipelines.training.critic_polish.learner import CriticPolish  # imports torch
 
-    polishing, account, folder = config.polishing, _Account("polish"), critics_folder(config)
+    polishing, account, folder = settings.polishing, _Account("polish"), critics_folder(settings)
     critics = load_critics(folder)
+    where, tied = environments(settings), settings.method.ties_repeats
     oracle = load_oracle_network(folder) if exists(folder / "actor.json") else None
     with (
-        closing(Player(config.env, environments(config))) as player,
-        closing(CriticPolish(policy, config, critics, oracle, environments(config))) as learning,
+        closing(Player(settings.env, where)) as player,
+        closing(
+            CriticPolish(policy, polishing, settings.env, where, critics, oracle, tied=tied, seed=settings.seed)
+        ) as learning,
     ):
-        play = Episodes(player.returns, stream_seed(config.seed, "polish", 0))
+        play = Episodes(player.returns, stream_seed(settings.seed, "polish", 0))
         spread = np.zeros((1, policy.n_inputs))
-        numbers = policy_numbers(policy, spread, free=polishing.free, tied=config.method.ties_repeats)
+        numbers = policy_numbers(policy, spread, free=polishing.free, tied=tied)
         start = PolishReport(numbers.start.size, polishing.critic.steps, 0, ())
         n_selection = polishing.n_selection_episodes
         polished = best_confirmed(policy, learning.candidates(), play, start, n_selection, account.announce)
-    settings = polishing.critic
-    account.n_steps = player.n_steps + settings.refill_steps + settings.steps
-    own = {"n_refill_steps": settings.refill_steps, "n_learning_steps": settings.steps}
-    return account.polished(polished, config, by="critic", **own, candidate_seconds=account.candidate_seconds)
+    critic = polishing.critic
+    account.n_steps = player.n_steps + critic.refill_steps + critic.steps
+    own = {"n_refill_steps": critic.refill_steps, "n_learning_steps": critic.steps}
+    return account.polished(polished, settings, by="critic", **own, candidate_seconds=account.candidate_seconds)
 
 
 class _Account:
@@ -176,97 +208,97 @@ class _Account:
         """The seconds of CPU at which each candidate had played, the original first."""
         return self._seconds[: len(self._reports[-1].candidates)]
 
-    def size(self, config: RunConfig) -> dict[str, float]:
+    def size(self, settings: SearchedSettings) -> dict[str, float]:
         """Return the size of a scale by sensitivity."""
-        return {} if config.polishing.scale == "uniform" else {"size": self._reports[-1].size}
+        return {} if settings.polishing.scale == "uniform" else {"size": self._reports[-1].size}
 
-    def polished(self, policy: Any, config: RunConfig, **about: Any) -> Polished:
+    def polished(self, policy: Any, settings: SearchedSettings, **about: Any) -> Polished:
         """Return the policy with what is to be said of it."""
-        report, n_selection = self._reports[-1], config.polishing.n_selection_episodes
+        report, n_selection = self._reports[-1], settings.polishing.n_selection_episodes
         spent = {"n_steps": self.n_steps, "cpu_seconds": round(time.process_time() - self._began, 3)}
         rows = [
             {"iteration": iteration, "selection_mean": mean, "n_selection_episodes": n_selection}
             for iteration, mean in report.candidates
         ]
-        return Polished(policy, about | _told(report, config) | spent, rows)
+        return Polished(policy, about | _told(report, settings) | spent, rows)
 
 
-def critics_folder(config: RunConfig) -> Path:
+def critics_folder(settings: PolishStageSettings) -> Path:
     """Return where the critics of a run lie: with its oracle, or with its own actor."""
-    made_by = config.oracle_run or config
-    return Path(config.results_dir) / made_by.folder / made_by.method.actor_stage
+    return Path(settings.results_dir) / settings.actor_folder
 
 
-def check_critics(config: RunConfig) -> None:
+def check_critics(settings: PolishStageSettings) -> None:
     """Raise PipelineError where critics are to polish a run that their finished training no longer has."""
-    is_polished = exists(Path(config.results_dir) / config.folder / "polish" / MANIFEST)
-    if not is_polished and exists(_manifest(config)) and polishes_by(config) == "critic":
-        load_critics(critics_folder(config))
+    is_polished = exists(Path(settings.results_dir) / settings.folder / "polish" / MANIFEST)
+    if not is_polished and exists(_manifest(settings)) and polishes_by(settings) == "critic":
+        load_critics(critics_folder(settings))
 
 
-def polishes_by(config: RunConfig) -> str:
+def polishes_by(settings: PolishStageSettings) -> str:
     """Return what polishes a run: as it is set, else "critic" where its oracle was kept with critics, else "search".
 
     The manifest of the oracle tells that, whether the file is still there or not: results from before critics were
     kept, and what was polished then, stay what they are.
     """
-    if config.polishing.by is not None:
-        return config.polishing.by
-    manifest = _manifest(config)
-    has_critics = config.oracle_run is not None and exists(manifest) and CRITICS in read_json(manifest)["outputs"]
+    if settings.polishing.by is not None:
+        return settings.polishing.by
+    manifest = _manifest(settings)
+    has_critics = settings.has_oracle and exists(manifest) and CRITICS in read_json(manifest)["outputs"]
     return "critic" if has_critics else "search"
 
 
-def will_polish_by(config: RunConfig) -> str:
+def will_polish_by(settings: PolishStageSettings) -> str:
     """Return what polishes a run once its oracle is there."""
-    is_to_come = config.polishing.by is None and config.oracle_run is not None and not exists(_manifest(config))
-    return "critic" if is_to_come and config.has_critics else polishes_by(config)
+    is_to_come = settings.polishing.by is None and settings.has_oracle and not exists(_manifest(settings))
+    return "critic" if is_to_come and settings.has_critics else polishes_by(settings)
 
 
-def check_polish(config: RunConfig) -> None:
+def check_polish(settings: PolishStageSettings) -> None:
     """Raise ConfigError where a run's polish cannot be done as it is set."""
-    check_environments(config.env, environments(config))
-    if config.polishing.scale == "uniform":
+    check_environments(settings.env, environments(settings))
+    if settings.polishing.scale == "uniform":
         return
-    if will_polish_by(config) == "critic":
+    if will_polish_by(settings) == "critic":
         raise ConfigError(
             "polishing.scale=sensitivity is of a search, and critics polish this run: give one of "
             "polishing.by=search and polishing.scale=uniform"
         )
-    if is_discrete(make_env(config.env)):
+    if is_discrete(make_env(settings.env)):
         raise ConfigError(
-            f"polishing.scale=sensitivity is for continuous actions, and those of {config.env.id} are labels; "
+            f"polishing.scale=sensitivity is for continuous actions, and those of {settings.env.id} are labels; "
             "leave it out"
         )
 
 
-def _manifest(config: RunConfig) -> Path:
+def _manifest(settings: PolishStageSettings) -> Path:
     """Return the manifest of the stage that keeps a run's critics, if any."""
-    return critics_folder(config) / MANIFEST
+    return critics_folder(settings) / MANIFEST
 
 
-def environments(config: RunConfig) -> str:
+def environments(settings: SearchedSettings) -> str:
     """Return who computes the environments of a polish."""
-    return config.polishing.environments or fastest_environments(config.env)
+    return settings.polishing.environments or fastest_environments(settings.env)
 
 
-def estimated_seconds(config: RunConfig) -> float:
+def estimated_seconds(settings: PolishStageSettings) -> float:
     """Return the likely time of a polish on one core, its selection and confirmation episodes included."""
-    polishing = config.polishing
+    polishing = settings.polishing
     n_chosen = (polishing.n_candidates + 3) * polishing.n_selection_episodes
-    by_critic, settings = will_polish_by(config) == "critic", polishing.critic
-    n_steps = settings.refill_steps if by_critic else polishing.steps
-    seconds = playing_seconds(config.env, n_chosen, environments(config), n_steps=n_steps)
-    return seconds + (settings.steps / UPDATES_PER_S if by_critic else 0.0)
+    by_critic, critic = will_polish_by(settings) == "critic", polishing.critic
+    n_steps = critic.refill_steps if by_critic else polishing.steps
+    seconds = playing_seconds(settings.env, n_chosen, environments(settings), n_steps=n_steps)
+    return seconds + (critic.steps / UPDATES_PER_S if by_critic else 0.0)
 
 
-def announce_polish(config: RunConfig) -> None:
+def announce_polish(runs: Sequence[PolishStageSettings]) -> None:
     """Print the likely time of a long polish."""
-    seconds = estimated_seconds(config)
+    (settings,) = runs
+    seconds = estimated_seconds(settings)
     if seconds >= LONG_POLISH_S:
-        by_critic = polishes_by(config) == "critic"
+        by_critic = polishes_by(settings) == "critic"
         what = "critics in" if by_critic else "a search of"
-        n_steps = config.polishing.critic.steps if by_critic else config.polishing.steps
+        n_steps = settings.polishing.critic.steps if by_critic else settings.polishing.steps
         print(
             f"polish: {what} {n_steps:,} steps, about {duration(seconds)} on one core; one that is stopped begins anew",
             flush=True,
@@ -278,7 +310,7 @@ def load_searched(folder: Path) -> otr.ObliqueTree | otr.ReluNetwork:
     return load_actor(folder) if exists(folder / "actor.json") else load_tree(folder)
 
 
-def _told(report: PolishReport, config: RunConfig) -> dict[str, Any]:
+def _told(report: PolishReport, settings: SearchedSettings) -> dict[str, Any]:
     """Return what the report of the search says, for people."""
     iteration, best = max(report.candidates, key=lambda candidate: (candidate[1], -candidate[0]))
     before, after = report.confirmation or (None, None)
@@ -287,7 +319,7 @@ def _told(report: PolishReport, config: RunConfig) -> dict[str, Any]:
         "n_numbers": report.n_numbers,
         "n_iterations": report.n_iterations,
         "best_iteration": iteration,
-        "n_selection_episodes": config.polishing.n_selection_episodes,
+        "n_selection_episodes": settings.polishing.n_selection_episodes,
         "selection_return_before": report.candidates[0][1],
         "selection_return": best,
         "confirmation_return_before": before,
@@ -296,23 +328,22 @@ def _told(report: PolishReport, config: RunConfig) -> dict[str, Any]:
     }
 
 
-# Its inputs depend on the method: `pipelines.runs.stage_table.stages_of` sets them.
-POLISH_SETTINGS = picked(
-    env="env",
-    seed="seed",
-    polishing="polishing",
-    max_leaves="map.max_leaves",
-    prune="prune",
-    evaluate="evaluate",
-)
+_BY_SEARCH = picked(
+    env="env", seed="seed", polishing="polishing", max_leaves="map.max_leaves", prune="prune",
+    evaluate="evaluate"
+)  # fmt: skip
 
 
-def polish_settings(config: RunConfig) -> dict[str, Any]:
+def polish_keys(settings: PolishStageSettings) -> dict[str, Any]:
     """Return what decides a polish; the critics are told by its inputs, which are made from the actor that has them."""
-    settings = POLISH_SETTINGS(config)
-    if polishes_by(config) == "critic":
-        settings["polishing"] = config.polishing.settings_by_critic()
-    return settings
+    keyed = _BY_SEARCH(settings)
+    if polishes_by(settings) == "critic":
+        keyed["polishing"] = settings.polishing.settings_by_critic()
+    return keyed
 
 
-POLISH = Stage("polish", version=episodes_version, inputs=(), settings=and_names(polish_settings), run=polish)
+# Its inputs depend on the method: `pipelines.runs.stage_table.stages_of` sets them.
+POLISH = Stage(
+    "polish", version=episodes_version, inputs=(), keyed=and_names(polish_keys), run=polish,
+    settings=PolishStageSettings, announce=announce_polish, seconds_left=estimated_seconds, check=check_critics,
+)  # fmt: skip

@@ -1,7 +1,7 @@
 """Stage prune: the paths that the policy reaches in its environment, OTR-hat, or the k most frequent of them."""
 
 import math
-from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,17 +9,24 @@ import numpy as np
 
 import otr
 from otr.control import constant_gains
-from pipelines.config.run import RunConfig
-from pipelines.engine.stage import Stage, picked
+from pipelines.config.method import MethodConfig
+from pipelines.engine.stage import Inputs, Stage, picked
 from pipelines.engine.store import write_json, write_text
 from pipelines.errors import PolicyMismatchError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.agreement import answers_agree
-from pipelines.play.episodes import play_pruning
+from pipelines.play.episodes import PlaysPruning, play_pruning
 from pipelines.play.printed_programs import and_names, program_text, write_picture, write_program
 
 
-def prune(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
+@dataclass(frozen=True)
+class PruneSettings(PlaysPruning):
+    """What the stage reads of a run's configuration."""
+
+    method: MethodConfig
+
+
+def prune(inputs: Inputs, settings: PruneSettings, out: Path) -> None:
     """Play `prune.n_episodes` episodes, keep the paths they reach, and write the pruned tree and its report.
 
     The episodes are the run's own and not the ones it is evaluated on. A path is an activation pattern where the tree
@@ -32,14 +39,14 @@ def prune(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
         PolicyMismatchError: the pruned tree differs from the policy on a state that it was pruned with.
     """
     policy: Any
-    tree: Any = otr.load(inputs[config.method.tree_stage] / "tree")
-    states = play_pruning(tree.predict, config).states
+    tree: Any = otr.load(inputs[settings.method.tree_stage] / "tree")
+    states = play_pruning(tree.predict, settings).states
     if "map" in inputs:
-        network = load_actor(inputs[config.method.actor_stage])
+        network = load_actor(inputs[settings.method.actor_stage])
         policy, patterns = network, otr.PatternTree(network).observe(states).n_patterns
     else:
         policy, patterns = tree, len(np.unique(tree.apply(states)))
-    if config.prune.k is None:
+    if settings.prune.k is None:
         pruned = otr.prune_unreached(tree, states)
         agreement = answers_agree(policy.predict(states), pruned.predict(states), policy.forward(states))
         if not agreement.all():
@@ -48,17 +55,17 @@ def prune(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
                 f"the pruned tree differs from the policy in a state it kept: {states[i].tolist()}"
             )
     else:
-        pruned = otr.prune_to_k(tree, states, config.prune.k)
+        pruned = otr.prune_to_k(tree, states, settings.prune.k)
     otr.save(pruned, out / "tree")
     if isinstance(tree, otr.PatternTree):
         taken = otr.PatternTree(tree.network).observe(states)
-        otr.save(taken.observed() if config.prune.k is None else taken.keep(config.prune.k), out / "paths")
-    write_program(pruned, config.env, out)
-    write_picture(pruned, config.env, states, out)
+        otr.save(taken.observed() if settings.prune.k is None else taken.keep(settings.prune.k), out / "paths")
+    write_program(pruned, settings.env, out)
+    write_picture(pruned, settings.env, states, out)
     if not pruned.head.acts_by_output:  # gains in the leaves
         constant = constant_gains(pruned, states)
         otr.save(constant, out / "constant_gains")
-        write_text(out / "constant_gains.txt", program_text(constant, config.env))
+        write_text(out / "constant_gains.txt", program_text(constant, settings.env))
     write_json(
         out / "report.json",
         {
@@ -66,9 +73,9 @@ def prune(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
             "depth": pruned.depth,
             "patterns": patterns,
             "pruned_depth": math.log2(patterns),
-            "n_episodes": config.prune.n_episodes,
+            "n_episodes": settings.prune.n_episodes,
             "n_states": len(states),
-            "k": config.prune.k,
+            "k": settings.prune.k,
         },
     )
 
@@ -83,5 +90,5 @@ def load_tree(folder: Path) -> otr.ObliqueTree:
 
 
 # Its inputs depend on the method: `pipelines.runs.stage_table.stages_of` sets them.
-PRUNE_SETTINGS = and_names(picked(env="env", n_episodes="prune.n_episodes", k="prune.k", seed="seed"))
-PRUNE = Stage("prune", version=1, inputs=(), settings=PRUNE_SETTINGS, run=prune)
+PRUNE_KEYS = and_names(picked(env="env", n_episodes="prune.n_episodes", k="prune.k", seed="seed"))
+PRUNE = Stage("prune", version=1, inputs=(), keyed=PRUNE_KEYS, run=prune, settings=PruneSettings)

@@ -3,7 +3,8 @@
 import dataclasses
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +13,15 @@ import numpy as np
 import otr
 from otr.shorten.edits import n_numbers, without_idle_head
 from otr.shorten.simplify import Judge, Simplification
-from pipelines.config.run import RunConfig
+from pipelines.config.stages import SimplificationConfig
 from pipelines.engine.seeding import episode_seeds
-from pipelines.engine.stage import Stage, picked
+from pipelines.engine.stage import Inputs, Stage, picked
 from pipelines.engine.store import write_csv, write_json
 from pipelines.play.episodes import Rollout, moments, play_evaluation, play_seeds
 from pipelines.play.printed_programs import and_names, write_picture, write_program
 from pipelines.play.spaces import spaces, state_limits
 from pipelines.stages.evaluate import episode_rows
-from pipelines.stages.polish import search
+from pipelines.stages.polish import SearchedSettings, search
 from pipelines.stages.prune import load_tree
 
 MAX_ATTEMPTS = 4
@@ -29,7 +30,14 @@ ANNOUNCE_S = 10.0
 CLOSE = 0.05  # of an action's range: nearer than that, actions count as the same
 
 
-def simplify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
+@dataclass(frozen=True)
+class SimplifySettings(SearchedSettings):
+    """What the stage reads of a run's configuration; how it is polished again is not keyed: the stage polish is."""
+
+    simplification: SimplificationConfig
+
+
+def simplify(inputs: Inputs, settings: SimplifySettings, out: Path) -> None:
     """Write the simpler tree, its `program.txt`, its `episodes.csv` on the evaluation seeds, and `report.json`.
 
     A change is allowed if on the deciding episodes the mean return falls by no more than `return_loss` of its size, one
@@ -42,28 +50,28 @@ def simplify(inputs: Mapping[str, Path], config: RunConfig, out: Path) -> None:
     from is measured on a fourth set of episodes, which decides nothing.
     """
     tree = load_tree(inputs.get("polish") or inputs["prune"])
-    judge = _Judge(tree, config, 0, keep_states=True)
+    judge = _Judge(tree, settings, 0, keep_states=True)
     states = judge.played.states
     again: dict[str, Any] = {}
-    if config.simplification.action_bound is not None:
-        box = state_limits(config.env) or _box_around(states)
-        allows: Judge = otr.within(tree, box, config.simplification.action_bound)
-        simpler, n_attempts = otr.simplify(tree, allows, states, refit=config.simplification.refit), 1
+    if settings.simplification.action_bound is not None:
+        box = state_limits(settings.env) or _box_around(states)
+        allows: Judge = otr.within(tree, box, settings.simplification.action_bound)
+        simpler, n_attempts = otr.simplify(tree, allows, states, refit=settings.simplification.refit), 1
     else:
-        simpler, n_attempts, again = _simplest(tree, judge, states, config, polishes="polish" in inputs)
+        simpler, n_attempts, again = _simplest(tree, judge, states, settings, polishes="polish" in inputs)
     otr.save(simpler.tree, out / "tree")
-    write_program(simpler.tree, config.env, out)
-    write_picture(simpler.tree, config.env, states, out)
-    _report(tree, simpler, judge, n_attempts, again, config, out)
+    write_program(simpler.tree, settings.env, out)
+    write_picture(simpler.tree, settings.env, states, out)
+    _report(tree, simpler, judge, n_attempts, again, settings, out)
 
 
-def _polished_again(simpler: Simplification, config: RunConfig) -> tuple[Simplification, dict[str, Any]]:
+def _polished_again(simpler: Simplification, settings: SimplifySettings) -> tuple[Simplification, dict[str, Any]]:
     """Return the simpler tree polished on the return, and what the report says of that."""
-    box = spaces(config.env).box
+    box = spaces(settings.env).box
     # The constants of a tree without a clip lie within the actions, and are to stay there.
     clipped = simpler.tree if box is None else simpler.tree.replace(head=simpler.tree.head.clipped_to(*box))
-    polished = search(clipped, config, "simplify")
-    played = play_evaluation(simpler.tree.predict, config)
+    polished = search(clipped, settings, "simplify")
+    played = play_evaluation(simpler.tree.predict, settings)
     report = {"polished_again": polished.report | moments(played, "_before")}
     if not polished.report["kept"]:
         return simpler, report
@@ -72,7 +80,7 @@ def _polished_again(simpler: Simplification, config: RunConfig) -> tuple[Simplif
 
 
 def _simplest(
-    tree: otr.ObliqueTree, judge: "_Judge", states: np.ndarray, config: RunConfig, *, polishes: bool
+    tree: otr.ObliqueTree, judge: "_Judge", states: np.ndarray, settings: SimplifySettings, *, polishes: bool
 ) -> tuple[Simplification, int, dict[str, Any]]:
     """Return the simpler tree, the number of attempts that it took, and what the report says of polishing it again.
 
@@ -81,13 +89,13 @@ def _simplest(
     after MAX_ATTEMPTS the tree stays as it is. A tree that is polished again is to lose nothing: no more than one
     standard error of the paired differences.
     """
-    check, n_attempts = _Judge(tree, config, 1), 0
+    check, n_attempts = _Judge(tree, settings, 1), 0
     again: dict[str, Any] = {}
     while True:
         n_attempts += 1
-        simpler = otr.simplify(tree, judge, states, refit=config.simplification.refit)
+        simpler = otr.simplify(tree, judge, states, refit=settings.simplification.refit)
         if polishes:
-            simpler, again = _polished_again(simpler, config)
+            simpler, again = _polished_again(simpler, settings)
         loss, error = check.loss(simpler.tree)
         if loss <= (error if polishes else check.allowed):
             break
@@ -102,8 +110,8 @@ def _simplest(
                 f"simplify: the shorter tree loses {loss:.2f} ± {error:.2f}; again with half the allowance", flush=True
             )
     if polishes:
-        loss, error = _Judge(tree, config, 2).loss(simpler.tree)
-        n_episodes = config.simplification.n_episodes
+        loss, error = _Judge(tree, settings, 2).loss(simpler.tree)
+        n_episodes = settings.simplification.n_episodes
         again["loss"] = {"mean": loss, "standard_error": error, "n_episodes": n_episodes}
     return simpler, n_attempts, again
 
@@ -111,12 +119,14 @@ def _simplest(
 class _Judge:
     """Whether a tree's returns on the deciding episodes are almost the original's; tells how far the search is."""
 
-    def __init__(self, tree: otr.ObliqueTree, config: RunConfig, index: int, *, keep_states: bool = False) -> None:
+    def __init__(
+        self, tree: otr.ObliqueTree, settings: SimplifySettings, index: int, *, keep_states: bool = False
+    ) -> None:
         """Play the original in the deciding episodes, or with index 1 or 2 in others that decide nothing before."""
-        self.config = config
-        self.seeds = episode_seeds(config.seed, "simplify", config.simplification.n_episodes, index)
+        self.settings = settings
+        self.seeds = episode_seeds(settings.seed, "simplify", settings.simplification.n_episodes, index)
         self.played = self._play(tree, self.seeds, keep_states)
-        self.allowed = config.simplification.return_loss * abs(self.played.mean_return)
+        self.allowed = settings.simplification.return_loss * abs(self.played.mean_return)
         self.n_played = self.n_tried = 0
         self.announced = time.monotonic()
 
@@ -146,8 +156,8 @@ class _Judge:
         return np.asarray(self.played.returns[start:stop] - self._play(tree, self.seeds[start:stop]).returns)
 
     def _play(self, tree: otr.ObliqueTree, seeds: Sequence[int], keep_states: bool = False) -> Rollout:
-        workers = self.config.n_workers
-        return play_seeds(tree.predict, self.config.env, seeds, keep_states=keep_states, n_workers=workers)
+        workers = self.settings.n_workers
+        return play_seeds(tree.predict, self.settings.env, seeds, keep_states=keep_states, n_workers=workers)
 
 
 def _standard_error(values: np.ndarray) -> float:
@@ -165,15 +175,15 @@ def _report(
     judge: _Judge,
     n_attempts: int,
     again: dict[str, Any],
-    config: RunConfig,
+    settings: SimplifySettings,
     out: Path,
 ) -> None:
     """Play the evaluation episodes with both trees and write what came out."""
-    before = play_evaluation(tree.predict, config, keep_states=True)
-    after = play_evaluation(simpler.tree.predict, config)
+    before = play_evaluation(tree.predict, settings, keep_states=True)
+    after = play_evaluation(simpler.tree.predict, settings)
     states = before.states
     ours, theirs = (np.asarray(each.predict(states), dtype=np.float64) for each in (simpler.tree, tree))
-    box = spaces(config.env).box
+    box = spaces(settings.env).box
     close = 0.0 if box is None else CLOSE * (box[1] - box[0])
     same = (np.abs(ours - theirs) <= close).reshape(len(states), -1).all(axis=1)
     columns = ("episode", "seed", "return")
@@ -191,8 +201,8 @@ def _report(
             "n_kept": simpler.n_kept,
             "n_attempts": n_attempts,
             "n_deciding_episodes": len(judge.seeds),
-            "return_loss": config.simplification.return_loss,
-            "action_bound": config.simplification.action_bound,
+            "return_loss": settings.simplification.return_loss,
+            "action_bound": settings.simplification.action_bound,
             "n_episodes": len(after.seeds),
             **moments(before, "_before"),
             **moments(after),
@@ -204,15 +214,12 @@ def _report(
     )
 
 
-SIMPLIFY_SETTINGS = picked(
-    env="env",
-    seed="seed",
-    n_episodes="simplification.n_episodes",
-    return_loss="simplification.return_loss",
-    action_bound="simplification.action_bound",
-    refit="simplification.refit",
-    evaluate="evaluate",
-)
+SIMPLIFY_KEYS = picked(
+    env="env", seed="seed", n_episodes="simplification.n_episodes", return_loss="simplification.return_loss",
+    action_bound="simplification.action_bound", refit="simplification.refit", evaluate="evaluate"
+)  # fmt: skip
 # After polish=true it reads the stage polish alone (`pipelines.runs.stage_table.stages_of`), keyed by the
 # settings of polishing.
-SIMPLIFY = Stage("simplify", version=1, inputs=("prune",), settings=and_names(SIMPLIFY_SETTINGS), run=simplify)
+SIMPLIFY = Stage(
+    "simplify", version=1, inputs=("prune",), keyed=and_names(SIMPLIFY_KEYS), run=simplify, settings=SimplifySettings
+)

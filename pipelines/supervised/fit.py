@@ -8,9 +8,9 @@ from typing import Any
 
 import otr
 from pipelines.datasets.dataset import Dataset
-from pipelines.engine.console import progress_lines
 from pipelines.engine.stage import Stage
 from pipelines.engine.store import read_json, write_csv
+from pipelines.engine.time_left import progress_lines
 from pipelines.supervised.config import FitConfig, fit_settings, with_settings
 from pipelines.supervised.learners import FittedTree, check_learner, dataset_of, fit_trees, usable_labels
 from pipelines.supervised.readable_trees import draw, named
@@ -84,4 +84,4 @@ def _row(label: str, file: str, changes: dict[str, Any], fitted: FittedTree, sec
 
 
 # It reads stage tune where the method has a grid: `pipelines.supervised.fit_job.stages_of` sets its inputs.
-FIT = Stage("fit", version=1, inputs=(), settings=fit_settings, run=fit, is_transient=True)
+FIT = Stage("fit", version=1, inputs=(), keyed=fit_settings, run=fit, together=fit_together, is_transient=True)

@@ -11,7 +11,7 @@ from pipelines.engine.job import Job, disk_errors_explained, do_stage, failure, 
 from pipelines.engine.stage import Stage, run_stage, run_stage_together
 from pipelines.engine.store import exists, read_json
 from pipelines.supervised.config import FitConfig
-from pipelines.supervised.fit import FIT, fit_together
+from pipelines.supervised.fit import FIT
 from pipelines.supervised.learners import BATCHED
 from pipelines.supervised.result import show_fit
 from pipelines.supervised.score import SCORE
@@ -87,7 +87,7 @@ def _fit_together(jobs: Sequence[FitJob]) -> None:
             print(f"{jobs[0].run_dir} and {len(jobs) - 1} more seeds as one batched model", flush=True)
             for job in jobs:
                 job.run_dir.mkdir(parents=True, exist_ok=True)
-            run_stage_together(stage, [(job.run_dir, job.config) for job in jobs], fit_together)
+            run_stage_together(stage, [(job.run_dir, job.config) for job in jobs])
 
 
 def _run_stages(job: FitJob) -> None:

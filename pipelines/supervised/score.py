@@ -77,4 +77,4 @@ def report(metric: str, n_labels: int, rows: list[dict[str, Any]]) -> dict[str, 
     }
 
 
-SCORE = Stage("score", version=2, inputs=("fit",), settings=FitConfig.settings, run=score_trees)
+SCORE = Stage("score", version=2, inputs=("fit",), keyed=FitConfig.settings, run=score_trees)

@@ -60,4 +60,4 @@ def _as_it_is(X: np.ndarray) -> np.ndarray:
 
 
 # It reads stage tune where the method has a grid, as stage fit does.
-TEACHER = Stage("teacher", version=1, inputs=(), settings=fit_settings, run=score_teacher)
+TEACHER = Stage("teacher", version=1, inputs=(), keyed=fit_settings, run=score_teacher)

@@ -15,10 +15,10 @@ import numpy as np
 
 from otr.errors import DivergedError
 from pipelines.datasets.dataset import Dataset
-from pipelines.engine.console import progress_lines
 from pipelines.engine.digests import digest
 from pipelines.engine.stage import Stage
 from pipelines.engine.store import read_json, write_csv, write_json
+from pipelines.engine.time_left import progress_lines
 from pipelines.supervised.config import FitConfig, combinations, tune_settings, with_settings
 from pipelines.supervised.learners import check_learner, dataset_of, fit_trees, usable_labels
 from pipelines.supervised.metrics import gain, metric_of, outputs_of, score
@@ -133,4 +133,4 @@ def _number(value: float) -> float | None:
     return None if np.isnan(value) else float(value)
 
 
-TUNE = Stage("tune", VERSION, inputs=(), settings=tune_settings, run=tune, checkpoints=checkpoint_folder)
+TUNE = Stage("tune", VERSION, inputs=(), keyed=tune_settings, run=tune, checkpoints=checkpoint_folder)

@@ -1,12 +1,24 @@
 """TensorBoard's event files of a run."""
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
-from pipelines.config.run import RunConfig
 from pipelines.engine.store import read_json, write_json
+
+
+class Tracked(Protocol):
+    """A run, or its training, as far as it is logged."""
+
+    @property
+    def tracking(self) -> str: ...
+    @property
+    def results_dir(self) -> str: ...
+    @property
+    def folder(self) -> str: ...
+    @property
+    def settings(self) -> Callable[[], dict[str, Any]]: ...
 
 
 class TensorBoard:
@@ -16,7 +28,7 @@ class TensorBoard:
     for a run under way; `start` begins a new record.
     """
 
-    def __init__(self, config: RunConfig, parameters: Mapping[str, str]) -> None:
+    def __init__(self, config: Tracked, parameters: Mapping[str, str]) -> None:
         self._folder = Path(config.results_dir) / "tensorboard" / config.folder.removeprefix("runs/")
         self._note = self._folder / "logged.json"
         self._writer: Any = None

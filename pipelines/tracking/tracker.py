@@ -11,16 +11,15 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from pipelines.config.run import RunConfig
 from pipelines.engine.digests import digest, flat
 from pipelines.engine.store import read_csv
 from pipelines.errors import ConfigError
-from pipelines.tracking.event_files import TensorBoard
+from pipelines.tracking.event_files import TensorBoard, Tracked
 
 Row = Mapping[str, Any]
 
 
-def check_tracking(config: RunConfig) -> None:
+def check_tracking(config: Tracked) -> None:
     """Raise ConfigError where the tracker that is asked for cannot be used here, with what to do about it."""
     name = config.tracking
     if name != "none" and not find_spec(name):
@@ -30,7 +29,7 @@ def check_tracking(config: RunConfig) -> None:
 class Tracker:
     """Logs one run, `config.folder`; with tracking=none it does nothing. No method ever raises for a tracker's sake."""
 
-    def __init__(self, config: RunConfig) -> None:
+    def __init__(self, config: Tracked) -> None:
         self._config = config
         self._backend: TensorBoard | None = None
         self._last_step = 0
@@ -96,7 +95,7 @@ def _warn_once(tracker: str, folder: str, reason: str) -> None:
     )
 
 
-def _parameters(config: RunConfig) -> dict[str, str]:
+def _parameters(config: Tracked) -> dict[str, str]:
     values = flat(config.settings())
     return {name: value if isinstance(value, str) else json.dumps(value) for name, value in values.items()}
 

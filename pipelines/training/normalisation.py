@@ -11,11 +11,11 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from pipelines.config.algo import OnPolicyConfig
-from pipelines.config.run import RunConfig
 from pipelines.play.selection import InputUnits, units_of_box
+from pipelines.training.settings import TrainSettings
 
 
-def normalised(env: VecEnv, config: RunConfig) -> VecEnv:
+def normalised(env: VecEnv, config: TrainSettings) -> VecEnv:
     """Return the environments of a run, normalised where its algorithm is set so."""
     algo = config.algo
     if not (isinstance(algo, OnPolicyConfig) and algo.normalise):
@@ -32,11 +32,11 @@ def hand_on_statistics(model: BaseAlgorithm, env: VecEnv) -> VecEnv:
     return env
 
 
-def input_units(model: BaseAlgorithm, config: RunConfig) -> InputUnits | None:
+def input_units(model: BaseAlgorithm, config: TrainSettings) -> InputUnits | None:
     """Return the units in which a model sees states; None for the environment's own."""
     env = model.get_vec_normalize_env()
     if env is None:
-        return units_of_box(config)
+        return units_of_box(config.env, config.actor.rescale_inputs)
     states = env.obs_rms
     assert isinstance(states, RunningMeanStd)
     return InputUnits(states.mean, np.sqrt(states.var + env.epsilon))

@@ -18,8 +18,8 @@ from torch import nn
 import otr
 from otr.control import pid_network
 from pipelines.config.methods import PidConfig
-from pipelines.config.run import RunConfig
 from pipelines.training.relu_actor import ReluActor
+from pipelines.training.settings import TrainSettings
 
 # The gains' output weights and biases at first, as in Lillicrap et al. (2016), so that actions begin near zero: torch's
 # own are up to 1, which the integral, up to 40, turns into a saturated tanh.
@@ -29,7 +29,7 @@ INITIAL_GAIN = 3e-3
 class PidActor(ReluActor):
     """A PID controller as the actor; its files are those of the network of [s, P, I, D]."""
 
-    def __init__(self, config: RunConfig) -> None:
+    def __init__(self, config: TrainSettings) -> None:
         super().__init__(config)
         assert isinstance(config.method, PidConfig)
         self.method = config.method

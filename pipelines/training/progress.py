@@ -8,42 +8,11 @@ from typing import Any, Self
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn
 
-from pipelines.config.run import RunConfig
-from pipelines.engine.console import duration
+from pipelines.engine.time_left import Pace, time_left
 from pipelines.training.estimates import learning_starts
+from pipelines.training.settings import TrainSettings
 
 REFRESH_S = 0.25
-MEASURED_S = 3.0  # of learning, before the time left is told
-
-
-class Pace:
-    """How long a step takes, measured from the first that learns: the random ones before it are ten times as fast.
-
-    Whole rollouts count, with their updates, and the evaluations between them.
-    """
-
-    def __init__(self, first_step: int, rollout_steps: int) -> None:
-        self._first_step, self._rollout_steps = first_step, rollout_steps
-        self._start: tuple[int, float] | None = None
-        self._last = -1
-        self._n_steps, self._seconds = 0, 0.0
-
-    def at_step(self, step: int, now: float) -> None:
-        """Take in that a step was made at a time, in seconds; its update follows, and is done where it comes again."""
-        is_over, self._last = step == self._last, step
-        if self._start is None:
-            self._start = (step, now) if step >= self._first_step else None
-            return
-        n_learnt = step - self._start[0] - (not is_over)
-        n_steps = n_learnt // self._rollout_steps * self._rollout_steps
-        if n_steps > self._n_steps or is_over:
-            self._n_steps, self._seconds = n_steps, now - self._start[1]
-
-    def seconds(self, n_steps: int) -> float | None:
-        """Return how long so many steps take; None while that is being measured."""
-        if not self._n_steps or self._seconds < MEASURED_S:
-            return None
-        return n_steps * self._seconds / self._n_steps
 
 
 class TrainingDisplay:
@@ -55,7 +24,7 @@ class TrainingDisplay:
 
     def __init__(
         self,
-        config: RunConfig,
+        config: TrainSettings,
         prefix: str,
         n_steps: int,
         done_steps: int,
@@ -96,8 +65,7 @@ class TrainingDisplay:
 
     def time_left(self, n_steps: int) -> str:
         """Return the likely time of so many steps, as people read it."""
-        seconds = self._pace.seconds(n_steps) if n_steps > 0 else 0.0
-        return "measuring" if seconds is None else f"{duration(seconds)} left"
+        return time_left(self._pace.seconds(n_steps) if n_steps > 0 else 0.0)
 
     def say(self, line: str) -> None:
         """Print a line, above the bar where there is one."""
@@ -110,7 +78,7 @@ class TrainingDisplay:
 class TrainingProgress(TrainingDisplay):
     """Shows one training run; among jobs side by side its lines begin with the job's name."""
 
-    def __init__(self, config: RunConfig, done_steps: int) -> None:
+    def __init__(self, config: TrainSettings, done_steps: int) -> None:
         digest = "".join(config.folder.partition("~")[1:])  # of other settings
         job = f"{config.env.name} depth {config.depth} seed {config.seed}{digest}: " if config.side_by_side else ""
         super().__init__(config, f"{job}train: ", config.train.steps, done_steps, learning_starts(config))

@@ -7,16 +7,16 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.policies import BasePolicy
 
 import otr
-from pipelines.config.run import RunConfig
 from pipelines.play.episodes import Rollout
 from pipelines.play.selection import diverged, evaluate_network
 from pipelines.training.normalisation import input_units
+from pipelines.training.settings import TrainSettings
 
 
 class ReluActor:
     """A ReLU network, Stable-Baselines3's own actor; other kinds of actors answer otherwise where they differ."""
 
-    def __init__(self, config: RunConfig) -> None:
+    def __init__(self, config: TrainSettings) -> None:
         self.config = config
 
     def policy_class(self) -> str | type[BasePolicy]:

@@ -27,7 +27,6 @@ from pipelines.config.algo import (
     Td3Config,
     TrpoConfig,
 )
-from pipelines.config.run import RunConfig
 from pipelines.errors import ConfigError
 from pipelines.play.environments import flat_state_size, is_discrete
 from pipelines.play.spaces import make_training_env
@@ -35,6 +34,7 @@ from pipelines.training.actors import actor_of
 from pipelines.training.estimates import learning_starts
 from pipelines.training.normalisation import normalised
 from pipelines.training.relu_actor import ReluActor
+from pipelines.training.settings import TrainSettings
 
 torch.set_num_threads(1)  # two threads make these small networks a hundred times slower
 
@@ -52,7 +52,7 @@ OTHER_SETTINGS = ("name", "critic", "weight_decay", "n_envs", "normalise", "acti
                   "exploration_fraction", "exploration_final_eps", *SacConfig.of_fleets())  # fmt: skip
 
 
-def build_model(config: RunConfig, seed: int) -> BaseAlgorithm:
+def build_model(config: TrainSettings, seed: int) -> BaseAlgorithm:
     """Return an untrained model on its own environments, reproducible from `seed`."""
     algo = config.algo
     env = build_env(config)
@@ -77,7 +77,7 @@ def build_model(config: RunConfig, seed: int) -> BaseAlgorithm:
     return model
 
 
-def _check_actions(config: RunConfig, discrete: bool) -> None:
+def _check_actions(config: TrainSettings, discrete: bool) -> None:
     """Refuse an algorithm that is not for the environment's kind of actions."""
     algo, env_id = config.algo, config.env.id
     if isinstance(algo, PpoConfig) and algo.use_sde and discrete:
@@ -88,7 +88,7 @@ def _check_actions(config: RunConfig, discrete: bool) -> None:
         raise ConfigError(f"algo={algo.name} needs continuous actions; {env_id} has labels: use algo=ppo")
 
 
-def build_env(config: RunConfig) -> VecEnv:
+def build_env(config: TrainSettings) -> VecEnv:
     """Return new training environments: one, or as many side by side as PPO is set to use, normalised if it is set."""
     n_envs = config.algo.n_envs if isinstance(config.algo, OnPolicyConfig) else 1
 

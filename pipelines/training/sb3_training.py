@@ -16,7 +16,6 @@ from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from stable_baselines3.common.logger import Logger
 
 from otr.learners.networks.denormals import denormals_as_zero
-from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import stream_seed
 from pipelines.errors import PipelineError
 from pipelines.tracking.tracker import Tracker
@@ -28,9 +27,10 @@ from pipelines.training.progress import TrainingProgress
 from pipelines.training.relu_actor import ReluActor
 from pipelines.training.sb3_checkpoints import load_checkpoint, save_checkpoint
 from pipelines.training.sb3_models import build_env, build_model
+from pipelines.training.settings import TrainSettings
 
 
-def train_by_sb3(config: RunConfig, checkpoints: Path, out: Path) -> None:
+def train_by_sb3(config: TrainSettings, checkpoints: Path, out: Path) -> None:
     """Train, going on from a checkpoint where there is one; write the best actor and the curves' CSV files into `out`.
 
     Raises:

@@ -20,11 +20,11 @@ from otr.control.pi_prl import RelaxedProgram
 from otr.control.soft_tree import SoftTree
 from pipelines.config.algo import SacConfig
 from pipelines.config.hardened_methods import HardenedConfig, PiPrlConfig, SoftConfig
-from pipelines.config.run import RunConfig
 from pipelines.engine.store import corrupt, json_text, read_json
 from pipelines.errors import ConfigError
 from pipelines.play.episodes import Rollout, play_selection
 from pipelines.play.selection import InputUnits
+from pipelines.training.settings import TrainSettings
 
 SCHEMA = "otr/soft/1"
 SAC_TURN = 2_048  # steps of pi-PRL's program, then as many of its architecture, where rollouts are one step
@@ -45,7 +45,7 @@ _SOFT: dict[str, type[SoftModule]] = {"sdt": SoftTree, "cdt": CascadingTree, "pi
 _MODULES: dict[str, type[HardeningModule]] = {**_SOFT, "experts": LinearExperts}
 
 
-def shape_of(config: RunConfig) -> Shape:
+def shape_of(config: TrainSettings) -> Shape:
     """Return the module that a run's method and depth ask for."""
     assert isinstance(config.method, HardenedConfig)
     return Shape(config.method.name, config.method.module_options(config.depth))
@@ -78,7 +78,7 @@ def rate_share(method: SoftConfig, n_steps: int, of_steps: int) -> float:
 
 
 def evaluate_hardened(
-    module: HardeningModule, config: RunConfig, action_space: "gym.Space[Any]", units: InputUnits | None
+    module: HardeningModule, config: TrainSettings, action_space: "gym.Space[Any]", units: InputUnits | None
 ) -> tuple[dict[str, bytes], Rollout]:
     """Return a module's files, as it reads the environment's own states, and its hard tree's selection episodes.
 

@@ -8,7 +8,7 @@ from otr.control import AugTreeFit, CartFit, DaggerSettings, LinearModelTreeFit,
 from otr.errors import ArtefactError, InvalidNetworkError
 from tests.control.worlds import PointMass, centering_oracle, continuous_oracle, episode_seeds
 
-SETTINGS = DaggerSettings(n_rounds=5, n_episodes=4, n_initial_episodes=3, n_selection_episodes=11)
+SETTINGS = DaggerSettings(n_rounds=5, n_episodes=4, n_initial_episodes=3, n_choice_episodes=11)
 SEED = np.random.SeedSequence(7, spawn_key=(3,))
 
 
@@ -159,7 +159,7 @@ def test_a_folder_of_another_run_and_senseless_settings_are_refused(tmp_path, wh
     with pytest.raises(InvalidNetworkError, match="Sign"):
         run(tmp_path, oracle=otr.ReluNetwork([np.ones((1, 2))], [np.zeros(1)], head=otr.Sign()))
     with pytest.raises(ValueError, match="n_episodes=0"):
-        DaggerSettings(n_episodes=0)
+        run(tmp_path, settings=DaggerSettings(n_episodes=0))
 
 
 @pytest.mark.parametrize(
@@ -182,7 +182,7 @@ def test_continuous_oracles_are_imitated(tmp_path, fit):
         assert np.abs(answers).max() <= 1.0
         return fit(X, answers, weights, generator)
 
-    settings = DaggerSettings(n_rounds=3, n_episodes=20, n_initial_episodes=20, n_selection_episodes=30)
+    settings = DaggerSettings(n_rounds=3, n_episodes=20, n_initial_episodes=20, n_choice_episodes=30)
     result = run(tmp_path, play=play, fit=watched, oracle=oracle, settings=settings)
     assert weighted == [None] * 4 and result.tree.labels is None
     X = np.random.default_rng(0).normal(size=(500, 2))

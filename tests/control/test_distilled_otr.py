@@ -91,7 +91,7 @@ def test_the_same_seed_gives_the_same_student_and_rows_are_drawn():
 def test_dagger_with_students_goes_on_after_a_kill(tmp_path):
     oracle = continuous_oracle()
     fit = StudentFit(otr.ClipBox(-1.0, 1.0), (2,), max_samples=60, n_updates=20)
-    settings = DaggerSettings(n_rounds=3, n_episodes=4, n_initial_episodes=3, n_selection_episodes=11)
+    settings = DaggerSettings(n_rounds=3, n_episodes=4, n_initial_episodes=3, n_choice_episodes=11)
     seed = np.random.SeedSequence(7)
 
     def run(folder, play):

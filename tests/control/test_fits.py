@@ -98,7 +98,7 @@ def test_augtree_answers_like_an_oblique_oracle_where_cart_cannot():
     data = labelled(oracle)
     rows = [*oracle.weights[0].tolist(), *np.eye(3).tolist()]
     for features, tests in (("all", rows), ("z", rows[:4])):
-        tree = AugTreeFit(oracle, 4, features)(*data, generator())
+        tree = AugTreeFit(oracle, 4, features=features)(*data, generator())
         assert accuracy(tree, oracle) > 0.95 and len(tree.P) > 0 and all(test in tests for test in tree.P.tolist())
     assert accuracy(CartFit(4)(*data, generator()), oracle) < 0.93
 
@@ -162,7 +162,7 @@ def test_the_tree_on_x_is_the_tree_on_the_features(seed, features, discrete):
     rng = np.random.default_rng(seed)
     network = make_network(rng, (5, 4), n_outputs=3, head="argmax" if discrete else "clip_box")
     X = rng.normal(size=(300, 3))
-    fit = AugTreeFit(network, 4, features, max_samples=300)
+    fit = AugTreeFit(network, 4, features=features, max_samples=300)
     answers = network.forward(X) if discrete else network.predict(X)
     tree = fit(X, answers, np.ones(300) if discrete else None, np.random.default_rng(1))
     if features == "deep" and discrete:  # its patterns are those of the drawn rows
@@ -251,10 +251,21 @@ def test_errors():
     linear, oracle = otr.ReluNetwork([np.ones((2, 2))], [np.zeros(2)], head=otr.Argmax()), oblique_oracle()
     for make, words in (
         (lambda: AugTreeFit(linear, 3), "at least 1 hidden layers, this one has 0"),
-        (lambda: AugTreeFit(oracle, 3, "deep"), "at least 2 hidden layers, this one has 1"),
-        (lambda: AugTreeFit(oracle, 3, "x"), "features='x'"),
-        (lambda: AugTreeFit(oracle, 3, criterion="mse"), "criterion='mse'"),
-        (lambda: CartFit(3, criterion="mse"), "criterion='mse'"),
+        (lambda: AugTreeFit(oracle, 3, features="deep"), "at least 2 hidden layers, this one has 1"),
+        (lambda: AugTreeFit(oracle, 3, features="x"), "features=x: use one of all, z, deep"),
+        (lambda: AugTreeFit(oracle, 3, criterion="mse"), "criterion=mse: use one of gini, entropy"),
+        (lambda: CartFit(3, criterion="mse"), "criterion=mse: use one of gini, entropy"),
     ):
         with pytest.raises(ValueError, match=words):
             make()
+
+
+def test_bins_are_of_about_equally_many_rows_beside_an_outlier():
+    values = np.random.default_rng(0).normal(size=(2, 5_000)).astype(np.float32)
+    plain = quantised(values)
+    values[:, 0] = 1e6, 1e30
+    bins = quantised(values)
+    assert (np.bincount(bins[:, 0].astype(int)).max() <= 2 * 5_000 / 255) and bins[0].min() == 254
+    assert np.corrcoef(bins[1:, 0], plain[1:, 0])[0, 1] > 0.999
+    few = np.repeat(np.arange(3, dtype=np.float32), 5)[None]
+    np.testing.assert_array_equal(np.unique(quantised(few)[:, 0], return_counts=True)[1], [5, 5, 5])

@@ -10,7 +10,7 @@ from otr.core.mapping import perfect_tree_children
 
 torch.set_num_threads(1)
 
-SETTINGS = NdpsSettings(depth=2, n_updates=1_000, batch_size=256)
+SETTINGS = NdpsSettings(n_updates=1_000, batch_size=256)
 FEW = dataclasses.replace(SETTINGS, n_updates=30)  # where it does not matter how good the tree is
 
 
@@ -24,10 +24,10 @@ def planted(seed: int, n: int = 3_000) -> tuple[np.ndarray, otr.ObliqueTree]:
     return X, otr.ObliqueTree(*perfect_tree_children(2), P, v, M, c)
 
 
-def fit(X, answers, head, *, start=None, seed=0, settings=SETTINGS, weights=None) -> NdpsFit:
+def fit(X, answers, head, *, start=None, seed=0, depth=2, settings=SETTINGS, weights=None) -> NdpsFit:
     return fit_ndps(
-        X, answers, np.ones(len(X)) if weights is None else weights, np.random.default_rng(seed),
-        head=head, n_outputs=2, settings=settings, start=start.module if start else None,
+        X, answers, np.ones(len(X)) if weights is None else weights, np.random.default_rng(seed), head=head,
+        n_outputs=2, depth=depth, settings=settings, start=start.module if start else None,
     )  # fmt: skip
 
 
@@ -69,9 +69,9 @@ def test_a_component_that_varies_little_beside_its_mean_is_learnt(spread, has_bo
     wave, unit = np.clip(X[:, 0], -1.0, 1.0), spread or 1.0
     actions = np.stack([wave, 100.0 + spread * wave], axis=1)
     head = otr.ClipBox([-1.0, 100.0 - unit], [1.0, 100.0 + unit]) if has_box else otr.Identity()
-    settings, fitted = NdpsSettings(depth=4, n_updates=300, leaves=leaves), None
+    settings, fitted = NdpsSettings(n_updates=300, leaves=leaves), None
     for _ in range(2):
-        fitted = fit(X, actions, head, settings=settings, start=fitted)
+        fitted = fit(X, actions, head, depth=4, settings=settings, start=fitted)
         error, error_beside_mean = np.sqrt(np.square(fitted.tree.predict(X) - actions).mean(axis=0)) / [1.0, unit]
         assert error < (0.1 if leaves == "linear" else 0.3)
         assert error_beside_mean < (1.5 * error if spread else 0.01)

@@ -165,6 +165,6 @@ def test_imitators_read_states_in_any_units(scale, shift):
         assert (tree.predict(states) == Y).mean() > 0.95, fit
     fitted = fit_ndps(
         states, X.sum(axis=1, keepdims=True) * scale, np.ones(len(X)), np.random.default_rng(0),
-        head=otr.Identity(), n_outputs=1, settings=NdpsSettings(depth=1, n_updates=300, batch_size=64),
+        head=otr.Identity(), n_outputs=1, depth=1, settings=NdpsSettings(n_updates=300, batch_size=64),
     ).tree  # fmt: skip
     np.testing.assert_allclose(fitted.predict(states) / scale, X.sum(axis=1, keepdims=True), atol=0.5)

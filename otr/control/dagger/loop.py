@@ -21,8 +21,10 @@ import numpy as np
 from otr.control.dagger.iterate_selection import successive_halving
 from otr.control.dagger.run_folder import RunFolder
 from otr.control.rollout import Policy, Rollout
+from otr.control.settings import DaggerSettings
 from otr.core.arrays import FloatArray
 from otr.core.pattern_tree import PatternTree
+from otr.core.setting import check_settings
 from otr.core.smooth_network import Oracle
 from otr.core.tree import ObliqueTree
 from otr.errors import InvalidNetworkError
@@ -45,30 +47,6 @@ class TreeFit(Protocol):
     def __call__(
         self, X: FloatArray, answers: FloatArray, weights: FloatArray | None, generator: np.random.Generator, /
     ) -> ObliqueTree | PatternTree: ...
-
-
-@dataclass(frozen=True)
-class DaggerSettings:
-    """How much is played.
-
-    Attributes:
-        n_rounds: rounds in which a tree plays and the next one is fitted; n_rounds + 1 trees in all.
-        n_episodes: episodes a tree plays in a round; they are its first selection episodes, too.
-        n_initial_episodes: episodes of the oracle that the first tree is fitted to.
-        n_selection_episodes: episodes on which the last two candidates are compared, those of the round counted.
-    """
-
-    n_rounds: int = 50
-    n_episodes: int = 25
-    n_initial_episodes: int = 25
-    n_selection_episodes: int = 100
-
-    def __post_init__(self) -> None:
-        if self.n_rounds < 0 or min(self.n_episodes, self.n_initial_episodes) < 1 or self.n_selection_episodes < 0:
-            raise ValueError(
-                f"{self}: expected n_rounds and n_selection_episodes of at least 0, n_episodes and n_initial_episodes "
-                "of at least 1"
-            )
 
 
 @dataclass(frozen=True)
@@ -172,8 +150,10 @@ def run_dagger(
 
     Raises:
         InvalidNetworkError: the oracle's head is `Sign`.
+        ValueError: a setting is out of its range.
         ArtefactError: the folder holds a run of another oracle, seed or settings, or a file of it is gone or cut off.
     """
+    check_settings(settings)
     if oracle.head.gives_labels and oracle.head.n_labels(oracle.n_outputs) != oracle.n_outputs:
         raise InvalidNetworkError("the oracle's head is Sign; give it two outputs and Argmax")
     state = RunFolder(folder, oracle, seed, asdict(settings))
@@ -234,7 +214,7 @@ class _Run:
             self._folder.commit(**self._played(episodes))
         state = self._folder.state
         oracle_returns, *first_returns = state["rollouts"]
-        best, returns = successive_halving(first_returns, self._settings.n_selection_episodes, self._stage_returns)
+        best, returns = successive_halving(first_returns, self._settings.n_choice_episodes, self._stage_returns)
         iterates = tuple(
             Iterate(
                 round=r,

@@ -2,50 +2,14 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from otr.control.settings import SearchSettings
 from otr.core.arrays import FloatArray
-
-
-@dataclass(frozen=True)
-class SearchSettings:
-    """How a vector is searched; step and noise are in the units of its numbers.
-
-    Attributes:
-        n_directions: directions tried an iteration, each forth and back (N).
-        n_top: the best of them, which make the step (b); fewer than all of them is the variant "-t" of the paper.
-        step_size: length of a step along the estimated gradient, whose size is measured in standard deviations of the
-            returns (alpha).
-        noise: length of the directions, a standard deviation a number (nu).
-        step_size_end, noise_end: what is left of the two at the end, as shares; they fall linearly.
-        momentum: weight of the former steps in a step; 0 is the paper's search.
-    """
-
-    n_directions: int = 8
-    n_top: int = 4
-    step_size: float = 0.02
-    noise: float = 0.025
-    step_size_end: float = 1.0
-    noise_end: float = 1.0
-    momentum: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for a number that makes no search, TypeError for a count that is no integer."""
-        if not 1 <= operator.index(self.n_top) <= operator.index(self.n_directions):
-            raise ValueError(f"n_top={self.n_top} of n_directions={self.n_directions}: give 1 <= n_top <= n_directions")
-        for name in ("step_size", "noise"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise ValueError(f"{name}={getattr(self, name)}: give a number above 0")
-        for name in ("step_size_end", "noise_end"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name}={getattr(self, name)}: give a share from 0 to 1")
-        if not 0 <= self.momentum < 1:
-            raise ValueError(f"momentum={self.momentum}: give a number from 0 to below 1")
+from otr.core.setting import check_settings
 
 
 class DirectSearch:
@@ -71,7 +35,12 @@ class DirectSearch:
     """
 
     def __init__(self, centre: ArrayLike, settings: SearchSettings, seed: int, scale: ArrayLike = 1.0) -> None:
-        """Begin at `centre` (D,), with a scale for each number (D,) or one for all."""
+        """Begin at `centre` (D,), with a scale for each number (D,) or one for all.
+
+        Raises:
+            ValueError: the settings make no search.
+        """
+        check_settings(settings)
         self.settings = settings
         self.centre: FloatArray = np.array(centre, dtype=np.float64)
         self.velocity: FloatArray = np.zeros_like(self.centre)

@@ -5,22 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from otr.control.search.direct_search import DirectSearch, SearchSettings
+from otr.control.search.direct_search import DirectSearch
 from otr.control.search.policy_numbers import Policy, PolicyNumbers, policy_numbers
 from otr.control.search.sensitivity import sensitivity_scale
+from otr.control.settings import PolishSettings, SearchSettings
 from otr.core.arrays import FloatArray, IntArray
+from otr.core.setting import check_settings
 
 # From k policies and the seeds (k, m) of their episodes to the episodes' returns (k, m).
 Evaluate = Callable[[Sequence[Any], IntArray], ArrayLike]
 
-SETTINGS = SearchSettings(
-    n_directions=24, n_top=12, step_size=0.03, noise=0.03, step_size_end=0.05, noise_end=0.2, momentum=0.0
-)
+SETTINGS = PolishSettings()
 # Where the seeds of episodes begin, and what they stay below; those below 2**20 are for reports.
 SEARCH_SEEDS = (2**20, 2**30)
 SELECTION_SEEDS = (2**30, 2**30 + 2**29)
@@ -61,12 +61,12 @@ def polish(
     states: ArrayLike,
     n_iterations: int = 100,
     settings: SearchSettings = SETTINGS,
-    scale: Literal["uniform", "sensitivity"] = "uniform",
-    n_episodes: int = 1,
-    common_starts: Literal["pair", "all"] = "pair",
-    n_selection_episodes: int = 100,
-    n_candidates: int = 20,
-    free: bool = False,
+    scale: str = SETTINGS.scale,
+    n_episodes: int = SETTINGS.n_episodes,
+    common_starts: str = SETTINGS.common_starts,
+    n_selection_episodes: int = SETTINGS.n_selection_episodes,
+    n_candidates: int = SETTINGS.n_candidates,
+    free: bool = SETTINGS.free,
     tied: bool = False,
     seed: int = 0,
     report: Callable[[PolishReport], None] | None = None,
@@ -88,11 +88,7 @@ def polish(
         scale: of all numbers 1, or by sensitivity: smaller where the actions react more
             (`otr.control.search.sensitivity`), of a size that is found: the largest of 8, 4, 2 and so on at which
             the median of the first vectors loses less than 5 % of the return.
-        n_episodes: of every vector tried.
-        common_starts: who shares the starts of an iteration, the two policies of a direction or all.
-        n_selection_episodes: of each candidate; as many more confirm the best.
-        n_candidates: how many of the search's iterates are candidates, the last one among them.
-        free: whether coefficients that are zero move, too.
+        n_episodes, common_starts, n_selection_episodes, n_candidates, free: see `otr.control.settings.PolishSettings`.
         tied: whether a tree's tests that are equal, and its leaves that are, stay equal.
         seed: of directions and episodes.
         report: called after every candidate, and at the end.
@@ -110,14 +106,14 @@ def polish(
         >>> better.predict([1.0]).round(1)
         array([3.])
     """
-    for name, count in (("n_iterations", n_iterations), ("n_episodes", n_episodes), ("n_candidates", n_candidates),
-                        ("n_selection_episodes", n_selection_episodes)):  # fmt: skip
-        if count < 1:
-            raise ValueError(f"{name} is {count}, expected at least 1")
-    if common_starts not in ("pair", "all"):
-        raise ValueError(f"common_starts is {common_starts!r}, expected 'pair' or 'all'")
-    if scale not in ("uniform", "sensitivity"):
-        raise ValueError(f"scale is {scale!r}, expected 'uniform' or 'sensitivity'")
+    if n_iterations < 1:
+        raise ValueError(f"n_iterations={n_iterations} is not at least 1")
+    check_settings(
+        PolishSettings(
+            scale=scale, n_episodes=n_episodes, common_starts=common_starts,
+            n_selection_episodes=n_selection_episodes, n_candidates=n_candidates,
+        )
+    )  # fmt: skip
     numbers = policy_numbers(policy, states, free=free, tied=tied)
     play = Episodes(evaluate, seed, n_episodes, shared_by_all=common_starts == "all")
     search, size = DirectSearch(numbers.start, settings, seed), 1.0

@@ -23,7 +23,7 @@ class NetworkShape:
 
     Attributes:
         n_inputs: components of the state, d.
-        widths: hidden neurons of each layer; none for a linear policy.
+        hidden_widths: hidden neurons of each layer; none for a linear policy.
         n_outputs: labels, or components of the action.
         box: least and greatest actions, (o,) each; None where actions are labels.
         dense: "input" for a linear map of the state beside the neurons, in every layer after the first.
@@ -31,7 +31,7 @@ class NetworkShape:
     """
 
     n_inputs: int
-    widths: tuple[int, ...]
+    hidden_widths: tuple[int, ...]
     n_outputs: int
     box: tuple[FloatArray, FloatArray] | None
     dense: Literal[False, "input"] = False
@@ -41,8 +41,8 @@ class NetworkShape:
     def shapes(self) -> list[tuple[int, int]]:
         """Shape of each layer's rows [W | b], the output layer last."""
         links = self.n_inputs if self.dense else 0
-        read = [self.n_inputs, *(width + links for width in self.widths)]
-        return [(n, columns + 1) for n, columns in zip((*self.widths, self.n_outputs), read, strict=True)]
+        read = [self.n_inputs, *(width + links for width in self.hidden_widths)]
+        return [(n, columns + 1) for n, columns in zip((*self.hidden_widths, self.n_outputs), read, strict=True)]
 
     @property
     def n_numbers(self) -> int:
@@ -54,7 +54,7 @@ class NetworkShape:
         parts = []
         for layer, (rows, columns) in enumerate(self.shapes):
             form = np.zeros((rows, columns))
-            if layer < len(self.widths):
+            if layer < len(self.hidden_widths):
                 form[:, :-1] = generator.normal(size=(rows, columns - 1)) / np.sqrt(columns - 1)
             parts.append(form.ravel())
         return np.concatenate(parts)
@@ -82,7 +82,7 @@ class NetworkShape:
             [form[:, :-1] for form in forms],
             [form[:, -1] for form in forms],
             negative_slope=self.negative_slope,
-            dense=self.dense if self.widths else False,
+            dense=self.dense if self.hidden_widths else False,
             head=head,
         )
         return network.fold_input_normalisation(mean, scale)

@@ -11,9 +11,10 @@ import otr
 from otr.shorten.refit_tests import RefittedTest, RefittedTree, refit_tests
 from pipelines.config.run import RunConfig
 from pipelines.engine.command_text import command_text
+from pipelines.engine.stage import part_of
 from pipelines.engine.store import read_csv
 from pipelines.errors import MissingInputError, PipelineError
-from pipelines.play.episodes import Rollout, play_evaluation, play_pruning
+from pipelines.play.episodes import PlaysEvaluation, PlaysPruning, Rollout, play_evaluation, play_pruning
 from pipelines.play.spaces import action_names, feature_names
 from pipelines.report.figures.figure_4_6 import Planned
 from pipelines.report.published import published
@@ -43,9 +44,10 @@ def write_figure_4_7(
         tree = otr.load(whole / "imitate" / "tree")
     if not isinstance(tree, otr.ObliqueTree):
         raise PipelineError(f"{run_dir}: its tree is held as patterns, which cannot be simplified")
-    played = play_pruning(tree.predict, config)
-    agreement, simplified = _simplest(tree, played, config)
-    returns = play_evaluation(simplified.tree.predict, config).returns
+    pruning = part_of(config, PlaysPruning)
+    played = play_pruning(tree.predict, pruning)
+    agreement, simplified = _simplest(tree, played, pruning)
+    returns = play_evaluation(simplified.tree.predict, part_of(config, PlaysEvaluation)).returns
 
     names: dict[str, Any] = {
         "feature_names": feature_names(config.env, tree.n_inputs),
@@ -104,7 +106,7 @@ def selection_return(run_dir: Path) -> float:
     return next(float(row["selection_mean"]) for row in rows if row["chosen"] == "True")
 
 
-def _simplest(tree: otr.ObliqueTree, played: Rollout, config: RunConfig) -> tuple[float, RefittedTree]:
+def _simplest(tree: otr.ObliqueTree, played: Rollout, config: PlaysPruning) -> tuple[float, RefittedTree]:
     """Return the loosest agreement that almost keeps the pruning episodes' return, else the tightest, and its tree."""
     least = played.returns.mean() - MOST_LOST * abs(played.returns.mean())
     nodes = range(1, tree.n_nodes)

@@ -128,7 +128,7 @@ def rows_under_way(
     inputs = {name: run_dir / name for name in found.inputs} if found else {}
     if found is None or not found.checkpoints or not all(exists(folder / MANIFEST) for folder in inputs.values()):
         return [], FINISHED
-    folder = found.checkpoints(config, inputs)
+    folder = found.checkpoints(found.of(config), inputs)
     if stage == "train":
         evaluations, n_steps = evaluations_so_far(folder)
         return evaluations, {"under_way": "steps", "done": n_steps, "whole": config.train.steps}

@@ -20,8 +20,8 @@ import pandas as pd
 import otr
 from pipelines.config.run import RunConfig
 from pipelines.engine.command_text import command_text
-from pipelines.engine.console import progress_lines
 from pipelines.engine.store import read_summary
+from pipelines.engine.time_left import progress_lines
 from pipelines.errors import MissingInputError, PipelineError
 from pipelines.report import table_4_1, table_4_2
 from pipelines.report.cells import KEY, SOURCE, TASK_NAMES, oracle_runs, table_runs, with_pruned_trees

@@ -16,7 +16,8 @@ from otr.core.black_box import BlackBox
 from otr.core.smooth_network import Oracle
 from otr.importers.critics import Critics
 from otr.learners.networks.denormals import denormals_as_zero
-from pipelines.config.run import RunConfig
+from pipelines.config.env import EnvConfig
+from pipelines.config.stages import PolishingConfig
 from pipelines.engine.seeding import stream_seeds
 from pipelines.play.vector_envs import Autoreset, make_vector_env
 from pipelines.training.critic_polish.policy_actor import OraclePlay, PolicyActor, check_head, is_clipped
@@ -40,24 +41,35 @@ class CriticPolish:
     """Learns on a policy's numbers, one update a step; `candidates` gives what it comes to."""
 
     def __init__(
-        self, policy: Policy, config: RunConfig, critics: Critics, oracle: Oracle | None, environments: str
+        self,
+        policy: Policy,
+        polishing: PolishingConfig,
+        env: EnvConfig,
+        environments: str,
+        critics: Critics,
+        oracle: Oracle | None,
+        *,
+        tied: bool,
+        seed: int,
     ) -> None:
         """Keep what is polished.
 
         Args:
             policy: a tree or a network whose actions tanh or a clip leads into their box.
-            config: of the run; `polishing` has the settings.
+            polishing: the settings.
+            env, environments: the environment, and who computes it.
             critics: of the actor that the policy was made from.
             oracle: that actor; None where it is no network: the policy itself then fills the replay buffer.
-            environments: who computes the environment.
+            tied: whether tests and leaves that a tree repeats stay alike.
+            seed: of the run.
         """
         check_head(policy.head)
-        self._policy, self._critics, self._settings = policy, critics, config.polishing.critic
-        self._n_candidates, self._free = config.polishing.n_candidates, config.polishing.free
-        self._tied = config.method.ties_repeats
+        self._policy, self._critics, self._settings = policy, critics, polishing.critic
+        self._n_candidates, self._free = polishing.n_candidates, polishing.free
+        self._tied = tied
         self._oracle = None if oracle is None or isinstance(oracle, BlackBox) else OraclePlay(oracle, critics)
-        self._seeds = stream_seeds(3, config.seed, "polish", STREAM_ELEMENT)
-        self._env = Autoreset(make_vector_env(config.env, environments))
+        self._seeds = stream_seeds(3, seed, "polish", STREAM_ELEMENT)
+        self._env = Autoreset(make_vector_env(env, environments))
         limits = policy.head.limits(policy.n_outputs)
         assert limits is not None
         self._low, self._high = limits

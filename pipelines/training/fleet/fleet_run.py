@@ -11,7 +11,6 @@ from safetensors.torch import save as safetensors_bytes
 from torch import Tensor
 
 from pipelines.config.algo import SacConfig
-from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import stream_seed, stream_seeds
 from pipelines.engine.store import json_text, read_json
 from pipelines.tracking.tracker import Tracker
@@ -19,6 +18,7 @@ from pipelines.training.checkpoints import History, damaged_checkpoint, last_seg
 from pipelines.training.estimates import segment_steps
 from pipelines.training.fleet.adam import RunSettings
 from pipelines.training.fleet.replay_buffer import RowLayout, open_rows
+from pipelines.training.settings import TrainSettings
 
 STATE_FILE, REPLAY_FILE, DIGESTS_FILE = "learner.safetensors", "replay.bin", "replay.json"
 
@@ -42,7 +42,7 @@ class FleetRun:
         error: why it was given up.
     """
 
-    def __init__(self, config: RunConfig, folder: Path, layout: RowLayout) -> None:
+    def __init__(self, config: TrainSettings, folder: Path, layout: RowLayout) -> None:
         self.config, self.folder = config, folder
         self.folder.mkdir(parents=True, exist_ok=True)
         self.history, self.n_steps, self.n_updates = History(), 0, 0

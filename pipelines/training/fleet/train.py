@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from pipelines.config.run import RunConfig
 from pipelines.engine.job import message_of
 from pipelines.errors import PipelineError
 from pipelines.play.selection import diverged
@@ -23,10 +22,11 @@ from pipelines.training.critics import critics_file
 from pipelines.training.fleet.fleet_run import FleetRun
 from pipelines.training.fleet.progress import FleetProgress
 from pipelines.training.fleet.trainer import EnvironmentFailed, FleetTrainer, Task
+from pipelines.training.settings import TrainSettings
 
 
 def train_fleet(
-    configs: Sequence[RunConfig], checkpoints: Sequence[Path], outs: Sequence[Path]
+    configs: Sequence[TrainSettings], checkpoints: Sequence[Path], outs: Sequence[Path]
 ) -> list[Exception | None]:
     """Train runs that are one fleet as one, each from its own checkpoint; write each one's result into its folder.
 
@@ -55,7 +55,7 @@ def train_fleet(
     return [run.error if isinstance(run, FleetRun) else run for run in opened]
 
 
-def _opened(config: RunConfig, folder: Path, task: Task) -> FleetRun | PipelineError:
+def _opened(config: TrainSettings, folder: Path, task: Task) -> FleetRun | PipelineError:
     """Return a run as its checkpoint has it, or what is wrong with that."""
     try:
         return FleetRun(config, folder, task.layout)

@@ -15,7 +15,6 @@ import otr
 from otr.importers.critics import Critics
 from otr.learners.networks.denormals import denormals_as_zero
 from pipelines.config.hardened_methods import ExpertsConfig, SoftConfig
-from pipelines.config.run import RunConfig
 from pipelines.errors import ConfigError
 from pipelines.play.environments import flat_state_size, is_discrete, make_env
 from pipelines.play.episodes import Rollout
@@ -30,6 +29,7 @@ from pipelines.training.fleet.progress import FleetProgress
 from pipelines.training.fleet.random_streams import Draws, Streams
 from pipelines.training.fleet.replay_buffer import FleetReplay, RowLayout
 from pipelines.training.fleet.sac import FleetSac, Shapes
+from pipelines.training.settings import TrainSettings
 from pipelines.training.soft_trees import HardeningModule, evaluate_hardened, shape_of
 
 Given = TypeVar("Given")
@@ -46,12 +46,13 @@ class Task:
     high: np.ndarray
 
     @classmethod
-    def of(cls, config: RunConfig) -> "Task":
+    def of(cls, config: TrainSettings) -> "Task":
         """Return the task of a run's environment; refuse labels as actions and states that are no vector."""
         env = make_env(config.env)
         try:
             if is_discrete(env):
-                raise ConfigError(f"trainer={config.trainer.name} needs continuous actions; {config.env.id} has labels")
+                name = config.fleet.name if config.fleet else "fleet"
+                raise ConfigError(f"trainer={name} needs continuous actions; {config.env.id} has labels")
             box: Any = env.action_space
             return cls(RowLayout(flat_state_size(env), len(box.low)), box.low.ravel(), box.high.ravel())
         finally:
@@ -122,7 +123,7 @@ class FleetTrainer:
             PolicyMismatchError: the exported network and the trained actor disagree on a visited state.
         """
         config, task = self.runs[r].config, self._task
-        units = units_of_box(config)
+        units = units_of_box(config.env, config.actor.rescale_inputs)
         module = self._hardening(r)
         if module is not None:
             return evaluate_hardened(module, config, gym.spaces.Box(task.low, task.high), units)
@@ -151,7 +152,8 @@ class FleetTrainer:
             [(tensors[f"{name}.weight{i}"].numpy(), tensors[f"{name}.bias{i}"].numpy()) for i in range(n_layers)]
             for name in ("critics", "targets")
         )
-        temperature, units = float(tensors["log_temperature"]), units_of_box(self._config)
+        temperature, config = float(tensors["log_temperature"]), self._config
+        units = units_of_box(config.env, config.actor.rescale_inputs)
         slope, layer_norm = self._config.actor.negative_slope, algo.critic_norm == "layer"
         critics = Critics(layers, targets, algo.gamma, slope, temperature, layer_norm=layer_norm)
         if units is not None:
@@ -287,7 +289,7 @@ class _EpisodeSums:
             self._return[i], self._length[i] = 0.0, 0
 
 
-def _soft_training(config: RunConfig) -> SoftTraining | None:
+def _soft_training(config: TrainSettings) -> SoftTraining | None:
     """Return what a run's actor is trained as where it is a soft tree."""
     if not isinstance(config.method, SoftConfig):
         return None

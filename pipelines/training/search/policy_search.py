@@ -1,24 +1,22 @@
 """One search for a small actor: candidates, their episodes, the step; what it holds makes it go on bit for bit."""
 
 from collections.abc import Mapping
-from dataclasses import fields
 
 import numpy as np
 
 import otr
-from otr.control.search.direct_search import DirectSearch, SearchSettings
+from otr.control.search.direct_search import DirectSearch
 from otr.control.search.small_networks import NetworkShape
 from otr.control.search.state_moments import StateMoments
 from pipelines.config.algo import ArsConfig
-from pipelines.config.run import RunConfig
-from pipelines.config.stages import PolishingConfig
 from pipelines.engine.seeding import FIRST_STREAM_SEED, LAST_STREAM_SEED, stream, stream_seed
 from pipelines.play.environments import episode_limit
 from pipelines.play.episodes import Played, Player
 from pipelines.play.spaces import spaces
+from pipelines.training.settings import TrainSettings
 
 
-def network_shape(config: RunConfig) -> NetworkShape:
+def network_shape(config: TrainSettings) -> NetworkShape:
     """Return the shape of a run's actor."""
     space = spaces(config.env)
     return NetworkShape(
@@ -31,11 +29,6 @@ def network_shape(config: RunConfig) -> NetworkShape:
     )
 
 
-def search_settings(config: ArsConfig | PolishingConfig) -> SearchSettings:
-    """Return the settings of a search, which a training's configuration and a polish's name alike."""
-    return SearchSettings(**{setting.name: getattr(config, setting.name) for setting in fields(SearchSettings)})
-
-
 class PolicySearch:
     """A search from a network of its own.
 
@@ -43,14 +36,14 @@ class PolicySearch:
         n_steps: environment steps that it played.
     """
 
-    def __init__(self, config: RunConfig, start: int) -> None:
+    def __init__(self, config: TrainSettings, start: int) -> None:
         """Begin the run's search number `start`, at a network whose outputs are zero."""
         assert isinstance(config.algo, ArsConfig)
         algo = config.algo
         self._seed, self._start, self._algo = config.seed, start, algo
         self._shape = network_shape(config)
         first = self._shape.initial(np.random.default_rng(stream(config.seed, "train", start)))
-        self._search = DirectSearch(first, search_settings(algo), stream_seed(config.seed, "train", start, 0))
+        self._search = DirectSearch(first, algo, stream_seed(config.seed, "train", start, 0))
         self._longest = episode_limit(config.env)
         self._moments = StateMoments(self._shape.n_inputs)
         self.n_steps = 0

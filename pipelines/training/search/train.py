@@ -16,7 +16,6 @@ from safetensors.numpy import load_file
 from safetensors.numpy import save as safetensors_bytes
 
 from pipelines.config.algo import ArsConfig
-from pipelines.config.run import RunConfig
 from pipelines.engine.seeding import episode_seeds
 from pipelines.play.actor_files import actor_files
 from pipelines.play.episodes import Player
@@ -25,11 +24,12 @@ from pipelines.training.checkpoints import History, last_segment, progress_row, 
 from pipelines.training.estimates import segment_steps
 from pipelines.training.progress import TrainingProgress
 from pipelines.training.search.policy_search import PolicySearch
+from pipelines.training.settings import TrainSettings
 
 STATE_FILE = "search.safetensors"
 
 
-def train_by_search(config: RunConfig, checkpoints: Path, out: Path) -> None:
+def train_by_search(config: TrainSettings, checkpoints: Path, out: Path) -> None:
     """Search, going on from a checkpoint where there is one; write the best actor and the curves' files into `out`."""
     assert isinstance(config.algo, ArsConfig)
     checkpoints.mkdir(parents=True, exist_ok=True)
@@ -68,7 +68,7 @@ class SearchRun:
         n_steps: environment steps of all searches together.
     """
 
-    def __init__(self, config: RunConfig, checkpoints: Path) -> None:
+    def __init__(self, config: TrainSettings, checkpoints: Path) -> None:
         assert isinstance(config.algo, ArsConfig)
         self._config, self._algo, self._checkpoints = config, config.algo, checkpoints
         self._start_steps = min(self._algo.start_steps, config.train.steps // (self._algo.n_starts + 1))

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from otr.control.search.direct_search import DirectSearch, SearchSettings
+from otr.control.search.direct_search import DirectSearch
+from otr.control.settings import SearchSettings
 
 
 def test_step_is_the_papers():
@@ -60,8 +61,13 @@ def test_goes_on_bit_for_bit_from_its_state():
 
 @pytest.mark.parametrize(
     ("wrong", "message"),
-    [({"n_top": 9}, "n_top=9 of n_directions=8"), ({"noise": 0.0}, "noise=0.0"), ({"momentum": 1.0}, "momentum=1.0")],
+    [
+        ({"n_top": 9}, "n_top=9 is more than n_directions=8"),
+        ({"n_top": 2.5}, "n_top=2.5 is not a whole number"),
+        ({"noise": 0.0}, "noise=0.0"),
+        ({"momentum": 1.0}, "momentum=1.0"),
+    ],
 )
 def test_settings_that_make_no_search_are_refused(wrong, message):
     with pytest.raises(ValueError, match=message):
-        SearchSettings(**wrong)
+        DirectSearch(np.zeros(3), SearchSettings(**wrong), 0)

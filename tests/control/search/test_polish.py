@@ -138,8 +138,8 @@ def test_a_tree_keeps_its_structure_labels_and_zeros() -> None:
 @pytest.mark.parametrize(
     ("evaluate", "changes", "message"),
     [
-        (Quadratic(), {"n_candidates": 0}, "n_candidates is 0, expected at least 1"),
-        (Quadratic(), {"common_starts": "none"}, "common_starts is 'none'"),
+        (Quadratic(), {"n_candidates": 0}, "n_candidates=0 is not at least 1"),
+        (Quadratic(), {"common_starts": "none"}, "common_starts=none: use one of pair, all"),
         (Quadratic(), {"states": np.ones((3, 1))}, r"expected \(n, 2\)"),
         (lambda policies, seeds: np.zeros(len(policies)), {}, r"evaluate returned \(1,\), expected \(1, 100\) finite"),
         (lambda policies, seeds: np.full(seeds.shape, np.nan), {}, "evaluate returned numbers that are not finite"),

@@ -81,5 +81,5 @@ def test_labels_and_other_scales_are_refused() -> None:
     for policy in (network, labelled):
         with pytest.raises(ValueError, match="labels, which have no derivative"):
             otr.polish(policy, lambda policies, seeds: 0.0 * seeds, states=STATES, scale="sensitivity")
-    with pytest.raises(ValueError, match="scale is 'rows', expected 'uniform' or 'sensitivity'"):
+    with pytest.raises(ValueError, match="scale=rows: use one of uniform, sensitivity"):
         otr.polish(network, lambda policies, seeds: 0.0 * seeds, states=STATES, scale="rows")

@@ -113,15 +113,15 @@ def test_the_code_of_an_own_environment_is_in_the_keys(tmp_path, monkeypatch):
 def test_code_and_custom_names_are_in_the_keys_of_every_stage_that_plays_or_prints():
     config = dataclasses.replace(job(CART, "method=viper").config, program_text="force = 0.0")
     for stage in (TRAIN, IMITATE, PARSE, PRUNE):
-        assert stage.settings(config)["env"]["code_sha256"] == config.env.settings()["code_sha256"]
-    assert IMITATE.settings(job("env=hopper", "method=viper").config)["env"] == {"id": "Hopper-v4", "kwargs": {}}
+        assert stage.keyed(config)["env"]["code_sha256"] == config.env.settings()["code_sha256"]
+    assert IMITATE.keyed(job("env=hopper", "method=viper").config)["env"] == {"id": "Hopper-v4", "kwargs": {}}
     config = job("env=hopper", "depth=2").config
     renamed = dataclasses.replace(config, env=dataclasses.replace(config.env, action_names=["a", "b", "c"]))
     own = dataclasses.replace(config, env=dataclasses.replace(config.env, name="mine"))  # no file of conf/env
     for stage in (PRUNE, CERTIFY, POLISH, SIMPLIFY):
-        assert "action_names" not in stage.settings(config)
-        assert stage.settings(renamed)["action_names"] == ["a", "b", "c"]
-        assert stage.settings(own)["feature_names"] == config.env.feature_names
+        assert "action_names" not in stage.keyed(config)
+        assert stage.keyed(renamed)["action_names"] == ["a", "b", "c"]
+        assert stage.keyed(own)["feature_names"] == config.env.feature_names
 
 
 def test_methods_budgets_and_arguments_of_custom_environments():

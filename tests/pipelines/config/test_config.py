@@ -8,7 +8,7 @@ import pytest
 from pipelines.cli.runs import load_config
 from pipelines.config.env import EnvConfig
 from pipelines.config.run import run_folder
-from pipelines.config.stages import ActorConfig, EvaluateConfig, PruneConfig
+from pipelines.config.stages import EvaluateConfig
 from pipelines.engine.digests import setting_differences
 from pipelines.errors import ConfigError
 from tests.pipelines.conftest import PPO, SAC
@@ -61,27 +61,15 @@ def test_depth_zero_is_the_linear_policy(tiny):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"seed": -1}, "seed=-1"),
-        ({"seed": 2**32}, "seed=4294967296"),
         ({"stages": ["mapp"]}, "no stage 'mapp'"),
-        ({"prune": PruneConfig(0, None)}, "prune.n_episodes=0"),
-        ({"prune": PruneConfig(2, 0)}, "prune.k=0"),
-        ({"n_workers": 0}, "n_workers=0"),
         ({"results_dir": ""}, "results_dir is empty"),
-        ({"algo": dataclasses.replace(SAC, learning_rate=float("nan"))}, "algo.learning_rate=nan"),
-        ({"algo": dataclasses.replace(SAC, train_freq=0)}, "algo.train_freq=0"),
-        ({"algo": dataclasses.replace(SAC, tau=5.0)}, "algo.tau=5.0"),
-        ({"algo": dataclasses.replace(SAC, critic=[0])}, "algo.critic"),
         ({"algo": dataclasses.replace(SAC, ent_coef="foo")}, "algo.ent_coef=foo"),
         ({"algo": dataclasses.replace(SAC, ent_coef="1.2.3")}, "algo.ent_coef=1.2.3: use auto, or a number"),
         ({"algo": dataclasses.replace(PPO, use_sde=True)}, "algo.use_sde=true: actors of method=otr cannot be read"),
-        ({"algo": dataclasses.replace(SAC, action_noise="foo")}, "algo.action_noise=foo"),
-        ({"algo": dataclasses.replace(PPO, n_steps=1)}, "algo.n_steps=1"),
-        ({"actor": ActorConfig(1.0)}, "actor.negative_slope=1.0"),
         ({"evaluate": EvaluateConfig(3, 2**20 - 2)}, "the last episode has seed 1048576, and"),
     ],
 )
-def test_values_out_of_range_are_named(tiny, changes, words):
+def test_what_no_range_says_is_refused_by_name(tiny, changes, words):
     with pytest.raises(ConfigError, match=words):
         tiny(**changes)
 

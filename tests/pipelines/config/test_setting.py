@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import inspect
 import math
 import re
 import types
@@ -10,9 +11,14 @@ from collections.abc import Callable
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import pytest
+import yaml
 
+from otr.control.settings import CartSettings, SearchSettings
 from pipelines.cli.commands.tabulate import TabulateConfig
+from pipelines.cli.runs import RUN
 from pipelines.config.algo import ALGORITHMS
+from pipelines.config.budget import BudgetConfig
+from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.methods import METHODS
 from pipelines.config.run import RunConfig
 from pipelines.config.setting import (
@@ -32,6 +38,7 @@ from pipelines.config.setting import (
     keyed_settings,
     not_keyed,
 )
+from pipelines.config.stages import PolishingConfig
 from pipelines.config.trainer import TRAINERS
 from pipelines.errors import ConfigError
 from pipelines.runs.export import ExportConfig
@@ -225,3 +232,41 @@ def test_what_a_run_is_not_keyed_by():
     execution = {"results_dir", "stages", "n_workers", "side_by_side", "debug", "polish", "certify", "simplify",
                  "leaves", "video", "tracking"}  # fmt: skip
     assert set(not_keyed(RunConfig)) == execution | {"program_text", "imported", "folder", "changes", "oracle_run"}
+
+
+def test_files_have_only_what_differs_from_the_dataclass():
+    repeated = []
+    for (group, name), kind in RUN.schemas.items():
+        files = {RunConfig: "run.yaml", BudgetConfig: "budget/*.yaml"}.get(kind, f"{group}/*.yaml")
+        for path in CONF_DIR.glob(files):
+            content = yaml.safe_load(path.read_text())
+            if any(str(each).startswith((name, f"/{name}")) for each in content.get("defaults", ())):
+                repeated += [(path.name, *where) for where in _defaults_in(kind, content)]
+    assert repeated == []
+
+
+def _defaults_in(kind: type, content: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Return the keys at which a file's content has what the dataclass has by default."""
+    found: list[tuple[str, ...]] = []
+    for field in dataclasses.fields(kind):
+        made = field.default_factory() if callable(field.default_factory) else field.default
+        if field.name not in content or made is dataclasses.MISSING:
+            continue
+        if dataclasses.is_dataclass(made):
+            found += [(field.name, *inner) for inner in _defaults_in(type(made), content[field.name])]
+        elif content[field.name] == made:
+            found.append((field.name,))
+    return found
+
+
+def test_what_the_library_declares_is_declared_again_nowhere():
+    kinds = {*METHODS.values(), *ALGORITHMS.values(), PolishingConfig}
+    for kind in kinds:
+        shared = [base for base in kind.__mro__ if base.__module__ == "otr.control.settings"]
+        names = {field.name for base in shared for field in dataclasses.fields(base)}
+        assert not names & {name for base in kind.__mro__ if base not in shared for name in _own(base)}, kind
+    assert issubclass(METHODS["viper"], CartSettings) and issubclass(PolishingConfig, SearchSettings)
+
+
+def _own(kind: type) -> set[str]:
+    return set(inspect.get_annotations(kind))

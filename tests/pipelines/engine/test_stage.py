@@ -51,7 +51,7 @@ def test_second_call_skips_and_keeps_the_files(tiny, tmp_path):
 def test_changed_input_makes_the_stage_again(tiny, tmp_path):
     run_stage(FIRST, tmp_path / "run", tiny(), "")
     run_stage(SECOND, tmp_path / "run", tiny(), "")
-    newer = Stage("first", 2, (), FIRST.settings, lambda i, c, out: (out / "value.txt").write_text("new\n"))
+    newer = Stage("first", 2, (), FIRST.keyed, lambda i, c, out: (out / "value.txt").write_text("new\n"))
     run_stage(newer, tmp_path / "run", tiny(), "")
     assert not run_stage(SECOND, tmp_path / "run", tiny(), "").skipped
     assert (tmp_path / "run/second/value.txt").read_text() == "new\nthen\n"

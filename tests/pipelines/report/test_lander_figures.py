@@ -19,7 +19,7 @@ from pipelines.report.frames import load_runs
 from tests.pipelines.conftest import LANDER, PPO, otr_command, otr_succeeds
 from tests.pipelines.report.conftest import write_run
 
-AUGTREE = AugTreeConfig("augtree", "all", "constant", 4, False, "entropy", 100, 1)
+AUGTREE = AugTreeConfig("augtree", features="all", max_samples=100)
 QUICK = BudgetConfig("quick", {"lunarlander": 300}, 100, 2, 2, 3, 100)
 
 

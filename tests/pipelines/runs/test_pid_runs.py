@@ -17,11 +17,11 @@ from pipelines.play.environments import make_env
 from pipelines.play.episodes import play_seeds
 from pipelines.play.pid_environment import PidObservation
 from pipelines.play.spaces import feature_names
-from pipelines.stages.train import train_settings
 from pipelines.training.actors import actor_of
 from pipelines.training.sb3_models import build_model
+from pipelines.training.settings import train_keys
 from tests.control.pids import thesis_policy
-from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM, otr_command, otr_succeeds
+from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM, SAC, otr_command, otr_succeeds
 from tests.pipelines.own_envs import Cart
 from tests.pipelines.stages.test_train import DDPG, assert_is_what_was_trained
 
@@ -162,13 +162,12 @@ def test_small_output_weights_become_zero(pid):
     assert actor.exported(model).weights[-1][9:12, 0].tolist() == pytest.approx([0.0, 0.0, 0.011])
 
 
-def test_terms_and_penalty_are_part_of_a_training_s_key(pid, tiny):
+def test_terms_and_penalty_are_part_of_a_training_s_key(pid):
     keys = [
-        train_settings(pid(method=dataclasses.replace(PID, **changes)))
+        train_keys(pid(method=dataclasses.replace(PID, **changes)))
         for changes in ({}, {"l1": 0.0}, {"n_history": 2}, {"goal": [0.0, 0.0, 0.0]})
     ]
     assert all(one != other for i, one in enumerate(keys) for other in keys[:i])
-    assert set(train_settings(tiny())["env"]) == {"id", "kwargs"}  # as before, so that what was trained stays valid
 
 
 # --- the command line ---------------------------------------------------------------------------------------------
@@ -204,22 +203,9 @@ def test_words_that_a_pid_policy_implies():
     assert not run_config(["env=mountaincar", "method=pid", "budget=quick"]).actor.rescale_inputs
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"algo": None}, "method=pid is trained by algo=ddpg_pid, not sac"),
-        ({"method": dataclasses.replace(PID, n_history=0)}, "method.n_history=0"),
-        ({"method": dataclasses.replace(PID, l1=-1.0)}, "method.l1=-1"),
-    ],
-)
-def test_what_is_refused(tiny, pid, changes, words):
-    if changes.get("algo", DDPG) is None:
-        changes = {"algo": tiny().algo}
-    with pytest.raises(ConfigError, match=words):
-        pid(**changes)
-
-
-def test_environments_that_do_not_fit_are_refused(pid):
+def test_environments_and_algorithms_that_do_not_fit_are_refused(pid):
+    with pytest.raises(ConfigError, match="method=pid is trained by algo=ddpg_pid, not sac"):
+        pid(algo=SAC)
     with pytest.raises(ConfigError, match="has 3 numbers, the states of Hopper-v4 have 11"):
         make_env(pid(env=HOPPER).env)
     with pytest.raises(ConfigError, match="needs continuous actions"):

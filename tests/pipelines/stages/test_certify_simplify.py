@@ -185,9 +185,9 @@ def test_pid_policies_are_proved_exported_and_simplified_in_the_form_that_fits(c
 
 
 def test_a_given_box_is_keyed_where_it_is_given_and_is_what_is_proved(command, results, tiny):
-    usual = CERTIFY.settings(tiny())
+    usual = CERTIFY.keyed(tiny())
     boxed = tiny(certification=CertificationConfig(["angle_rate in -1..1"]))
-    assert "box" not in usual and CERTIFY.settings(boxed) == usual | {"box": ["angle_rate in -1..1"]}
+    assert "box" not in usual and CERTIFY.keyed(boxed) == usual | {"box": ["angle_rate in -1..1"]}
     assert "box" not in tiny().settings()["certification"]
     done = certified(command, results, "box=[angle_rate in -1 .. 1.0, sin_angle in 0..0.5]")
     where = "the given box, cos_angle in -1..1, sin_angle in 0..0.5, angle_rate in -1..1"

@@ -28,7 +28,7 @@ def chain(tiny, tmp_path):
         for folder in folders.values():
             folder.mkdir()
         write_files(actor_files(network or random_network(PENDULUM, seed=1, width=6)), folders["train"])
-        map_actor(folders, config, folders["map"])
+        map_actor({"train": folders["train"]}, config, folders["map"])
         prune(folders, config, folders["prune"])
         return folders
 

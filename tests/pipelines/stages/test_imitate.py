@@ -6,8 +6,7 @@ import shutil
 import numpy as np
 import pytest
 
-from pipelines.config.methods import AugTreeConfig, NdpsConfig, ViperConfig
-from pipelines.config.stages import ImitateConfig
+from pipelines.config.methods import AugTreeConfig, ViperConfig
 from pipelines.engine.seeding import FIRST_STREAM_SEED, STREAMS, episode_seeds
 from pipelines.engine.store import read_csv
 from pipelines.errors import ConfigError, PipelineError
@@ -17,7 +16,6 @@ from pipelines.stages.oracle import load_oracle
 from tests.pipelines.conftest import otr_command, otr_succeeds
 
 SWEEP = ("-m", "env=lunarlander", "method=viper,augtree", "depth=2", "oracle=[8]", "budget=smoke")
-NDPS = NdpsConfig("ndps", 500, 30, 10, 64, 0.02, 1.0, 20.0, 1.0)
 
 
 @pytest.fixture(scope="module")
@@ -98,20 +96,15 @@ def test_fleet_trains_several_oracles_at_once(tmp_path):
         ({"depth": 0}, "depth=0: method=viper grows a tree"),
         ({"depth": [2, 2]}, r"depth=\[2, 2\]: method=viper grows a tree"),
         ({"oracle": []}, r"oracle=\[\]"),
-        ({"imitate": ImitateConfig(n_episodes=0)}, "imitate.n_episodes=0"),
         (
-            {"method": AugTreeConfig("augtree", "deep", "constant", 4, False, "entropy", 10, 1), "oracle": [8]},
+            {"method": AugTreeConfig("augtree", features="deep", max_samples=10), "oracle": [8]},
             "features=deep",
-        ),
-        (
-            {"method": AugTreeConfig("augtree", "x", "constant", 4, False, "entropy", 10, 1)},
-            "method.features=x: use one of all",
         ),
     ],
 )
 def test_what_is_refused(tiny, changes, words):
     with pytest.raises(ConfigError, match=words):
-        tiny(**{"method": ViperConfig("viper", 100, 1), **changes})
+        tiny(**{"method": ViperConfig("viper", max_samples=100), **changes})
 
 
 def test_an_oracle_that_was_replaced_is_not_taken_for_the_old_one(finished, tmp_path):

@@ -5,9 +5,10 @@ import pkgutil
 
 import pytest
 
+from otr.control.settings import DaggerSettings
 from pipelines.config.env import EnvConfig, PidTerms
 from pipelines.config.methods import MappedConfig, NdpsConfig, PidConfig
-from pipelines.config.stages import ActorConfig, ImitateConfig, PolishingConfig, TrainConfig
+from pipelines.config.stages import ActorConfig, PolishingConfig, TrainConfig
 from pipelines.runs.run_job import RunJob, run_jobs
 from tests.pipelines.conftest import ARS, HOPPER, LANDER, PENDULUM, PI_PRL, PPO, SAC
 from tests.pipelines.stages.test_train import DDPG, DQN, SMALL_BUFFER_SAC, TD3
@@ -33,8 +34,8 @@ POLISHED = SEARCH | {
     "polishing": PolishingConfig(steps=2_000, n_directions=2, n_top=2, n_selection_episodes=2, n_candidates=2),
 }  # fmt: skip
 IMITATED = {
-    "method": NdpsConfig("ndps", 500, 30, 10, 64, 0.02, 1.0, 20.0, 1.0), "depth": 2, "oracle": [6],
-    "imitate": ImitateConfig(2, 3, 2, 4), "stages": ["oracle", "imitate"],
+    "method": NdpsConfig("ndps", max_samples=500, n_updates=30, n_updates_next=10, batch_size=64, beta_last=20.0),
+    "depth": 2, "oracle": [6], "imitate": DaggerSettings(3, 2, 2, 4), "stages": ["oracle", "imitate"],
 }  # fmt: skip
 # What is run; the call, and the how manyeth, before or after which the process dies
 KILLS = {

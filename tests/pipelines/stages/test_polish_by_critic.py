@@ -22,7 +22,7 @@ from pipelines.report.figures.learning_curves import STEPS, load_curves
 from pipelines.runs.below_random import random_returns
 from pipelines.runs.replay import replay
 from pipelines.runs.stage_table import stages_of
-from pipelines.stages.polish import POLISH, estimated_seconds, polish_settings, polishes_by
+from pipelines.stages.polish import POLISH, estimated_seconds, polish_keys, polishes_by
 from pipelines.training.critics import CRITICS
 from tests.committed import copy_run
 from tests.pipelines.conftest import otr_command, otr_succeeds
@@ -184,7 +184,7 @@ def test_committed_polishes_keep_their_keys(tmp_path):
     config = dataclasses.replace(load_config(made, 1), results_dir=str(tmp_path / "results"))
     assert polishes_by(config) == "search"
     assert stage_status(POLISH, made / "polish", config) == "done"
-    keyed = polish_settings(config)["polishing"]
+    keyed = polish_keys(config)["polishing"]
     assert not {"by", "critic", "scale"} & set(keyed) and keyed["n_directions"] == config.polishing.n_directions
     # What is set for critics alone does not change it, and a polish by critics hears of nothing else.
     other = dataclasses.replace(config.polishing, critic=dataclasses.replace(config.polishing.critic, noise=0.3))
@@ -192,7 +192,7 @@ def test_committed_polishes_keep_their_keys(tmp_path):
     by_critic = dataclasses.replace(config, polishing=PolishingConfig(by="critic"))
     assert stage_status(POLISH, made / "polish", by_critic) == "other settings"
     searched = dataclasses.replace(by_critic, polishing=PolishingConfig(by="critic", n_directions=20, steps=3))
-    assert polish_settings(searched) == polish_settings(by_critic)
+    assert polish_keys(searched) == polish_keys(by_critic)
     assert stages_of("ndps")["polish"].inputs == ("prune",)
     assert 240 < estimated_seconds(by_critic) < 600
 

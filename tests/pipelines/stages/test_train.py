@@ -18,7 +18,7 @@ from pipelines.play.episodes import play_seeds
 from pipelines.play.selection import compare_with_trained
 from pipelines.runs.run_job import RunJob
 from pipelines.runs.stage_table import STAGES
-from pipelines.stages.train import TRAIN, checkpoint_folder, train_settings, trained_steps
+from pipelines.stages.train import TRAIN, checkpoint_folder, trained_steps
 from pipelines.training import sb3_checkpoints as checkpoint_module
 from pipelines.training import sb3_training
 from pipelines.training.actors import actor_of
@@ -179,11 +179,6 @@ def test_rescaled_inputs_are_folded_into_the_program(tiny, tmp_path):
 def test_states_without_bounds_cannot_be_rescaled(tiny):
     with pytest.raises(ConfigError, match="have no bounds"):
         build_model(tiny(env=HOPPER, actor=ActorConfig(0.0, rescale_inputs=True)), 0)
-
-
-def test_younger_settings_leave_earlier_results_valid(tiny):
-    assert "rescale_inputs" not in train_settings(tiny())["actor"]
-    assert train_settings(tiny(actor=ActorConfig(0.0, rescale_inputs=True)))["actor"]["rescale_inputs"] is True
 
 
 def test_training_that_cannot_be_put_in_its_place_is_not_lost(tiny, tmp_path, monkeypatch):

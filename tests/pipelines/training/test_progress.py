@@ -2,8 +2,9 @@
 
 import pytest
 
+from pipelines.engine.time_left import Pace
 from pipelines.training import progress
-from pipelines.training.progress import Pace, TrainingProgress
+from pipelines.training.progress import TrainingProgress
 
 
 def test_random_steps_and_the_first_moments_tell_nothing():

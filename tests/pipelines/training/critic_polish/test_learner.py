@@ -15,6 +15,7 @@ from pipelines.errors import ConfigError
 from pipelines.training.critic_polish.learner import CriticPolish
 from pipelines.training.critic_polish.policy_actor import OraclePlay, PolicyActor
 from pipelines.training.fleet.squashed_gaussian import ClippedActions
+from tests.pipelines.conftest import PENDULUM
 
 LOW, HIGH = np.array([-2.0]), np.array([2.0])
 SHORT = PolishingConfig(critic=CriticPolishConfig(60, 100, batch_size=32), n_candidates=3, n_selection_episodes=2)
@@ -44,11 +45,12 @@ def states(n=200):
 
 
 @pytest.fixture
-def learning(tiny):
+def learning():
     made = []
 
     def make(policy, oracle=None, critics=None, polishing=SHORT):
-        made.append(CriticPolish(policy, tiny(polishing=polishing), critics or new_critics(), oracle, "numpy"))
+        critics = critics or new_critics()
+        made.append(CriticPolish(policy, polishing, PENDULUM, "numpy", critics, oracle, tied=False, seed=0))
         return made[-1]
 
     yield make

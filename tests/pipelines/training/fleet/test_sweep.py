@@ -1,5 +1,6 @@
 """Sweeps of fleets: grouped by themselves, under launchers, killed, diverging, and written down as commands."""
 
+import dataclasses
 import json
 import re
 from pathlib import Path
@@ -9,7 +10,7 @@ import pytest
 from pipelines.engine.stage import run_stage_together
 from pipelines.engine.store import read_json
 from pipelines.runs.run_job import RunJob, run_jobs
-from pipelines.runs.stage_table import STAGES
+from pipelines.stages.train import TRAIN
 from tests.pipelines.conftest import otr_command, otr_succeeds
 from tests.pipelines.sweeps import digests
 from tests.pipelines.training.fleet.test_train import FLEET, WRAPPING_SAC
@@ -62,7 +63,8 @@ def test_finished_and_busy_runs_are_left_out_of_a_fleet(tiny, tmp_path):
             (out / "actor.json").write_text("{}")
         return [None, ValueError("no")]
 
-    errors = run_stage_together(STAGES["train"], [(job.run_dir, job.config) for job in jobs], recording)
+    stage = dataclasses.replace(TRAIN, together=recording)
+    errors = run_stage_together(stage, [(job.run_dir, job.config) for job in jobs])
     assert trained == [[1, 2]]
     assert [str(error) for error in errors] == ["None", "None", "no"]
     assert (jobs[0].run_dir / "train" / "manifest.json").read_bytes() == before

@@ -21,8 +21,9 @@ from pipelines.errors import ConfigError, PipelineError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.environments import make_env
 from pipelines.play.vector_envs import Autoreset
+from pipelines.runs.fleets import fleets, group_key
 from pipelines.runs.run_job import RunJob, run_jobs
-from pipelines.stages.train import checkpoint_folder, fleets, group_key, train_settings, trained_steps
+from pipelines.stages.train import checkpoint_folder, trained_steps
 from pipelines.training.checkpoints import History
 from pipelines.training.critics import CRITICS, load_critics
 from pipelines.training.fleet import trainer as trainer_module
@@ -31,6 +32,7 @@ from pipelines.training.fleet.progress import FleetProgress
 from pipelines.training.fleet.random_streams import Streams
 from pipelines.training.fleet.train import _segment, train_fleet
 from pipelines.training.fleet.trainer import FleetTrainer, Task
+from pipelines.training.settings import train_keys
 from tests.pipelines.conftest import HOPPER, LANDER, PPO, SAC
 from tests.pipelines.sweeps import do_until_killed
 
@@ -412,11 +414,11 @@ def test_what_can_train_together(fleet_run, tiny):
 
 
 def test_trainer_is_part_of_the_key_and_of_the_folder(fleet_run, tiny):
-    assert train_settings(fleet_run()) != train_settings(tiny(algo=WRAPPING_SAC))
-    assert "trainer" not in train_settings(tiny())
+    assert train_keys(fleet_run()) != train_keys(tiny(algo=WRAPPING_SAC))
+    assert "trainer" not in train_keys(tiny())
     assert checkpoint_folder(fleet_run()) != checkpoint_folder(tiny(algo=WRAPPING_SAC))
     larger = dataclasses.replace(FLEET, runs_per_process=7)
-    assert train_settings(fleet_run(trainer=larger)) == train_settings(fleet_run())
+    assert train_keys(fleet_run(trainer=larger)) == train_keys(fleet_run())
     assert fleet_run().budget_level == "smoke-fleet"
     ppo = fleet_run(algo=PPO, env=LANDER)
     assert (ppo.trainer_name, ppo.budget_level, ppo.fleet) == ("sb3", "smoke", None)

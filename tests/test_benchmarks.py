@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 import otr
-from benchmarks import control, latency, mapping, polish, search, search_curves, supervised, training
+from benchmarks import control, latency, mapping, polish, search, search_curves, supervised, tables, training
 from benchmarks.__main__ import NAMES, document, main
 from benchmarks.evaluation import STANDING_GAINS, STANDING_OFFSETS, standing_policy
 from benchmarks.mapping import copying_tree, random_network
@@ -264,3 +264,18 @@ def test_the_mean_of_runs_is_where_all_of_them_are():
     assert list(seconds.lines[2].get_xdata()) == [1.0, 1.5, 2.0]
     assert list(zip(*seconds.lines[3].get_data(), strict=True)) == [(9.0, 60.0)]  # 0 seconds have no place there
     assert steps.get_xscale() == seconds.get_xscale() == "log"
+
+
+def test_trees_from_tables_are_compared_with_what_is_installed(monkeypatch, capsys):
+    few = {name: tables.LEARNERS[name] for name in ("CART", "TAO")}
+    monkeypatch.setattr(tables, "LEARNERS", few | {"gone": ("no_such_package", None)})
+    entries = tables.measure(quick=True)
+    assert [entry.name for entry in entries] == ["wine: CART", "wine: TAO", "diabetes: CART"]
+    assert "gone is not installed" in capsys.readouterr().out
+    assert all(entry.details["features_per_test"] == 1 for entry in entries if "CART" in entry.name)
+    assert entries[1].value > entries[1].peer_value > 0.8
+
+
+def test_the_page_has_the_committed_table():
+    made = tables.markdown(json.loads((RESULTS / "benchmarks" / "tables.json").read_text()))
+    assert f"<!-- table -->\n{made}\n<!-- end -->" in tables.PAGE.read_text()

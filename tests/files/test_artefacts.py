@@ -102,7 +102,7 @@ def test_files_that_are_missing_or_do_not_belong_together_are_refused(tmp_path: 
     refused("do not belong together")
     for other in ("[]", "{}", '{"schema": "otr/tree/2"}', "null", "\x00\xff"):
         (tmp_path / "tree.json").write_text(other, encoding="latin-1")
-        refused(r"schema|JSON")
+        refused("schema|JSON|do not belong together")
     (tmp_path / "tree.json").write_text(text)
     rewritten(tmp_path, "P.npy", encrypted=True)
     refused("is encrypted")
@@ -175,6 +175,23 @@ def signed(folder: Path, changes: dict[str, Any], arrays: dict[str, Any] | None 
     (folder / "tree.json").write_text(json.dumps(description))
 
 
+@pytest.mark.parametrize(
+    ("changes", "arrays", "words"),
+    [
+        ({"head": None}, {}, "head is None in the JSON file, expected dict"),
+        ({"head": {"name": []}}, {}, "unhashable"),
+        ({"head": {"name": "clip_box", "low": 10**400, "high": 1}}, {}, "too large to convert"),
+        ({"kind": []}, {}, r"holds the kind \[\], expected one of"),
+        ({"schema": {}}, {}, r"has the schema \{\}, expected 'otr/tree/1'"),
+        ({"n_layers": 1.0}, {}, "n_layers is 1.0 in the JSON file, expected int"),
+        ({"dense": 1}, {}, "dense is 1 in the JSON file, expected bool or str"),
+        ({"domain": {"low": [0], "high": [1]}}, {}, "the domain has 1 inputs, expected 2"),
+        *[
+            ({}, {"counts": np.array(counts)}, r"counts have shape .*, expected \(2,\)")
+            for counts in (3, [3], [[3], [4]])
+        ],
+    ],
+)
 def test_a_description_that_makes_no_sense_is_refused(tmp_path: Path, changes: dict, arrays: dict, words: str) -> None:
     network = worked_network().replace(domain=([-9.0, -np.inf], [9.0, 9.0]))
     otr.save(otr.PatternTree(network).observe([[-9.0, 0.0], [9.0, 9.0]]), tmp_path / "tree")

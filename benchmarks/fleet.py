@@ -38,7 +38,6 @@ from benchmarks.training import plain_trainer
 from pipelines.cli import runs
 from pipelines.config.run import RunConfig
 from pipelines.runs.fleets import fleets
-from pipelines.training.actors import actor_of
 from pipelines.training.fleet.adam import RunSettings
 from pipelines.training.fleet.fleet_run import FleetRun
 from pipelines.training.fleet.module_actors import ModuleActors
@@ -47,8 +46,9 @@ from pipelines.training.fleet.sac import FleetSac, Minibatch, Shapes
 from pipelines.training.fleet.stacked_tensors import multiply, new_stack
 from pipelines.training.fleet.trainer import FleetTrainer, Task
 from pipelines.training.progress import TrainingProgress
-from pipelines.training.sb3_models import build_model
-from pipelines.training.sb3_training import train_segment
+from pipelines.training.sb3.actor_kinds import actor_of
+from pipelines.training.sb3.models import build_model
+from pipelines.training.sb3.training import train_segment
 
 N_RUNS = 10
 N_RANDOM = 100

@@ -26,12 +26,12 @@ from pipelines.cli import runs
 from pipelines.config.algo import PpoConfig, SacConfig
 from pipelines.config.run import RunConfig
 from pipelines.play.environments import make_env
-from pipelines.training.actors import actor_of
 from pipelines.training.checkpoints import History
 from pipelines.training.progress import TrainingProgress
-from pipelines.training.sb3_checkpoints import save_checkpoint
-from pipelines.training.sb3_models import build_model
-from pipelines.training.sb3_training import train_segment
+from pipelines.training.sb3.actor_kinds import actor_of
+from pipelines.training.sb3.models import build_model
+from pipelines.training.sb3.saved_models import save_checkpoint
+from pipelines.training.sb3.training import train_segment
 
 Segment = Callable[[], Any]
 

@@ -62,7 +62,7 @@ if TYPE_CHECKING:
         from_torch as from_torch,
         read_policy as read_policy,
     )
-    from otr.importers.statistics import ObservationStatistics as ObservationStatistics
+    from otr.importers.input_statistics import ObservationStatistics as ObservationStatistics
     from otr.programs.c.source import to_c as to_c
     from otr.programs.dot import to_dot as to_dot
     from otr.programs.json import to_json as to_json

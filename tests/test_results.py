@@ -16,7 +16,7 @@ from pipelines.engine.store import exists, read_csv
 from pipelines.play.actor_files import load_actor
 from pipelines.report.tabulate import TABLES
 from pipelines.runs.derived import opened_run
-from pipelines.runs.verify import certified_stage
+from pipelines.runs.verify_run import certified_stage
 from pipelines.stages.oracle import load_oracle
 from tests.committed import RESULTS
 from tests.pipelines.conftest import otr_succeeds

@@ -16,10 +16,10 @@ from otr.control.settings import AugTreeSettings
 from otr.control.viper import centred, fit_cart, with_head
 from otr.core.arrays import FloatArray, IntArray
 from otr.core.network import ReluNetwork
-from otr.core.setting import Checked
 from otr.core.smooth_network import Oracle
 from otr.core.tree import ObliqueTree
 from otr.learners.model_tree import LinearTreeRegressor, grow_models
+from otr.setting import Checked
 
 # Columns whose every threshold is looked at, of those that some thresholds on some rows promise most for.
 _N_SEARCHED = 8

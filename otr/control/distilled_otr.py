@@ -16,7 +16,7 @@ from otr.control.settings import StudentSettings
 from otr.core.arrays import BoolArray, FloatArray
 from otr.core.head import Head
 from otr.core.pattern_tree import PatternTree
-from otr.core.setting import Checked
+from otr.setting import Checked
 
 _SHARE_OF_A_START = 0.25  # of the updates: what every start is given before the best of them goes on
 

@@ -14,12 +14,12 @@ from otr.control.dagger.row_sampling import draw_rows
 from otr.control.label_leaves import argmax_leaves
 from otr.control.search.state_moments import scale_of
 from otr.control.settings import ExpertsSettings
-from otr.control.soft_tree import LEAF_SCALE, as_numpy, initial_tests, substitute_inputs, with_ones
+from otr.control.soft_trees.soft_tree import LEAF_SCALE, as_numpy, initial_tests, substitute_inputs, with_ones
 from otr.core.arrays import FloatArray
 from otr.core.head import Head
 from otr.core.heads import Identity
-from otr.core.setting import Checked
 from otr.core.tree import ObliqueTree
+from otr.setting import Checked
 
 
 class LinearExperts(nn.Module):

@@ -15,11 +15,11 @@ from torch.nn import functional
 from otr.control.dagger.row_sampling import draw_rows
 from otr.control.search.state_moments import CONSTANT
 from otr.control.settings import NdpsSettings
-from otr.control.soft_tree import SoftTree
+from otr.control.soft_trees.soft_tree import SoftTree
 from otr.core.arrays import BoolArray, FloatArray, IntArray
 from otr.core.head import Head
-from otr.core.setting import check_settings
 from otr.core.tree import ObliqueTree
+from otr.setting import check_settings
 
 _MAX_ACTIVE_SETS = 20
 _MAX_LBFGS_STEPS = 25

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from otr.core.setting import (
+from otr.setting import (
     AsBefore,
     BelowOne,
     Count,

@@ -13,11 +13,11 @@ from otr.control.label_leaves import decided_leaves
 from otr.control.settings import CartSettings, ModelTreeSettings
 from otr.core.arrays import FloatArray, IntArray
 from otr.core.head import Head
-from otr.core.setting import Checked, Criterion
 from otr.core.tree import ObliqueTree
 from otr.learners.base.single_tree import class_tree
 from otr.learners.cart import grow_cart
 from otr.learners.model_tree import LinearTreeRegressor
+from otr.setting import Checked, Criterion
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from otr.clock import check_time
-from otr.core.arrays import BoolArray, FloatArray, IntArray, as_batch
+from otr.core.arrays import BoolArray, FloatArray, IntArray, PackedRows, as_batch, count_rows, pack_rows, unpack_rows
 from otr.core.mapping import map_network
 from otr.core.network import ReluNetwork, UnitForm, require_relu_network
-from otr.core.packed_bits import PackedRows, count_rows, pack_rows, unpack_rows
 from otr.core.tree import ObliqueTree
 
 _CHUNK_STATES = 2**16

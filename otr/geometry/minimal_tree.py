@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from otr.clock import check_time, time_limit
-from otr.core.arrays import BoolArray, FloatArray, IntArray, as_batch
+from otr.core.arrays import BoolArray, FloatArray, IntArray, as_batch, count_rows, pack_rows, unpack_rows
 from otr.core.domain import Box, Domain, as_domain
 from otr.core.network import ReluNetwork, UnitForm, require_relu_network
-from otr.core.packed_bits import count_rows, pack_rows, unpack_rows
 from otr.core.pattern_tree import PatternTree, units_and_basis
 from otr.core.pruning import keep_leaves
 from otr.core.tree import ObliqueTree

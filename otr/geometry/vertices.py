@@ -14,8 +14,7 @@ from math import comb
 
 import numpy as np
 
-from otr.core.arrays import BoolArray, FloatArray, IntArray
-from otr.core.packed_bits import pack_rows
+from otr.core.arrays import BoolArray, FloatArray, IntArray, pack_rows
 from otr.geometry.largest_balls import rounding_at
 from otr.geometry.simplex import LARGEST_RADIUS
 

@@ -21,11 +21,11 @@ from otr.errors import ArtefactError, InvalidNetworkError, OtrError
 from otr.extras import naming_the_extra
 from otr.files.artefacts import load
 from otr.importers.assembly import mappable, policy_of
+from otr.importers.input_statistics import AUTO, find_statistics, fold_observation_statistics, is_auto
 from otr.importers.onnx_file import oracle_of_onnx, sections_of_onnx
 from otr.importers.sb3_archive import network_of_file, oracle_of_file
 from otr.importers.sb3_model import network_of_model
 from otr.importers.sklearn_estimator import policy_of_estimator, read_skops
-from otr.importers.statistics import AUTO, find_statistics, fold_observation_statistics, is_auto
 from otr.importers.stored_layers import network_of_nnet, policy_of_state_dict
 from otr.importers.torch_modules import oracle_of_export, oracle_of_module, policy_of_module, sections_of_export
 

@@ -18,8 +18,8 @@ from otr.core.heads import Argmax, Identity, Sign, TanhBox
 from otr.core.network import Dense, ReluNetwork
 from otr.core.smooth_network import Layered, SmoothNetwork
 from otr.errors import InvalidNetworkError
+from otr.importers.relu_units import DECISIONS, Form, Neurons, Source, neurons
 from otr.importers.sections import LIMIT_NUMBERS, RANDOM, Sections, refuse_others, too_large
-from otr.importers.units import DECISIONS, Form, Neurons, Source, neurons
 
 Function = Callable[[FloatArray], NDArray[Any]]
 TRAIN_RELU = (

@@ -18,8 +18,8 @@ from otr.core.arrays import FloatArray
 from otr.core.smooth_network import Oracle
 from otr.errors import ArtefactError, InvalidNetworkError
 from otr.importers.assembly import Function, black_box, policy_of
+from otr.importers.relu_units import Node
 from otr.importers.sections import LIMIT_NUMBERS, MEMORY, Sections
-from otr.importers.units import Node
 
 if TYPE_CHECKING:
     from onnx import GraphProto, ModelProto, NodeProto, TensorProto

@@ -1,7 +1,7 @@
 """A model as a graph: nonlinear nodes cut it into sections, and each section is the affine map that it evaluates to.
 
 Every node is run in float64 on one state, whatever operator it is. Where three points with r = 2 p - q show that a
-node's answer is no affine function of what it reads, it is a cut, which `otr.importers.units` recognises by its values.
+node's answer is no affine function of what it reads, it is a cut, which `otr.importers.relu_units` recognises.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from otr.core.arrays import FloatArray
 from otr.errors import InvalidNetworkError, OtrError
-from otr.importers.units import Form, Node, Source, Unit, recognised
+from otr.importers.relu_units import Form, Node, Source, Unit, recognised
 
 LIMIT_NUMBERS = 2**24  # of a matrix: a product of thin ones can be far larger than the file
 _LIMIT_WIDTH = 2**20  # of a value: a file of a hundred bytes can declare any number of inputs

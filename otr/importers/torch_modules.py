@@ -27,9 +27,9 @@ from otr.core.network import ReluNetwork
 from otr.core.smooth_network import Oracle
 from otr.errors import InvalidNetworkError
 from otr.importers.assembly import Function, black_box, policy_of
+from otr.importers.relu_units import Node
 from otr.importers.sections import LIMIT_NUMBERS, MEMORY, Sections
 from otr.importers.torch_export_file import Call, Export, Name, Type, names_in, read_export
-from otr.importers.units import Node
 
 if TYPE_CHECKING:
     import torch

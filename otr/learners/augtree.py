@@ -18,9 +18,9 @@ from sklearn.utils.validation import check_random_state
 from otr.core.arrays import FloatArray
 from otr.core.network import ReluNetwork
 from otr.importers import from_sklearn
+from otr.learners.base.column_units import Units
 from otr.learners.base.parameters import AT_LEAST_1, CLASS_WEIGHT, Constraints, Widths, some_of
 from otr.learners.base.single_tree import GrownClassifier, GrownRegressor
-from otr.learners.base.units import Units
 from otr.learners.base.weights import ClassWeight, mean_and_divisor
 from otr.learners.cart import grow_cart
 from otr.learners.model_tree import LinearTreeRegressor

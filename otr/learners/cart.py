@@ -11,10 +11,10 @@ from sklearn.tree import BaseDecisionTree, DecisionTreeClassifier, DecisionTreeR
 from sklearn.utils.validation import check_is_fitted
 
 from otr.core.tree import ObliqueTree
+from otr.learners.base.column_units import Units
 from otr.learners.base.parameters import CLASS_WEIGHT, Constraints, some_of
 from otr.learners.base.single_tree import GrownClassifier, GrownRegressor, class_tree
 from otr.learners.base.tree_answers import with_names_of
-from otr.learners.base.units import Units
 from otr.learners.base.weights import ClassWeight
 
 

@@ -23,8 +23,8 @@ from sklearn.linear_model import LogisticRegression
 from sklearn.utils._param_validation import StrOptions
 
 from otr.core.arrays import FloatArray
+from otr.learners.base.column_units import Units
 from otr.learners.base.parameters import AT_LEAST_0, POSITIVE, SHARE, Constraints, Settings, some_of
-from otr.learners.base.units import Units
 
 _MAX_DENSITY = 0.03  # up to it scikit-learn grows trees faster on sparse rows, on 33,000 molecules seven times
 _FORESTS = {"extra_trees": ExtraTreesRegressor, "random_forest": RandomForestRegressor}

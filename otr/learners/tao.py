@@ -21,9 +21,9 @@ from otr.core.arrays import BoolArray, FloatArray, IntArray
 from otr.core.heads import Identity
 from otr.core.pruning import prune_unreached
 from otr.core.tree import ObliqueTree
+from otr.learners.base.column_units import Units
 from otr.learners.base.parameters import AT_LEAST_0, AT_LEAST_1, CLASS_WEIGHT, POSITIVE, Constraints
 from otr.learners.base.single_tree import GrownClassifier, class_tree
-from otr.learners.base.units import Units
 from otr.learners.base.weights import ClassWeight
 from otr.learners.cart import grow_cart
 from otr.learners.growing.greedy import Test, grow

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
 
 from otr.control.settings import SearchSettings
-from otr.core.setting import CountOrZero, LearningRate
+from otr.setting import CountOrZero, LearningRate
 from pipelines.config.setting import (
     EXECUTION,
     AsBefore,

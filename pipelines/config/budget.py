@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from otr.control.settings import DaggerSettings
-from otr.core.setting import CountOrZero
+from otr.setting import CountOrZero
 from pipelines.config.setting import Count, FreeText
 from pipelines.config.stages import CriticPolishConfig
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
 from otr.control.settings import ExpertsSettings, RelaxedProgramSettings
-from otr.core.setting import Hardness, Leaves
+from otr.setting import Hardness, Leaves
 from pipelines.config.algo import AlgoConfig, OnPolicyConfig, SacConfig
 from pipelines.config.method import GrownConfig
 from pipelines.config.setting import NotNegative, Range, Share
@@ -65,7 +65,7 @@ class SdtConfig(SoftConfig):
     label = "SDT"
 
     def module_options(self, depth: Any) -> dict[str, Any]:
-        """Return the options of `otr.control.soft_tree.SoftTree`."""
+        """Return the options of `otr.control.soft_trees.soft_tree.SoftTree`."""
         return {"depth": depth, "affine_leaves": self.leaves == "linear"}
 
 
@@ -79,7 +79,7 @@ class CdtConfig(SoftConfig):
     label = "CDT"
 
     def module_options(self, depth: Any) -> dict[str, Any]:
-        """Return the options of `otr.control.cdt.CascadingTree`."""
+        """Return the options of `otr.control.soft_trees.cascading_tree.CascadingTree`."""
         return {"feature_depth": depth[0], "n_features": self.n_features, "decision_depth": depth[1]}
 
     def check_depth(self, depth: Any) -> None:
@@ -98,7 +98,7 @@ class PiPrlConfig(RelaxedProgramSettings, SoftConfig):
     forms: ClassVar[Mapping[str, str]] = {"soft": "relaxed"}
 
     def module_options(self, depth: Any) -> dict[str, Any]:
-        """Return the options of `otr.control.pi_prl.RelaxedProgram`."""
+        """Return the options of `otr.control.soft_trees.relaxed_program.RelaxedProgram`."""
         return {"depth": depth, "structure_penalty": self.structure_penalty}
 
 

@@ -13,15 +13,15 @@ from dataclasses import dataclass
 from types import NoneType, UnionType
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
-from otr.core.setting import AsBefore as AsBefore
-from otr.core.setting import Count as Count
-from otr.core.setting import NotNegative as NotNegative
-from otr.core.setting import OneOf as OneOf
-from otr.core.setting import Positive as Positive
-from otr.core.setting import Range as Range
-from otr.core.setting import Share as Share
-from otr.core.setting import declared as declared
-from otr.core.setting import problem
+from otr.setting import AsBefore as AsBefore
+from otr.setting import Count as Count
+from otr.setting import NotNegative as NotNegative
+from otr.setting import OneOf as OneOf
+from otr.setting import Positive as Positive
+from otr.setting import Range as Range
+from otr.setting import Share as Share
+from otr.setting import declared as declared
+from otr.setting import problem
 from pipelines.errors import ConfigError
 
 LARGEST_SEED = 2**32 - 1

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 from otr.control.settings import PolishSettings
-from otr.core.setting import BelowOne, CountOrZero, LearningRate
+from otr.setting import BelowOne, CountOrZero, LearningRate
 from pipelines.config.setting import (
     AsBefore,
     Count,

@@ -9,7 +9,7 @@ import otr
 from otr.core.smooth_network import Oracle
 from otr.importers import read_policy
 from otr.importers.critics import Critics, critics_of_zip
-from otr.importers.statistics import find_statistics
+from otr.importers.input_statistics import find_statistics
 from pipelines.config.env import EnvConfig
 from pipelines.config.model import ImportedModel
 from pipelines.engine.stage import Inputs, Stage

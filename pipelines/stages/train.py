@@ -27,11 +27,11 @@ def train(inputs: Inputs, settings: TrainSettings, out: Path) -> None:
         if error is not None:
             raise error
     elif isinstance(settings.algo, ArsConfig):
-        from pipelines.training.search.train import train_by_search  # imports gymnasium
+        from pipelines.training.search.train_by_search import train_by_search  # imports gymnasium
 
         train_by_search(settings, checkpoint_folder(settings), out)
     else:
-        from pipelines.training.sb3_training import train_by_sb3  # imports torch
+        from pipelines.training.sb3.training import train_by_sb3  # imports torch
 
         train_by_sb3(settings, checkpoint_folder(settings), out)
 
@@ -40,7 +40,7 @@ def train_together(
     inputs: Sequence[Inputs], runs: Sequence[TrainSettings], outs: Sequence[Path]
 ) -> list[Exception | None]:
     """Do `train` for the runs of a fleet as one; return what each failed with."""
-    from pipelines.training.fleet.train import train_fleet  # imports torch
+    from pipelines.training.fleet.train_fleet import train_fleet  # imports torch
 
     return train_fleet(runs, [checkpoint_folder(settings) for settings in runs], outs)
 

@@ -2,7 +2,7 @@
 
 A checkpoint is a folder `segment-<n>` with the learner's state, its counters, the history and the best actor so far. It
 is written beside the last one and renamed, then the last one is removed. What the trainers put in it is their own
-(`pipelines/training/sb3_checkpoints.py`, `pipelines/training/fleet/fleet_run.py`).
+(`pipelines/training/sb3/saved_models.py`, `pipelines/training/fleet/fleet_run.py`).
 """
 
 import hashlib

@@ -14,10 +14,10 @@ from safetensors.torch import load_file
 from safetensors.torch import save as safetensors_bytes
 
 import otr
-from otr.control.cdt import CascadingTree
 from otr.control.experts import LinearExperts
-from otr.control.pi_prl import RelaxedProgram
-from otr.control.soft_tree import SoftTree
+from otr.control.soft_trees.cascading_tree import CascadingTree
+from otr.control.soft_trees.relaxed_program import RelaxedProgram
+from otr.control.soft_trees.soft_tree import SoftTree
 from pipelines.config.algo import SacConfig
 from pipelines.config.hardened_methods import HardenedConfig, PiPrlConfig, SoftConfig
 from pipelines.engine.store import corrupt, json_text, read_json

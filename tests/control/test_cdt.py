@@ -3,7 +3,7 @@ import pytest
 import torch
 
 import otr
-from otr.control.cdt import CascadingTree
+from otr.control.soft_trees.cascading_tree import CascadingTree
 from tests.control.test_soft_tree import clear_states
 
 torch.set_num_threads(1)

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 import otr
 from otr.control import ExpertsFit, LinearExperts
-from otr.control.policy_module import policy_module
 from otr.control.search.policy_numbers import policy_numbers
+from otr.control.soft_trees.policy_module import policy_module
 
 torch.set_num_threads(1)
 

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import otr
-from otr.control.pi_prl import RelaxedProgram
+from otr.control.soft_trees.relaxed_program import RelaxedProgram
 from tests.control.test_soft_tree import clear_states
 
 torch.set_num_threads(1)

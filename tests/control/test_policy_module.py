@@ -5,7 +5,7 @@ import pytest
 import torch
 
 import otr
-from otr.control.policy_module import NetworkModule, TreeModule, policy_module
+from otr.control.soft_trees.policy_module import NetworkModule, TreeModule, policy_module
 from tests.core.strategies import make_network
 
 torch.set_num_threads(1)

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 import otr
 from otr.control.label_leaves import argmax_leaves
-from otr.control.soft_tree import SoftTree, path_probabilities
+from otr.control.soft_trees.soft_tree import SoftTree, path_probabilities
 
 torch.set_num_threads(1)
 

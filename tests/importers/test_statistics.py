@@ -15,7 +15,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 import otr
 from otr.importers import read_policy
-from otr.importers.statistics import ObservationStatistics
+from otr.importers.input_statistics import ObservationStatistics
 from tests.importers.test_importers import Bomb, FourActions, WideBox, build
 
 torch.set_num_threads(1)

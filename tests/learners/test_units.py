@@ -22,7 +22,7 @@ from otr.learners import (
     TAOClassifier,
     from_sklearn_tree,
 )
-from otr.learners.base.units import Units
+from otr.learners.base.column_units import Units
 from otr.learners.distillation import Teacher, fit_teacher
 
 RNG = np.random.default_rng(0)

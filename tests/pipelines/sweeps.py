@@ -21,7 +21,7 @@ TIMED = ("progress.csv",)  # holds seconds
 
 # Children of a server that has imported torch and Stable-Baselines3: each alone would import them for seconds.
 SERVER = multiprocessing.get_context("forkserver")
-SERVER.set_forkserver_preload(["pipelines.training.sb3_training", "torch._dynamo"])
+SERVER.set_forkserver_preload(["pipelines.training.sb3.training", "torch._dynamo"])
 
 
 def run_until_killed(function, *args):

@@ -24,10 +24,10 @@ from otr.control.rollout import Policy, Rollout
 from otr.control.settings import DaggerSettings
 from otr.core.arrays import FloatArray
 from otr.core.pattern_tree import PatternTree
-from otr.core.setting import check_settings
 from otr.core.smooth_network import Oracle
 from otr.core.tree import ObliqueTree
 from otr.errors import InvalidNetworkError
+from otr.setting import check_settings
 
 _LABELLING_ROWS = 2**14
 

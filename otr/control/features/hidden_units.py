@@ -12,7 +12,7 @@ from otr.core.arrays import BoolArray, FloatArray
 from otr.core.black_box import BlackBox
 from otr.core.network import ReluNetwork
 from otr.core.smooth_network import Oracle
-from otr.learners.base.units import Units
+from otr.learners.base.column_units import Units
 
 # Unit normals count as the same where they agree to this many decimals.
 _DECIMALS = 10

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from otr.control.settings import SearchSettings
 from otr.core.arrays import FloatArray
-from otr.core.setting import check_settings
+from otr.setting import check_settings
 
 
 class DirectSearch:

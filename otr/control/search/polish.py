@@ -15,7 +15,7 @@ from otr.control.search.policy_numbers import Policy, PolicyNumbers, policy_numb
 from otr.control.search.sensitivity import sensitivity_scale
 from otr.control.settings import PolishSettings, SearchSettings
 from otr.core.arrays import FloatArray, IntArray
-from otr.core.setting import check_settings
+from otr.setting import check_settings
 
 # From k policies and the seeds (k, m) of their episodes to the episodes' returns (k, m).
 Evaluate = Callable[[Sequence[Any], IntArray], ArrayLike]

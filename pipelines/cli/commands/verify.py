@@ -17,7 +17,7 @@ from pipelines.errors import ConfigError
 from pipelines.runs.export import check_no_environment, check_policy
 from pipelines.runs.finished_run import TREES, find_run, tree_of
 from pipelines.runs.questions import Answer, always, ranges
-from pipelines.runs.verify import VerifyConfig, certified_stage, compared, question_domain, verify_run
+from pipelines.runs.verify_run import VerifyConfig, certified_stage, compared, question_domain, verify_run
 from pipelines.stages.parse import policy_tree, read_program
 
 VERIFY = Composer("verify", {(None, "verify_schema"): VerifyConfig})

@@ -22,7 +22,7 @@ from pipelines.errors import PipelineError
 from pipelines.play.episodes import play_seeds
 from pipelines.play.spaces import action_names, feature_names, spaces, state_limits
 from pipelines.report.webpage.episode import packed, record
-from pipelines.report.webpage.units import unit_of
+from pipelines.report.webpage.physical_units import unit_of
 from pipelines.runs.finished_run import results_of, title_of, tree_of
 from pipelines.runs.result import proof_line
 

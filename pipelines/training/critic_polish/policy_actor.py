@@ -7,8 +7,8 @@ import torch
 from torch import Tensor, nn
 
 import otr
-from otr.control.policy_module import policy_module
 from otr.control.search.state_moments import scale_of
+from otr.control.soft_trees.policy_module import policy_module
 from otr.core.smooth_network import Layered
 from otr.importers.critics import Critics
 from pipelines.errors import ConfigError

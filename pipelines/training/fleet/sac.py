@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pipelines.training.fleet.actors import FleetActors, MlpActors, SoftActors, SoftTraining
 from pipelines.training.fleet.adam import RunSettings, adam_groups
 from pipelines.training.fleet.mlp import Layers, StackedMlp, new_layers
 from pipelines.training.fleet.squashed_gaussian import ClippedActions, SquashedActions
+from pipelines.training.fleet.stacked_actors import FleetActors, MlpActors, SoftActors, SoftTraining
 from pipelines.training.fleet.stacked_tensors import ROW_MULTIPLE, new_stack
 
 N_CRITICS = 2

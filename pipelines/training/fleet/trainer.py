@@ -22,13 +22,13 @@ from pipelines.play.selection import evaluate_network, units_of_box
 from pipelines.play.vector_envs import Autoreset, Step, make_vector_env
 from pipelines.training.estimates import learning_starts, segment_steps
 from pipelines.training.experts_actor import ExpertsActor
-from pipelines.training.fleet.actors import SoftActors, SoftTraining
 from pipelines.training.fleet.fleet_run import FleetRun
 from pipelines.training.fleet.module_actors import ModuleActors
 from pipelines.training.fleet.progress import FleetProgress
 from pipelines.training.fleet.random_streams import Draws, Streams
 from pipelines.training.fleet.replay_buffer import FleetReplay, RowLayout
 from pipelines.training.fleet.sac import FleetSac, Shapes
+from pipelines.training.fleet.stacked_actors import SoftActors, SoftTraining
 from pipelines.training.settings import TrainSettings
 from pipelines.training.soft_trees import HardeningModule, evaluate_hardened, shape_of
 

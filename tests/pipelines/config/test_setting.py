@@ -42,7 +42,7 @@ from pipelines.config.stages import PolishingConfig
 from pipelines.config.trainer import TRAINERS
 from pipelines.errors import ConfigError
 from pipelines.runs.export import ExportConfig
-from pipelines.runs.verify import VerifyConfig
+from pipelines.runs.verify_run import VerifyConfig
 from pipelines.supervised.config import LEARNERS, DataConfig, FitConfig
 
 RUN_PARTS = {"algo": ALGORITHMS, "method": METHODS, "trainer": TRAINERS}

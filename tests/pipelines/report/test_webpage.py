@@ -23,8 +23,8 @@ from pipelines.play.episodes import play_seeds
 from pipelines.report.webpage import page as webpage
 from pipelines.report.webpage.episode import LEVELS, packed, record
 from pipelines.report.webpage.page import write_results_page, write_run_page
+from pipelines.report.webpage.physical_units import unit_of
 from pipelines.report.webpage.policy import _proof, _rounds_unseen, page_tree, tree_data
-from pipelines.report.webpage.units import unit_of
 from tests.committed import RESULTS
 from tests.core.test_tree import random_tree
 from tests.pipelines.conftest import HOPPER, PENDULUM, otr_command, otr_succeeds

@@ -17,8 +17,8 @@ from pipelines.play.environments import make_env
 from pipelines.play.episodes import play_seeds
 from pipelines.play.pid_environment import PidObservation
 from pipelines.play.spaces import feature_names
-from pipelines.training.actors import actor_of
-from pipelines.training.sb3_models import build_model
+from pipelines.training.sb3.actor_kinds import actor_of
+from pipelines.training.sb3.models import build_model
 from pipelines.training.settings import train_keys
 from tests.control.pids import thesis_policy
 from tests.pipelines.conftest import HOPPER, LANDER, PENDULUM, SAC, otr_command, otr_succeeds

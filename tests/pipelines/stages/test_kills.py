@@ -15,9 +15,9 @@ from tests.pipelines.stages.test_train import DDPG, DQN, SMALL_BUFFER_SAC, TD3
 from tests.pipelines.sweeps import digests, do_until_killed
 from tests.pipelines.training.fleet.test_train import EVERYTHING, EXPERTS, FLEET, WRAPPING_SAC
 
-SAVE, SEGMENT = "pipelines.training.sb3_training.save_checkpoint", "pipelines.training.sb3_checkpoints.write_segment"
+SAVE, SEGMENT = "pipelines.training.sb3.training.save_checkpoint", "pipelines.training.sb3.saved_models.write_segment"
 OF_FLEETS, ADD = "pipelines.training.fleet.fleet_run.write_segment", "pipelines.training.fleet.trainer.FleetReplay.add"
-SEARCHED, PUT = "pipelines.training.search.train.write_segment", "pipelines.engine.stage._put"
+SEARCHED, PUT = "pipelines.training.search.train_by_search.write_segment", "pipelines.engine.stage._put"
 PLAYED, TIMED = "pipelines.stages.imitate.play_seeds", ("oracle.json", "iterates.csv", "candidates.csv")
 
 PID = {

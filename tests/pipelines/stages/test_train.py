@@ -19,11 +19,11 @@ from pipelines.play.selection import compare_with_trained
 from pipelines.runs.run_job import RunJob
 from pipelines.runs.stage_table import STAGES
 from pipelines.stages.train import TRAIN, checkpoint_folder, trained_steps
-from pipelines.training import sb3_checkpoints as checkpoint_module
-from pipelines.training import sb3_training
-from pipelines.training.actors import actor_of
 from pipelines.training.estimates import estimated_bytes, segment_steps
-from pipelines.training.sb3_models import build_model
+from pipelines.training.sb3 import saved_models as checkpoint_module
+from pipelines.training.sb3 import training as sb3_training
+from pipelines.training.sb3.actor_kinds import actor_of
+from pipelines.training.sb3.models import build_model
 from tests.pipelines.conftest import HOPPER, LANDER, PPO, SAC
 from tests.pipelines.sweeps import do_until_killed
 
@@ -39,7 +39,7 @@ ALGORITHMS = {"dqn": DQN, "sac": SMALL_BUFFER_SAC, "ddpg": DDPG, "td3": TD3, "pp
 def killed(config):
     """Train until the second checkpoint is there, and no further."""
     job = RunJob(dataclasses.replace(config, stages=["train"]), "runs/killed", "")
-    do_until_killed([job], "pipelines.training.sb3_training.save_checkpoint", 2, after=True)
+    do_until_killed([job], "pipelines.training.sb3.training.save_checkpoint", 2, after=True)
 
 
 def test_a_replay_buffer_that_is_gone_is_told(tiny, tmp_path):

@@ -3,7 +3,7 @@
 import torch
 from stable_baselines3 import SAC
 
-from pipelines.training import sb3_training
+from pipelines.training.sb3 import training as sb3_training
 
 TINIEST = torch.tensor([1e-40])
 

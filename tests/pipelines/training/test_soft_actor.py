@@ -16,9 +16,9 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from pipelines.cli.runs import run_config
 from pipelines.engine.store import write_files
 from pipelines.errors import ConfigError, PipelineError
-from pipelines.training.normalisation import input_units, normalised
-from pipelines.training.sb3_models import build_model
-from pipelines.training.soft_actor import SoftActorCriticPolicy, SoftSacPolicy, SoftSchedule, soft_module
+from pipelines.training.sb3.models import build_model
+from pipelines.training.sb3.normalisation import input_units, normalised
+from pipelines.training.sb3.soft_actor import SoftActorCriticPolicy, SoftSacPolicy, SoftSchedule, soft_module
 from pipelines.training.soft_trees import (
     SAC_TURN,
     Shape,
@@ -82,7 +82,7 @@ def parameters(model: BaseAlgorithm) -> dict[str, torch.Tensor]:
 def test_the_phases_of_pi_prl(algorithm: type, monkeypatch: pytest.MonkeyPatch) -> None:
     env_id = "Pendulum-v1" if algorithm is SAC else "CartPole-v1"
     assert SAC_TURN > 1_000  # a turn of one step would leave Adam's moments of the other's gradients
-    monkeypatch.setattr("pipelines.training.soft_actor.SAC_TURN", ROLLOUT)
+    monkeypatch.setattr("pipelines.training.sb3.soft_actor.SAC_TURN", ROLLOUT)
     model = make_model(ACTORS[2], env_id, algorithm)
     module, rates = soft_module(model), []
     for segment, moving in enumerate([{"tests", "maps"}, {"architecture"}, {"tests", "maps"}, {"tests", "maps"}]):

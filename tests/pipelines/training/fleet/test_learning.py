@@ -11,7 +11,7 @@ from pipelines.config.trainer import FleetConfig
 from pipelines.engine.store import read_csv
 from pipelines.stages.train import checkpoint_folder
 from pipelines.stages.train import train as train_by_sb3
-from pipelines.training.fleet.train import train_fleet
+from pipelines.training.fleet.train_fleet import train_fleet
 from tests.pipelines.conftest import SAC
 
 THESIS_SAC = dataclasses.replace(SAC, batch_size=100, critic=[256, 256], learning_starts=1_000)

@@ -17,12 +17,12 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from torch import Tensor
 
-from pipelines.training.fleet.actors import SoftTraining
 from pipelines.training.fleet.adam import RunSettings
 from pipelines.training.fleet.mlp import Layers, StackedMlp, new_layers
 from pipelines.training.fleet.sac import FleetSac, Minibatch, Shapes
+from pipelines.training.fleet.stacked_actors import SoftTraining
 from pipelines.training.fleet.stacked_tensors import multiply, new_stack
-from pipelines.training.soft_actor import SoftSacPolicy, soft_module
+from pipelines.training.sb3.soft_actor import SoftSacPolicy, soft_module
 from pipelines.training.soft_trees import Shape, rate_share, set_phase
 from tests.pipelines.conftest import PI_PRL
 from tests.pipelines.training.fleet.autograd_sac import AutogradSac, linears, mlp

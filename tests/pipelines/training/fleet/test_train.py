@@ -30,7 +30,7 @@ from pipelines.training.fleet import trainer as trainer_module
 from pipelines.training.fleet.fleet_run import FleetRun
 from pipelines.training.fleet.progress import FleetProgress
 from pipelines.training.fleet.random_streams import Streams
-from pipelines.training.fleet.train import _segment, train_fleet
+from pipelines.training.fleet.train_fleet import _segment, train_fleet
 from pipelines.training.fleet.trainer import FleetTrainer, Task
 from pipelines.training.settings import train_keys
 from tests.pipelines.conftest import HOPPER, LANDER, PPO, SAC

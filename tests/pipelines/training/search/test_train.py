@@ -13,8 +13,8 @@ from pipelines.errors import ConfigError
 from pipelines.play.actor_files import load_actor
 from pipelines.play.episodes import play_seeds
 from pipelines.stages.train import checkpoint_folder
-from pipelines.training.search import train as train_module
-from pipelines.training.search.train import SearchRun, train_by_search
+from pipelines.training.search import train_by_search as train_module
+from pipelines.training.search.train_by_search import SearchRun, train_by_search
 from tests.pipelines.conftest import ARS
 
 CARTPOLE = EnvConfig("cartpole", "cartpole", "CartPole-v1")

@@ -15,7 +15,7 @@ from pipelines.config.hardened_methods import SoftConfig
 from pipelines.training.fleet.adam import RunSettings, adam_groups
 from pipelines.training.fleet.mlp import Layers, StackedMlp, new_layers
 from pipelines.training.fleet.module_actors import Learning
-from pipelines.training.fleet.soft_trees import StackedTrees, stacked_trees
+from pipelines.training.fleet.stacked_soft_trees import StackedTrees, stacked_trees
 from pipelines.training.fleet.stacked_tensors import multiply, new_stack
 from pipelines.training.soft_trees import Shape, SoftModule, build_module, rate_share, set_phase
 
@@ -129,7 +129,7 @@ class SoftTraining:
 class SoftActors:
     """Soft trees that give the means, beside log standard deviations linear in the state: stacked, gradients by hand.
 
-    As under Stable-Baselines3 (`pipelines/training/soft_actor.py`), what gets no gradient is not moved: pi-PRL's
+    As under Stable-Baselines3 (`pipelines/training/sb3/soft_actor.py`), what gets no gradient is not moved: pi-PRL's
     program and its architecture, which learn in turns, have an optimiser each.
 
     Attributes:

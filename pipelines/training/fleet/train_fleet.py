@@ -1,6 +1,6 @@
 """Training many runs of one environment as one: collect, update, evaluate, checkpoint, segment by segment.
 
-As in `pipelines/training/sb3_training.py` a segment is the steps between two evaluations and starts with new
+As in `pipelines/training/sb3/training.py` a segment is the steps between two evaluations and starts with new
 environments and random streams that the run and the segment alone decide. So a killed and resumed run equals an
 uninterrupted one, and a run equals itself whatever runs it was trained with, bit for bit on one type of processor with
 the same package versions (between two types float32 rounds differently, and training multiplies the difference).

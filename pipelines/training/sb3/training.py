@@ -19,14 +19,14 @@ from otr.learners.networks.denormals import denormals_as_zero
 from pipelines.engine.seeding import stream_seed
 from pipelines.errors import PipelineError
 from pipelines.tracking.tracker import Tracker
-from pipelines.training.actors import actor_of
 from pipelines.training.checkpoints import progress_row
 from pipelines.training.estimates import segment_steps
-from pipelines.training.normalisation import hand_on_statistics
 from pipelines.training.progress import TrainingProgress
-from pipelines.training.relu_actor import ReluActor
-from pipelines.training.sb3_checkpoints import load_checkpoint, save_checkpoint
-from pipelines.training.sb3_models import build_env, build_model
+from pipelines.training.sb3.actor_kinds import actor_of
+from pipelines.training.sb3.models import build_env, build_model
+from pipelines.training.sb3.normalisation import hand_on_statistics
+from pipelines.training.sb3.relu_actor import ReluActor
+from pipelines.training.sb3.saved_models import load_checkpoint, save_checkpoint
 from pipelines.training.settings import TrainSettings
 
 

@@ -23,8 +23,8 @@ from pipelines.config.algo import SacConfig
 from pipelines.config.hardened_methods import SoftConfig
 from pipelines.play.episodes import Rollout
 from pipelines.play.selection import diverged
-from pipelines.training.normalisation import input_units
-from pipelines.training.relu_actor import ReluActor
+from pipelines.training.sb3.normalisation import input_units
+from pipelines.training.sb3.relu_actor import ReluActor
 from pipelines.training.soft_trees import (
     SAC_TURN,
     Shape,

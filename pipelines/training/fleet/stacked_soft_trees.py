@@ -12,8 +12,8 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from otr.control.cdt import CascadingTree
-from otr.control.pi_prl import RelaxedProgram
+from otr.control.soft_trees.cascading_tree import CascadingTree
+from otr.control.soft_trees.relaxed_program import RelaxedProgram
 from pipelines.training.fleet.stacked_tensors import multiply, new_stack
 from pipelines.training.soft_trees import SoftModule
 

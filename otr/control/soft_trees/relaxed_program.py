@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from otr.control.label_leaves import decided_leaves
 from otr.control.settings import RelaxedProgramSettings
-from otr.control.soft_tree import (
+from otr.control.soft_trees.soft_tree import (
     LEAF_SCALE,
     affine_leaves,
     as_numpy,

@@ -30,10 +30,10 @@ from pipelines.config.algo import (
 from pipelines.errors import ConfigError
 from pipelines.play.environments import flat_state_size, is_discrete
 from pipelines.play.spaces import make_training_env
-from pipelines.training.actors import actor_of
 from pipelines.training.estimates import learning_starts
-from pipelines.training.normalisation import normalised
-from pipelines.training.relu_actor import ReluActor
+from pipelines.training.sb3.actor_kinds import actor_of
+from pipelines.training.sb3.normalisation import normalised
+from pipelines.training.sb3.relu_actor import ReluActor
 from pipelines.training.settings import TrainSettings
 
 torch.set_num_threads(1)  # two threads make these small networks a hundred times slower

@@ -3,10 +3,10 @@
 from pipelines.config.hardened_methods import SoftConfig
 from pipelines.config.method import MethodConfig
 from pipelines.config.methods import PidConfig
-from pipelines.training.pid_actor import PidActor
-from pipelines.training.relu_actor import ReluActor
+from pipelines.training.sb3.pid_actor import PidActor
+from pipelines.training.sb3.relu_actor import ReluActor
+from pipelines.training.sb3.soft_actor import SoftActor
 from pipelines.training.settings import TrainSettings
-from pipelines.training.soft_actor import SoftActor
 
 ACTORS: dict[type[MethodConfig], type[ReluActor]] = {PidConfig: PidActor, SoftConfig: SoftActor}
 

@@ -18,7 +18,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from pipelines.engine.store import replacing
 from pipelines.errors import PipelineError
 from pipelines.training.checkpoints import History, damaged_checkpoint, last_segment, read_segment, write_segment
-from pipelines.training.normalisation import set_statistics, statistics
+from pipelines.training.sb3.normalisation import set_statistics, statistics
 
 COUNTERS = ("num_timesteps", "_n_updates", "_episode_num", "_n_calls")
 REPLAY_ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from otr.control.soft_tree import SoftTree
+from otr.control.soft_trees.soft_tree import SoftTree
 from otr.core.arrays import FloatArray, IntArray
 from otr.core.head import Head
 from otr.core.tree import ObliqueTree

@@ -18,7 +18,7 @@ from torch import nn
 import otr
 from otr.control import pid_network
 from pipelines.config.methods import PidConfig
-from pipelines.training.relu_actor import ReluActor
+from pipelines.training.sb3.relu_actor import ReluActor
 from pipelines.training.settings import TrainSettings
 
 # The gains' output weights and biases at first, as in Lillicrap et al. (2016), so that actions begin near zero: torch's

@@ -9,7 +9,7 @@ from stable_baselines3.common.policies import BasePolicy
 import otr
 from pipelines.play.episodes import Rollout
 from pipelines.play.selection import diverged, evaluate_network
-from pipelines.training.normalisation import input_units
+from pipelines.training.sb3.normalisation import input_units
 from pipelines.training.settings import TrainSettings
 
 

@@ -111,7 +111,7 @@ _NAMES_OF_MODULES = {
     "explanation.importance": "importance",
     "geometry.minimal_tree": "minimal_tree",
     "importers": "from_onnx from_sb3 from_sklearn from_torch read_policy",
-    "importers.statistics": "ObservationStatistics",
+    "importers.input_statistics": "ObservationStatistics",
     "programs.c.source": "to_c",
     "programs.dot": "to_dot",
     "programs.json": "to_json",

@@ -46,7 +46,7 @@ class FitWorkflow(Workflow):
         return written
 
     def implied(self, overrides: Sequence[str]) -> list[str]:
-        """Return what parts that are drawn anew imply: no settings that were tuned on the published ones."""
+        """Return what redrawn parts imply: no settings that were tuned on the published ones."""
         is_drawn = any(key_of(each) == "data.split" and not each.endswith("=null") for each in overrides)
         return ["published=none"] if is_drawn else []
 
@@ -69,7 +69,7 @@ def _check_tuning(method: LearnerConfig, overrides: Sequence[str]) -> None:
         name = key.partition(".")[0]
         if group == "method" and name in tuned:
             raise ConfigError(
-                f"{override}: method={method.name} tunes {name}, and what is given would be passed over; add "
+                f"{override}: method={method.name} tunes {name}, and what is given would be ignored; add "
                 f"method.grid=[], and nothing is tuned, or leave {override} out"
             )
         if group == "method" and not method.grid and name in TUNING_ALONE:

@@ -40,7 +40,7 @@ def parse(override: str) -> Override:
         parsed = OverridesParser.create().parse_override(override)
     except HydraException as error:
         raise ConfigError(
-            f"{override}: the value cannot be read; is a bracket or a quote open? Other signs stand between quotes, "
+            f"{override}: the value cannot be read; is a bracket or a quote open? Other signs go between quotes, "
             f"as \"{key}='...'\""
         ) from error
     if parsed.is_sweep_override() and (isinstance(parsed.value(), Glob) or not parsed.is_discrete_sweep()):

@@ -110,7 +110,7 @@ def written_policy(env: str, program: str, of_env: Sequence[str] = ()) -> tuple[
 
 
 def _check_later_stages(config: RunConfig) -> None:
-    """Raise ConfigError where what comes after the training, or beside it, lacks a package or cannot be done."""
+    """Raise ConfigError where a later stage, or tracking, lacks a package or cannot be done."""
     if config.method.continuous_only and is_discrete(make_env(config.env)):
         raise ConfigError(
             f"method={config.method.name} has continuous actions, but those of {config.env.id} are labels"
@@ -147,7 +147,7 @@ class RunWorkflow(Workflow):
         return [*words, *always_implied(of_file | given)]
 
     def check_option(self, group: str, value: str, overrides: Sequence[str] = ()) -> None:
-        """Take any environment that is registered with gymnasium beside those that have a file."""
+        """Take any environment that is registered with gymnasium, besides those that have a file."""
         known = self.options(group, overrides)
         if group != "env" or value in known:
             super().check_option(group, value, overrides)
@@ -201,7 +201,7 @@ class RunWorkflow(Workflow):
         return jobs
 
     def jobs(self, overrides_of_jobs: Sequence[Sequence[str]]) -> list[Job]:
-        """Return the jobs; tell of settings that no stage of theirs reads, and of those that a fleet does not train."""
+        """Return the jobs; report settings that none of their stages reads, and jobs that a fleet does not train."""
         jobs = super().jobs(overrides_of_jobs)
         for settings, stages in SETTINGS_OF.items():
             given = [(job, word) for job in jobs for word in job.overrides if word.startswith(f"{settings}.")]
@@ -317,7 +317,7 @@ def _model(config: RunConfig, overrides: Sequence[str]) -> tuple[ImportedModel, 
     """Return the policy that a run takes from a file, and its hidden widths as the value of an override.
 
     Raises:
-        ConfigError: no policy can be read from it, or the run asks for its tree and it has none; tells how to make one.
+        ConfigError: no policy can be read from it, or the run asks for its tree and it has none; says how to make one.
     """
     method = config.method
     assert isinstance(method, TakesModel)

@@ -26,7 +26,7 @@ class Composed:
 
     config: Any
     yaml: str
-    uses_seed: bool  # whether another seed may change another setting, so that it has to be composed anew
+    uses_seed: bool  # whether another seed may change another setting, so that it has to be composed again
 
     def with_seed(self, seed: int) -> "Composed":
         """Return the same with another seed."""

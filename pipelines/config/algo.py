@@ -146,7 +146,7 @@ class PpoConfig(OnPolicyConfig):
     ent_coef: NotNegative = 0.0
     vf_coef: NotNegative = 0.5
     max_grad_norm: Positive = 0.5
-    # Explore by a linear function of the state that is drawn anew every `sde_sample_freq` steps (-1: every
+    # Explore by a linear function of the state that is redrawn every `sde_sample_freq` steps (-1: every
     # rollout), instead of by noise drawn at every step; for continuous actions
     use_sde: Annotated[bool, AsBefore(False)] = False
     sde_sample_freq: Annotated[int, Range(-1), AsBefore(-1)] = -1

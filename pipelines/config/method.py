@@ -18,7 +18,7 @@ class MethodConfig:
     name: FreeText  # the name of the method
 
     label: ClassVar[str]  # what tables call it
-    # Further forms of its policy that are evaluated beside the tree, each with what tables call it
+    # Further forms of its policy that are evaluated in addition to the tree, each with what tables call it
     forms: ClassVar[Mapping[str, str]] = {}
     stages: ClassVar[tuple[str, ...]]  # its stages in order, without the extra ones
     tree_stage: ClassVar[str]  # the stage that makes its tree

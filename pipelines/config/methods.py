@@ -43,7 +43,7 @@ class TakesModel:
     """What a method has that takes a policy from a file."""
 
     model: Annotated[FreeText, DERIVED] = field(default="", kw_only=True)
-    # The file of the statistics that its states were normalised by, or "none"; looked for beside a zip where not given
+    # The file of the statistics that its states were normalised by, or "none"; looked for next to a zip where not given
     normalise: Annotated[FreeText | None, DERIVED] = field(default=None, kw_only=True)
     output: Annotated[FreeText | None, DERIVED] = field(default=None, kw_only=True)  # the policy's, of an ONNX model
 

@@ -15,7 +15,7 @@ from pipelines.config.method import MethodConfig
 from pipelines.config.methods import METHODS
 
 TRAINED_BY = ("algo", "trainer")  # groups that say who trains
-OF_TRAINING = (*TRAINED_BY, "actor", "train")  # groups of which a policy that is there already reads nothing
+OF_TRAINING = (*TRAINED_BY, "actor", "train")  # groups that a given policy does not read
 
 
 @functools.cache
@@ -35,12 +35,12 @@ def recipe(given: Mapping[str, str], method: str | None = None) -> list[str]:
 
 
 def remaining(words: Sequence[str], given: Mapping[str, str]) -> list[str]:
-    """Return the overrides of a recipe that stand before those given, by key: a key that is given is the giver's.
+    """Return the overrides of a recipe that come before those given, by key: a given key keeps its given value.
 
-    Of a recipe with another algorithm or trainer than the given one nothing stands that is of training.
+    A recipe with another algorithm or trainer than the given one loses its overrides of training.
     """
-    is_trained_otherwise = any(key in given and f"{key}={given[key]}" not in words for key in TRAINED_BY)
-    taken = (*OF_TRAINING, "oracle") if is_trained_otherwise else ()
+    is_other_training = any(key in given and f"{key}={given[key]}" not in words for key in TRAINED_BY)
+    taken = (*OF_TRAINING, "oracle") if is_other_training else ()
     keys = {word: word.partition("=")[0] for word in words}
     return [word for word in words if keys[word] not in given and keys[word].partition(".")[0] not in taken]
 

@@ -269,8 +269,8 @@ def run_folder(config: RunConfig, differences: Mapping[str, list[Any]]) -> str:
 
 def changes_text(config: RunConfig, differences: Mapping[str, list[Any]]) -> str:
     """Return the differences as overrides: `method.leaves=constant, oracle=[32]`; mostly nothing."""
-    told = {key: _not_keyed(config, key) if new is None else new for key, (new, _) in differences.items()}
-    return ", ".join(f"{key}={_as_override(value)}" for key, value in told.items())
+    shown = {key: _not_keyed(config, key) if new is None else new for key, (new, _) in differences.items()}
+    return ", ".join(f"{key}={_as_override(value)}" for key, value in shown.items())
 
 
 def _not_keyed(config: RunConfig, key: str) -> Any:

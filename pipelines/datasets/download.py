@@ -43,7 +43,7 @@ def given_folder() -> Path | None:
 
 
 def locate(file: DataFile) -> Path | None:
-    """Return where the file lies on this machine, plain or packed; None where it does not."""
+    """Return where the file is on this machine, plain or packed; None where it is not."""
     given = given_folder()
     places = [given / file.path, given / file.path.removeprefix("lcn/")] if given else []
     for place in (*places, own_folder() / file.path):

@@ -62,7 +62,7 @@ def show_finished(
     run_dir: Path,
     picture: Path | None = None,
 ) -> None:
-    """Print what came out of a job, its time and where its files lie; its program in full where that is short.
+    """Print what came out of a job, its time and where its files are; its program in full where that is short.
 
     Args:
         program: its text; empty where there is none.

@@ -21,7 +21,7 @@ from pipelines.engine.stage import Stage, run_stage, stage_key, stage_status
 from pipelines.engine.store import CONFIG, archive_files, exists, read_json, write_json, write_text
 from pipelines.errors import PipelineError
 
-# Where code lies that is not a user's: these packages, Python's and what pip installs.
+# Where code is that is not a user's: these packages, Python's and what pip installs.
 _INSTALLED = (Path(__file__).parents[1], Path(otr.__file__).parent, *map(Path, sysconfig.get_paths().values()))
 
 
@@ -80,7 +80,7 @@ def do_stage(job: Job, stage: Stage, derive: Derive | None = None) -> None:
 
 
 def write_config(job: Job) -> None:
-    """Write a job's config.yaml, so that a job under way can be looked at; anew while no stage of it is finished."""
+    """Write a job's config.yaml, so that a running job can be inspected; rewrite it while no stage is finished."""
     path = job.run_dir / CONFIG
     if not exists(path) or not _has_finished_a_stage(job):
         write_text(path, job.config_yaml)
@@ -130,7 +130,7 @@ def is_done(job: Job) -> bool:
         if ends and not {stage.name for stage in left} <= read_json(job.run_dir / "summary.json")["seconds"].keys():
             return False  # a stage was added by itself since, as stages=[polish] does
         return all(_is_stage_done(job, stage, gone) for stage in left)
-    except PipelineError:  # damaged: doing the job tells what is wrong
+    except PipelineError:  # damaged: doing the job reports what is wrong
         return False
 
 
@@ -196,7 +196,7 @@ def disk_errors_explained(job: Job) -> Iterator[None]:
     """Turn an error of the operating system into a message with the way out; a file that is missed keeps its own."""
     try:
         yield
-    except (BrokenPipeError, FileNotFoundError):  # the latter is of an own environment, if of anything
+    except (BrokenPipeError, FileNotFoundError):  # the latter comes from a custom environment, if at all
         raise
     except OSError as error:
         full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)

@@ -1,4 +1,4 @@
-"""Where an artefact comes from: versions, git revision and command. Recorded beside it, never part of its key."""
+"""Where an artefact comes from: versions, git revision and command. Recorded next to it, never part of its key."""
 
 import functools
 import platform

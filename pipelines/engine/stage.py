@@ -76,7 +76,7 @@ def part_of(config: Any, kind: type[Part]) -> Part:
 
 
 def picked(**paths: str) -> Callable[[Any], dict[str, Any]]:
-    """Return a stage's `keyed`: under each name what lies at its dotted path in the settings.
+    """Return a stage's `keyed`: under each name what is at its dotted path in the settings.
 
     A part of them is picked with all that it holds, or with what its own function `settings` returns.
     """
@@ -96,7 +96,7 @@ def _plain(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class StageResult:
-    """Where a stage's files lie, whether they were there before, and the seconds that making them took."""
+    """Where a stage's files are, whether they existed before, and the seconds that making them took."""
 
     folder: Path
     skipped: bool
@@ -276,7 +276,7 @@ def _copy_twin(twin: Path, folder: Path, derive: Derive | None) -> None:
 
 
 def _put(temporary: Path, folder: Path) -> None:
-    """Put a whole result in its place; one that is there is stale: of an older version of the stage, or its inputs."""
+    """Put a whole result in its place; an existing one is stale: of an older version of the stage, or its inputs."""
     if folder.exists():
         shutil.rmtree(folder)
     temporary.rename(folder)

@@ -103,7 +103,7 @@ class GroupTask:
         return [self._outcome(*each) for each in zip(jobs, errors, before, strict=True)]
 
     def _outcome(self, job: Job, error: Exception | None, before: Exception | None) -> Outcome:
-        """Return how a job ended; what a group failed with as a whole is told with the first of its jobs alone."""
+        """Return how a job ended; an error of a whole group is reported with the first of its jobs alone."""
         if error is None:
             return Outcome(job.folder)
         path = record_failure(job, error, self.sweep)

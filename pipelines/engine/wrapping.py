@@ -24,7 +24,7 @@ def fitted(text: str, width: int) -> str:
 
 
 def fitted_help(text: str, width: int) -> str:
-    """Return a command's help for a width: paragraphs and descriptions are filled anew, examples cut between words."""
+    """Return a command's help for a width: paragraphs and descriptions are refilled, examples cut between words."""
     if max(map(len, text.split("\n"))) <= width:
         return text
     entries: list[tuple[str, int, bool]] = []  # an entry, the indentation of what goes on, whether lines go on in it

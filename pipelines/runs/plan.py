@@ -43,7 +43,7 @@ def _status(job: RunJob, stage: Stage) -> str:
     """Return a stage's status, by what it was made from where that is at hand and whole."""
     inputs, wanted = {name: job.run_dir / name for name in stage.inputs}, None
     if all(exists(folder / MANIFEST) for folder in inputs.values()):
-        with suppress(PipelineError):  # damaged: doing the job tells what is wrong
+        with suppress(PipelineError):  # damaged: doing the job reports what is wrong
             wanted = stage_key(stage, job.config, inputs)
     return stage_status(stage, job.run_dir / stage.name, job.config, wanted)
 

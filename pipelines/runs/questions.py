@@ -196,7 +196,7 @@ def labels_but(bound: float) -> str:
 
 
 def bound_text(bound: float, digits: int = 1) -> str:
-    """Return a bound with so many digits, which is not below it, as its shortest digits tell it."""
+    """Return a bound as text with so many digits, rounded up from its shortest decimal form."""
     return str(
         Context(prec=digits, rounding=ROUND_CEILING).create_decimal(repr(float(bound)).removesuffix(".0"))
     ).lower()

@@ -17,10 +17,10 @@ from pipelines.runs.questions import bound_text, labels_but, number_of
 
 
 def show_result(summary: dict[str, Any], run_dir: Path, whole: Path, env: EnvConfig) -> None:
-    """Print the run's returns, sizes and times, where its artefacts lie, and its program when that is short.
+    """Print the run's returns, sizes and times, where its artefacts are, and its program when that is short.
 
     The program is the polished tree's where polishing gained something, and the pruned tree's otherwise.
-    `whole` is the folder in which its stages lie unpacked.
+    `whole` is the folder with its unpacked stages.
     """
     last = "polish" if summary.get("polish", {}).get("kept") else "prune"
     program = whole / last / "program.txt"
@@ -193,7 +193,7 @@ def _returns_of_leaves(rows: list[dict[str, str]], run_dir: Path) -> str:
 
 
 def _shown(report: dict[str, Any], run_dir: Path, whole: Path) -> str:
-    """Return which episode a video shows, and where it lies."""
+    """Return which episode a video shows, and where it is."""
     file = "video/episode.gif"
     where = f"{run_dir}/{file}" if whole == run_dir else f"in {run_dir}/stages.tar.xz: {file}"
     return f"video: the episode of seed {report['seed']}, return {report['return']:.1f}: {where}"

@@ -129,8 +129,8 @@ def _run_stages(job: RunJob) -> dict[str, Any] | None:
     with opened_run(config, run_dir) as whole:
         shown = {key: value for key, value in summary.items() if key not in unasked}
         show_result(shown, run_dir, whole, config.env)
-        for told in (warning_below_random(config, summary), advice(config, shown, job.overrides)):
-            if told:
-                print(fitted(told, columns()))
+        for text in (warning_below_random(config, summary), advice(config, shown, job.overrides)):
+            if text:
+                print(fitted(text, columns()))
         Tracker(config).finish(summary, whole)
     return summary

@@ -61,7 +61,7 @@ def verify_run(config: VerifyConfig, run: RunConfig, folder: Path) -> str:
         raise MissingInputError(
             f"{path} is not there: the run has no certificate"
             + (f", as stage certify gave up: {reason}" if reason else
-               f"\nRun: {command_of(folder, run.method.actor_stage)} certify=true\nNothing is trained anew.")
+               f"\nRun: {command_of(folder, run.method.actor_stage)} certify=true\nNothing is trained again.")
         )  # fmt: skip
     with opened(folder, ["certify"]) as whole:
         certificate = otr.load_certificate(config.certificate or whole / "certify" / "certificate.json")
@@ -87,7 +87,7 @@ def verify_run(config: VerifyConfig, run: RunConfig, folder: Path) -> str:
 def certified_stage(run: RunConfig, folder: Path) -> str:
     """Return the stage whose actor is a run's network: polish after polish=true, else train or import.
 
-    A certificate says whose it is; without one the actor of a polish counts, where there is one.
+    A certificate names its policy; without one the polished actor counts, where there is one.
     """
     report = folder / "certify" / "report.json"
     if exists(report):

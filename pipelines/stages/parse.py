@@ -16,7 +16,7 @@ from pipelines.play.printed_programs import write_program
 from pipelines.play.spaces import action_names, feature_names, spaces
 
 TREE_FILES = (".json", ".npz")
-DIGITS = 17  # that tell one float64 from another
+DIGITS = 17  # that distinguish any two float64
 
 
 @dataclass(frozen=True)

@@ -68,7 +68,7 @@ def simplify(inputs: Inputs, settings: SimplifySettings, out: Path) -> None:
 def _polished_again(simpler: Simplification, settings: SimplifySettings) -> tuple[Simplification, dict[str, Any]]:
     """Return the simpler tree polished on the return, and what the report says of that."""
     box = spaces(settings.env).box
-    # The constants of a tree without a clip lie within the actions, and are to stay there.
+    # The constants of a tree without a clip are within the actions, and must stay there.
     clipped = simpler.tree if box is None else simpler.tree.replace(head=simpler.tree.head.clipped_to(*box))
     polished = search(clipped, settings, "simplify")
     played = play_evaluation(simpler.tree.predict, settings)
@@ -117,7 +117,7 @@ def _simplest(
 
 
 class _Judge:
-    """Whether a tree's returns on the deciding episodes are almost the original's; tells how far the search is."""
+    """Whether a tree's returns on the deciding episodes are almost the original's; prints how far the search is."""
 
     def __init__(
         self, tree: otr.ObliqueTree, settings: SimplifySettings, index: int, *, keep_states: bool = False

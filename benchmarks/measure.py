@@ -62,7 +62,7 @@ class Entry:
         return bool(_COMPARE[compare](measured, limit))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the entry as it stands in results/benchmarks/<name>.json; measured numbers with four digits."""
+        """Return the entry as it is written to results/benchmarks/<name>.json; measured numbers with four digits."""
         return {
             "name": self.name,
             "value": _rounded(self.value),

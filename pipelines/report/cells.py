@@ -93,8 +93,8 @@ def oracle_runs(runs: pd.DataFrame) -> pd.DataFrame:
 def with_pruned_trees(runs: pd.DataFrame, every: pd.DataFrame) -> pd.DataFrame:
     """Return rows of `table_runs` with the return and the leaves of their pruned trees.
 
-    `every` are all rows of `load_runs`. A polished policy has been pruned anew, or was polished as a pruned tree, which
-    it then is.
+    `every` are all rows of `load_runs`. A polished policy has been pruned again, or was polished as a pruned tree,
+    which it then is.
     """
     is_polished = runs["form"] == "polished"
     pruned = every[every["form"] == "pruned_tree"].set_index("run")["return_mean"]

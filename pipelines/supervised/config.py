@@ -42,7 +42,7 @@ class DataConfig:
     """A data set, as `load_dataset` has it, or with a file as `load_table` has it (`pipelines.datasets`)."""
 
     name: FreeText
-    # The seed that draws the parts anew, of molecules whole scaffolds together; None for LCN's parts
+    # The seed that redraws the parts, of molecules whole scaffolds together; None for LCN's parts
     split: Annotated[int | None, Range(0), AsBefore(None)] = None
     file: Annotated[FreeText | None, EXECUTION] = None  # of a table, whose content is keyed
     target: Annotated[FreeText | None, AsBefore(None)] = None
@@ -78,7 +78,7 @@ class ClassifierConfig(LearnerConfig):
 
 @dataclass(frozen=True)
 class TaughtConfig(ClassifierConfig):
-    """What the methods beside OTR have that learn labels, or the probabilities of a teacher."""
+    """The settings of methods other than OTR that learn labels, or the probabilities of a teacher."""
 
     teacher: Annotated[dict[str, Any] | None, AsBefore(None)] = None  # as of `OtrConfig`
 

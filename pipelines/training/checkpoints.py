@@ -1,7 +1,7 @@
 """Checkpoints of a training run: whole segments, so that a killed run goes on bit for bit as if it had not been.
 
 A checkpoint is a folder `segment-<n>` with the learner's state, its counters, the history and the best actor so far. It
-is written beside the last one and renamed, then the last one is removed. What the trainers put in it is their own
+is written next to the last one and renamed, then the last one is removed. What the trainers put in it is their own
 (`pipelines/training/sb3_checkpoints.py`, `pipelines/training/fleet/fleet_run.py`).
 """
 
@@ -77,7 +77,7 @@ def progress_row(steps: int, start: int, seconds: float, returns: np.ndarray, le
 
 
 def write_segment(folder: Path, history: History, counters: dict[str, int], state: dict[str, bytes]) -> None:
-    """Write the checkpoint of a segment's end beside the last one, then make it the current one.
+    """Write the checkpoint of a segment's end next to the last one, then make it the current one.
 
     The trainer's counters have `num_timesteps` among them; `state` is what was learnt, the files'
     names and contents.

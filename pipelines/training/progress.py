@@ -18,7 +18,7 @@ REFRESH_S = 0.25
 class TrainingDisplay:
     """Shows the training of one run or of several, of which `config` is the first's; a context manager.
 
-    `prefix` begins each line, `shown` stands beside the bar, `done_steps` of the `n_steps` were done before, and those
+    `prefix` begins each line, `shown` follows the bar, `done_steps` of the `n_steps` were done before, and those
     from `first_learning_step` on learn.
     """
 

@@ -119,7 +119,7 @@ def _policy_kwargs(algo: GradientConfig, actor: ReluActor) -> dict[str, Any]:
 def _explore_by_steps(model: BaseAlgorithm, algo: DqnConfig, n_steps: int) -> None:
     """Let a DQN's share of random actions fall by the steps done.
 
-    Stable-Baselines3's own measure of progress begins anew with each segment.
+    Stable-Baselines3's own measure of progress restarts with each segment.
     """
 
     def share_of_random_actions(progress_remaining: float) -> float:

@@ -75,7 +75,7 @@ class SoftSchedule(BaseCallback):
         turn = model.n_steps * model.n_envs if isinstance(model, OnPolicyAlgorithm) else SAC_TURN
         set_phase(soft_module(model), self._method, n_steps, self._n_steps, turn)
         rate = cast(float, model.learning_rate) * rate_share(self._method, n_steps, self._n_steps)
-        # By the steps done: Stable-Baselines3's own measure of progress begins anew with each segment.
+        # By the steps done: Stable-Baselines3's own measure of progress restarts with each segment.
         self.model.lr_schedule = lambda _progress_remaining: rate
 
     def _on_step(self) -> bool:

@@ -175,7 +175,7 @@ class CriticPolish:
 
 
 def _take_over(ours: Layers, theirs: list[tuple[np.ndarray, np.ndarray]]) -> None:
-    """Write critics into a stack, the first two of several; the only one of DDPG's stands for both."""
+    """Write critics into a stack, the first two of several; DDPG's only one fills both."""
     for weight, bias, (their_weight, their_bias) in zip(ours.weights, ours.biases, theirs, strict=True):
         for stack, given in ((weight, their_weight), (bias, their_bias)):
             stack.copy_(torch.from_numpy(np.array(given[:N_CRITICS])).expand(N_CRITICS, -1, -1))

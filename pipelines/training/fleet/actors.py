@@ -127,13 +127,13 @@ class SoftTraining:
 
 
 class SoftActors:
-    """Soft trees that give the means, beside log standard deviations linear in the state: stacked, gradients by hand.
+    """Soft trees that give the means, and log standard deviations linear in the state: stacked, gradients by hand.
 
     As under Stable-Baselines3 (`pipelines/training/soft_actor.py`), what gets no gradient is not moved: pi-PRL's
     program and its architecture, which learn in turns, have an optimiser each.
 
     Attributes:
-        trees: the modules, whose parameters lie in the stacks.
+        trees: the modules, whose parameters are in the stacks.
     """
 
     def __init__(

@@ -32,7 +32,7 @@ class RowsDigest(NamedTuple):
 
 
 class FleetRun:
-    """A run as it stands at its last whole segment.
+    """A run as of its last whole segment.
 
     Attributes:
         config, folder: the run and its checkpoints.

@@ -4,7 +4,7 @@ Every parameter of a stack is a view into one array with a row a network, so tha
 update is one operation. Activations live in a workspace that passes share one after another, which keeps them in the
 cache. A network's bits do not depend on how many there are (`stacked_tensors`).
 
-With `dense`, layers after the first read the inputs beside the activations before them: concat(a, x), as in
+With `dense`, layers after the first read the inputs in addition to the activations before them: concat(a, x), as in
 `otr.ReluNetwork` with `dense="input"`.
 
 With `layer_norm`, what a hidden layer's affine map gives for an input has mean 0 and variance 1 over the neurons before

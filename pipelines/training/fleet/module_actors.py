@@ -1,6 +1,6 @@
 """Actors that are any modules of torch, differentiated by autograd.
 
-Each run's module computes alone, on parameters that lie in the stacks of `stacked_tensors`: its bits do not depend on
+Each run's module computes alone, on parameters in the stacks of `stacked_tensors`: its bits do not depend on
 the others.
 """
 

@@ -43,7 +43,7 @@ class FleetProgress(TrainingDisplay):
         )
 
     def give_up(self, run: FleetRun, error: Exception) -> None:
-        """Leave a run behind, and tell it."""
+        """Abandon a run, and report it."""
         run.error = error
         others = ", the others go on" if len(self._runs) > 1 else ""
         self.say(f"{run.name} given up{others}: {message_of(error)}")

@@ -1,6 +1,6 @@
 """Replay buffers of a fleet: one memory-mapped file a run, which is the checkpoint of itself.
 
-A file holds `capacity` rows of float32, [state, action, next state, reward, continues]; transition i of the run lies in
+A file holds `capacity` rows of float32, [state, action, next state, reward, continues]; transition i of the run is in
 row i % capacity. The capacity is the buffer's size and a segment more, so that a segment overwrites no row that the
 checkpoint before it could sample: after a kill the run goes on from that checkpoint and writes the same rows again.
 """
@@ -20,7 +20,7 @@ from pipelines.training.fleet.sac import Minibatch
 
 @dataclass(frozen=True)
 class RowLayout:
-    """Where the parts of a transition lie in its row."""
+    """Where the parts of a transition are in its row."""
 
     n_inputs: int
     n_actions: int

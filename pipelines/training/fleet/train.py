@@ -30,7 +30,7 @@ def train_fleet(
 ) -> list[Exception | None]:
     """Train runs that are one fleet as one, each from its own checkpoint; write each one's result into its folder.
 
-    Runs that are behind the others catch up first; a run that diverges, or whose environment fails, is left behind.
+    Runs that are behind the others catch up first; a run that diverges, or whose environment fails, is abandoned.
 
     Returns:
         For each run None, or why it has no result: the training diverged or its checkpoint is damaged (PipelineError),

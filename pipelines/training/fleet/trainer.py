@@ -99,7 +99,7 @@ class FleetTrainer:
                 self._learner.initialise(r, generators[r])
         self._replay = FleetReplay([run.rows for run in runs], layout, runs[0].buffer_size)
         envs = make_vector_env(config.env, "gymnasium", rescale_inputs=config.actor.rescale_inputs)
-        self._env = Autoreset(envs)  # each segment starts them anew
+        self._env = Autoreset(envs)  # each segment restarts them
         noise_std = [run.algo.action_noise_std * (run.algo.action_noise == "normal") for run in runs]
         self._noise_std = torch.tensor(noise_std).view(-1, 1, 1)
 

@@ -50,7 +50,7 @@ class PolicySearch:
 
     @property
     def network(self) -> otr.ReluNetwork:
-        """The actor as it stands, of the environment's own states."""
+        """The current actor, of the environment's own states."""
         return self._network(self._search.centre)
 
     def iterate(self, player: Player, done: float) -> Played:

@@ -23,7 +23,7 @@ _SHARE_OF_A_START = 0.25  # of the updates: what every start is given before the
 
 @dataclass(frozen=True)
 class StudentFit(StudentSettings, Checked):
-    """The fit of a DAgger run whose imitators are small networks, with a linear map of the state beside the neurons.
+    """The fit of a DAgger run whose imitators are small networks, with a linear map of the state next to the neurons.
 
     The student f minimises, over n rows drawn alike from the data,
 

@@ -46,7 +46,7 @@ class VectorEnv(Protocol):
     def reset(self, seeds: Sequence[int] | None, envs: IntArray | None = None) -> FloatArray:
         """Start an episode in environments `envs` (k,), and return their first states (k, d).
 
-        `seeds` (k,) from 0 to 2**32 - 1 start their random streams anew; None goes on in them, as gymnasium's reset()
+        `seeds` (k,) from 0 to 2**32 - 1 restart their random streams; None goes on in them, as gymnasium's reset()
         does. Without `envs` these are the first k, which are all that play from here on.
         """
         ...
@@ -131,9 +131,9 @@ class GymnasiumVectorEnv:
 
 
 class MadeAnew(gym.Wrapper[Any, Any, Any, Any]):
-    """An environment that is made anew for every `reset(seed=...)`: an episode then depends on its seed alone.
+    """An environment that is recreated for every `reset(seed=...)`: an episode then depends on its seed alone.
 
-    `reset()` without a seed continues in the environment that is there, as training does.
+    `reset()` without a seed continues in the current environment, as training does.
     """
 
     def __init__(self, make: Make) -> None:
@@ -152,15 +152,15 @@ def depends_on_past(make: Make, n_steps: int = 100) -> bool:
     """Return whether an environment's episodes depend on those that it played before.
 
     Episodes of at most `n_steps` random steps are compared bit for bit: of seeds 0, 1, 0, 1 in one environment, and of
-    0 and 1 in new ones. False where new environments differ, too, or one fails: making it anew is no remedy there.
+    0 and 1 in new ones. False where new environments differ, too, or one fails: recreating it does not help there.
     """
     try:
         first, second, again, second_again = _short_episodes(make(), (0, 1, 0, 1), n_steps)
-        ((anew,), (second_anew,)) = (_short_episodes(make(), (seed,), n_steps) for seed in (0, 1))
+        ((new,), (second_new,)) = (_short_episodes(make(), (seed,), n_steps) for seed in (0, 1))
     except Exception:  # foreign code can fail in any way; whoever plays in it says so
         return False
-    is_same = all(map(_equal, (again, second, second_again), (first, second_anew, second_anew)))
-    return not is_same and _equal(anew, first)
+    is_same = all(map(_equal, (again, second, second_again), (first, second_new, second_new)))
+    return not is_same and _equal(new, first)
 
 
 def playable(env: Any) -> tuple[Make, bool]:
@@ -174,8 +174,8 @@ def playable(env: Any) -> tuple[Make, bool]:
 
     Raises:
         TypeError: it is none of these.
-        ValueError: its spaces are none of a policy's, or its episodes depend on those before, and it cannot be made
-            anew.
+        ValueError: its spaces are none of a policy's, or its episodes depend on those before, and it cannot be
+            recreated.
     """
     if isinstance(env, gym.Env):
         make_one, makes_several = _of_one(flattened(env))
@@ -199,7 +199,7 @@ def playable(env: Any) -> tuple[Make, bool]:
     if name in NOT_AFRESH or (not is_known and depends_on_past(make)):
         if name not in NOT_AFRESH:
             warnings.warn(
-                f"{name}: its episodes depend on those that it played before; it is made anew for each", stacklevel=4
+                f"{name}: its episodes depend on those that it played before; it is recreated for each", stacklevel=4
             )
         return functools.partial(MadeAnew, make), True
     return make, True

@@ -101,7 +101,7 @@ def fit_ndps(
 class NdpsImitator(NdpsSettings):
     """NDPS as the fit of a DAgger run: each round goes on from the soft tree of the round before.
 
-    The soft trees lie in `folder` under the number of rows that they were fitted to, so that a resumed run goes on from
+    The soft trees are in `folder` under the number of rows that they were fitted to, so that a resumed run goes on from
     the same one.
 
     Attributes:
@@ -145,7 +145,7 @@ class NdpsImitator(NdpsSettings):
 
 @dataclass(frozen=True)
 class _StandardisedRows:
-    """Standardised states, and answers in units of their own spread, centred where their mean is large beside it."""
+    """Standardised states, and answers in units of their spread, centred where their mean is large compared with it."""
 
     X: FloatArray
     answers: FloatArray | IntArray

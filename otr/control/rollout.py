@@ -81,7 +81,7 @@ def rollout(
 ) -> Rollout:
     """Play episodes and keep the states and actions of every step, to prune or to learn from.
 
-    An episode depends on its seed alone. Environments whose episodes do not are made anew for each (gymnasium's
+    An episode depends on its seed alone. Environments whose episodes do not are recreated for each (gymnasium's
     BipedalWalker, and others that are seen to depend on earlier episodes, of which a warning says so).
 
     Args:

@@ -27,7 +27,7 @@ from otr.core.setting import (
 
 @dataclass(frozen=True)
 class DaggerSettings:
-    """How much is played: the oracle first, then the imitator, which is fitted anew after every round.
+    """How much is played: the oracle first, then the imitator, which is refitted after every round.
 
     Attributes:
         n_rounds: rounds in which a tree plays and the next one is fitted; n_rounds + 1 trees in all.
@@ -109,7 +109,7 @@ class StudentSettings(FitSettings):
     """Of `otr.control.StudentFit`, a small network.
 
     Attributes:
-        dense: "input" for a linear map of the state beside the neurons, "none" for neurons alone.
+        dense: "input" for a linear map of the state next to the neurons, "none" for neurons alone.
         negative_slope: of the activation below zero.
         n_starts: networks that the fit begins with; the best of them goes on.
         n_updates: iterations of L-BFGS of the best start; each start has a quarter as many before.

@@ -26,7 +26,7 @@ class BlackBox:
         n_inputs, n_outputs: how many numbers these are.
         first_layer: rows [weights | offset] (k, n_inputs + 1) of what the model's first units read.
         reason: why no tree equals it, for messages.
-        content, suffix, output: from which it can be read anew: the file's bytes, its suffix, the output's name.
+        content, suffix, output: from which it can be read again: the file's bytes, its suffix, the output's name.
         head: from the outputs to the answer.
         middle, scale, clip: the model reads the state x as clip((x - middle) / scale, -clip, clip).
     """

@@ -9,7 +9,7 @@ import numpy as np
 from otr.core.arrays import BoolArray, FloatArray, IntArray
 
 _UNIT = 2.0**-52  # of rounding
-_TERMS = 8  # of a sum beside two for each input: how often, at least, a number may have been rounded
+_TERMS = 8  # of a sum, besides two for each input: how often, at least, a number may have been rounded
 
 
 @dataclass(frozen=True)

@@ -172,4 +172,4 @@ class Head(ABC):
 
 def no_entry(head: Head, what: str) -> TypeError:
     """Return the error for a head that a format, or a proof, has no entry for."""
-    return TypeError(f"{what} has no entry for the head {type(head).__name__}; register one beside the other heads'")
+    return TypeError(f"{what} has no entry for the head {type(head).__name__}; register one next to the other heads'")

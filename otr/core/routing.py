@@ -160,7 +160,7 @@ class Router:
     def _tables(self) -> list[NDArray[np.int64]] | None:
         """One table a byte of tests: entry 256 * state + byte is the next state, already multiplied by 256.
 
-        A state is where the walk stands between two bytes, a node or a leaf. The last table holds leaves.
+        A state is where the walk is between two bytes, a node or a leaf. The last table holds leaves.
         None if no order of the tests suits every path, or the tables would be too large.
         """
         if not self._distinct[3]:

@@ -29,7 +29,7 @@ class Range:
     remedy: str = ""
 
     def problem(self, value: Any) -> str | None:
-        """Return what is wrong with a value, to stand after it; None where nothing is."""
+        """Return what is wrong with a value, to be printed after it; None where nothing is."""
         if isinstance(value, bool) or not isinstance(value, Real):
             return " is not a number"
         if self.low <= float(value) < self.high or (value == self.high and not self.open):
@@ -41,7 +41,7 @@ class Range:
 
     @property
     def limits(self) -> str:
-        """The bounds in words, to stand after what has them."""
+        """The bounds in words, to be printed after what has them."""
         if self.high == math.inf:
             return "" if self.low == -math.inf else f" of at least {_number(self.low)}"
         return f" from {_number(self.low)} to {'below ' * self.open}{_number(self.high)}"
@@ -54,7 +54,7 @@ class OneOf:
         self.options = options
 
     def problem(self, value: Any) -> str | None:
-        """Return what is wrong with a value, to stand after it; None where nothing is."""
+        """Return what is wrong with a value, to be printed after it; None where nothing is."""
         return None if value in self.options else f": use one of {', '.join(self.options)}"
 
 

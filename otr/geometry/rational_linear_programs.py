@@ -41,7 +41,7 @@ class Optimum:
 
 @dataclass(frozen=True)
 class ExactBox:
-    """Limits of inputs beside the rows of a program, which then has few numbers that are not at a limit."""
+    """Limits of inputs, apart from the rows of a program, which then has few numbers that are not at a limit."""
 
     low: FloatArray  # (d,), of which both are finite, or both are not
     high: FloatArray

@@ -54,7 +54,7 @@ def names_of(
 ) -> tuple[list[str], list[str]]:
     """Return the names of a policy's inputs and of its outputs or, where it decides labels, of these.
 
-    These are the names given, else the tree's own, else the usual ones, each of them as it stands.
+    These are the names given, else the tree's own, else the usual ones, each of them unchanged.
     Raise TypeError for a name that is no text, ValueError for a wrong number of names and as `check_names` does.
     """
     features, usual_answers = _usual_names(policy)
@@ -69,7 +69,7 @@ def names_of(
 
 
 def check_names(features: Sequence[str], answers: Sequence[str]) -> None:
-    """Raise ValueError for a text in place of a list, a name that stands twice, and an answer with an input's name."""
+    """Raise ValueError for a text in place of a list, a name given twice, and an answer with an input's name."""
     for argument, names in (("feature_names", features), ("output_names", answers)):
         _require_list(names, argument)
         seen: set[str] = set()

@@ -3,7 +3,7 @@
     D = states of the oracle's own episodes
     for r = 0 .. n_rounds:  fit tree r to the oracle's answers on D;  add the states that tree r visits to D
 
-The environment is the caller's: `play` plays episodes. All that a run has done lies in its folder, committed once a
+The environment is the caller's: `play` plays episodes. All that a run has done is in its folder, committed once a
 round, so that a killed run goes on from its last whole round and ends with the same result, bit for bit on one type of
 processor with the same package versions.
 """
@@ -39,7 +39,7 @@ EpisodeSeeds = Callable[[str, int, int], Sequence[int]]  # (name, index, n) -> n
 class TreeFit(Protocol):
     """Fits a tree to states X (n, d), memory-mapped, and the oracle's answers on them.
 
-    A network stands for its tree of activation patterns. For an oracle of labels, answers (n, o) are its affine
+    A network represents its tree of activation patterns. For an oracle of labels, answers (n, o) are its affine
     outputs, whose argmax is the label, and weights (n,) say how much a row matters; else answers (n, o) are its actions
     and weights are None. All randomness is the generator's.
     """

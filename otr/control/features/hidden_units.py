@@ -30,7 +30,7 @@ class AffineFeatures:
         return (self.A @ X.T + self.a[:, None]).astype(np.float32)
 
     def resolved(self, X: FloatArray) -> AffineFeatures:
-        """Return the features, each less what it has in common on X (n, d) where float32 would not tell it apart."""
+        """Return the features, each less its offset on X (n, d) where that would hide its differences in float32."""
         return AffineFeatures(self.A, self.a - Units.of(X @ self.A.T + self.a).shift)
 
     def joined(self, other: AffineFeatures) -> AffineFeatures:

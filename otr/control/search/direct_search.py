@@ -31,7 +31,7 @@ class DirectSearch:
         settings: as given.
         centre: (D,) float64, where the search is.
         velocity: (D,), the weighted mean of the steps.
-        n_iterations: how many were told.
+        n_iterations: the number of calls of `tell`.
     """
 
     def __init__(self, centre: ArrayLike, settings: SearchSettings, seed: int, scale: ArrayLike = 1.0) -> None:

@@ -130,7 +130,7 @@ def explain(
         x: one state (d,).
         feature_names, output_names: as in `to_text`.
         scales: (d,), what counts as a move by 1 in each input, such as ``states.std(axis=0)``; None is 1.
-        domain: where a nearest state may lie; None is all of R^d.
+        domain: where a nearest state may be; None is all of R^d.
         max_seconds: refuse to look for longer.
 
     Raises:

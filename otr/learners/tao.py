@@ -53,7 +53,7 @@ class TAOClassifier(GrownClassifier):
 
     Cost of one pass over a tree of depth D with n rows of s non-zeros (s = d in dense data): O(n s D^2) to find the
     reduced problems, and for each level liblinear's fits on at most n rows together, O(n s) an iteration. Inputs
-    with under a quarter of non-zeros are held as a sparse matrix; memory beside X is one copy of it.
+    with under a quarter of non-zeros are held as a sparse matrix; memory besides X is one copy of it.
     Nodes are not fitted in parallel: liblinear's random numbers are global, and processes would need copies of X.
 
     Args:

@@ -253,7 +253,7 @@ class _Certification:
     def _exact_cells(self, leaf: int, rows: dict[str, ExactRow], point: Point) -> list[Cell]:
         """Return the cells of a leaf's region, in exact arithmetic; raise CertificateError if one differs."""
         cells: list[Cell] = []
-        self.errors.pop(leaf, None)  # of cells that these stand in for
+        self.errors.pop(leaf, None)  # of cells that these replace
         for exact in find_cells(self.pair, leaf, rows, point):
             self.n_programs += len(exact.outcomes)
             self._check_limits(len(cells))

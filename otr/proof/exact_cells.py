@@ -1,8 +1,8 @@
 """The cells of a network inside a leaf's region, in exact arithmetic: however thin, with a point in each.
 
 A cell is what the outcomes of the network's tests leave of the leaf's region; "0" is at most 0, "1" above it. One point
-of a cell tells a side of the next test that is not empty, and a linear program in rational arithmetic tells whether the
-other side is.
+of a cell shows a side of the next test that is not empty, and a linear program in rational arithmetic decides whether
+the other side is.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def cells_of_leaf(pair: TreeAndNetwork, leaf: int) -> Iterator[ExactCell]:
 def find_cells(
     pair: TreeAndNetwork, leaf: int, rows: dict[str, ExactRow], point: Point, box: ExactBox | None = None
 ) -> Iterator[ExactCell]:
-    """Yield the network's cells in a leaf's region of these rows, and of a box, in which a point lies, depth first."""
+    """Yield the network's cells in a leaf's region of these rows, and of a box, in which a point is, depth first."""
     n = pair.network.n_hidden
     starts = set(pair.network.unit_form().layer_starts)
     waiting: list[tuple[tuple[bool, ...], dict[str, ExactRow], dict[int, Multipliers], Point, Integers]] = [
@@ -161,7 +161,7 @@ def counterexample(pair: TreeAndNetwork, cell: ExactCell, max_error: Fraction) -
     """
     candidates = [cell.point]
     for points, _ in largest_gap(pair, cell):
-        # The farthest point may lie on a side that the cell is without: from it, ever nearer to the point inside.
+        # The farthest point may be on a side that the cell is without: from it, ever nearer to the point inside.
         candidates += [_between(far, cell.point, Fraction(1, 2**k)) for far in points for k in (60, 30, 10, 3, 1)]
     for point in candidates:
         if differs(pair, point, max_error) == cell.leaf:

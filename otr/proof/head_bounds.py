@@ -51,7 +51,7 @@ class Action(ABC):
         """Return slopes and offsets of lines nowhere below ``weight * h(y)`` between low and high (n,)."""
 
     def exact_line(self, weight: float, slope: float, offset: float) -> Line:
-        """Return a line of `line_above` without the rounding of its products, where it may be told."""
+        """Return a line of `line_above`, without the rounding of its products where that can be undone."""
         return float(slope), float(offset)
 
     @abstractmethod

@@ -51,8 +51,8 @@ class Condition:
 
 
 @dataclass(frozen=True)
-class Piece:
-    """A part of a leaf's region on which the condition is proved, or that no state is in.
+class Inequality:
+    """The condition as an inequality proved on a part of a leaf's region, or a part that is proved to be empty.
 
     The lines, slope and offset, are nowhere below the outputs' shares in the condition. The proof sums rows: "low i"
     and "high i" of the box, "test i" of the leaf, "output k low" and "output k high". With what the lines make of the
@@ -91,7 +91,7 @@ class Verdict:
     state: FloatArray | None
     action: FloatArray | None
     point: Point | None
-    pieces: tuple[Piece, ...]
+    pieces: tuple[Inequality, ...]
     tolerance: float
 
 
@@ -167,7 +167,7 @@ class Question(TreeOnDomain):
             return
         if not 0 <= verdict.tolerance < math.inf:
             raise CertificateError(f"the tolerance is {verdict.tolerance}, expected a number of at least 0")
-        by_leaf: dict[int, list[Piece]] = {}
+        by_leaf: dict[int, list[Inequality]] = {}
         for piece in verdict.pieces:
             if {len(piece.low), len(piece.high)} != {len(self.weighed)}:
                 raise CertificateError(f"leaf {piece.leaf}: a piece has limits of other outputs than are weighed")
@@ -203,7 +203,7 @@ class Question(TreeOnDomain):
                 limits[side].append(outwards)
         return limits
 
-    def highest(self, piece: Piece) -> Fraction | None:
+    def highest(self, piece: Inequality) -> Fraction | None:
         """Return a bound on the left side in a piece, None if that is empty; raise CertificateError without a proof."""
         leaf, proof = piece.leaf, piece.proof
         m = len(self.weighed)
@@ -236,7 +236,7 @@ class Question(TreeOnDomain):
             highest += slope * Fraction(high if slope > 0 else low)
         return highest
 
-    def _line_below(self, piece: Piece, at: int) -> Fraction:
+    def _line_below(self, piece: Inequality, at: int) -> Fraction:
         """Return how far, at most, a piece's line is below its share; raise CertificateError beyond rounding."""
         output, (slope, offset) = self.weighed[at], piece.lines[at]
         low, high, weight = piece.low[at], piece.high[at], Fraction(self.action[output])
@@ -256,7 +256,7 @@ class Question(TreeOnDomain):
         return worst
 
     def _check_failure(self, verdict: Verdict) -> None:
-        """Check that the point lies in the box and fails the condition under the tree's answer, and the state, too."""
+        """Check that the point is in the box and fails the condition under the tree's answer, and the state, too."""
         if verdict.point is None or verdict.state is None or not self.fails(verdict.point):
             raise CertificateError(
                 f"leaf {verdict.leaf}: the condition does not fail at the state {verdict.state}", verdict.leaf
@@ -270,7 +270,7 @@ class Question(TreeOnDomain):
             and np.isclose(verdict.value, float(self.value(verdict.point)[1]), rtol=1e-9, atol=1e-9)
         ):
             raise CertificateError(
-                f"leaf {verdict.leaf}: the verdict tells of another state, action or value than those of its point",
+                f"leaf {verdict.leaf}: the verdict has another state, action or value than those of its point",
                 verdict.leaf,
             )
 
@@ -328,7 +328,7 @@ def _behind(given: Sequence[HalfSpace], tree: ObliqueTree) -> ObliqueTree:
     )
 
 
-def covers(pieces: Sequence[Piece], low: Sequence[float], high: Sequence[float]) -> bool:
+def covers(pieces: Sequence[Inequality], low: Sequence[float], high: Sequence[float]) -> bool:
     """Return whether pieces make up the box [low, high] of outputs: one that holds it, or the two sides of a cut."""
     waiting = [(pieces, low, high)]
     while waiting:
@@ -343,8 +343,8 @@ def covers(pieces: Sequence[Piece], low: Sequence[float], high: Sequence[float])
 
 
 def _parted(
-    pieces: Sequence[Piece], low: Sequence[float], high: Sequence[float]
-) -> list[tuple[Sequence[Piece], Sequence[float], Sequence[float]]] | None:
+    pieces: Sequence[Inequality], low: Sequence[float], high: Sequence[float]
+) -> list[tuple[Sequence[Inequality], Sequence[float], Sequence[float]]] | None:
     """Return the two sides of a cut that no piece crosses, of pieces and of the box; None if there is none."""
     for i in range(len(low)):
         for cut in sorted({piece.high[i] for piece in pieces if low[i] < piece.high[i] < high[i]}):

@@ -131,7 +131,7 @@ def of_numbers(tree: ObliqueTree, numbers: FloatArray) -> ObliqueTree:
 
 
 def numbers_by_effect(tree: ObliqueTree, X: FloatArray) -> IntArray:
-    """Return the numbers that are not 0, by how little they do on the states: of a test, beside its other terms."""
+    """Return the numbers that are not 0, least effect on the states first: of a test, relative to its other terms."""
     size = np.sqrt(np.mean(X**2, axis=0))
     tests = np.column_stack((np.abs(tree.P) * size, np.abs(tree.v)))
     effects = tests / np.maximum(tests.max(axis=1, keepdims=True, initial=0.0), 1e-300)

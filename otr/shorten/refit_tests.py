@@ -2,7 +2,7 @@
 
 For two classes the direction of linear discriminant analysis is that of least squares on coded classes, and with an L1
 penalty it is that of the lasso (Mai, Zou & Yuan 2012, "A direct approach to sparse discriminant analysis in ultra-high
-dimensions"); the threshold is set anew afterwards. The classes of a test are the two ways it sends the states that
+dimensions"); the threshold is set again afterwards. The classes of a test are the two ways it sends the states that
 reach it, weighted alike. Orfanos 2023, Figure 4.7, simplifies a policy in this way.
 """
 
@@ -30,7 +30,7 @@ class RefittedTest:
         node: its id.
         n_left, n_right: states that reach it and that the original test sends either way.
         agreement: of the states that it sends left and of those that it sends right, the share that still goes there;
-            the smaller of the two. 1 where no states tell.
+            the smaller of the two. 1 where no state decides.
         n_coefficients_before, n_coefficients: inputs that it reads.
         change: refitted, rounded, or kept.
     """

@@ -44,7 +44,7 @@ class Exp(Head):
 
 
 class _Box(Head):
-    """A head whose answers lie in the box [low, high]."""
+    """A head whose answers are in the box [low, high]."""
 
     def __init__(self, low: ArrayLike, high: ArrayLike) -> None:
         """Keep the limits, each a number or of shape (o,).

@@ -2,7 +2,7 @@
 
 The archive, `stages.tar.xz`, holds the stages and the configuration of a run, next to its summary. Files that are made
 again in seconds are left out; the manifests keep their sha256. JSON and CSV files are read from where they are
-(`store.read_bytes`); whoever needs stages' folders with all their files asks for them with `opened`.
+(`store.read_bytes`); `opened` gives stages' folders with all their files.
 """
 
 import hashlib
@@ -34,7 +34,7 @@ from pipelines.engine.store import (
 from pipelines.errors import PipelineError
 
 MANIFEST = "manifest.json"
-# What archives leave out though only its command makes it again: critics, which serve who goes on from a result,
+# What archives leave out though only its command makes it again: critics, which only a continued training needs,
 # pictures, and large trees, of which it holds the part that the policy reaches.
 NOT_ARCHIVED = frozenset({"train/critics.safetensors", "prune/tree.svg", "polish/tree.svg"})
 LARGE_NOT_ARCHIVED = frozenset({"imitate/tree.npz"})
@@ -200,7 +200,7 @@ def pack(run_dir: Path, derive: Derive | None = None, leave: Collection[str] = (
         raise PipelineError(f"{run_dir / ARCHIVE} does not hold what was written to it; the folders stay")
     (run_dir / CONFIG).unlink(missing_ok=True)
     for name in there:
-        gone = (run_dir / name).rename(run_dir / f".{name}.tmp")  # at once, so that nobody finds half a folder
+        gone = (run_dir / name).rename(run_dir / f".{name}.tmp")  # at once, so that half a folder is never visible
         shutil.rmtree(gone)
 
 
@@ -227,7 +227,7 @@ def _needs_command(folder: Path, name: str, n_bytes: int = LARGE_BYTES + 1) -> b
 def _write_archive(path: Path, files: Mapping[str, bytes]) -> None:
     with tarfile.open(path, "w:xz", format=tarfile.USTAR_FORMAT, preset=6) as archive:
         for name in sorted(files):
-            member = tarfile.TarInfo(name)  # of 1970 and of nobody: the same files give the same bytes
+            member = tarfile.TarInfo(name)  # dated 1970, without owner: the same files give the same bytes
             member.size = len(files[name])
             archive.addfile(member, io.BytesIO(files[name]))
 

@@ -27,7 +27,7 @@ REWRITTEN = ("summary.json", CONFIG)  # made again by the run's command, from th
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a file to write in place of `path`: a reader sees the old one or the new one, and a full disk no part."""
+    """Give a file to write in place of `path`: a reader sees the old one or the new one, never a part, full disk or not."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         yield temporary
@@ -120,7 +120,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def packed_files(folder: Path, name: str | None = None) -> dict[str, bytes]:
-    """Return the files of a stage, or the one named, from its run's archive; none where the stage's folder is there."""
+    """Return the files of a stage, or the one named, from its run's archive; none where the stage's folder exists."""
     if folder.exists():
         return {}
     start = f"{folder.name}/"
@@ -141,7 +141,7 @@ def archive_files(run_dir: Path) -> Mapping[str, bytes]:
     return _read_archive(archive, found.st_mtime_ns, found.st_size)
 
 
-@functools.lru_cache(maxsize=4)  # what is asked for next is most often of the same run
+@functools.lru_cache(maxsize=4)  # the next request is mostly of the same run
 def _read_archive(archive: Path, mtime_ns: int, n_bytes: int) -> Mapping[str, bytes]:
     """Return the files of an archive; its time and size distinguish it from an earlier one."""
     files = {}
@@ -162,7 +162,7 @@ def _read_archive(archive: Path, mtime_ns: int, n_bytes: int) -> Mapping[str, by
 
 
 def corrupt(path: Path, error: Exception) -> PipelineError:
-    """Return the error for an artefact that cannot be read, with the way out."""
+    """Return the error for an artefact that cannot be read, with the remedy."""
     if path.name in REWRITTEN:
         remedy = f"Delete {path} and run the run's command again to make it; nothing is trained again."
     else:

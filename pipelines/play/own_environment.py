@@ -1,4 +1,4 @@
-"""Environments that are not ours, or have arguments of the user's: tried out, and checked before anything runs."""
+"""Custom environments, and arguments that a user gives: tried, and checked before anything runs."""
 
 import dataclasses
 import functools
@@ -53,8 +53,8 @@ def _names_of_class(entry_point: str) -> dict[str, list[str]]:
 def _try_out(env: gym.Env, env_id: str) -> None:
     """Reset and step twice; raise ConfigError where that fails, or gives what spaces or interface do not allow.
 
-    The second time the same has to come out, unless the environment is registered as not deterministic: every method
-    is to play the same episodes.
+    The second time the result must be the same, unless the environment is registered as nondeterministic: every
+    method plays the same episodes.
     """
     env.action_space.seed(0)
     action, seen = env.action_space.sample(), []

@@ -121,7 +121,7 @@ def rendered(env: Any, env_config: EnvConfig) -> np.ndarray:
         shown = env.render()
         if shown is None:
             raise ValueError("render() gave no picture")
-    except Exception as error:  # whatever a renderer or a driver fails with
+    except Exception as error:  # a renderer or a driver can fail in any way
         raise PipelineError(
             f"video: {env_config.id} cannot be rendered here ({type(error).__name__}: {error}). MuJoCo needs "
             "OpenGL: MUJOCO_GL=egl with a GPU's driver or Mesa, MUJOCO_GL=osmesa with libosmesa, or a screen. Without "

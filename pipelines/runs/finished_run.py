@@ -33,7 +33,7 @@ def check_run(run: str) -> None:
 
 
 def find_run(run: str, results_dir: str) -> Path:
-    """Return a run's folder: as given, or below results_dir, or below results_dir/runs; errors name what is there."""
+    """Return a run's folder: as given, or below results_dir, or below results_dir/runs; errors name what exists."""
     check_run(run)
     folder = find_folder(run, Path(results_dir))
     if folder is None:

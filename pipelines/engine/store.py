@@ -27,7 +27,7 @@ REWRITTEN = ("summary.json", CONFIG)  # made again by the run's command, from th
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a file to write in place of `path`: a reader sees the old one or the new one, never a part, full disk or not."""
+    """Give a file to write in place of `path`: a reader sees the old one or the new one, never a part."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         yield temporary

@@ -19,7 +19,7 @@ ACTION = "action"  # what conditions call the label of a policy that answers lab
 
 @dataclass(frozen=True)
 class Answer:
-    """What was found: `holds` is None where that is neither a proof nor a state."""
+    """What was found: `holds` is None where there is neither a proof nor a state where it fails."""
 
     holds: bool | None
     text: str

@@ -1,4 +1,4 @@
-"""Configurations from overrides: Hydra's composition, with messages for people."""
+"""Configurations from overrides: Hydra's composition, with clearer messages."""
 
 import copy
 import dataclasses
@@ -36,7 +36,7 @@ class Composer:
 
     # Where that file and the command's own groups are, below conf/; what is missing is looked for in conf/ itself.
     folder = ""
-    needs: tuple[str, str] | None = None  # the group of which an option must be named, and what such an option is
+    needs: tuple[str, str] | None = None  # the group of which an option is required, and what such an option is
     besides = ""  # what else may be named, in words
     short: tuple[str, ...] = ()  # keys of overrides that stand for others (`Workflow.spelt_out`)
     # Beginnings of keys of values that decide what is composed, as the options of a group do.
@@ -224,7 +224,7 @@ class Composer:
 
 
 def message_of(error: Exception) -> str:
-    """Return the message alone where it was written for people, with the error's kind where it was not."""
+    """Return the message of an error of ours, and any other with the error's type."""
     if isinstance(error, OmegaConfBaseException):
         return readable(error)
     return str(error) if isinstance(error, HydraException) else message_of_job(error)

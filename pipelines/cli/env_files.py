@@ -1,4 +1,4 @@
-"""The file of an environment of one's own, checked before Hydra reads it, whose messages are about its machinery."""
+"""The file of a custom environment, checked before Hydra reads it, whose messages are about its own internals."""
 
 import dataclasses
 import functools

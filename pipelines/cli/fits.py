@@ -56,7 +56,7 @@ class FitWorkflow(Workflow):
         config: FitConfig = made.config
         _check_tuning(config.method, overrides)
         if config.data.file is not None or config.data.name == TABLE:
-            dataset_of(config)  # what is wrong with it is said before anything is written
+            dataset_of(config)  # its errors are raised before anything is written
         folder = fit_folder(config, self.differences(config, overrides))
         return FitJob(dataclasses.replace(config, folder=folder), folder, made.yaml, tuple(overrides))
 

@@ -32,7 +32,7 @@ PATHS = (
 
 @functools.cache
 def parse(override: str) -> Override:
-    """Return an override as Hydra reads it; ConfigError where it is no key=value, or has no end of values."""
+    """Return an override as Hydra reads it; ConfigError where it is no key=value, or has infinitely many values."""
     key, equals, _ = override.partition("=")
     if not equals or not key or key.startswith("~"):
         raise ConfigError(f"{override} is no key=value")
@@ -111,7 +111,7 @@ def combinations(overrides: Iterable[str]) -> list[list[str]]:
 
 
 def combined(jobs: Sequence[Sequence[str]]) -> list[str] | None:
-    """Return the overrides of one sweep that makes just these jobs; None where there is no such sweep."""
+    """Return the overrides of one sweep that makes exactly these jobs; None where there is no such sweep."""
     keys = [[override.split("=", 1)[0] for override in own] for own in jobs]
     if any(own != keys[0] for own in keys):
         return None

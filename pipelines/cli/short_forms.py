@@ -1,4 +1,4 @@
-"""Short forms of what `otr-run` is given: a policy by its file, a column of Table 4.1, and settings of polishing."""
+"""Short forms of arguments of `otr-run`: a policy by its file, a column of Table 4.1, and settings of polishing."""
 
 import functools
 from collections.abc import Sequence
@@ -113,5 +113,5 @@ def imitates(override: str) -> bool:
 
 
 def imitating() -> str:
-    """Return the overrides of the methods that imitate, in words."""
+    """Return the overrides of the methods that imitate, as text."""
     return " or ".join(f"method={name}" for name, method in METHODS.items() if method.imitates)

@@ -33,7 +33,7 @@ class EnvConfig:
     """
 
     name: FreeText
-    # The row of the tables and of conf/budget; hopper_v5 has task hopper, one's own has task discrete or continuous
+    # The row of the tables and of conf/budget; hopper_v5 has task hopper, a custom one has task discrete or continuous
     task: FreeText
     id: FreeText
     kwargs: dict[str, Any] = field(default_factory=dict)

@@ -229,7 +229,7 @@ class RunConfig:
 
     @property
     def budget_level(self) -> str:
-        """The budget's name in the run's folder, with who trained where that is no gradient by Stable-Baselines3."""
+        """The budget's name in the run's folder, with the trainer where that is not Stable-Baselines3's gradients."""
         who = self.trainer_name
         return self.budget.name if who in ("sb3", "none") else f"{self.budget.name}-{who}"
 

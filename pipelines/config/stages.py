@@ -70,7 +70,7 @@ class CriticPolishConfig:
     steps: Count = 100_000  # of the environment by the policy, an update each
     # Steps that fill the replay buffer before, in which the oracle acts as it explored
     refill_steps: Count = 50_000
-    # Share of these in which the policy itself acts: a weak one has to see what its mistakes lead to
+    # Share of these in which the policy itself acts: a weak policy needs data on its own mistakes
     student_share: Share = 0.3
     refill_noise: NotNegative = 0.1  # standard deviation of what is added to actions in [-1, 1] while it is filled
     noise: NotNegative = 0.1  # and from then on

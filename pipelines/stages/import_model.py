@@ -1,4 +1,4 @@
-"""Stage import: a policy that was trained elsewhere, as a network that acts in the run's environment."""
+"""Stage import: a policy that was trained elsewhere, as a network for the run's environment."""
 
 import hashlib
 from dataclasses import dataclass
@@ -87,7 +87,7 @@ def read_model(
 
 
 def _critics(path: Path) -> Critics | None:
-    """Return the critics in a file; None where there are none, or none that can be read: the policy serves alone."""
+    """Return the critics in a file; None where there are none, or none that can be read: the policy is enough."""
     try:
         return critics_of_zip(path) if path.suffix == ".zip" else None
     except otr.OtrError:

@@ -3,7 +3,7 @@
 The oracle of a run is the actor of another run: method=otr with depth=<the oracle's layers>, of the same environment,
 budget, seed and settings of training; or that of a run with method=model, which imports it. Whichever run needs it
 first trains or imports it; the others find it there. This stage
-keeps where it is and what it was, so that what is made from it is keyed by its content.
+records where it is and its digest, so that what is made from it is keyed by its content.
 """
 
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Stage parse: a program that somebody wrote, as an oblique tree."""
+"""Stage parse: a handwritten program, as an oblique tree."""
 
 import hashlib
 from dataclasses import dataclass

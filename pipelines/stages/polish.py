@@ -182,7 +182,7 @@ def improve_by_critic(policy: Any, settings: PolishStageSettings) -> Polished:
 
 
 class _Account:
-    """What a polish has cost and come to so far."""
+    """The cost and the result of a polish so far."""
 
     def __init__(self, purpose: str) -> None:
         self._purpose, self._began, self._announced = purpose, time.process_time(), time.monotonic()
@@ -213,7 +213,7 @@ class _Account:
         return {} if settings.polishing.scale == "uniform" else {"size": self._reports[-1].size}
 
     def polished(self, policy: Any, settings: SearchedSettings, **about: Any) -> Polished:
-        """Return the policy with what is to be said of it."""
+        """Return the policy with its report."""
         report, n_selection = self._reports[-1], settings.polishing.n_selection_episodes
         spent = {"n_steps": self.n_steps, "cpu_seconds": round(time.process_time() - self._began, 3)}
         rows = [
@@ -306,12 +306,12 @@ def announce_polish(runs: Sequence[PolishStageSettings]) -> None:
 
 
 def load_searched(folder: Path) -> otr.ObliqueTree | otr.ReluNetwork:
-    """Return what a stage polish has searched, the network or the tree, as it came out."""
+    """Return what a stage polish has searched, the network or the tree, as polished."""
     return load_actor(folder) if exists(folder / "actor.json") else load_tree(folder)
 
 
 def _told(report: PolishReport, settings: SearchedSettings) -> dict[str, Any]:
-    """Return what the report of the search says, for people."""
+    """Return the report of the search as a readable text."""
     iteration, best = max(report.candidates, key=lambda candidate: (candidate[1], -candidate[0]))
     before, after = report.confirmation or (None, None)
     return {

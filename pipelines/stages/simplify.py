@@ -25,9 +25,9 @@ from pipelines.stages.polish import SearchedSettings, search
 from pipelines.stages.prune import load_tree
 
 MAX_ATTEMPTS = 4
-FIRST_LOOK = 0.2  # of the deciding episodes: a tree that loses clearly on these is not played on
+FIRST_LOOK = 0.2  # of the deciding episodes: a tree that loses clearly on these plays no more
 ANNOUNCE_S = 10.0
-CLOSE = 0.05  # of an action's range: nearer than that, actions count as the same
+CLOSE = 0.05  # of an action's range: closer actions count as the same
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def _simplest(
 
     A search over hundreds of trees on the same episodes overestimates the tree that it keeps. So its outcome plays
     as many others; where it loses more than is allowed on them, the search is done again with half the allowance, and
-    after MAX_ATTEMPTS the tree stays as it is. A tree that is polished again is to lose nothing: no more than one
+    after MAX_ATTEMPTS the tree stays as it is. A tree that is polished again must lose nothing: no more than one
     standard error of the paired differences.
     """
     check, n_attempts = _Judge(tree, settings, 1), 0
@@ -178,7 +178,7 @@ def _report(
     settings: SimplifySettings,
     out: Path,
 ) -> None:
-    """Play the evaluation episodes with both trees and write what came out."""
+    """Play the evaluation episodes with both trees and write the results."""
     before = play_evaluation(tree.predict, settings, keep_states=True)
     after = play_evaluation(simpler.tree.predict, settings)
     states = before.states

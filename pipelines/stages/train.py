@@ -88,7 +88,7 @@ def announce_training(runs: Sequence[TrainSettings]) -> None:
 
 
 def _readable_steps(settings: TrainSettings) -> int:
-    """Return the steps that a run's checkpoint holds; of a damaged one 0, as its training says so and is not begun."""
+    """Return the steps that a run's checkpoint holds; of a damaged one 0, which its training then reports."""
     try:
         return trained_steps(settings)
     except PipelineError:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 TRAINERS = {"ars": "direct search", "sb3": "SAC, Stable-Baselines3", "fleet": "SAC, fleet"}
 ALGORITHMS = ("ars", "sac")
-RATES = "Hopper, depth 6: direct search"  # the entries of search.json with the rates, and whom they compare with
+RATES = "Hopper, depth 6: direct search"  # the entries of search.json with the rates, and the peer
 PEERS = {"sb3": "Stable-Baselines3 SAC, one run", "fleet": "fleet's SAC, ten runs"}
 
 

@@ -157,7 +157,7 @@ def depends_on_past(make: Make, n_steps: int = 100) -> bool:
     try:
         first, second, again, second_again = _short_episodes(make(), (0, 1, 0, 1), n_steps)
         ((new,), (second_new,)) = (_short_episodes(make(), (seed,), n_steps) for seed in (0, 1))
-    except Exception:  # foreign code can fail in any way; whoever plays in it says so
+    except Exception:  # foreign code can fail in any way; playing in it reports that
         return False
     is_same = all(map(_equal, (again, second, second_again), (first, second_new, second_new)))
     return not is_same and _equal(new, first)

@@ -30,7 +30,7 @@ _SPREAD_OF_ZEROS = 1e-8  # what answers that are all 0 are divided by, so that w
 
 @dataclass(frozen=True)
 class NdpsFit:
-    """The hard tree, and the module behind it, on the states as they are, from which the next round starts."""
+    """The hard tree, and its module, on the states as they are, from which the next round starts."""
 
     tree: ObliqueTree
     module: SoftTree

@@ -81,7 +81,7 @@ def refitted(tree: ObliqueTree, node: int, X: FloatArray) -> Iterator[ObliqueTre
 
 
 def turned(tree: ObliqueTree, node: int) -> Iterator[ObliqueTree]:
-    """Yield the tree with a test turned round, if it starts with a minus; a state on its boundary changes sides."""
+    """Yield the tree with a test reversed, if it starts with a minus; a state on its boundary changes sides."""
     numbers = np.append(tree.P[node][tree.P[node] != 0], tree.v[node])
     if numbers[0] < 0:
         P, v, left, right = tree.P.copy(), tree.v.copy(), tree.children_left.copy(), tree.children_right.copy()

@@ -100,7 +100,7 @@ def within(tree: ObliqueTree, box: Box | Domain, bound: float) -> Judge:
 
     The bound is `otr.proof.action_difference.largest_difference`: proved, and a little larger than the change itself
     under tanh. States are left out whose side of a test is for rounding to say: tests whose numbers are the same to
-    four units in the last place count as one, and so does a test turned round, on whose boundary states change sides.
+    four units in the last place count as one, and so does a reversed test, on whose boundary states change sides.
 
     Raises:
         ValueError: the box is unbounded or does not fit the tree, the bound is negative or no number, or no test of the

@@ -158,7 +158,7 @@ class Workflow(Composer, ABC):
 
 
 def _check_shared_folders(jobs: Sequence[Job]) -> None:
-    """Raise ConfigError where two jobs would overwrite each other's result of a stage, which they make from different inputs."""
+    """Raise ConfigError where two jobs would make a stage of one folder from different inputs, in turns."""
     first: dict[Path, Job] = {}
     for job in jobs:
         other = first.setdefault(job.run_dir, job)

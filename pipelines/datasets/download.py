@@ -76,7 +76,7 @@ def read(file: DataFile) -> bytes:
 
 
 def keep(file: DataFile, content: bytes) -> Path:
-    """Write a file into the user's own folder, packed unless it is packed already; nobody ever sees a part of it."""
+    """Write a file into the user's own folder, packed unless it is packed already; a partial file is never visible."""
     packed = file.path.endswith(".gz")
     path = own_folder() / (file.path if packed else f"{file.path}.gz")
     try:

@@ -52,7 +52,7 @@ class DataConfig:
 
 @dataclass(frozen=True)
 class LearnerConfig:
-    """What every method has."""
+    """The settings of every method."""
 
     name: FreeText  # of the method, a row of the table
     learner: FreeText  # which estimators, a key of `LEARNERS`
@@ -69,7 +69,7 @@ class LearnerConfig:
 
 @dataclass(frozen=True)
 class ClassifierConfig(LearnerConfig):
-    """What the methods have that classify."""
+    """The settings of methods that classify."""
 
     class_weight: Annotated[str | None, OneOf("balanced"), AsBefore(None)] = (
         None  # balanced: each class counts the same
@@ -85,7 +85,7 @@ class TaughtConfig(ClassifierConfig):
 
 @dataclass(frozen=True)
 class LinearConfig(TaughtConfig):
-    """`LinearTreeClassifier` and `LinearTreeRegressor`, of depth 0 unless asked for more."""
+    """`LinearTreeClassifier` and `LinearTreeRegressor`, of depth 0 by default."""
 
     C: Positive = 0.1
     alpha: NotNegative = 1.0
@@ -263,7 +263,7 @@ def _check_known(data: DataConfig) -> None:
 
 
 def _git_blob(path: str) -> str:
-    """Return the hash of a table's content; "" where it cannot be read, of which its reader has more to say."""
+    """Return the hash of a table's content; "" where it cannot be read, for which its reader raises the error."""
     try:
         return git_blob_hash(Path(path).read_bytes())
     except OSError:

@@ -1,4 +1,4 @@
-"""Small trees for people: the part that the training rows reach, as a program and as a picture."""
+"""Small trees, for reading: the part that the training rows reach, as a program and as a picture."""
 
 import re
 from pathlib import Path

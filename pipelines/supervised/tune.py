@@ -1,7 +1,7 @@
 """Stage tune: every combination of the grid is fitted and scored where it was not fitted; the best ones are kept.
 
 That is on the validation part, or on each fold of a cross-validation inside train and valid (`Dataset.folds`). The
-test part is not looked at. What has been tried is kept in `results/checkpoints` until all of it is, so that a killed
+test part is not used. What has been tried is kept in `results/checkpoints` until all of it is, so that a killed
 job goes on with the next combination.
 """
 

@@ -1,6 +1,6 @@
 """Runs logged to TensorBoard as well: settings, learning curves as they grow, final returns, the program.
 
-Tracking is write-only and never affects a run. A tracker that fails is named once and given up until the run's end,
+Tracking is write-only and never affects a run. A tracker that fails is reported once and disabled until the run's end,
 where what it has missed is logged from the run's files.
 """
 

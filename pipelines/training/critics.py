@@ -1,6 +1,6 @@
 """Critics on disk: `critics.safetensors` next to the actor whose play they judge.
 
-Whoever goes on from an actor takes its critics over (`pipelines/stages/polish.py`). They are those of the segment whose
+What continues from an actor takes over its critics (`pipelines/stages/polish.py`). They are those of the segment whose
 actor was kept: values are of one policy, and the critics of a later segment judge a policy that was found worse. Adam's
 moments are not among them. The file is a megabyte and serves polishes alone, so archives of runs leave it out.
 """

@@ -43,7 +43,7 @@ class ReluActor:
         return otr.from_sb3(model, normalise=None)
 
     def evaluate(self, model: BaseAlgorithm) -> tuple[dict[str, bytes], Rollout]:
-        """Return the files of what the actor becomes, and what came of its selection episodes."""
+        """Return the files of the finished actor, and the results of its selection episodes."""
         try:
             network = self.exported(model)
         except otr.InvalidNetworkError as error:

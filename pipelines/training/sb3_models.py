@@ -47,7 +47,7 @@ ALGORITHMS: dict[type[AlgoConfig], type[BaseAlgorithm]] = {
     Td3Config: TD3,
     DdpgConfig: DDPG,
 }
-# The settings of an algorithm that its class has not, under that name or at all; all others are passed on.
+# The settings of an algorithm that its class lacks, under that name or at all; all others are passed on.
 OTHER_SETTINGS = ("name", "critic", "weight_decay", "n_envs", "normalise", "action_noise_std", "action_noise_dt",
                   "exploration_fraction", "exploration_final_eps", *SacConfig.of_fleets())  # fmt: skip
 

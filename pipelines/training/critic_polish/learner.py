@@ -38,7 +38,7 @@ torch.set_num_threads(1)  # two threads make these small networks a hundred time
 
 
 class CriticPolish:
-    """Learns on a policy's numbers, one update a step; `candidates` gives what it comes to."""
+    """Learns on a policy's numbers, one update a step; `candidates` yields the results."""
 
     def __init__(
         self,

@@ -60,7 +60,7 @@ class ModuleActors:
 
     @torch.no_grad()
     def act(self, states: Tensor) -> Tensor:
-        inputs = new_stack(*states.shape).copy_(states)  # each run's begin as they do alone
+        inputs = new_stack(*states.shape).copy_(states)  # each run's begin as in a run alone
         return self._stacked([module(own) for module, own in zip(self.modules, inputs, strict=True)])
 
     @torch.no_grad()

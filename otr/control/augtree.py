@@ -21,7 +21,7 @@ from otr.core.smooth_network import Oracle
 from otr.core.tree import ObliqueTree
 from otr.learners.model_tree import LinearTreeRegressor, grow_models
 
-# Columns whose every threshold is looked at, of those that some thresholds on some rows promise most for.
+# Columns that are searched in full: those with the best results of a few thresholds on some rows.
 _N_SEARCHED = 8
 
 

@@ -28,7 +28,7 @@ NOT_AFRESH = {"BipedalWalker-v3": _ONE_WORLD, "BipedalWalkerHardcore-v3": _ONE_W
 
 
 class Stepped(NamedTuple):
-    """What one step of k environments gave; the arrays belong to the caller."""
+    """The result of one step of k environments; the arrays belong to the caller."""
 
     states: FloatArray  # (k, d); where an episode ended, its last state
     rewards: FloatArray  # (k,)
@@ -111,14 +111,14 @@ class GymnasiumVectorEnv:
         terminated, truncated = np.empty(n, dtype=np.bool_), np.empty(n, dtype=np.bool_)
         # An environment may change an action in place.
         given = actions.tolist() if self._discrete else actions.copy()
-        answer: Any = self  # what no environment returns
+        answer: Any = self  # not among what environments return
         try:
             for j, (env, action) in enumerate(zip(stepped, given, strict=True)):
                 answer = self
                 answer = env.step(action)
                 states[j], rewards[j], terminated[j], truncated[j], _ = answer
         except (TypeError, ValueError) as error:
-            if answer is self and "unpack" not in str(error):  # which a wrapper does with what step returns
+            if answer is self and "unpack" not in str(error):  # which a wrapper returns from step
                 raise
             if answer is self:
                 raise ValueError(f"step(action) fails: {type(error).__name__}: {error}. {INTERFACE}") from error

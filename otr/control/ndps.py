@@ -23,7 +23,7 @@ from otr.core.tree import ObliqueTree
 
 _MAX_ACTIVE_SETS = 20
 _MAX_LBFGS_STEPS = 25
-_LARGE_MEAN = 10.0  # in standard deviations: Adam's updates do not reach a larger one in time
+_LARGE_MEAN = 10.0  # in standard deviations: a larger one takes more updates of Adam than there are
 _CONSTANT = 1e-12  # deviation, compared with the largest number of a component, that rounding alone may make
 _SPREAD_OF_ZEROS = 1e-8  # what answers that are all 0 are divided by, so that what training adds to them stays small
 

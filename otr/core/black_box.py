@@ -1,4 +1,4 @@
-"""Policies that are run as they are, whatever their units: none is mapped, a tree can imitate one."""
+"""Policies that a runtime evaluates, whatever their units: they cannot be mapped, but imitated."""
 
 from __future__ import annotations
 

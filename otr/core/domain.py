@@ -14,7 +14,7 @@ from otr.core.half_spaces import HalfSpaces, rounding_of_terms
 
 
 class Limits(Protocol):
-    """What has a lowest and a highest state, as gymnasium's Box spaces have."""
+    """Anything with a lowest and a highest state, such as gymnasium's Box spaces."""
 
     low: Any
     high: Any

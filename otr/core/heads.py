@@ -1,4 +1,4 @@
-"""The heads that there are: the outputs themselves, expected counts, three boxes of actions, and two for labels."""
+"""All heads: the outputs themselves, expected counts, three boxes of actions, and two for labels."""
 
 from __future__ import annotations
 

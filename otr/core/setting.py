@@ -20,7 +20,7 @@ from typing import Annotated, Any, get_args, get_type_hints
 class Range:
     """A number from `low` to `high`, or below it where `open`; of a list or a dict, every number in it.
 
-    `remedy` says what to give, where that says more than the bounds.
+    `remedy` says what to give, where that adds to the bounds.
     """
 
     low: float = -math.inf
@@ -41,7 +41,7 @@ class Range:
 
     @property
     def limits(self) -> str:
-        """The bounds in words, to be printed after what has them."""
+        """The bounds as text, to be printed after a setting's type."""
         if self.high == math.inf:
             return "" if self.low == -math.inf else f" of at least {_number(self.low)}"
         return f" from {_number(self.low)} to {'below ' * self.open}{_number(self.high)}"

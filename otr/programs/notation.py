@@ -44,7 +44,7 @@ class Notation:
 
 @dataclass(frozen=True)
 class Program:
-    """A tree to be written in a notation; features, answers and labels are named as the format has them."""
+    """A tree to be written in a notation; features, answers and labels have the format's names."""
 
     tree: ObliqueTree
     notation: Notation

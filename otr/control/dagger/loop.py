@@ -99,7 +99,7 @@ class Iterate:
 
 @dataclass(frozen=True)
 class DaggerResult:
-    """What DAgger came to.
+    """The result of DAgger.
 
     Attributes:
         tree: the iterate chosen.
@@ -143,7 +143,7 @@ def run_dagger(
             them one with episodes that are reported.
         settings: how much is played.
         seed: root of the fits' randomness; tree r draws from its child (..., r).
-        folder: of the working files, made if it is not there: states.f64, answers.f64, weights.f64, dagger.json and
+        folder: of the working files, created if missing: states.f64, answers.f64, weights.f64, dagger.json and
             iterate-<r>.npz and .json. A run that was stopped goes on in it, and one that is done is returned as it
             was: `fit` and `play` are functions and not compared, so take another folder for others.
         on_round: called after every round of this call.
@@ -167,7 +167,7 @@ def run_dagger(
 
 @dataclass(frozen=True)
 class _Run:
-    """A run, as far as its folder says that it has come."""
+    """A run, resumed from the state in its folder."""
 
     _oracle: Oracle
     _fit: TreeFit

@@ -26,7 +26,7 @@ class RunFolder:
     """A run's folder: its `state` is dagger.json, which is replaced as a whole after the other files are written."""
 
     def __init__(self, folder: Path, oracle: Oracle, seed: np.random.SeedSequence, settings: dict[str, Any]) -> None:
-        """Make the folder, or go on with its run; raise ArtefactError if that is another run or cannot be read."""
+        """Make the folder, or resume its run; raise ArtefactError if that is another run or cannot be read."""
         folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder
         self._states = GrowingArray(folder / "states.f64", oracle.n_inputs)

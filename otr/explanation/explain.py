@@ -54,11 +54,11 @@ class Explanation:
     Attributes:
         state: x, (d,).
         leaf: its number; of a `PatternTree` with all paths, the number whose bits are the path.
-        answer, text: the answer as `predict` has it, and in words.
+        answer, text: the answer as `predict` has it, and as text.
         tests: the tests passed, the root first.
         weights, constants, outputs: of the leaf's map, outputs = weights @ x + constants: (o, d), (o,) and (o,).
         shares: weights * x, what each input adds to each output: (o, d).
-        head: what makes the answer of the outputs, in words.
+        head: what makes the answer of the outputs, as text.
         nearest_leaf, nearest_label: None where there is none, or where answers are no labels.
         feature_names, output_names: of inputs and outputs.
     """

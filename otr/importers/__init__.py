@@ -1,4 +1,4 @@
-"""Policies from torch, Stable-Baselines3, ONNX and scikit-learn, which are imported only when they are asked for."""
+"""Policies from torch, Stable-Baselines3, ONNX and scikit-learn, which are imported only when they are needed."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def __dir__() -> list[str]:
 
 @contextmanager
 def _reading(file: Any) -> Iterator[None]:
-    """Raise ArtefactError where a file fails a reader in a way that it does not foresee: changed files do in many."""
+    """Raise ArtefactError where a reader fails on a file in an unforeseen way, as on changed files."""
     try:
         yield
     except (OtrError, ImportError):

@@ -165,7 +165,7 @@ def black_box(
     suffix: str,
     output: str | None = None,
 ) -> BlackBox:
-    """Return a model that is no ReLU network as it is: its sections say what it decides by.
+    """Return a model that is no ReLU network: its sections give how it decides.
 
     Args:
         sections: the model.

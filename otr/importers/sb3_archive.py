@@ -54,7 +54,7 @@ class _Actor(NamedTuple):
     biases: list[FloatArray]
     head: Head
     data: dict[str, Any]
-    usual_units: str  # the activation where nothing is said
+    usual_units: str  # the activation by default
 
 
 def network_of_file(
@@ -96,7 +96,7 @@ def sign_of_normalisation(path: Path) -> str:
         low, high = (numbers(box.state[name]) for name in ("low", "high"))
         margin = 1e-3 * (high - low)  # more than rounding
         outside = (seen < low - margin) | (seen > high + margin)
-    except Exception:  # a foreign file can hold anything; the reader of its policy says what is wrong
+    except Exception:  # a foreign file can hold anything; the reader of its policy reports the error
         return ""
     return f"has seen {seen[outside][0]:g}, outside the range of its observations" if outside.any() else ""
 

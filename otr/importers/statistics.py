@@ -53,7 +53,7 @@ class ObservationStatistics:
 
 
 def find_statistics(model: Path) -> tuple[Path | None, str]:
-    """Return the file of statistics next to a saved model, and what a user has to know of it.
+    """Return the file of statistics next to a saved model, and a note for the user.
 
     Looked for is ``vecnormalize.pkl`` in the folder that is named as the zip is (where rl-baselines3-zoo saves it), and
     in the zip's own folder. Where there is none, the text says whether the model's file shows that one is missing; it

@@ -1,4 +1,4 @@
-"""Files that hold layers and not how they are put together: `.nnet`, and the state_dict of a torch module."""
+"""Files that hold layers but not how they are connected: `.nnet`, and the state_dict of a torch module."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Nodes of a graph, and units and heads, recognised by their values: what an operator is called plays no part."""
+"""Nodes of a graph, and units and heads, recognised by their values: an operator's name does not matter."""
 
 from __future__ import annotations
 

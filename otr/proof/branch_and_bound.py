@@ -62,7 +62,7 @@ class Search:
         self.outputs = self.tree.leaf_forms[:, self.weighed]
 
     def reached(self) -> str:
-        """Return how far the search came, in words."""
+        """Return the progress of the search, as text."""
         return f"{self.n_proved:,} pieces of {self.question.n_leaves:,} leaves were proved, and no state was found"
 
     def run(self, max_pieces: int) -> Verdict:

@@ -23,7 +23,7 @@ from otr.geometry.rational_linear_programs import ExactBox, inner_point, largest
 from otr.proof.certificate import Sum
 from otr.proof.exact_rows import ExactRow, TreeAndNetwork, TreeOnDomain
 
-_MAX_CELLS = 1000  # looked at for a point that shows a refusal
+_MAX_CELLS = 1000  # searched for a point that shows a refusal
 
 Multipliers = dict[str, Fraction]  # of rows, by name
 
@@ -157,7 +157,7 @@ def largest_over(rows: Integers, form: FloatArray, domain: Domain) -> tuple[floa
 def counterexample(pair: TreeAndNetwork, cell: ExactCell, max_error: Fraction) -> Point | None:
     """Return a point of a cell where leaf and network differ by more than `max_error`, or None.
 
-    On a domain with open sides the error is relative, and a point is looked for among few.
+    On a domain with open sides the error is relative, and a point is searched among few.
     """
     candidates = [cell.point]
     for points, _ in largest_gap(pair, cell):
@@ -204,7 +204,7 @@ def cells_near(pair: TreeAndNetwork, leaf: int, point: Point, distance: Fraction
 
 
 def refusal(error: CertificateError, pair: TreeAndNetwork, max_error: float) -> CertificateError:
-    """Return a refusal with a point of its leaf where tree and network differ, or as it was if none is found soon."""
+    """Return a refusal with a point of its leaf where tree and network differ, or unchanged if none is found soon."""
     if error.leaf is None or not 0 <= error.leaf < pair.tree.n_leaves:
         return error
     try:
@@ -212,7 +212,7 @@ def refusal(error: CertificateError, pair: TreeAndNetwork, max_error: float) -> 
             point = counterexample(pair, cell, Fraction(max_error))
             if point is not None:
                 return refused_at(pair, error.leaf, point)
-    except TimeLimitError:  # it is refused all the same
+    except TimeLimitError:  # it is refused in any case
         pass
     return error
 

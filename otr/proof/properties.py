@@ -114,7 +114,7 @@ def find_violation(
         tree: any tree.
         condition: with coefficients (d,) and (o,).
         box: bounded.
-        tolerance: with a head that goes through tanh or exp, a condition may be called kept that fails by no more than
+        tolerance: with a head that goes through tanh or exp, a condition counts as kept if it fails by no more than
             this.
         max_pieces, max_seconds: refuse to look at more, or for longer.
 

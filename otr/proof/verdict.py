@@ -82,7 +82,7 @@ class Verdict:
             `point`, whose action may be of another leaf than `value`.
         point: the state as fractions, at which the condition fails in exact arithmetic; None where it holds.
         pieces: the proof that it holds, which `otr.check_verdict` checks.
-        tolerance: what the condition may fail by all the same, under tanh and exp.
+        tolerance: by how much the condition may still fail, under tanh and exp.
     """
 
     holds: bool
@@ -99,7 +99,7 @@ class Question(TreeOnDomain):
     """A condition asked of a tree on a bounded box, in exact arithmetic."""
 
     def __init__(self, tree: ObliqueTree, condition: Condition, domain: Domain) -> None:
-        """Take the parts; raise ValueError if the condition does not fit the tree or is not finite."""
+        """Store the parts; raise ValueError if the condition does not fit the tree or is not finite."""
         super().__init__(_behind(condition.given, tree), domain)
         self.n_leaves = tree.n_leaves  # that are asked about: those after them are outside of what is given
         self.state, self.action = (np.asarray(part, dtype=np.float64) for part in (condition.state, condition.action))
@@ -148,7 +148,7 @@ class Question(TreeOnDomain):
         return float(self.tree.head.weights_of_label(int(self.tree.labels[leaf]), self.tree.n_outputs) @ self.action)
 
     def value(self, point: Point) -> tuple[int, Fraction, Fraction]:
-        """Return a point's leaf, the condition's left side there, and how far tanh and exp make that be off at most."""
+        """Return a point's leaf, the condition's left side there, and a bound on its error under tanh and exp."""
         leaf = self.leaf(point)
         value = Fraction(self.of_label(leaf))
         value += sum((Fraction(a) * x for a, x in zip(self.state.tolist(), point, strict=True)), Fraction(0))
@@ -275,7 +275,7 @@ class Question(TreeOnDomain):
             )
 
     def fails(self, point: Point) -> bool:
-        """Return whether the condition fails at a point of the box, beyond what a tanh may be off."""
+        """Return whether the condition fails at a point of the box, beyond the error of a tanh."""
         leaf, value, off = self.value(point)
         return leaf < self.n_leaves and self.is_inside(point) and value - off > Fraction(self.bound)
 

@@ -131,7 +131,7 @@ class Checker:
         self.n_checked = 0  # leaves
 
     def reached(self) -> str:
-        """Return how far the check came, in words."""
+        """Return the progress of the check, as text."""
         return f"{self.n_checked:,} of {self.pair.tree.n_leaves:,} leaves were checked"
 
     def run(self, certificate: Certificate) -> float:

@@ -14,7 +14,7 @@ from otr.geometry.regions import leaf_paths
 from otr.shorten.refit_tests import refit_tests
 
 _AGREEMENTS = (0.8, 0.9, 0.95)  # with the original test, of one that is refitted; the loosest is tried first
-_NEAR_LIMIT = 0.1  # of an action's range: a constant so near to its limit is tried as the limit
+_NEAR_LIMIT = 0.1  # of an action's range: a constant this close to its limit is tried as the limit
 
 
 def n_numbers(tree: ObliqueTree) -> int:

@@ -24,7 +24,7 @@ MAX_SWEEPS, TOLERANCE = 1000, 1e-9  # of coordinate descent
 
 @dataclass(frozen=True)
 class RefittedTest:
-    """What became of a test node.
+    """The outcome of a test node.
 
     Attributes:
         node: its id.
@@ -46,7 +46,7 @@ class RefittedTest:
 
 @dataclass(frozen=True)
 class RefittedTree:
-    """The simpler tree and what became of each of its tests."""
+    """The simpler tree and the outcome of each of its tests."""
 
     tree: ObliqueTree
     tests: tuple[RefittedTest, ...]
@@ -64,7 +64,7 @@ def refit_tests(
 
     Args:
         tree: any tree.
-        X: (n, d) states, such as those that the policy visits; which test they reach is the original tree's to say.
+        X: (n, d) states, such as those that the policy visits; the original tree decides which test they reach.
         agreement: the bound, in (0, 1].
         digits: significant digits of coefficients and thresholds, at least 1.
         nodes: the test nodes to refit, all if None; the others are rounded alone.

@@ -1,7 +1,7 @@
 """The regions of a network: every activation pattern that some states have.
 
 Those of one layer in few dimensions are found by their vertices (`otr.geometry.vertices`), all others by walking the
-tree of the network's tests. All regions of a level are taken on together. Each knows an inner point, which shows one
+tree of the network's tests. All regions of a level are processed together. Each has an inner point, which shows one
 side of the next test that is not empty; whether the other side is, too, is asked of `largest_balls`. Where floating
 point cannot decide, the side is kept, without an inner point. Each level's tests are written in the inputs, by layer:
 within a region of the layers before, a layer is an arrangement of hyperplanes.
@@ -41,7 +41,7 @@ class Regions:
 
     patterns: BoolArray  # (k, n_bits), each region's activation pattern and the outcomes of the head's tests
     inner_points: FloatArray  # (k, d), a state inside each; NaN where rounding left none to be found
-    n_tests: int  # pairs of a region and a test that the walk looked at; none where vertices decide
+    n_tests: int  # pairs of a region and a test that the walk tried; none where vertices decide
 
 
 @dataclass(frozen=True)
@@ -195,7 +195,7 @@ class Walk:
             )
 
     def reached(self) -> str:
-        """Return how far the walk came, in words."""
+        """Return the progress of the walk, as text."""
         return (
             f"{self.n_found:,} regions were complete, {self._n_open:,} others followed to test {self._n_done} of "
             f"{self.n_bits} or less far"

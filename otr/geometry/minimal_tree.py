@@ -130,7 +130,7 @@ def _pass_down(tree: ObliqueTree, stands_for: IntArray) -> IntArray:
 
 
 def _sizes_of_terms(network: ReluNetwork, patterns: BoolArray) -> Callable[[IntArray], FloatArray]:
-    """Return what `merge_equal_leaves` asks of a tree whose leaves are the paths `patterns` (k, n_bits), in order."""
+    """Return what `merge_equal_leaves` needs of a tree whose leaves are the paths `patterns` (k, n_bits), in order."""
     units, _ = units_and_basis(network)
     units = UnitForm(np.abs(units.links), np.abs(units.inputs), np.abs(units.offsets), units.layer_starts)
     n = network.n_hidden

@@ -22,7 +22,7 @@ _LIMIT_WIDTH = 2**20  # of a value: a file of a hundred bytes can declare any nu
 _LIMIT_HELD = 2**26  # of all values together, on all points
 _LIMIT_WORK = 2**28  # numbers that are computed for the matrix of a section
 _SCALES = tuple(2.0**power for power in (-10, 0, 10, 20, 700))  # of the points on which nodes are tried
-# A basis vector of this length exceeds what a section adds, so that (f(length * e) - f(0)) / length has the stored bits.
+# A basis vector of this length swamps what a section adds, so that (f(length * e) - f(0)) / length has the stored bits.
 _LENGTH = 2.0**700
 _LIMIT_ROWS = 256  # basis vectors at a time
 _N_BACK = 8  # nodes in which one unit may be written

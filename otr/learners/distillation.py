@@ -111,7 +111,7 @@ class FittedTeacher:
 def fit_teacher(
     X: ArrayLike, Y: ArrayLike, teacher: Teacher | None = None, *, seed: int = 0, n_jobs: int | None = None
 ) -> FittedTeacher:
-    """Return the teacher that `distillation_set` asks; arguments and errors are the same."""
+    """Return the teacher of `distillation_set`; arguments and errors are the same."""
     teacher = Teacher() if teacher is None else teacher
     rows, labels = _checked(X, Y)
     for_forests = np.random.SeedSequence(seed).spawn(5)[3]

@@ -66,7 +66,7 @@ class TAOClassifier(GrownClassifier):
         max_iter: passes at most.
         tol: least fall of the training error in a pass that is followed by another.
         leaf_values: "shares" of the classes among a leaf's training rows, or "labels", 1 for the largest share and 0
-            for the others. TAO knows labels alone; shares rank rows, which an area under the curve asks for.
+            for the others. TAO knows labels alone; shares rank rows, which an area under the curve needs.
         solver_max_iter: iterations of liblinear in one fit at most; a fit that stops there is used as it is.
         class_weight: None, "balanced" or weights by class, as in scikit-learn.
         random_state: initial tree and liblinear.

@@ -1,4 +1,4 @@
-"""What parameters may be, declared once for every learner in scikit-learn's own terms.
+"""The constraints of parameters, declared once for every learner in scikit-learn's terms.
 
 An estimator's `_parameter_constraints` are checked in `fit`, those of a settings dataclass when it is made. The error,
 a ValueError and a TypeError, names the parameter, its value and what it may be.

@@ -88,7 +88,7 @@ def _rivals(cells: dict[Any, pd.DataFrame], ours: Any, rival: str) -> list[Any]:
 
 
 def _level(key: Any) -> str:
-    """Return the budget of a cell, whoever trained."""
+    """Return the budget of a cell, whatever its trainer."""
     budget: str = key[len(KEY) - 1]
     return budget.partition("-")[0]
 
@@ -96,7 +96,7 @@ def _level(key: Any) -> str:
 def _compared(
     ours: pd.DataFrame, our_starts: pd.DataFrame, theirs: pd.DataFrame, their_starts: pd.DataFrame
 ) -> dict[str, Any]:
-    """Return what is said of two groups of runs, and of their returns (runs, starts) on the starts that both have."""
+    """Return the comparison of two groups of runs, and of their returns (runs, starts) on the starts that both have."""
     both = set(ours["run"]) & set(theirs["run"])
     if both and len(both) in (len(ours), len(theirs)):  # two forms of the same runs, of which some may have one alone
         our_starts, their_starts = our_starts[_of(ours, both)], their_starts[_of(theirs, both)]

@@ -1,4 +1,4 @@
-"""Run benchmarks, print how they stand to their targets, and write results/benchmarks/<name>.json.
+"""Run benchmarks, compare them with their targets, and write results/benchmarks/<name>.json.
 
     python -m benchmarks                      all of them, about half an hour
     python -m benchmarks mapping prediction   the named ones
@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     show(entries)
     missed = [entry.name for entry in entries if entry.met is False]
     print(f"missed: {'; '.join(missed)}" if missed else "every target is met")
-    return 0  # a busy machine misses a target, too: a miss is told, and is no failure
+    return 0  # a busy machine misses a target, too: a miss is reported, and is no failure
 
 
 def document(entries: Sequence[Entry], command: Sequence[str]) -> list[dict[str, Any]]:

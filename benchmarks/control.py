@@ -6,7 +6,7 @@ lander's (8 inputs, 4 outputs), Hopper's (11, 3) and Ant's (27, 8). The relaxed 
 every hole and not in its leaves only, twice as many parameters, and is held against networks of as many.
 
 A run of DAgger on the lander, 50 rounds of 25 episodes with the choice of an iterate, at depth 3, imitating the
-committed oracle [256]; its share that is spent in the environment tells what is left to gain.
+committed oracle [256]; the share spent in the environment shows what is left to gain.
 
 Targets: soft tree within 3 times the network's seconds; a run of DAgger within 3 minutes of one core.
 """

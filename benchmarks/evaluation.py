@@ -5,8 +5,8 @@ the two draw other starts and so other lengths. The policy is the committed one 
 `STANDING`. The peer plays as its documentation shows, one environment in a Monitor.
 
 Targets: at least 2 times the peer on one core, by CPU time; at least 3.5 times on two, by wall clock, which includes
-the start of the worker processes and suffers from whatever else the machine does. What the two would do undisturbed is
-told by their CPU time, in an entry without a target.
+the start of the worker processes and suffers from whatever else the machine does. Their CPU time shows what the two
+would do undisturbed, in an entry without a target.
 """
 
 import resource

@@ -1,9 +1,9 @@
-"""Exact trees: seconds for minimal trees, beside affinitree 0.23 on the same networks.
+"""Exact trees: seconds for minimal trees, compared with affinitree 0.23 on the same networks.
 
 One hidden layer of n neurons, d inputs, one output, weights and biases normally distributed: in general position, so
 that the tree on all of R^d has sum_{i <= d} C(n, i) leaves. Both are given the whole of R^d, and CPU seconds of one
 process are counted, affinitree's building of its input apart. Beyond a million leaves neither is asked. Networks of 180
-to 784 inputs follow, in one and two layers, with the peak memory beside what is imported; then such networks on a box,
+to 784 inputs follow, in one and two layers, with the peak memory less that of the imports; then such networks on a box,
 with certificate and verification, which affinitree does not have. The certificate of a tree on a box, and its
 verification, follow for the sizes that anyone would store.
 

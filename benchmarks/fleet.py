@@ -11,7 +11,7 @@ and in stacks like theirs, without a single addition, activation, transition or 
 So do fleets whose actors are pi-PRL's relaxed programs of depth 6, against one run of such a program under
 Stable-Baselines3, as `trainer=sb3` trains it, and against the networks' fleets.
 
-Targets: 2.2 times the peer, 0.6 of the floor, ahead of SBX; programs 2.2 times their peer and 0.7 of the networks.
+Targets: 2.2 times the peer, 0.6 of the floor, faster than SBX; programs 2.2 times their peer and 0.7 of the networks.
 
 SBX (Stable-Baselines3 in JAX) needs packages of its own: it is measured where OTR_SBX_PYTHON names the python of an
 environment that has `sbx-rl`, `gymnasium[mujoco]` and nothing of ours; `benchmarks/sbx_peer.py` runs there.

@@ -33,7 +33,7 @@ WARNINGS = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
 N_EPISODES = 20
 MAX_NS, MIN_RATIO, MAX_BYTES = 150, 500, 2048
 # Reads states, answers all of them `passes` times, prints the least nanoseconds a state of several rounds, and writes
-# the answers. The policy lies in an object of its own, so that no call can be left out or merged with another.
+# the answers. The policy is in an object of its own, so that no call can be left out or merged with another.
 DRIVER = """
 #define _POSIX_C_SOURCE 199309L
 #include <stdio.h>

@@ -5,7 +5,7 @@ Peers: for time, the recursion that copies the network's weights at every node; 
 consists of. Then a `PatternTree` of 32 neurons and 27 inputs observes states.
 
 Targets: n = 16 in at most 2 s with a peak of at most 2 times the arrays returned; 1,000,000 states observed in at most
-10 s with a peak of at most 1,000 MB beside the states themselves.
+10 s with a peak of at most 1,000 MB in addition to the states.
 """
 
 import itertools

@@ -29,7 +29,7 @@ class Entry:
     Attributes:
         name: what was measured.
         value, unit: ours.
-        peer, peer_value: whom it is compared with, in the same unit; None where there is none.
+        peer, peer_value: what it is compared with, in the same unit; None where there is none.
         target: "ratio <= 1.5", "value >= 10" and so on; None for a measurement that only informs.
         clock: "process" (CPU time, which other programs disturb little), "wall", or None where no time is measured.
         details: what else was measured, by name.
@@ -62,7 +62,7 @@ class Entry:
         return bool(_COMPARE[compare](measured, limit))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the entry as it stands in results/benchmarks/<name>.json; measured numbers with four digits."""
+        """Return the entry as it is written to results/benchmarks/<name>.json; measured numbers with four digits."""
         return {
             "name": self.name,
             "value": _rounded(self.value),

@@ -2,7 +2,7 @@
 
 Every run under results/runs that has the stage polish (OTR_RESULTS_DIR for another folder) plays with the policy that
 was searched, network or tree, before and after, from the same first states: 1,000 episodes of the lander and the
-mountain car, 5,000 of the pendulum, 100 of others. Their seeds lie below those that training, selection, confirmation
+mountain car, 5,000 of the pendulum, 100 of others. Their seeds are below those that training, selection, confirmation
 and pruning draw from, and apart from the reported ones. The pendulum and the mountain car are played in numpy.
 
 An entry a run holds the mean return after against that before; another has the mean of the paired differences against

@@ -3,7 +3,7 @@
 Measured on networks of 6 neurons (11 inputs, 3 outputs, as Hopper) and 32 neurons (27 inputs, 8 outputs, as Ant): the
 whole tree as a `PatternTree`, and the tree pruned to the paths reached most. Peers: the two matrix products of the
 network in numpy, and torch's forward pass in float32. One state at a time, the tree's `predict` with its tanh head
-stands against `predict` of a SAC model with the same actor.
+is compared with `predict` of a SAC model with the same actor.
 
 The states are Gaussian in a few latent directions, as a controlled body visits the neighbourhood of a gait and not the
 whole space, so that some paths are reached often; or Gaussian in every input alike, which spreads them over the paths.

@@ -1,9 +1,9 @@
-"""Direct search (algo=ars): environment steps a CPU-second, and what a return costs beside SAC.
+"""Direct search (algo=ars): environment steps a CPU-second, and what a return costs compared with SAC.
 
 The whole search is `PolicySearch.iterate`: candidates, their episodes, the moments of their states, the step. Its
-environments stand beside twins that start the same episodes and do every step with the same actions right before or
+environments have twins that start the same episodes and do every step with the same actions right before or
 after them. So the environments alone play episodes of the same lengths, as few at a time as are left, and a machine
-that is slower for a while is slower for both. Measured from where so many steps of search have led: the hopper and the
+that is slower for a while is slower for both. Measured after so many steps of search that the hopper and the
 walker stand. The round with the median share counts.
 
 The peer is sb3-contrib's ARS, as its documentation uses it: a linear policy, one environment, states as they are. It
@@ -63,7 +63,7 @@ def measure(quick: bool) -> list[Entry]:
 
 
 def search_config(env: str, *overrides: str) -> RunConfig:
-    """Return the configuration of `otr-run env=... algo=ars`, at depth 6 unless overrides say otherwise."""
+    """Return the configuration of `otr-run env=... algo=ars`, at depth 6 unless overrides set it."""
     return runs.run_config([f"env={env}", *(overrides or ("depth=6",)), "algo=ars"])
 
 
@@ -82,7 +82,7 @@ def warmed_up(config: RunConfig, n_steps: int) -> dict[str, np.ndarray]:
 
 
 class TwinEnv:
-    """Environments (`VectorEnv`) beside a twin that does the same, whose CPU-seconds are counted."""
+    """Environments (`VectorEnv`) with a twin that does the same, whose CPU-seconds are counted."""
 
     def __init__(self, env: EnvConfig) -> None:
         self.twin_seconds = 0.0
@@ -115,7 +115,7 @@ class TwinEnv:
 
 
 def share_of_environments(config: RunConfig, state: dict[str, np.ndarray], n_rounds: int) -> Entry:
-    """Return the search's steps a second beside those of its environments alone, an iteration a round."""
+    """Return the search's steps a second compared with those of its environments alone, an iteration a round."""
     search, twins = PolicySearch(config, 0), TwinEnv(config.env)
     search.restore(state)
     with patch("pipelines.play.episodes.make_vector_env", lambda *_: twins):
@@ -134,7 +134,7 @@ def share_of_environments(config: RunConfig, state: dict[str, np.ndarray], n_rou
 
 
 def against_peer(n_steps: int, n_turns: int) -> Entry:
-    """Return a linear search's steps a second beside sb3-contrib's, in turns of about `n_steps` steps."""
+    """Return a linear search's steps a second compared with sb3-contrib's, in turns of about `n_steps` steps."""
     config = search_config("hopper", "depth=0", "method=linear")
     sides = {"ours": search_turn(config, n_steps), "peer": peer_turn(config, n_steps)}
     n_done, seconds = dict.fromkeys(sides, 0), dict.fromkeys(sides, 0.0)

@@ -3,7 +3,7 @@
 A curve is the return of the actor that a run would hand out if it ended there: the best so far of its evaluations on
 selection episodes. Of each trainer the runs with the most steps are shown.
 
-    python -m benchmarks.search_curves     draws the picture anew with the rates in results/benchmarks/search.json
+    python -m benchmarks.search_curves     redraws the picture with the rates in results/benchmarks/search.json
 """
 
 import argparse
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
 
 TRAINERS = {"ars": "direct search", "sb3": "SAC, Stable-Baselines3", "fleet": "SAC, fleet"}
 ALGORITHMS = ("ars", "sac")
-RATES = "Hopper, depth 6: direct search"  # the entries of search.json with the rates, and whom they compare with
+RATES = "Hopper, depth 6: direct search"  # the entries of search.json with the rates, and the peer
 PEERS = {"sb3": "Stable-Baselines3 SAC, one run", "fleet": "fleet's SAC, ten runs"}
 
 
 def main() -> None:
-    """Draw the picture anew."""
+    """Redraw the picture."""
     argparse.ArgumentParser(
         "benchmarks.search_curves", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     ).parse_args()
@@ -51,7 +51,7 @@ def write_picture(results_dir: Path, rates: Mapping[str, float], folder: Path) -
     """Write search.png and search.svg into `folder`; nothing where there is no run.
 
     Args:
-        results_dir: where the runs lie.
+        results_dir: where the runs are.
         rates: environment steps a CPU-second by trainer.
         folder: made where it is not there.
     """

@@ -2,7 +2,7 @@
 
 Nothing is run: every run under results/runs (OTR_RESULTS_DIR for another folder) that was polished by critics has kept
 how long its imitation took (on the clock) and when each of its candidates had played (seconds of CPU, the selection
-episodes included). 90 % lie on the way from random actions (`pipelines/random_returns.csv`) to the oracle's return over
+episodes included). 90 % is on the way from random actions (`pipelines/random_returns.csv`) to the oracle's return over
 the evaluation episodes; a candidate's return is that over the selection episodes. The oracle's training is not counted.
 
 An entry has the mean of the minutes over the seeds that got there, and says how many did; another the polished return

@@ -38,7 +38,7 @@ ConfigStore.instance().store(group="hydra/sweeper", name="otr", node=OtrSweeperC
 
 
 class OtrSweeper(Sweeper):
-    """Launches the tasks that Hydra is given in place of a function; each is called with whether others run beside it.
+    """Launches the tasks that Hydra is given in place of a function; their argument says whether others run, too.
 
     `pipelines/cli/workflow.py` has read `params` by then, because planning expands the same sweeps.
     """

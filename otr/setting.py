@@ -20,7 +20,7 @@ from typing import Annotated, Any, get_args, get_type_hints
 class Range:
     """A number from `low` to `high`, or below it where `open`; of a list or a dict, every number in it.
 
-    `remedy` says what to give, where that says more than the bounds.
+    `remedy` says what to give, where that adds to the bounds.
     """
 
     low: float = -math.inf
@@ -29,7 +29,7 @@ class Range:
     remedy: str = ""
 
     def problem(self, value: Any) -> str | None:
-        """Return what is wrong with a value, to stand after it; None where nothing is."""
+        """Return what is wrong with a value, to be printed after it; None where nothing is."""
         if isinstance(value, bool) or not isinstance(value, Real):
             return " is not a number"
         if self.low <= float(value) < self.high or (value == self.high and not self.open):
@@ -41,7 +41,7 @@ class Range:
 
     @property
     def limits(self) -> str:
-        """The bounds in words, to stand after what has them."""
+        """The bounds as text, to be printed after a setting's type."""
         if self.high == math.inf:
             return "" if self.low == -math.inf else f" of at least {_number(self.low)}"
         return f" from {_number(self.low)} to {'below ' * self.open}{_number(self.high)}"
@@ -54,7 +54,7 @@ class OneOf:
         self.options = options
 
     def problem(self, value: Any) -> str | None:
-        """Return what is wrong with a value, to stand after it; None where nothing is."""
+        """Return what is wrong with a value, to be printed after it; None where nothing is."""
         return None if value in self.options else f": use one of {', '.join(self.options)}"
 
 

@@ -1,6 +1,6 @@
 """Trees from interaction: imitation of an oracle under DAgger, and soft trees trained by policy gradient.
 
-A module, and with it scikit-learn or torch, is loaded when one of its names is first asked for.
+A module, and with it scikit-learn or torch, is loaded when one of its names is first used.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from otr.core.tree import ObliqueTree
 from otr.learners.model_tree import LinearTreeRegressor, grow_models
 from otr.setting import Checked
 
-# Columns whose every threshold is looked at, of those that some thresholds on some rows promise most for.
+# Columns that are searched in full: those with the best results of a few thresholds on some rows.
 _N_SEARCHED = 8
 
 
@@ -34,7 +34,7 @@ class AugTreeFit(AugTreeSettings, Checked):
     that are constant, or another one's multiple but for a shift, are dropped, as they add no test.
 
     Constant leaves: CART, by scikit-learn, on the features in at most 255 bins of about equally many rows, which
-    halves its time; thresholds lie midway between the values of the drawn rows on either side. Linear leaves: the
+    halves its time; thresholds are midway between the values of the drawn rows on either side. Linear leaves: the
     models of `otr.learners.LinearTreeRegressor`, in x alone, as a model in A x + a is one in x; at each node the
     features that promise most are searched (`best_columns`). Labels: see `LinearModelTreeFit`.
 

@@ -1,4 +1,4 @@
-"""A dense OTR as the student of an oracle: a small network fitted to what a large one does, whose tree is exact."""
+"""A dense OTR as the student of an oracle: a small network fitted to a large one's answers, whose tree is exact."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from otr.core.head import Head
 from otr.core.pattern_tree import PatternTree
 from otr.setting import Checked
 
-_SHARE_OF_A_START = 0.25  # of the updates: what every start is given before the best of them goes on
+_SHARE_OF_A_START = 0.25  # of the updates: the share of every start before the best one continues
 
 
 @dataclass(frozen=True)
 class StudentFit(StudentSettings, Checked):
-    """The fit of a DAgger run whose imitators are small networks, with a linear map of the state beside the neurons.
+    """The fit of a DAgger run whose imitators are small networks, with a linear map of the state next to the neurons.
 
     The student f minimises, over n rows drawn alike from the data,
 
@@ -31,8 +31,8 @@ class StudentFit(StudentSettings, Checked):
 
     with the cross-entropy of the oracle's label, or half the squared difference of the actions in units of half their
     box. There, an answer at the box's edge asks for the edge or anything beyond, as the head clips it. States are
-    standardised for the fit, constants only centred, and the network that comes out reads them as they are. L-BFGS goes
-    on from the best of a few starts; a start's neurons turn at states of the data and add nothing to the answer yet.
+    standardised for the fit, constants only centred, and the resulting network reads them unscaled. L-BFGS continues
+    from the best of a few starts; a start's neurons turn at states of the data and add nothing to the answer yet.
 
     Attributes:
         head: `Argmax` for labels, else the box of the actions (`ClipBox`).

@@ -28,7 +28,7 @@ NOT_AFRESH = {"BipedalWalker-v3": _ONE_WORLD, "BipedalWalkerHardcore-v3": _ONE_W
 
 
 class Stepped(NamedTuple):
-    """What one step of k environments gave; the arrays belong to the caller."""
+    """The result of one step of k environments; the arrays belong to the caller."""
 
     states: FloatArray  # (k, d); where an episode ended, its last state
     rewards: FloatArray  # (k,)
@@ -46,7 +46,7 @@ class VectorEnv(Protocol):
     def reset(self, seeds: Sequence[int] | None, envs: IntArray | None = None) -> FloatArray:
         """Start an episode in environments `envs` (k,), and return their first states (k, d).
 
-        `seeds` (k,) from 0 to 2**32 - 1 start their random streams anew; None goes on in them, as gymnasium's reset()
+        `seeds` (k,) from 0 to 2**32 - 1 restart their random streams; None goes on in them, as gymnasium's reset()
         does. Without `envs` these are the first k, which are all that play from here on.
         """
         ...
@@ -111,14 +111,14 @@ class GymnasiumVectorEnv:
         terminated, truncated = np.empty(n, dtype=np.bool_), np.empty(n, dtype=np.bool_)
         # An environment may change an action in place.
         given = actions.tolist() if self._discrete else actions.copy()
-        answer: Any = self  # what no environment returns
+        answer: Any = self  # not among what environments return
         try:
             for j, (env, action) in enumerate(zip(stepped, given, strict=True)):
                 answer = self
                 answer = env.step(action)
                 states[j], rewards[j], terminated[j], truncated[j], _ = answer
         except (TypeError, ValueError) as error:
-            if answer is self and "unpack" not in str(error):  # which a wrapper does with what step returns
+            if answer is self and "unpack" not in str(error):  # which a wrapper returns from step
                 raise
             if answer is self:
                 raise ValueError(f"step(action) fails: {type(error).__name__}: {error}. {INTERFACE}") from error
@@ -131,9 +131,9 @@ class GymnasiumVectorEnv:
 
 
 class MadeAnew(gym.Wrapper[Any, Any, Any, Any]):
-    """An environment that is made anew for every `reset(seed=...)`: an episode then depends on its seed alone.
+    """An environment that is recreated for every `reset(seed=...)`: an episode then depends on its seed alone.
 
-    `reset()` without a seed continues in the environment that is there, as training does.
+    `reset()` without a seed continues in the current environment, as training does.
     """
 
     def __init__(self, make: Make) -> None:
@@ -152,15 +152,15 @@ def depends_on_past(make: Make, n_steps: int = 100) -> bool:
     """Return whether an environment's episodes depend on those that it played before.
 
     Episodes of at most `n_steps` random steps are compared bit for bit: of seeds 0, 1, 0, 1 in one environment, and of
-    0 and 1 in new ones. False where new environments differ, too, or one fails: making it anew is no remedy there.
+    0 and 1 in new ones. False where new environments differ, too, or one fails: recreating it does not help there.
     """
     try:
         first, second, again, second_again = _short_episodes(make(), (0, 1, 0, 1), n_steps)
-        ((anew,), (second_anew,)) = (_short_episodes(make(), (seed,), n_steps) for seed in (0, 1))
-    except Exception:  # foreign code can fail in any way; whoever plays in it says so
+        ((new,), (second_new,)) = (_short_episodes(make(), (seed,), n_steps) for seed in (0, 1))
+    except Exception:  # foreign code can fail in any way; playing in it reports that
         return False
-    is_same = all(map(_equal, (again, second, second_again), (first, second_anew, second_anew)))
-    return not is_same and _equal(anew, first)
+    is_same = all(map(_equal, (again, second, second_again), (first, second_new, second_new)))
+    return not is_same and _equal(new, first)
 
 
 def playable(env: Any) -> tuple[Make, bool]:
@@ -174,8 +174,8 @@ def playable(env: Any) -> tuple[Make, bool]:
 
     Raises:
         TypeError: it is none of these.
-        ValueError: its spaces are none of a policy's, or its episodes depend on those before, and it cannot be made
-            anew.
+        ValueError: its spaces are none of a policy's, or its episodes depend on those before, and it cannot be
+            recreated.
     """
     if isinstance(env, gym.Env):
         make_one, makes_several = _of_one(flattened(env))
@@ -199,7 +199,7 @@ def playable(env: Any) -> tuple[Make, bool]:
     if name in NOT_AFRESH or (not is_known and depends_on_past(make)):
         if name not in NOT_AFRESH:
             warnings.warn(
-                f"{name}: its episodes depend on those that it played before; it is made anew for each", stacklevel=4
+                f"{name}: its episodes depend on those that it played before; it is recreated for each", stacklevel=4
             )
         return functools.partial(MadeAnew, make), True
     return make, True

@@ -48,7 +48,7 @@ class LinearExperts(nn.Module):
             n_inputs: d.
             n_outputs: o.
             n_experts: K.
-            generator: None for torch's own, as in torch's modules.
+            generator: None for torch's default, as in torch's modules.
         """
         super().__init__()
         self.n_inputs, self.n_outputs = n_inputs, n_outputs

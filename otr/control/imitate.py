@@ -160,7 +160,7 @@ def _seeds(seed: int, name: str, index: int, n: int) -> list[int]:
 
 
 def _polished(policy: Numbered, play: Play, options: dict[str, Any], seed: int, progress: bool) -> Numbered:
-    """Return what `otr.polish` makes of a policy, on the states that it visits."""
+    """Return a policy polished by `otr.polish` on the states that it visits."""
 
     def returns(policies: Sequence[Any], seeds: IntArray) -> FloatArray:
         return np.stack(

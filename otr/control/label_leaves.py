@@ -86,7 +86,7 @@ class _Tournaments:
     right: list[int] = field(default_factory=list)
     P: list[FloatArray] = field(default_factory=list)
     v: list[float] = field(default_factory=list)
-    leaves: list[int] = field(default_factory=list)  # the leaf of `tree` that each new leaf lies in
+    leaves: list[int] = field(default_factory=list)  # the leaf of `tree` that each new leaf is part of
     labels: list[int] = field(default_factory=list)
 
     def grow(self) -> None:
@@ -96,7 +96,7 @@ class _Tournaments:
         self._copy(root, nothing)
 
     def _copy(self, reference: int, path: _KnownTests) -> int:
-        """Copy what stands at `reference` of the old tree; return its reference in the new one."""
+        """Copy what is at `reference` of the old tree; return its reference in the new one."""
         if reference < 0:
             return self._decide(~reference, (), path)
         P, v = self.tree.P[reference], float(self.tree.v[reference])

@@ -23,14 +23,14 @@ from otr.setting import check_settings
 
 _MAX_ACTIVE_SETS = 20
 _MAX_LBFGS_STEPS = 25
-_LARGE_MEAN = 10.0  # in standard deviations: Adam's updates do not reach a larger one in time
+_LARGE_MEAN = 10.0  # in standard deviations: a larger one takes more updates of Adam than there are
 _CONSTANT = 1e-12  # deviation, compared with the largest number of a component, that rounding alone may make
 _SPREAD_OF_ZEROS = 1e-8  # what answers that are all 0 are divided by, so that what training adds to them stays small
 
 
 @dataclass(frozen=True)
 class NdpsFit:
-    """The hard tree, and the module behind it, on the states as they are, from which the next round starts."""
+    """The hard tree, and its module, on the states as they are, from which the next round starts."""
 
     tree: ObliqueTree
     module: SoftTree
@@ -101,7 +101,7 @@ def fit_ndps(
 class NdpsImitator(NdpsSettings):
     """NDPS as the fit of a DAgger run: each round goes on from the soft tree of the round before.
 
-    The soft trees lie in `folder` under the number of rows that they were fitted to, so that a resumed run goes on from
+    The soft trees are in `folder` under the number of rows that they were fitted to, so that a resumed run goes on from
     the same one.
 
     Attributes:
@@ -145,7 +145,7 @@ class NdpsImitator(NdpsSettings):
 
 @dataclass(frozen=True)
 class _StandardisedRows:
-    """Standardised states, and answers in units of their own spread, centred where their mean is large beside it."""
+    """Standardised states, and answers in units of their spread, centred where their mean is large compared with it."""
 
     X: FloatArray
     answers: FloatArray | IntArray

@@ -7,7 +7,7 @@ With the state s (d,), the goal e and the history h of the k states before s, ol
 A small ReLU network gives the gains, theta = theta(s). What acts is a policy of the *observation* [s, P, I, D] (4 d,),
 because the terms need the past: `pid_network` writes it as one `ReluNetwork` whose outputs are the terms and the gains
 and whose head, `otr.PidBox`, multiplies them. Both are piecewise affine in the observation, so mapping, pruning and
-certificates hold for the policy as they stand: its tree tests s, and a leaf's gains are affine in s. The action is not
+certificates hold for the policy unchanged: its tree tests s, and a leaf's gains are affine in s. The action is not
 affine in a leaf; with `constant_gains` it is (before the tanh), at the price of being another policy.
 """
 
@@ -63,10 +63,10 @@ def pid_network(gains: ReluNetwork, low: ArrayLike, high: ArrayLike) -> ReluNetw
 
     Returns:
         Network of 4 d inputs and 3 d (1 + a) outputs, [phi, theta_1, ..., theta_a], with the head `PidBox` and as many
-        hidden neurons as `gains` has; the terms reach the outputs beside these (dense="input").
+        hidden neurons as `gains` has; the terms also reach the outputs directly (dense="input").
 
     Raises:
-        InvalidNetworkError: `gains` has links beside its layers, or another number of outputs.
+        InvalidNetworkError: `gains` has links past its layers, or another number of outputs.
     """
     d, head = gains.n_inputs, PidBox(low, high)
     n_actions, n_terms = len(head.low), len(TERMS) * d

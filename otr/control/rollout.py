@@ -33,7 +33,7 @@ _SEEDS = (2**20, 2**31)
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
-    """What n episodes came to, in the order of their seeds.
+    """The results of n episodes, in the order of their seeds.
 
     Attributes:
         seeds, returns, lengths: (n,) each; a return is the undiscounted sum of rewards.
@@ -81,7 +81,7 @@ def rollout(
 ) -> Rollout:
     """Play episodes and keep the states and actions of every step, to prune or to learn from.
 
-    An episode depends on its seed alone. Environments whose episodes do not are made anew for each (gymnasium's
+    An episode depends on its seed alone. Environments whose episodes do not are recreated for each (gymnasium's
     BipedalWalker, and others that are seen to depend on earlier episodes, of which a warning says so).
 
     Args:
@@ -126,7 +126,7 @@ def evaluate(
     n_episodes: int | None = None,
     max_steps: int | None = None,
 ) -> Rollout:
-    """Play one episode a seed, ``reset(seed=...)``, and return what came of them, without states and actions.
+    """Play one episode a seed, ``reset(seed=...)``, and return their results, without states and actions.
 
     Policies that are compared play the same episodes: of the seeds 0 to `n_episodes` - 1 unless `seeds` are given.
     Arguments and errors are those of `rollout`.

@@ -27,7 +27,7 @@ from otr.setting import (
 
 @dataclass(frozen=True)
 class DaggerSettings:
-    """How much is played: the oracle first, then the imitator, which is fitted anew after every round.
+    """How much is played: the oracle first, then the imitator, which is refitted after every round.
 
     Attributes:
         n_rounds: rounds in which a tree plays and the next one is fitted; n_rounds + 1 trees in all.
@@ -45,7 +45,7 @@ class DaggerSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class FitSettings:
-    """What the fits of all imitators have.
+    """The settings that the fits of all imitators share.
 
     Attributes:
         max_samples: rows drawn for a fit.
@@ -109,7 +109,7 @@ class StudentSettings(FitSettings):
     """Of `otr.control.StudentFit`, a small network.
 
     Attributes:
-        dense: "input" for a linear map of the state beside the neurons, "none" for neurons alone.
+        dense: "input" for a linear map of the state next to the neurons, "none" for neurons alone.
         negative_slope: of the activation below zero.
         n_starts: networks that the fit begins with; the best of them goes on.
         n_updates: iterations of L-BFGS of the best start; each start has a quarter as many before.
@@ -132,7 +132,7 @@ class NdpsSettings(FitSettings):
         n_updates_next: the imitator's, of a fit that goes on from the last round's tree.
         batch_size: rows an update.
         learning_rate: at first; it falls to zero along a cosine.
-        beta_first, beta_last: how hard the tests are at first and at last; beta grows geometrically.
+        beta_first, beta_last: how hard the tests are at first and in the end; beta grows geometrically.
         ridge: of the leaves' refit, towards the soft tree's leaves, in rows: 1 weighs as much as one row.
         leaves: "linear", a map of the state each, or "constant", an action or label each as in the thesis's Figure 4.5.
     """
@@ -191,7 +191,7 @@ class SearchSettings:
         step_size: length of a step along the estimated gradient, whose size is measured in standard deviations of the
             returns (alpha).
         noise: length of the directions, a standard deviation a number (nu).
-        step_size_end, noise_end: what is left of the two at the end, as shares; they fall linearly.
+        step_size_end, noise_end: the final values of the two, as shares; they fall linearly.
         momentum: weight of the former steps in a step; 0 is the paper's search.
     """
 

@@ -104,7 +104,7 @@ def fit_cart(
 
 
 def centred(outputs: FloatArray) -> FloatArray:
-    """Return the outputs (n, o) less their mean over the o labels, which no argmax sees."""
+    """Return the outputs (n, o) less their mean over the o labels, which leaves the argmax as it is."""
     return np.asarray(outputs - outputs.mean(axis=1, keepdims=True))
 
 

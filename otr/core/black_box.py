@@ -1,4 +1,4 @@
-"""Policies that are run as they are, whatever their units: none is mapped, a tree can imitate one."""
+"""Policies that a runtime evaluates, whatever their units: they cannot be mapped, but imitated."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class BlackBox:
         n_inputs, n_outputs: how many numbers these are.
         first_layer: rows [weights | offset] (k, n_inputs + 1) of what the model's first units read.
         reason: why no tree equals it, for messages.
-        content, suffix, output: from which it can be read anew: the file's bytes, its suffix, the output's name.
+        content, suffix, output: from which it can be read again: the file's bytes, its suffix, the output's name.
         head: from the outputs to the answer.
         middle, scale, clip: the model reads the state x as clip((x - middle) / scale, -clip, clip).
     """

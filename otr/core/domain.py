@@ -14,7 +14,7 @@ from otr.core.half_spaces import HalfSpaces, rounding_of_terms
 
 
 class Limits(Protocol):
-    """What has a lowest and a highest state, as gymnasium's Box spaces have."""
+    """Anything with a lowest and a highest state, such as gymnasium's Box spaces."""
 
     low: Any
     high: Any
@@ -91,7 +91,7 @@ class Domain:
             )
 
     def contains(self, X: ArrayLike) -> BoolArray:
-        """Return which of the states (n, d) lie in the box, sides included: (n,); NaN lies nowhere."""
+        """Return which of the states (n, d) are in the box, sides included: (n,); NaN is in no box."""
         states = as_batch(X, self.n_inputs)
         inside: BoolArray = np.all((self.low <= states) & (states <= self.high), axis=1)
         return inside

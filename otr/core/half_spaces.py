@@ -9,7 +9,7 @@ import numpy as np
 from otr.core.arrays import BoolArray, FloatArray, IntArray
 
 _UNIT = 2.0**-52  # of rounding
-_TERMS = 8  # of a sum beside two for each input: how often, at least, a number may have been rounded
+_TERMS = 8  # of a sum, besides two for each input: how often, at least, a number may have been rounded
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class HalfSpaces:
     a: FloatArray  # (n_groups, m, d), each row of unit length, or 0
     b: FloatArray  # (n_groups, m)
     lengths: FloatArray  # (n_groups, m), of the rows before they were made of unit length
-    rounding: FloatArray  # (n_groups, m, d + 1), how far each number of a row [a | b] may be off
+    rounding: FloatArray  # (n_groups, m, d + 1), the largest error of each number of a row [a | b]
     is_open: BoolArray  # (d,) whether an input has no limits
     in_box: bool = False  # whether the limits of the others, [-1, 1], bound every polytope without being rows
 
@@ -57,5 +57,5 @@ class HalfSpaces:
 
 
 def rounding_of_terms(n_inputs: int) -> float:
-    """Return how far a sum over so many inputs may be off, as a share of the size of its terms."""
+    """Return the largest error of a sum over so many inputs, as a share of the size of its terms."""
     return _UNIT * (_TERMS + 2 * n_inputs)

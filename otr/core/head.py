@@ -4,7 +4,7 @@ A head that decides a label (`Sign`, `Argmax`) does so by affine tests on y, whi
 tests of the hidden neurons (Orfanos 2023, section on classification). The other heads leave the tree as it is and are
 applied to the value of the leaf.
 
-What a head is, it says here; how a format writes its answers, and how a proof bounds them, is one entry for each head
+A head is defined here; how a format writes its answers, and how a proof bounds them, is one entry for each head
 there: the functions that `functools.singledispatch` chooses by the head's class in `otr.programs` and `otr.proof`.
 """
 
@@ -30,7 +30,7 @@ class Head(ABC):
         acts_by_output: whether an action is a function of one output alone, which never falls as that rises.
         gives_labels: whether the answer is a label.
         is_projection: whether the head leaves its own answers as they are: h(h(y)) = h(y).
-        words: what the head makes of the outputs, for people; of a head with limits, what comes before these.
+        words: what the head makes of the outputs, as text; of a head with limits, what comes before these.
     """
 
     name: str
@@ -73,7 +73,7 @@ class Head(ABC):
         return None
 
     def in_words(self, n_outputs: int) -> str:
-        """Return what the head makes of the outputs, for people."""
+        """Return what the head makes of the outputs, as text."""
         limits, words = self.limits(n_outputs), self.words or type(self).__name__
         if limits is None:
             return words
@@ -172,4 +172,4 @@ class Head(ABC):
 
 def no_entry(head: Head, what: str) -> TypeError:
     """Return the error for a head that a format, or a proof, has no entry for."""
-    return TypeError(f"{what} has no entry for the head {type(head).__name__}; register one beside the other heads'")
+    return TypeError(f"{what} has no entry for the head {type(head).__name__}; register one next to the other heads'")

@@ -1,4 +1,4 @@
-"""The heads that there are: the outputs themselves, expected counts, three boxes of actions, and two for labels."""
+"""All heads: the outputs themselves, expected counts, three boxes of actions, and two for labels."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Exp(Head):
 
 
 class _Box(Head):
-    """A head whose answers lie in the box [low, high]."""
+    """A head whose answers are in the box [low, high]."""
 
     def __init__(self, low: ArrayLike, high: ArrayLike) -> None:
         """Keep the limits, each a number or of shape (o,).

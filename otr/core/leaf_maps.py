@@ -24,7 +24,7 @@ class LeafMaps:
         self._n_leaves, self._n_outputs, self._n_inputs = M.shape
 
     def __call__(self, X: FloatArray, leaves: IntArray) -> FloatArray:
-        """Return the outputs (n, o) of states X (n, d) that lie in `leaves` (n,)."""
+        """Return the outputs (n, o) of states X (n, d) in `leaves` (n,)."""
         if self._n_leaves == 1:
             outputs: FloatArray = X @ self._M[0].T
             outputs += self._c[0]

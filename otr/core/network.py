@@ -63,8 +63,8 @@ class ReluNetwork:
         negative_slope: slope of the activation below zero, 0 for ReLU.
         dense: False, "input" or "all".
         head: from y to the answer.
-        domain: where the network is what it stands for (`from_sb3` with a clip on the observations), the default of
-            functions that ask for a domain; None for all of R^d.
+        domain: where the network equals the original policy (`from_sb3` with a clip on the observations), the default
+            of functions that ask for a domain; None for all of R^d.
     """
 
     def __init__(

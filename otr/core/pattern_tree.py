@@ -180,7 +180,7 @@ class PatternTree:
     def to_tree(self, *, max_leaves: int = 2**16) -> ObliqueTree:
         """Return the ObliqueTree of exactly these paths, nodes of one child spliced out.
 
-        Leaf i is row i of `patterns`. Between neighbouring rows i, i + 1 in lexicographic order lies one test node,
+        Leaf i is row i of `patterns`. Between neighbouring rows i, i + 1 in lexicographic order is one test node,
         at the first bit in which they differ; the node's subtree is the run of rows around it that agree up to there.
 
         Args:
@@ -249,7 +249,7 @@ def units_and_basis(network: ReluNetwork) -> tuple[UnitForm, FloatArray | None]:
 def _trie_children(first_difference: IntArray) -> tuple[IntArray, IntArray, IntArray]:
     """Return the children of the trie's test nodes, and the nodes in order of their bit (a parent's comes first).
 
-    Node i stands between the paths i and i + 1. It is the child of the nearer, in bits, of the closest node on its
+    Node i is between the paths i and i + 1. It is the child of the nearer, in bits, of the closest node on its
     left and the closest on its right that test an earlier bit (the Cartesian tree over `first_difference`).
     """
     n_nodes = len(first_difference)

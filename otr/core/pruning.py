@@ -104,8 +104,8 @@ def keep_leaves(tree: ObliqueTree, keep: BoolArray) -> ObliqueTree:
             f"keep has shape {keep.shape}, {keep.sum()} of it True; expected ({tree.n_leaves},) and one True"
         )
     n_nodes = tree.n_nodes
-    # What stands in the place of each node, then of each leaf, once the rest is gone: itself, what stands in the
-    # place of its only child, or nothing (-1). A leaf is numbered n_nodes + leaf here.
+    # What replaces each node, then each leaf, once the rest is gone: itself, what replaces its only child, or
+    # nothing (-1). A leaf is numbered n_nodes + leaf here.
     stand_in = np.concatenate((np.arange(n_nodes), np.where(keep, np.arange(n_nodes, n_nodes + tree.n_leaves), -1)))
     left, right = (np.where(side >= 0, side, n_nodes + ~side) for side in (tree.children_left, tree.children_right))
     for level in reversed(tree.levels):

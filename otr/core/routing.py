@@ -120,7 +120,7 @@ class Router:
         rows = keyed.view(np.dtype((np.void, keyed.dtype.itemsize * keyed.shape[1]))).ravel()
         _, first, test_of_node = np.unique(rows, return_index=True, return_inverse=True)
         rank = None
-        if len(first) <= _MAX_SHARED_TESTS:  # beyond, there will be no tables to order them for
+        if len(first) <= _MAX_SHARED_TESTS:  # beyond that there are no tables, and no order is needed
             rank = _topological_rank(len(first), test_of_node, self._left, self._right)
         if rank is not None:
             first, test_of_node = first[np.argsort(rank)], rank[test_of_node]
@@ -160,7 +160,7 @@ class Router:
     def _tables(self) -> list[NDArray[np.int64]] | None:
         """One table a byte of tests: entry 256 * state + byte is the next state, already multiplied by 256.
 
-        A state is where the walk stands between two bytes, a node or a leaf. The last table holds leaves.
+        A state is where the walk is between two bytes, a node or a leaf. The last table holds leaves.
         None if no order of the tests suits every path, or the tables would be too large.
         """
         if not self._distinct[3]:

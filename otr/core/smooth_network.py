@@ -1,4 +1,4 @@
-"""Networks with other units than ReLU, most of them smooth, such as tanh: none is mapped, a tree can imitate one."""
+"""Networks with other units than ReLU, mostly smooth, such as tanh: they cannot be mapped, but imitated."""
 
 from __future__ import annotations
 

@@ -44,11 +44,11 @@ class ObliqueTree:
         M, c: (n_leaves, o, d) and (n_leaves, o) float64, the leaves.
         labels: (n_leaves,) int64, or None.
         basis: (r, d), where tests and maps are held as sums of few rows, so that wide inputs take little memory; else
-            None. `P` and `M` are worked out when they are asked for.
+            None. `P` and `M` are computed on access.
         P_of_basis, M_of_basis: (n_nodes, r) and (n_leaves, o, r), tests and maps of ``basis @ x``; P and M without one.
         head: from a leaf's value to the answer.
-        feature_names, output_names: of the inputs, and of the outputs or labels, which programs and pictures show where
-            they are given no others; None for none.
+        feature_names, output_names: of the inputs, and of the outputs or labels, which programs and pictures show by
+            default; None for none.
     """
 
     def __init__(

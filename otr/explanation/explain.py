@@ -54,11 +54,11 @@ class Explanation:
     Attributes:
         state: x, (d,).
         leaf: its number; of a `PatternTree` with all paths, the number whose bits are the path.
-        answer, text: the answer as `predict` has it, and in words.
+        answer, text: the answer as `predict` has it, and as text.
         tests: the tests passed, the root first.
         weights, constants, outputs: of the leaf's map, outputs = weights @ x + constants: (o, d), (o,) and (o,).
         shares: weights * x, what each input adds to each output: (o, d).
-        head: what makes the answer of the outputs, in words.
+        head: what makes the answer of the outputs, as text.
         nearest_leaf, nearest_label: None where there is none, or where answers are no labels.
         feature_names, output_names: of inputs and outputs.
     """
@@ -130,7 +130,7 @@ def explain(
         x: one state (d,).
         feature_names, output_names: as in `to_text`.
         scales: (d,), what counts as a move by 1 in each input, such as ``states.std(axis=0)``; None is 1.
-        domain: where a nearest state may lie; None is all of R^d.
+        domain: where a nearest state may be; None is all of R^d.
         max_seconds: refuse to look for longer.
 
     Raises:

@@ -35,7 +35,7 @@ _TREE_ARRAYS = ("children_left", "children_right", "P", "v", "M", "c")
 
 
 def save(tree: ObliqueTree | PatternTree, path: str | os.PathLike[str]) -> Path:
-    """Write `tree` as two files beside each other; the same tree always gives the same bytes.
+    """Write `tree` as two adjacent files; the same tree always gives the same bytes.
 
     Each file is written under a temporary name and renamed. A `PatternTree` is saved as its network, its paths and
     their counts.

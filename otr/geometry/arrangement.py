@@ -1,9 +1,9 @@
 """The regions of a network: every activation pattern that some states have.
 
 Those of one layer in few dimensions are found by their vertices (`otr.geometry.vertices`), all others by walking the
-tree of the network's tests. All regions of a level are taken on together. Each knows an inner point, which tells one
+tree of the network's tests. All regions of a level are processed together. Each has an inner point, which shows one
 side of the next test that is not empty; whether the other side is, too, is asked of `largest_balls`. Where floating
-point cannot tell, the side is kept, without an inner point. Each level's tests are written in the inputs, by layer:
+point cannot decide, the side is kept, without an inner point. Each level's tests are written in the inputs, by layer:
 within a region of the layers before, a layer is an arrangement of hyperplanes.
 
 Of open inputs, those that a domain does not bound, only the directions matter that the network's weights on them span:
@@ -41,7 +41,7 @@ class Regions:
 
     patterns: BoolArray  # (k, n_bits), each region's activation pattern and the outcomes of the head's tests
     inner_points: FloatArray  # (k, d), a state inside each; NaN where rounding left none to be found
-    n_tests: int  # pairs of a region and a test that the walk looked at; none where vertices tell
+    n_tests: int  # pairs of a region and a test that the walk tried; none where vertices decide
 
 
 @dataclass(frozen=True)
@@ -195,7 +195,7 @@ class Walk:
             )
 
     def reached(self) -> str:
-        """Return how far the walk came, in words."""
+        """Return the progress of the walk, as text."""
         return (
             f"{self.n_found:,} regions were complete, {self._n_open:,} others followed to test {self._n_done} of "
             f"{self.n_bits} or less far"
@@ -217,7 +217,7 @@ class Walk:
     def _tests(self, outcomes: BoolArray) -> tuple[FloatArray, FloatArray]:
         """Return the affine forms [P | v] (n, n_tests, d + 1) of the next layer's tests, or the head's next one.
 
-        Beside them, as many numbers: the size of the terms whose sums they are, the larger the more terms.
+        Also as many numbers: the size of the terms whose sums they are, the larger the more terms.
         """
         network, n_done = self.network, outcomes.shape[1]
         n, slope, starts = network.n_hidden, network.negative_slope, self.units.layer_starts

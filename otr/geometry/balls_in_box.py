@@ -29,7 +29,7 @@ _FEASIBLE = 1e-11  # what a number at a place may be beyond its limits by
 
 @dataclass(frozen=True)
 class BoxBases:
-    """Where the simplex method stands in n problems of m rows each."""
+    """The current bases of the simplex method in n problems of m rows each."""
 
     places: NDArray[np.int32]  # (n, m): an input, d for t, or ~i for the slack of row i
     multipliers: FloatArray  # (n, m), mu
@@ -85,7 +85,7 @@ class BoxSimplex:
         self.is_open = rows.is_open
         slack = ~np.arange(signs.shape[1])
         self.places = bases.of_rows(len(slack)).places.astype(np.int64)
-        # A row that bound the problem before, and does so no more, was perhaps part of the basis: that is begun anew.
+        # A row that bound the problem before, and no longer does, was perhaps part of the basis, which is then rebuilt.
         is_slack = (self.places[:, :, None] == slack).any(axis=1)
         self.places[((signs == 0) & ~is_slack).any(axis=1)] = slack
         tilt = np.random.default_rng(0).uniform(0.5, 1.0, len(rows.is_open))
@@ -113,7 +113,7 @@ class BoxSimplex:
             setattr(self, name, getattr(self, name)[problems])
 
     def bases(self) -> BoxBases:
-        """Return where all problems stand."""
+        """Return the current bases of all problems."""
         return BoxBases(self.places.astype(np.int32), self.multipliers)
 
     def margins(self) -> FloatArray:
@@ -126,7 +126,7 @@ class BoxSimplex:
         n, _, d = self.a.shape
         try:
             self.inverse = np.linalg.inv(self._columns(self.places))
-        except np.linalg.LinAlgError:  # of parallel rows one of which has turned: begun anew
+        except np.linalg.LinAlgError:  # of parallel rows one of which has turned: start over
             self.places[np.linalg.slogdet(self._columns(self.places))[0] == 0] = ~np.arange(self.places.shape[1])
             self.inverse = np.linalg.inv(self._columns(self.places))
         is_t = self.places == d
@@ -209,7 +209,7 @@ def highest_in_box(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return the highest value (n,) of sums of rows over the box, and the rounding that may be in it.
 
-    Beside them the sums' slopes (n, n_open) in the open inputs, over which there is a highest value where these are
+    Also the sums' slopes (n, n_open) in the open inputs, over which there is a highest value where these are
     rounding, and that rounding.
     """
     of_group = rows.of(group)

@@ -12,7 +12,7 @@ and its dual
 The simplex method is run on the dual, in d + 1 rows, for all problems side by side: a child in a tree of polytopes goes
 on from its parent's basis. It stops as soon as the answer is known. What it answers is then checked from the rows
 themselves, their rounding reckoned with: a point must be inside by more than that, and multipliers, a Farkas
-certificate, must leave no state that matters. What cannot be told in floating point is answered as undecided; no answer
+certificate, must leave no state that matters. What floating point cannot decide is answered as undecided; no answer
 depends on the rounding of the pivots.
 """
 
@@ -33,7 +33,7 @@ from otr.geometry.simplex import FREE, LARGEST_RADIUS, MAX_PIVOTS, Bases, pivot
 _ROUNDED = 1e-10  # value of a test, in units of its slope, that rounding may hide on a side that is left out
 _SLACK = 8.0  # times the rounding of a sum, for that of its multipliers
 _GOOD_SHARE = 0.2  # of the bound on the radius: a point with such a margin is good enough
-_ROUNDING = 1e-13  # of a row's value, beside the size of the state, while pivoting
+_ROUNDING = 1e-13  # of a row's value, relative to the size of the state, while pivoting
 _TOUCHING = 1e-9  # radius of the largest ball in a polytope that may be a point, or none
 _NO_RADIUS = 1e-12  # that the rounding of pivots may have left
 _NO_MULTIPLIER = 1e-14  # that rounding may have left
@@ -46,8 +46,8 @@ AnyBases = Bases | BoxBases
 class Balls:
     """What `largest_balls` found.
 
-    A radius of 0, where a polytope is not empty, says that it is undecided: the polytope is thinner than rounding
-    tells.
+    A radius of 0, where a polytope is not empty, says that it is undecided: the polytope is too thin for
+    floating point.
     """
 
     is_empty: BoolArray  # (n,) whether it was shown that the polytope has no state that matters

@@ -21,7 +21,7 @@ from otr.geometry.balanced_order import balanced_tree
 Order = Literal["layers", "balanced", "visits"]
 _SAME_MAP = 1e-12  # of the size of the terms that a number is the sum of: leaves that differ by less are the same
 _CHUNK = 2**12  # leaves whose terms are sized at once
-_UNSEEN = 1e-3  # visits that all regions together count for beside those of X
+_UNSEEN = 1e-3  # visits that all regions together count for, added to those of X
 
 
 def minimal_tree(
@@ -36,7 +36,7 @@ def minimal_tree(
     """Return the tree that computes the same function as `network` on `domain` and has no empty path.
 
     At every state the tree equals the network to 1e-8 of the size of the terms that its outputs are sums of, rounding
-    included, however thin the region. Labels are equal, but perhaps on a boundary between two or by rounding beside it:
+    included, however thin the region. Labels are equal, but perhaps on a boundary between two or within rounding of it:
     a label that the network has on such a boundary alone is left out. A side of a test is left out only where no state
     has it, the rounding of all rows reckoned with, or where nothing but rounding, and that by less than 1e-10 in units
     of its slope, can make the test have it: so a neuron that is parallel to another, equal to it or at the domain's
@@ -51,7 +51,7 @@ def minimal_tree(
     Args:
         network: any; neurons without outgoing weight are left out.
         domain: a box (low, high) of which any side may be infinite; None is the network's own domain, or all of R^d.
-        order: of the tests within a layer. "layers" takes the neurons as they stand; "balanced" the one that parts the
+        order: of the tests within a layer. "layers" takes the neurons in their order; "balanced" the one that parts the
             regions most evenly, which makes for short paths; "visits" the one that parts the states X most evenly.
         X: (n, d) states, for "visits".
         max_leaves, max_seconds: refuse to build a larger tree or to look for longer.
@@ -129,7 +129,7 @@ def _pass_down(tree: ObliqueTree, stands_for: IntArray) -> IntArray:
 
 
 def _sizes_of_terms(network: ReluNetwork, patterns: BoolArray) -> Callable[[IntArray], FloatArray]:
-    """Return what `merge_equal_leaves` asks of a tree whose leaves are the paths `patterns` (k, n_bits), in order."""
+    """Return what `merge_equal_leaves` needs of a tree whose leaves are the paths `patterns` (k, n_bits), in order."""
     units, _ = units_and_basis(network)
     units = UnitForm(np.abs(units.links), np.abs(units.inputs), np.abs(units.offsets), units.layer_starts)
     n = network.n_hidden

@@ -28,7 +28,7 @@ _FREE, _CAP = -2, -1  # what is tight at a place of the basis, where it is no ro
 
 @dataclass(frozen=True)
 class Optimum:
-    """What a linear program came to.
+    """The result of a linear program.
 
     With t, ``sum_i multiplier_i (a_i . x + b_i - w_i t')`` is `t - t'` at all x and t'. Without it, ``sum_i
     multiplier_i (a_i . x + b_i)`` is one number below 0 for all x.
@@ -41,7 +41,7 @@ class Optimum:
 
 @dataclass(frozen=True)
 class ExactBox:
-    """Limits of inputs beside the rows of a program, which then has few numbers that are not at a limit."""
+    """Limits of inputs, apart from the rows of a program, which then has few numbers that are not at a limit."""
 
     low: FloatArray  # (d,), of which both are finite, or both are not
     high: FloatArray

@@ -39,7 +39,7 @@ def leaves_at_once(tree: ObliqueTree, domain: Domain, *, in_box: bool = False) -
 
 
 def chunks_of_leaves(tree: ObliqueTree, domain: Domain, *, in_box: bool = False) -> Iterator[IntArray]:
-    """Yield all leaves, in order, in parts whose rows take little memory; the time of the call is looked at."""
+    """Yield all leaves, in order, in parts whose rows take little memory; the time limit is checked in between."""
     size = leaves_at_once(tree, domain, in_box=in_box)
     for start in range(0, tree.n_leaves, size):
         check_time()

@@ -23,7 +23,7 @@ _SMALLEST_PIVOT = 1e-9
 
 @dataclass(frozen=True)
 class Bases:
-    """Where the simplex method stands in n problems; q = d + 1."""
+    """The current bases of the simplex method in n problems; q = d + 1."""
 
     rows: NDArray[np.int16]  # (n, q), the row at each place, `FREE` or the radius's own
     inverse: FloatArray  # (n, q, q), of the matrix whose columns are (-s a, 1); its last column is the multipliers mu
@@ -67,7 +67,7 @@ def pivot(
 
     A row's normal, turned outwards, is `column` (n, q), its value at the present solution, below 0, `value` (n,); the
     multipliers (n, q) are of the rows in the basis. Return (n,) whether no place can be left, as the polytope is empty
-    or next to it: such a basis keeps its rows and is of no more use. Beside it, (n, q), the normals as sums of those in
+    or next to it: such a basis keeps its rows and is of no more use. Also (n, q), the normals as sums of those in
     the basis.
     """
     basis, inverse, solution = bases.rows, bases.inverse, bases.solution

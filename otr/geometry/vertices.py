@@ -30,10 +30,10 @@ _ROUNDING = 1e-14
 def regions_at_vertices(
     a: FloatArray, b: FloatArray, side_of: IntArray, max_regions: int
 ) -> tuple[BoolArray, FloatArray] | None:
-    """Return the signs (k, m) and inner points (k, d) of all regions between hyperplanes, or None: then look otherwise.
+    """Return the signs (k, m) and inner points (k, d) of all regions between hyperplanes, or None: use another method.
 
     The hyperplanes ``a . x + b = 0`` have normals a (m, d) of unit length. `side_of` (m,) is the input whose limit a
-    hyperplane is, so that only its positive side counts; -1 for others. Nothing is begun where there will be more than
+    hyperplane is, so that only its positive side counts; -1 for others. None also where there will be more than
     `max_regions`.
     """
     m, d = a.shape

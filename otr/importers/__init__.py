@@ -1,4 +1,4 @@
-"""Policies from torch, Stable-Baselines3, ONNX and scikit-learn, which are imported only when they are asked for."""
+"""Policies from torch, Stable-Baselines3, ONNX and scikit-learn, which are imported only when they are needed."""
 
 from __future__ import annotations
 
@@ -43,15 +43,15 @@ def __dir__() -> list[str]:
 
 @contextmanager
 def _reading(file: Any) -> Iterator[None]:
-    """Raise ArtefactError where a file fails a reader in a way that it does not foresee: changed files do in many."""
+    """Raise ArtefactError where a reader fails on a file in an unforeseen way, as on changed files."""
     try:
         yield
     except (OtrError, ImportError):
         raise
     except Exception as error:
         what = file if isinstance(file, str | os.PathLike) else "the model"
-        told = f"{what} cannot be read ({type(error).__name__}: {error})"
-        raise ArtefactError(f"{told}; it is damaged, or of another version: write it again") from error
+        problem = f"{what} cannot be read ({type(error).__name__}: {error})"
+        raise ArtefactError(f"{problem}; it is damaged, or of another version: write it again") from error
 
 
 @naming_the_extra("otr.from_torch")
@@ -120,16 +120,16 @@ def from_sb3(
     network of its action values, QR-DQN's of their means over the quantiles. Batch normalisation is folded into the
     layer after it; where gSDE clips the mean, a layer of ReLU units does. Stable-Baselines3 computes in float32, so
     its answers differ from the network's by about 1e-7 of the
-    action box. A live model has no hooks. It is read as `model.save` writes it, and is run on fixed states: where it
-    predicts otherwise than its layers, nothing is returned.
+    action box. A live model has no hooks. It is read as `model.save` writes it, and is run on fixed states: where its
+    predictions differ from its layers', nothing is returned.
 
     A model trained under VecNormalize expects normalised states. Mean and variance go into the first layer, so that the
-    network takes raw states. They are those of a live model's environment, or of the ``vecnormalize.pkl`` that lies in
-    the folder named as the zip or beside the zip, which a warning says, or of `normalise`. A warning also says
+    network takes raw states. They are those of a live model's environment, or of the ``vecnormalize.pkl`` in the
+    folder named as the zip or next to the zip, which a warning says, or of `normalise`. A warning also says
     where a zip shows that it was trained under VecNormalize and there is no such file. VecNormalize clips the
     normalised state to +-clip_obs, which the network does not: it is the policy inside the box
     ``mean +- clip_obs * sqrt(variance + epsilon)`` and not outside. That box is the network's `domain`;
-    `network.domain.contains(X)` tells which states lie in it.
+    `network.domain.contains(X)` says which states are in it.
 
     From the path of a saved model, only tensors (torch's ``weights_only`` loading), plain text and the action box's
     numbers are read, and no code in the file is run, nor in the file of statistics.
@@ -137,14 +137,14 @@ def from_sb3(
     Args:
         model: a live model, or the path of the zip file that `model.save` wrote, with or without ".zip".
         action_low, action_high: (o,) limits of the action box in place of the model's.
-        negative_slope: of LeakyReLU, for a file that does not tell; must agree with what can be known.
+        negative_slope: of LeakyReLU, for a file that does not give it; must agree with what can be known.
         normalise: statistics, as `read_policy` takes them; None for the network of the states that the model saw,
             whatever these were; "auto" to find the statistics.
 
     Raises:
         InvalidNetworkError: a policy that is no ReLU network on a vector of inputs: other activations, images,
             feature extractors, dictionaries, several discrete actions; widths other than the spaces' or the
-            statistics'; or something that the file does not tell.
+            statistics'; or something that the file does not give.
         ArtefactError: a file is missing, cut off, damaged, unpacks to more than 256 MiB, or holds more than tensors in
             its `policy.pth`, or no VecNormalize.
         MissingExtraError: torch is not installed.
@@ -159,7 +159,7 @@ def from_sb3(
     if isinstance(model, str | os.PathLike):
         with _reading(model):
             network = network_of_file(Path(model), action_low, action_high, negative_slope)
-        normalise = _found_beside(Path(model)) if is_auto(normalise) else normalise
+        normalise = _found_next_to(Path(model)) if is_auto(normalise) else normalise
     else:
         with _reading(model):
             network = network_of_model(model, action_low, action_high, negative_slope)
@@ -202,7 +202,7 @@ def read_policy(
 
     Raises:
         InvalidNetworkError: as the functions above; a classifier whose classes are not 0, 1, ..., the actions; a saved
-            tree other than a whole `PatternTree`, which stands for no network; statistics that do not fit; a model with
+            tree other than a whole `PatternTree`, which represents no network; statistics that do not fit; a model with
             memory; or `output` with another than an ONNX model.
         ArtefactError: as the functions above; or the suffix is another one.
         MissingExtraError: a package that the kind of file needs is not installed.
@@ -222,7 +222,7 @@ def read_policy(
     with _reading(path):
         policy = reader(path, output=output, layers=layers, activation=activation)
     if is_auto(normalise):
-        normalise = _found_beside(path) if path.suffix == ".zip" else None
+        normalise = _found_next_to(path) if path.suffix == ".zip" else None
     return policy if normalise is None else fold_observation_statistics(policy, normalise)
 
 
@@ -243,7 +243,7 @@ def _reader(path: Path, output: str | None, *, of_layers: bool) -> Callable[...,
 
 
 def read_black_box(content: bytes, suffix: str, output: str | None) -> Oracle:
-    """Return a policy of `read_policy` anew from the bytes, suffix and output that a `BlackBox` keeps."""
+    """Return a policy of `read_policy` again from the bytes, suffix and output that a `BlackBox` keeps."""
     with _reading("the model"):
         return oracle_of_onnx(content, output) if suffix == ".onnx" else oracle_of_export(content)
 
@@ -265,11 +265,11 @@ def _of_object(model: Any, output: str | None) -> Oracle:
     )
 
 
-def _found_beside(model: Path) -> Path | None:
-    """Return the file of statistics beside a saved model, with a warning; None where there is none."""
-    file, told = find_statistics(model)
-    if told:
-        warnings.warn(told, stacklevel=4)
+def _found_next_to(model: Path) -> Path | None:
+    """Return the file of statistics next to a saved model, with a warning; None where there is none."""
+    file, warning = find_statistics(model)
+    if warning:
+        warnings.warn(warning, stacklevel=4)
     return file
 
 
@@ -294,7 +294,7 @@ def _of_saved(path: Path) -> Oracle:
     if isinstance(tree, PatternTree) and not tree.is_restricted:
         return tree.network
     n_leaves = tree.n_paths if isinstance(tree, PatternTree) else tree.n_leaves
-    raise InvalidNetworkError(f"it holds a tree of {n_leaves} leaves, which stands for no network")
+    raise InvalidNetworkError(f"it holds a tree of {n_leaves} leaves, which represents no network")
 
 
 _READERS: dict[str, Callable[..., Oracle]] = {
@@ -316,7 +316,7 @@ def from_onnx(
 ) -> ReluNetwork:
     """Return the network of an ONNX model, read as `from_torch` reads a module, by onnx's reference in float64.
 
-    Any operators may stand between the activations as long as they are affine together: Gemm, MatMul, Conv,
+    Any operators may occur between the activations as long as they are affine together: Gemm, MatMul, Conv,
     BatchNormalization, Concat, Shape, Gather, Reshape, branches of constants, and so on. An ArgMax may follow a Softmax
     or the subtraction of a LogSumExp. A model computes in its own type, mostly float32, so its answers differ from the
     network's by about 1e-7 of the size of the terms that are summed.
@@ -347,15 +347,15 @@ def from_onnx(
 
 @naming_the_extra("otr.from_sklearn")
 def from_sklearn(estimator: Any) -> ReluNetwork:
-    """Return the network of a fitted scikit-learn MLP or linear model, also behind the scalers of a Pipeline.
+    """Return the network of a fitted scikit-learn MLP or linear model, also after the scalers of a Pipeline.
 
     Read are `MLPClassifier`, `MLPRegressor`, and models with coefficients (LogisticRegression, Ridge, LinearSVC, ...),
     which have no hidden layer. `StandardScaler`, `MinMaxScaler`, `MaxAbsScaler` and `RobustScaler` before one of them
     are folded into the first layer. A binary classifier gets the head `Sign`, one of several classes `Argmax`; labels
     are positions in ``estimator.classes_``. With activation "identity" the layers are multiplied into a linear model.
 
-    The estimator predicts fixed states of several magnitudes: where it predicts otherwise than its coefficients (a
-    link function, one classifier for each pair of classes), nothing is returned.
+    The estimator predicts fixed states of several magnitudes: where its predictions are not those of its
+    coefficients (a link function, one classifier for each pair of classes), nothing is returned.
 
     Args:
         estimator: fitted, or the path of the file to which `skops.io.dump` wrote it. Of a file, types are loaded that

@@ -165,7 +165,7 @@ def black_box(
     suffix: str,
     output: str | None = None,
 ) -> BlackBox:
-    """Return a model that is no ReLU network as it is: its sections say what it decides by.
+    """Return a model that is no ReLU network: its sections give how it decides.
 
     Args:
         sections: the model.
@@ -173,7 +173,7 @@ def black_box(
         reason, content, suffix, output: as `BlackBox` has them.
 
     Raises:
-        InvalidNetworkError: it answers otherwise every time, or whole numbers that are no ArgMax; or it cannot be run.
+        InvalidNetworkError: it answers differently every time, or whole numbers that are no ArgMax; or it cannot run.
     """
     value = sections.output_name
     head: Head = Identity()
@@ -364,7 +364,7 @@ def reach(policy: Layered, states: FloatArray) -> FloatArray:
 
 
 def _require_same_answers(policy: ReluNetwork, kind: str, answer: Callable[[FloatArray], NDArray[np.float64]]) -> None:
-    """Raise InvalidNetworkError where the model answers otherwise than the network, beyond rounding."""
+    """Raise InvalidNetworkError where the model's answers differ from the network's, beyond rounding."""
     n_states = max(1, min(_PROBES, 2**20 // policy.n_inputs))
     states = probe_states(policy.n_inputs, n_states)
     outputs, sizes = policy.forward(states), reach(policy, states).max(axis=1)
@@ -387,7 +387,7 @@ def _require_same_answers(policy: ReluNetwork, kind: str, answer: Callable[[Floa
             same = found.shape == expected.shape and bool(np.all(np.abs(found - expected) <= limit))
         if not same:
             raise InvalidNetworkError(
-                f"the model answers otherwise than its layers: in state {state.tolist()[:20]} it gives "
+                f"the model answers differently from its layers: in state {state.tolist()[:20]} it gives "
                 f"{found.tolist()[:20]}, its layers {y.tolist()[:20]}; an operation between activations is not affine"
             )
 

@@ -1,6 +1,6 @@
-"""Statistics of observations beside a policy, by which it saw normalised states: found, read, and folded in.
+"""Statistics of observations next to a policy, by which its states were normalised: found, read, and folded in.
 
-VecNormalize's lie in a pickle, which is read without running it; others are numbers in JSON or npz.
+VecNormalize's are in a pickle, which is read without running it; others are numbers in JSON or npz.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _EXPECTED = (
     "the result was clipped"
 )
 _FILE = "vecnormalize.pkl"  # as rl-baselines3-zoo names it
-AUTO = "auto"  # in place of statistics: those of the live model, or of the file that lies beside a saved one
+AUTO = "auto"  # in place of statistics: those of the live model, or of the file next to a saved one
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class ObservationStatistics:
 
 
 def find_statistics(model: Path) -> tuple[Path | None, str]:
-    """Return the file of statistics that lies beside a saved model, and what a user has to know of it.
+    """Return the file of statistics next to a saved model, and a note for the user.
 
     Looked for is ``vecnormalize.pkl`` in the folder that is named as the zip is (where rl-baselines3-zoo saves it), and
     in the zip's own folder. Where there is none, the text says whether the model's file shows that one is missing; it
@@ -63,14 +63,14 @@ def find_statistics(model: Path) -> tuple[Path | None, str]:
     for file in (model.with_suffix("") / _FILE, model.with_name(_FILE)):
         if file.is_file():
             return file, (
-                f"{model} is read with the statistics of {file}, which lies beside it: its network takes raw states; "
+                f"{model} is read with the statistics of {file}, which is next to it: its network takes raw states; "
                 "normalise=FILE names another file, normalise=None says that it was trained on raw states"
             )
     sign = sign_of_normalisation(model)
     if not sign:
         return None, ""
     return None, (
-        f"{model} {sign}, so the network may expect normalised states, and no {_FILE} lies beside it; "
+        f"{model} {sign}, so the network may expect normalised states, and no {_FILE} is next to it; "
         "normalise=FILE names the file that VecNormalize.save wrote, normalise=None says that there is none"
     )
 

@@ -190,7 +190,7 @@ def _checked_model(content: bytes) -> ModelProto:
     for function in model.functions:
         _refuse_external_data(function.node)
     if any(function.domain in ("", "ai.onnx") for function in model.functions):
-        raise InvalidNetworkError(f"the model defines standard operators anew, as {model.functions[0].name!r}")
+        raise InvalidNetworkError(f"the model redefines standard operators, as {model.functions[0].name!r}")
     try:
         onnx.checker.check_model(model)
     except Exception as error:  # the checker's own errors
@@ -199,7 +199,7 @@ def _checked_model(content: bytes) -> ModelProto:
 
 
 def _refuse_external_data(nodes: Iterable[NodeProto], graph: GraphProto | None = None) -> None:
-    """Raise InvalidNetworkError where a tensor's numbers lie in another file, which is never opened."""
+    """Raise InvalidNetworkError where a tensor's numbers are in another file, which is never opened."""
     from onnx import TensorProto
 
     tensors, sparse = ([], []) if graph is None else (list(graph.initializer), list(graph.sparse_initializer))
@@ -213,7 +213,7 @@ def _refuse_external_data(nodes: Iterable[NodeProto], graph: GraphProto | None =
     for tensor in chain(tensors, *((one.values, one.indices) for one in sparse)):
         if tensor.data_location == TensorProto.EXTERNAL or tensor.external_data:
             raise InvalidNetworkError(
-                f"the constant {tensor.name!r} lies in another file, which is not opened; save the model as one file: "
+                f"the constant {tensor.name!r} is in another file, which is not opened; save the model as one file: "
                 "onnx.save(onnx.load(path), path, save_as_external_data=False)"
             )
 

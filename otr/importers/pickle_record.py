@@ -25,7 +25,7 @@ def record_of_pickle(content: bytes) -> Any:
 
 
 class Record:
-    """Stands for whatever a pickle makes or calls: keeps of what, and does nothing."""
+    """A stand-in for whatever a pickle makes or calls: records it, and does nothing."""
 
     name = ""
 
@@ -41,7 +41,7 @@ class Record:
         self.state = state
 
     def ignore(self, *_: Any) -> None:
-        """Take an element, as a list, a set or a dictionary would."""
+        """Add an element, as a list, a set or a dictionary would."""
 
     append = extend = add = __setitem__ = ignore
 
@@ -53,7 +53,7 @@ class _Recorder(pickle.Unpickler):
 
 
 def _refuse_traps(content: bytes) -> None:
-    """Raise UnpicklingError for what no stand-in stops: registered extensions, and a memo that fills the memory."""
+    """Raise UnpicklingError for what stand-ins cannot stop: registered extensions, and a memo that fills the memory."""
     for opcode, argument, _ in pickletools.genops(content):
         fills_memory = opcode.name.endswith("PUT") and int(argument or 0) > len(content)
         if fills_memory or opcode.name.startswith("EXT"):

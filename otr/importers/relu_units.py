@@ -1,4 +1,4 @@
-"""Nodes of a graph, and units and heads, recognised by their values: what an operator is called plays no part."""
+"""Nodes of a graph, and units and heads, recognised by their values: an operator's name does not matter."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def recognised(answer: Function, width: int, rng: np.random.Generator) -> Unit |
         low, high = np.where(low > -_NO_LIMIT, low, -np.inf), np.where(high < _NO_LIMIT, high, np.inf)
         if not (np.isnan(low).any() or np.isnan(high).any()) and np.all(low < high):
             candidates.append((Unit("clip", low=low, high=high), lambda z: np.clip(z, low, high)))
-            for limit in (low, high):  # so that points lie on both sides of it
+            for limit in (low, high):  # so that points are on both sides of it
                 near = np.where(np.isfinite(limit), limit, 0.0)
                 tried += [near + 1e-3 * (1 + np.abs(near)) * rng.standard_normal(width) for _ in range(3)]
         candidates += [(Unit(name), function) for name, function in _OF_HEADS.items()]

@@ -1,7 +1,7 @@
 """The actor in a Stable-Baselines3 zip file, read without running anything that the file contains.
 
 Such a file holds `policy.pth`, tensors that torch can load with ``weights_only=True``, and `data`, JSON in which Python
-objects appear as a pickle (":serialized:") beside a readable account of themselves. That account rounds the action box,
+objects appear as a pickle (":serialized:") with a readable account of themselves. That account rounds the action box,
 as numpy printed it when the file was written; the box's numbers are taken from the pickle, of which nothing is run.
 """
 
@@ -48,13 +48,13 @@ _DATA_BYTES = 2**24  # of text; its lists and dictionaries take twenty times as 
 
 
 class _Actor(NamedTuple):
-    """What the file tells of the actor, but for its activation."""
+    """What the file has of the actor, except its activation."""
 
     weights: list[FloatArray]
     biases: list[FloatArray]
     head: Head
     data: dict[str, Any]
-    usual_units: str  # the activation where nothing is said
+    usual_units: str  # the activation by default
 
 
 def network_of_file(
@@ -96,7 +96,7 @@ def sign_of_normalisation(path: Path) -> str:
         low, high = (numbers(box.state[name]) for name in ("low", "high"))
         margin = 1e-3 * (high - low)  # more than rounding
         outside = (seen < low - margin) | (seen > high + margin)
-    except Exception:  # a foreign file can hold anything; the reader of its policy says what is wrong
+    except Exception:  # a foreign file can hold anything; the reader of its policy reports the error
         return ""
     return f"has seen {seen[outside][0]:g}, outside the range of its observations" if outside.any() else ""
 
@@ -191,8 +191,8 @@ def load_tensors(content: bytes, label: str, *, is_nested: bool = False) -> Tens
         tensors = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
         found = re.search(r"GLOBAL (\S+)", str(error))
-        told = f"it names {found[1]}" if found else str(error).strip()[:200]
-        raise ArtefactError(f"{label} holds more than tensors, and was not loaded: {told}") from error
+        reason = f"it names {found[1]}" if found else str(error).strip()[:200]
+        raise ArtefactError(f"{label} holds more than tensors, and was not loaded: {reason}") from error
     except Exception as error:  # torch can fail in any way on what it did not write
         raise ArtefactError(f"{label} cannot be read ({error}); save the model again") from error
     tensors = _tensors_in(tensors, "") if is_nested and isinstance(tensors, dict) else tensors
@@ -213,7 +213,7 @@ def _tensors_in(value: Any, name: str) -> Tensors:
 
 
 def _refuse_other_policies(tensors: Tensors, data: dict[str, Any]) -> None:
-    """Raise InvalidNetworkError unless the policy is an MlpPolicy on a vector, as far as the file tells.
+    """Raise InvalidNetworkError unless the policy is an MlpPolicy on a vector, as far as the file shows.
 
     Of MaskablePPO a warning says that the masks are left out.
     """
@@ -245,7 +245,9 @@ def _refuse_other_policies(tensors: Tensors, data: dict[str, Any]) -> None:
 def _activation(actor: _Actor) -> str:
     """Return the name of the activation's class, from the readable account of `policy_kwargs`."""
     if not isinstance(actor.data.get("policy_kwargs"), dict):
-        raise InvalidNetworkError("the file does not tell the policy's arguments, nor so the activation; save it again")
+        raise InvalidNetworkError(
+            "the file does not give the policy's arguments, and so not the activation; save it again"
+        )
     return str(_readable(actor.data, "policy_kwargs").get("activation_fn", actor.usual_units))
 
 
@@ -296,7 +298,7 @@ def _count(data: dict[str, Any], name: str) -> int:
         return math.prod(map(int, size)) if isinstance(size, list) else int(str(size))
     except (TypeError, ValueError) as error:
         raise InvalidNetworkError(
-            f"the file does not tell the size of the {name} (it reads {size!r}); load the model with "
+            f"the file does not give the size of the {name} (it reads {size!r}); load the model with "
             "Stable-Baselines3 and give it in place of the path"
         ) from error
 
@@ -308,7 +310,7 @@ def _limits(data: dict[str, Any], name: str, n_outputs: int) -> FloatArray:
         limits = numbers(box.state[name]).ravel()
     except Exception as error:  # a foreign pickle can hold anything
         raise InvalidNetworkError(
-            f"the file does not tell the actions' {name} ({error!r}); give action_{name}="
+            f"the file does not give the actions' {name} ({error!r}); give action_{name}="
         ) from error
     if limits.shape != (n_outputs,):
         raise InvalidNetworkError(

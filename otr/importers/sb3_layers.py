@@ -1,6 +1,6 @@
 """The actor's affine layers among the tensors of a policy of Stable-Baselines3 or sb3-contrib.
 
-What lies between them folds in: batch normalisation into the layer after it, the quantiles of an action value into
+What is between them folds in: batch normalisation into the layer after it, the quantiles of an action value into
 their mean, and the limits of gSDE's mean into a layer of ReLU units.
 """
 

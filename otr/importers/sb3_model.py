@@ -81,7 +81,7 @@ def _require_same_answers(model: Any, network: ReluNetwork) -> None:
             part.training = mode
     rounding = _ROUNDING * reach(network, states.astype(np.float64))
     if network.head.gives_labels:
-        # How far the label's output lies below the largest.
+        # How far the label's output is below the largest.
         differences = outputs.max(axis=1, keepdims=True) - np.take_along_axis(outputs, found, axis=1)
         rounding = 2 * rounding.max(axis=1, keepdims=True) + _TIE
     else:
@@ -94,7 +94,7 @@ def _require_same_answers(model: Any, network: ReluNetwork) -> None:
     if not (differences <= rounding).all():
         i = int(np.argmax(np.nan_to_num(differences - rounding, nan=np.inf).max(axis=1)))
         raise InvalidNetworkError(
-            f"the model predicts otherwise than its layers: in state {states[i].tolist()} it does {found[i].tolist()}, "
-            f"its layers give {outputs[i].tolist()} (the largest difference is {differences.max():g}); "
-            "take hooks, replaced functions and other changes out of its policy"
+            f"the model predicts differently from its layers: in state {states[i].tolist()} it does "
+            f"{found[i].tolist()}, its layers give {outputs[i].tolist()} (the largest difference is "
+            f"{differences.max():g}); take hooks, replaced functions and other changes out of its policy"
         )

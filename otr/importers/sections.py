@@ -22,13 +22,13 @@ _LIMIT_WIDTH = 2**20  # of a value: a file of a hundred bytes can declare any nu
 _LIMIT_HELD = 2**26  # of all values together, on all points
 _LIMIT_WORK = 2**28  # numbers that are computed for the matrix of a section
 _SCALES = tuple(2.0**power for power in (-10, 0, 10, 20, 700))  # of the points on which nodes are tried
-# A basis vector of this length drowns what a section adds, so that (f(length * e) - f(0)) / length has the stored bits.
+# A basis vector of this length swamps what a section adds, so that (f(length * e) - f(0)) / length has the stored bits.
 _LENGTH = 2.0**700
 _LIMIT_ROWS = 256  # basis vectors at a time
 _N_BACK = 8  # nodes in which one unit may be written
 IMITATE = "train with these, or let a tree imitate the model as it is: otr.imitate(otr.read_policy(model), env)"
 MEMORY = "{} remembers earlier states, and a tree answers the present one; use a policy without memory"
-RANDOM = "answers otherwise every time; export the deterministic policy, of torch after module.eval()"
+RANDOM = "answers differently every time; export the deterministic policy, of torch after module.eval()"
 _TOLERANCE, _NOISE = 1e-6, 1e-12  # of a node's answer, and of what it reads
 
 
@@ -83,8 +83,8 @@ class Sections:
                     raise InvalidNetworkError(_refusal(*read)) from error
                 shapes = [np.shape(self._points[name][0]) if name in self._points else np.shape(constants[name])
                           for name in node.inputs if name]  # fmt: skip
-                told = str(error).strip().rpartition("] ")[2]
-                raise InvalidNetworkError(f"{node.name} cannot be run on the shapes {shapes}: {told}") from error
+                problem = str(error).strip().rpartition("] ")[2]
+                raise InvalidNetworkError(f"{node.name} cannot be run on the shapes {shapes}: {problem}") from error
         if output_name not in self._points:
             raise InvalidNetworkError(f"{output_name!r} is not computed from {input_name!r}")
         self.input = next(iter(self.sources.values()))
@@ -137,9 +137,9 @@ class Sections:
         if made is None or not self._holds(made, nodes, value, names):
             made = self._measured(nodes, value, names, 1)
             if not self._holds(made, nodes, value, names):
-                told = ", ".join(node.name for node in nodes[:8])
+                listed = ", ".join(node.name for node in nodes[:8])
                 raise InvalidNetworkError(
-                    f"what makes {value!r} is not affine ({told}): between activations only affine operations can be "
+                    f"what makes {value!r} is not affine ({listed}): between activations only affine operations can be "
                     "read"
                 )
         return made
@@ -238,7 +238,7 @@ class Sections:
             self._add(Source(name, points[0].shape, node, read, unit, points[0].dtype.kind == "f"), points[0])
 
     def _require_each_state(self, node: Node, live: list[str], output: int, made: NDArray[Any]) -> None:
-        """Raise InvalidNetworkError where a node answers one state always the same, and two states otherwise."""
+        """Raise InvalidNetworkError where a node answers one state always the same, and two states differently."""
         both = {
             name: np.concatenate(self._points[name][:2]) for name in live if self._points[name][0].shape[:1] == (1,)
         }
@@ -252,7 +252,7 @@ class Sections:
     def _unit(self, node: Node, output: int) -> tuple[str, Unit | None]:
         """Return the unit that an output of a node is, and the value that it is of; (first input, None) if none is.
 
-        A unit may be written in several nodes, such as z * sigmoid(z): values that lie up to `_N_BACK` nodes before are
+        A unit may be written in several nodes, such as z * sigmoid(z): values up to `_N_BACK` nodes before are
         tried.
         """
         live = [name for name in node.inputs if name in self._points]
@@ -363,7 +363,7 @@ def refuse_others(sources: Iterable[Source]) -> None:
 
 
 def too_large(rows: int, columns: int) -> str:
-    """Return what is said of a matrix above the limit."""
+    """Return the message for a matrix above the limit."""
     return (
         f"the model makes a matrix of {rows} x {columns} numbers, the limit is {LIMIT_NUMBERS:,}; a network of this "
         "width has no tree that can be held"
@@ -371,9 +371,9 @@ def too_large(rows: int, columns: int) -> str:
 
 
 def _refusal(*sources: Source) -> str:
-    told = ", ".join(source.node.name for source in sources[:5] if source.node)
+    listed = ", ".join(source.node.name for source in sources[:5] if source.node)
     return (
-        f"{told} {'is' if len(sources) == 1 else 'are'} not affine, and no unit of a ReLU network; between affine "
+        f"{listed} {'is' if len(sources) == 1 else 'are'} not affine, and no unit of a ReLU network; between affine "
         "operations of any kind there may be ReLU, LeakyReLU, PReLU, Abs, and Clip, Max and Min with constants, at the "
         f"end Tanh or ArgMax, and each sees the numbers of one state; {IMITATE}"
     )

@@ -173,7 +173,7 @@ def _mlp_head(mlp: Any) -> Head:
 
 
 def _require_same_answers(estimator: Any, policy: Layered) -> None:
-    """Raise InvalidNetworkError where the estimator predicts otherwise than the network, but for rounding."""
+    """Raise InvalidNetworkError where the estimator's predictions differ from the network's, beyond rounding."""
     states = probe_states(policy.n_inputs)
     try:
         with warnings.catch_warnings():
@@ -197,6 +197,6 @@ def _require_same_answers(estimator: Any, policy: Layered) -> None:
     if differs.any():
         i = int(np.argmax(differs))
         raise InvalidNetworkError(
-            f"{estimator!r} predicts otherwise than its coefficients: {expected[i]} in state {states[i].tolist()}; a "
+            f"{estimator!r} predicts differently from its coefficients: {expected[i]} in state {states[i].tolist()}; a "
             "link function, or one classifier for each pair of classes, cannot be mapped"
         )

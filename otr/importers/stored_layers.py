@@ -1,4 +1,4 @@
-"""Files that hold layers and not how they are put together: `.nnet`, and the state_dict of a torch module."""
+"""Files that hold layers but not how they are connected: `.nnet`, and the state_dict of a torch module."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def policy_of_state_dict(path: Path, layers: str | Sequence[str] | None, activat
     known = {*_SLOPES, *ACTIVATIONS}
     if len(weights) > 1 and activation not in known:
         raise InvalidNetworkError(
-            f"the layers {', '.join(names)} are stored without what lies between them; give activation= one of "
+            f"the layers {', '.join(names)} are stored without what is between them; give activation= one of "
             f"{', '.join(sorted(known))}" + ("" if activation is None else f", not {activation!r}")
         )
     read = {f"{name}.{kind}" for name in names for kind in ("weight", "bias")}

@@ -26,7 +26,7 @@ _BFLOAT16 = 13
 
 
 class Name(str):
-    """The name of a value of the graph, where a number or a text could stand, too."""
+    """The name of a value of the graph, where a number or a text could be, too."""
 
 
 class Type(int):
@@ -191,7 +191,7 @@ def _tensors(specs: list[Any], read: set[Name], members: dict[str, bytes], label
         if kind == "user_input":
             continue
         if kind not in ("parameter", "buffer", "tensor_constant"):
-            raise InvalidNetworkError(f"the program has a {kind} beside the states; export the module with these alone")
+            raise InvalidNetworkError(f"the program has a {kind} besides the states; export the module with only these")
         name = Name(about["arg"]["name"])
         if name in read:
             path, payload = kept[about[f"{kind}_name"]]
@@ -200,7 +200,7 @@ def _tensors(specs: list[Any], read: set[Name], members: dict[str, bytes], label
 
 
 def _tensor(name: str, content: bytes, payload: dict[str, Any]) -> FloatArray:
-    """Return a tensor's numbers, which lie in their storage's bytes in steps of their own."""
+    """Return a tensor's numbers, which are in their storage's bytes with strides of their own."""
     if payload["use_pickle"]:
         raise InvalidNetworkError(f"the tensor {name!r} is kept as a pickle, which is not opened; use plain tensors")
     about = payload["tensor_meta"]

@@ -127,7 +127,7 @@ def _flat_layers(module: Any, name: str) -> Iterable[tuple[str, Any]]:
     import torch
 
     if isinstance(module, torch.nn.Sequential) and type(module).forward is torch.nn.Sequential.forward:
-        for position, child in enumerate(module):  # named_children() leaves out a layer that stands there twice
+        for position, child in enumerate(module):  # named_children() leaves out the second use of a layer
             yield from _flat_layers(child, f"{name}[{position}]")
     else:
         yield name, module

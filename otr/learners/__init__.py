@@ -1,6 +1,6 @@
 """Trees learned from data, under scikit-learn's contract; each learner's `tree_` is an `otr.ObliqueTree`.
 
-A learner's module, and with it scikit-learn or torch, is loaded when the learner is first asked for.
+A learner's module, and with it scikit-learn or torch, is loaded when the learner is first used.
 """
 
 from __future__ import annotations

@@ -25,8 +25,8 @@ def from_sklearn_tree(model: BaseDecisionTree) -> ObliqueTree:
     `predict_proba`), and its label is a position in ``model.classes_``; a regressor's holds the values of its outputs.
     scikit-learn rounds inputs to float32 before it tests them and the tree does not: the two answer alike wherever
     that rounding crosses no threshold, so on everything that float32 can hold. Rules for missing values (NaN), which
-    no `ObliqueTree` takes, are left out; a test that only tells these apart, whose threshold is infinite, has no inputs
-    and sends every state where scikit-learn sends the values that are there. The names of columns and classes go with
+    no `ObliqueTree` takes, are left out; a test for these alone, whose threshold is infinite, has no inputs
+    and sends every state where scikit-learn sends values that are not missing. The names of columns and classes go with
     the tree.
 
     Args:
@@ -63,7 +63,7 @@ def from_sklearn_tree(model: BaseDecisionTree) -> ObliqueTree:
 def grow_cart(
     model: BaseDecisionTree, X: NDArray[Any], targets: NDArray[Any], weights: NDArray[Any] | None
 ) -> ObliqueTree:
-    """Fit scikit-learn's tree in units in which it tells values apart (`Units`), and return it in those of the data.
+    """Fit scikit-learn's tree in units in which it distinguishes values (`Units`), and return it in those of the data.
 
     Args:
         model: the `DecisionTreeClassifier` or `DecisionTreeRegressor`; it is left fitted to data in the other units.

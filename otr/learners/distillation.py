@@ -1,6 +1,6 @@
 """Distillation: a forest, alone or with a linear model, labels rows with probabilities for one small network to learn.
 
-A forest is more accurate than a tree grown on the same rows and can tell what it would have answered elsewhere.
+A forest is more accurate than a tree grown on the same rows and can label other rows, too.
 Breiman & Shang ("Born again trees", 1996) and Bucila et al. ("Model compression", 2006) let an ensemble label rows made
 up from the training rows, and fit one small model to these; Hinton et al. ("Distilling the knowledge in a neural
 network", 2015) take its probabilities for targets instead of its decisions. Here the small model is a ReLU network,
@@ -42,7 +42,7 @@ class Teacher(Settings):
         min_samples_leaf, max_features: as in scikit-learn; larger leaves give softer probabilities.
         max_samples: rows drawn for a tree, with replacement: a share of them, or their number. None for as many as
             there are (random forest) or for all rows, each once (extra trees).
-        n_copies: altered copies of every row, beside the row itself.
+        n_copies: altered copies of every row, in addition to the row itself.
         alteration: binary inputs: share of a copy's ones that are dropped. Others: share of a copy's entries that are
             replaced by the same input of a row drawn at random.
         weight_of_linear: the teacher's probability is this times that of a logistic regression, one a label on the rows
@@ -111,7 +111,7 @@ class FittedTeacher:
 def fit_teacher(
     X: ArrayLike, Y: ArrayLike, teacher: Teacher | None = None, *, seed: int = 0, n_jobs: int | None = None
 ) -> FittedTeacher:
-    """Return the teacher that `distillation_set` asks; arguments and errors are the same."""
+    """Return the teacher of `distillation_set`; arguments and errors are the same."""
     teacher = Teacher() if teacher is None else teacher
     rows, labels = _checked(X, Y)
     for_forests = np.random.SeedSequence(seed).spawn(5)[3]

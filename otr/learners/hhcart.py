@@ -27,7 +27,7 @@ _NEAR_AXIS = 0.05
 def householder_normal(q: FloatArray) -> FloatArray | None:
     """Return the unit u (d,) whose reflection ``I - 2 u u^T`` takes the unit vector q (d,) to the first axis.
 
-    None where q lies within 0.05 (L2) of an axis, so that the reflection would change next to nothing.
+    None where q is within 0.05 (L2) of an axis, so that the reflection would change next to nothing.
     """
     if np.sqrt(max(0.0, 2.0 - 2.0 * np.abs(q).max())) < _NEAR_AXIS:
         return None
@@ -142,12 +142,12 @@ class HHCARTClassifier(_Hhcart, GrownClassifier):
     At every node, the dominant eigenvector q of each class's covariance is taken to the first axis by the Householder
     reflection H = I - 2 u u^T, u = (e_1 - q) / |e_1 - q|. The node's test is the best split by Gini impurity on a
     column of X or of one of the X H: ``x_j - 2 u_j (u @ x) <= t`` is oblique in x. No reflection is made where the
-    eigenvalue is 0 or q lies within 0.05 of an axis, or for a class with fewer than two rows in the node.
+    eigenvalue is 0 or q is within 0.05 of an axis, or for a class with fewer than two rows in the node.
 
     Neither H nor a covariance nor X H is ever formed: eigenvectors come from Lanczos on an implicit operator
     (`dominant_direction`), and X H, a rank-one change of X, is made a block of columns at a time (`best_split`).
     For n rows and K classes, a level of the tree costs O((K + 1) d n log n) for the sorts (K in place of K + 1 if all
-    inputs are 0 or 1) and O(s d n) for s, some tens, Lanczos products; the memory beside X is one copy of the rows of
+    inputs are 0 or 1) and O(s d n) for s, some tens, Lanczos products; the memory besides X is one copy of the rows of
     a node, and a constant.
 
     The paper leaves open: ties between columns, drawn by `random_state`, and between reflections, where the plain

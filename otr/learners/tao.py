@@ -53,7 +53,7 @@ class TAOClassifier(GrownClassifier):
 
     Cost of one pass over a tree of depth D with n rows of s non-zeros (s = d in dense data): O(n s D^2) to find the
     reduced problems, and for each level liblinear's fits on at most n rows together, O(n s) an iteration. Inputs
-    with under a quarter of non-zeros are held as a sparse matrix; memory beside X is one copy of it.
+    with under a quarter of non-zeros are held as a sparse matrix; memory besides X is one copy of it.
     Nodes are not fitted in parallel: liblinear's random numbers are global, and processes would need copies of X.
 
     Args:
@@ -66,7 +66,7 @@ class TAOClassifier(GrownClassifier):
         max_iter: passes at most.
         tol: least fall of the training error in a pass that is followed by another.
         leaf_values: "shares" of the classes among a leaf's training rows, or "labels", 1 for the largest share and 0
-            for the others. TAO knows labels alone; shares rank rows, which an area under the curve asks for.
+            for the others. TAO knows labels alone; shares rank rows, which an area under the curve needs.
         solver_max_iter: iterations of liblinear in one fit at most; a fit that stops there is used as it is.
         class_weight: None, "balanced" or weights by class, as in scikit-learn.
         random_state: initial tree and liblinear.

@@ -71,7 +71,7 @@ def _attributes(box: NodeBox) -> str:
 
 
 def _table(box: NodeBox) -> str:
-    """Return a box's lines as Graphviz's table: numbers flush right, beside what they multiply."""
+    """Return a box's lines as Graphviz's table: numbers flush right, next to what they multiply."""
     rows = [f'<TR><TD COLSPAN="2"><B>{html.escape(box.title)}</B></TD></TR>'] if box.title else []
     for row in box.rows:
         if isinstance(row, str):

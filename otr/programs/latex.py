@@ -73,7 +73,7 @@ def math_name(name: str) -> str:
 
 
 def escaped(text: str) -> str:
-    """Return text with the characters that mean something to LaTeX written so that they are printed."""
+    """Return text with LaTeX's special characters escaped."""
     return "".join(_SPECIAL.get(character, character) for character in text)
 
 

@@ -15,7 +15,7 @@ def merge_equal_leaves(tree: ObliqueTree) -> ObliqueTree:
     A test whose row P is 0 goes, too, with the side that no state takes. Leaves are equal where they have the same
     label or, in a tree without labels, exactly the same M and c. From the bottom up, a test over two equal leaves is
     replaced by one of them, until there is none. Programs are printed and drawn so. With labels, the outputs (logits)
-    of the leaf that stays stand for those of all that it replaces.
+    of the leaf that stays replace those of all merged ones.
 
     Args:
         tree: any tree; one without such tests is returned itself.

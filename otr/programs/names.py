@@ -16,7 +16,7 @@ _MARKS = re.compile(r"(?<=\*)(?=[/)])|(?<=[/(])(?=\*)|(?<=\?)(?=\?)")
 
 @dataclass(frozen=True)
 class Names:
-    """What a program calls things."""
+    """The names in a program."""
 
     features: list[str]  # as given, in one line that prints (`shown_names`): for comments, labels and formulas
     answers: list[str]  # likewise
@@ -54,7 +54,7 @@ def names_of(
 ) -> tuple[list[str], list[str]]:
     """Return the names of a policy's inputs and of its outputs or, where it decides labels, of these.
 
-    These are the names given, else the tree's own, else the usual ones, each of them as it stands.
+    These are the names given, else the tree's own, else the usual ones, each of them unchanged.
     Raise TypeError for a name that is no text, ValueError for a wrong number of names and as `check_names` does.
     """
     features, usual_answers = _usual_names(policy)
@@ -69,7 +69,7 @@ def names_of(
 
 
 def check_names(features: Sequence[str], answers: Sequence[str]) -> None:
-    """Raise ValueError for a text in place of a list, a name that stands twice, and an answer with an input's name."""
+    """Raise ValueError for a text in place of a list, a name given twice, and an answer with an input's name."""
     for argument, names in (("feature_names", features), ("output_names", answers)):
         _require_list(names, argument)
         seen: set[str] = set()
@@ -99,7 +99,7 @@ def _usual_names(policy: ObliqueTree | ReluNetwork) -> tuple[list[str], list[str
 def shown_names(
     policy: ObliqueTree | ReluNetwork, feature_names: Sequence[str] | None, output_names: Sequence[str] | None
 ) -> tuple[list[str], list[str]]:
-    """Return the names of `names_of` in one line each; where nothing of a name prints, the one it has without names."""
+    """Return the names of `names_of` in one line each; a name without printable characters becomes the default one."""
     given, usual = names_of(policy, feature_names, output_names), _usual_names(policy)
     features, answers = (
         [one_line(name) or plain for name, plain in zip(*both, strict=True)] for both in zip(given, usual, strict=True)
@@ -126,7 +126,7 @@ def check_tree(tree: ObliqueTree) -> None:
 
 
 def check_policy(policy: ObliqueTree | ReluNetwork) -> None:
-    """Raise ValueError for a policy that no format has a form for: without inputs."""
+    """Raise ValueError for a policy that no format can write: without inputs."""
     if policy.n_inputs == 0:
         raise ValueError("the tree has no inputs; a program needs at least one")
 
@@ -147,7 +147,7 @@ def identifiers(
 ) -> list[str]:
     """Return an identifier for each name: ASCII letters, digits and single underscores, a letter first, all distinct.
 
-    A name that already is one, and is not taken, stays as it is. Accents are dropped, what is neither letter nor
+    A name that is one already, and is free, stays as it is. Accents are dropped, what is neither letter nor
     digit becomes an underscore, a number is appended to what is taken or one of the `reserved` words, and a name of
     which nothing is left becomes its fallback. With `ignore_case`, names that differ in case alone are the same.
     """

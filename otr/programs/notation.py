@@ -19,14 +19,14 @@ from otr.programs.walk import affine_expression, walk
 
 @dataclass(frozen=True)
 class Notation:
-    """How a format writes formulas and statements: templates, in which a formula or a name stands for each %s.
+    """How a format writes formulas and statements: templates, in which a formula or a name replaces each %s.
 
     A vector's lines follow from a name, entries, and whether each entry takes a line of its own.
     """
 
     number: Callable[[float, int], str]  # from a number and significant digits to text
     vector: Callable[[str, Sequence[str], bool], list[str]]
-    times: str  # stands between a coefficient and its name
+    times: str  # between a coefficient and its name
     test: str  # the line that asks whether a value is at most 0
     otherwise: str  # the line between the two sides
     returned: str  # the line that answers a value
@@ -44,7 +44,7 @@ class Notation:
 
 @dataclass(frozen=True)
 class Program:
-    """A tree to be written in a notation; features, answers and labels are named as the format has them."""
+    """A tree to be written in a notation; features, answers and labels have the format's names."""
 
     tree: ObliqueTree
     notation: Notation
@@ -101,7 +101,7 @@ class Program:
         return [self.affine(np.array([half]), middle, [self.notation.tanh % value]) for value, half, middle in lines]
 
     def _first_lines(self) -> list[str]:
-        """Return what stands above the tests: of a PID policy, what its terms are."""
+        """Return what is written above the tests: of a PID policy, what its terms are."""
         terms = [] if self.tree.head.acts_by_output else term_vectors(self.tree, self.affine)
         return [line for term, entries in terms for line in self.notation.vector(term, entries, False)]
 

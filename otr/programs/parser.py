@@ -31,11 +31,11 @@ def parse_program(
             return -1
 
     Values are affine: numbers, inputs and names under ``+ - * /``, as far as one factor, and the divisor, is constant;
-    ``2 x`` is ``2 * x``. ``max``, ``min``, ``clip``, ``abs`` and ``a if condition else b`` may stand anywhere, because
+    ``2 x`` is ``2 * x``. ``max``, ``min``, ``clip``, ``abs`` and ``a if condition else b`` may occur anywhere, because
     they are tests. Conditions compare (``< <= > >= == !=``, chains as ``0 < x <= 1``) and join with ``and or not``.
     A program answers with ``return``, with a value alone, or at its end with the values of its outputs,
-    ``name = value``. A block is what is indented, what stands on the line, or what is in braces; ``then``, ``:`` and
-    brackets as in C may follow a condition; ``#`` and ``//`` begin comments. A name that is no word may stand between
+    ``name = value``. A block is what is indented, what is on the line, or what is in braces; ``then``, ``:`` and
+    brackets as in C may follow a condition; ``#`` and ``//`` begin comments. A name that is no word may be put between
     backquotes, as `to_text` writes it: ``2 `50% quantile` ``; there a backslash and a backquote have a backslash before
     them, and ``\\u{a}`` is the character of that code.
 

@@ -81,7 +81,7 @@ def to_python(
         called = next((word for word in ("exp", "tanh") if any(f"{word}(" in line for line in answer)), None)
         imports = [f"from math import {called}", ""] if called else []
         body += answer
-    # Python looks for a declaration of the file's encoding in comments on the first two lines: no name stands there.
+    # Python looks for a declaration of the file's encoding in comments on the first two lines: no name goes there.
     what = summary_of(tree)
     lines = [f"# {what[0].upper()}{what[1:]}.", "# It needs nothing but the standard library.", "#"]
     lines += _interface(tree, names)
@@ -127,7 +127,7 @@ def _nested(tree: ObliqueTree, names: Names) -> list[str]:
 
 
 def _statement(before: str, expression: str, after: str, indent: str) -> list[str]:
-    """Return a statement in one line, or in several where that is too long: then its expression stands in brackets.
+    """Return a statement in one line, or in several where that is too long: then its expression is in brackets.
 
     Only within these a line ends: however long a name is, what is around the brackets stays on their lines.
     """

@@ -86,7 +86,7 @@ def to_structured_text(
 
 
 def number(value: float) -> str:
-    """Return a real literal that stands for exactly this float64: digits, a point, digits, perhaps an exponent."""
+    """Return a real literal of exactly this float64: digits, a point, digits, perhaps an exponent."""
     mantissa, _, exponent = repr(float(value)).partition("e")
     point = "" if "." in mantissa else ".0"
     return f"{mantissa}{point}{f'E{int(exponent):+d}' if exponent else ''}"

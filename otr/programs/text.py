@@ -28,8 +28,8 @@ def to_text(
             return -102.3 - 169.8 x + 5116.5 v
 
     Several outputs take one line each, ``name = expression``. Coefficients that are zero are left out. A PID policy's
-    leaf states its gains first (`otr.PidBox`), as in Fig. 4.4; what P, I and D are stands above the program. A name
-    that is not made of words stands between backquotes, where `parse_program` reads it back whatever it holds.
+    leaf states its gains first (`otr.PidBox`), as in Fig. 4.4; the program begins with what P, I and D are. A
+    name that is not made of words is put between backquotes, where `parse_program` reads it back whatever it holds.
 
     Args:
         tree: any tree.

@@ -90,7 +90,7 @@ def affine_expression(
 ) -> str:
     """Return ``offset + coefficient * name - ...``, by default in the notation of most languages; without zeros.
 
-    `number` writes a number that is not negative; `times` stands between a coefficient and its name, `tie` between a
+    `number` writes a number that is not negative; `times` goes between a coefficient and its name, `tie` between a
     sign and its term, by default with spaces at which no line is broken. With `leaves_out_ones` a coefficient that is
     written as 1 is left out.
     """

@@ -26,7 +26,7 @@ def largest_difference(tree: ObliqueTree, other: ObliqueTree, box: Box | Domain)
     For each pair of leaves whose regions meet, an action's difference is at most that of its ranges there and, under
     one and the same clip or tanh, at most the outputs' own difference times the head's steepest slope. Two tests are
     one where their numbers, divided by the largest coefficient, are the same to four units in the last place, or where
-    one is the other turned round: states on which only their rounding, or the boundary itself, decides are left out. No
+    one is the other reversed: states on which only their rounding, or the boundary itself, decides are left out. No
     other state of the box is. Of trees with labels the bound is 1 where there is a state in which they differ, else 0.
 
     Raises:
@@ -102,7 +102,7 @@ def _sides(tree: ObliqueTree) -> NDArray[np.int8]:
 
 
 def _same_tests(tree: ObliqueTree, other: ObliqueTree) -> NDArray[np.int8]:
-    """Return which tests are the same but for rounding: (n, m), 1, or -1 where one is the other turned round."""
+    """Return which tests are the same but for rounding: (n, m), 1, or -1 where one is the other reversed."""
     sizes = (np.abs(each.P).max(axis=1, initial=0.0)[:, None] for each in (tree, other))
     with np.errstate(over="ignore", invalid="ignore"):
         ours, theirs = (

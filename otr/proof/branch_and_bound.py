@@ -26,7 +26,7 @@ from otr.geometry.regions import leaf_rows, leaves_at_once
 from otr.proof.certificate import Sum
 from otr.proof.exact_cells import decide
 from otr.proof.exact_rows import ExactRow, rounded_up
-from otr.proof.verdict import Piece, Question, Verdict
+from otr.proof.verdict import Inequality, Question, Verdict
 
 
 @dataclass(frozen=True)
@@ -62,12 +62,12 @@ class Search:
         self.outputs = self.tree.leaf_forms[:, self.weighed]
 
     def reached(self) -> str:
-        """Return how far the search came, in words."""
+        """Return the progress of the search, as text."""
         return f"{self.n_proved:,} pieces of {self.question.n_leaves:,} leaves were proved, and no state was found"
 
     def run(self, max_pieces: int) -> Verdict:
         """Return the answer; raise OtrError if more than `max_pieces` pieces would have to be looked at."""
-        waiting, pieces = self._first_pieces(max_pieces), list[Piece]()
+        waiting, pieces = self._first_pieces(max_pieces), list[Inequality]()
         bounds = dict[int, Fraction]()  # of pieces that states may be in, by their place
         while len(waiting.leaves):
             if len(pieces) + len(waiting.leaves) > max_pieces:
@@ -82,7 +82,7 @@ class Search:
             to_cut = []
             for i, leaf in enumerate(waiting.leaves.tolist()):
                 check_time()
-                piece = Piece(
+                piece = Inequality(
                     leaf,
                     tuple(waiting.low[i].tolist()),
                     tuple(waiting.high[i].tolist()),
@@ -112,14 +112,14 @@ class Search:
                 break
         return Verdict(True, value, where, None, None, None, tuple(pieces), self.tolerance)
 
-    def _empty_or_same(self, piece: Piece) -> Piece:
+    def _empty_or_same(self, piece: Inequality) -> Inequality:
         """Return the piece, with the proof that no state is in it where there is one."""
         found = decide(self.question.rows(piece.leaf, piece.low, piece.high), self.tree.n_inputs)
         if isinstance(found, tuple):
             return piece
         return replace(piece, proof=Sum(tuple(found), tuple(found.values())), is_empty=True)
 
-    def _settled(self, piece: Piece) -> Piece | Point:
+    def _settled(self, piece: Inequality) -> Inequality | Point:
         """Return the piece with a proof that holds, or a point of it where its lines allow more than they may."""
         allowed = self.question.allowed(0.0)
         if self._is_shown(piece, allowed):
@@ -155,7 +155,7 @@ class Search:
             )
         return point
 
-    def _is_shown(self, piece: Piece, allowed: Fraction) -> bool:
+    def _is_shown(self, piece: Inequality, allowed: Fraction) -> bool:
         try:
             highest = self.question.highest(piece)
         except CertificateError:
@@ -235,7 +235,7 @@ class Search:
         for i, (slope, offset) in enumerate(lines):
             objectives += slope[:, None] * outputs[:, i]
             objectives[:, -1] += offset
-        # As tests that go left, low - y <= 0 and y - high <= 0, so that a constant output may lie on the edge.
+        # As tests that go left, low - y <= 0 and y - high <= 0, so that a constant output may be on the edge.
         sides = np.concatenate((-outputs, outputs), axis=1)
         sides[:, :m, -1] += np.where(np.isfinite(low), low, 0.0)
         sides[:, m:, -1] -= np.where(np.isfinite(high), high, 0.0)

@@ -117,7 +117,7 @@ class _Certification:
         self.walk = Walk(pair.network, pair.network.unit_form(), pair.domain, max_regions)
 
     def reached(self) -> str:
-        """Return how far the search came, in words."""
+        """Return the progress of the search, as text."""
         return f"{len(self.errors):,} of {self.pair.tree.n_leaves:,} leaves had cells that are proved"
 
     def run(self) -> Certificate:
@@ -167,9 +167,9 @@ class _Certification:
         return by_leaf
 
     def _check_answers(self, block: Block) -> None:
-        """Raise CertificateError if tree and network differ at an inner point of a region: the quick way to see it.
+        """Raise CertificateError if tree and network differ at an inner point of a region: a quick check.
 
-        Labels are looked at in regions that are wide: those of a sliver may be others where the network's tie.
+        Labels are compared in wide regions: those of a sliver may differ where the network's tie.
         """
         tree, network = self.pair.tree, self.pair.network
         is_wide = block.radii > (0 if tree.labels is None else 2 * float(self.max_error))
@@ -253,7 +253,7 @@ class _Certification:
     def _exact_cells(self, leaf: int, rows: dict[str, ExactRow], point: Point) -> list[Cell]:
         """Return the cells of a leaf's region, in exact arithmetic; raise CertificateError if one differs."""
         cells: list[Cell] = []
-        self.errors.pop(leaf, None)  # of cells that these stand in for
+        self.errors.pop(leaf, None)  # of cells that these replace
         for exact in find_cells(self.pair, leaf, rows, point):
             self.n_programs += len(exact.outcomes)
             self._check_limits(len(cells))

@@ -1,8 +1,8 @@
 """The cells of a network inside a leaf's region, in exact arithmetic: however thin, with a point in each.
 
 A cell is what the outcomes of the network's tests leave of the leaf's region; "0" is at most 0, "1" above it. One point
-of a cell tells a side of the next test that is not empty, and a linear program in rational arithmetic tells whether the
-other side is.
+of a cell shows a side of the next test that is not empty, and a linear program in rational arithmetic decides whether
+the other side is.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from otr.geometry.rational_linear_programs import ExactBox, inner_point, largest
 from otr.proof.certificate import Sum
 from otr.proof.exact_rows import ExactRow, TreeAndNetwork, TreeOnDomain
 
-_MAX_CELLS = 1000  # looked at for a point that shows a refusal
+_MAX_CELLS = 1000  # searched for a point that shows a refusal
 
 Multipliers = dict[str, Fraction]  # of rows, by name
 
@@ -76,7 +76,7 @@ def cells_of_leaf(pair: TreeAndNetwork, leaf: int) -> Iterator[ExactCell]:
 def find_cells(
     pair: TreeAndNetwork, leaf: int, rows: dict[str, ExactRow], point: Point, box: ExactBox | None = None
 ) -> Iterator[ExactCell]:
-    """Yield the network's cells in a leaf's region of these rows, and of a box, in which a point lies, depth first."""
+    """Yield the network's cells in a leaf's region of these rows, and of a box, in which a point is, depth first."""
     n = pair.network.n_hidden
     starts = set(pair.network.unit_form().layer_starts)
     waiting: list[tuple[tuple[bool, ...], dict[str, ExactRow], dict[int, Multipliers], Point, Integers]] = [
@@ -157,11 +157,11 @@ def largest_over(rows: Integers, form: FloatArray, domain: Domain) -> tuple[floa
 def counterexample(pair: TreeAndNetwork, cell: ExactCell, max_error: Fraction) -> Point | None:
     """Return a point of a cell where leaf and network differ by more than `max_error`, or None.
 
-    On a domain with open sides the error is relative, and a point is looked for among few.
+    On a domain with open sides the error is relative, and a point is searched among few.
     """
     candidates = [cell.point]
     for points, _ in largest_gap(pair, cell):
-        # The farthest point may lie on a side that the cell is without: from it, ever nearer to the point inside.
+        # The farthest point may be on a side that the cell is without: from it, ever nearer to the point inside.
         candidates += [_between(far, cell.point, Fraction(1, 2**k)) for far in points for k in (60, 30, 10, 3, 1)]
     for point in candidates:
         if differs(pair, point, max_error) == cell.leaf:
@@ -204,7 +204,7 @@ def cells_near(pair: TreeAndNetwork, leaf: int, point: Point, distance: Fraction
 
 
 def refusal(error: CertificateError, pair: TreeAndNetwork, max_error: float) -> CertificateError:
-    """Return a refusal with a point of its leaf where tree and network differ, or as it was if none is found soon."""
+    """Return a refusal with a point of its leaf where tree and network differ, or unchanged if none is found soon."""
     if error.leaf is None or not 0 <= error.leaf < pair.tree.n_leaves:
         return error
     try:
@@ -212,7 +212,7 @@ def refusal(error: CertificateError, pair: TreeAndNetwork, max_error: float) -> 
             point = counterexample(pair, cell, Fraction(max_error))
             if point is not None:
                 return refused_at(pair, error.leaf, point)
-    except TimeLimitError:  # it is refused all the same
+    except TimeLimitError:  # it is refused in any case
         pass
     return error
 

@@ -1,4 +1,4 @@
-"""What a certificate is about, in exact arithmetic: a tree and a network on a domain, as rows of integers.
+"""The subject of a certificate in exact arithmetic: a tree and a network on a domain, as rows of integers.
 
 A row is an affine form [a | b] that is at least 0, or above 0, where it bounds something. It has a name, which is what
 certificates call it: "low i", "high i" for a side of the domain, ``x_i - low_i >= 0`` or ``high_i - x_i >= 0``;
@@ -114,7 +114,7 @@ class TreeOnDomain(ExactTree):
 
 
 class TreeAndNetwork(TreeOnDomain):
-    """A tree and a network that are said to be the same function on a domain; `n_tests` counts the network's tests."""
+    """A tree and a network that are claimed to be equal on a domain; `n_tests` counts the network's tests."""
 
     def __init__(self, tree: ObliqueTree, network: ReluNetwork, domain: Domain, *, in_box: bool = False) -> None:
         """Hold the numbers of all three as integers over one power of two.

@@ -1,6 +1,6 @@
 """The cells that a walk in floating point finds inside leaves' regions, and multipliers for the branches it left out.
 
-What stands here is a proposal: `otr.proof.certify` checks every cell in exact arithmetic.
+What is found here is a proposal: `otr.proof.certify` checks every cell in exact arithmetic.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What proofs know of a head: for each of its actions the exact value, and lines above it.
+"""Bounds of heads for proofs: for each action the exact value, and lines above it.
 
 An action weighed by a number w is bounded by an affine function of its output y, a line nowhere below ``w * h(y)`` on
 an interval. Under an affine head and a clip, lines and values are exact; under tanh and exp they are as exact as
@@ -40,7 +40,7 @@ class Action(ABC):
 
     @abstractmethod
     def value(self, y: Fraction) -> tuple[Fraction, Fraction]:
-        """Return h(y), and how far that may be off: 0 where it is exact."""
+        """Return h(y), and a bound on its error: 0 where it is exact."""
 
     @abstractmethod
     def near(self, y: FloatArray) -> FloatArray:
@@ -51,7 +51,7 @@ class Action(ABC):
         """Return slopes and offsets of lines nowhere below ``weight * h(y)`` between low and high (n,)."""
 
     def exact_line(self, weight: float, slope: float, offset: float) -> Line:
-        """Return a line of `line_above` without the rounding of its products, where it may be told."""
+        """Return a line of `line_above`, without the rounding of its products where that can be undone."""
         return float(slope), float(offset)
 
     @abstractmethod
@@ -200,7 +200,7 @@ class _ExpAction(Action):
 
 @singledispatch
 def action_of(head: Head, n_outputs: int, output: int) -> Action:
-    """Return what proofs know of one action of a head that acts by output; raise ValueError for labels."""
+    """Return the bounds of one action of a head that acts by output; raise ValueError for labels."""
     raise no_entry(head, "a proof")
 
 

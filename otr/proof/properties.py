@@ -1,9 +1,9 @@
 """Questions about a tree on a box, answered exactly: the range of its actions, and whether a linear condition holds.
 
-A leaf counts if a real point reaches it, however thin its region: where floating point cannot tell, rational arithmetic
-does. Each leaf's region is a polytope and its outputs are affine there, so every question is a linear program a leaf. A
-head that clips is affine in pieces; tanh is bounded by lines, and a piece is cut in two where these are too loose
-(branch and bound).
+A leaf counts if a real point reaches it, however thin its region: where floating point cannot decide, rational
+arithmetic does. Each leaf's region is a polytope and its outputs are affine there, so every question is a linear
+program a leaf. A head that clips is affine in pieces; tanh is bounded by lines, and a piece is cut in two where these
+are too loose (branch and bound).
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ def output_range(tree: ObliqueTree, box: Box | Domain, *, max_seconds: float | N
     Regions are closed: where the tree jumps at a test, the value on either side counts.
 
     Raises:
-        ValueError: the box is unbounded, the head multiplies outputs, or the tree answers with labels (then
-            `reachable_labels` tells).
+        ValueError: the box is unbounded, the head multiplies outputs, or the tree answers with labels (use
+            `reachable_labels`).
         TimeLimitError: `max_seconds` were over.
 
     Examples:
@@ -114,7 +114,7 @@ def find_violation(
         tree: any tree.
         condition: with coefficients (d,) and (o,).
         box: bounded.
-        tolerance: with a head that goes through tanh or exp, a condition may be called kept that fails by no more than
+        tolerance: with a head that goes through tanh or exp, a condition counts as kept if it fails by no more than
             this.
         max_pieces, max_seconds: refuse to look at more, or for longer.
 

@@ -51,8 +51,8 @@ class Condition:
 
 
 @dataclass(frozen=True)
-class Piece:
-    """A part of a leaf's region on which the condition is proved, or that no state is in.
+class Inequality:
+    """The condition as an inequality proved on a part of a leaf's region, or a part that is proved to be empty.
 
     The lines, slope and offset, are nowhere below the outputs' shares in the condition. The proof sums rows: "low i"
     and "high i" of the box, "test i" of the leaf, "output k low" and "output k high". With what the lines make of the
@@ -82,7 +82,7 @@ class Verdict:
             `point`, whose action may be of another leaf than `value`.
         point: the state as fractions, at which the condition fails in exact arithmetic; None where it holds.
         pieces: the proof that it holds, which `otr.check_verdict` checks.
-        tolerance: what the condition may fail by all the same, under tanh and exp.
+        tolerance: by how much the condition may still fail, under tanh and exp.
     """
 
     holds: bool
@@ -91,7 +91,7 @@ class Verdict:
     state: FloatArray | None
     action: FloatArray | None
     point: Point | None
-    pieces: tuple[Piece, ...]
+    pieces: tuple[Inequality, ...]
     tolerance: float
 
 
@@ -99,7 +99,7 @@ class Question(TreeOnDomain):
     """A condition asked of a tree on a bounded box, in exact arithmetic."""
 
     def __init__(self, tree: ObliqueTree, condition: Condition, domain: Domain) -> None:
-        """Take the parts; raise ValueError if the condition does not fit the tree or is not finite."""
+        """Store the parts; raise ValueError if the condition does not fit the tree or is not finite."""
         super().__init__(_behind(condition.given, tree), domain)
         self.n_leaves = tree.n_leaves  # that are asked about: those after them are outside of what is given
         self.state, self.action = (np.asarray(part, dtype=np.float64) for part in (condition.state, condition.action))
@@ -148,7 +148,7 @@ class Question(TreeOnDomain):
         return float(self.tree.head.weights_of_label(int(self.tree.labels[leaf]), self.tree.n_outputs) @ self.action)
 
     def value(self, point: Point) -> tuple[int, Fraction, Fraction]:
-        """Return a point's leaf, the condition's left side there, and how far tanh and exp make that be off at most."""
+        """Return a point's leaf, the condition's left side there, and a bound on its error under tanh and exp."""
         leaf = self.leaf(point)
         value = Fraction(self.of_label(leaf))
         value += sum((Fraction(a) * x for a, x in zip(self.state.tolist(), point, strict=True)), Fraction(0))
@@ -167,7 +167,7 @@ class Question(TreeOnDomain):
             return
         if not 0 <= verdict.tolerance < math.inf:
             raise CertificateError(f"the tolerance is {verdict.tolerance}, expected a number of at least 0")
-        by_leaf: dict[int, list[Piece]] = {}
+        by_leaf: dict[int, list[Inequality]] = {}
         for piece in verdict.pieces:
             if {len(piece.low), len(piece.high)} != {len(self.weighed)}:
                 raise CertificateError(f"leaf {piece.leaf}: a piece has limits of other outputs than are weighed")
@@ -203,7 +203,7 @@ class Question(TreeOnDomain):
                 limits[side].append(outwards)
         return limits
 
-    def highest(self, piece: Piece) -> Fraction | None:
+    def highest(self, piece: Inequality) -> Fraction | None:
         """Return a bound on the left side in a piece, None if that is empty; raise CertificateError without a proof."""
         leaf, proof = piece.leaf, piece.proof
         m = len(self.weighed)
@@ -236,7 +236,7 @@ class Question(TreeOnDomain):
             highest += slope * Fraction(high if slope > 0 else low)
         return highest
 
-    def _line_below(self, piece: Piece, at: int) -> Fraction:
+    def _line_below(self, piece: Inequality, at: int) -> Fraction:
         """Return how far, at most, a piece's line is below its share; raise CertificateError beyond rounding."""
         output, (slope, offset) = self.weighed[at], piece.lines[at]
         low, high, weight = piece.low[at], piece.high[at], Fraction(self.action[output])
@@ -256,7 +256,7 @@ class Question(TreeOnDomain):
         return worst
 
     def _check_failure(self, verdict: Verdict) -> None:
-        """Check that the point lies in the box and fails the condition under the tree's answer, and the state, too."""
+        """Check that the point is in the box and fails the condition under the tree's answer, and the state, too."""
         if verdict.point is None or verdict.state is None or not self.fails(verdict.point):
             raise CertificateError(
                 f"leaf {verdict.leaf}: the condition does not fail at the state {verdict.state}", verdict.leaf
@@ -270,12 +270,12 @@ class Question(TreeOnDomain):
             and np.isclose(verdict.value, float(self.value(verdict.point)[1]), rtol=1e-9, atol=1e-9)
         ):
             raise CertificateError(
-                f"leaf {verdict.leaf}: the verdict tells of another state, action or value than those of its point",
+                f"leaf {verdict.leaf}: the verdict has another state, action or value than those of its point",
                 verdict.leaf,
             )
 
     def fails(self, point: Point) -> bool:
-        """Return whether the condition fails at a point of the box, beyond what a tanh may be off."""
+        """Return whether the condition fails at a point of the box, beyond the error of a tanh."""
         leaf, value, off = self.value(point)
         return leaf < self.n_leaves and self.is_inside(point) and value - off > Fraction(self.bound)
 
@@ -328,7 +328,7 @@ def _behind(given: Sequence[HalfSpace], tree: ObliqueTree) -> ObliqueTree:
     )
 
 
-def covers(pieces: Sequence[Piece], low: Sequence[float], high: Sequence[float]) -> bool:
+def covers(pieces: Sequence[Inequality], low: Sequence[float], high: Sequence[float]) -> bool:
     """Return whether pieces make up the box [low, high] of outputs: one that holds it, or the two sides of a cut."""
     waiting = [(pieces, low, high)]
     while waiting:
@@ -343,8 +343,8 @@ def covers(pieces: Sequence[Piece], low: Sequence[float], high: Sequence[float])
 
 
 def _parted(
-    pieces: Sequence[Piece], low: Sequence[float], high: Sequence[float]
-) -> list[tuple[Sequence[Piece], Sequence[float], Sequence[float]]] | None:
+    pieces: Sequence[Inequality], low: Sequence[float], high: Sequence[float]
+) -> list[tuple[Sequence[Inequality], Sequence[float], Sequence[float]]] | None:
     """Return the two sides of a cut that no piece crosses, of pieces and of the box; None if there is none."""
     for i in range(len(low)):
         for cut in sorted({piece.high[i] for piece in pieces if low[i] < piece.high[i] < high[i]}):

@@ -24,9 +24,9 @@ the label on the sides of Q, too, where it may tie.
 Where outputs tie throughout Q, so that the network has the label nowhere in it, y is to be on the boundary of a test of
 Q, and a change of one input brings the states there: what may be wrong is a sliver.
 
-A test that splits the leaf's region needs no proof: the cells on both its sides are there, which are told apart by the
-sign of z_j^A itself, and a cell may be left out only with a sum of its rows that cannot be what it would have to be at
-a point of the cell. So every real point of the domain is in a proved cell.
+A test that splits the leaf's region needs no proof: the cells on both its sides are there, which are distinguished by
+the sign of z_j^A itself, and a cell may be left out only with a sum of its rows that cannot be what it would have to be
+at a point of the cell. So every real point of the domain is in a proved cell.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ class Checker:
         self.n_checked = 0  # leaves
 
     def reached(self) -> str:
-        """Return how far the check came, in words."""
+        """Return the progress of the check, as text."""
         return f"{self.n_checked:,} of {self.pair.tree.n_leaves:,} leaves were checked"
 
     def run(self, certificate: Certificate) -> float:

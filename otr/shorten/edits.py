@@ -14,7 +14,7 @@ from otr.geometry.regions import leaf_paths
 from otr.shorten.refit_tests import refit_tests
 
 _AGREEMENTS = (0.8, 0.9, 0.95)  # with the original test, of one that is refitted; the loosest is tried first
-_NEAR_LIMIT = 0.1  # of an action's range: a constant so near to its limit is tried as the limit
+_NEAR_LIMIT = 0.1  # of an action's range: a constant this close to its limit is tried as the limit
 
 
 def n_numbers(tree: ObliqueTree) -> int:
@@ -81,7 +81,7 @@ def refitted(tree: ObliqueTree, node: int, X: FloatArray) -> Iterator[ObliqueTre
 
 
 def turned(tree: ObliqueTree, node: int) -> Iterator[ObliqueTree]:
-    """Yield the tree with a test turned round, if it starts with a minus; a state on its boundary changes sides."""
+    """Yield the tree with a test reversed, if it starts with a minus; a state on its boundary changes sides."""
     numbers = np.append(tree.P[node][tree.P[node] != 0], tree.v[node])
     if numbers[0] < 0:
         P, v, left, right = tree.P.copy(), tree.v.copy(), tree.children_left.copy(), tree.children_right.copy()
@@ -131,7 +131,7 @@ def of_numbers(tree: ObliqueTree, numbers: FloatArray) -> ObliqueTree:
 
 
 def numbers_by_effect(tree: ObliqueTree, X: FloatArray) -> IntArray:
-    """Return the numbers that are not 0, by how little they do on the states: of a test, beside its other terms."""
+    """Return the numbers that are not 0, least effect on the states first: of a test, relative to its other terms."""
     size = np.sqrt(np.mean(X**2, axis=0))
     tests = np.column_stack((np.abs(tree.P) * size, np.abs(tree.v)))
     effects = tests / np.maximum(tests.max(axis=1, keepdims=True, initial=0.0), 1e-300)

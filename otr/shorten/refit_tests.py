@@ -2,7 +2,7 @@
 
 For two classes the direction of linear discriminant analysis is that of least squares on coded classes, and with an L1
 penalty it is that of the lasso (Mai, Zou & Yuan 2012, "A direct approach to sparse discriminant analysis in ultra-high
-dimensions"); the threshold is set anew afterwards. The classes of a test are the two ways it sends the states that
+dimensions"); the threshold is set again afterwards. The classes of a test are the two ways it sends the states that
 reach it, weighted alike. Orfanos 2023, Figure 4.7, simplifies a policy in this way.
 """
 
@@ -24,13 +24,13 @@ MAX_SWEEPS, TOLERANCE = 1000, 1e-9  # of coordinate descent
 
 @dataclass(frozen=True)
 class RefittedTest:
-    """What became of a test node.
+    """The outcome of a test node.
 
     Attributes:
         node: its id.
         n_left, n_right: states that reach it and that the original test sends either way.
         agreement: of the states that it sends left and of those that it sends right, the share that still goes there;
-            the smaller of the two. 1 where no states tell.
+            the smaller of the two. 1 where no state decides.
         n_coefficients_before, n_coefficients: inputs that it reads.
         change: refitted, rounded, or kept.
     """
@@ -46,7 +46,7 @@ class RefittedTest:
 
 @dataclass(frozen=True)
 class RefittedTree:
-    """The simpler tree and what became of each of its tests."""
+    """The simpler tree and the outcome of each of its tests."""
 
     tree: ObliqueTree
     tests: tuple[RefittedTest, ...]
@@ -64,7 +64,7 @@ def refit_tests(
 
     Args:
         tree: any tree.
-        X: (n, d) states, such as those that the policy visits; which test they reach is the original tree's to say.
+        X: (n, d) states, such as those that the policy visits; the original tree decides which test they reach.
         agreement: the bound, in (0, 1].
         digits: significant digits of coefficients and thresholds, at least 1.
         nodes: the test nodes to refit, all if None; the others are rounded alone.

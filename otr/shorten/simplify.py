@@ -1,6 +1,6 @@
 """Shorter programs: numbers of a tree dropped and rounded, tests taken out or refitted, leaves made constant.
 
-Every change is tried on its own and kept if the program gets shorter and the judge that the caller brings allows it: a
+Every change is tried on its own and kept if the program gets shorter and the caller's judge allows it: a
 bound on the actions' change over a domain (`within`), or a return measured in the environment. What is tried first
 saves most: whole tests, then whole leaves, then single coefficients by the size of their effect, then digits.
 """
@@ -30,7 +30,7 @@ DIGITS = (1, 2, 3, 4)
 
 @dataclass(frozen=True)
 class Simplification:
-    """What became of a tree.
+    """The outcome of a simplification.
 
     Attributes:
         tree: the simpler tree.
@@ -99,8 +99,8 @@ def within(tree: ObliqueTree, box: Box | Domain, bound: float) -> Judge:
     """Return the judge that allows no action to change by more than `bound` anywhere in a box.
 
     The bound is `otr.proof.action_difference.largest_difference`: proved, and a little larger than the change itself
-    under tanh. States are left out whose side of a test is for rounding to say: tests whose numbers are the same to
-    four units in the last place count as one, and so does a test turned round, on whose boundary states change sides.
+    under tanh. States are left out whose side of a test depends on rounding: tests whose numbers are the same to
+    four units in the last place count as one, and so does a reversed test, on whose boundary states change sides.
 
     Raises:
         ValueError: the box is unbounded or does not fit the tree, the bound is negative or no number, or no test of the
@@ -129,7 +129,7 @@ class _Shortening:
         return self.judge(candidate)
 
     def keeps(self, candidate: ObliqueTree) -> bool:
-        """Go to a candidate if the judge accepts it, and return whether it does."""
+        """Take a candidate if the judge accepts it, and return whether it does."""
         accepted = self.accepts(candidate)
         if accepted:
             self.tree = candidate
@@ -143,7 +143,7 @@ class _Shortening:
         repeat: bool = False,
         must_save: bool = True,
     ) -> None:
-        """Go to the first of the candidates that is accepted; `repeat`: and on from there, until none is."""
+        """Take the first of the candidates that is accepted; `repeat`: continue from it, until none is."""
 
         def first_accepted() -> bool:
             size = n_numbers(self.tree)
@@ -153,7 +153,7 @@ class _Shortening:
             pass
 
     def drop_numbers(self) -> None:
-        """Set numbers to 0, those of the smallest effect first: as many as go at once, then one by one."""
+        """Set numbers to 0, those of the smallest effect first: as many as possible at once, then one by one."""
         order = shorter.numbers_by_effect(self.tree, self.states)
         start, together, too_many = self.tree, 0, len(order) + 1
         while too_many - together > 1:
@@ -166,7 +166,7 @@ class _Shortening:
             self.keeps(shorter.with_numbers(self.tree, np.array([number]), 0.0))
 
     def round_numbers(self, digits: tuple[int, ...]) -> None:
-        """Round all numbers to as few digits as go at once, then each to fewer where the judge allows that."""
+        """Round all numbers to as few digits as possible at once, then each to fewer where the judge allows that."""
         exact = shorter.numbers_of(self.tree)
         at_once = next((few for few in digits if self.keeps(shorter.of_numbers(self.tree, rounded(exact, few)))), None)
         fewer = [few for few in digits if at_once is None or few < at_once]

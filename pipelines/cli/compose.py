@@ -1,4 +1,4 @@
-"""Configurations from overrides: Hydra's composition, with messages for people."""
+"""Configurations from overrides: Hydra's composition, with clearer messages."""
 
 import copy
 import dataclasses
@@ -34,9 +34,9 @@ class Composer:
     name, and `checked` the groups whose options are checked.
     """
 
-    # Where that file and the command's own groups lie, below conf/; what is not there is looked for in conf/ itself.
+    # Where that file and the command's own groups are, below conf/; what is missing is looked for in conf/ itself.
     folder = ""
-    needs: tuple[str, str] | None = None  # the group of which an option must be named, and what such an option is
+    needs: tuple[str, str] | None = None  # the group of which an option is required, and what such an option is
     besides = ""  # what else may be named, in words
     short: tuple[str, ...] = ()  # keys of overrides that stand for others (`Workflow.spelt_out`)
     # Beginnings of keys of values that decide what is composed, as the options of a group do.
@@ -84,7 +84,7 @@ class Composer:
         raise ConfigError(f"{override} is no key=value; settings are given as {example}, and --help lists them")
 
     def implied(self, overrides: Sequence[str]) -> list[str]:
-        """Return the overrides that these imply, which stand before them."""
+        """Return the overrides that these imply, which come before them."""
         return []
 
     def compose(self, overrides: Sequence[str]) -> DictConfig:
@@ -126,7 +126,7 @@ class Composer:
         """Compose these overrides without what they imply."""
         for override in overrides:
             if self.parsed(override).is_sweep_override():
-                raise ConfigError(f"{override}: give one value; a list stands in brackets, as [a,b]")
+                raise ConfigError(f"{override}: give one value; a list is written in brackets, as [a,b]")
             key, _, value = override.lstrip("+").partition("=")
             if override.startswith("+") and not key.startswith(NEW_KEYS):
                 raise ConfigError(f"{override}: new keys cannot be added; leave out the +")
@@ -224,7 +224,7 @@ class Composer:
 
 
 def message_of(error: Exception) -> str:
-    """Return the message alone where it was written for people, with the error's kind where it was not."""
+    """Return the message of an error of ours, and any other with the error's type."""
     if isinstance(error, OmegaConfBaseException):
         return readable(error)
     return str(error) if isinstance(error, HydraException) else message_of_job(error)

@@ -1,4 +1,4 @@
-"""The file of an environment of one's own, checked before Hydra reads it, whose messages are about its machinery."""
+"""The file of a custom environment, checked before Hydra reads it, whose messages are about its own internals."""
 
 import dataclasses
 import functools
@@ -61,7 +61,7 @@ def _own_name(path: Path) -> str:
 
 
 def settings_of_env_file(path: Path) -> dict[str, str]:
-    """Return what an environment's file says beside the environment: its algorithm, and settings by their keys.
+    """Return what an environment's file sets besides the environment: its algorithm, and settings by their keys.
 
     Raises:
         ConfigError: it cannot be the file of an environment.

@@ -46,7 +46,7 @@ class FitWorkflow(Workflow):
         return written
 
     def implied(self, overrides: Sequence[str]) -> list[str]:
-        """Return what parts that are drawn anew imply: no settings that were tuned on the published ones."""
+        """Return what redrawn parts imply: no settings that were tuned on the published ones."""
         is_drawn = any(key_of(each) == "data.split" and not each.endswith("=null") for each in overrides)
         return ["published=none"] if is_drawn else []
 
@@ -56,7 +56,7 @@ class FitWorkflow(Workflow):
         config: FitConfig = made.config
         _check_tuning(config.method, overrides)
         if config.data.file is not None or config.data.name == TABLE:
-            dataset_of(config)  # what is wrong with it is said before anything is written
+            dataset_of(config)  # its errors are raised before anything is written
         folder = fit_folder(config, self.differences(config, overrides))
         return FitJob(dataclasses.replace(config, folder=folder), folder, made.yaml, tuple(overrides))
 
@@ -69,7 +69,7 @@ def _check_tuning(method: LearnerConfig, overrides: Sequence[str]) -> None:
         name = key.partition(".")[0]
         if group == "method" and name in tuned:
             raise ConfigError(
-                f"{override}: method={method.name} tunes {name}, and what is given would be passed over; add "
+                f"{override}: method={method.name} tunes {name}, and what is given would be ignored; add "
                 f"method.grid=[], and nothing is tuned, or leave {override} out"
             )
         if group == "method" and not method.grid and name in TUNING_ALONE:

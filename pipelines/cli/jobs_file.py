@@ -1,4 +1,4 @@
-"""The jobs that are left of a sweep as a file of commands, for xargs or an array of a cluster's jobs."""
+"""The remaining jobs of a sweep as a file of commands, for xargs or an array of a cluster's jobs."""
 
 import shlex
 from collections.abc import Callable, Sequence
@@ -13,8 +13,8 @@ from pipelines.engine.store import write_text
 def write_jobs(path: Path, jobs: Sequence[Job], groups: Callable[[Sequence[Any]], list[list[int]]]) -> int:
     """Write one shell command a line for every job that is not done, in the jobs' order; return how many lines.
 
-    Jobs that one process does together (`groups`: positions of configurations) are one line where a sweep of their own
-    gives just them, else a line each.
+    Jobs that one process does together (`groups`: positions of configurations) are one line where one sweep
+    gives exactly these, else a line each.
     """
     left = [job for job in jobs if not is_done(job)]
     lines = []

@@ -50,7 +50,7 @@ def ending(program: str, debug: bool = False) -> Iterator[None]:
     except MissingExtraError as error:
         print(f"{program}: {error}", file=sys.stderr)
         sys.exit(EXIT_FAILED)
-    except Exception as error:  # the last resort of a command line: no traceback unless asked for
+    except Exception as error:  # the last resort of a command line: no traceback without debug=true
         sys.exit(_complain(program, error, debug))
 
 

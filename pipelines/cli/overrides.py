@@ -32,7 +32,7 @@ PATHS = (
 
 @functools.cache
 def parse(override: str) -> Override:
-    """Return an override as Hydra reads it; ConfigError where it is no key=value, or has no end of values."""
+    """Return an override as Hydra reads it; ConfigError where it is no key=value, or has infinitely many values."""
     key, equals, _ = override.partition("=")
     if not equals or not key or key.startswith("~"):
         raise ConfigError(f"{override} is no key=value")
@@ -40,7 +40,7 @@ def parse(override: str) -> Override:
         parsed = OverridesParser.create().parse_override(override)
     except HydraException as error:
         raise ConfigError(
-            f"{override}: the value cannot be read; is a bracket or a quote open? Other signs stand between quotes, "
+            f"{override}: the value cannot be read; is a bracket or a quote open? Other signs go between quotes, "
             f"as \"{key}='...'\""
         ) from error
     if parsed.is_sweep_override() and (isinstance(parsed.value(), Glob) or not parsed.is_discrete_sweep()):
@@ -111,7 +111,7 @@ def combinations(overrides: Iterable[str]) -> list[list[str]]:
 
 
 def combined(jobs: Sequence[Sequence[str]]) -> list[str] | None:
-    """Return the overrides of one sweep that makes just these jobs; None where there is no such sweep."""
+    """Return the overrides of one sweep that makes exactly these jobs; None where there is no such sweep."""
     keys = [[override.split("=", 1)[0] for override in own] for own in jobs]
     if any(own != keys[0] for own in keys):
         return None

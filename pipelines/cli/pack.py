@@ -12,7 +12,7 @@ from pipelines.runs.derived import derive
 
 
 def pack_results(results_dir: Path) -> int:
-    """Pack every run and fit below `results_dir/runs`, tell what was done, and return how many failed.
+    """Pack every run and fit below `results_dir/runs`, print what was done, and return how many failed.
 
     The trees of a fit stay in their folder where they are kept: they are not committed.
     """

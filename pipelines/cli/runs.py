@@ -65,7 +65,7 @@ SETTINGS_OF = {
 }
 OF_THE_FILE = ("method.model", "method.normalise", "method.output")
 
-# For recipes: what they say of small actors is not said of oracles, nor of the linear policy.
+# For recipes: their settings of small actors do not apply to oracles, nor to the linear policy.
 OmegaConf.register_new_resolver("dense_if_small", lambda depth: "input" if is_small(depth) else "none", replace=True)
 
 
@@ -79,13 +79,13 @@ def load_config(run_dir: Path, n_workers: int | None) -> RunConfig:
     """Return the configuration that a finished run was made with."""
     try:
         cfg = DictConfig(OmegaConf.create(read_bytes(run_dir / CONFIG).decode()))
-        cfg.pop("mp4", None)  # a further stage that is no more
+        cfg.pop("mp4", None)  # a stage that no longer exists
         if "vec_normalize" in cfg.method:  # as it was called before other statistics were taken
             cfg.method.normalise = cfg.method.pop("vec_normalize")
         schema = schema_of(RunConfig)
         schema.algo = schema_of(ALGORITHMS[cfg.algo.name])
         schema.method = schema_of(METHODS[cfg.method.name])
-        if isinstance(cfg.get("trainer"), DictConfig):  # there was one trainer only before
+        if isinstance(cfg.get("trainer"), DictConfig):  # there used to be a single trainer
             for name in (
                 "environments",
                 "precision",
@@ -110,7 +110,7 @@ def written_policy(env: str, program: str, of_env: Sequence[str] = ()) -> tuple[
 
 
 def _check_later_stages(config: RunConfig) -> None:
-    """Raise ConfigError where what comes after the training, or beside it, lacks a package or cannot be done."""
+    """Raise ConfigError where a later stage, or tracking, lacks a package or cannot be done."""
     if config.method.continuous_only and is_discrete(make_env(config.env)):
         raise ConfigError(
             f"method={config.method.name} has continuous actions, but those of {config.env.id} are labels"
@@ -147,7 +147,7 @@ class RunWorkflow(Workflow):
         return [*words, *always_implied(of_file | given)]
 
     def check_option(self, group: str, value: str, overrides: Sequence[str] = ()) -> None:
-        """Take any environment that is registered with gymnasium beside those that have a file."""
+        """Take any environment that is registered with gymnasium, besides those that have a file."""
         known = self.options(group, overrides)
         if group != "env" or value in known:
             super().check_option(group, value, overrides)
@@ -201,7 +201,7 @@ class RunWorkflow(Workflow):
         return jobs
 
     def jobs(self, overrides_of_jobs: Sequence[Sequence[str]]) -> list[Job]:
-        """Return the jobs; tell of settings that no stage of theirs reads, and of those that a fleet does not train."""
+        """Return the jobs; report settings that none of their stages reads, and jobs that a fleet does not train."""
         jobs = super().jobs(overrides_of_jobs)
         for settings, stages in SETTINGS_OF.items():
             given = [(job, word) for job in jobs for word in job.overrides if word.startswith(f"{settings}.")]
@@ -247,8 +247,8 @@ class RunWorkflow(Workflow):
         oracle = self.job(_of_oracle(config, overrides)) if config.method.imitates else None
         differences = self.differences(config, words, _named(config, overrides))
         if config.imported is not None:
-            differences.pop("trainer", None)  # whoever trains is not asked
-        if isinstance(config.trainer, FleetConfig) and not config.fleet:  # which trains SAC alone: named in vain
+            differences.pop("trainer", None)  # any trainer may have trained it
+        if isinstance(config.trainer, FleetConfig) and not config.fleet:  # which trains SAC alone: without effect
             config = dataclasses.replace(config, trainer=TrainerConfig("sb3"))
         folder = run_folder(config, differences)
         config = dataclasses.replace(
@@ -289,7 +289,7 @@ def _env_kwargs(overrides: Sequence[str]) -> dict[str, Any]:
 
 
 def _named(config: RunConfig, overrides: Sequence[str]) -> list[str]:
-    """Return the algorithms and trainers that a run's folder names: who trains, and what would train it unasked.
+    """Return the algorithms and trainers that a run's folder names: who trains, and what would train it by default.
 
     A trainer that does not train the run is named as Stable-Baselines3, which trains it, unless the recipe has that.
     """
@@ -317,7 +317,7 @@ def _model(config: RunConfig, overrides: Sequence[str]) -> tuple[ImportedModel, 
     """Return the policy that a run takes from a file, and its hidden widths as the value of an override.
 
     Raises:
-        ConfigError: no policy can be read from it, or the run asks for its tree and it has none; tells how to make one.
+        ConfigError: no policy can be read from it, or the run asks for its tree and it has none; says how to make one.
     """
     method = config.method
     assert isinstance(method, TakesModel)

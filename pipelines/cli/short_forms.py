@@ -1,4 +1,4 @@
-"""Short forms of what `otr-run` is given: a policy by its file, a column of Table 4.1, and settings of polishing."""
+"""Short forms of arguments of `otr-run`: a policy by its file, a column of Table 4.1, and settings of polishing."""
 
 import functools
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from pipelines.config.methods import EXTRA_STAGES, METHODS
 from pipelines.errors import ConfigError, did_you_mean
 from pipelines.stages.parse import holds_tree
 
-# What stands for a method and its policy, and what is done with that.
+# Short forms of a method with its policy, and what is done with the policy.
 GIVEN_POLICIES = {"program": "evaluated", "model": "imported"}
 TRUE = ("true", "1", "yes", "on", "y")  # as OmegaConf reads them
 OF_A_MODEL = ("normalise", "output")
@@ -25,7 +25,7 @@ def spelt_out(overrides: Sequence[str]) -> list[str]:
 
     `program=FILE` and `model=FILE` are a method and its policy; under a method that imitates, the model is the
     oracle, as is `oracle=FILE`. Hydra would take a program for a choice of the group conf/program, where the shipped
-    ones lie. `column=NAME` is a method and its depth, `box=` is `certification.box=`, and `polish.free=true` is
+    ones are. `column=NAME` is a method and its depth, `box=` is `certification.box=`, and `polish.free=true` is
     `polishing.free=true`, because `polish` itself is the switch. An id for which conf/env has a file stands for that
     file's name.
     """
@@ -82,7 +82,7 @@ def _columns_spelt_out(overrides: Sequence[str]) -> list[str]:
 
 
 def _check_stages(overrides: Sequence[str]) -> None:
-    """Refuse a switch that a user gave beside a list of stages without its stage: it would do nothing."""
+    """Refuse a switch given together with a list of stages that lacks its stage: it would do nothing."""
     words = {"stages", *EXTRA_STAGES}
     given = {key_of(override): parse(override).value() for override in overrides if key_of(override) in words}
     chosen = given.pop("stages", None)
@@ -113,5 +113,5 @@ def imitates(override: str) -> bool:
 
 
 def imitating() -> str:
-    """Return the overrides of the methods that imitate, in words."""
+    """Return the overrides of the methods that imitate, as text."""
     return " or ".join(f"method={name}" for name, method in METHODS.items() if method.imitates)

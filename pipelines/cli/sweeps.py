@@ -37,7 +37,7 @@ def do_sweep(workflow: Workflow, overrides: Sequence[str]) -> bool:
         folder = Path(chosen[0].config.results_dir).absolute() / "sweeps"
         with disk_errors_explained(chosen[0]):
             folder.mkdir(parents=True, exist_ok=True)
-        # The launcher's settings are any job's: the first one's, for there are no defaults for what is swept.
+        # The launcher's settings are the same for all jobs; those of the first are used, as swept keys have no default.
         returned = workflow.launch(tasks, [*chosen[0].overrides, f"hydra.sweep.dir={quoted(str(folder))}"])
         outcomes = dict(zip(itertools.chain(*groups), itertools.chain(*returned), strict=True))
         return [outcomes[i] for i in range(len(chosen))]
@@ -61,5 +61,5 @@ def do_sweep(workflow: Workflow, overrides: Sequence[str]) -> bool:
 
 
 def sweep_name() -> str:
-    """Return the name of the folder that holds the failures of what is done now."""
+    """Return the name of the folder for the failures of the current sweep."""
     return time.strftime("%Y-%m-%d_%H-%M-%S")

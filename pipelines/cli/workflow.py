@@ -26,7 +26,7 @@ class Composed:
 
     config: Any
     yaml: str
-    uses_seed: bool  # whether another seed may change another setting, so that it has to be composed anew
+    uses_seed: bool  # whether another seed may change another setting, so that it has to be composed again
 
     def with_seed(self, seed: int) -> "Composed":
         """Return the same with another seed."""
@@ -37,10 +37,10 @@ class Composed:
 class Workflow(Composer, ABC):
     """A command that does jobs."""
 
-    anything: str  # an option of the group that is needed, for where it does not matter which
+    anything: str  # an option of the required group, where any will do
     naming: tuple[str, ...]  # keys of overrides that the folder of a job names
     harmless: tuple[str, ...]  # keys of overrides that do not decide what comes out of a job
-    _made: dict[tuple[str, ...], Composed]  # of the jobs that are asked for
+    _made: dict[tuple[str, ...], Composed]  # of the requested jobs
 
     @abstractmethod
     def job(self, overrides: Sequence[str]) -> Job:
@@ -59,7 +59,7 @@ class Workflow(Composer, ABC):
             return _composed(self.compose(overrides))
         return self._made[others].with_seed(seed)
 
-    # Functions, so that they can be handed to a sweep's processes.
+    # Functions, so that they can be sent to a sweep's processes.
     do: Callable[[Any], Any]  # does one job
     do_group: Callable[[Sequence[Any]], list[Exception | None]]  # does jobs and returns what each failed with
     groups: Callable[[Sequence[Any]], list[list[int]]]  # positions of the configurations that one process does
@@ -158,7 +158,7 @@ class Workflow(Composer, ABC):
 
 
 def _check_shared_folders(jobs: Sequence[Job]) -> None:
-    """Raise ConfigError where two jobs would make a stage of one folder of other stages before it, again and again."""
+    """Raise ConfigError where two jobs would make a stage of one folder from different inputs, in turns."""
     first: dict[Path, Job] = {}
     for job in jobs:
         other = first.setdefault(job.run_dir, job)

@@ -1,1 +1,1 @@
-"""What a run is asked to do: frozen dataclasses, a module a group of conf/; nothing here knows Hydra."""
+"""What a run is asked to do: frozen dataclasses, one module per group of conf/, independent of Hydra."""

@@ -53,7 +53,7 @@ class AlgoConfig:
 
     @property
     def rollout_steps(self) -> int:
-        """The environment steps that training does at least, and in whole multiples."""
+        """The least environment steps of training, which does whole multiples of it."""
         return 1
 
     def check(self, key: str, layers: int | list[int], actor: ActorConfig) -> None:
@@ -67,18 +67,18 @@ class ArsConfig(SearchSettings, AlgoConfig):
     Step and noise are in units of a network that reads normalised states and acts in half widths of the action box.
     """
 
-    n_episodes: Count = 1  # of each policy that is tried in an iteration
+    n_episodes: Count = 1  # of each candidate of an iteration
     # Whether the two policies of a direction, or all of an iteration, start from the same states
     common_starts: Annotated[str, OneOf("pair", "all")] = "pair"
-    # Whether states are normalised by the mean and deviation of those visited so far, the paper's V2; V1 is without
+    # Whether states are normalised by the mean and deviation of those visited so far, the paper's V2; its V1 does not
     normalise: bool = True
     # Of the environment's reward for every step, taken off while searching
     alive_bonus: Annotated[float, Range()] = 0.0
     # Steps of an episode at first, 0 for whole ones; they grow linearly to whole ones over this share of the search
     first_horizon: CountOrZero = 0
     horizon_until: Annotated[float, Range(1e-6, 1)] = 1.0
-    # Searches of `start_steps` from different networks, of which the best one goes on, for as many steps at
-    # least; 1 for none to choose from
+    # Searches of `start_steps` from different networks, of which the best one continues, for as many steps at
+    # least; 1 for a single search
     n_starts: Count = 1
     start_steps: Count = 100_000
     # Who computes the environments: gymnasium, or numpy for those that were compared with gymnasium
@@ -146,7 +146,7 @@ class PpoConfig(OnPolicyConfig):
     ent_coef: NotNegative = 0.0
     vf_coef: NotNegative = 0.5
     max_grad_norm: Positive = 0.5
-    # Explore by a linear function of the state that is drawn anew every `sde_sample_freq` steps (-1: every
+    # Explore by a linear function of the state that is redrawn every `sde_sample_freq` steps (-1: every
     # rollout), instead of by noise drawn at every step; for continuous actions
     use_sde: Annotated[bool, AsBefore(False)] = False
     sde_sample_freq: Annotated[int, Range(-1), AsBefore(-1)] = -1

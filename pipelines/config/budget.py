@@ -27,7 +27,7 @@ class BudgetConfig:
     # The same for soft trees, whose steps are cheaper and teach less
     on_policy_steps: dict[str, Count] = field(default_factory=dict)
     # Steps between their evaluations. Training goes on with new episodes after each, in several environments at
-    # once, so there have to be enough steps for whole episodes.
+    # once, so a segment needs enough steps for whole episodes.
     on_policy_interval_steps: Count = 25_000
     # Environment steps of polishing per task, about
     polish_steps: dict[str, Count] = field(default_factory=dict)

@@ -33,7 +33,7 @@ class EnvConfig:
     """
 
     name: FreeText
-    # The row of the tables and of conf/budget; hopper_v5 has task hopper, one's own has task discrete or continuous
+    # The row of the tables and of conf/budget; hopper_v5 has task hopper, a custom one has task discrete or continuous
     task: FreeText
     id: FreeText
     kwargs: dict[str, Any] = field(default_factory=dict)
@@ -85,10 +85,10 @@ def _code_sha256(module: str) -> str | None:
 
 
 def _code_files(places: Sequence[Path]) -> list[Path]:
-    """Return the Python files of a module, a file or a package's folders, and those of what it names that lies beside.
+    """Return the Python files of a module, a file or a package's folders, and those next to it that it names.
 
-    It names what it imports, and what it registers as "module:Name". Of what is installed, where everything lies beside
-    everything, these are its own files alone. This library's code is told by the versions of stages.
+    It names what it imports, and what it registers as "module:Name". Of an installed package, which has every
+    other one next to it, these are its own files alone. The versions of stages identify this library's code.
     """
     found, left = dict[Path, None](), list(places)
     while left:
@@ -110,7 +110,7 @@ def _named(file: Path) -> set[str]:
     """Return the first parts of the names of modules that a file imports, or names in text as "module:Name"."""
     try:
         nodes = list(ast.walk(ast.parse(file.read_bytes())))
-    except (SyntaxError, ValueError):  # making the environment tells it
+    except (SyntaxError, ValueError):  # making the environment reports it
         return set()
     names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
     names |= {node.module for node in nodes if isinstance(node, ast.ImportFrom) and node.module and not node.level}

@@ -41,7 +41,7 @@ class HardenedConfig(GrownConfig):
 class SoftConfig(HardenedConfig):
     """A method whose actor is a soft tree, trained by policy gradient."""
 
-    beta_first: Hardness = 1.0  # how hard its tests are at first and at last, growing geometrically
+    beta_first: Hardness = 1.0  # how hard its tests are at first and in the end, growing geometrically
     beta_last: Hardness = 50.0
     anneal_until: Share = 0.8  # the fraction of the steps at which beta has reached its last value
     learning_rate_end: Share = 0.05  # what is left of the algorithm's learning rate at the end; it falls linearly

@@ -1,4 +1,4 @@
-"""What every method has, and what those have that grow a tree."""
+"""The settings of every method, and of those that grow a tree."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,19 +13,19 @@ from pipelines.errors import ConfigError
 
 @dataclass(frozen=True)
 class MethodConfig:
-    """What every method has. The attributes of the class are facts of the method, not settings."""
+    """What every method has. The class attributes are facts of the method, not settings."""
 
     name: FreeText  # the name of the method
 
     label: ClassVar[str]  # what tables call it
-    # Further forms of its policy that are evaluated beside the tree, each with what tables call it
+    # Further forms of its policy that are evaluated in addition to the tree, each with what tables call it
     forms: ClassVar[Mapping[str, str]] = {}
     stages: ClassVar[tuple[str, ...]]  # its stages in order, without the extra ones
     tree_stage: ClassVar[str]  # the stage that makes its tree
     actor_stage: ClassVar[str] = "train"  # the stage that makes its actor, where there is one
     is_mapped: ClassVar[bool] = False  # whether the tree is a trained network's, which it can be proved equal to
     imitates: ClassVar[bool] = False  # whether the tree imitates an oracle, which is trained first
-    # Whether something is trained; not where the policy is a program that somebody wrote, or a model from elsewhere
+    # Whether something is trained; not where the policy is a handwritten program, or an imported model
     is_trained: ClassVar[bool] = True
     decides_training: ClassVar[bool] = False  # whether the settings of the method decide what is trained
     fleet_only: ClassVar[bool] = False  # whether its actors are trained by trainer=fleet alone

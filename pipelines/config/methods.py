@@ -24,7 +24,7 @@ from pipelines.config.setting import DERIVED, Count, FreeText, NotNegative, Posi
 from pipelines.config.stages import ActorConfig
 from pipelines.errors import ConfigError
 
-# After all others, where polish=true, certify=true and so on ask for them
+# After all others, where polish=true, certify=true and so on request them
 EXTRA_STAGES = ("polish", "certify", "simplify", "leaves", "video")
 
 
@@ -43,7 +43,7 @@ class TakesModel:
     """What a method has that takes a policy from a file."""
 
     model: Annotated[FreeText, DERIVED] = field(default="", kw_only=True)
-    # The file of the statistics that its states were normalised by, or "none"; looked for beside a zip where not given
+    # The file of the statistics that its states were normalised by, or "none"; looked for next to a zip where not given
     normalise: Annotated[FreeText | None, DERIVED] = field(default=None, kw_only=True)
     output: Annotated[FreeText | None, DERIVED] = field(default=None, kw_only=True)  # the policy's, of an ONNX model
 
@@ -80,10 +80,10 @@ class PidConfig(MappedConfig):
     # Weight of the sum of the gains' absolute output weights in the actor's loss, so that gains are nearly constant
     l1: NotNegative = 2.5
     # Scale of the first hidden layer's initial weights and biases, in units of torch's own. The penalty is on the
-    # output weights alone, so gains vary more cheaply behind large first-layer weights.
+    # output weights alone, so gains vary more cheaply after large first-layer weights.
     first_layer_scale: Positive = 10.0
     # Output weights smaller than this are set to zero before every evaluation: the penalty, taken in steps of the
-    # learning rate's size (three of Adam's), leaves them swinging about it
+    # learning rate's size (three of Adam's), leaves them oscillating around it
     zero_below: NotNegative = 0.01
 
     label = "PID"
@@ -193,7 +193,7 @@ class DistilledExpertsConfig(ExpertsSettings, ImitatingTreeConfig):
 
 @dataclass(frozen=True)
 class ProgramConfig(MethodConfig):
-    """A program that somebody wrote: `program` is a file, or a name under conf/program."""
+    """A handwritten program: `program` is a file, or a name under conf/program."""
 
     program: Annotated[FreeText, DERIVED]
 

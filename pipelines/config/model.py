@@ -1,4 +1,4 @@
-"""A policy that was trained elsewhere, as the command line has read it."""
+"""An imported policy, as the command line has read it."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,5 +12,5 @@ class ImportedModel:
     name: str
     sha256: str
     is_normalised: bool = False  # whether statistics of VecNormalize are folded in
-    note: str = ""  # what a user has to know of such statistics that the command does not name
+    note: str = ""  # a note for the user on such statistics that the command does not name
     critics: Any = None  # otr.importers.critics.Critics, where the file has some

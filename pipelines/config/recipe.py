@@ -1,6 +1,6 @@
 """Recipes: what a budget means for a method and an environment, as overrides (conf/recipe/<budget>.yaml).
 
-So is what a method or an algorithm means under every budget (conf/implied.yaml).
+conf/implied.yaml has what a method or an algorithm means under every budget.
 """
 
 import functools
@@ -15,7 +15,7 @@ from pipelines.config.method import MethodConfig
 from pipelines.config.methods import METHODS
 
 TRAINED_BY = ("algo", "trainer")  # groups that say who trains
-OF_TRAINING = (*TRAINED_BY, "actor", "train")  # groups of which a policy that is there already reads nothing
+OF_TRAINING = (*TRAINED_BY, "actor", "train")  # groups that a given policy does not read
 
 
 @functools.cache
@@ -34,15 +34,19 @@ def recipe(given: Mapping[str, str], method: str | None = None) -> list[str]:
     return next((by_env[name] for name in (env, env.rsplit("_v", 1)[0]) if name in by_env), [])
 
 
-def remaining(words: Sequence[str], given: Mapping[str, str]) -> list[str]:
-    """Return the overrides of a recipe that stand before those given, by key: a key that is given is the giver's.
+def remaining(overrides: Sequence[str], given: Mapping[str, str]) -> list[str]:
+    """Return the overrides of a recipe that come before those given, by key: a given key keeps its given value.
 
-    Of a recipe with another algorithm or trainer than the given one nothing stands that is of training.
+    A recipe with another algorithm or trainer than the given one loses its overrides of training.
     """
-    is_trained_otherwise = any(key in given and f"{key}={given[key]}" not in words for key in TRAINED_BY)
-    taken = (*OF_TRAINING, "oracle") if is_trained_otherwise else ()
-    keys = {word: word.partition("=")[0] for word in words}
-    return [word for word in words if keys[word] not in given and keys[word].partition(".")[0] not in taken]
+    is_other_training = any(key in given and f"{key}={given[key]}" not in overrides for key in TRAINED_BY)
+    taken = (*OF_TRAINING, "oracle") if is_other_training else ()
+    keys = {override: override.partition("=")[0] for override in overrides}
+    return [
+        override
+        for override in overrides
+        if keys[override] not in given and keys[override].partition(".")[0] not in taken
+    ]
 
 
 def always_implied(given: Mapping[str, str]) -> list[str]:
@@ -56,10 +60,10 @@ def always_implied(given: Mapping[str, str]) -> list[str]:
         files = (f"ppo_{name}_{given.get('env', '')}", f"ppo_tree_{given.get('env', '')}", "ppo_tree")
         algo = next(file for file in files if (CONF_DIR / "algo" / f"{file}.yaml").is_file())
     kind = "on_policy" if issubclass(method, SoftConfig) and algo != "sac" else algo.partition("_")[0]
-    words = [word for key in (kind, name, given.get("trainer")) for word in implied.get(key, [])]
-    words += [f"algo={algo}"] if algo else []
+    overrides = [override for key in (kind, name, given.get("trainer")) for override in implied.get(key, [])]
+    overrides += [f"algo={algo}"] if algo else []
     unread = given.keys() if method.imitates else {*given, "oracle"}
-    return [word for word in words if word.partition("=")[0] not in unread]
+    return [override for override in overrides if override.partition("=")[0] not in unread]
 
 
 def _default_budget() -> str:

@@ -229,7 +229,7 @@ class RunConfig:
 
     @property
     def budget_level(self) -> str:
-        """The budget's name in the run's folder, with who trained where that is no gradient by Stable-Baselines3."""
+        """The budget's name in the run's folder, with the trainer where that is not Stable-Baselines3's gradients."""
         who = self.trainer_name
         return self.budget.name if who in ("sb3", "none") else f"{self.budget.name}-{who}"
 
@@ -269,8 +269,8 @@ def run_folder(config: RunConfig, differences: Mapping[str, list[Any]]) -> str:
 
 def changes_text(config: RunConfig, differences: Mapping[str, list[Any]]) -> str:
     """Return the differences as overrides: `method.leaves=constant, oracle=[32]`; mostly nothing."""
-    told = {key: _not_keyed(config, key) if new is None else new for key, (new, _) in differences.items()}
-    return ", ".join(f"{key}={_as_override(value)}" for key, value in told.items())
+    shown = {key: _not_keyed(config, key) if new is None else new for key, (new, _) in differences.items()}
+    return ", ".join(f"{key}={_as_override(value)}" for key, value in shown.items())
 
 
 def _not_keyed(config: RunConfig, key: str) -> Any:

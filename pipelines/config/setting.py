@@ -29,13 +29,13 @@ LARGEST_SEED = 2**32 - 1
 
 @dataclass(frozen=True)
 class Text:
-    """A free text that `pattern` matches; `remedy` tells what to give where it does not."""
+    """A free text that `pattern` matches; `remedy` says what to give where it does not."""
 
     pattern: str = ".*"
     remedy: str = ""
 
     def problem(self, value: Any) -> str | None:
-        """Return what is wrong with a value, to stand after it; None where nothing is."""
+        """Return what is wrong with a value, to be printed after it; None where nothing is."""
         if isinstance(value, str) and re.fullmatch(self.pattern, value, re.DOTALL):
             return None
         return f"{'' if value else ' is empty'}: {self.remedy}"
@@ -43,7 +43,7 @@ class Text:
 
 @dataclass(frozen=True, eq=False)  # EXECUTION is not DERIVED
 class NotKeyed:
-    """A setting that does not decide what comes out, or that another one tells."""
+    """A setting that does not decide what comes out, or that another one determines."""
 
 
 @dataclass(frozen=True)

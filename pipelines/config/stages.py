@@ -19,13 +19,13 @@ from pipelines.config.setting import (
 
 @dataclass(frozen=True)
 class ActorConfig:
-    """The actor beside its widths (`depth`)."""
+    """The actor, apart from its widths (`depth`)."""
 
     negative_slope: BelowOne = 0.0  # 0 is ReLU, above 0 leaky ReLU
     # Train on states rescaled from the environment's box to [-1, 1]; the rescaling is affine and is folded into the
     # first layer afterwards, so the program reads the environment's own states
     rescale_inputs: Annotated[bool, AsBefore(False)] = False
-    # "input": a linear map of the state beside the neurons (dense links, Orfanos 2023, Corollary 1); "none" is without
+    # "input": a linear map of the state next to the neurons (dense links, Orfanos 2023, Corollary 1); "none" is without
     dense: Annotated[str, OneOf("none", "input"), AsBefore("none")] = "none"
 
     @property
@@ -70,7 +70,7 @@ class CriticPolishConfig:
     steps: Count = 100_000  # of the environment by the policy, an update each
     # Steps that fill the replay buffer before, in which the oracle acts as it explored
     refill_steps: Count = 50_000
-    # Share of these in which the policy itself acts: a weak one has to see what its mistakes lead to
+    # Share of these in which the policy itself acts: a weak policy needs data on its own mistakes
     student_share: Share = 0.3
     refill_noise: NotNegative = 0.1  # standard deviation of what is added to actions in [-1, 1] while it is filled
     noise: NotNegative = 0.1  # and from then on
@@ -88,7 +88,7 @@ class PolishingConfig(PolishSettings):
     critic: CriticPolishConfig = field(default_factory=CriticPolishConfig)
     # Environment steps of the search, about: as many iterations as they pay for at the length that episodes have before
     steps: Count = 1_000_000
-    # Whose numbers: the network's, where a tree is mapped from one, which is then mapped and pruned anew, or the pruned
+    # Whose numbers: the network's, where a tree is mapped from one (it is then mapped and pruned again), or the pruned
     # tree's. None is the network's where there is one
     numbers: Annotated[str | None, OneOf("network", "tree")] = None
     # Who computes the environments; None is numpy where that was compared with gymnasium, else gymnasium

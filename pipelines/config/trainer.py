@@ -28,7 +28,7 @@ class TrainerConfig:
 class FleetConfig(TrainerConfig):
     """Many runs of SAC trained as one (`pipelines/training/fleet`); Stable-Baselines3 trains all other algorithms."""
 
-    n_envs: Annotated[int, Range(1, 4096)] = 1  # environments a run; `algo.train_freq` counts the steps of all of them
+    n_envs: Annotated[int, Range(1, 4096)] = 1  # environments per run; `algo.train_freq` counts the steps of all
     # Runs that are trained as one at most; how they are grouped changes no run on the CPU
     runs_per_process: Annotated[int, Range(1, 4096), EXECUTION] = 5
 

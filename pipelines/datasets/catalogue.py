@@ -1,7 +1,7 @@
 """Which data sets there are, where their files come from, and what their content must be.
 
 `files.csv` has a row for every file: its path in a data folder, its size, the hash that Git gives it as a blob and its
-sha256, all of the unpacked content. PDBbind was never at hand: only the blob hash of its packed file is known.
+sha256, all of the unpacked content. PDBbind was never available: only the blob hash of its packed file is known.
 """
 
 import csv

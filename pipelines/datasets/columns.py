@@ -1,4 +1,4 @@
-"""How the columns of a table become features: fitted on training rows, written beside a tree, used on new rows.
+"""How the columns of a table become features: fitted on training rows, written next to a tree, used on new rows.
 
 A number stays as it is; a missing one becomes the median of the training rows, and where these lack some,
 ``size is missing`` is a feature of its own. Of a category, each value of the training rows is a feature
@@ -87,7 +87,7 @@ class Columns:
 
     @classmethod
     def read(cls, path: str | Path) -> "Columns":
-        """Return the columns that `write` has written, as a fit does beside its tree."""
+        """Return the columns that `write` has written, as a fit does next to its tree."""
         found: dict[str, Any] = json.loads(Path(path).read_text(encoding="utf-8"))
         columns = tuple(Column(**{**each, "values": _tuple(each["values"])}) for each in found["columns"])
         return cls(found["target"], found["task"], _tuple(found["classes"]), columns)

@@ -29,7 +29,7 @@ names:
   randhie                       counts of visits to a doctor, for the Poisson loss
   breast_cancer digits diabetes come with scikit-learn, nothing to fetch"""
 EPILOG = """\
-where files lie:
+where files are:
   $XDG_DATA_HOME/otr, or ~/.local/share/otr. OTR_DATA_DIR=FOLDER reads FOLDER/lcn/bace_split/train.fgp2048.csv (or
   .csv.gz) and so on instead, and fetches nothing. A file that cannot be fetched is rebuilt from SMILES where RDKit is
   installed (pip install 'otr[molecules]'; half a minute for hiv).
@@ -74,14 +74,14 @@ def main(given: Sequence[str]) -> int:
         return EXIT_USAGE
 
 
-def _fetch(names: Sequence[str], anew: bool) -> int:
+def _fetch(names: Sequence[str], rebuild: bool) -> int:
     table = Table(caption="train/valid/test; shares are of the measured labels", caption_justify="left")
     for heading in ("data set", "rows", "labels", "share of ones", "hash"):
         table.add_column(heading, justify="left" if heading in ("data set", "hash") else "right", no_wrap=True)
     places, failures = [], []
     for name in dict.fromkeys(names):
         try:
-            if anew:
+            if rebuild:
                 rebuild_and_keep(MOLECULES[name])
                 print(f"{name}: rebuilt in {own_folder()}, byte for byte LCN's files", flush=True)
             dataset = load_dataset(name)

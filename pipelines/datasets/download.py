@@ -43,7 +43,7 @@ def given_folder() -> Path | None:
 
 
 def locate(file: DataFile) -> Path | None:
-    """Return where the file lies on this machine, plain or packed; None where it does not."""
+    """Return where the file is on this machine, plain or packed; None where it is not."""
     given = given_folder()
     places = [given / file.path, given / file.path.removeprefix("lcn/")] if given else []
     for place in (*places, own_folder() / file.path):
@@ -76,7 +76,7 @@ def read(file: DataFile) -> bytes:
 
 
 def keep(file: DataFile, content: bytes) -> Path:
-    """Write a file into the user's own folder, packed unless it is packed already; nobody ever sees a part of it."""
+    """Write a file into the user's own folder, packed unless it is packed already; a partial file is never visible."""
     packed = file.path.endswith(".gz")
     path = own_folder() / (file.path if packed else f"{file.path}.gz")
     try:

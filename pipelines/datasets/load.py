@@ -24,7 +24,7 @@ def load_dataset(name: str, split: int | None = None) -> Dataset:
 
     Args:
         name: of the data set.
-        split: of molecules, the seed that draws the parts anew, whole scaffolds together (`shuffled_scaffold_split`);
+        split: of molecules, the seed that redraws the parts, whole scaffolds together (`shuffled_scaffold_split`);
             None for the parts as published.
 
     Raises:

@@ -1,6 +1,6 @@
 """RAND's Health Insurance Experiment: how often a person saw a doctor in a year, by their insurance and their health.
 
-A row is a person's year, and those of a person stand together. The rows are split by blocks, so that a person is in one
+A row is a person's year, and those of a person are adjacent. The rows are split by blocks, so that a person is in one
 part, but for those at a block's end.
 """
 

@@ -1,7 +1,7 @@
-"""LCN's split files made anew from SMILES, byte for byte, with RDKit (extra `molecules`).
+"""LCN's split files rebuilt from SMILES, byte for byte, with RDKit (extra `molecules`).
 
-Morgan fingerprints of radius 2, 2,048 bits, no chirality. Today's RDKit perceives 77 molecules otherwise than that of
-2019 did (aromaticity of fused rings, hydrogens of two-coordinate iodine, some metals): `old_rdkit_rows.json` has their
+Morgan fingerprints of radius 2, 2,048 bits, no chirality. Today's RDKit perceives 77 molecules differently from that of
+2019 (aromaticity of fused rings, hydrogens of two-coordinate iodine, some metals): `old_rdkit_rows.json` has their
 on-bits by row of the file of SMILES. Tried with RDKit 2024.9.6 and 2026.9.1.
 """
 

@@ -33,7 +33,7 @@ def scaffolds_by_part(entry: MoleculeSet) -> dict[str, np.ndarray]:
 
 
 def number_scaffolds(entry: MoleculeSet) -> np.ndarray:
-    """Return what `scaffolds_of` has read, found anew by RDKit; scaffolds are numbered as they are met."""
+    """Return what `scaffolds_of` has read, found again by RDKit; scaffolds are numbered as they are met."""
     from pipelines.datasets.rebuild import perceive
 
     numbers: dict[str, int] = {}
@@ -42,5 +42,5 @@ def number_scaffolds(entry: MoleculeSet) -> np.ndarray:
 
 
 def write_scaffolds() -> None:
-    """Write the file anew; needs RDKit and the files of SMILES."""
+    """Write the file again; needs RDKit and the files of SMILES."""
     save_file({name: number_scaffolds(entry) for name, entry in MOLECULES.items()}, Path(__file__).with_name(FILE))

@@ -124,9 +124,9 @@ def _check(columns: pd.DataFrame, training: pd.DataFrame, path: str) -> None:
     problems |= {name: "no value in a training row" for name in columns if training[name].isna().all()}
     wrong = {name: problem for name, problem in problems.items() if problem}
     if wrong:
-        told = "\n".join(f"  {name}: {problem}" for name, problem in wrong.items())
+        lines = "\n".join(f"  {name}: {problem}" for name, problem in wrong.items())
         raise ConfigError(
-            f"{path} has columns that are neither numbers nor categories\n{told}\nLeave them out with "
+            f"{path} has columns that are neither numbers nor categories\n{lines}\nLeave them out with "
             f"drop=[{','.join(wrong)}], or make them numbers (days since a date, months) or broader categories"
         )
 

@@ -1,8 +1,8 @@
 """Results of stages as they are kept: a folder with a manifest, or the archive of a finished run.
 
-The archive, `stages.tar.xz`, holds the stages and the configuration of a run beside its summary, without the files that
-are made again in seconds; of these the manifests keep the sha256. JSON and CSV files are read from where they lie
-(`store.read_bytes`); whoever needs stages' folders with all their files asks for them with `opened`.
+The archive, `stages.tar.xz`, holds the stages and the configuration of a run, next to its summary. Files that are made
+again in seconds are left out; the manifests keep their sha256. JSON and CSV files are read from where they are
+(`store.read_bytes`); `opened` gives stages' folders with all their files.
 """
 
 import hashlib
@@ -34,8 +34,8 @@ from pipelines.engine.store import (
 from pipelines.errors import PipelineError
 
 MANIFEST = "manifest.json"
-# What archives leave out though only its command makes it again: critics, which serve who goes on from a result,
-# pictures, and large trees that lie there as far as the policy reaches them.
+# What archives leave out though only its command makes it again: critics, which only a continued training needs,
+# pictures, and large trees, of which it holds the part that the policy reaches.
 NOT_ARCHIVED = frozenset({"train/critics.safetensors", "prune/tree.svg", "polish/tree.svg"})
 LARGE_NOT_ARCHIVED = frozenset({"imitate/tree.npz"})
 LARGE_BYTES = 200_000
@@ -76,7 +76,7 @@ def verified_manifest(folder: Path) -> dict[str, Any]:
 
 @contextmanager
 def opened(run_dir: Path, stages: Collection[str], derive: Derive | None = None) -> Iterator[Path]:
-    """Give a run's folder in which these stages lie with all their files, as far as the run has them.
+    """Give a run's folder that holds these stages with all their files, as far as the run has them.
 
     It is the run's own where none of them is packed, else a temporary one.
 
@@ -87,7 +87,7 @@ def opened(run_dir: Path, stages: Collection[str], derive: Derive | None = None)
 
     Raises:
         PipelineError: a packed file was changed, or what is made again is not what was recorded. Of arrays that is
-            printed instead, as processors round them otherwise.
+            printed instead, as processors round them differently.
     """
     packed = {name: files for name in stages if (files := packed_files(run_dir / name))}
     if not packed:
@@ -118,7 +118,7 @@ def require_whole(folder: Path) -> None:
         raise PipelineError(
             f"{folder} is packed without its tree, which has more than {LARGE_BYTES // 1000} kB: {ARCHIVE} has what is "
             "reached of it, in stage prune\nRun the same command with results_dir=DIR, another folder: it makes the "
-            "tree anew and keeps it."
+            "tree again and keeps it."
         )
 
 
@@ -131,9 +131,9 @@ def is_whole(folder: Path) -> bool:
 def _complete(run_dir: Path, folder: Path, derive: Derive) -> None:
     """Add to an unpacked stage what its run's archive leaves out; nothing where that lacks the tree to make it from.
 
-    Another processor rounds a tree's arrays otherwise, in their last bit. Arrays that differ are therefore taken,
+    Another processor rounds a tree's arrays differently, in their last bit. Arrays that differ are therefore taken,
     whatever the difference, as the recorded ones are not kept to compare with; it is printed, and the unpacked manifest
-    has the digests of what was made here. Text that is written otherwise from the same arrays is refused.
+    has the digests of what was made here. Text that differs although its arrays are the same is refused.
     """
     if not is_whole(folder):
         return
@@ -153,8 +153,8 @@ def _complete(run_dir: Path, folder: Path, derive: Derive) -> None:
         raise _not_as_recorded(run_dir, folder.name, next(iter(others)), what, manifest)
     print(
         f"{run_dir / folder.name}: {', '.join(others)}, made again from the recorded actor, have another sha256 than "
-        f"at revision {manifest.get('git_revision')}: another processor or other packages round otherwise in the last "
-        "bit; by how much these differ is not known",
+        f"at revision {manifest.get('git_revision')}: another processor or other packages round differently in the "
+        "last bit; by how much these differ is not known",
         file=sys.stderr,
     )
     outputs |= others
@@ -172,8 +172,8 @@ def _not_as_recorded(run_dir: Path, stage: str, name: str, what: str, manifest: 
 def pack(run_dir: Path, derive: Derive | None = None, leave: Collection[str] = ()) -> None:
     """Put the finished stages and the configuration of a run into its archive, read that back, and remove the files.
 
-    The same stages give the same archive. What lies in the archive already stays there, unless the stage's folder is
-    there, too. The configuration no longer names the folder of results, which was one of this machine.
+    The same stages give the same archive. What is in the archive already stays there, unless the stage's folder
+    exists, too. The configuration no longer names the folder of results, which was one of this machine.
 
     Args:
         run_dir: the run's folder.
@@ -200,7 +200,7 @@ def pack(run_dir: Path, derive: Derive | None = None, leave: Collection[str] = (
         raise PipelineError(f"{run_dir / ARCHIVE} does not hold what was written to it; the folders stay")
     (run_dir / CONFIG).unlink(missing_ok=True)
     for name in there:
-        gone = (run_dir / name).rename(run_dir / f".{name}.tmp")  # at once, so that nobody finds half a folder
+        gone = (run_dir / name).rename(run_dir / f".{name}.tmp")  # at once, so that half a folder is never visible
         shutil.rmtree(gone)
 
 
@@ -227,7 +227,7 @@ def _needs_command(folder: Path, name: str, n_bytes: int = LARGE_BYTES + 1) -> b
 def _write_archive(path: Path, files: Mapping[str, bytes]) -> None:
     with tarfile.open(path, "w:xz", format=tarfile.USTAR_FORMAT, preset=6) as archive:
         for name in sorted(files):
-            member = tarfile.TarInfo(name)  # of 1970 and of nobody: the same files give the same bytes
+            member = tarfile.TarInfo(name)  # dated 1970, without owner: the same files give the same bytes
             member.size = len(files[name])
             archive.addfile(member, io.BytesIO(files[name]))
 

@@ -1,4 +1,4 @@
-"""What commands show in a terminal: numbers, and how far a command is before it has something to print."""
+"""What commands show in a terminal: numbers, and how far a command has got."""
 
 import sys
 import time
@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 def duration(seconds: float) -> str:
-    """Return seconds as people read them: 45 s, 12 min, 3.5 h."""
+    """Return seconds in readable units: 45 s, 12 min, 3.5 h."""
     if seconds < 10:
         return f"{seconds:.1f} s"
     if seconds < 100:
@@ -29,7 +29,7 @@ def duration(seconds: float) -> str:
 
 
 def counted(items: Sequence[T], what: str) -> Iterator[T]:
-    """Give the items one by one; where that takes long, a terminal shows how many were given, until all were."""
+    """Yield the items; where that takes long, a terminal shows how many are done."""
     start, shown = time.monotonic(), False
     for number, item in enumerate(items):
         if sys.stderr.isatty() and time.monotonic() - start > PATIENCE_S:
@@ -41,7 +41,7 @@ def counted(items: Sequence[T], what: str) -> Iterator[T]:
 
 
 def show_rows(what: str, rows: Mapping[str, Mapping[str, str]]) -> None:
-    """Print a table of a line for each key, which `what` heads; a column that a row has not is empty there."""
+    """Print a table of a line for each key, which `what` heads; a column that a row lacks is empty there."""
     table = Table(box=box.SIMPLE_HEAD)
     table.add_column(what, overflow="fold")
     names = list(dict.fromkeys(name for row in rows.values() for name in row))
@@ -62,15 +62,15 @@ def show_finished(
     run_dir: Path,
     picture: Path | None = None,
 ) -> None:
-    """Print what came out of a job, its time and where its files lie; its program in full where that is short.
+    """Print what came out of a job, its time and where its files are; its program in full where that is short.
 
     Args:
         program: its text; empty where there is none.
         where: the file or the command that shows a long program.
-        title, table, lines: what the results are of, the results, and what is to be said below them.
+        title, table, lines: what the results are of, the results, and the lines below them.
         seconds: of each stage.
         run_dir: the job's folder.
-        picture: a file, named where it is there.
+        picture: a file, named where it exists.
     """
     width, n_lines = columns(), program.count("\n")
     if 0 < n_lines <= SHORT_PROGRAM:

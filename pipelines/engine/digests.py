@@ -13,7 +13,7 @@ def digest(value: Any) -> str:
 
 
 def setting_differences(new: dict[str, Any], old: dict[str, Any], prefix: str = "") -> dict[str, list[Any]]:
-    """Return {dotted key: [new, old]} for every leaf that differs; None stands for a key that is not there."""
+    """Return {dotted key: [new, old]} for every leaf that differs; None stands for a missing key."""
     found: dict[str, list[Any]] = {}
     for key in sorted(new.keys() | old.keys()):
         mine, other = new.get(key), old.get(key)

@@ -21,13 +21,13 @@ from pipelines.engine.stage import Stage, run_stage, stage_key, stage_status
 from pipelines.engine.store import CONFIG, archive_files, exists, read_json, write_json, write_text
 from pipelines.errors import PipelineError
 
-# Where code lies that is not a user's: these packages, Python's and what pip installs.
+# Where code is that is not a user's: these packages, Python's and what pip installs.
 _INSTALLED = (Path(__file__).parents[1], Path(otr.__file__).parent, *map(Path, sysconfig.get_paths().values()))
 
 
 @dataclass(frozen=True)
 class Job(ABC):
-    """What is done in one folder. A job is composed once and is plain data, so that any process can be handed it."""
+    """What is done in one folder. A job is composed once and is plain data, so that any process can do it."""
 
     program: ClassVar[str]  # the command that does such jobs
     ends_with: ClassVar[str]  # the stage after which the job's summary is written
@@ -60,19 +60,19 @@ class Job(ABC):
         return any(stage.name == self.ends_with for stage in self.stages)
 
     def side_by_side(self) -> Self:
-        """Return a job that knows that others share its terminal and its cores."""
+        """Return a job for which others share its terminal and its cores."""
         config = dataclasses.replace(self.config, side_by_side=True, n_workers=self.config.n_workers or 1)
         return dataclasses.replace(self, config=config)
 
     def found_done(self) -> None:  # noqa: B027 - nothing to do for most
-        """Do what a job that is found done needs all the same."""
+        """Do what even a finished job needs."""
 
 
 J = TypeVar("J", bound=Job)
 
 
 def do_stage(job: Job, stage: Stage, derive: Derive | None = None) -> None:
-    """Bring a stage of a job up to date, see to the job's config.yaml, and print how long the stage took."""
+    """Bring a stage of a job up to date, write the job's config.yaml, and print how long the stage took."""
     result = run_stage(stage, job.run_dir, job.config, job.command, derive)
     if not exists(job.run_dir / CONFIG):
         write_text(job.run_dir / CONFIG, job.config_yaml)
@@ -80,14 +80,14 @@ def do_stage(job: Job, stage: Stage, derive: Derive | None = None) -> None:
 
 
 def write_config(job: Job) -> None:
-    """Write a job's config.yaml, so that a job under way can be looked at; anew while no stage of it is finished."""
+    """Write a job's config.yaml, so that a running job can be inspected; rewrite it while no stage is finished."""
     path = job.run_dir / CONFIG
     if not exists(path) or not _has_finished_a_stage(job):
         write_text(path, job.config_yaml)
 
 
 def withdraw_config(job: Job) -> None:
-    """Take config.yaml away from a job that was refused before a stage of it was finished."""
+    """Remove config.yaml of a job that was refused before any of its stages was finished."""
     if not _has_finished_a_stage(job):
         (job.run_dir / CONFIG).unlink(missing_ok=True)
 
@@ -97,7 +97,7 @@ def _has_finished_a_stage(job: Job) -> bool:
 
 
 def write_summary(job: Job, summary: dict[str, Any]) -> None:
-    """Write the summary of a finished job; what an earlier attempt failed with is no longer of use."""
+    """Write the summary of a finished job; remove the error of an earlier attempt."""
     write_json(job.run_dir / "summary.json", summary)
     (job.run_dir / "error.log").unlink(missing_ok=True)
 
@@ -128,14 +128,14 @@ def is_done(job: Job) -> bool:
     left = [stage for stage in job.stages if stage.name not in gone]
     try:
         if ends and not {stage.name for stage in left} <= read_json(job.run_dir / "summary.json")["seconds"].keys():
-            return False  # a stage was added by itself since, as stages=[polish] does
+            return False  # a single stage was added since, as by stages=[polish]
         return all(_is_stage_done(job, stage, gone) for stage in left)
-    except PipelineError:  # damaged: doing the job tells what is wrong
+    except PipelineError:  # damaged: doing the job reports what is wrong
         return False
 
 
 def _is_gone(job: Job, stage: Stage) -> bool:
-    """Return whether a stage's result was there for the stages after it alone, which are done."""
+    """Return whether a stage's result only served the stages after it, which are done."""
     later = [other for other in job.stages if stage.name in other.inputs]
     return (
         stage.is_transient
@@ -157,7 +157,7 @@ def _is_stage_done(job: Job, stage: Stage, gone: set[str]) -> bool:
 
 
 def message_of(error: Exception) -> str:
-    """Return the message alone where it was written for people, with the error's kind where it was not."""
+    """Return the message of an error of ours, and any other with the error's type."""
     if isinstance(error, PipelineError | OtrError):
         return str(error)
     if isinstance(error, OSError) and error.filename and error.strerror:
@@ -166,7 +166,7 @@ def message_of(error: Exception) -> str:
 
 
 def _place_of(error: Exception) -> str:
-    """Return where an error came up in code that is neither ours nor installed, as a user's own environment is."""
+    """Return where an error was raised in code that is neither ours nor installed, such as a custom environment."""
     text = "".join(traceback.format_exception(error))  # has the frames of another process, too
     frames = re.findall(r'File "([^"<>]+)", line (\d+), in (\S+)', text)
     own = [frame for frame in frames if not _is_installed(Path(frame[0]))]
@@ -193,10 +193,10 @@ def record_failure(job: Job, error: BaseException, sweep: str) -> str:
 
 @contextmanager
 def disk_errors_explained(job: Job) -> Iterator[None]:
-    """Turn an error of the operating system into a message with the way out; a file that is missed keeps its own."""
+    """Turn an error of the operating system into a message with the remedy; a missing file keeps its own."""
     try:
         yield
-    except (BrokenPipeError, FileNotFoundError):  # the latter is of an own environment, if of anything
+    except (BrokenPipeError, FileNotFoundError):  # the latter comes from a custom environment, if at all
         raise
     except OSError as error:
         full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)

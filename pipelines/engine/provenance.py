@@ -1,4 +1,4 @@
-"""Where an artefact comes from: versions, git revision and command. Recorded beside it, never part of its key."""
+"""Where an artefact comes from: versions, git revision and command. Recorded next to it, never part of its key."""
 
 import functools
 import platform
@@ -39,7 +39,7 @@ def git_revision() -> str | None:
 def _git(*arguments: str) -> str | None:
     """Return what git prints in this file's folder; None where it fails or is not there.
 
-    It is to write nothing there: on a full disk it would leave its lock behind, and the checkout could not be used.
+    It must write nothing there: on a full disk it would leave its lock, and block the checkout.
     """
     command = ["git", "--no-optional-locks", *arguments]
     try:

@@ -17,7 +17,7 @@ def stream(seed: int, name: str, *index: int) -> np.random.SeedSequence:
 
 
 def stream_seed(seed: int, name: str, *index: int) -> int:
-    """Return one integer seed of a stream, for libraries that take nothing else."""
+    """Return one integer seed of a stream, for libraries that accept only integers."""
     return stream_seeds(1, seed, name, *index)[0]
 
 

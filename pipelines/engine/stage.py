@@ -1,7 +1,7 @@
 """Stages: pure functions of inputs and settings whose results are kept, found again and never half written.
 
 A stage is keyed by the sha256 of its name, its version, its settings and its inputs' digests. `run_stage` skips what is
-done, waits where another process is at it, writes into a temporary folder, writes `manifest.json` last and renames.
+done, waits where another process is making it, writes into a temporary folder, writes `manifest.json` last and renames.
 """
 
 import operator
@@ -47,14 +47,14 @@ class Stage:
     run: Callable[[Inputs, Any, Path], None]
     # A dataclass, of which each field is the job's configuration's of that name; None for the configuration itself
     settings: type | None = None
-    # Prints, for the settings of those that are made together, how long that will take; raises where it cannot be done
+    # Prints, for the settings of runs that are made together, how long that takes; raises where it is impossible
     announce: Callable[[Sequence[Any]], None] | None = None
     seconds_left: Callable[[Any], float] | None = None  # the likely time of what is not done yet, on one core
     check: Callable[[Any], None] | None = None  # raises, before any stage of the job, where this one cannot be done
-    # `run` for several jobs in one go: returns what each failed with, or None
+    # `run` for several jobs at once: returns what each failed with, or None
     together: Callable[[Sequence[Inputs], Sequence[Any], Sequence[Path]], Sequence[Exception | None]] | None = None
     is_of_other_job: bool = False  # it refers to what another job makes, which is done before
-    is_transient: bool = False  # its result is large and serves the stages after it; it may be gone once these are done
+    is_transient: bool = False  # its result is large and only serves later stages; it may be deleted after these
     # From `(settings, inputs)` to the folder in which it keeps what it has done so far; that folder is removed once
     # the result is in its place
     checkpoints: Callable[[Any, Inputs], Path] | None = None
@@ -76,7 +76,7 @@ def part_of(config: Any, kind: type[Part]) -> Part:
 
 
 def picked(**paths: str) -> Callable[[Any], dict[str, Any]]:
-    """Return a stage's `keyed`: under each name what lies at its dotted path in the settings.
+    """Return a stage's `keyed`: under each name what is at its dotted path in the settings.
 
     A part of them is picked with all that it holds, or with what its own function `settings` returns.
     """
@@ -96,7 +96,7 @@ def _plain(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class StageResult:
-    """Where a stage's files lie, whether they were there before, and the seconds that making them took."""
+    """Where a stage's files are, whether they existed before, and the seconds that making them took."""
 
     folder: Path
     skipped: bool
@@ -148,10 +148,10 @@ def _found_or_made(stage: Stage, run_dir: Path, config: Any, inputs: Inputs, der
 
 
 def run_stage_together(stage: Stage, requests: Sequence[tuple[Path, Any]]) -> list[Exception | None]:
-    """Make the results of a stage for several runs in one go (`Stage.together`), where nothing is in the way.
+    """Make the results of a stage for several runs at once (`Stage.together`), where nothing prevents it.
 
-    Runs that have theirs, that another process is at, or whose result another run holds are left for `run_stage`, which
-    knows what to do. What one run fails at does not touch the others.
+    `run_stage` handles runs that have theirs, that another process is making, or whose result another run holds. A
+    failure of one run does not affect the others.
 
     Args:
         stage: the stage; what it reads is done in every run folder.
@@ -188,7 +188,7 @@ def run_stage_together(stage: Stage, requests: Sequence[tuple[Path, Any]]) -> li
 
 
 def stage_key(stage: Stage, config: Any, inputs: Inputs) -> str:
-    """Return the key of a stage's result: what it is made by, with and from."""
+    """Return the key of a stage's result: of its version, its settings and its inputs."""
     digests = {name: verified_manifest(folder)["output_digest"] for name, folder in inputs.items()}
     keyed = stage.keyed(stage.of(config))
     return digest({"stage": stage.name, "version": stage.version_of(config), "settings": keyed, "in": digests})
@@ -209,7 +209,7 @@ def stage_status(stage: Stage, folder: Path, config: Any, wanted: str | None = N
 
 
 def _origin() -> dict[str, Any]:
-    """Return who makes a result: of the code that is running, so asked before a run of hours and not after it."""
+    """Return the provenance of a result: of the code that is running, so read before a run of hours, not after it."""
     return {
         "command": provenance.command_line(),
         "git_revision": provenance.git_revision(),
@@ -276,7 +276,7 @@ def _copy_twin(twin: Path, folder: Path, derive: Derive | None) -> None:
 
 
 def _put(temporary: Path, folder: Path) -> None:
-    """Put a whole result in its place; one that is there is stale: of an older version of the stage, or its inputs."""
+    """Put a whole result in its place; an existing one is stale: of an older version of the stage, or its inputs."""
     if folder.exists():
         shutil.rmtree(folder)
     temporary.rename(folder)

@@ -1,6 +1,6 @@
 """Reading and writing artefacts: text, JSON and CSV files that appear whole or not at all. No pickle anywhere.
 
-What belongs in the folder of a run's stage, `<run>/<stage>/<file>`, may lie in the run's archive instead, in
+What belongs in the folder of a run's stage, `<run>/<stage>/<file>`, may be in the run's archive instead, in
 `<run>/stages.tar.xz` as `<stage>/<file>`, and is read from there; so may `<run>/config.yaml`.
 """
 
@@ -22,12 +22,12 @@ from pipelines.errors import PipelineError
 ARCHIVE = "stages.tar.xz"
 CONFIG = "config.yaml"
 LARGEST_ARCHIVE_BYTES = 2**28  # unpacked
-REWRITTEN = ("summary.json", CONFIG)  # made anew by the run's command, from the finished stages
+REWRITTEN = ("summary.json", CONFIG)  # made again by the run's command, from the finished stages
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a file to write in place of `path`: a reader sees the old one or the new one, and a full disk no part."""
+    """Give a file to write in place of `path`: a reader sees the old one or the new one, never a part."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         yield temporary
@@ -39,7 +39,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def unfinished(folder: Path) -> Iterator[Path]:
-    """Give an empty folder beside `folder` to write into and to rename; what is still there afterwards is removed."""
+    """Give an empty folder next to `folder` to write into and to rename; what remains afterwards is removed."""
     temporary = folder.with_name(f".{folder.name}.tmp")
     shutil.rmtree(temporary, ignore_errors=True)
     temporary.mkdir(parents=True)
@@ -120,7 +120,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def packed_files(folder: Path, name: str | None = None) -> dict[str, bytes]:
-    """Return the files of a stage, or the one named, from its run's archive; none where the stage's folder is there."""
+    """Return the files of a stage, or the one named, from its run's archive; none where the stage's folder exists."""
     if folder.exists():
         return {}
     start = f"{folder.name}/"
@@ -141,9 +141,9 @@ def archive_files(run_dir: Path) -> Mapping[str, bytes]:
     return _read_archive(archive, found.st_mtime_ns, found.st_size)
 
 
-@functools.lru_cache(maxsize=4)  # what is asked for next is most often of the same run
+@functools.lru_cache(maxsize=4)  # the next request is mostly of the same run
 def _read_archive(archive: Path, mtime_ns: int, n_bytes: int) -> Mapping[str, bytes]:
-    """Return the files of an archive; its time and size tell it from another one that was there before."""
+    """Return the files of an archive; its time and size distinguish it from an earlier one."""
     files = {}
     try:
         unpacking = LZMADecompressor()
@@ -162,9 +162,9 @@ def _read_archive(archive: Path, mtime_ns: int, n_bytes: int) -> Mapping[str, by
 
 
 def corrupt(path: Path, error: Exception) -> PipelineError:
-    """Return the error for an artefact that cannot be read, with the way out."""
+    """Return the error for an artefact that cannot be read, with the remedy."""
     if path.name in REWRITTEN:
-        remedy = f"Delete {path} and run the run's command again to make it; nothing is trained anew."
+        remedy = f"Delete {path} and run the run's command again to make it; nothing is trained again."
     else:
         remedy = f"Restore it, or delete the folder {path.parent} and do the run again, which makes it."
     what = "is not there" if isinstance(error, FileNotFoundError) else f"cannot be read: {error}"

@@ -1,4 +1,4 @@
-"""Sweeps: jobs handed to a launcher until each has ended, and what a launcher's processes do with them.
+"""Sweeps: jobs handed to a launcher until each has ended, and how a launcher's processes do them.
 
 Nothing here knows Hydra, runs or fits: `pipelines/cli` composes the jobs and gives the function that launches them.
 """
@@ -17,7 +17,7 @@ from pipelines.errors import ConfigError
 FUTILE_ROUNDS = 3  # rounds in a row that lose a worker and finish no job, before a sweep gives up
 # What joblib, submitit and Dask raise where a process or node doing a job has died
 LOST_WORKERS = {"BrokenProcessPool", "UncompletedJobError", "KilledWorker"}
-LAUNCHERS = {  # those that are not always there: the modules that a launcher needs and the extra that brings them
+LAUNCHERS = {  # optional launchers: the modules that a launcher needs and the extra that brings them
     "submitit_local": (("submitit", "hydra_plugins.hydra_submitit_launcher"), "slurm"),
     "slurm": (("submitit", "hydra_plugins.hydra_submitit_launcher"), "slurm"),
     "dask": (("distributed",), "dask"),
@@ -41,10 +41,10 @@ def check_launcher(name: str) -> None:
 
 
 def run_sweep(jobs: Sequence[Job], launch: Callable[[Sequence[int]], list[Outcome]]) -> list[Outcome]:
-    """Do every job that is not done, going on with those that are left whenever a launcher loses a worker.
+    """Do every job that is not done, and continue with the rest whenever a launcher loses a worker.
 
     A worker that is killed takes the launcher's answers with it, so which jobs are done is read from their folders.
-    What a lost worker was at goes on from its checkpoint. `launch` does the jobs with these numbers and returns their
+    The job of a lost worker resumes from its checkpoint. `launch` does the jobs with these numbers and returns their
     outcomes in the same order.
     """
     outcomes: dict[int, Outcome] = {}
@@ -103,7 +103,7 @@ class GroupTask:
         return [self._outcome(*each) for each in zip(jobs, errors, before, strict=True)]
 
     def _outcome(self, job: Job, error: Exception | None, before: Exception | None) -> Outcome:
-        """Return how a job ended; what a group failed with as a whole is told with the first of its jobs alone."""
+        """Return how a job ended; an error of a whole group is reported with the first of its jobs alone."""
         if error is None:
             return Outcome(job.folder)
         path = record_failure(job, error, self.sweep)

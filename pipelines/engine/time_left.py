@@ -1,4 +1,4 @@
-"""The time that is left of what a command does: estimated here from what is done, and put into words."""
+"""The time left of a command, estimated from what is done, as text."""
 
 import time
 from collections.abc import Callable
@@ -10,12 +10,12 @@ MEASURED_S = 3.0  # of learning, before the time left is printed
 
 
 def time_left(seconds: float | None) -> str:
-    """Return the likely time that is left in words; None is while it is being measured."""
+    """Return the estimated time left as text; None is while it is being measured."""
     return "measuring" if seconds is None else f"{duration(seconds)} left"
 
 
 def progress_lines(what: str, unit: str) -> Callable[[int, int], None]:
-    """Return a function that prints how much of all is done, at most every ten seconds, with the time left."""
+    """Return a function that prints how much is done, at most every ten seconds, with the time left."""
     began = said = time.monotonic()
 
     def say(done: int, total: int) -> None:
@@ -42,7 +42,7 @@ class Pace:
         self._n_steps, self._seconds = 0, 0.0
 
     def at_step(self, step: int, now: float) -> None:
-        """Take in that a step was made at a time, in seconds; its update follows, and is done where it comes again."""
+        """Record the time of a step, in seconds; its update follows, and is done by the next call."""
         is_over, self._last = step == self._last, step
         if self._start is None:
             self._start = (step, now) if step >= self._first_step else None

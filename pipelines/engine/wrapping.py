@@ -1,4 +1,4 @@
-"""Text cut between words to the width of a terminal; what is no terminal gets whole lines."""
+"""Text wrapped to the width of a terminal; other outputs get whole lines."""
 
 import re
 import shutil
@@ -16,15 +16,15 @@ def columns(stream: TextIO | None = None) -> int:
 
 
 def fitted(text: str, width: int) -> str:
-    """Return a text whose lines are cut between words to a width.
+    """Return a text with its lines wrapped to a width.
 
-    What goes on is indented more than the line that it belongs to, so that a program stays one that can be read.
+    Continuation lines are indented more than their line, so that a program stays readable.
     """
     return "\n".join(_cut(line, len(line) - len(line.lstrip()) + 4, width) for line in text.split("\n"))
 
 
 def fitted_help(text: str, width: int) -> str:
-    """Return a command's help for a width: paragraphs and descriptions are filled anew, examples cut between words."""
+    """Return a command's help for a width: paragraphs and descriptions are refilled, examples cut between words."""
     if max(map(len, text.split("\n"))) <= width:
         return text
     entries: list[tuple[str, int, bool]] = []  # an entry, the indentation of what goes on, whether lines go on in it
@@ -41,7 +41,7 @@ def fitted_help(text: str, width: int) -> str:
 
 
 def _cut(line: str, indent: int, width: int) -> str:
-    """Return a line cut between words, the rest indented; no word is cut, nor a number from its unit or its factor."""
+    """Return a wrapped line, the rest indented; a number stays with its unit and its factor."""
     if len(line) <= width:
         return line
     own = line[: len(line) - len(line.lstrip())]

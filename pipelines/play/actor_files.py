@@ -1,4 +1,4 @@
-"""The files of a trained actor: float64 weights and biases as safetensors, the rest as JSON beside them."""
+"""The files of a trained actor: float64 weights and biases as safetensors, the rest as JSON next to them."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""Boxes of states in words, as `angle in -0.2..0.2`: what they are, and from words to limits."""
+"""Boxes of states as text, `angle in -0.2..0.2`: written, and read into limits."""
 
 import re
 from collections.abc import Sequence
@@ -53,7 +53,7 @@ def box_around(states: np.ndarray, margin: float) -> otr.Domain:
 
 
 def box_in_words(domain: otr.Domain, names: Sequence[str]) -> str:
-    """Return a box as people read it, side by side as `box=` takes them; of many sides the first ones."""
+    """Return a box as text, its sides as `box=` takes them; of many sides the first ones."""
     sides = zip(names, (domain.low + 0.0).tolist(), (domain.high + 0.0).tolist(), strict=True)  # 0, not -0
     words = [f"{name} in {low:.4g}..{high:.4g}" for name, low, high in sides]
     more = [f"{len(words) - SHOWN} more"] if len(words) > SHOWN else []

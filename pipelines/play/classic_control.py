@@ -139,7 +139,7 @@ class _Starts:
         self._generators = [np_random(int(seed))[0] for seed in distinct]
         self._low, self._high = low, high
         self._n_taken = np.zeros(len(seeds), dtype=np.int64)  # by each environment
-        self._first = 0  # `_drawn` holds those from this number on that are still to be taken
+        self._first = 0  # `_drawn` holds those from this number on, not yet taken
         self._drawn = np.empty((len(distinct), 0, len(low)))
 
     def take(self, envs: np.ndarray) -> np.ndarray:

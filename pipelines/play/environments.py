@@ -32,7 +32,7 @@ def make_env(env: EnvConfig) -> gym.Env:
 
 
 def is_made_anew(env: EnvConfig) -> bool:
-    """Return whether an environment is made anew for every seeded reset, as its episodes depend on those before.
+    """Return whether an environment is recreated for every seeded reset, as its episodes depend on those before.
 
     Of gymnasium's these are known; a custom one is checked on a few short episodes.
     """
@@ -47,7 +47,7 @@ def is_made_anew(env: EnvConfig) -> bool:
 def _depends_on_past(env_id: str, kwargs: str) -> bool:
     depends = depends_on_past(functools.partial(_make, EnvConfig(env_id, env_id, env_id, json.loads(kwargs))))
     if depends and multiprocessing.parent_process() is None:  # once, not in every worker
-        print(f"{env_id}: its episodes depend on those before; it is made anew for each", file=sys.stderr, flush=True)
+        print(f"{env_id}: its episodes depend on those before; it is recreated for each", file=sys.stderr, flush=True)
     return depends
 
 
@@ -61,7 +61,7 @@ def _make(env: EnvConfig) -> gym.Env:
             made = gym.make(spec, disable_env_checker=True, **env.kwargs)
         except Exception as error:  # foreign code can fail in any way
             arguments = env.kwargs or "no arguments"
-            raise ConfigError(f"env.id={env.id} with {arguments} cannot be made: {told(error)}") from error
+            raise ConfigError(f"env.id={env.id} with {arguments} cannot be made: {error_line(error)}") from error
         try:
             return flattened(made)
         except ValueError as error:
@@ -98,11 +98,11 @@ def _import(module: str, env_id: str) -> None:
         importlib.import_module(module)
     except Exception as error:  # foreign code can fail in any way
         missing = isinstance(error, ModuleNotFoundError) and error.name == module.split(".")[0]
-        what = f"there is no such module, installed or in {Path.cwd()}" if missing else told(error)
+        what = f"there is no such module, installed or in {Path.cwd()}" if missing else error_line(error)
         raise ConfigError(f"environment {env_id}: module {module} cannot be imported: {what}") from error
 
 
-def told(error: Exception) -> str:
+def error_line(error: Exception) -> str:
     """Return an error of foreign code in one line, with its kind unless it is one of gymnasium's own."""
     return str(error) if isinstance(error, gym.error.Error) else f"{type(error).__name__}: {error}"
 

@@ -163,7 +163,7 @@ def play_each(policies: Mapping[str, Any], config: PlaysEvaluation) -> dict[str,
 
 
 def _acts_as(policy: Any, played: Rollout) -> bool:
-    """Return whether a policy does, to the last bit that environments are given, what was done in all episodes."""
+    """Return whether a policy's actions equal those of all episodes, to the last bit that environments receive."""
     return np.array_equal(np.asarray(policy.predict(played.states)).astype(played.actions.dtype), played.actions)
 
 
@@ -178,7 +178,7 @@ def moments(played: Rollout, suffix: str = "") -> dict[str, float]:
 
 
 class Played(NamedTuple):
-    """What m episodes of each of k policies came to."""
+    """The results of m episodes of each of k policies."""
 
     returns: np.ndarray  # (k, m), without the alive bonus where that is taken off
     lengths: np.ndarray  # (k, m)
@@ -208,7 +208,7 @@ class Player:
             policies: k policies that differ in their numbers alone.
             seeds: (k, m).
             horizon: most steps of an episode; None for the environment's own limit alone.
-            alive_bonus: taken off every step's reward, so that standing still is not what is found first.
+            alive_bonus: taken off every step's reward, so that a search does not find standing still first.
             keep_states: whether the states are wanted.
         """
         k, m = seeds.shape

@@ -1,4 +1,4 @@
-"""Environments that are not ours, or have arguments of the user's: tried out, and checked before anything runs."""
+"""Custom environments, and arguments that a user gives: tried, and checked before anything runs."""
 
 import dataclasses
 import functools
@@ -16,7 +16,7 @@ from otr.control.spaces import keyed_names
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.env import EnvConfig
 from pipelines.errors import ConfigError
-from pipelines.play.environments import make_env, told
+from pipelines.play.environments import error_line, make_env
 from pipelines.play.spaces import action_names, feature_names, spaces
 
 SAME_STATE = 1e-6  # by how much the state after a reset may differ, absolute and relative, where the seed is the same
@@ -53,8 +53,8 @@ def _names_of_class(entry_point: str) -> dict[str, list[str]]:
 def _try_out(env: gym.Env, env_id: str) -> None:
     """Reset and step twice; raise ConfigError where that fails, or gives what spaces or interface do not allow.
 
-    The second time the same has to come out, unless the environment is registered as not deterministic: every method
-    is to play the same episodes.
+    The second time the result must be the same, unless the environment is registered as nondeterministic: every
+    method plays the same episodes.
     """
     env.action_space.seed(0)
     action, seen = env.action_space.sample(), []
@@ -70,7 +70,7 @@ def _try_out(env: gym.Env, env_id: str) -> None:
             seen.append(np.append(state, float(reward)))
     except Exception as error:  # foreign code can fail in any way
         raise ConfigError(
-            f"environment {env_id}: {call} fails: {told(error)}. {INTERFACE}, and debug=true shows where it fails"
+            f"environment {env_id}: {call} fails: {error_line(error)}. {INTERFACE}, and debug=true shows where it fails"
         ) from error
     if env.spec is not None and env.spec.nondeterministic:
         return

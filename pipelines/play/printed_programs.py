@@ -1,4 +1,4 @@
-"""The printed program and the picture beside a tree, with the environment's own names."""
+"""The printed program and the picture next to a tree, with the environment's own names."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -47,7 +47,7 @@ def _spaces(env_id: str, kwargs: str) -> Spaces:
 
 def _bounds(space: gym.spaces.Box) -> tuple[np.ndarray, np.ndarray]:
     bounds = np.stack((space.low.ravel(), space.high.ravel())).astype(np.float64)
-    bounds.flags.writeable = False  # they are kept for all who ask
+    bounds.flags.writeable = False  # cached for all callers
     return bounds[0], bounds[1]
 
 

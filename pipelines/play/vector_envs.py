@@ -1,6 +1,6 @@
 """Environments side by side (`otr.control.environments.VectorEnv`) by who computes them; `Autoreset`, for training.
 
-A run of a fleet sees what it would see alone, because an environment does not depend on how many others there are.
+A run of a fleet sees what it would see alone, because an environment does not depend on the number of others.
 """
 
 from collections.abc import Sequence
@@ -27,8 +27,8 @@ def make_vector_env(env: EnvConfig, environments: str, *, rescale_inputs: bool =
     check_environments(env, environments)
     if environments == "numpy":
         return ClassicControlVectorEnv(env)
-    # The environments of conf/env take actions as they are, in float64 from searches: committed searches stay as
-    # they are bit for bit. All others, which may insist on it, get actions of their own space.
+    # The environments of conf/env take actions as they are, in float64 from searches: committed searches stay
+    # bit for bit. All others, which may require it, get actions of their own space.
     make = partial(make_training_env, env, rescale_inputs=rescale_inputs)
     return GymnasiumVectorEnv(make, reads_answers=not env.has_file)
 
@@ -55,7 +55,7 @@ def fastest_environments(env: EnvConfig) -> str:
 
 
 class Step(NamedTuple):
-    """What one step of n environments gave that restart by themselves; the arrays belong to the caller."""
+    """The result of a step of n environments that restart automatically; the arrays belong to the caller."""
 
     next_states: np.ndarray  # (n, d) float32, the true successors: where an episode ended, its last state
     rewards: np.ndarray  # (n,) float32, as in Stable-Baselines3's buffers
@@ -65,7 +65,7 @@ class Step(NamedTuple):
 
 
 class Autoreset:
-    """Environments for training, which has no episodes to play: each starts its next one by itself. All in float32."""
+    """Environments for training, which has no episodes to play: each restarts automatically. All in float32."""
 
     def __init__(self, envs: VectorEnv) -> None:
         self._envs = envs

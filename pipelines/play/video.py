@@ -38,7 +38,7 @@ COLOURS = 96
 def write_video(tree: otr.ObliqueTree, env_config: EnvConfig, seed: int, path: Path) -> dict[str, Any]:
     """Play the episode that starts from `reset(seed)`, write it in real time as a GIF, and return what it shows.
 
-    It has at most MOST_FRAMES frames: those of a long episode stand for more steps each, and so for more time.
+    It has at most MOST_FRAMES frames: in a long episode each covers more steps, and so more time.
     The strip on the right has the leaves' colours, from the first leaf at the top to the last, and a mark at the one
     that acts: those of `otr.to_svg`, but that of several actions the first colours it.
 
@@ -109,7 +109,7 @@ def renderable(env_config: EnvConfig, width: int = WIDTH) -> Any:
     if is_mujoco:
         import mujoco
 
-        # -1, where the model has no camera that goes along, is the one that stands still.
+        # -1, where the model has no camera that follows the body, is the fixed one.
         camera = mujoco.mj_name2id(env.unwrapped.model, mujoco.mjtObj.mjOBJ_CAMERA, "track")
         env.unwrapped.mujoco_renderer.camera_id = camera
     return env
@@ -121,7 +121,7 @@ def rendered(env: Any, env_config: EnvConfig) -> np.ndarray:
         shown = env.render()
         if shown is None:
             raise ValueError("render() gave no picture")
-    except Exception as error:  # whatever a renderer or a driver fails with
+    except Exception as error:  # a renderer or a driver can fail in any way
         raise PipelineError(
             f"video: {env_config.id} cannot be rendered here ({type(error).__name__}: {error}). MuJoCo needs "
             "OpenGL: MUJOCO_GL=egl with a GPU's driver or Mesa, MUJOCO_GL=osmesa with libosmesa, or a screen. Without "

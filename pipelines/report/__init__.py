@@ -1,6 +1,6 @@
 """Tables, figures and data frames from finished runs and fits.
 
-`load_runs` and `load_fits` return all of them as data frames; pandas is imported when one of the two is asked for.
+`load_runs` and `load_fits` return all of them as data frames; pandas is imported when one of the two is used.
 """
 
 from typing import TYPE_CHECKING

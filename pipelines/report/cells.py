@@ -16,7 +16,7 @@ TASK_NAMES = {"reacher": "Reacher", "walker2d": "Walker2d", "hopper": "Hopper", 
               "ant": "Ant", "swimmer": "Swimmer", "bipedalwalker": "BipedalWalker", "pendulum": "Pendulum",
               "mountaincar": "MountainCar", "lunarlander": "LunarLander"}  # fmt: skip
 # The forms of a policy that have rows of their own, and what these append to the method's name: the tree, the soft tree
-# before it was hardened, what its authors' own discretisation makes of it, a PID policy with its gains averaged, and
+# before it was hardened, its authors' own discretisation of it, a PID policy with its gains averaged, and
 # the polished policy.
 FORMS = {
     "tree": "", "soft": "-soft", "discretised": "-discrete", "constant_gains": "-constant", "polished": "-polished",
@@ -38,7 +38,7 @@ DECIMALS = 6  # of a CSV file's means and deviations: more would show how a plat
 
 
 def reported(runs: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows of `load_runs` that tables are made of: no smoke budgets, no settings but the budget's own."""
+    """Return the rows of `load_runs` that tables are made of: no smoke budgets, no settings but the budget's."""
     return runs[(runs["settings"] == "") & ~_is_smoke(runs)]
 
 
@@ -93,8 +93,8 @@ def oracle_runs(runs: pd.DataFrame) -> pd.DataFrame:
 def with_pruned_trees(runs: pd.DataFrame, every: pd.DataFrame) -> pd.DataFrame:
     """Return rows of `table_runs` with the return and the leaves of their pruned trees.
 
-    `every` are all rows of `load_runs`. A polished policy has been pruned anew, or was polished as a pruned tree, which
-    it then is.
+    `every` are all rows of `load_runs`. A polished policy has been pruned again, or was polished as a pruned tree,
+    which it then is.
     """
     is_polished = runs["form"] == "polished"
     pruned = every[every["form"] == "pruned_tree"].set_index("run")["return_mean"]

@@ -1,4 +1,4 @@
-"""Every control policy beside its task's linear policies and beside OTR (6): paired on the starts that they share."""
+"""Every control policy compared with its task's linear policies and with OTR (6), paired on shared starts."""
 
 import functools
 import io
@@ -64,12 +64,12 @@ def _rows(results_dir: Path) -> Iterator[dict[str, Any]]:
 
 
 def _rivals(cells: dict[Any, pd.DataFrame], ours: Any, rival: str) -> list[Any]:
-    """Return which runs of a rival stand beside ours: of the same budget before others, then the most there are.
+    """Return which runs of a rival are compared with ours: of the same budget before others, then the most there are.
 
-    A polished policy has the polished rival beside it, where there is one, and a polished rival what it was before.
-    None are beside a policy itself, and none of OTR beside the linear row: that is OTR's own line. Of the same budget
+    A polished policy is compared with the polished rival, where there is one, and a polished rival with what it was
+    before. No policy is compared with itself, nor the linear row with OTR: that is OTR's own line. Of the same budget
     by several trainers these are those that Table 4.1 shows, the first in its order that has two runs or more, and
-    besides those by our own trainer, so that a search is seen beside a search.
+    besides those by our own trainer, so that a search is compared with a search.
     """
 
     def rank(key: Any) -> tuple[bool, int]:
@@ -88,7 +88,7 @@ def _rivals(cells: dict[Any, pd.DataFrame], ours: Any, rival: str) -> list[Any]:
 
 
 def _level(key: Any) -> str:
-    """Return the budget of a cell, whoever trained."""
+    """Return the budget of a cell, whatever its trainer."""
     budget: str = key[len(KEY) - 1]
     return budget.partition("-")[0]
 
@@ -96,7 +96,7 @@ def _level(key: Any) -> str:
 def _compared(
     ours: pd.DataFrame, our_starts: pd.DataFrame, theirs: pd.DataFrame, their_starts: pd.DataFrame
 ) -> dict[str, Any]:
-    """Return what is said of two groups of runs, and of their returns (runs, starts) on the starts that both have."""
+    """Return the comparison of two groups of runs, and of their returns (runs, starts) on the starts that both have."""
     both = set(ours["run"]) & set(theirs["run"])
     if both and len(both) in (len(ours), len(theirs)):  # two forms of the same runs, of which some may have one alone
         our_starts, their_starts = our_starts[_of(ours, both)], their_starts[_of(theirs, both)]

@@ -1,6 +1,6 @@
 """All runs and all fits under a results folder as data frames: tables, figures and certificates are groupings of these.
 
-Beside RUN_COLUMNS and FIT_COLUMNS the frames have the other entries of each summary.json, nested names joined by dots:
+Besides RUN_COLUMNS and FIT_COLUMNS the frames have the other entries of each summary.json, nested names joined by dots:
 `seconds.train` (of the stage), `versions.numpy`, `certify.max_error`, `simplify.n_leaves`.
 """
 
@@ -27,7 +27,7 @@ RUN_COLUMNS = {
     "pruned_leaves": WHOLE, "pruned_depth": NUMBER, "patterns": WHOLE, "fidelity": NUMBER, "oracle.hidden_widths": TEXT,
     "versions.gymnasium": TEXT, "certify.certified": "boolean",
 }  # fmt: skip
-NEEDED = {"task", "env_id", "trainer", "algorithm", "steps", "versions.gymnasium"}  # beside what the folder tells
+NEEDED = {"task", "env_id", "trainer", "algorithm", "steps", "versions.gymnasium"}  # besides what the folder shows
 FIT_COLUMNS = {
     "run": TEXT, "data": TEXT, "split": WHOLE, "method": TEXT, "learner": TEXT, "seed": WHOLE, "settings": TEXT,
     "metric": TEXT,
@@ -44,7 +44,7 @@ def load_runs(results_dir: str | Path) -> pd.DataFrame:
     A folder without summary.json, of an unfinished run or of an oracle's training alone, has no row.
 
     Raises:
-        PipelineError: a summary is broken, lacks something or lies in another run's folder; names the file.
+        PipelineError: a summary is broken, lacks something or is in another run's folder; names the file.
     """
     rows: list[dict[str, Any]] = []
     for path in sorted(Path(results_dir).glob("runs/*/*/depth-*/*/seed-*/summary.json")):

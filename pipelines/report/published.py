@@ -1,6 +1,6 @@
 """The thesis's published numbers (Orfanos 2023, Tables 4.1 and 4.2, text of chapter 4), as `published.csv` has them.
 
-Where the thesis counts a tree's depth otherwise than a run's folder does, or names its method otherwise, the columns
+Where the thesis counts a tree's depth or names its method differently from a run's folder, the columns
 `run_method` and `run_depths` say which runs the number belongs to. On discrete actions its trees go on, below the
 hidden neurons' tests, with one test less than there are actions: its "depth-five" lander policy has 2 hidden neurons.
 """

@@ -1,4 +1,4 @@
-"""What is said of a handful of runs and of the starts that they share: intervals, robust means, comparisons.
+"""Statistics of a handful of runs and of the starts that they share: intervals, robust means, comparisons.
 
 Returns of training runs are few and spread wide, so an interval is given from five runs on and not below (Agarwal et
 al. 2021, "Deep reinforcement learning at the edge of the statistical precipice", whose other measures these are).

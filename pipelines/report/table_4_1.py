@@ -39,7 +39,7 @@ TABLE = [(task, *column) for task in tuple(TASK_NAMES)[:8] for column in COLUMNS
 TEXT = [("mountaincar", "otr", "1"), ("lunarlander", "otr", "2"), ("lunarlander", "sdt-soft", "5"),
         ("lunarlander", "sdt-discrete", "5"), ("lunarlander", "cdt", "3-3"), ("lunarlander", "augtree", "2"),
         ("pendulum", "pid", "1")]  # fmt: skip # what chapter 4 reports outside its tables
-LEAST_CHANGE = 0.01  # of the return, from which on a pruned tree is listed beside the whole one
+LEAST_CHANGE = 0.01  # of the return, from which on a pruned tree is listed in addition to the whole one
 
 
 def write_table_4_1(results_dir: Path) -> list[Path]:
@@ -159,7 +159,7 @@ def _beyond(cells: pd.DataFrame) -> list[list[str]]:
 
 
 def _pruned(every: pd.DataFrame) -> list[list[str]]:
-    """Return a head and a line for each policy of which a run returns otherwise once it is pruned: means over runs."""
+    """Return a head and a line for each policy of which a run's return changes once it is pruned: means over runs."""
     lines = [["Task", "Method", "Depth", "Whole tree", "Pruned tree", "Changes", "Acts alike", "Leaves"]]
     whole = table_runs(every, {form: FORMS[form] for form in ("tree", "polished")})
     runs = in_order(with_pruned_trees(whole, every), [*KEY, *SOURCE])
@@ -194,7 +194,7 @@ def _others(runs: pd.DataFrame) -> str:
 
 
 def _variants(every: pd.DataFrame) -> list[list[str]]:
-    """Return a head and a line for each group of runs that change a setting, beside those of the same oracle."""
+    """Return a head and a line for each group of runs that change a setting, with those of the same oracle."""
     lines = [["Task", "Method", "Depth", "Oracle", "Changed", "Ours", "Without the change"]]
     runs = pd.concat([table_runs(every).assign(changes=""), variant_runs(every)])
     runs["oracle"] = runs["oracle.hidden_widths"].fillna("").str.replace(",", ", ")

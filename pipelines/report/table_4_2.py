@@ -28,11 +28,11 @@ LEARNERS = {"linear_tuned": "Linear (depth 0)", "linear_taught": "Linear (taught
             "otr_tuned": "OTR (tuned)", "otr_readable": "OTR (16 tests)"}  # fmt: skip
 CLASSIFIERS_ONLY = ("linear_taught", "cart_taught", "tao", "tao_l1", "tao_taught", "otr_tuned", "otr_readable")
 NETWORKS = ("lcn", "otr", "otr_tuned", "otr_readable")  # whose whole tree is what a network computes
-RIVALS = ("linear_tuned", "linear_taught", "otr_tuned")  # beside which all others are put
+RIVALS = ("linear_tuned", "linear_taught", "otr_tuned")  # with which all others are compared
 SPARSE = {"otr_16": "without L1", "otr_16_l1": "with L1 1e-5", "otr_16_sparse": "with L1 8e-3, decaying rate"}
 SHOWN = "runs/bace/otr_16_sparse/seed-0"  # the fit whose tree is printed and drawn
 KEY = ["task", "method"]
-TEST_TO_TRAIN = 10 / 80  # rows of parts drawn anew
+TEST_TO_TRAIN = 10 / 80  # rows of redrawn parts
 CELLS = [("4.2", data, method) for method in LEARNERS for data in DATA] + [("sparse", "bace", name) for name in SPARSE]
 FURTHER = {"train_mean": ("train", "mean"), "train_std": ("train", "std"), "valid_mean": ("valid", "mean"),
            "valid_std": ("valid", "std"), "whole": ("whole_test", "mean"),
@@ -80,7 +80,7 @@ def own_fits(fits: pd.DataFrame) -> pd.DataFrame:
 def make_cells(fits: pd.DataFrame) -> pd.DataFrame:
     """Return the cells of the table and of the sparse experiment, a row a method and data set.
 
-    Fits with other settings than the method's own, or on parts drawn anew, are left out.
+    Fits with other settings than the method's own, or on redrawn parts, are left out.
     """
     own = own_fits(fits)
     own = own[own["split"].isna()].rename(columns={"data": "task"})
@@ -110,8 +110,8 @@ def _with_spread(mean: float, std: float) -> str:
 def _seeds(cells: pd.DataFrame) -> str:
     """Return how many seeds were run in how many cells."""
     counts = Counter(cells["seeds"]).most_common()
-    told = (f"{len(seeds)} ({seeds[0]} to {seeds[-1]}) in {n} cell{'s' * (n > 1)}" for seeds, n in counts)
-    return "; ".join(told) or "none yet"
+    shown = (f"{len(seeds)} ({seeds[0]} to {seeds[-1]}) in {n} cell{'s' * (n > 1)}" for seeds, n in counts)
+    return "; ".join(shown) or "none yet"
 
 
 def _left_out(cells: pd.DataFrame) -> str:
@@ -157,7 +157,7 @@ def _beside(fits: pd.DataFrame, results_dir: Path) -> list[list[str]]:
 
 
 def _splits(fits: pd.DataFrame) -> list[list[str]]:
-    """Return a head and a line a method and data set: the mean over parts drawn anew, and less linear's on the same."""
+    """Return a head and a line a method and data set: the mean over redrawn parts, and less linear's on the same."""
     lines = [["Data", "Method", "Test", "Less Linear (depth 0)", "Leaves", "Splits"]]
     for data in DATA:
         means = fits[fits["data"] == data].groupby(["method", "split"])[["test", "leaves"]].mean()
@@ -292,7 +292,7 @@ def _write_figure(cells: pd.DataFrame, results_dir: Path) -> list[Path]:
 
 
 def _copy_tree_picture(results_dir: Path) -> list[Path]:
-    """Put the picture of the sparse model's tree beside the figure, where the tree has been kept."""
+    """Put the picture of the sparse model's tree next to the figure, where the tree has been kept."""
     source = results_dir / SHOWN / "fit" / "tree.png"
     if not source.is_file():
         return []

@@ -1,4 +1,4 @@
-"""Tables and pages as files: Markdown, CSV and LaTeX. What stands around the tables is in `pages`."""
+"""Tables and pages as files: Markdown, CSV and LaTeX. The text around the tables is in `pages`."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence

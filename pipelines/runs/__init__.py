@@ -1,1 +1,1 @@
-"""Runs as a whole: their stages in order, what is left of them to do, and what is done with finished ones."""
+"""Runs as a whole: their stages in order, what is left to do, and what is done with finished ones."""

@@ -17,7 +17,7 @@ PROGRAMS = {"tree": "program.txt", "constant_gains": "constant_gains.txt"}
 
 
 def opened_run(config: RunConfig, run_dir: Path, *stages: str) -> AbstractContextManager[Path]:
-    """Give a run's folder in which these stages, by default all, lie with all their files (`archive.opened`)."""
+    """Give a run's folder that holds these stages, by default all, with all their files (`archive.opened`)."""
     return opened(run_dir, stages or (*config.method.stages, *EXTRA_STAGES), partial(derive, config))
 
 

@@ -132,7 +132,7 @@ def program_of(config: ExportConfig, run: RunConfig, policy: Any) -> str | bytes
 
 
 def write_program(config: ExportConfig, program: str | bytes) -> Path:
-    """Write a program to `out`, a file or a folder that is there, and return the file."""
+    """Write a program to `out`, a file or an existing folder, and return the file."""
     assert config.out is not None
     path = Path(config.out)
     if path.is_dir():

@@ -33,7 +33,7 @@ def check_run(run: str) -> None:
 
 
 def find_run(run: str, results_dir: str) -> Path:
-    """Return a run's folder: as given, or below results_dir, or below results_dir/runs; errors name what is there."""
+    """Return a run's folder: as given, or below results_dir, or below results_dir/runs; errors name what exists."""
     check_run(run)
     folder = find_folder(run, Path(results_dir))
     if folder is None:
@@ -58,12 +58,12 @@ def find_folder(run: str, results_dir: Path) -> Path | None:
 
 
 def with_its_names(folder: Path) -> Path:
-    """Return a run's folder by a path with all its names, ENV/METHOD/DEPTH/BUDGET/SEED, wherever the user stands."""
+    """Return a run's folder by a path with all its names, ENV/METHOD/DEPTH/BUDGET/SEED, from any working directory."""
     return folder if len(folder.parts) >= 5 and ".." not in folder.parts else Path(os.path.normpath(folder.absolute()))
 
 
 def run_command(folder: Path) -> str | None:
-    """Return the otr-run command that makes a run's folder, as far as its path tells; None where it tells nothing."""
+    """Return the otr-run command that makes a run's folder, as far as its path shows it; None where it does not."""
     if len(folder.parts) < 5:
         return None
     env, method, depth, budget, seed = folder.parts[-5:]
@@ -81,14 +81,14 @@ def run_command(folder: Path) -> str | None:
 
 
 def results_of(folder: Path) -> Path:
-    """Return the folder of results that a run's folder lies in."""
+    """Return the folder of results that a run's folder is in."""
     return folder.absolute().parents[4].parent
 
 
 def command_of(folder: Path, stage: str) -> str:
-    """Return the command that made a run: where its path does not tell, the one that a stage recorded.
+    """Return the command that made a run: where its path does not show it, the one that a stage recorded.
 
-    A path tells it for an environment of conf/env and settings without a digest.
+    A path shows it for an environment of conf/env and settings without a digest.
     """
     command = run_command(folder)
     recorded = read_manifest(folder / stage)["command"] if exists(folder / stage / MANIFEST) else ""

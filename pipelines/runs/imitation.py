@@ -1,4 +1,4 @@
-"""The command with which a tree that people can read imitates a policy whose own tree nobody can."""
+"""The command with which a tree that people can read imitates a policy whose own tree is too large to read."""
 
 import re
 from collections.abc import Mapping, Sequence

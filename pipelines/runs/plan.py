@@ -1,4 +1,4 @@
-"""What a sweep would do: run, resume or skip for every job, and the time that is left."""
+"""What a sweep would do: run, resume or skip for every job, and the time left."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -15,7 +15,7 @@ from pipelines.stages.train import TRAIN, seconds_left, trained_steps
 
 
 def job_plan(job: RunJob, planned: set[str]) -> tuple[str, float]:
-    """Return what is to be done for a job, in words, and the seconds of training, imitating and polishing it leaves.
+    """Return what is left to do for a job, as text, and its seconds of training, imitating and polishing.
 
     `planned` has the folders of the oracles that jobs before it train; its own is added.
     """
@@ -40,10 +40,10 @@ def job_plan(job: RunJob, planned: set[str]) -> tuple[str, float]:
 
 
 def _status(job: RunJob, stage: Stage) -> str:
-    """Return a stage's status, by what it was made from where that is at hand and whole."""
+    """Return a stage's status, by its inputs where these exist and are whole."""
     inputs, wanted = {name: job.run_dir / name for name in stage.inputs}, None
     if all(exists(folder / MANIFEST) for folder in inputs.values()):
-        with suppress(PipelineError):  # damaged: doing the job tells what is wrong
+        with suppress(PipelineError):  # damaged: doing the job reports what is wrong
             wanted = stage_key(stage, job.config, inputs)
     return stage_status(stage, job.run_dir / stage.name, job.config, wanted)
 

@@ -1,4 +1,4 @@
-"""Conditions on a policy's actions in words, and the answer: proved, a state where it fails, or what is undecided."""
+"""Conditions on a policy's actions as text, and the answer: proved, a state where it fails, or what is undecided."""
 
 import math
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ ACTION = "action"  # what conditions call the label of a policy that answers lab
 
 @dataclass(frozen=True)
 class Answer:
-    """What was found: `holds` is None where neither a proof nor a state was."""
+    """What was found: `holds` is None where there is neither a proof nor a state where it fails."""
 
     holds: bool | None
     text: str
@@ -68,9 +68,9 @@ def always(tree: otr.ObliqueTree, condition: str, env: EnvConfig, domain: otr.Do
 
 
 def _vacuity(tree: otr.ObliqueTree, condition: str, features: list[str], actions: list[str], domain: otr.Domain) -> str:
-    """Return that a condition which holds says nothing of the policy, as any other keeps it; nothing where it does.
+    """Return that a condition is vacuous, as every policy keeps it; nothing where it is not.
 
-    Any other is one of the same labels, or whose actions are within the same limits, or a million without any.
+    Every policy is any with the same labels, or with actions within the same limits, or a million without any.
     """
     labels = [None] if tree.labels is None else range(len(actions))
     limits = None if tree.labels is not None else tree.head.limits(tree.n_outputs)
@@ -191,12 +191,12 @@ def number_of(n: int, what: str) -> str:
 
 
 def labels_but(bound: float) -> str:
-    """Return where labels that are proved the same may still differ, of `otr.Certificate.max_error`, in words."""
+    """Return where labels that are proved the same may still differ, of `otr.Certificate.max_error`, as text."""
     return "on a boundary between two" if bound < np.finfo(float).tiny else f"within {bound_text(bound)} of a boundary"
 
 
 def bound_text(bound: float, digits: int = 1) -> str:
-    """Return a bound with so many digits, which is not below it, as its shortest digits tell it."""
+    """Return a bound as text with so many digits, rounded up from its shortest decimal form."""
     return str(
         Context(prec=digits, rounding=ROUND_CEILING).create_decimal(repr(float(bound)).removesuffix(".0"))
     ).lower()

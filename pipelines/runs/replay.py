@@ -19,7 +19,7 @@ def replay(config: RunConfig, run_dir: Path) -> int:
     """Print one line a policy form and return how many of a run's episodes came out differently.
 
     The polished form, where there is one, is the last. Other versions of the simulators give other episodes; on the
-    recorded versions all of them come back.
+    recorded versions all of them are reproduced.
     """
     has_tree = is_whole(run_dir / config.method.tree_stage)
     if not has_tree:

@@ -17,10 +17,10 @@ from pipelines.runs.questions import bound_text, labels_but, number_of
 
 
 def show_result(summary: dict[str, Any], run_dir: Path, whole: Path, env: EnvConfig) -> None:
-    """Print the run's returns, sizes and times, where its artefacts lie, and its program when that is short.
+    """Print the run's returns, sizes and times, where its artefacts are, and its program when that is short.
 
     The program is the polished tree's where polishing gained something, and the pruned tree's otherwise.
-    `whole` is the folder in which its stages lie unpacked.
+    `whole` is the folder with its unpacked stages.
     """
     last = "polish" if summary.get("polish", {}).get("kept") else "prune"
     program = whole / last / "program.txt"
@@ -58,7 +58,7 @@ def show_result(summary: dict[str, Any], run_dir: Path, whole: Path, env: EnvCon
 
 
 def result_row(summary: dict[str, Any]) -> dict[str, str]:
-    """Return what a sweep's table shows of a run: the returns of its tree, pruned and polished, and its leaves."""
+    """Return the columns of a sweep's table for a run: the returns of its tree, pruned and polished, and its leaves."""
     forms = {"tree": summary, **summary["policies"]} | ({"polished": summary["polish"]} if "polish" in summary else {})
     shown = {"tree": "return of the tree", "pruned_tree": "of the pruned tree", "polished": "polished"}
     returns = {what: _return(forms[form]) for form, what in shown.items() if form in forms}
@@ -81,7 +81,7 @@ def _fewer_answers(program: str, n_leaves: int) -> list[str]:
 
 
 def _likeness(oracle: dict[str, Any]) -> str:
-    """Return how like the oracle the tree is, in words."""
+    """Return how similar the tree is to the oracle, as text."""
     if "equal_labels" in oracle:
         like = f"chooses as the oracle does in {100 * oracle['equal_labels']:.1f} % of the states that it visits"
     else:
@@ -90,7 +90,7 @@ def _likeness(oracle: dict[str, Any]) -> str:
 
 
 def proof_line(report: dict[str, Any], env: EnvConfig | None = None) -> str:
-    """Return what the certificate says, in words; of an environment with the sides of the box, by its names."""
+    """Return what the certificate says, as text; of an environment with the sides of the box, by its names."""
     where = report["domain"]
     if env is not None:
         domain = otr.Domain.from_dict(report)
@@ -118,7 +118,7 @@ def proof_line(report: dict[str, Any], env: EnvConfig | None = None) -> str:
 
 
 def _polished(report: dict[str, Any]) -> str:
-    """Return what polishing gained, in words."""
+    """Return what polishing gained, as text."""
     if report["kept"]:
         outcome = (
             f"return {_before_and_after(report)} over {report['n_episodes']:,} other episodes"
@@ -153,7 +153,7 @@ def _short_program(title: str, path: Path) -> list[str]:
 
 
 def _before_and_after(report: dict[str, Any]) -> str:
-    """Return the returns on the evaluation episodes, in words."""
+    """Return the returns on the evaluation episodes, as text."""
     before, after = (
         f"{report[f'return_mean{when}']:z.1f} ± {report[f'return_std{when}']:.1f}" for when in ("_before", "")
     )
@@ -178,7 +178,7 @@ def _simplified(report: dict[str, Any], whole: Path) -> list[str]:
 
 
 def _loss(loss: dict[str, Any]) -> str:
-    """Return what a shorter program loses against the one that it came from, in words."""
+    """Return what a shorter program loses against the one that it came from, as text."""
     mean, error = loss["mean"], loss["standard_error"]
     where = f"on {loss['n_episodes']:,} episodes that decided nothing"
     if mean > error:
@@ -193,14 +193,14 @@ def _returns_of_leaves(rows: list[dict[str, str]], run_dir: Path) -> str:
 
 
 def _shown(report: dict[str, Any], run_dir: Path, whole: Path) -> str:
-    """Return which episode a video shows, and where it lies."""
+    """Return which episode a video shows, and where it is."""
     file = "video/episode.gif"
     where = f"{run_dir}/{file}" if whole == run_dir else f"in {run_dir}/stages.tar.xz: {file}"
     return f"video: the episode of seed {report['seed']}, return {report['return']:.1f}: {where}"
 
 
 def _leaves(n_leaves: int) -> str:
-    """Return a number of leaves as people read it: 64, or 2^32."""
+    """Return a number of leaves in readable form: 64, or 2^32."""
     return f"{n_leaves:,}" if n_leaves <= 2**20 else f"2^{n_leaves.bit_length() - 1}"
 
 

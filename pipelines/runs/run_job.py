@@ -1,4 +1,4 @@
-"""Doing runs: the stages of each in order, those that several make together as one."""
+"""Doing runs: the stages of each in order, and those that several runs make together."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -44,19 +44,19 @@ class RunJob(Job):
         return tuple(stages[name] for name in self.config.selected_stages)
 
     def side_by_side(self) -> Self:
-        """Return a job that knows, as its oracle's does, that others share its terminal and its cores."""
+        """Return a job for which, as for its oracle's, others share its terminal and its cores."""
         oracle = self.oracle.side_by_side() if self.oracle else None
         return dataclasses.replace(super().side_by_side(), oracle=oracle)
 
     def found_done(self) -> None:
-        """Log the run where it is tracked: it may be older than its tracking."""
+        """Log the run where it is tracked: tracking may have been added later."""
         if self.ends_with in self.config.selected_stages and self.config.tracking != "none":
             with opened_run(self.config, self.run_dir) as whole:
                 Tracker(self.config).finish(read_json(whole / "summary.json"), whole)
 
 
 def run_job(job: RunJob) -> dict[str, Any] | None:
-    """Do what is not done of a run, print what came out, and return its summary; None where it stops before the end."""
+    """Do the missing stages of a run, print its results, and return its summary; None where it stops before the end."""
     with disk_errors_explained(job):
         return _run_stages(job)
 
@@ -70,7 +70,7 @@ def run_jobs(jobs: Sequence[RunJob]) -> list[Exception | None]:
             fleet, stage = [job for job, _ in made.values()], next(iter(made.values()))[1]
             with disk_errors_explained(fleet[0]):
                 errors = dict(zip(made, _make_together(stage, fleet), strict=True))
-    except Exception as error:  # of all of them, as a full disk is
+    except Exception as error:  # of all of them, such as a full disk
         return [error] * len(jobs)
     return [errors.get((job.oracle or job).folder) or failure(run_job, job) for job in jobs]
 
@@ -129,8 +129,8 @@ def _run_stages(job: RunJob) -> dict[str, Any] | None:
     with opened_run(config, run_dir) as whole:
         shown = {key: value for key, value in summary.items() if key not in unasked}
         show_result(shown, run_dir, whole, config.env)
-        for told in (warning_below_random(config, summary), advice(config, shown, job.overrides)):
-            if told:
-                print(fitted(told, columns()))
+        for text in (warning_below_random(config, summary), advice(config, shown, job.overrides)):
+            if text:
+                print(fitted(text, columns()))
         Tracker(config).finish(summary, whole)
     return summary

@@ -47,7 +47,7 @@ class VerifyConfig:
 
 
 def verify_run(config: VerifyConfig, run: RunConfig, folder: Path) -> str:
-    """Check a run's certificate against its tree and its actor, and return what it proves, in words.
+    """Check a run's certificate against its tree and its actor, and return what it proves, as text.
 
     Raises:
         MissingInputError: the run has no certificate; names the override that makes one.
@@ -61,7 +61,7 @@ def verify_run(config: VerifyConfig, run: RunConfig, folder: Path) -> str:
         raise MissingInputError(
             f"{path} is not there: the run has no certificate"
             + (f", as stage certify gave up: {reason}" if reason else
-               f"\nRun: {command_of(folder, run.method.actor_stage)} certify=true\nNothing is trained anew.")
+               f"\nRun: {command_of(folder, run.method.actor_stage)} certify=true\nNothing is trained again.")
         )  # fmt: skip
     with opened(folder, ["certify"]) as whole:
         certificate = otr.load_certificate(config.certificate or whole / "certify" / "certificate.json")
@@ -87,7 +87,7 @@ def verify_run(config: VerifyConfig, run: RunConfig, folder: Path) -> str:
 def certified_stage(run: RunConfig, folder: Path) -> str:
     """Return the stage whose actor is a run's network: polish after polish=true, else train or import.
 
-    A certificate says whose it is; without one the actor of a polish counts, where there is one.
+    A certificate names its policy; without one the polished actor counts, where there is one.
     """
     report = folder / "certify" / "report.json"
     if exists(report):
@@ -98,14 +98,14 @@ def certified_stage(run: RunConfig, folder: Path) -> str:
 
 
 def _alike(bound: float, tree: otr.ObliqueTree) -> str:
-    """Return how far apart a tree and a network may be, in words."""
+    """Return by how much a tree and a network may differ, as text."""
     if tree.labels is None or not bound:
         return f"differ by at most {bound_text(bound, 3)}" if bound else "are equal"
     return f"have the same label, but perhaps {labels_but(bound)}"
 
 
 def _named(domain: otr.Domain, env: EnvConfig) -> str:
-    """Return a box as people read it, with the names of the environment's states."""
+    """Return a box as text, with the names of the environment's states."""
     return box_in_words(domain, feature_names(env, domain.n_inputs))
 
 

@@ -34,8 +34,8 @@ def certify(inputs: Inputs, settings: CertifySettings, out: Path) -> None:
     The domain is the box that is given or, without one, the box of states that the environment declares (gymnasium's
     observation space, which not every environment keeps to) where that is bounded, else the box around the states of
     the pruning episodes and 5 % more on either side. Where that reaches beyond the network's own domain, in which it is
-    the policy that was trained (`from_sb3`), the report has that, too. A tree or a proof that would be too large, or
-    take too long, is told in the report. After polish=true the actor is the polished one.
+    the policy that was trained (`from_sb3`), the report has that, too. The report says where a tree or a proof would
+    be too large, or take too long. After polish=true the actor is the polished one.
     """
     network = load_actor(inputs.get("polish") or inputs[settings.method.actor_stage])
     domain, whence = _domain(inputs, settings)

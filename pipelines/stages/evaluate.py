@@ -33,11 +33,11 @@ def episodes_file(form: str) -> str:
 
 
 def load_policies(inputs: Inputs, settings: EvaluateSettings, *, tree: bool = True) -> dict[str, Any]:
-    """Return the forms of the policy that a run left: what the tree stands for, the tree and the pruned tree.
+    """Return the forms of the policy that a run left: what the tree represents, the tree and the pruned tree.
 
     The first is the oracle where one was imitated, the actor's network where it was mapped, and the soft tree where
     that was hardened; the latter's authors' own discretisation comes last, as does a PID policy's tree with its leaves'
-    gains averaged. A program's tree stands for nothing else. Without `tree` there is the pruned one alone.
+    gains averaged. A program's tree represents nothing else. Without `tree` there is the pruned one alone.
     """
     policies: dict[str, Any] = {}
     if "soft" in settings.method.forms:
@@ -63,7 +63,7 @@ def evaluate(inputs: Inputs, settings: EvaluateSettings, out: Path) -> None:
     """Play the fixed episodes with each form of the policy; write an episodes file each and `report.json`.
 
     `episodes.csv` is the tree's. Fidelity is the share of the visited states in which the pruned tree does the same as
-    the policy that it was pruned from: the network, or the tree where there is none. Of a network that stands for its
+    the policy that it was pruned from: the network, or the tree where there is none. Of a network that equals its
     policy on a domain only, the visited states outside that are counted.
 
     Raises:

@@ -1,6 +1,6 @@
 """Stage imitate: a tree or a small network that imitates the oracle, under DAgger: the best of its iterates.
 
-A killed run goes on from its last whole round; its working files lie with the checkpoints until the stage is done.
+A killed run goes on from its last whole round; its working files are kept with the checkpoints until the stage is done.
 """
 
 import sys
@@ -62,7 +62,7 @@ def imitate_keys(settings: ImitateSettings) -> dict[str, Any]:
 
 
 def working_folder(settings: ImitateSettings, inputs: Inputs) -> Path:
-    """Return where the data set and the iterates lie while the run is under way."""
+    """Return where the data set and the iterates are while the run is under way."""
     key = digest([VERSION, imitate_keys(settings), verified_manifest(inputs["oracle"])["output_digest"]])
     return Path(settings.results_dir) / "checkpoints" / key[:16]
 

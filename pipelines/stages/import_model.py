@@ -1,4 +1,4 @@
-"""Stage import: a policy that was trained elsewhere, as a network that acts in the run's environment."""
+"""Stage import: a policy that was trained elsewhere, as a network for the run's environment."""
 
 import hashlib
 from dataclasses import dataclass
@@ -51,7 +51,7 @@ def read_model(
     Args:
         model: path of the file; a zip's suffix may be left out.
         normalise: path of a file of statistics that `otr.read_policy` takes, or "none"; where it is None, one is looked
-            for beside a zip.
+            for next to a zip.
         env: its observations and actions are compared with the policy's.
         key: the setting that named the file, for what an error says.
         output: the policy's, of an ONNX model with several.
@@ -78,7 +78,7 @@ def read_model(
         policy = _fitted(network, spaces(env), env)
     except (otr.OtrError, ValueError) as error:
         raise ConfigError(f"{key}={model}: {error}") from error
-    if path.suffix == ".npz":  # the arrays of a policy whose JSON beside them has all else, and their digest
+    if path.suffix == ".npz":  # the arrays of a policy whose JSON next to them has all else, and their digest
         files[0] = path.with_suffix(".json")
     read = [file.read_bytes() for file in files] + ([output.encode()] if output else [])
     sha256 = hashlib.sha256(b"".join(hashlib.sha256(content).digest() for content in read)).hexdigest()
@@ -87,7 +87,7 @@ def read_model(
 
 
 def _critics(path: Path) -> Critics | None:
-    """Return the critics in a file; None where there are none, or none that can be read: the policy serves alone."""
+    """Return the critics in a file; None where there are none, or none that can be read: the policy is enough."""
     try:
         return critics_of_zip(path) if path.suffix == ".zip" else None
     except otr.OtrError:

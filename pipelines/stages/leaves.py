@@ -23,8 +23,8 @@ class LeavesSettings(PlaysPruning, PlaysEvaluation):
 def leaves(inputs: Inputs, settings: LeavesSettings, out: Path) -> None:
     """Play the evaluation episodes with each OTR-hat(k) of the pruned tree, or the polished one; write `returns.csv`.
 
-    The k leaves are those that the tree visits most often in the episodes that it was pruned with, so that no episode
-    chooses on which it is judged. `share_of_states` is the share of their states that lies in these leaves.
+    The k leaves are those that the tree visits most often in the episodes that it was pruned with, so that no
+    episode decides on what it is judged by. `share_of_states` is the share of their states in these leaves.
     """
     tree = load_tree(inputs.get("polish") or inputs["prune"])
     states = play_pruning(tree.predict, settings).states

@@ -3,7 +3,7 @@
 The oracle of a run is the actor of another run: method=otr with depth=<the oracle's layers>, of the same environment,
 budget, seed and settings of training; or that of a run with method=model, which imports it. Whichever run needs it
 first trains or imports it; the others find it there. This stage
-keeps where it lies and what it was, so that what is made from it is keyed by its content.
+records where it is and its digest, so that what is made from it is keyed by its content.
 """
 
 from dataclasses import dataclass
@@ -57,7 +57,7 @@ def refer(inputs: Inputs, settings: OracleSettings, out: Path) -> None:
 
 
 def load_oracle(reference: Path, results_dir: Path) -> Oracle:
-    """Return the network that the stage's folder names; PipelineError where it is gone or another one lies there."""
+    """Return the network that the stage's folder names; PipelineError where it is gone or was replaced."""
     about = read_json(reference / REFERENCE)
     folder = results_dir / about["folder"]
     if not exists(folder / MANIFEST):

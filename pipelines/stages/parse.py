@@ -1,4 +1,4 @@
-"""Stage parse: a program that somebody wrote, as an oblique tree."""
+"""Stage parse: a handwritten program, as an oblique tree."""
 
 import hashlib
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from pipelines.play.printed_programs import write_program
 from pipelines.play.spaces import action_names, feature_names, spaces
 
 TREE_FILES = (".json", ".npz")
-DIGITS = 17  # that tell one float64 from another
+DIGITS = 17  # that distinguish any two float64
 
 
 @dataclass(frozen=True)

@@ -182,7 +182,7 @@ def improve_by_critic(policy: Any, settings: PolishStageSettings) -> Polished:
 
 
 class _Account:
-    """What a polish has cost and come to so far."""
+    """The cost and the result of a polish so far."""
 
     def __init__(self, purpose: str) -> None:
         self._purpose, self._began, self._announced = purpose, time.process_time(), time.monotonic()
@@ -213,7 +213,7 @@ class _Account:
         return {} if settings.polishing.scale == "uniform" else {"size": self._reports[-1].size}
 
     def polished(self, policy: Any, settings: SearchedSettings, **about: Any) -> Polished:
-        """Return the policy with what is to be said of it."""
+        """Return the policy with its report."""
         report, n_selection = self._reports[-1], settings.polishing.n_selection_episodes
         spent = {"n_steps": self.n_steps, "cpu_seconds": round(time.process_time() - self._began, 3)}
         rows = [
@@ -224,7 +224,7 @@ class _Account:
 
 
 def critics_folder(settings: PolishStageSettings) -> Path:
-    """Return where the critics of a run lie: with its oracle, or with its own actor."""
+    """Return where the critics of a run are: with its oracle, or with its own actor."""
     return Path(settings.results_dir) / settings.actor_folder
 
 
@@ -238,7 +238,7 @@ def check_critics(settings: PolishStageSettings) -> None:
 def polishes_by(settings: PolishStageSettings) -> str:
     """Return what polishes a run: as it is set, else "critic" where its oracle was kept with critics, else "search".
 
-    The manifest of the oracle tells that, whether the file is still there or not: results from before critics were
+    The manifest of the oracle says so, whether or not the file still exists: results from before critics were
     kept, and what was polished then, stay what they are.
     """
     if settings.polishing.by is not None:
@@ -300,18 +300,18 @@ def announce_polish(runs: Sequence[PolishStageSettings]) -> None:
         what = "critics in" if by_critic else "a search of"
         n_steps = settings.polishing.critic.steps if by_critic else settings.polishing.steps
         print(
-            f"polish: {what} {n_steps:,} steps, about {duration(seconds)} on one core; one that is stopped begins anew",
+            f"polish: {what} {n_steps:,} steps, about {duration(seconds)} on one core; if stopped, it starts over",
             flush=True,
         )
 
 
 def load_searched(folder: Path) -> otr.ObliqueTree | otr.ReluNetwork:
-    """Return what a stage polish has searched, the network or the tree, as it came out."""
+    """Return what a stage polish has searched, the network or the tree, as polished."""
     return load_actor(folder) if exists(folder / "actor.json") else load_tree(folder)
 
 
 def _told(report: PolishReport, settings: SearchedSettings) -> dict[str, Any]:
-    """Return what the report of the search says, for people."""
+    """Return the report of the search as a readable text."""
     iteration, best = max(report.candidates, key=lambda candidate: (candidate[1], -candidate[0]))
     before, after = report.confirmation or (None, None)
     return {
@@ -335,7 +335,7 @@ _BY_SEARCH = picked(
 
 
 def polish_keys(settings: PolishStageSettings) -> dict[str, Any]:
-    """Return what decides a polish; the critics are told by its inputs, which are made from the actor that has them."""
+    """Return what decides a polish; its inputs, made from the actor that has the critics, decide these."""
     keyed = _BY_SEARCH(settings)
     if polishes_by(settings) == "critic":
         keyed["polishing"] = settings.polishing.settings_by_critic()

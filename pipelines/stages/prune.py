@@ -31,7 +31,7 @@ def prune(inputs: Inputs, settings: PruneSettings, out: Path) -> None:
 
     The episodes are the run's own and not the ones it is evaluated on. A path is an activation pattern where the tree
     is a mapped network's, and a leaf of the tree where it is not. Of a PID policy also `constant_gains`, the pruned
-    tree with each leaf's gains averaged over the states that these episodes bring to it. Of a tree that is held as
+    tree with each leaf's gains averaged over the states of these episodes in it. Of a tree that is held as
     activation patterns also `paths`, those that are kept and how often they were taken: archives hold them for the
     pruned tree, which is a hundred times as large.
 

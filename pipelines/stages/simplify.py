@@ -25,9 +25,9 @@ from pipelines.stages.polish import SearchedSettings, search
 from pipelines.stages.prune import load_tree
 
 MAX_ATTEMPTS = 4
-FIRST_LOOK = 0.2  # of the deciding episodes: a tree that loses clearly on these is not played on
+FIRST_LOOK = 0.2  # of the deciding episodes: a tree that loses clearly on these plays no more
 ANNOUNCE_S = 10.0
-CLOSE = 0.05  # of an action's range: nearer than that, actions count as the same
+CLOSE = 0.05  # of an action's range: closer actions count as the same
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def simplify(inputs: Inputs, settings: SimplifySettings, out: Path) -> None:
 def _polished_again(simpler: Simplification, settings: SimplifySettings) -> tuple[Simplification, dict[str, Any]]:
     """Return the simpler tree polished on the return, and what the report says of that."""
     box = spaces(settings.env).box
-    # The constants of a tree without a clip lie within the actions, and are to stay there.
+    # The constants of a tree without a clip are within the actions, and must stay there.
     clipped = simpler.tree if box is None else simpler.tree.replace(head=simpler.tree.head.clipped_to(*box))
     polished = search(clipped, settings, "simplify")
     played = play_evaluation(simpler.tree.predict, settings)
@@ -86,7 +86,7 @@ def _simplest(
 
     A search over hundreds of trees on the same episodes overestimates the tree that it keeps. So its outcome plays
     as many others; where it loses more than is allowed on them, the search is done again with half the allowance, and
-    after MAX_ATTEMPTS the tree stays as it is. A tree that is polished again is to lose nothing: no more than one
+    after MAX_ATTEMPTS the tree stays as it is. A tree that is polished again must lose nothing: no more than one
     standard error of the paired differences.
     """
     check, n_attempts = _Judge(tree, settings, 1), 0
@@ -117,7 +117,7 @@ def _simplest(
 
 
 class _Judge:
-    """Whether a tree's returns on the deciding episodes are almost the original's; tells how far the search is."""
+    """Whether a tree's returns on the deciding episodes are almost the original's; prints how far the search is."""
 
     def __init__(
         self, tree: otr.ObliqueTree, settings: SimplifySettings, index: int, *, keep_states: bool = False
@@ -178,7 +178,7 @@ def _report(
     settings: SimplifySettings,
     out: Path,
 ) -> None:
-    """Play the evaluation episodes with both trees and write what came out."""
+    """Play the evaluation episodes with both trees and write the results."""
     before = play_evaluation(tree.predict, settings, keep_states=True)
     after = play_evaluation(simpler.tree.predict, settings)
     states = before.states

@@ -46,9 +46,9 @@ def train_together(
 
 
 def checkpoint_folder(settings: TrainSettings, inputs: Inputs | None = None) -> Path:
-    """Return where the run's checkpoints lie while it trains; training reads no other stage.
+    """Return where the run's checkpoints are while it trains; training reads no other stage.
 
-    Runs that lie side by side and train alike share them, as they share the result.
+    Runs in the same results folder that train alike share them, as they share the result.
     """
     place = str(Path(settings.folder).parent)
     return Path(settings.results_dir) / "checkpoints" / digest([VERSION, place, train_keys(settings)])[:16]
@@ -88,7 +88,7 @@ def announce_training(runs: Sequence[TrainSettings]) -> None:
 
 
 def _readable_steps(settings: TrainSettings) -> int:
-    """Return the steps that a run's checkpoint holds; of a damaged one 0, as its training says so and is not begun."""
+    """Return the steps that a run's checkpoint holds; of a damaged one 0, which its training then reports."""
     try:
         return trained_steps(settings)
     except PipelineError:

@@ -42,7 +42,7 @@ class DataConfig:
     """A data set, as `load_dataset` has it, or with a file as `load_table` has it (`pipelines.datasets`)."""
 
     name: FreeText
-    # The seed that draws the parts anew, of molecules whole scaffolds together; None for LCN's parts
+    # The seed that redraws the parts, of molecules whole scaffolds together; None for LCN's parts
     split: Annotated[int | None, Range(0), AsBefore(None)] = None
     file: Annotated[FreeText | None, EXECUTION] = None  # of a table, whose content is keyed
     target: Annotated[FreeText | None, AsBefore(None)] = None
@@ -52,7 +52,7 @@ class DataConfig:
 
 @dataclass(frozen=True)
 class LearnerConfig:
-    """What every method has."""
+    """The settings of every method."""
 
     name: FreeText  # of the method, a row of the table
     learner: FreeText  # which estimators, a key of `LEARNERS`
@@ -69,7 +69,7 @@ class LearnerConfig:
 
 @dataclass(frozen=True)
 class ClassifierConfig(LearnerConfig):
-    """What the methods have that classify."""
+    """The settings of methods that classify."""
 
     class_weight: Annotated[str | None, OneOf("balanced"), AsBefore(None)] = (
         None  # balanced: each class counts the same
@@ -78,14 +78,14 @@ class ClassifierConfig(LearnerConfig):
 
 @dataclass(frozen=True)
 class TaughtConfig(ClassifierConfig):
-    """What the methods beside OTR have that learn labels, or the probabilities of a teacher."""
+    """The settings of methods other than OTR that learn labels, or the probabilities of a teacher."""
 
     teacher: Annotated[dict[str, Any] | None, AsBefore(None)] = None  # as of `OtrConfig`
 
 
 @dataclass(frozen=True)
 class LinearConfig(TaughtConfig):
-    """`LinearTreeClassifier` and `LinearTreeRegressor`, of depth 0 unless asked for more."""
+    """`LinearTreeClassifier` and `LinearTreeRegressor`, of depth 0 by default."""
 
     C: Positive = 0.1
     alpha: NotNegative = 1.0
@@ -263,7 +263,7 @@ def _check_known(data: DataConfig) -> None:
 
 
 def _git_blob(path: str) -> str:
-    """Return the hash of a table's content; "" where it cannot be read, of which its reader has more to say."""
+    """Return the hash of a table's content; "" where it cannot be read, for which its reader raises the error."""
     try:
         return git_blob_hash(Path(path).read_bytes())
     except OSError:

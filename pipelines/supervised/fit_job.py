@@ -49,7 +49,7 @@ def fit_groups(configs: Sequence[FitConfig]) -> list[list[int]]:
 
 
 def fit_job(job: FitJob) -> dict[str, Any] | None:
-    """Do what is not done of a fit, print what came out, and return its summary; None where it stops before the end."""
+    """Do the missing stages of a fit, print its results, and return its summary; None where it stops before the end."""
     print(f"{job.run_dir}", flush=True)
     if is_done(job):
         print("done before", flush=True)
@@ -78,7 +78,7 @@ def fit_jobs(jobs: Sequence[FitJob]) -> list[Exception | None]:
 
 
 def _fit_together(jobs: Sequence[FitJob]) -> None:
-    """Bring the trees of several seeds up to date in one go; `fit_job` then finds them done."""
+    """Bring the trees of several seeds up to date at once; `fit_job` then finds them done."""
     for stage in jobs[0].stages:
         if stage.name == "tune":
             for job in jobs:

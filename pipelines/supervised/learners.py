@@ -37,7 +37,7 @@ ESTIMATORS: dict[str, tuple[str | None, str | None]] = {  # learner: its classif
     "otr": ("OTRClassifier", "OTRRegressor"),
 }
 BATCHED = ("lcn", "otr")  # labels and seeds train as one model
-EXPLAINED = ("teacher", "class_weight", "loss")  # settings that `_check_settings` refuses in words of their own
+EXPLAINED = ("teacher", "class_weight", "loss")  # settings that `_check_settings` refuses with their own messages
 
 
 @dataclass(frozen=True)
@@ -66,9 +66,9 @@ def _loaded(key: str) -> Dataset:
 
 
 def check_learner(method: LearnerConfig, dataset: Dataset) -> None:
-    """Raise ConfigError where the learner has no estimator, or not what is asked of it, for the data set's task.
+    """Raise ConfigError where the learner has no estimator, or lacks a setting, for the data set's task.
 
-    That is asked of it with each combination of its grid. A setting that the estimator lacks may have its usual value.
+    That is checked for each combination of its grid. A setting that the estimator lacks may have its usual value.
     """
     name = _estimator_name(method.learner, dataset)
     known = {"teacher", "keep", *_parameters_of(name)}
@@ -128,7 +128,7 @@ def fit_trees(
     """Fit a tree for every label (column of Y) and seed, by the training and the validation part.
 
     Args:
-        method: settings; its grid is not looked at.
+        method: settings; its grid is ignored.
         dataset, labels, seeds: what to fit.
         n_workers: threads of learners that have them.
         progress: called with the number of trees done and of all.
@@ -168,7 +168,7 @@ def fit_trees(
 def _labelled(dataset: Dataset, label: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the training rows that have a label, and the label."""
     X, y = dataset.labelled("train", label)
-    return X if X.dtype.kind == "f" else X.astype(np.float32), y  # bits lose nothing
+    return X if X.dtype.kind == "f" else X.astype(np.float32), y  # binary features lose nothing
 
 
 def _taught(dataset: Dataset, label: int, teacher: str, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""Small trees for people: the part that the training rows reach, as a program and as a picture."""
+"""Small trees, for reading: the part that the training rows reach, as a program and as a picture."""
 
 import re
 from pathlib import Path
@@ -26,7 +26,7 @@ def program_of(tree: otr.ObliqueTree | otr.PatternTree, dataset: Dataset) -> str
 
 
 def draw(tree: otr.ObliqueTree | otr.PatternTree, dataset: Dataset, path: Path) -> bool:
-    """Draw what the training rows reach of a tree, if that has few leaves; tell whether it was drawn."""
+    """Draw what the training rows reach of a tree, if that has few leaves; return whether it was drawn."""
     pruned, X = _reached(tree, dataset)
     if pruned is None:
         return False

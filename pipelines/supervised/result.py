@@ -12,7 +12,7 @@ from pipelines.supervised.metrics import METRICS
 
 
 def show_fit(summary: dict[str, Any], run_dir: Path) -> None:
-    """Print the scores, the size and the time of a fit, where its artefacts lie, and its program if that is short."""
+    """Print the scores, the size and the time of a fit, where its artefacts are, and its program if that is short."""
     program = run_dir / "score" / "program.txt"
     n_labels = summary["n_labels"]
     over = f", mean over {n_labels} labels" if n_labels > 1 else ""

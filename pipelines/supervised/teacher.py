@@ -38,9 +38,9 @@ def score_teacher(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> N
                 X, y = dataset.labelled(part, label)
                 row[part] = score(metric_of(dataset), fitted.predict_proba(seen(X))[:, i], y)
             rows.append(row)
-    told = {part: [row[part] for row in rows if not np.isnan(row[part])] for part in PARTS}
+    kept = {part: [row[part] for row in rows if not np.isnan(row[part])] for part in PARTS}
     write_csv(out / "scores.csv", rows, COLUMNS)
-    write_json(out / "report.json", {part: float(np.mean(values)) if values else None for part, values in told.items()})
+    write_json(out / "report.json", {part: float(np.mean(values)) if values else None for part, values in kept.items()})
 
 
 def _standardising(dataset: Dataset) -> Callable[[np.ndarray], np.ndarray]:

@@ -1,8 +1,8 @@
 """Stage tune: every combination of the grid is fitted and scored where it was not fitted; the best ones are kept.
 
 That is on the validation part, or on each fold of a cross-validation inside train and valid (`Dataset.folds`). The
-test part is not looked at. What has been tried lies in `results/checkpoints` until all of it is, so that a killed job
-goes on with the next combination.
+test part is not used. What has been tried is kept in `results/checkpoints` until all of it is, so that a killed
+job goes on with the next combination.
 """
 
 import json
@@ -70,32 +70,32 @@ def tune(inputs: Mapping[str, Path], config: FitConfig, out: Path) -> None:
 def mean_over_trials(parts: np.ndarray) -> np.ndarray:
     """Return the means (combinations, labels) of scores (trials, combinations, labels), NaN where one is missing.
 
-    Trials that tell nothing of a label, whatever the combination, do not count; a combination that fails one of the
+    Trials without a score for a label, whatever the combination, do not count; a combination that fails one of the
     others has no mean.
     """
-    told = ~np.isnan(parts).all(axis=1, keepdims=True)
-    n_told = told.sum(axis=0)
-    means: np.ndarray = np.where(n_told > 0, np.where(told, parts, 0.0).sum(axis=0) / np.maximum(n_told, 1), np.nan)
+    known = ~np.isnan(parts).all(axis=1, keepdims=True)
+    n_known = known.sum(axis=0)
+    means: np.ndarray = np.where(n_known > 0, np.where(known, parts, 0.0).sum(axis=0) / np.maximum(n_known, 1), np.nan)
     return means
 
 
 def best_of(scores: np.ndarray, for_label: bool, metric: str) -> list[int]:
     """Return, for every label, the best combination of scores (combinations, labels), the first of equals.
 
-    A label whose validation rows do not tell (NaN) takes what is best for the others on average; so do all of them
+    A label that its validation rows cannot score (NaN) takes what is best for the others on average; so do all of them
     unless `for_label`. A combination without a score where others have one is the worst.
     """
     gains = np.array([[gain(metric, value) for value in row] for row in scores])
-    told = ~np.isnan(gains).all(axis=0)
-    average = np.nan_to_num(gains[:, told], nan=-np.inf).mean(axis=1) if told.any() else np.zeros(len(gains))
+    known = ~np.isnan(gains).all(axis=0)
+    average = np.nan_to_num(gains[:, known], nan=-np.inf).mean(axis=1) if known.any() else np.zeros(len(gains))
     overall = int(np.argmax(average))
     if not for_label:
         return [overall] * scores.shape[1]
-    return [int(np.nanargmax(gains[:, i])) if told[i] else overall for i in range(scores.shape[1])]
+    return [int(np.nanargmax(gains[:, i])) if known[i] else overall for i in range(scores.shape[1])]
 
 
 def checkpoint_folder(config: FitConfig, inputs: Mapping[str, Path] | None = None) -> Path:
-    """Return where the scores of what has been tried lie until all of it is; tuning reads no other stage."""
+    """Return where the scores of what has been tried are until all of it is; tuning reads no other stage."""
     return Path(config.results_dir) / "checkpoints" / f"tune-{digest([VERSION, tune_settings(config)])[:16]}"
 
 

@@ -1,6 +1,6 @@
 """Runs logged to TensorBoard as well: settings, learning curves as they grow, final returns, the program.
 
-Tracking is write-only and never affects a run. A tracker that fails is named once and given up until the run's end,
+Tracking is write-only and never affects a run. A tracker that fails is reported once and disabled until the run's end,
 where what it has missed is logged from the run's files.
 """
 
@@ -36,7 +36,7 @@ class Tracker:
         self._is_off = config.tracking == "none"
 
     def segment_done(self, progress: Row, evaluation: Row) -> None:
-        """Log a segment's rows of `progress.csv` and `evaluations.csv`; one that was logged before is passed over."""
+        """Log a segment's rows of `progress.csv` and `evaluations.csv`; one that was logged before is skipped."""
         self._try(lambda: self._log_segment(progress, evaluation))
 
     def catch_up(self, progress: Sequence[Row], evaluations: Sequence[Row]) -> None:
@@ -53,7 +53,7 @@ class Tracker:
         step = int(progress["steps"])
         if self._backend is None:
             self._backend = TensorBoard(self._config, _parameters(self._config))
-            if self._backend.result() is not None:  # complete, but here it is being trained: made anew
+            if self._backend.result() is not None:  # complete, but here it is being trained: start again
                 self._backend.start(_parameters(self._config))
             self._last_step = self._backend.last_step()
         if step > self._last_step:

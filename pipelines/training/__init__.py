@@ -1,1 +1,1 @@
-"""Actors trained: by Stable-Baselines3, by a fleet of our own, by random search; with checkpoints and progress."""
+"""Actors trained: by Stable-Baselines3, by our fleet, by random search; with checkpoints and progress."""

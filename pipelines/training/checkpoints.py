@@ -1,7 +1,7 @@
-"""Checkpoints of a training run: whole segments, so that a killed run goes on bit for bit as if it had not been.
+"""Checkpoints of a training run: whole segments, so that a resumed run equals an uninterrupted one bit for bit.
 
 A checkpoint is a folder `segment-<n>` with the learner's state, its counters, the history and the best actor so far. It
-is written beside the last one and renamed, then the last one is removed. What the trainers put in it is their own
+is written next to the last one and renamed, then the last one is removed. Each trainer defines its content
 (`pipelines/training/sb3/saved_models.py`, `pipelines/training/fleet/fleet_run.py`).
 """
 
@@ -24,7 +24,7 @@ PROGRESS_COLUMNS = ("steps", "seconds", "steps_per_s", "n_episodes", "episode_re
 
 @dataclass
 class History:
-    """What a run has come to after `n_segments` whole segments."""
+    """The history of a run after `n_segments` whole segments."""
 
     n_segments: int = 0
     progress: list[dict[str, Any]] = field(default_factory=list)
@@ -77,7 +77,7 @@ def progress_row(steps: int, start: int, seconds: float, returns: np.ndarray, le
 
 
 def write_segment(folder: Path, history: History, counters: dict[str, int], state: dict[str, bytes]) -> None:
-    """Write the checkpoint of a segment's end beside the last one, then make it the current one.
+    """Write the checkpoint of a segment's end next to the last one, then make it the current one.
 
     The trainer's counters have `num_timesteps` among them; `state` is what was learnt, the files'
     names and contents.
@@ -113,7 +113,7 @@ def last_segment(folder: Path) -> Path | None:
 def evaluations_so_far(folder: Path) -> tuple[list[dict[str, Any]], int]:
     """Return the evaluations of a training under way and its environment steps; (none, 0) before the first segment.
 
-    The training is not disturbed: where it puts a new checkpoint in the place of the one that is read, that is read.
+    The training is not disturbed: where it replaces the checkpoint meanwhile, the new one is read.
     """
     while (segment := last_segment(folder)) is not None:
         try:
@@ -142,6 +142,6 @@ def read_segment(segment: Path) -> tuple[History, dict[str, int]]:
 
 
 def damaged_checkpoint(path: Path, what: str) -> PipelineError:
-    """Return the error for a file of a checkpoint, with the way out."""
+    """Return the error for a file of a checkpoint, with the remedy."""
     folder = path.parent.parent if path.parent.name.startswith("segment-") else path.parent
     return PipelineError(f"{path} {what}; bring it back, or delete the folder {folder} to train from the beginning")

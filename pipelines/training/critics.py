@@ -1,6 +1,6 @@
-"""Critics on disk: `critics.safetensors` beside the actor whose play they judge.
+"""Critics on disk: `critics.safetensors` next to the actor whose play they judge.
 
-Whoever goes on from an actor takes its critics over (`pipelines/stages/polish.py`). They are those of the segment whose
+What continues from an actor takes over its critics (`pipelines/stages/polish.py`). They are those of the segment whose
 actor was kept: values are of one policy, and the critics of a later segment judge a policy that was found worse. Adam's
 moments are not among them. The file is a megabyte and serves polishes alone, so archives of runs leave it out.
 """
@@ -43,7 +43,7 @@ def load_critics(folder: Path) -> Critics:
         raise PipelineError(
             f"{folder / CRITICS} is not there: trainer=fleet with algo=sac makes critics, zips of Stable-Baselines3's "
             "SAC, TD3 and DDPG have some, and committed results are without\n"
-            "Run the same command with results_dir=DIR, another folder: it trains or imports there anew and keeps "
+            "Run the same command with results_dir=DIR, another folder: it trains or imports again there and keeps "
             "them. Or use polishing.by=search, which needs none."
         )
     try:

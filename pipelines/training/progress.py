@@ -18,7 +18,7 @@ REFRESH_S = 0.25
 class TrainingDisplay:
     """Shows the training of one run or of several, of which `config` is the first's; a context manager.
 
-    `prefix` begins each line, `shown` stands beside the bar, `done_steps` of the `n_steps` were done before, and those
+    `prefix` begins each line, `shown` follows the bar, `done_steps` of the `n_steps` were done before, and those
     from `first_learning_step` on learn.
     """
 
@@ -56,7 +56,7 @@ class TrainingDisplay:
             self.bar.stop()
 
     def at_step(self, step: int) -> None:
-        """Take in that an environment step was reached and move the bar; cheap when the last time was a moment ago."""
+        """Record an environment step and move the bar; cheap when the last call was a moment ago."""
         now = time.monotonic()
         self._pace.at_step(step, now)
         if self.bar and now - self._last > REFRESH_S:
@@ -64,7 +64,7 @@ class TrainingDisplay:
             self.bar.update(self._task, completed=min(step, self.n_steps), left=self.time_left(self.n_steps - step))
 
     def time_left(self, n_steps: int) -> str:
-        """Return the likely time of so many steps, as people read it."""
+        """Return the likely time of so many steps, as readable text."""
         return time_left(self._pace.seconds(n_steps) if n_steps > 0 else 0.0)
 
     def say(self, line: str) -> None:

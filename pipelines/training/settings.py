@@ -1,4 +1,4 @@
-"""What a training is given, and what of it decides the actor."""
+"""The settings of a training, and which of them decide the actor."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class TrainSettings(PlaysSelection):
     folder: str
     side_by_side: bool
     tracking: str
-    settings: Callable[[], dict[str, Any]]  # all of the run's, for where it is tracked
+    settings: Callable[[], dict[str, Any]]  # all of the run's, for its tracking
 
 
 def train_keys(settings: TrainSettings) -> dict[str, Any]:

@@ -38,7 +38,7 @@ class Shape:
     """What module an actor is."""
 
     kind: str  # sdt, cdt, pi_prl or experts
-    options: dict[str, Any]  # what its class takes beside the numbers of inputs and outputs
+    options: dict[str, Any]  # what its class takes besides the numbers of inputs and outputs
 
 
 _SOFT: dict[str, type[SoftModule]] = {"sdt": SoftTree, "cdt": CascadingTree, "pi_prl": RelaxedProgram}
@@ -138,7 +138,7 @@ def load_soft(folder: Path) -> HardeningModule:
 class SoftPolicy:
     """A soft tree as a policy: what Stable-Baselines3's own did deterministically, in float64.
 
-    In float32 an answer depends on the number of states beside it in a batch, by some 1e-6 in a cascade, and with that
+    In float32 an answer depends on the number of other states in its batch, by some 1e-6 in a cascade, and with that
     the episodes on the number of workers.
     """
 

@@ -268,12 +268,12 @@ class Random(Walk):
 
 
 def test_an_environment_that_keeps_a_past_is_made_anew_for_every_episode():
-    with pytest.warns(UserWarning, match="Worn: its episodes depend on those that it played before; it is made anew"):
+    with pytest.warns(UserWarning, match="Worn: its episodes depend on those that it played before; it is recreated"):
         played = evaluate(Worn, right, range(50))
     assert played.returns.tolist() == evaluate(Walk, right, range(50)).returns.tolist()
     with pytest.raises(ValueError, match="a seed does not decide one: give a function that makes the environment"):
         evaluate(Worn(), right, range(2))
-    with warnings.catch_warnings(action="error"):  # making it anew would be no remedy
+    with warnings.catch_warnings(action="error"):  # recreating it would not help
         evaluate(Random, right, range(2))
 
 

@@ -294,5 +294,5 @@ def test_of_saved_trees_those_that_are_a_whole_network_are_read(tmp_path: Path, 
     otr.save(tree.observe(rng.normal(size=(50, 2))).keep(1), tmp_path / "pruned")
     otr.save(otr.map_network(network), tmp_path / "mapped")
     for name, n_leaves in (("pruned", 1), ("mapped", 8)):
-        with pytest.raises(otr.InvalidNetworkError, match=f"a tree of {n_leaves} leaves, which stands for no network"):
+        with pytest.raises(otr.InvalidNetworkError, match=f"a tree of {n_leaves} leaves, which represents no network"):
             read_policy((tmp_path / name).with_suffix(suffix))

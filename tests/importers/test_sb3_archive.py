@@ -70,7 +70,7 @@ def test_tanh_is_refused_where_all_layers_are_shared(tmp_path: Path) -> None:
     with pytest.raises(otr.InvalidNetworkError, match=r"Tanh.*activation_fn=torch\.nn\.ReLU.*imitate the policy"):
         otr.from_sb3(tmp_path / "old")
     changed(tmp_path / "model.zip", tmp_path / "old.zip", layers_shared(2), {"policy_kwargs": None})
-    with pytest.raises(otr.InvalidNetworkError, match="does not tell the policy's arguments"):
+    with pytest.raises(otr.InvalidNetworkError, match="does not give the policy's arguments"):
         otr.from_sb3(tmp_path / "old")
 
 
@@ -85,7 +85,7 @@ def test_widths_are_compared_with_the_spaces(tmp_path: Path) -> None:
             data = json.loads(archive.read("data"))
         for data_change, message in (
             ({"observation_space": {**data["observation_space"], "_shape": [2, 2]}}, "3 inputs, the observation space"),
-            ({"observation_space": {**data["observation_space"], "_shape": None}}, "does not tell the size of the obs"),
+            ({"observation_space": {**data["observation_space"], "_shape": None}}, "does not give the size of the obs"),
             ({"action_space": {**data["action_space"], **narrow}}, wide),
         ):
             changed(tmp_path / "model.zip", tmp_path / "odd.zip", dict, data_change)
@@ -122,7 +122,7 @@ def test_a_live_model_that_predicts_something_else_is_refused(monkeypatch: pytes
         with monkeypatch.context() as patch:
             predict = type(model.policy)._predict
             patch.setattr(type(model.policy), "_predict", lambda *given, predict=predict, **more: 0 * predict(*given))
-            with pytest.raises(otr.InvalidNetworkError, match="the model predicts otherwise than its layers: in state"):
+            with pytest.raises(otr.InvalidNetworkError, match="predicts differently from its layers: in state"):
                 otr.from_sb3(model)
 
 
@@ -145,7 +145,7 @@ def test_what_a_live_model_does_otherwise_than_its_file_says_is_read_or_refused(
     assert_predicts_as(leaky, network)
     model = build(SAC, WideBox(), {"qf": [8]}, [4, 4])
     model.policy.actor.latent_pi[1] = nn.Tanh()
-    with pytest.raises(otr.InvalidNetworkError, match="the model predicts otherwise than its layers: in state"):
+    with pytest.raises(otr.InvalidNetworkError, match="the model predicts differently from its layers: in state"):
         otr.from_sb3(model)
     model.lock = threading.Lock()
     with pytest.raises(otr.InvalidNetworkError, match=r"model\.save fails, .* cannot pickle '_thread\.lock' object"):

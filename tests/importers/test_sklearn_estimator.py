@@ -104,9 +104,9 @@ class Reversed(LogisticRegression):
 @pytest.mark.parametrize(
     ("estimator", "targets", "message"),
     [
-        (PoissonRegressor(), TWO, "predicts otherwise than its coefficients: .* a link function"),
+        (PoissonRegressor(), TWO, "predicts differently from its coefficients: .* a link function"),
         (SVC(kernel="linear"), THREE, "one classifier for each pair of classes, cannot be mapped"),
-        (Reversed(), TWO, "predicts otherwise than its coefficients"),
+        (Reversed(), TWO, "predicts differently from its coefficients"),
         (make_pipeline(MinMaxScaler(clip=True), Ridge()), TARGETS, "clips the states, which no layer does"),
         (make_pipeline(PolynomialFeatures(), Ridge()), TARGETS, r"has the step PolynomialFeatures\(\); StandardScaler"),
         (make_pipeline(StandardScaler()), None, r"expected a fitted .* got StandardScaler\(\); one of another kind"),

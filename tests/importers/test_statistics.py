@@ -141,7 +141,7 @@ def test_a_zip_shows_that_its_statistics_are_missing(tmp_path: Path, algorithm: 
             continue
         (warned,) = told
         sign = "was trained under VecNormalize" if algorithm is PPO else "has seen 1.5, outside the range of its obs"
-        assert re.search(rf"{sign}.* no vecnormalize.pkl lies beside it", str(warned.message))
+        assert re.search(rf"{sign}.* no vecnormalize.pkl is next to it", str(warned.message))
 
 
 def test_what_is_not_normalised_or_not_clipped(tmp_path: Path) -> None:

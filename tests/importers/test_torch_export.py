@@ -139,14 +139,14 @@ def changed_in_place(m: Policy, x: torch.Tensor) -> torch.Tensor:
     ("forward", "message"),
     [
         (lambda m, x: m.two(torch.cos(m.one(x))), r"node 'cos' \(cos\) is not affine, and no unit"),
-        (changed_in_place, "the model answers otherwise than its layers"),
+        (changed_in_place, "the model answers differently from its layers"),
         (lambda m, x: (m.two(m.one(x)), m.mean), "makes 2 results, expected one of each"),
         (lambda m, x: m.two(torch.relu(m.one(x))).argmax(dim=0), r"\(argmax\) is not affine"),
         (lambda m, x: m.two(torch.relu(m.one(x))).softmax(dim=0), r"\(softmax\) goes over the states"),
         (lambda m, x: m.two(torch.relu(m.one(x.half().float()))), r"'to' \(to\) is not affine"),
         (
             lambda m, x: m.two(nn.functional.dropout(m.one(x))),
-            r"'dropout' \(dropout\) answers otherwise every time; .* module.eval",
+            r"'dropout' \(dropout\) answers differently every time; .* module.eval",
         ),
         (lambda m, x: m.two(nn.functional.gelu(m.one(x), approximate="tanh")), r"\(gelu\) is not affine, and no unit"),
         (lambda m, x: m.two(m.one(x)).expand(10**8, 2), "makes 200,000,000 numbers of a state, the limit is"),
@@ -270,7 +270,7 @@ def test_numbers_of_other_types() -> None:
 def test_a_constant_argument_and_a_layer_that_cannot_be_read_are_named() -> None:
     module = Policy(lambda m, x: m.two(torch.relu(m.one(x))))
     module.forward = lambda x, factor: factor * module.two(torch.relu(module.one(x)))  # type: ignore[method-assign]
-    with pytest.raises(otr.InvalidNetworkError, match="beside the states; export the module with these alone"):
+    with pytest.raises(otr.InvalidNetworkError, match="besides the states; export the module with only these"):
         otr.from_torch(torch.export.export(module, (STATES[:1], 2.0)))
     normed = nn.Sequential(nn.Linear(4, 5), nn.LayerNorm(5), nn.ReLU(), nn.Linear(5, 2))
     with pytest.raises(otr.InvalidNetworkError, match=r"\(layer_norm\) is not affine"):

@@ -79,7 +79,7 @@ class Doubled(otr.Head):
 
 @pytest.mark.parametrize("name", sorted(set(FORMATS) - {"to_json"}))  # which writes the head's own description
 def test_a_head_without_an_entry_is_refused(name: str) -> None:
-    with pytest.raises(TypeError, match=" has no entry for the head Doubled; register one beside the other heads'"):
+    with pytest.raises(TypeError, match=" has no entry for the head Doubled; register one next to the other heads'"):
         FORMATS[name](leaf_of(Doubled(), 1))
     with pytest.raises(TypeError, match="a proof has no entry for the head Doubled"):
         condition = otr.Condition(np.zeros(2), np.ones(1), 1.0)

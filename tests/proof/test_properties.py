@@ -13,7 +13,7 @@ import otr
 from otr.proof.certificate import Sum
 from otr.proof.head_bounds import tanh_line
 from otr.proof.properties import check_verdict
-from otr.proof.verdict import Condition, Piece
+from otr.proof.verdict import Condition, Inequality
 from tests.core.strategies import cases, make_network
 
 BOX = (-1.5, 2.0)
@@ -143,7 +143,7 @@ def test_a_proof_that_was_tampered_with_is_refused(head: str) -> None:
     at = next(i for i, multipliers in enumerate(proofs) if max(multipliers, default=0) > 0.01)
     piece, rows, multipliers = verdict.pieces[at], verdict.pieces[at].proof.rows, proofs[at]
 
-    def with_piece(*others: Piece) -> object:
+    def with_piece(*others: Inequality) -> object:
         return replace(verdict, pieces=(*verdict.pieces[:at], *others, *verdict.pieces[at + 1 :]))
 
     lies = [
@@ -301,7 +301,7 @@ def test_a_line_that_is_below_tanh_between_its_ends_is_refused() -> None:
     tree, condition, box = one_leaf(otr.TanhBox(-1.0, 1.0), 1e17), otr.Condition([-1.0], [1.0], 0.1), ([0.0], [1.0])
     verdict = otr.find_violation(tree, condition, box)
     assert not verdict.holds
-    flat = Piece(0, (-5e-324,), (1.0000000000000002e17,), ((1.0000001e-17, 0.0),), Sum((), ()), is_empty=False)
+    flat = Inequality(0, (-5e-324,), (1.0000000000000002e17,), ((1.0000001e-17, 0.0),), Sum((), ()), is_empty=False)
     forged = replace(verdict, holds=True, value=0.05, state=None, action=None, point=None, pieces=(flat,))
     with pytest.raises(otr.CertificateError, match="a line of a piece is below"):
         check_verdict(forged, tree, condition, box)

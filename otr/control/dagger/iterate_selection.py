@@ -1,4 +1,4 @@
-"""Which iterate of DAgger is kept: successive halving on episodes that are for this alone."""
+"""Which iterate of DAgger is kept: successive halving on episodes for this purpose only."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ PlayStage = Callable[[int, int, int], Sequence[float]]
 def halving_plan(n_candidates: int, n_episodes: int) -> list[tuple[int, int]]:
     """Return, stage by stage, how many candidates play and how many further episodes each of them plays.
 
-    The better half goes on: of n candidates (n + 1) // 2, until one would be left. The episodes double from stage to
+    The better half continues: of n candidates (n + 1) // 2, until one would be left. The episodes double from stage to
     stage as far as whole numbers allow, so that each stage costs about the same, and sum to `n_episodes`. Two
     candidates play them all.
     """

@@ -3,7 +3,7 @@
     D = states of the oracle's own episodes
     for r = 0 .. n_rounds:  fit tree r to the oracle's answers on D;  add the states that tree r visits to D
 
-The environment is the caller's: `play` plays episodes. All that a run has done lies in its folder, committed once a
+The environment is the caller's: `play` plays episodes. All that a run has done is in its folder, committed once a
 round, so that a killed run goes on from its last whole round and ends with the same result, bit for bit on one type of
 processor with the same package versions.
 """
@@ -39,7 +39,7 @@ EpisodeSeeds = Callable[[str, int, int], Sequence[int]]  # (name, index, n) -> n
 class TreeFit(Protocol):
     """Fits a tree to states X (n, d), memory-mapped, and the oracle's answers on them.
 
-    A network stands for its tree of activation patterns. For an oracle of labels, answers (n, o) are its affine
+    A network represents its tree of activation patterns. For an oracle of labels, answers (n, o) are its affine
     outputs, whose argmax is the label, and weights (n,) say how much a row matters; else answers (n, o) are its actions
     and weights are None. All randomness is the generator's.
     """
@@ -99,7 +99,7 @@ class Iterate:
 
 @dataclass(frozen=True)
 class DaggerResult:
-    """What DAgger came to.
+    """The result of DAgger.
 
     Attributes:
         tree: the iterate chosen.
@@ -143,7 +143,7 @@ def run_dagger(
             them one with episodes that are reported.
         settings: how much is played.
         seed: root of the fits' randomness; tree r draws from its child (..., r).
-        folder: of the working files, made if it is not there: states.f64, answers.f64, weights.f64, dagger.json and
+        folder: of the working files, created if missing: states.f64, answers.f64, weights.f64, dagger.json and
             iterate-<r>.npz and .json. A run that was stopped goes on in it, and one that is done is returned as it
             was: `fit` and `play` are functions and not compared, so take another folder for others.
         on_round: called after every round of this call.
@@ -167,7 +167,7 @@ def run_dagger(
 
 @dataclass(frozen=True)
 class _Run:
-    """A run, as far as its folder says that it has come."""
+    """A run, resumed from the state in its folder."""
 
     _oracle: Oracle
     _fit: TreeFit

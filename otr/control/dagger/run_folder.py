@@ -26,7 +26,7 @@ class RunFolder:
     """A run's folder: its `state` is dagger.json, which is replaced as a whole after the other files are written."""
 
     def __init__(self, folder: Path, oracle: Oracle, seed: np.random.SeedSequence, settings: dict[str, Any]) -> None:
-        """Make the folder, or go on with its run; raise ArtefactError if that is another run or cannot be read."""
+        """Make the folder, or resume its run; raise ArtefactError if that is another run or cannot be read."""
         folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder
         self._states = GrowingArray(folder / "states.f64", oracle.n_inputs)
@@ -55,7 +55,7 @@ class RunFolder:
         self.state = state
 
     def append(self, states: FloatArray, answers: FloatArray, weights: FloatArray | None) -> int:
-        """Put labelled states behind the committed rows, and return the new number of rows."""
+        """Append labelled states to the committed rows, and return the new number of rows."""
         n_rows: int = self.state["n_rows"]
         self._answers.append(n_rows, answers)
         if weights is not None:
@@ -108,7 +108,7 @@ def returns_so_far(folder: Path) -> list[tuple[int, float]]:
 
 
 class GrowingArray:
-    """A float64 array (n, width) in a raw file; rows are appended behind those that the caller has committed.
+    """A float64 array (n, width) in a raw file; rows are appended to those that the caller has committed.
 
     The caller knows how many rows count; a killed append leaves rows that the next one overwrites.
     """
@@ -119,7 +119,7 @@ class GrowingArray:
         self._width = width
 
     def append(self, n_rows: int, rows: FloatArray) -> int:
-        """Put `rows` (m, width) behind the first `n_rows`, on the disk itself; return the new number of rows."""
+        """Put `rows` (m, width) after the first `n_rows`, on the disk itself; return the new number of rows."""
         if rows.ndim != 2 or rows.shape[1] != self._width:
             raise ValueError(f"rows have shape {rows.shape}, expected (m, {self._width})")
         self._check(n_rows)

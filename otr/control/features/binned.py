@@ -1,4 +1,4 @@
-"""Features in few bins, on which CART sorts less, and thresholds between the values that bins stand for."""
+"""Features in few bins, on which CART sorts less, and thresholds between the values that bins represent."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def quantised(values: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return (n, m) the number of the bin of each of the values (m, n), at most 255 a feature, in their order.
 
     A feature's range is cut into 4,096 cells, and cells are put together into bins of about equally many rows. Where an
-    outlier leaves fewer cells than bins with rows, distinct values stand in place of the cells.
+    outlier leaves fewer cells than bins with rows, distinct values take the place of the cells.
     """
     m, n = values.shape
     low = values.min(axis=1, keepdims=True)
@@ -35,7 +35,7 @@ def quantised(values: NDArray[np.float32]) -> NDArray[np.float32]:
 def with_thresholds_between(tree: ObliqueTree, bins: NDArray[np.float32], values: NDArray[np.float32]) -> ObliqueTree:
     """Return the tree on features for CART's on bins: it parts `values` (m, n) as that parts their `bins` (n, m).
 
-    A threshold lies midway between the largest value of the bins on its left and the smallest of those on its right.
+    A threshold is midway between the largest value of the bins on its left and the smallest of those on its right.
     """
     columns = np.abs(tree.P).argmax(axis=1)
     v = np.array([_minus_midpoint(values[j], bins[:, j] <= -t) for j, t in zip(columns, tree.v, strict=True)])

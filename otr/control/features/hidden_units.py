@@ -30,7 +30,7 @@ class AffineFeatures:
         return (self.A @ X.T + self.a[:, None]).astype(np.float32)
 
     def resolved(self, X: FloatArray) -> AffineFeatures:
-        """Return the features, each less what it has in common on X (n, d) where float32 would not tell it apart."""
+        """Return the features, each less its offset on X (n, d) where that would hide its differences in float32."""
         return AffineFeatures(self.A, self.a - Units.of(X @ self.A.T + self.a).shift)
 
     def joined(self, other: AffineFeatures) -> AffineFeatures:
@@ -65,7 +65,7 @@ def first_layer_features(network: Oracle, *, include_inputs: bool) -> AffineFeat
 
 
 def deep_features(network: ReluNetwork, X: FloatArray, max_patterns: int) -> AffineFeatures:
-    """Return the pre-activations of the layers after the first, as they are in x where earlier neurons have a pattern.
+    """Return the pre-activations of the layers after the first, as functions of x where earlier neurons have a pattern.
 
     For layer l and activation pattern p of the layers before it, z_l^p(x) = W_l (p * z_(l-1)^p(x)) + b_l is affine, and
     is z_l(x) where x has that pattern. Of the patterns that the states X (n, d) show before each layer, the

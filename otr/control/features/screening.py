@@ -1,4 +1,4 @@
-"""Which of many features are worth a full search for a split between linear models."""
+"""The features that get a full search for a split between linear models."""
 
 from __future__ import annotations
 

@@ -25,13 +25,13 @@ class DirectSearch:
     A scale for each number multiplies its part of all directions, and so noise and step alike.
 
     The directions of an iteration depend on the seed and its number alone, so `centre`, `velocity` and `n_iterations`
-    are all there is to keep.
+    are the whole state.
 
     Attributes:
         settings: as given.
         centre: (D,) float64, where the search is.
         velocity: (D,), the weighted mean of the steps.
-        n_iterations: how many were told.
+        n_iterations: the number of calls of `tell`.
     """
 
     def __init__(self, centre: ArrayLike, settings: SearchSettings, seed: int, scale: ArrayLike = 1.0) -> None:
@@ -49,7 +49,7 @@ class DirectSearch:
         self._step_size = settings.step_size
 
     def ask(self, done: float = 0.0) -> FloatArray:
-        """Return the vectors to try (2 n_directions, D): rows 2i and 2i + 1 are direction i, forth and back.
+        """Return the vectors to try (2 n_directions, D): rows 2i and 2i + 1 are direction i, forwards and backwards.
 
         Args:
             done: share of the search that is done, from 0 to 1, by which step and noise fall.
@@ -60,7 +60,7 @@ class DirectSearch:
         return np.stack((self.centre + away, self.centre - away), axis=1).reshape(-1, len(self.centre))
 
     def tell(self, returns: ArrayLike) -> None:
-        """Make the step that the returns (2 n_directions,) of the vectors asked for suggest; none if all are equal."""
+        """Make the step that the returns (2 n_directions,) of those vectors suggest; none if all are equal."""
         pairs = np.asarray(returns, dtype=np.float64).reshape(self.settings.n_directions, 2)
         top = np.argsort(-pairs.max(axis=1), kind="stable")[: self.settings.n_top]
         spread = pairs[top].std()
@@ -73,16 +73,16 @@ class DirectSearch:
         self.n_iterations += 1
 
     def state(self) -> dict[str, FloatArray]:
-        """Return what a search that goes on from here needs, as arrays by name."""
+        """Return the state from which a search resumes, as arrays by name."""
         return {"centre": self.centre, "velocity": self.velocity, "n_iterations": np.array(float(self.n_iterations))}
 
     def restore(self, state: Mapping[str, FloatArray]) -> None:
-        """Go on from what `state` returned, in a search with the same settings and seed."""
+        """Resume from what `state` returned, in a search with the same settings and seed."""
         self.centre, self.velocity = np.array(state["centre"]), np.array(state["velocity"])
         self.n_iterations = int(state["n_iterations"])
 
     def _directions(self) -> FloatArray:
-        """Return the iteration's directions (n_directions, D), the same whenever they are asked for."""
+        """Return the iteration's directions (n_directions, D), the same at every call."""
         generator = np.random.default_rng([self._seed, self.n_iterations])
         directions = generator.standard_normal((self.settings.n_directions, len(self.centre)))
         return np.asarray(directions * self._scale)

@@ -1,4 +1,4 @@
-"""The numbers of a finished policy as one vector, in units in which a step means the same everywhere.
+"""The numbers of a finished policy as one vector, in units in which steps are comparable.
 
 Every row of a policy, a test [P | v], a leaf's output [M | c] or a neuron [W | b], is an affine form of what it reads.
 It is written for standardised states and divided by its size there:

@@ -32,7 +32,7 @@ FIRST_SIZE, MOST_HALVINGS, MOST_LOST = 8.0, 12, 0.05
 
 @dataclass(frozen=True)
 class PolishReport:
-    """What a polish has done so far.
+    """The progress of a polish.
 
     Attributes:
         n_numbers: how many are searched.
@@ -132,7 +132,7 @@ def best_confirmed(
     n_selection_episodes: int,
     report: Callable[[PolishReport], None] | None = None,
 ) -> Policy:
-    """Return the best of a policy's successors where it is confirmed, else the policy: what every polish ends with.
+    """Return the best of a policy's successors where it is confirmed, else the policy: the last step of every polish.
 
     Args:
         policy: the original.

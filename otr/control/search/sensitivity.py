@@ -13,8 +13,8 @@ from otr.core.tree import ObliqueTree
 
 STEP = 0.03  # of the differences, in units of a row's size: enough that a few states change the side of a tree's test
 MOST_STATES = 1000
-MOST_MEDIANS = 3.0  # the greatest scale, in medians
-ROUNDING = 1e-9  # share of the greatest reaction; what is below may be the rounding of a policy written anew
+MOST_MEDIANS = 3.0  # the largest scale, in medians
+ROUNDING = 1e-9  # share of the greatest reaction; what is below may be the rounding of a rewritten policy
 
 
 def sensitivity_scale(numbers: PolicyNumbers[Any], states: ArrayLike) -> FloatArray:

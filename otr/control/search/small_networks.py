@@ -26,7 +26,7 @@ class NetworkShape:
         hidden_widths: hidden neurons of each layer; none for a linear policy.
         n_outputs: labels, or components of the action.
         box: least and greatest actions, (o,) each; None where actions are labels.
-        dense: "input" for a linear map of the state beside the neurons, in every layer after the first.
+        dense: "input" for a linear map of the state next to the neurons, in every layer after the first.
         negative_slope: of the activation below zero.
     """
 

@@ -29,7 +29,7 @@ class StateMoments:
         self.n, self.mean, self.squares = 0, np.zeros(d), np.zeros(d)
 
     def add(self, states: FloatArray) -> None:
-        """Take in states (n, d)."""
+        """Add states (n, d)."""
         if not len(states):
             return
         mean = states.mean(axis=0)
@@ -49,5 +49,5 @@ class StateMoments:
         return {"n": np.array(float(self.n)), "mean": self.mean, "squares": self.squares}
 
     def restore(self, state: Mapping[str, FloatArray]) -> None:
-        """Go on from what `state` returned."""
+        """Resume from what `state` returned."""
         self.n, self.mean, self.squares = int(state["n"]), np.array(state["mean"]), np.array(state["squares"])

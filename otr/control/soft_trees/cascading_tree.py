@@ -42,7 +42,7 @@ class CascadingTree(nn.Module):
             n_features: m.
             decision_depth: of the tree on the features.
             beta: how hard the tests of both are at first.
-            generator: None for torch's own.
+            generator: None for torch's default.
         """
         super().__init__()
         self.n_inputs, self.n_outputs, self.n_features = n_inputs, n_outputs, n_features

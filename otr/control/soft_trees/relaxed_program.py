@@ -72,7 +72,7 @@ class RelaxedProgram(nn.Module):
             depth: the most tests on a path.
             structure_penalty: see `otr.control.settings.RelaxedProgramSettings`.
             beta: how hard the tests are at first.
-            generator: None for torch's own.
+            generator: None for torch's default.
         """
         super().__init__()
         self.depth, self.n_inputs, self.n_outputs = depth, n_inputs, n_outputs

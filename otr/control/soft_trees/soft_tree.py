@@ -53,7 +53,7 @@ class SoftTree(nn.Module):
             depth: tests on each path; 0 is one leaf.
             affine_leaves: leaves are affine in x; else constant.
             beta: how hard the tests are at first.
-            generator: None for torch's own, as in torch's modules.
+            generator: None for torch's default, as in torch's modules.
         """
         super().__init__()
         self.depth, self.n_inputs, self.n_outputs = depth, n_inputs, n_outputs
@@ -223,7 +223,7 @@ def path_probabilities(left: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def reach(left: Tensor) -> tuple[Tensor, Tensor]:
-    """Return what `path_probabilities` returns, out of autograd's sight."""
+    """Return what `path_probabilities` returns, without autograd."""
     n_tests, n = left.shape
     nodes, leaves = torch.empty_like(left), left.new_empty(n_tests + 1, n)
     widths = level_widths(n_tests)

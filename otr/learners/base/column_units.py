@@ -1,4 +1,4 @@
-"""Units in which scikit-learn's splitter tells values apart: columns are shifted and scaled for it, trees put back.
+"""Units in which scikit-learn's splitter distinguishes values: columns are shifted and scaled for it, trees put back.
 
 It rounds inputs to float32, takes values nearer than 1e-7 for equal, and splits no node whose impurity is below 2e-16.
 """

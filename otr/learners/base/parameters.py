@@ -1,4 +1,4 @@
-"""What parameters may be, declared once for every learner in scikit-learn's own terms.
+"""The constraints of parameters, declared once for every learner in scikit-learn's terms.
 
 An estimator's `_parameter_constraints` are checked in `fit`, those of a settings dataclass when it is made. The error,
 a ValueError and a TypeError, names the parameter, its value and what it may be.
@@ -35,7 +35,7 @@ class Widths(Interval):  # type: ignore[misc]
         super().__init__(Integral, 1, None, closed="left")
 
     def is_satisfied_by(self, val: Any) -> bool:
-        """Return whether `val` is a sequence and each item lies in the range."""
+        """Return whether `val` is a sequence and each item is in the range."""
         is_sequence = isinstance(val, Sequence | np.ndarray) and not isinstance(val, str)
         return is_sequence and all(Interval.is_satisfied_by(self, width) for width in val)
 

@@ -42,7 +42,7 @@ class TreeAnswers(BaseEstimator):  # type: ignore[misc]
     def decision_path(self, X: ArrayLike) -> sparse.csr_matrix:
         """Return the test nodes of `tree_` that each row passes: a sparse 0/1 matrix (n, n_nodes).
 
-        Leaves have numbers of their own (`apply`) and no column, other than in scikit-learn's trees.
+        Leaves have their own numbers (`apply`) and no column, unlike in scikit-learn's trees.
         """
         return self._explicit_tree().decision_path(self._checked(X))
 

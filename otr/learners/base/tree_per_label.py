@@ -149,7 +149,7 @@ class NetworkLearner(TreeLearner):
         _require_pair(validation)
         if not len(seeds):
             raise ValueError("seeds is empty; give one at least")
-        first = copy.copy(self)  # which is told of the data, and not this estimator
+        first = copy.copy(self)  # which gets the data, and not this estimator
         problem = first._problem(X, y, sample_weight, validation)
         trained = first._train(problem, seeds)
         fitted = []
@@ -260,7 +260,7 @@ class TreeClassifier(ClassifierMixin, TreeLearner):  # type: ignore[misc]
         return outputs[:, 0, 0] if len(self.classes_) == 2 else outputs[:, 0]
 
     def predict_proba(self, X: ArrayLike) -> FloatArray:
-        """Return the probabilities behind the leaves' outputs: (n, c) of classes, or (n, L) of ones of the labels."""
+        """Return the probabilities of the leaves' outputs: (n, c) of classes, or (n, L) of ones of the labels."""
         logits = self.decision_function(X)
         if not self.multilabel_ and logits.ndim == 2:
             odds = np.exp(logits - logits.max(axis=1, keepdims=True))

@@ -11,7 +11,7 @@ from sklearn.utils.validation import _check_sample_weight
 
 from otr.core.arrays import FloatArray
 
-_CONSTANT = 1e-12  # deviation, beside the largest number of a column, that rounding alone may make
+_CONSTANT = 1e-12  # deviation, relative to the largest number of a column, that rounding alone may make
 
 ClassWeight = Mapping[Any, float] | Literal["balanced"] | None
 

@@ -27,7 +27,7 @@ def dominant_direction(
     """Return the largest eigenvalue of the covariance of X (n, d) and its unit eigenvector (d,).
 
     Lanczos (ARPACK) on ``v -> (X - mean)^T (X - mean) v / n``: O(n d) for each of some tens of products, and O(n + d)
-    memory beside X; `random_state` draws the start. Where n or d is small, the smaller Gram matrix is formed instead.
+    memory besides X; `random_state` draws the start. Where n or d is small, the smaller Gram matrix is formed instead.
     The largest entry in absolute value is positive, so that the sign is determined. Mean and covariance count a row as
     its weight, `weights` (n,) above 0; None for one each.
     """

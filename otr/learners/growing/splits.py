@@ -49,8 +49,8 @@ def best_split(
     above 0, None for one each. `random_state` decides between columns of equal gain, and the number of threads `n_jobs`
     changes nothing.
 
-    Cost: O(d n log n), a sort of each column. The columns come in blocks, so each thread needs some tens of MB beside
-    X, or a few dozen numbers a row where there are more than 2**18 rows.
+    Cost: O(d n log n), a sort of each column. The columns come in blocks, so each thread needs some tens of MB in
+    addition to X, or a few dozen numbers a row where there are more than 2**18 rows.
     """
     n, d = X.shape
     if n < 2 * min_samples_leaf:

@@ -37,7 +37,7 @@ class LcnSettings(NetworkSettings[LcnNetwork]):
     Attributes:
         depth: neurons M.
         hidden: width of g's hidden layer; 0 for a linear g.
-        drop_connect: share p of each neuron's weights that are dropped when its sign is computed, anew for every row
+        drop_connect: share p of each neuron's weights that are dropped when its sign is computed, redrawn for every row
             and neuron; the rest is scaled up. The derivatives themselves are taken with all weights.
         loss, n_classes, schedule: see `NetworkSettings`.
     """
@@ -61,7 +61,7 @@ class LcnSettings(NetworkSettings[LcnNetwork]):
 
 
 class BatchedLcns(BatchedModels[LcnNetwork]):
-    """S x L networks; the small products behind T go through torch's autograd, those with the inputs by hand."""
+    """S x L networks; the small products after T go through torch's autograd, those with the inputs by hand."""
 
     def __init__(self, n_inputs: int, n_labels: int, settings: LcnSettings, streams: Sequence[SeedStreams]) -> None:
         """Draw the first weights as torch's Linear does; the networks of a seed start alike."""

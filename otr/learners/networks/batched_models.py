@@ -42,9 +42,9 @@ class SeedStreams:
 
 
 def streams_of(seeds: Sequence[int], n_labels: int) -> list[SeedStreams]:
-    """Return the streams of the seeds; where there would be a single model, it stands there twice.
+    """Return the streams of the seeds; a single model is held twice.
 
-    torch multiplies the matrices of a batch of one by another routine, which rounds otherwise.
+    torch multiplies the matrices of a batch of one by another routine, which rounds differently.
     """
     return [SeedStreams.of(seed) for seed in [*seeds] * (2 if len(seeds) * n_labels == 1 else 1)]
 
@@ -52,8 +52,8 @@ def streams_of(seeds: Sequence[int], n_labels: int) -> list[SeedStreams]:
 class Parameter:
     """One tensor of all models, with its gradient.
 
-    Both lie in flat vectors that are padded: torch's vector loops compute the rest of a vector otherwise, in the last
-    bit, and a model's numbers are not to depend on where it lies.
+    Both are in flat vectors that are padded: torch's vector loops compute the rest of a vector differently, in the last
+    bit, and a model's numbers must not depend on its position.
 
     Attributes:
         flat, flat_gradient: the padded vectors.

@@ -272,7 +272,7 @@ def _check_finite(models: BatchedModels[Any], fitted: Fitted, streams: Sequence[
     for parameter, values in zip(models.parameters, fitted.values, strict=True):
         finite = parameter.of_models(values).flatten(2).isfinite().all(2)
         if not finite.all():
-            # A single model stands there twice (see `streams_of`).
+            # A single model is held twice (see `streams_of`).
             found = dict.fromkeys((streams[i].seed, label) for i, label in torch.nonzero(~finite).tolist())
             n_models = len({stream.seed for stream in streams}) * finite.shape[1]
             seed, label = next(iter(found))

@@ -1,7 +1,7 @@
 """A first layer's products with rows: sums of weight rows for binary inputs, matrix products otherwise.
 
-Networks that read the same rows at the same time lie side by side in one table of weights, (d, C) with C the columns of
-all of them, and tables of different groups (seeds) lie below each other, (G * d, C). A binary row with k ones out of d
+Networks that read the same rows at the same time are side by side in one table of weights, (d, C) with C the columns of
+all of them, and tables of different groups (seeds) are below each other, (G * d, C). A binary row with k ones out of d
 adds k rows of its table, which is d / k times less arithmetic than the product: for a molecule's fingerprint about
 forty times. The sums run in the order of the inputs in every column by itself.
 """
@@ -57,7 +57,7 @@ class InputRows(Protocol):
     def batch(self, rows: IntArray, dropout: float = 0.0, draws: list[np.random.Generator] | None = None) -> Batch:
         """Return the mini-batch of `rows` (G, B), with every input dropped with probability `dropout`.
 
-        Inputs that stay are not scaled. Group g draws from `draws[g]`; a generator that stands there several times in
+        Inputs that stay are not scaled. Group g draws from `draws[g]`; a generator that is given several times in
         a row draws for its groups one after another.
         """
 

@@ -16,7 +16,7 @@ def areas_under_curve(scores: FloatArray, labels: FloatArray) -> FloatArray:
     """
     labels = np.broadcast_to(labels, scores.shape)
     missing = np.isnan(labels)
-    # Rows without a label rank behind all others, where they change no rank.
+    # Rows without a label rank after all others, where they change no rank.
     ranks = rankdata(np.where(missing, np.inf, scores), axis=-1)
     is_one = labels == 1
     n_ones = is_one.sum(axis=-1)

@@ -27,7 +27,7 @@ class Table:
 
 
 def literal(value: float, dtype: CType) -> str:
-    """Return the shortest literal that stands for exactly this number; raise ValueError if a float cannot hold it."""
+    """Return the shortest literal of exactly this number; raise ValueError if a float cannot hold it."""
     if dtype == "double":
         return repr(float(value))
     with np.errstate(over="ignore", under="ignore"):

@@ -1,4 +1,4 @@
-"""Where the reading of a program stands, and which lines belong together."""
+"""The position in a program that is being read, and which lines belong together."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Cursor:
     """
 
     def __init__(self, source: Source, tokens: list[Token]) -> None:
-        """Stand before the first of the tokens, the last of which is of kind `stop`."""
+        """Begin before the first of the tokens, the last of which is of kind `stop`."""
         self.source = source
         self._tokens = tokens
         self._next = 0
@@ -90,7 +90,7 @@ class Cursor:
 
     @contextmanager
     def bracket(self) -> Iterator[None]:
-        """Read what stands in brackets, where ends of lines have no meaning."""
+        """Read what is in brackets, where ends of lines have no meaning."""
         with self.nested():
             self._brackets += 1
             yield
@@ -98,7 +98,7 @@ class Cursor:
 
     @contextmanager
     def nested(self) -> Iterator[None]:
-        """Read what stands one level deeper; raise ProgramError if that is too deep."""
+        """Read what is one level deeper; raise ProgramError if that is too deep."""
         self._nesting += 1
         if self._nesting > MAX_NESTING:
             raise self.error(

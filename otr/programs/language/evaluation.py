@@ -23,7 +23,7 @@ from otr.programs.language.tokens import Place, Source
 from otr.programs.language.values import Affine, Clipped, Exponential, Squashed, Value, clipped, constant
 
 ONLY_LAST = "tanh may only be scaled and shifted by constants, as the last step of an answer"
-EXP_IS_LAST = "exp may only be the whole of an answer; add the logarithm of a factor to what stands in it"
+EXP_IS_LAST = "exp may only be the whole of an answer; add the logarithm of a factor to its argument"
 NOT_AFFINE = {
     "*": "this multiplies two values that depend on the inputs, which is not affine; one factor must be constant",
     "/": "this divides by a value that depends on the inputs, which is not affine; divide by constants only",

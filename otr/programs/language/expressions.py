@@ -25,7 +25,7 @@ Node = Expression | BooleanExpression
 
 
 class ExpressionReader:
-    """Reads expressions; whether what stands where is a number or a condition is checked at once."""
+    """Reads expressions; whether each is a number or a condition, as its place requires, is checked at once."""
 
     def __init__(self, cursor: Cursor, scope: Scope) -> None:
         self._cursor, self._scope = cursor, scope
@@ -129,7 +129,7 @@ class ExpressionReader:
         return Comparison(operands, signs, at)
 
     def _right_hand(self, lowest: int) -> Node:
-        """Read what stands on the right of an operator: a level deeper, because the reader calls itself."""
+        """Read what is on the right of an operator: a level deeper, because the reader calls itself."""
         with self._cursor.nested():
             return self._chain(lowest)
 

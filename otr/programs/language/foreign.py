@@ -24,7 +24,7 @@ _NODE = re.compile(r'\s*"?(\w+)"?\s*\[(.*)\]\s*;?\s*')
 _EDGE = re.compile(r'\s*"?(\w+)"?\s*->\s*"?(\w+)"?\s*(?:\[(.*)\])?\s*;?\s*')
 _LABEL = re.compile(r'\blabel\s*=\s*(?:"((?:[^"\\]|\\.)*)"|<(.*)>)', re.DOTALL)
 _COMPARED = re.compile(r"(.+?)\s*(<=|>=|<|>)\s*([^<>=]+)")
-# A statement of DOT ends with a semicolon or its line, but for what stands in quotes or brackets.
+# A statement of DOT ends with a semicolon or its line, except in quotes or brackets.
 _IN_ANGLES, _IN_QUOTES = r"<(?:[^<>]|<[^<>]*>)*>", r'"(?:[^"\\]|\\.)*"'
 _STATEMENT = re.compile(rf'(?:{_IN_QUOTES}|\[(?:{_IN_QUOTES}|{_IN_ANGLES}|[^\]"<])*\]|[^;\n"\[])+')
 
@@ -64,7 +64,7 @@ def _without_functions(text: str) -> str:
             is_main = match[1] == "main" and len(functions) > 1
             if match[3] == ";" or is_main:
                 text = _blanked(text, match.start(), match.end() if match[3] == ";" else _closing(text, match))
-            else:  # what stands in braces may be indented as it likes
+            else:  # what is in braces may be indented in any way
                 text = f"{text[: match.start()]}if (0 < 1) {{{text[match.end() :]}"
         bodies += [match for match in functions if match[1] != "main" or len(functions) == 1]
     if len(bodies) > 1:
@@ -127,7 +127,7 @@ def _text_line(line: str, number: int, features: Sequence[str]) -> str:
 
 def _dot(text: str, features: Sequence[str]) -> str:
     """Return the program of a tree in DOT: a node's first edge, or that called True, is where its test holds."""
-    labels: dict[str, tuple[str, int]] = {}  # and where the node stands
+    labels: dict[str, tuple[str, int]] = {}  # and where the node is
     edges: dict[str, list[tuple[str, str]]] = {}
     # A node's text may break its line; statements end with semicolons, or lines.
     at = text.index("{") + 1

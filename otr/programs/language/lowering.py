@@ -156,7 +156,7 @@ class Lowering:
         self._answers.append(_PathEnd(path, values, at))
 
     def label_tree(self) -> ObliqueTree:
-        """Return the tree whose leaves have labels; the outputs behind them are 1 for the label, else 0."""
+        """Return the tree whose leaves have labels; their outputs are 1 for the label, else 0."""
         labels: list[int] = []
         for answer in self._decided(self._answers):
             (value,) = answer.values

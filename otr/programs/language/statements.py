@@ -136,7 +136,7 @@ class _StatementReader:
         return token.word == word and token.at.line == other.at.line
 
     def _continues(self, first: Token, word: str) -> bool:
-        """Return whether `word` comes next and belongs to the `if` at `first`, as far as indentation can tell."""
+        """Return whether `word` comes next and belongs to the `if` at `first`, as far as indentation shows it."""
         token = self._cursor.token
         is_word = token.word == word
         return is_word and (not token.is_first or token.indent >= first.indent)

@@ -69,7 +69,7 @@ class Source:
 def written(name: str) -> str:
     """Return a name as a program's text has it: of words as it is, any other between backquotes.
 
-    Between these a backslash stands before a backslash or a backquote, and what does not print is ``\\u{code}``.
+    Between these a backslash escapes a backslash or a backquote, and what does not print is ``\\u{code}``.
     """
     if _is_of_words(name):
         return name
@@ -78,14 +78,14 @@ def written(name: str) -> str:
 
 
 def _unquoted(text: str) -> str:
-    """Return the name that stands between backquotes."""
+    """Return the name between backquotes."""
     return re.sub(_ESCAPE, lambda match: chr(int(match[1], 16)) if match[1] else match[0][1], text[1:-1])
 
 
 def _is_of_words(name: str) -> bool:
     """Return whether a name is words with single spaces between them, none of which means something to the language.
 
-    Two words beside each other are no expression, so such a name is never mistaken for one.
+    Two adjacent words are no expression, so such a name is never mistaken for one.
     """
     words = name.split(" ")
     is_of_words = re.fullmatch(_WORD, words[0]) and all(re.fullmatch(r"\w+", word) for word in words)
@@ -100,7 +100,7 @@ def _spelled(text: str) -> str:
 def tokenize(source: Source, names: Sequence[str], functions: Collection[str]) -> list[Token]:
     """Return the tokens of a program, the last of kind `stop`.
 
-    One of the `names` that is no word, such as ``left contact``, is found wherever it stands as a whole, and the
+    One of the `names` that is no word, such as ``left contact``, is found wherever it occurs as a whole, and the
     longest of several is taken; but where its text is an expression of other names, such as ``x - 1``, it is that, and
     the name is found between backquotes alone. Raise ProgramError where a character belongs to nothing, or tabs and
     spaces indent lines of one program.
@@ -189,7 +189,7 @@ def _token(match: re.Match[str], at: Place, indent: int) -> Token:
 
 
 def _check_indentation(source: Source, margin: str, line: int, indented_by: dict[str, int]) -> None:
-    """Refuse tabs beside spaces: which line is indented more would depend on the reader's editor."""
+    """Refuse tabs mixed with spaces: which line is indented more would depend on the reader's editor."""
     for character in dict.fromkeys(margin):  # there may be thousands of spaces
         indented_by.setdefault(character, line)
     if len(indented_by) > 1:

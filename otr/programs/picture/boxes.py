@@ -1,4 +1,4 @@
-"""What stands in the boxes of a drawn tree: tests, leaves, and subtrees that are folded up."""
+"""What is in the boxes of a drawn tree: tests, leaves, and subtrees that are folded up."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-# Okabe & Ito's colours, which colour-blind people tell apart, as dark line and light inside, one a label.
+# Okabe & Ito's colours, which colour-blind people distinguish, as dark line and light inside, one a label.
 LABELS = (
     ("#0072b2", "#a9d0ea"), ("#d55e00", "#f7c29f"), ("#009e73", "#9fdcc8"), ("#b0568a", "#ecc5da"),
     ("#b87f00", "#fadb9b"), ("#3d8fc0", "#d3ecfa"), ("#7a7000", "#efe79a"), ("#444444", "#cfcfcf"),

@@ -91,7 +91,7 @@ def save_picture(figure: Figure, path: str | Path) -> None:
     """Write a figure as PNG, SVG or PDF, as the name ends; the same figure gives the same bytes, without a date.
 
     Raises:
-        ValueError: the name ends otherwise, or there is no such folder.
+        ValueError: the name has another ending, or there is no such folder.
         MissingExtraError: matplotlib is not installed.
 
     Examples:

@@ -9,7 +9,7 @@ def tidy_layout(children: Sequence[Sequence[int]], widths: Sequence[float], gap:
     """Return the x of every box's centre, the leftmost edge at 0 (Reingold & Tilford 1981, with boxes of any width).
 
     Box 0 is the root; `children` holds no or two indices a box, above its own. Boxes of one depth keep the order of the
-    tree and lie at least `gap` apart; a parent is centred above its children, which stand as close together as
+    tree and are at least `gap` apart; a parent is centred above its children, which are as close together as
     everything below them allows.
     """
     shifts = [0.0] * len(children)  # of a box from its parent
@@ -32,7 +32,7 @@ def tidy_layout(children: Sequence[Sequence[int]], widths: Sequence[float], gap:
 def _merged(
     left: list[tuple[float, float]], right: list[tuple[float, float]], half: float
 ) -> list[tuple[float, float]]:
-    """Return the contour of two subtrees whose roots stand `half` to either side."""
+    """Return the contour of two subtrees whose roots are `half` to either side."""
     n_common = min(len(left), len(right))
     both = [(left[depth][0] - half, right[depth][1] + half) for depth in range(n_common)]
     deeper, shift = (left, -half) if len(left) > len(right) else (right, half)

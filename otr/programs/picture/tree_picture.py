@@ -54,7 +54,7 @@ def _depth_shown(tree: ObliqueTree, max_depth: int | None) -> int | None:
 
 
 def _notes(tree: ObliqueTree, boxes: Sequence[NodeBox], answers: Sequence[str]) -> list[str]:
-    """Return what stands below the picture, in lines."""
+    """Return the lines below the picture."""
     notes = [head_note(tree)]
     if any(box.levels for box in boxes):
         several = f"s ({', '.join(answers[:6])}{', …' * (len(answers) > 6)})" if len(answers) > 1 else ""

@@ -13,7 +13,7 @@ EXPORT = Composer("export", {(None, "export_schema"): ExportConfig})
 
 
 def do(arguments: argparse.Namespace) -> int:
-    """Print the policy of a run, or of a program that somebody wrote, or write it to a file."""
+    """Print the policy of a run, or of a program file, or write it to a file."""
     overrides, of_env = without_environment(arguments)
     cfg: ExportConfig = to_object(EXPORT.compose(overrides))
     check_export(cfg, of_env)

@@ -45,9 +45,7 @@ def do(arguments: argparse.Namespace) -> int:
     RUN.check_keys(of_run, OWN)
     is_of_run = any(key_of(override) not in OWN for override in of_run)
     if is_of_run and cfg.run:
-        raise ConfigError(
-            f"run={cfg.run[0]} and {of_run[0]}: a run that is there, or one to make; leave one of them out"
-        )
+        raise ConfigError(f"run={cfg.run[0]} and {of_run[0]}: an existing run, or one to make; leave one of them out")
     folders = [_done(RUN, of_run)] if is_of_run else [find_run(run, cfg.results_dir) for run in cfg.run]
     if not folders and cfg.tree is not None:
         raise ConfigError(f"tree={cfg.tree}: of which run? Add run=FOLDER")

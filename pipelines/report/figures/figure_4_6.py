@@ -1,4 +1,4 @@
-"""Figure 4.6: return of imitating trees on the lander against their depth, a panel for each oracle, beside linear."""
+"""Figure 4.6: return of imitating trees on the lander against their depth, a panel for each oracle, and linear ones."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -39,7 +39,7 @@ def budget_of_runs(runs: pd.DataFrame) -> str:
 def write_figure_4_6(runs: pd.DataFrame, planned: Sequence[Planned], budget: str, results_dir: Path) -> list[Path]:
     """Write Figure 4.6 from those of the experiment's runs, planned under one budget, that are finished.
 
-    Linear policies of the same budget stand at depth 0: those without an oracle in each panel, and imitating ones in
+    Linear policies of the same budget are at depth 0: those without an oracle in each panel, and imitating ones in
     that of their oracle.
 
     Returns:

@@ -116,7 +116,7 @@ def rows_under_way(
 ) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """Return the rows that a stage under way will write at its end, as far as they go, and how far that is.
 
-    They lie with the checkpoints of the run, which are read and not touched. There are none where the run has no such
+    They are with the checkpoints of the run, which are only read. There are none where the run has no such
     stage, or has not come to it.
     """
     if not exists(run_dir / CONFIG):

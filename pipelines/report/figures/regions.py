@@ -59,7 +59,7 @@ def draw_regions(
     """Return a map of what the tree does where two inputs vary and all others are at their medians over the states.
 
     A panel an action, of six at most; one panel where the answers are labels. Dark lines part the leaves; dots are the
-    visited states, as they lie in these two inputs, whatever their others are.
+    visited states, by these two inputs, whatever their others are.
 
     Args:
         tree: any tree of at least two inputs.

@@ -85,7 +85,7 @@ def _below(run: str, results_dir: Path) -> list[Path]:
 
 
 def _below_runs(run: str, results_dir: Path) -> str:
-    """Return the path of a folder of runs below `runs`, or its name where it lies elsewhere."""
+    """Return the path of a folder of runs below `runs`, or its name where it is elsewhere."""
     folder = os.path.normpath((find_folder(run, results_dir) or Path(run)).absolute())
     _, runs, below = f"{folder}/".rpartition("/runs/")
     return below.strip("/") if runs else Path(folder).name

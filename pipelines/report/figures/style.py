@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 PANEL_WIDTH, PANEL_HEIGHT, LEGEND_ROW = 3.4, 2.35, 0.2  # inches
 SMALL, NORMAL = 8, 9  # points
 MOST_TICKS = 6
-# Okabe & Ito's colours without yellow, which colour-blind people tell apart; with 8 markers there are 56 pairs.
+# Okabe & Ito's colours without yellow, which colour-blind people distinguish; with 8 markers there are 56 pairs.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#444444")
 MARKERS = (("o", 5.5), ("s", 5.0), ("^", 6.0), ("D", 5.0), ("v", 6.0), ("<", 6.0), (">", 6.0), ("p", 6.5))  # and sizes
 GREY, INK = "#666666", "#1a1a1a"
@@ -189,7 +189,7 @@ def set_leaf_ticks(panel: Axes, most_leaves: float) -> None:
 
 
 def panel_and_label(run_dir: Path, but: Collection[str] = ()) -> dict[str, str]:
-    """Return where a run stands in a figure of runs: its environment, and its method, depth and budget in words.
+    """Return where a run is shown in a figure of runs: its environment, and its method, depth and budget in words.
 
     Settings other than the budget's are in the label, `but` these, or its folder's digest where no summary names them.
     """

@@ -1,4 +1,4 @@
-"""The front of the page: tables with the thesis beside ours and intervals drawn, and the data of the figures."""
+"""The front of the page: tables with the thesis's numbers and ours and intervals drawn, and the data of the figures."""
 
 from __future__ import annotations
 
@@ -131,20 +131,20 @@ def _bar(cell: Any, scale: tuple[float, float]) -> str:
     def dot(value: float, look: str) -> str:
         return f'<circle cx="{at(value)}" cy="{BAR_HEIGHT / 2}" r="3" {look}/>'
 
-    marks, told = [], []
+    marks, shown = [], []
     if not math.isnan(cell.mean):
-        told.append(f"ours {cell.mean:.4g}")
+        shown.append(f"ours {cell.mean:.4g}")
         if not math.isnan(cell.std):
             marks.append(line(cell.mean - cell.std, cell.mean + cell.std, 1))
         if not math.isnan(cell.ci_low):
             marks.append(line(cell.ci_low, cell.ci_high, 4))
-            told.append(f"95 % interval of our mean {cell.ci_low:.4g} to {cell.ci_high:.4g}")
+            shown.append(f"95 % interval of our mean {cell.ci_low:.4g} to {cell.ci_high:.4g}")
         marks.append(dot(cell.mean, 'fill="currentColor"'))
     if not math.isnan(thesis):
         marks.append(dot(thesis, 'fill="none" stroke="var(--on)" stroke-width="1.5"'))
-        told.append(f"thesis {thesis:.4g}")
+        shown.append(f"thesis {thesis:.4g}")
     return (
-        f'<svg width="{BAR_WIDTH}" height="{BAR_HEIGHT}" role="img" aria-label="{escape("; ".join(told))}">'
+        f'<svg width="{BAR_WIDTH}" height="{BAR_HEIGHT}" role="img" aria-label="{escape("; ".join(shown))}">'
         f"{''.join(marks)}</svg>"
     )
 

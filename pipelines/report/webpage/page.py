@@ -134,8 +134,8 @@ def write_results_page(results_dir: Path, out: Path, load_config: Callable[[Path
     front = "\n".join([*tables, f'<h2 id="figures">Figures</h2>{drawn}' if drawn else ""])
     links = "".join(f'<a href="#{key}">{name}</a>' for key, name in PARTS.items() if f'id="{key}"' in front)
     head = (
-        "<p>Neural policies as oblique decision trees, beside the published numbers of the thesis that otr implements "
-        "(Orfanos 2023). Every number is read from the runs beside this page; what was not run says so.</p>"
+        "<p>Neural policies as oblique decision trees, with the published numbers of the thesis that otr implements "
+        "(Orfanos 2023). Every number is read from the runs next to this page; what was not run says so.</p>"
         f'<nav>{links}<a href="#policies">Policies</a></nav>'
     )
     return _write(out, "otr: policies as programs", head, front, policies, figures)
@@ -159,10 +159,10 @@ def _a_policy_a_cell(cells: pd.DataFrame, runs: pd.DataFrame, results_dir: Path)
         if key != f"policy-{len(shown)}":
             continue
         name = name_of_cell(cell.task, cell.method, cell.depth).partition(": ")[2]
-        told = f"{name}, {nearest['budget']}, seed {nearest['seed']}: {nearest['return_pruned']:z.1f}"
+        title = f"{name}, {nearest['budget']}, seed {nearest['seed']}: {nearest['return_pruned']:z.1f}"
         if nearest["return_pruned"] != nearest["return_mean"]:
-            told += f" (the whole tree {nearest['return_mean']:z.1f})"
-        shown.append(Shown(told, TASK_NAMES.get(cell.task, cell.task), folder, form))
+            title += f" (the whole tree {nearest['return_mean']:z.1f})"
+        shown.append(Shown(title, TASK_NAMES.get(cell.task, cell.task), folder, form))
     return shown, policies
 
 

@@ -12,7 +12,7 @@ _PLAIN = ("cos_", "sin_")  # how names of plain numbers begin
 def unit_of(env: EnvConfig, feature: str) -> str:
     """Return the unit of an observation of gymnasium's Pendulum and MuJoCo environments; "" where it has none.
 
-    Names are those of conf/env; an own environment's observations have no known unit.
+    Names are those of conf/env; a custom environment's observations have no known unit.
     """
     if not env.id.startswith(_PHYSICAL) or feature.startswith(_PLAIN):
         return ""

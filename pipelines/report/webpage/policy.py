@@ -33,7 +33,7 @@ EXPORTS: dict[str, Callable[..., str]] = {
 }
 WIDEST_LIMITS = 1e3  # limits of a state beyond these say nothing: the range is that of visited states
 MARGIN = 0.1  # of the range of visited states, beyond it on either side
-LONGEST_PROGRAM = 64  # leaves; a longer one is no reading, and stands in the exports
+LONGEST_PROGRAM = 64  # leaves; a longer one is not readable; the exports have it
 VISIBLE = 1e-4  # of the largest answer: a page writes three digits
 
 
@@ -129,10 +129,10 @@ def _proof(folder: Path, form: str) -> str:
     summary = read_summary(folder)
     if not summary.get("certify", {}).get("certified"):
         return ""
-    told = proof_line(summary["certify"])
+    text = proof_line(summary["certify"])
     if "polish" in summary and summary["certify"].get("policy") != "polished":
-        told += ". It is of the network before the polish"
-    return told if form == "minimal" else f"{told}. The tree above is the {form} one."
+        text += ". It is of the network before the polish"
+    return text if form == "minimal" else f"{text}. The tree above is the {form} one."
 
 
 def page_tree(run: RunConfig, folder: Path, form: str) -> otr.ObliqueTree:

@@ -38,7 +38,7 @@ torch.set_num_threads(1)  # two threads make these small networks a hundred time
 
 
 class CriticPolish:
-    """Learns on a policy's numbers, one update a step; `candidates` gives what it comes to."""
+    """Learns on a policy's numbers, one update a step; `candidates` yields the results."""
 
     def __init__(
         self,
@@ -175,7 +175,7 @@ class CriticPolish:
 
 
 def _take_over(ours: Layers, theirs: list[tuple[np.ndarray, np.ndarray]]) -> None:
-    """Write critics into a stack, the first two of several; the only one of DDPG's stands for both."""
+    """Write critics into a stack, the first two of several; DDPG's only one fills both."""
     for weight, bias, (their_weight, their_bias) in zip(ours.weights, ours.biases, theirs, strict=True):
         for stack, given in ((weight, their_weight), (bias, their_bias)):
             stack.copy_(torch.from_numpy(np.array(given[:N_CRITICS])).expand(N_CRITICS, -1, -1))

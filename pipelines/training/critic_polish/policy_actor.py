@@ -14,14 +14,14 @@ from otr.importers.critics import Critics
 from pipelines.errors import ConfigError
 
 LOG_STD_LIMITS = (-5.0, 2.0)  # of the deviations that a policy begins with
-FIRST_LOG_STD = -1.5  # where no oracle says how far to explore
+FIRST_LOG_STD = -1.5  # where no oracle defines how far to explore
 
 
 class PolicyActor(nn.Module):
     """From states (n, d) to means and log standard deviations (n, 2 n_actions), in the units of critics.
 
     Means are the policy's outputs, of clipped ones in units of half their box. Log standard deviations are linear in
-    the state; they serve the learning and are no part of the policy.
+    the state; they only serve learning and are no part of the policy.
     """
 
     _low: Tensor
@@ -43,7 +43,7 @@ class PolicyActor(nn.Module):
         Args:
             policy: squashed into a box of actions, or clipped to it.
             states: (n, d) float, visited; their moments are the units of its inputs.
-            log_stds: (n, n_actions), what the deviations in these states are to begin with; None for a constant.
+            log_stds: (n, n_actions), the initial deviations in these states; None for a constant.
             free: whether coefficients that are zero learn, too.
             tied: whether a tree's tests that are equal, and its leaves that are, stay equal.
         """

@@ -1,4 +1,4 @@
-"""Adam over stacks: torch's fused kernel on whole stacks, with gradients and moments in storage of our own.
+"""Adam over stacks: torch's fused kernel on whole stacks, with gradients and moments in our storage.
 
 The kernel is called directly, because what `torch.optim.Adam` does around it costs several percent of an update of
 these small networks. It is the one that `torch.optim.Adam(fused=True)` calls.

@@ -32,14 +32,14 @@ class RowsDigest(NamedTuple):
 
 
 class FleetRun:
-    """A run as it stands at its last whole segment.
+    """A run as of its last whole segment.
 
     Attributes:
         config, folder: the run and its checkpoints.
         history: segments, evaluations, the best actor.
         n_steps, n_updates: environment steps and updates done.
         tensors: what it has learnt, by the names of `FleetSac.tensors`; empty before the first segment.
-        error: why it was given up.
+        error: why it was abandoned.
     """
 
     def __init__(self, config: TrainSettings, folder: Path, layout: RowLayout) -> None:
@@ -75,7 +75,7 @@ class FleetRun:
 
     @property
     def settings(self) -> RunSettings:
-        """What the learner takes for this run alone."""
+        """The learner's settings of this run alone."""
         algo = self.algo
         temperature = None if algo.ent_coef == "auto" else float(algo.ent_coef)
         rates = algo.learning_rate, algo.critic_learning_rate

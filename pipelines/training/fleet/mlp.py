@@ -4,7 +4,7 @@ Every parameter of a stack is a view into one array with a row a network, so tha
 update is one operation. Activations live in a workspace that passes share one after another, which keeps them in the
 cache. A network's bits do not depend on how many there are (`stacked_tensors`).
 
-With `dense`, layers after the first read the inputs beside the activations before them: concat(a, x), as in
+With `dense`, layers after the first read the inputs in addition to the activations before them: concat(a, x), as in
 `otr.ReluNetwork` with `dense="input"`.
 
 With `layer_norm`, what a hidden layer's affine map gives for an input has mean 0 and variance 1 over the neurons before
@@ -28,8 +28,8 @@ NORM_EPSILON = 1e-5  # added to variances, as torch's LayerNorm does
 class Layers:
     """A stack of n networks with layer widths w0, ..., wk, as views into `flat`."""
 
-    flat: Tensor  # (n, padded), a network's weights, then its biases, layer by layer, each with zeros behind it
-    # (n, w[i], w[i+1]) each: inputs times weights, which the products are faster with than transposed; where layers are
+    flat: Tensor  # (n, padded), a network's weights, then its biases, layer by layer, each followed by zeros
+    # (n, w[i], w[i+1]) each: inputs times weights, with which products are faster than transposed; where layers are
     # dense, those after the first have w0 rows more
     weights: list[Tensor]
     biases: list[Tensor]  # (n, 1, w[i+1]) each
@@ -67,7 +67,7 @@ class StackedMlp:
         layers: any stack of the shape that will pass through; only its shapes matter.
         n_rows: inputs per network.
         negative_slope: 0 is ReLU.
-        n_back_rows: the first so many inputs take part in `backward`; None for all.
+        n_back_rows: how many inputs, the first ones, take part in `backward`; None for all.
         dense: whether layers after the first read the inputs, too.
         layer_norm: whether hidden layers are normalised before their activation.
     """

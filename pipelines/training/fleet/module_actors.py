@@ -1,6 +1,6 @@
 """Actors that are any modules of torch, differentiated by autograd.
 
-Each run's module computes alone, on parameters that lie in the stacks of `stacked_tensors`: its bits do not depend on
+Each run's module computes alone, on parameters in the stacks of `stacked_tensors`: its bits do not depend on
 the others.
 """
 
@@ -60,7 +60,7 @@ class ModuleActors:
 
     @torch.no_grad()
     def act(self, states: Tensor) -> Tensor:
-        inputs = new_stack(*states.shape).copy_(states)  # each run's begin as they do alone
+        inputs = new_stack(*states.shape).copy_(states)  # each run's begin as in a run alone
         return self._stacked([module(own) for module, own in zip(self.modules, inputs, strict=True)])
 
     @torch.no_grad()

@@ -28,7 +28,7 @@ class FleetProgress(TrainingDisplay):
         self.at_step(sum(run.n_steps for run in self._runs) + n_more)
 
     def segment_done(self, cohort: Sequence[FleetRun], start: int, seconds: float) -> None:
-        """Show what a segment of some runs, which began at step `start`, came to."""
+        """Show the results of a segment of some runs, which began at step `start`."""
         config = cohort[0].config
         n_steps = sum(run.n_steps - start for run in cohort)
         self.at_more_steps(0)
@@ -43,10 +43,10 @@ class FleetProgress(TrainingDisplay):
         )
 
     def give_up(self, run: FleetRun, error: Exception) -> None:
-        """Leave a run behind, and tell it."""
+        """Abandon a run, and report it."""
         run.error = error
         others = ", the others go on" if len(self._runs) > 1 else ""
-        self.say(f"{run.name} given up{others}: {message_of(error)}")
+        self.say(f"{run.name} abandoned{others}: {message_of(error)}")
 
 
 def _range(values: Sequence[float]) -> str:

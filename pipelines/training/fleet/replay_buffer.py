@@ -1,6 +1,6 @@
-"""Replay buffers of a fleet: one memory-mapped file a run, which is the checkpoint of itself.
+"""Replay buffers of a fleet: one memory-mapped file per run, which is its own checkpoint.
 
-A file holds `capacity` rows of float32, [state, action, next state, reward, continues]; transition i of the run lies in
+A file holds `capacity` rows of float32, [state, action, next state, reward, continues]; transition i of the run is in
 row i % capacity. The capacity is the buffer's size and a segment more, so that a segment overwrites no row that the
 checkpoint before it could sample: after a kill the run goes on from that checkpoint and writes the same rows again.
 """
@@ -20,7 +20,7 @@ from pipelines.training.fleet.sac import Minibatch
 
 @dataclass(frozen=True)
 class RowLayout:
-    """Where the parts of a transition lie in its row."""
+    """Where the parts of a transition are in its row."""
 
     n_inputs: int
     n_actions: int
@@ -41,7 +41,7 @@ def open_rows(path: Path, capacity: int, layout: RowLayout, n_steps: int, n_writ
     """Return a run's rows, (capacity, width) float32; the file takes the disk of all `n_steps` steps at once.
 
     Raises:
-        OSError: the disk has no room for them. Where it filled up later, a signal would end the process.
+        OSError: the disk has no room for them. A disk that fills up later would end the process by a signal.
         PipelineError: the run has transitions (`n_written`), and the file is gone or of another size.
     """
     shape = (capacity, layout.width)

@@ -24,7 +24,7 @@ N_CRITICS = 2
 
 @dataclass(frozen=True)
 class Shapes:
-    """What all runs of a fleet have in common."""
+    """The settings that all runs of a fleet share."""
 
     n_inputs: int  # of the environment
     n_actions: int
@@ -53,7 +53,7 @@ class Minibatch:
 
 
 class FleetSac:
-    """The learner of R runs: `act` and `update`. `load` brings what was learnt in `n_updates` before."""
+    """The learner of R runs: `act` and `update`. `load` restores what was learnt in `n_updates` before."""
 
     def __init__(
         self, shapes: Shapes, runs: Sequence[RunSettings], n_updates: int = 0, actor: FleetActors | None = None

@@ -20,7 +20,7 @@ class SquashedActions:
     """The workspace for the actions of R runs in `n_rows` states each; `actions` is what `sample` returned last."""
 
     def __init__(self, n_runs: int, n_rows: int, n_actions: int) -> None:
-        # Functions like tanh are computed in stacks of ours: elsewhere their bits would depend on the place.
+        # Functions like tanh are computed in our stacks: elsewhere their bits would depend on the address.
         self._std, self.actions, self._slope, self._log_slope = (new_stack(n_runs, n_rows, n_actions) for _ in range(4))
         self._n_actions = n_actions
 
@@ -34,7 +34,7 @@ class SquashedActions:
         return self._drawn(answers, noise, self.actions).tanh_()
 
     def _drawn(self, answers: Tensor, noise: Tensor | None, out: Tensor) -> Tensor:
-        """Write what the normal distribution gives, before it is squashed or clipped, into `out`."""
+        """Write the normal samples, before they are squashed or clipped, into `out`."""
         mean, log_std = answers.chunk(2, dim=2)
         if noise is None:
             return out.copy_(mean)
@@ -75,7 +75,7 @@ class SquashedActions:
 class ClippedActions(SquashedActions):
     """The same for actions clipped to [-1, 1]; log-probabilities are those of the normal ones before the clip.
 
-    Beyond the box a mean learns inwards alone: the critic says nothing of what a clip takes away.
+    Beyond the box a mean only learns inwards: the critic does not see what a clip removes.
     """
 
     def sample(self, answers: Tensor, noise: Tensor | None) -> Tensor:

@@ -21,10 +21,10 @@ from pipelines.training.soft_trees import Shape, SoftModule, build_module, rate_
 
 
 class FleetActors(Protocol):
-    """What the learner asks of its actors; inputs are stacks of `new_stack`."""
+    """The interface of actors for the learner; inputs are stacks of `new_stack`."""
 
     def at_step(self, n_steps: int) -> float:
-        """Make ready for the updates after so many steps; return the share of the learning rate at which they go."""
+        """Make ready for the updates after so many steps; return the share of the learning rate that they use."""
         ...
 
     def forward(self, inputs: Tensor) -> Tensor:
@@ -127,13 +127,13 @@ class SoftTraining:
 
 
 class SoftActors:
-    """Soft trees that give the means, beside log standard deviations linear in the state: stacked, gradients by hand.
+    """Soft trees that give the means, and log standard deviations linear in the state: stacked, gradients by hand.
 
     As under Stable-Baselines3 (`pipelines/training/sb3/soft_actor.py`), what gets no gradient is not moved: pi-PRL's
     program and its architecture, which learn in turns, have an optimiser each.
 
     Attributes:
-        trees: the modules, whose parameters lie in the stacks.
+        trees: the modules, whose parameters are in the stacks.
     """
 
     def __init__(
@@ -154,7 +154,7 @@ class SoftActors:
         self._acting: _SoftPass | None = None
 
     def at_step(self, n_steps: int) -> float:
-        """Make the tests as hard as they are to be, and choose what learns."""
+        """Set how hard the tests are, and choose what learns."""
         method, of_steps = self._training.method, self._training.n_steps
         for tree in self.trees:
             set_phase(tree, method, n_steps, of_steps)

@@ -203,7 +203,7 @@ def _level(holes: Tensor, level: int) -> Tensor:
 
 
 def _pairs(children: Tensor) -> Tensor:
-    """Return the children of a level (R, 2 n, .) as (R, n, 2, .): of the same parent beside each other."""
+    """Return the children of a level (R, 2 n, .) as (R, n, 2, .): siblings next to each other."""
     return children.view(len(children), -1, 2, children.shape[2])
 
 

@@ -4,8 +4,8 @@ Three things would make its rounding depend on the others, and are avoided here:
 
 * A batched product chooses its kernel by the number of matrices: there is one product a network instead.
 * MKL sums in an order that depends on where a matrix begins: every network begins at a multiple of 64 bytes.
-* A vectorised loop computes what is left over with other instructions: a gap between networks ends the loop, so that
-  it never runs from one into the next; rows with their gaps are a multiple of ROW_MULTIPLE, which leaves nothing over.
+* A vectorised loop computes the remainder with other instructions: a gap between networks ends the loop, so that
+  it never runs from one into the next; rows with their gaps are a multiple of ROW_MULTIPLE, which leaves no remainder.
 """
 
 import math
@@ -14,16 +14,16 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-ROW_MULTIPLE = 64  # elements: 64 bytes or more, and what a vectorised loop takes at a time
+ROW_MULTIPLE = 64  # elements: 64 bytes or more, and the width of a vectorised loop
 
 
 def padded(n_elements: int) -> int:
-    """Return what `n_elements` take with the gap behind them."""
+    """Return the size of `n_elements` with the gap after them."""
     return (n_elements // ROW_MULTIPLE + 1) * ROW_MULTIPLE
 
 
 def new_stack(n: int, *shape: int) -> Tensor:
-    """Return zeros (n, *shape) with a gap behind each of the n."""
+    """Return zeros (n, *shape) with a gap after each of the n."""
     size = math.prod(shape)
     return torch.zeros(n, padded(size))[:, :size].view(n, *shape)
 

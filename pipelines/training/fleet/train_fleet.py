@@ -30,7 +30,7 @@ def train_fleet(
 ) -> list[Exception | None]:
     """Train runs that are one fleet as one, each from its own checkpoint; write each one's result into its folder.
 
-    Runs that are behind the others catch up first; a run that diverges, or whose environment fails, is left behind.
+    Runs that are behind the others catch up first; a run that diverges, or whose environment fails, is abandoned.
 
     Returns:
         For each run None, or why it has no result: the training diverged or its checkpoint is damaged (PipelineError),
@@ -56,7 +56,7 @@ def train_fleet(
 
 
 def _opened(config: TrainSettings, folder: Path, task: Task) -> FleetRun | PipelineError:
-    """Return a run as its checkpoint has it, or what is wrong with that."""
+    """Return a run as of its checkpoint, or what is wrong with that."""
     try:
         return FleetRun(config, folder, task.layout)
     except PipelineError as error:
@@ -64,7 +64,7 @@ def _opened(config: TrainSettings, folder: Path, task: Task) -> FleetRun | Pipel
 
 
 def _cohort(runs: Sequence[FleetRun]) -> list[FleetRun]:
-    """Return the runs that are to go on now: of those not finished and not given up, the ones furthest behind."""
+    """Return the runs that continue now: of those neither finished nor abandoned, the ones with the fewest steps."""
     active = [run for run in runs if run.error is None and not run.is_finished]
     least = min((run.history.n_segments for run in active), default=0)
     return [run for run in active if run.history.n_segments == least]
@@ -98,7 +98,7 @@ def _segment(trainer: FleetTrainer, progress: FleetProgress) -> None:
 def _without_the_failing(
     failed: EnvironmentFailed, task: Task, cohort: Sequence[FleetRun], progress: FleetProgress
 ) -> None:
-    """Do the segment in which an environment failed with each run alone, and give up those in which one fails again."""
+    """Repeat the segment in which an environment failed with each run alone; abandon those in which it fails again."""
     if len(cohort) == 1:
         progress.give_up(cohort[0], _cause(failed))
         return

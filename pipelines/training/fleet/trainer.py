@@ -39,7 +39,7 @@ torch.set_num_threads(1)  # two threads make these small networks a hundred time
 
 @dataclass(frozen=True)
 class Task:
-    """What the runs of a fleet have in common beyond their settings."""
+    """What the runs of a fleet share beyond their settings."""
 
     layout: RowLayout  # of a transition
     low: np.ndarray  # (n_actions,) float32, the box of actions
@@ -60,7 +60,7 @@ class Task:
 
 
 class EnvironmentFailed(Exception):
-    """What an environment raised in a segment, as the cause; of several runs it is not known whose it was."""
+    """An environment raised an error, the cause, in a segment; of several runs it is not known which."""
 
 
 class FleetTrainer:
@@ -99,7 +99,7 @@ class FleetTrainer:
                 self._learner.initialise(r, generators[r])
         self._replay = FleetReplay([run.rows for run in runs], layout, runs[0].buffer_size)
         envs = make_vector_env(config.env, "gymnasium", rescale_inputs=config.actor.rescale_inputs)
-        self._env = Autoreset(envs)  # each segment starts them anew
+        self._env = Autoreset(envs)  # each segment restarts them
         noise_std = [run.algo.action_noise_std * (run.algo.action_noise == "normal") for run in runs]
         self._noise_std = torch.tensor(noise_std).view(-1, 1, 1)
 
@@ -117,7 +117,7 @@ class FleetTrainer:
         return {name: tensor.clone() for name, tensor in self._learner.tensors(r).items()}
 
     def evaluate(self, r: int) -> tuple[dict[str, bytes], Rollout]:
-        """Return the files of what a run's actor becomes, and what came of its selection episodes.
+        """Return the files of a run's finished actor, and the results of its selection episodes.
 
         Raises:
             PolicyMismatchError: the exported network and the trained actor disagree on a visited state.
@@ -258,7 +258,7 @@ class FleetTrainer:
     def _outcome(self, step: Step) -> tuple[Tensor, Tensor, Tensor]:
         """Return next states, rewards and whether there is more to come, (R, E, .) each.
 
-        An episode that ends by its time limit goes on as far as values are concerned.
+        For values, an episode that ends by its time limit continues.
         """
         continues = np.logical_not(step.terminated).astype(np.float32)
         return self._by_run(step.next_states), self._by_run(step.rewards), self._by_run(continues)
@@ -280,7 +280,7 @@ class _EpisodeSums:
         self._length = np.zeros(n_runs * n_envs, dtype=np.int64)
 
     def add(self, step: Step) -> None:
-        """Take in a step of all environments."""
+        """Record a step of all environments."""
         self._return += step.rewards
         self._length += 1
         for i in np.flatnonzero(step.terminated | step.truncated):

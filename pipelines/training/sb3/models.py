@@ -47,7 +47,7 @@ ALGORITHMS: dict[type[AlgoConfig], type[BaseAlgorithm]] = {
     Td3Config: TD3,
     DdpgConfig: DDPG,
 }
-# The settings of an algorithm that its class has not, under that name or at all; all others are passed on.
+# The settings of an algorithm that its class lacks, under that name or at all; all others are passed on.
 OTHER_SETTINGS = ("name", "critic", "weight_decay", "n_envs", "normalise", "action_noise_std", "action_noise_dt",
                   "exploration_fraction", "exploration_final_eps", *SacConfig.of_fleets())  # fmt: skip
 
@@ -119,7 +119,7 @@ def _policy_kwargs(algo: GradientConfig, actor: ReluActor) -> dict[str, Any]:
 def _explore_by_steps(model: BaseAlgorithm, algo: DqnConfig, n_steps: int) -> None:
     """Let a DQN's share of random actions fall by the steps done.
 
-    Stable-Baselines3's own measure of progress begins anew with each segment.
+    Stable-Baselines3's own measure of progress restarts with each segment.
     """
 
     def share_of_random_actions(progress_remaining: float) -> float:

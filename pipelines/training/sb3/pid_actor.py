@@ -22,7 +22,7 @@ from pipelines.training.sb3.relu_actor import ReluActor
 from pipelines.training.settings import TrainSettings
 
 # The gains' output weights and biases at first, as in Lillicrap et al. (2016), so that actions begin near zero: torch's
-# own are up to 1, which the integral, up to 40, turns into a saturated tanh.
+# defaults are up to 1, which the integral, up to 40, turns into a saturated tanh.
 INITIAL_GAIN = 3e-3
 
 

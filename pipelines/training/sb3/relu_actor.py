@@ -14,7 +14,7 @@ from pipelines.training.settings import TrainSettings
 
 
 class ReluActor:
-    """A ReLU network, Stable-Baselines3's own actor; other kinds of actors answer otherwise where they differ."""
+    """A ReLU network, Stable-Baselines3's own actor; other kinds of actors override what differs."""
 
     def __init__(self, config: TrainSettings) -> None:
         self.config = config
@@ -28,11 +28,11 @@ class ReluActor:
         return list(self.config.hidden_widths)
 
     def policy_kwargs(self) -> dict[str, Any]:
-        """Return what the policy's class takes beside the networks' widths and activations."""
+        """Return what the policy's class takes besides the networks' widths and activations."""
         return {}
 
     def callbacks(self) -> list[BaseCallback]:
-        """Return what goes on beside the learning of a segment."""
+        """Return what is called while a segment is learnt."""
         return []
 
     def segment_learnt(self, model: BaseAlgorithm) -> None:
@@ -43,7 +43,7 @@ class ReluActor:
         return otr.from_sb3(model, normalise=None)
 
     def evaluate(self, model: BaseAlgorithm) -> tuple[dict[str, bytes], Rollout]:
-        """Return the files of what the actor becomes, and what came of its selection episodes."""
+        """Return the files of the finished actor, and the results of its selection episodes."""
         try:
             network = self.exported(model)
         except otr.InvalidNetworkError as error:

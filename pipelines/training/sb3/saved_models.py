@@ -1,8 +1,8 @@
 """What a checkpoint holds of a Stable-Baselines3 model.
 
 The model's parameters and optimiser states are read with `weights_only`, so nothing in them can run. The replay buffer
-is a log: each segment's transitions are one file, written once and never changed, so saving costs what a segment
-collected and not what the buffer holds.
+is a log: each segment's transitions are one file, written once and never changed, so saving costs as much as a segment
+collected, not as much as the buffer holds.
 """
 
 import io
@@ -71,7 +71,7 @@ def _write_replay(folder: Path, model: OffPolicyAlgorithm, start: int, segment: 
     with replacing(log) as temporary, temporary.open("wb") as file:
         np.savez(file, end=end, **{name: getattr(buffer, name)[rows] for name in REPLAY_ARRAYS})
     for log in folder.glob("replay-*.npz"):
-        # Until the new checkpoint is in its place a kill falls back to the one at `start`, which needs its own buffer.
+        # Until the new checkpoint is in place, a killed run resumes from the one at `start`, which needs its buffer.
         if int(log.stem.split("-")[2]) <= start - buffer.buffer_size:
             log.unlink()
 

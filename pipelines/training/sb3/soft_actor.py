@@ -44,7 +44,7 @@ class SoftActor(ReluActor):
         return SoftSacPolicy if isinstance(self.config.algo, SacConfig) else SoftActorCriticPolicy
 
     def net_arch(self) -> list[int]:
-        return []  # the states go into the tree as they are
+        return []  # the tree reads the states unchanged
 
     def policy_kwargs(self) -> dict[str, Any]:
         return {"actor": shape_of(self.config)}
@@ -54,7 +54,7 @@ class SoftActor(ReluActor):
         return [SoftSchedule(self.config.method, self.config.train.steps)]
 
     def evaluate(self, model: BaseAlgorithm) -> tuple[dict[str, bytes], Rollout]:
-        """Return the soft tree's files, and what came of the hard tree's selection episodes."""
+        """Return the soft tree's files, and the results of the hard tree's selection episodes."""
         try:
             units = input_units(model, self.config)
             return evaluate_hardened(soft_module(model), self.config, model.action_space, units)
@@ -75,7 +75,7 @@ class SoftSchedule(BaseCallback):
         turn = model.n_steps * model.n_envs if isinstance(model, OnPolicyAlgorithm) else SAC_TURN
         set_phase(soft_module(model), self._method, n_steps, self._n_steps, turn)
         rate = cast(float, model.learning_rate) * rate_share(self._method, n_steps, self._n_steps)
-        # By the steps done: Stable-Baselines3's own measure of progress begins anew with each segment.
+        # By the steps done: Stable-Baselines3's own measure of progress restarts with each segment.
         self.model.lr_schedule = lambda _progress_remaining: rate
 
     def _on_step(self) -> bool:
@@ -94,7 +94,7 @@ class SoftActorCriticPolicy(ActorCriticPolicy):
 
     def _build(self, lr_schedule: Callable[[float], float]) -> None:
         super()._build(lr_schedule)
-        # The extractor hands the states on as they are, so that noise may depend on them (use_sde).
+        # The extractor passes the states on unchanged, so that noise may depend on them (use_sde).
         if isinstance(self.action_dist, StateDependentNoiseDistribution):
             n_outputs = self.action_dist.action_dim
         else:

@@ -81,7 +81,7 @@ def train_segment(model: BaseAlgorithm, actor: ReluActor, segment: int, progress
 
 
 def _check_experience(model: BaseAlgorithm) -> None:
-    """Raise PipelineError where the environment gave numbers that are not finite, from which none are learnt."""
+    """Raise PipelineError where the environment gave numbers that are not finite."""
     last, kept = model._last_obs, getattr(model, "replay_buffer", None) or getattr(model, "rollout_buffer", None)
     observations = [each for each in (last, kept and kept.observations) if isinstance(each, np.ndarray)]
     for what, arrays in (("observations", observations), ("rewards", [kept.rewards] if kept else [])):

@@ -1,4 +1,4 @@
-"""One search for a small actor: candidates, their episodes, the step; what it holds makes it go on bit for bit."""
+"""One search for a small actor: candidates, their episodes, the step; its state resumes it bit for bit."""
 
 from collections.abc import Mapping
 
@@ -50,11 +50,11 @@ class PolicySearch:
 
     @property
     def network(self) -> otr.ReluNetwork:
-        """The actor as it stands, of the environment's own states."""
+        """The current actor, of the environment's own states."""
         return self._network(self._search.centre)
 
     def iterate(self, player: Player, done: float) -> Played:
-        """Try the neighbours of the actor and make a step; return what their episodes came to.
+        """Try the neighbours of the actor and make a step; return the results of their episodes.
 
         Args:
             player: plays them.
@@ -75,12 +75,12 @@ class PolicySearch:
         return played
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return all that the search needs to go on, as arrays by name."""
+        """Return all that resumes the search, as arrays by name."""
         moments = {f"moments_{name}": array for name, array in self._moments.state().items()}
         return {**self._search.state(), **moments, "n_steps": np.array(float(self.n_steps))}
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Go on from what `state` returned."""
+        """Resume from what `state` returned."""
         self._search.restore(state)
         self._moments.restore({name: state[f"moments_{name}"] for name in self._moments.state()})
         self.n_steps = int(state["n_steps"])

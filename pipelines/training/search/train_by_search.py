@@ -58,7 +58,7 @@ class _Finished:
 
 
 class SearchRun:
-    """A run's searches as they stand at the last whole segment.
+    """A run's searches as of the last whole segment.
 
     The first `n_starts` searches begin from networks of their own and do `start_steps` each; the one with the best
     evaluation then goes on, for as many steps as a start had at least: a short run has shorter starts.
@@ -101,7 +101,7 @@ class SearchRun:
         most = start + segment_steps(config)
         if self._is_choosing:
             most = min(most, start + max(1, self._start_steps - search.n_steps))
-        # A search that goes on has its own steps behind it, and all that are left before it.
+        # A search that continues has done its own steps, and does all that are left.
         whole = config.train.steps - self.n_steps + search.n_steps
         returns, lengths = [], []
         while self.n_steps < min(most, config.train.steps):
@@ -114,7 +114,7 @@ class SearchRun:
         return progress_row(self.n_steps, start, seconds, np.concatenate(returns), np.concatenate(lengths))
 
     def evaluate(self, player: Player, row: dict[str, Any]) -> None:
-        """Play the selection episodes with the actor as it stands, and go over to the next search where it is time."""
+        """Play the selection episodes with the current actor, and begin the next search where it is time."""
         network = self._search.network
         seeds = episode_seeds(self._config.seed, "selection", self._config.train.n_selection_episodes)
         played = player.play([network], np.array([seeds]))

@@ -38,7 +38,7 @@ def test_a_custom_environment_that_keeps_a_past_is_made_anew_which_is_said_once(
     assert played[0].returns[0] == played[1].returns[2]
     assert depends_on_past(lambda: gym.make("BipedalWalker-v3"))  # once this fails, NOT_AFRESH can do without it
     assert capfd.readouterr().err == (
-        "tests.pipelines.own_envs:Worn-v0: its episodes depend on those before; it is made anew for each\n"
+        "tests.pipelines.own_envs:Worn-v0: its episodes depend on those before; it is recreated for each\n"
     )
 
 

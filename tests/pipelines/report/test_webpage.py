@@ -303,7 +303,7 @@ def test_the_command_names_the_file_and_refuses_what_it_cannot_show(tmp_path: Pa
     for words, told in (
         (["tree=pruned"], "of which run? Add run=FOLDER"),
         ([f"run={CAR}", "tree=compact"], "tree=compact: the page shows"),
-        ([f"run={CAR}", "env=pendulum"], "a run that is there, or one to make"),
+        ([f"run={CAR}", "env=pendulum"], "an existing run, or one to make"),
         ([f"run={CAR}", "out=/dev/null/x.html"], "/dev/null/x.html: cannot be written ("),
         (["rnu=a"], "there is no key 'rnu'. Did you mean run"),
         (["results_dir=nowhere"], "there is no finished run"),

@@ -269,7 +269,7 @@ def test_a_long_polish_is_announced_and_planned(command, tiny, tmp_path, capsys)
     announce_polish([lander])
     announce_polish([tiny(env=MOUNTAIN_CAR)])
     assert capsys.readouterr().out == (
-        "polish: a search of 1,000,000 steps, about 2 min on one core; one that is stopped begins anew\n"
+        "polish: a search of 1,000,000 steps, about 2 min on one core; if stopped, it starts over\n"
     )
     run = "lunarlander/augtree/depth-2/quick/seed-0"
     copy_run(run, tmp_path / "runs" / run, "polish", "certify", "simplify")

@@ -50,7 +50,7 @@ function shortestMove(rows) {
 }
 
 /** Return the nearest {state, distance, leaf, answer} of another label or, of actions, leaf; null if there is none.
- * Distances are Euclidean, in shares of the ranges, within which a state lies. */
+ * Distances are Euclidean, in shares of the ranges, within which a state is. */
 function nearestOther(tree, x, features) {
   const scales = features.map(({ low, high }) => high - low);
   const leaf = tree.apply(x);

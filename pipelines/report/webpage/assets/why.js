@@ -67,7 +67,7 @@ function showWhy(view) {
   const leaf = view.tree.apply(view.x);
   const words = view.tree.labels ? "The tests decide: what each input adds to them, weight times value." : `What each input adds, weight times value. The answer: ${view.data.tree.head.words}.`;
   const parts = [element("p", {}, words), ...sumParts(view, leaf)];
-  if (leaf !== view.leaf) parts.push(element("p", { class: "quiet" }, `The state was recorded in leaf ${view.leaf + 1}; rounded to 1/255 of its range, as it is shown, it lies in leaf ${leaf + 1}.`));
+  if (leaf !== view.leaf) parts.push(element("p", { class: "quiet" }, `The state was recorded in leaf ${view.leaf + 1}; rounded to 1/255 of its range, as it is shown, it is in leaf ${leaf + 1}.`));
   view.sumsBox.replaceChildren(...parts);
   if (!view.playing) view.nearestBox.replaceChildren(...nearestText(view));
   view.nearestBox.style.visibility = view.playing ? "hidden" : "";

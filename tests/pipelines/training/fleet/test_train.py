@@ -174,7 +174,7 @@ def test_what_one_run_s_environment_raises_ends_that_run_alone(fleet_run, tmp_pa
     assert same(outs[2], alone)
     said = capsys.readouterr().out
     assert "each run does this segment alone, as one run's environment fails: wall.csv: no such wall" in said
-    assert "seed 0 given up, the others go on: wall.csv: no such wall" in said
+    assert "seed 0 abandoned, the others go on: wall.csv: no such wall" in said
 
     def fails_beside_others(envs, actions):
         if len(actions) > 1:
@@ -278,7 +278,7 @@ def test_run_that_diverges_is_named_and_the_others_go_on(fleet_run, tmp_path, mo
     assert "try a smaller algo.learning_rate" in str(errors[0])
     assert errors[1] is None and same(outs[1], expected[1])
     assert not list(outs[0].iterdir())
-    assert "seed 0 given up, the others go on" in capsys.readouterr().out
+    assert "seed 0 abandoned, the others go on" in capsys.readouterr().out
 
 
 def test_actor_that_is_not_what_was_trained_is_given_up_alone(fleet_run, tmp_path, monkeypatch):

@@ -245,13 +245,7 @@ def _refuse_other_policies(tensors: Tensors, data: dict[str, Any]) -> None:
 def _activation(actor: _Actor) -> str:
     """Return the name of the activation's class, from the readable account of `policy_kwargs`."""
     if not isinstance(actor.data.get("policy_kwargs"), dict):
-<<<<<<< HEAD
-        raise InvalidNetworkError(
-            "the file does not give the policy's arguments, and so not the activation; save it again"
-        )
-=======
         raise InvalidNetworkError("the file does not give the policy's arguments, so not the activation; save it again")
->>>>>>> b7c01b66f40bb6245c5309dff4644582599c71f3
     return str(_readable(actor.data, "policy_kwargs").get("activation_fn", actor.usual_units))
 
 

@@ -45,7 +45,7 @@ def test_second_call_skips_and_keeps_the_files(tiny, tmp_path):
     assert (again.folder / "value.txt").stat().st_ino == inode
     assert stage_status(FIRST, folder, tiny()) == "done"
     assert stage_status(FIRST, folder, tiny(seed=1)) == "other settings"
-    assert stage_status(Stage("first", 2, (), FIRST.settings, write_seed), folder, tiny()) == "stale"
+    assert stage_status(Stage("first", 2, (), FIRST.keyed, write_seed), folder, tiny()) == "stale"
 
 
 def test_changed_input_makes_the_stage_again(tiny, tmp_path):

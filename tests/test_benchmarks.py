@@ -68,7 +68,12 @@ def test_functions_take_turns_and_the_least_round_counts():
     assert calls == ["slow", "fast", "slow", "fast"]
     two = iter([0.0, 6.0])
     assert alternate(lambda: None, rounds=1, repeats=3, clock=lambda: next(two)) == [2.0]  # timed together
-    peak = peak_bytes(lambda: np.ones(2**17) + 1.0)  # counts what was let go again
+
+    def hold_a_megabyte_twice():
+        first = np.ones(2**17)  # named, so that numpy does not add in place
+        return first + 1.0
+
+    peak = peak_bytes(hold_a_megabyte_twice)  # counts what was let go again
     assert 2 * 2**20 <= peak < 2.1 * 2**20
 
 

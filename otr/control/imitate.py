@@ -210,6 +210,8 @@ def tree_fit(settings: FitSettings, depth: int | Sequence[int], oracle: Oracle, 
     kind = next(kind for kind in METHODS.values() if isinstance(settings, kind))
     options: dict[str, Any] = {field.name: getattr(settings, field.name) for field in fields(kind)}
     widths = (depth,) if isinstance(depth, int) else tuple(depth)
+    if len(widths) != 1 and kind is not StudentSettings:
+        raise ValueError(f"depth={depth}, expected a number; several widths are for method='distilled_otr'")
 
     def head() -> Any:
         return oracle.head if oracle.head.gives_labels else box()

@@ -60,7 +60,7 @@ def test_the_legend_says_how_many_runs_and_tasks(tmp_path: Path) -> None:
     table, picture = write_performance_profile(tmp_path, load_runs(tmp_path))
     assert picture.name == "performance_profile.png" and picture.is_file()
     lines = pd.DataFrame(read_csv(table)).astype({"n_runs": int, "n_tasks": int, "threshold": float, "share": float})
-    assert lines["threshold"].tolist() == pytest.approx([0.2, 0.5, 0.75, 1.1]) and set(lines["n_runs"]) == {6}
+    assert lines["threshold"].tolist() == pytest.approx([0.4, 0.5, 0.75, 0.8]) and set(lines["n_runs"]) == {6}
     figure = draw_profiles(lines)
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["VIPER (6): 6 runs, 3 of 10 tasks"]
     (line,) = figure.axes[0].lines

@@ -115,10 +115,10 @@ def opened(run_dir: Path, stages: Collection[str], derive: Derive | None = None)
 def require_whole(folder: Path) -> None:
     """Raise a `PipelineError` that says how to get it where a stage's archive leaves out a large tree."""
     if not is_whole(folder):
+        command = read_manifest(folder)["command"]
         raise PipelineError(
-            f"{folder} is packed without its tree, which has more than {LARGE_BYTES // 1000} kB: {ARCHIVE} has what is "
-            "reached of it, in stage prune\nRun the same command with results_dir=DIR, another folder: it makes the "
-            "tree again and keeps it."
+            f"{folder} is packed without its tree, which has more than {LARGE_BYTES // 1000} kB: {ARCHIVE} has the "
+            f"pruned one, of stage prune\nThis makes it again, in another folder: {command} results_dir=DIR"
         )
 
 

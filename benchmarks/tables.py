@@ -289,7 +289,7 @@ def markdown(entries: list[dict[str, Any]]) -> str:
     lines = [f"| | {' | '.join(names)} |", f"| --- |{' --- |' * len(names)}"]
     for data in dict.fromkeys(data for data, _ in cells):
         lines.append(f"| {data} | {' | '.join(_cell(cells.get((data, name))) for name in names)} |")
-    lines.append(f"| ahead of CART, behind | {' | '.join(_counts(cells, name) for name in names)} |")
+    lines.append(f"| higher than CART, lower | {' | '.join(_counts(cells, name) for name in names)} |")
     for key, title in (
         ("leaves", "leaves"),
         ("features_per_test", "inputs of a test"),

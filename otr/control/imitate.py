@@ -36,7 +36,6 @@ from otr.core.smooth_network import Oracle
 from otr.core.tree import ObliqueTree
 from otr.extras import naming_the_extra
 
-_METHODS = ("augtree", "viper", "lm_viper", "ndps", "distilled_otr", "experts")
 _SEEDS = (2**24, 2**31)  # of the episodes; those below are for reports and `rollout`
 _EPISODES = ("oracle", "dagger", "selection")
 _EVERY_S = 5.0

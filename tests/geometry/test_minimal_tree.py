@@ -243,7 +243,7 @@ def test_merging_reaches_up_the_tree() -> None:
     uneven = same.replace(c=same.c + np.eye(8)[:, :1])
     X = np.random.default_rng(0).normal(size=(500, 2))
     np.testing.assert_array_equal(merged(uneven).predict(X), uneven.predict(X))
-    assert merged(uneven).n_leaves == 4  # leaf 0 and the three subtrees that hang beside its path
+    assert merged(uneven).n_leaves == 4  # leaf 0 and the three subtrees that hang off its path
 
 
 @pytest.mark.parametrize("dense", [False, "input", "all"])

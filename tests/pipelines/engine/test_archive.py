@@ -1,5 +1,6 @@
 """Packed runs: the same files under the same names, what is left out made again, and damage always told."""
 
+import dataclasses
 import multiprocessing
 import os
 import shutil
@@ -15,6 +16,7 @@ from pipelines.cli.pack import pack_results
 from pipelines.cli.runs import load_config
 from pipelines.engine.archive import file_digest, is_whole, opened, pack, read_manifest, verified_manifest
 from pipelines.engine.digests import digest
+from pipelines.engine.stage import Stage, _twin, run_stage
 from pipelines.engine.store import ARCHIVE, CONFIG, archive_files, exists, read_bytes, read_csv, read_json, write_json
 from pipelines.errors import PipelineError
 from pipelines.play.actor_files import load_actor
@@ -281,7 +283,7 @@ def test_large_trees_of_imitations_and_this_machine_s_folder_are_not_packed(tmp_
     run = tmp_path / "runs" / VIPER
     copy_run(VIPER, run)
     text = (run / CONFIG).read_text()
-    (run / CONFIG).write_text(text.replace("results_dir: results\n", "results_dir: /home/me/results\n"))
+    (run / CONFIG).write_text(text.replace("results_dir: results\n", "results_dir: /elsewhere/results\n"))
     monkeypatch.setattr("pipelines.engine.archive.LARGE_BYTES", 10)
     assert is_whole(run / "imitate")
     pack_run(run)
@@ -291,3 +293,8 @@ def test_large_trees_of_imitations_and_this_machine_s_folder_are_not_packed(tmp_
     assert tree_of("pruned", config, run).n_leaves > 1
     with pytest.raises(PipelineError, match=r"packed without its tree.*\n.*results_dir=DIR"):
         tree_of("full", config, run)
+    after = Stage("after", 1, ("imitate",), keyed=lambda config: {}, run=lambda *_: pytest.fail("it has no tree"))
+    with pytest.raises(PipelineError, match="packed without its tree"):
+        run_stage(after, run, dataclasses.replace(config, results_dir=str(tmp_path)), "")
+    assert _twin(run.with_name("seed-9"), "imitate", read_manifest(run / "imitate")["key"]) is None
+    assert _twin(run.with_name("seed-9"), "prune", read_manifest(run / "prune")["key"]) == run / "prune"

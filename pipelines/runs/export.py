@@ -21,6 +21,7 @@ class ExportConfig:
 
     run: FreeText
     program: FreeText | None
+    model: FreeText | None
     env: FreeText | None
     format: FreeText
     tree: FreeText
@@ -74,7 +75,12 @@ FORMATS = {
 
 def check_export(config: ExportConfig, of_env: Sequence[str] = ()) -> None:
     """Raise ConfigError where the request cannot be met, whatever the run; `of_env` says more of the environment."""
-    check_policy(config.run, config.program, config.env, of_env)
+    check_policy(config.run, config.program, config.env, of_env, config.model)
+    if config.model and (config.format != "c" or config.tree != "pruned"):
+        raise ConfigError(
+            f"model={config.model} is written as the network that it is, by format=c without tree=; for its tree: "
+            f"otr-run env={config.env} model={config.model}"
+        )
     if config.program and config.tree != "pruned":
         raise ConfigError(f"tree={config.tree}: program={config.program} is one tree; leave tree={config.tree} out")
     if not config.format:
@@ -94,15 +100,19 @@ def check_export(config: ExportConfig, of_env: Sequence[str] = ()) -> None:
                               f"these have: {', '.join(takes)}")  # fmt: skip
 
 
-def check_policy(run: str, program: str | None, env: str | None, of_env: Sequence[str] = ()) -> None:
-    """Raise ConfigError unless one policy is named: a run's, or a program with the environment that has its names."""
-    if not program:
+def check_policy(
+    run: str, program: str | None, env: str | None, of_env: Sequence[str] = (), model: str | None = None
+) -> None:
+    """Raise ConfigError unless one policy is named: a run's, or a program or a model and the environment it is for."""
+    files = [f"{key}={file}" for key, file in (("program", program), ("model", model)) if file]
+    if not files:
         check_run(run)
         check_no_environment(env, of_env)
-    elif run:
-        raise ConfigError(f"run={run} and program={program} are two policies; leave one of them out")
+    elif run or len(files) > 1:
+        named = [*([f"run={run}"] if run else []), *files]
+        raise ConfigError(f"{' and '.join(named)} are two policies; leave one of them out")
     elif not env:
-        raise ConfigError(f"program={program}: over which environment's names? Add env=NAME")
+        raise ConfigError(f"{files[0]}: over which environment's names? Add env=NAME")
 
 
 def check_no_environment(env: str | None, of_env: Sequence[str]) -> None:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from otr.control.search.polish import polish as polish
     from otr.control.settings import SearchSettings as SearchSettings
     from otr.core.domain import Domain as Domain
+    from otr.core.fixed_point_tree import FixedPointTree as FixedPointTree
     from otr.core.head import Head as Head
     from otr.core.heads import (
         Argmax as Argmax,
@@ -97,6 +98,7 @@ _NAMES_OF_MODULES = {
     "control.search.polish": "polish",
     "control.settings": "SearchSettings",
     "core.domain": "Domain",
+    "core.fixed_point_tree": "FixedPointTree",
     "core.head": "Head",
     "core.heads": "Argmax ClipBox Exp Identity PidBox Sign TanhBox head_from_dict",
     "files.artefacts": "load save",

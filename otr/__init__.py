@@ -64,6 +64,7 @@ if TYPE_CHECKING:
         read_policy as read_policy,
     )
     from otr.importers.input_statistics import ObservationStatistics as ObservationStatistics
+    from otr.programs.c.float_error import FloatError as FloatError, float_error as float_error
     from otr.programs.c.source import to_c as to_c
     from otr.programs.dot import to_dot as to_dot
     from otr.programs.json import to_json as to_json
@@ -114,6 +115,7 @@ _NAMES_OF_MODULES = {
     "geometry.minimal_tree": "minimal_tree",
     "importers": "from_onnx from_sb3 from_sklearn from_torch read_policy",
     "importers.input_statistics": "ObservationStatistics",
+    "programs.c.float_error": "FloatError float_error",
     "programs.c.source": "to_c",
     "programs.dot": "to_dot",
     "programs.json": "to_json",

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from otr.core.domain import Domain
 from otr.core.fixed_point_tree import FixedPointTree
 from otr.core.tree import ObliqueTree
 from otr.fixed_point.parts import input_roundings
-
-Fractions = NDArray[Any]
+from otr.fixed_point.slopes import Fractions, fractions, interval_product
 
 
 def test_margins(fixed: FixedPointTree, tree: ObliqueTree, box: Domain) -> list[Fraction]:
@@ -30,7 +27,7 @@ def test_margins(fixed: FixedPointTree, tree: ObliqueTree, box: Domain) -> list[
     if not same:
         raise ValueError("the tree is not the one that was rounded: they differ in nodes or labels; give that one")
     roundings, margins = input_roundings(fixed, box), []
-    for exact, rounded in zip(_fractions(tree.test_forms), _fractions(fixed.to_tree().test_forms), strict=True):
+    for exact, rounded in zip(fractions(tree.test_forms), fractions(fixed.to_tree().test_forms), strict=True):
         sizes = [_size(form, box) for form in (exact, rounded)]
         ratio = sizes[0] / sizes[1] if all(sizes) else Fraction(1)
         margins.append(_largest(exact - ratio * rounded, box) + ratio * (abs(rounded[:-1]) @ np.array(roundings)))
@@ -40,26 +37,18 @@ def test_margins(fixed: FixedPointTree, tree: ObliqueTree, box: Domain) -> list[
 def leaf_differences(fixed: FixedPointTree, tree: ObliqueTree, box: Domain) -> tuple[list[Fraction], list[Fraction]]:
     """Return by how much the maps of a leaf differ, and the rounded one changes by the inputs' rounding: (o,) each."""
     steps = np.array(input_roundings(fixed, box), dtype=object)
-    exact, rounded = (_fractions(each.leaf_forms) for each in (tree, fixed.to_tree()))
+    exact, rounded = (fractions(each.leaf_forms) for each in (tree, fixed.to_tree()))
     apart = [max(_largest(form, box) for form in exact[:, k] - rounded[:, k]) for k in range(fixed.n_outputs)]
     return apart, list((abs(rounded[..., :-1]) @ steps).max(axis=0))
 
 
-def _fractions(values: NDArray[Any]) -> Fractions:
-    exact = np.empty(values.shape, dtype=object)
-    exact.ravel()[:] = [Fraction(value) for value in values.ravel().tolist()]
-    return exact
-
-
 def _largest(form: Fractions, box: Domain) -> Fraction:
     """Return the largest |p x + v| over a box of a form (d + 1,)."""
-    low, high = _fractions(box.low), _fractions(box.high)
-    above, below = np.maximum(form[:-1], 0), np.minimum(form[:-1], 0)
-    ends = (above @ high + below @ low + form[-1], above @ low + below @ high + form[-1])
-    return Fraction(max(map(abs, ends)))
+    ends = interval_product(form[:-1], fractions(box.low), fractions(box.high))
+    return Fraction(max(abs(end + form[-1]) for end in ends))
 
 
 def _size(form: Fractions, box: Domain) -> Fraction:
     """Return the sum of |p_j| times half the width of input j: how far a test's value is from that in the middle."""
-    size = Fraction(abs(form[:-1]) @ (_fractions(box.high) - _fractions(box.low)) / 2)
+    size = Fraction(abs(form[:-1]) @ (fractions(box.high) - fractions(box.low)) / 2)
     return size or abs(Fraction(form[-1]))

@@ -55,6 +55,9 @@ if TYPE_CHECKING:
     )
     from otr.explanation.explain import explain as explain
     from otr.explanation.importance import importance as importance
+    from otr.fixed_point.certificate import FixedPointCertificate as FixedPointCertificate
+    from otr.fixed_point.certify import certify_fixed_point as certify_fixed_point
+    from otr.fixed_point.shortest import shortest_fixed_point as shortest_fixed_point, to_fixed_point as to_fixed_point
     from otr.geometry.minimal_tree import minimal_tree as minimal_tree
     from otr.importers import (
         from_onnx as from_onnx,
@@ -112,6 +115,9 @@ _NAMES_OF_MODULES = {
     "ProgramError TimeLimitError TreeTooLargeError",
     "explanation.explain": "explain",
     "explanation.importance": "importance",
+    "fixed_point.certificate": "FixedPointCertificate",
+    "fixed_point.certify": "certify_fixed_point",
+    "fixed_point.shortest": "shortest_fixed_point to_fixed_point",
     "geometry.minimal_tree": "minimal_tree",
     "importers": "from_onnx from_sb3 from_sklearn from_torch read_policy",
     "importers.input_statistics": "ObservationStatistics",

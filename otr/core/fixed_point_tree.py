@@ -88,6 +88,8 @@ class FixedPointTree:
                 object.__setattr__(self, each.name, read_only(np.ascontiguousarray(value, dtype=np.int64)))
             elif each.name.endswith("_scales"):
                 object.__setattr__(self, each.name, tuple(map(Fraction, value)))
+            elif each.name.endswith("_names") and value is not None:
+                object.__setattr__(self, each.name, tuple(value))
         self.check()
 
     @property

@@ -1,0 +1,91 @@
+"""What a tree in fixed point adds to the error of its rounded coefficients: bounds in rational arithmetic.
+
+An input x_j of a box comes as the integer q_j, and the integers are those of the tree `FixedPointTree.to_tree` at
+``q / t``, with t of `dyadic_scales`. Its outputs are then rounded by the shift, and by the head.
+"""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+
+import numpy as np
+
+from otr.core.domain import Domain
+from otr.core.fixed_point_tree import FixedPointTree
+from otr.core.heads import TanhBox
+from otr.fixed_point.tanh_table import table_error
+
+_DIVISION = Fraction(1, 2**51)  # relative, by which x / scale may be off in float64
+
+
+def input_roundings(fixed: FixedPointTree, box: Domain) -> list[Fraction]:
+    """Return bounds on |x_j - q_j / t_j| over a box, clamped inputs included: (d,)."""
+    bounds = []
+    for j, (scale, t) in enumerate(zip(fixed.input_scales, fixed.dyadic_scales()[0], strict=True)):
+        low, high = int(fixed.input_low[j]), int(fixed.input_high[j])
+        largest = max(abs(low), abs(high))
+        nearest = scale / 2 + largest * abs(scale - 1 / t)
+        if float(scale) != scale or math.frexp(scale)[0] != 0.5:
+            nearest += (largest + 1) * scale * _DIVISION
+        bounds.append(max(nearest, low / t - Fraction(box.low[j]), Fraction(box.high[j]) - high / t))
+    return bounds
+
+
+def wider_box(box: Domain, roundings: list[Fraction]) -> Domain:
+    """Return the box with all that its states are rounded to."""
+    low, high = (side.tolist() for side in (box.low, box.high))
+    return Domain(
+        [_at_most(Fraction(x) - step) for x, step in zip(low, roundings, strict=True)],
+        [-_at_most(-Fraction(x) - step) for x, step in zip(high, roundings, strict=True)],
+    )
+
+
+def _at_most(value: Fraction) -> float:
+    nearest = float(value)
+    return nearest if Fraction(nearest) <= value else math.nextafter(nearest, -math.inf)
+
+
+def head_slopes(fixed: FixedPointTree) -> list[Fraction]:
+    """Return by how much an answer changes, at most, when its output does, (o,): half the range of a TanhBox, else 1.
+
+    Labels are answered, too: then it is about outputs.
+    """
+    if not isinstance(fixed.head, TanhBox):
+        return [Fraction(1)] * fixed.n_outputs
+    return [Fraction(half) for half in fixed.head.halves_and_middles(fixed.n_outputs)[0].tolist()]
+
+
+def output_roundings(fixed: FixedPointTree) -> list[Fraction]:
+    """Return bounds on what the shift and the answer's unit add, (o,), in answers."""
+    if fixed.labels is not None:
+        return [Fraction(0)] * fixed.n_outputs
+    slopes, near = head_slopes(fixed), fixed.dyadic_scales()[1]
+    units, limits = fixed.leaf_scales, fixed.output_limits
+    real = None if limits is None else fixed.head.limits(fixed.n_outputs)
+    bounds = []
+    for k, (slope, unit, t) in enumerate(zip(slopes, units, near, strict=True)):
+        added = t / 2 if fixed.shifts[:, k].any() else Fraction(0)
+        largest = 2 ** (fixed.accumulator_bits - 1 - int(fixed.shifts[:, k].min()))
+        if limits is not None and real is not None:
+            ends = [int(side[k]) for side in limits]
+            largest = max(map(abs, ends))
+            added += max(abs(end * t - Fraction(side[k])) for end, side in zip(ends, real, strict=True))
+        bounds.append(slope * (added + largest * abs(unit - t)))
+    return bounds
+
+
+def table_errors(fixed: FixedPointTree) -> list[Fraction]:
+    """Return bounds on what the table of a TanhBox adds, (o,), in answers; 0 under another head."""
+    if fixed.table is None:
+        return [Fraction(0)] * fixed.n_outputs
+    pairs = zip(head_slopes(fixed), fixed.output_scales, strict=True)
+    return [scale * table_error(fixed.table, k, half / scale) for k, (half, scale) in enumerate(pairs)]
+
+
+def answer_ranges(fixed: FixedPointTree) -> list[Fraction] | None:
+    """Return the widths of the actions' ranges, (o,); None without limits."""
+    limits = fixed.head.limits(fixed.n_outputs)
+    if limits is None:
+        return None
+    return [Fraction(high) - Fraction(low) for low, high in np.transpose(limits).tolist()]

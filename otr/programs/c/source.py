@@ -6,13 +6,16 @@ import re
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from otr.core.fixed_point_tree import FixedPointTree
 from otr.core.mapping import map_network
 from otr.core.network import ReluNetwork
 from otr.core.pattern_tree import PatternTree
 from otr.core.smooth_network import Layered
 from otr.core.tree import ObliqueTree
 from otr.programs.c.answers import Answer, answer_of
+from otr.programs.c.fixed_point import fixed_point_code
 from otr.programs.c.network import functions_of, network_code
 from otr.programs.c.reserved_words import is_function_name
 from otr.programs.c.tables import CType, Table, integer_table, integer_type, row_table
@@ -24,12 +27,13 @@ _OF_STDINT = ("static const int", "static const uint")
 
 
 def to_c(
-    policy: ObliqueTree | PatternTree | Layered,
+    policy: ObliqueTree | PatternTree | Layered | FixedPointTree,
     *,
     name: str = "policy",
     dtype: CType = "double",
     feature_names: Sequence[str] | None = None,
     output_names: Sequence[str] | None = None,
+    test_states: ArrayLike | None = None,
 ) -> str:
     """Return a C99 source file that answers as ``policy.predict`` does.
 
@@ -43,11 +47,17 @@ def to_c(
     network; one that is restricted to some paths, as the tree of these. A network of smooth units, such as the tanh
     of Stable-Baselines3's PPO, which no tree equals, is written with the functions of the mathematical library.
 
+    A `FixedPointTree` becomes ``void name(const int16_t x[d], int32_t y[n])``, or ``int name_label(...)``, of its own
+    words: integers alone, without division, the tables in flash on an AVR, too. It answers as ``predict_integers``.
+
     Args:
         policy: a tree, or a network; what `read_policy` returns, unless that is a black box.
         name: prefix of everything that the file defines.
-        dtype: "double", or "float" for controllers that have no unit for more; numbers are rounded to it.
+        dtype: "double", or "float" for controllers that have no unit for more; numbers are rounded to it. Of no meaning
+            for a `FixedPointTree`.
         feature_names, output_names: as in `to_text`, for the comment at the top.
+        test_states: of a `FixedPointTree` integers (n, d), for which the file has a ``main()`` that returns 0 if all
+            answers are Python's; it is compiled where ``NAME_TEST`` is defined.
 
     Raises:
         TypeError: `policy` is something else.
@@ -59,12 +69,17 @@ def to_c(
         >>> "void policy(" in otr.to_c(tree)
         True
     """
-    if not isinstance(policy, ObliqueTree | PatternTree | Layered):
+    if not isinstance(policy, ObliqueTree | PatternTree | Layered | FixedPointTree):
         raise TypeError(f"policy is a {type(policy).__name__}, expected an ObliqueTree, a PatternTree or a network")
     if not is_function_name(name):
         raise ValueError(f"name is {name!r}, which cannot be the name of a C function")
     if dtype not in ("double", "float"):
         raise ValueError(f"dtype is {dtype!r}, expected 'double' or 'float'")
+    if isinstance(policy, FixedPointTree):
+        check_policy(policy.to_tree())
+        return fixed_point_code(policy, name, feature_names, output_names, test_states)
+    if test_states is not None:
+        raise ValueError("test_states are integers of a FixedPointTree; of other policies leave them out")
     if isinstance(policy, PatternTree):
         policy = policy.to_tree() if policy.is_restricted else policy.network
     if isinstance(policy, Layered) and policy.n_hidden == 0:

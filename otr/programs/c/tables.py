@@ -140,14 +140,19 @@ def _with_function(parts: list[Table], function: list[str]) -> Table:
     return Table([*lines, "", *function], sum(part.n_bytes for part in parts))
 
 
-def _declaration(kind: str, name: str, values: NDArray[Any], write: Callable[[Any], str]) -> list[str]:
+def integer_declaration(kind: str, name: str, values: IntArray, place: str) -> list[str]:
+    """Return the declaration of a table of integers of a given type, with an attribute that says where it lies."""
+    return _declaration(kind, name, values, _integer, place)
+
+
+def _declaration(kind: str, name: str, values: NDArray[Any], write: Callable[[Any], str], place: str = "") -> list[str]:
     shape = "".join(f"[{n}]" for n in values.shape)
     if values.ndim == 1:
         rows = [", ".join(write(value) for value in values.tolist())]
     else:
         rows = [f"{{{', '.join(write(value) for value in row)}}}," for row in values.tolist()]
     lines = [line for row in rows for line in wrapped(row, "    ")]
-    return [f"static const {kind} {name}{shape} = {{", *lines, "};"]
+    return [f"static const {kind} {name}{shape}{place} = {{", *lines, "};"]
 
 
 def _integer(value: int) -> str:

@@ -242,6 +242,10 @@ class FixedPointTree:
             output_names=self.output_names,
         )
 
+    def _repr_svg_(self) -> str:
+        """Return the picture that a notebook shows: that of the tree of real numbers."""
+        return self.to_tree()._repr_svg_()
+
     def replace(self, **changes: Any) -> FixedPointTree:
         """Return the tree with other arrays or settings, checked, and all else as it is."""
         return replace(self, **changes)

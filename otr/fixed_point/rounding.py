@@ -70,8 +70,10 @@ def round_tree(
     if not 2 <= bits <= 24:
         raise ValueError(f"bits is {bits}, expected 2 to 24")
     if input_scales is None:
+        # About half of the bits of a sum of d terms are for the inputs, and half for the coefficients.
+        word = min(bits, (accumulator_bits + 3 - tree.n_inputs.bit_length()) // 2)
         reach = np.maximum(abs(domain.low), abs(domain.high)).tolist()
-        inputs = [Fraction(largest or 1.0) / (2 ** (bits - 1) - 1) for largest in reach]
+        inputs = [Fraction(largest or 1.0) / (2 ** (word - 1) - 1) for largest in reach]
     else:
         inputs = _given(input_scales, tree.n_inputs, "input_scales")
     low, high = (

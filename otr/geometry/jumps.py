@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linprog
 
+from otr.clock import check_time
 from otr.core.arrays import FloatArray
 from otr.core.domain import Domain
 from otr.core.tree import ObliqueTree
@@ -98,6 +99,7 @@ class _Search:
         self.wide = self.low - beyond, self.high + beyond
         self.changes[~sure] = np.inf
         for node in reversed(range(tree.n_nodes)):
+            check_time()
             sides = [self._below(int(side[node])) for side in (tree.children_left, tree.children_right)]
             self.leaves_below[node] = sides[0] + sides[1]
             if not sure[node] and is_near[node] and tree.labels is None and tree.depth <= _DEEPEST:

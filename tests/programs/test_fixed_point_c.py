@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 import otr
 from benchmarks.microcontrollers import TARGETS, answers_hash, run_on
+from otr.programs.c.arduino import arduino_sketch
 from tests.core.strategies import make_network
 from tests.programs.policies import committed
 from tests.programs.test_c import COMPILER, FLAGS, compiled
@@ -86,6 +87,45 @@ def test_the_file_tests_itself(tmp_path: Path) -> None:
         assert subprocess.run([str(tmp_path / "test")], check=False).returncode == code
     with pytest.raises(ValueError, match="test_states are integers of a FixedPointTree"):
         otr.to_c(committed("hopper"), test_states=np.zeros((1, 11), dtype=int))
+
+
+def test_python_of_integers_alone() -> None:
+    for name, fixed in TREES.items():
+        source, Q = otr.to_python(fixed, name="of"), integers_for(fixed, 1000)
+        scope: dict = {}
+        exec(source, scope)
+        answers = [scope["of"](q) for q in Q.tolist()]
+        np.testing.assert_array_equal(answers, fixed.predict_integers(Q), name)
+        code = re.sub(r"#.*", "", source)
+        assert "import" not in code and not re.search(r"\d\.\d|/", code), name
+
+
+ARDUINO = """
+struct Port { long next; void begin(long) {} int available() { return 1; } long parseInt() { return next++; }
+    long printed; void print(long y) { printed = printed * 31 + y; } void print(char) {}
+    void println(long y) { print(y); } };
+extern struct Port Serial;
+"""  # fmt: skip
+
+
+@pytest.mark.skipif(shutil.which("avr-g++") is None, reason="avr-g++ is not installed (apt-get install gcc-avr)")
+def test_the_arduino_sketch_compiles_and_loops(tmp_path: Path) -> None:
+    (tmp_path / "Arduino.h").write_text(ARDUINO)
+    for name in ("hopper", "labels", "wide_sums"):
+        (tmp_path / f"{name}.ino").write_text(arduino_sketch(TREES[name], name=f"{name}_of"))
+        command = [
+            "avr-g++",
+            "-mmcu=atmega328p",
+            "-Wall",
+            "-Wextra",
+            "-Werror",
+            "-Os",
+            "-c",
+            "-x",
+            "c++",
+            f"-I{tmp_path}",
+        ]
+        subprocess.run([*command, str(tmp_path / f"{name}.ino"), "-o", str(tmp_path / f"{name}.o")], check=True)
 
 
 @pytest.mark.skipif(shutil.which("cppcheck") is None, reason="cppcheck is not installed (apt-get install cppcheck)")

@@ -131,6 +131,15 @@ def test_labels(tmp_path: Path) -> None:
             assert (lead[other] <= found.margin).all() and found.margin < 1e-4
 
 
+def test_the_comment_says_the_bound() -> None:
+    tree = trees()["one_layer"]
+    found = otr.float_error(tree, box_of(tree), "float")
+    source = " ".join(otr.to_c(tree, dtype="float", error=found).replace(" * ", " ").split())
+    assert f"For x in [-2, 2], [-2, 2], [-2, 2], [-2, 2]: {found}." in source
+    with pytest.raises(ValueError, match="error is of dtype 'float', the program of 'double'"):
+        otr.to_c(tree, error=found)
+
+
 def test_what_has_no_bound_is_refused() -> None:
     tree = trees()["one_layer"]
     with pytest.raises(ValueError, match="the box has open sides"):

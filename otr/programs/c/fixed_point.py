@@ -16,7 +16,7 @@ from otr.core.head import Head, no_entry
 from otr.core.heads import Argmax, ClipBox, Identity, Sign, TanhBox
 from otr.programs.c.tables import Table, integer_declaration
 from otr.programs.names import give_labels, in_comment, shown_names
-from otr.programs.walk import summary_of
+from otr.programs.walk import distinct_integers, summary_of
 
 # How a number of so many bits is read from the flash of an AVR, which has an address space of its own.
 _READS = {
@@ -206,22 +206,13 @@ def _coefficients(code: FixedCode, what: str, rows: IntArray) -> Table:
     return Table(lines, rows.size * bits // 8)
 
 
-def _distinct(rows: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the distinct rows in the order in which they first occur, and for each row which of them it is."""
-    unique, first, index = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
-    return unique[order], rank[index.reshape(-1)]
-
-
 def _tests(code: FixedCode) -> tuple[list[Table], list[str]]:
     """Return tables, and the lines that find the leaf."""
     fixed, name = code.fixed, code.name
     index = "int" if fixed.n_leaves * fixed.n_outputs < 2**15 else "int32_t"
     if not fixed.n_nodes:
         return [], [f"    const {index} leaf = 0;"]
-    rows, row_of = _distinct(np.column_stack((fixed.P, fixed.v)))
+    rows, row_of = distinct_integers(np.column_stack((fixed.P, fixed.v)))
     (offsets, offset_bits) = code.table("test_offsets", rows[:, -1])
     children, child_bits = code.table("children", np.stack((fixed.children_left, fixed.children_right), axis=1))
     tables, test = [_coefficients(code, "tests", rows[:, :-1]), offsets, children], "node"
@@ -250,7 +241,7 @@ def _leaf(code: FixedCode) -> tuple[list[Table], list[str]]:
         return [labels], [*unused, f"    return {code.read(bits, f'{name}_labels + leaf')};"]
     halves = (1 << fixed.shifts) >> 1
     parts = np.concatenate((fixed.M, (fixed.c + halves)[..., None], fixed.shifts[..., None]), axis=2)
-    rows, row_of = _distinct(parts.reshape(-1, fixed.n_inputs + 2))
+    rows, row_of = distinct_integers(parts.reshape(-1, fixed.n_inputs + 2))
     offsets, offset_bits = code.table("row_offsets", rows[:, -2])
     tables, row = [_coefficients(code, "rows", rows[:, :-2]), offsets], f"{o} * leaf + k"
     if not np.array_equal(row_of, np.arange(len(row_of))):

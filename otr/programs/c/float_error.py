@@ -38,7 +38,7 @@ class FloatError:
         margin: of a head that chooses among outputs: its label is the same where it leads by more than this.
         distance: the bounds hold farther than this (Euclidean, in the inputs) from the tests where the tree jumps, of
             which there are `n_jumps`; 0 if it is continuous: then they hold everywhere.
-        dtype: "double" or "float".
+        dtype, box: "double" or "float", and the states.
     """
 
     max_error: float
@@ -47,6 +47,7 @@ class FloatError:
     distance: float
     n_jumps: int
     dtype: CType
+    box: Domain
 
     def __str__(self) -> str:
         what = f"no action changes by more than {self.max_error:.2g}" if len(self.errors) else "no label changes"
@@ -94,16 +95,16 @@ def float_error(tree: ObliqueTree, box: Box | Domain, dtype: CType = "float") ->
         within = _OF_TREE * within
     if tree.labels is not None:
         found = jumps(tree, domain, within, 0.0)
-        return FloatError(0.0, np.zeros(0), 0.0, found.distance, found.n_jumps, dtype)
+        return FloatError(0.0, np.zeros(0), 0.0, found.distance, found.n_jumps, dtype, domain)
     forms = tree.leaf_forms.reshape(-1, tree.n_inputs + 1)
     leaves = rounding.of_rows(forms).reshape(tree.n_leaves, -1)
     found = jumps(tree, domain, within, _JUMP * float(leaves.max()))
     errors = (leaves + paths_sum(tree, found.changes)).max(axis=0) * _UP
     if tree.head.gives_labels:
-        return FloatError(0.0, np.zeros(0), float(2 * errors.max()), found.distance, found.n_jumps, dtype)
+        return FloatError(0.0, np.zeros(0), float(2 * errors.max()), found.distance, found.n_jumps, dtype, domain)
     largest = highest(tree.leaf_forms, domain.low, domain.high).max(axis=0)
     after = _after_head(tree.head, errors, largest, rounding) * _UP
-    return FloatError(float(after.max()), after, 0.0, found.distance, found.n_jumps, dtype)
+    return FloatError(float(after.max()), after, 0.0, found.distance, found.n_jumps, dtype, domain)
 
 
 class _Rounding:

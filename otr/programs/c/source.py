@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,12 +17,13 @@ from otr.core.smooth_network import Layered
 from otr.core.tree import ObliqueTree
 from otr.programs.c.answers import Answer, answer_of
 from otr.programs.c.fixed_point import fixed_point_code
+from otr.programs.c.float_error import FloatError
 from otr.programs.c.network import functions_of, network_code
 from otr.programs.c.reserved_words import is_function_name
 from otr.programs.c.tables import CType, Table, integer_table, integer_type, row_table
 from otr.programs.merging import merge_equal_leaves
 from otr.programs.names import check_policy, give_labels, in_comment, shown_names
-from otr.programs.walk import child, distinct_rows, require_float_rows, summary_of
+from otr.programs.walk import WIDTH, child, distinct_rows, require_float_rows, summary_of
 
 _OF_STDINT = ("static const int", "static const uint")
 
@@ -33,6 +35,7 @@ def to_c(
     dtype: CType = "double",
     feature_names: Sequence[str] | None = None,
     output_names: Sequence[str] | None = None,
+    error: FloatError | None = None,
     test_states: ArrayLike | None = None,
 ) -> str:
     """Return a C99 source file that answers as ``policy.predict`` does.
@@ -56,6 +59,7 @@ def to_c(
         dtype: "double", or "float" for controllers that have no unit for more; numbers are rounded to it. Of no meaning
             for a `FixedPointTree`.
         feature_names, output_names: as in `to_text`, for the comment at the top.
+        error: what `float_error` returned for the tree and the type, which the comment says.
         test_states: of a `FixedPointTree` integers (n, d), for which the file has a ``main()`` that returns 0 if all
             answers are Python's; it is compiled where ``NAME_TEST`` is defined.
 
@@ -88,6 +92,7 @@ def to_c(
         policy = merge_equal_leaves(policy)
     check_policy(policy)
     features, answers = shown_names(policy, feature_names, output_names)
+    bound = _bound(error, dtype)
     if isinstance(policy, ObliqueTree) and policy.labels is not None:
         answer = Answer([], [])
     else:
@@ -105,11 +110,22 @@ def to_c(
     n_bytes = sum(table.n_bytes for table in tables)
     declared = _signature(policy, name, dtype)
     lines = _comment(policy, declared, n_bytes, features, answers, ", ".join(sorted({*calls} - {""})))
+    lines[-1:] = [*bound, lines[-1]]
     written = [line for table in tables for line in table.lines]
     lines += ["#include <math.h>"] if any(calls) else []
     lines += ["#include <stdint.h>"] if any(line.startswith(_OF_STDINT) for line in written) else []
     lines += ["", *written, "", f"{declared};  /* so that no compiler misses a prototype */", "", declared]
     return re.sub("\n{3,}", "\n\n", "\n".join([*lines, "{", *body, *answer.lines, "}"])) + "\n"
+
+
+def _bound(error: FloatError | None, dtype: CType) -> list[str]:
+    """Return the lines of the comment that say what rounding changes over a box."""
+    if error is None:
+        return []
+    if error.dtype != dtype:
+        raise ValueError(f"error is of dtype {error.dtype!r}, the program of {dtype!r}")
+    sides = ", ".join(f"[{low:g}, {high:g}]" for low, high in zip(error.box.low, error.box.high, strict=True))
+    return [" *", *textwrap.wrap(f"For x in {sides}: {error}.", WIDTH, initial_indent=" * ", subsequent_indent=" * ")]
 
 
 def _signature(policy: ObliqueTree | Layered, name: str, dtype: CType) -> str:

@@ -19,6 +19,7 @@ def do(arguments: argparse.Namespace) -> int:
     cfg: ExportConfig = to_object(EXPORT.compose(overrides))
     check_export(cfg, of_env)
     policy: Any
+    folder = None
     if cfg.program:
         run, policy = written_policy(str(cfg.env), cfg.program, of_env)
     elif cfg.model:
@@ -27,7 +28,9 @@ def do(arguments: argparse.Namespace) -> int:
         folder = find_run(cfg.run, cfg.results_dir)
         run = load_config(folder, None)
         policy = policy_of(cfg, run, folder)
-    program = program_of(cfg, run, policy)
+    program, proved = program_of(cfg, run, policy, folder)
+    if proved:
+        print(proved, file=sys.stderr)
     if cfg.out is not None:
         print(write_program(cfg, program))
     else:

@@ -1,7 +1,7 @@
 """Policies in integers and in floats on small machines: AVR, Cortex-M0 and M4, RISC-V, run under Debian's emulators.
 
-simavr counts the cycles of an ATmega1284P. QEMU has no cycles: under ``-icount shift=0`` every instruction is one tick,
-so of the other machines instructions are reported. Bytes are what a policy adds to a linked program, with the functions
+simavr counts the cycles of an ATmega1284P. QEMU has no cycles: under ``-icount shift=6`` every instruction takes
+64 ns, so of the other machines instructions are reported. Bytes are what a policy adds to a linked program, with the functions
 of the compiler's and the mathematical library that it calls. Compilers and emulators are Debian's: see `packages`.
 """
 
@@ -113,8 +113,6 @@ static long call(long what, void *with)
     __asm__ volatile("%(trap)s" : "+r"(a) : "r"(b) : "memory");
     return a;
 }
-void begin(void) {}
-uint32_t now(void) { uint32_t ticks[2]; call(0x30, ticks); return ticks[0]; }
 void put(const char *text) { call(4, (void *)text); }
 void finish(void) { call(0x18, (void *)0x20026); for (;;) ; }
 void *memcpy(void *to, const void *from, size_t n)
@@ -144,6 +142,16 @@ void reset(void)
 _ARM = (
     _SEMIHOSTING % {"a": "r0", "b": "r1", "trap": "bkpt 0xab"}
     + """
+#define TIMER ((volatile uint32_t *)0xe000e010)  /* SysTick, which counts 24 bits down */
+static uint32_t last, passed;
+void begin(void) { TIMER[1] = 0xffffff; TIMER[2] = 0; TIMER[0] = 5; last = TIMER[2]; }
+uint32_t now(void)
+{
+    const uint32_t at = TIMER[2];
+    passed += (last - at) & 0xffffff;
+    last = at;
+    return passed;
+}
 __attribute__((section(".start"), used)) void *const vectors[16] = {stack_top, (void *)reset};
 """
 )
@@ -152,6 +160,8 @@ _RISCV = (
     % {"a": "a0", "b": "a1", "trap": ".option push\\n.option norvc\\n.balign 16\\n"
        "slli x0, x0, 0x1f\\nebreak\\nsrai x0, x0, 7\\n.option pop"}
     + """
+void begin(void) {}
+uint32_t now(void) { uint32_t n; __asm__ volatile("csrr %0, minstret" : "=r"(n)); return n; }
 __attribute__((section(".start"), naked, used)) void start(void) { __asm__("la sp, stack_top\\n call reset"); }
 """
 )  # fmt: skip
@@ -179,6 +189,7 @@ class Target:
     packages: str  # of Debian
     linked: str | None = None  # the linker's script
     unit: str = "instructions"
+    tick: float = 1.0  # of the clock that a program reads, in that unit
 
     def missing(self) -> str | None:
         """Return a command that is not there; None if all are."""
@@ -188,7 +199,7 @@ class Target:
 
 def _qemu(system: str, machine: str) -> tuple[str, ...]:
     return (f"qemu-system-{system}", "-M", machine, "-display", "none", "-serial", "null", "-monitor", "none",
-            "-icount", "shift=0", "-semihosting-config", "enable=on,target=native", "-kernel")  # fmt: skip
+            "-icount", "shift=6", "-semihosting-config", "enable=on,target=native", "-kernel")  # fmt: skip
 
 
 _ARM_SCRIPT = _LINKED.format(flash="0x0", ram="0x20000000", entry="reset")
@@ -197,13 +208,14 @@ TARGETS = {
     "AVR": Target("avr-", ("-mmcu=atmega1284p",), ("simavr", "-m", "atmega1284p", "-f", "16000000"), _AVR,
                   "gcc-avr avr-libc simavr", unit="cycles"),
     "Cortex-M0": Target("arm-none-eabi-", ("-mcpu=cortex-m0", "-mthumb"), _qemu("arm", "microbit"), _ARM,
-                        _ARM_PACKAGES, _ARM_SCRIPT),
+                        _ARM_PACKAGES, _ARM_SCRIPT, tick=62.5 / 64),
     "Cortex-M4": Target("arm-none-eabi-", ("-mcpu=cortex-m4", "-mthumb"), _qemu("arm", "mps2-an386"), _ARM,
-                        _ARM_PACKAGES, _ARM_SCRIPT),
-    "RISC-V": Target("riscv64-unknown-elf-", ("-march=rv32imac", "-mabi=ilp32", "-ffreestanding"),
+                        _ARM_PACKAGES, _ARM_SCRIPT, tick=40 / 64),
+    "RISC-V": Target("riscv64-unknown-elf-", ("-march=rv32imac_zicsr", "-mabi=ilp32", "-ffreestanding"),
                      (*_qemu("riscv32", "virt")[:-1], "-bios", "none", "-kernel"), _RISCV,
                      "gcc-riscv64-unknown-elf qemu-system-misc",
-                     _LINKED.format(flash="0x80000000", ram="0x80100000", entry="start")),
+                     _LINKED.format(flash="0x80000000", ram="0x80100000", entry="start"),
+                     tick=1 / 64),
 }  # fmt: skip
 
 
@@ -271,7 +283,8 @@ def run_on(target: Target, fixed: otr.FixedPointTree, n: int, folder: Path, in_f
     found = re.findall(r"^(\d+)\.?\s*$", printed, re.M)  # simavr shows a line's end as a dot
     if len(found) != 3:
         raise RuntimeError(f"{' '.join(target.emulator)} printed {printed[-1000:]}")
-    return Ran(*map(int, found), sizes[1] - sizes[0])
+    mean, most = (round(int(ticks) * target.tick) for ticks in found[1:])
+    return Ran(int(found[0]), mean, most, sizes[1] - sizes[0])
 
 
 def _linked(target: Target, source: str, driver: str, folder: Path) -> Path:

@@ -97,9 +97,9 @@ def _row(best: Best, n_episodes: int, n_states: int) -> Row:
     in_floats = play_seeds(tree.predict, run.env, seeds, keep_states=True, n_workers=1)
     wanted, visited = wanted_box(run), box_around(in_floats.states, MARGIN)
     boxes = [("visited", visited)] if wanted is None else [("declared", wanted[0]), ("visited", visited)]
-    for name, box in boxes:
+    for kind, box in boxes:
         fixed = otr.to_fixed_point(tree, box, BITS)
-        proof = otr.certify_fixed_point(fixed, tree, box)
+        proof, name = otr.certify_fixed_point(fixed, tree, box), kind
         if proof.share is None or proof.share <= TARGET:
             break
     in_integers = play_seeds(fixed.predict, run.env, seeds, keep_states=True, n_workers=1)
@@ -194,12 +194,14 @@ def _notes(rows: list[Row]) -> list[str]:
     networks = ", ".join(row.best.task for row in rows if row.peer == "network")
     return [
         "`python -m benchmarks fixed_point` writes this table: the best committed tree of 2 to 99 leaves, with",
-        "coefficients, inputs and answers of 16 bits. Proved error: the largest of any action at every real state of",
-        "the box (that which the environment declares or, where that is open or no 1 % is proved on it, that around the",
-        "states of 20 episodes), as a share of the action's range, but for states within that distance (Euclidean, in",
-        "the inputs) of a test, whose other side may answer. Returns: means over the same 20 starts. Bytes are code and",
-        "tables with all that is linked for them; cycles (of the Cortex-M0 instructions: QEMU counts no cycles) the mean",
-        f"of a call; in brackets plain float C, of the network ({networks or 'none'}) or of the same tree, whose tables",
-        "an AVR holds in its 16 KB of RAM. emlearn was not run.",
-        f"States beyond the box, which are clamped: {clamped or 'none'}.",
+        "coefficients, inputs and answers of 16 bits.",
+        "",
+        "* Proved error: the largest of any action at every real state of the box, as a share of the action's range, but",
+        "  for states within that distance (Euclidean, in the inputs) of a test, whose other side may answer. The box is",
+        "  the one that the environment declares or, where that is open or no 1 % is proved on it, the one around the",
+        f"  states of 20 episodes. States beyond the box, which are clamped: {clamped or 'none'}.",
+        "* Returns: means over the same 20 starts.",
+        "* Bytes are code and tables with all that is linked for them; cycles (of the Cortex-M0 instructions: QEMU counts",
+        f"  no cycles) the mean of a call. In brackets plain float C of the network ({networks or 'none'}) or of the",
+        "  same tree, whose tables an AVR holds in its 16 KB of RAM. emlearn was not run.",
     ]

@@ -1,8 +1,8 @@
 """Policies in integers and in floats on small machines: AVR, Cortex-M0 and M4, RISC-V, run under Debian's emulators.
 
 simavr counts the cycles of an ATmega1284P. QEMU has no cycles: under ``-icount shift=6`` every instruction takes
-64 ns, so of the other machines instructions are reported. Bytes are what a policy adds to a linked program, with the functions
-of the compiler's and the mathematical library that it calls. Compilers and emulators are Debian's: see `packages`.
+64 ns, so of the other machines instructions are reported. Bytes are what a policy adds to a linked program, with the
+functions of the compiler's and the mathematical library that it calls. Compilers and emulators are Debian's packages.
 """
 
 import re

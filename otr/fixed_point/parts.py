@@ -11,12 +11,14 @@ from fractions import Fraction
 
 import numpy as np
 
+from otr.core.arrays import FloatArray
 from otr.core.domain import Domain
 from otr.core.fixed_point_tree import FixedPointTree
 from otr.core.heads import TanhBox
 from otr.core.tree import ObliqueTree
-from otr.fixed_point.slopes import Fractions, fractions, interval_product
 from otr.fixed_point.tanh_table import table_error
+from otr.geometry.rational import Integers, common_integers, integers
+from otr.proof.exact_rows import Bounds
 
 _DIVISION = Fraction(1, 2**51)  # relative, by which x / scale may be off in float64
 
@@ -106,29 +108,40 @@ def test_margins(fixed: FixedPointTree, tree: ObliqueTree, box: Domain) -> list[
         same = same and np.array_equal(getattr(fixed, name), getattr(tree, name))
     if not same:
         raise ValueError("the tree is not the one that was rounded: they differ in nodes or labels; give that one")
-    roundings, margins = input_roundings(fixed, box), []
-    for exact, rounded in zip(fractions(tree.test_forms), fractions(fixed.to_tree().test_forms), strict=True):
-        sizes = [_size(form, box) for form in (exact, rounded)]
-        ratio = sizes[0] / sizes[1] if all(sizes) else Fraction(1)
-        margins.append(_largest(exact - ratio * rounded, box) + ratio * (abs(rounded[:-1]) @ np.array(roundings)))
+    steps, margins = np.array(input_roundings(fixed, box), dtype=object), []
+    exact, rounded, power = _integers(tree.test_forms, fixed.to_tree().test_forms)
+    sizes = zip(*(_sizes(each.test_forms, box) for each in (tree, fixed.to_tree())), strict=True)
+    ratios = [ours / theirs if ours and theirs else 1.0 for ours, theirs in sizes]
+    bounds = Bounds(box, power)
+    for ours, theirs, ratio in zip(exact, rounded, ratios, strict=True):
+        over, under = ratio.as_integer_ratio()
+        apart = _largest(bounds, ours * under - theirs * over) / under
+        margins.append(apart + Fraction(ratio) * (abs(theirs[:-1]) @ steps) / 2**power)
     return margins
 
 
 def leaf_differences(fixed: FixedPointTree, tree: ObliqueTree, box: Domain) -> tuple[list[Fraction], list[Fraction]]:
     """Return by how much the maps of a leaf differ, and the rounded one changes by the inputs' rounding: (o,) each."""
-    steps = np.array(input_roundings(fixed, box), dtype=object)
-    exact, rounded = (fractions(each.leaf_forms) for each in (tree, fixed.to_tree()))
-    apart = [max(_largest(form, box) for form in exact[:, k] - rounded[:, k]) for k in range(fixed.n_outputs)]
-    return apart, list((abs(rounded[..., :-1]) @ steps).max(axis=0))
+    exact, rounded, power = _integers(tree.leaf_forms, fixed.to_tree().leaf_forms)
+    bounds, steps = Bounds(box, power), np.array(input_roundings(fixed, box), dtype=object)
+    apart = [max(_largest(bounds, form) for form in exact[:, k] - rounded[:, k]) for k in range(fixed.n_outputs)]
+    return apart, list((abs(rounded[..., :-1]) @ steps).max(axis=0) / 2**power)
 
 
-def _largest(form: Fractions, box: Domain) -> Fraction:
-    """Return the largest |p x + v| over a box of a form (d + 1,)."""
-    ends = interval_product(form[:-1], fractions(box.low), fractions(box.high))
-    return Fraction(max(abs(end + form[-1]) for end in ends))
+def _integers(exact: FloatArray, rounded: FloatArray) -> tuple[Integers, Integers, int]:
+    """Return forms as integers over one power of two, and that power."""
+    parts = integers(exact), integers(rounded)
+    power = max(own for _, own in parts)
+    ours, theirs = common_integers(parts, power)
+    return ours, theirs, power
 
 
-def _size(form: Fractions, box: Domain) -> Fraction:
-    """Return the sum of |p_j| times half the width of input j: how far a test's value is from that in the middle."""
-    size = Fraction(abs(form[:-1]) @ (fractions(box.high) - fractions(box.low)) / 2)
-    return size or abs(Fraction(form[-1]))
+def _largest(bounds: Bounds, form: Integers) -> Fraction:
+    """Return the largest absolute value of a form (d + 1,) over a box."""
+    return max(bounds.highest(form), bounds.highest(-form))
+
+
+def _sizes(forms: FloatArray, box: Domain) -> list[float]:
+    """Return how far forms' values are from those in the middle, or a constant's size: the same on all machines."""
+    terms = np.abs(forms[:, :-1]) * ((box.high - box.low) / 2)
+    return [math.fsum(row) or abs(v) for row, v in zip(terms.tolist(), forms[:, -1].tolist(), strict=True)]

@@ -14,6 +14,7 @@ import numpy as np
 from otr.core.arrays import FloatArray
 from otr.core.domain import Domain
 from otr.core.fixed_point_tree import FixedPointTree
+from otr.core.head import Head
 from otr.core.heads import TanhBox
 from otr.core.tree import ObliqueTree
 from otr.fixed_point.tanh_table import table_error
@@ -57,7 +58,7 @@ def head_slopes(fixed: FixedPointTree) -> list[Fraction]:
     """
     if not isinstance(fixed.head, TanhBox):
         return [Fraction(1)] * fixed.n_outputs
-    return [Fraction(half) for half in fixed.head.halves_and_middles(fixed.n_outputs)[0].tolist()]
+    return [width / 2 for width in answer_ranges(fixed.head, fixed.n_outputs) or ()]
 
 
 def output_roundings(fixed: FixedPointTree) -> list[Fraction]:
@@ -87,9 +88,9 @@ def table_errors(fixed: FixedPointTree) -> list[Fraction]:
     return [scale * table_error(fixed.table, k, half / scale) for k, (half, scale) in enumerate(pairs)]
 
 
-def answer_ranges(fixed: FixedPointTree) -> list[Fraction] | None:
+def answer_ranges(head: Head, n_outputs: int) -> list[Fraction] | None:
     """Return the widths of the actions' ranges, (o,); None without limits."""
-    limits = fixed.head.limits(fixed.n_outputs)
+    limits = head.limits(n_outputs)
     if limits is None:
         return None
     return [Fraction(high) - Fraction(low) for low, high in np.transpose(limits).tolist()]

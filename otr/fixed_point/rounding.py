@@ -18,6 +18,7 @@ from otr.core.pattern_tree import PatternTree
 from otr.core.tanh_table import TanhTable
 from otr.core.tree import ObliqueTree, require_tree
 from otr.errors import InvalidTreeError
+from otr.fixed_point.parts import answer_ranges
 from otr.fixed_point.tanh_table import tanh_table
 from otr.proof.properties import output_range
 
@@ -150,7 +151,7 @@ def _leaves(
     M, offsets = words.rounded(W, c, powers)
     if not isinstance(tree.head, TanhBox):
         return _Leaves(M, offsets, shifts, tuple(units))
-    halves = [Fraction(half) for half in tree.head.halves_and_middles(o)[0].tolist()]
+    halves = [width / 2 for width in answer_ranges(tree.head, o) or ()]
     scales = given if given is not None else [half / (2 ** (words.bits - 1) - 1) for half in halves]
     amplitudes = tuple(half / scale for half, scale in zip(halves, scales, strict=True))
     if max(amplitudes) >= 2 ** (words.bits - 1) or units[0] > 1:

@@ -56,7 +56,7 @@ def to_fixed_point(
 
     Examples:
         >>> tree = otr.parse_program("if x <= 0.5: -x else: 2 x", ["x"])
-        >>> fixed = otr.to_fixed_point(tree, ([-1], [1]), bits=8)
+        >>> fixed = otr.to_fixed_point(tree, ([-1], [1]), bits=8, input_scales=[1 / 64])
         >>> fixed.predict_integers([[-32], [48]]), fixed.predict([-0.5])
         (array([[16],
                [48]]), array([0.5]))
@@ -80,7 +80,15 @@ def shortest_fixed_point(
     max_error: float = 0.01,
     **settings: Any,
 ) -> tuple[FixedPointTree, FixedPointCertificate]:
-    """Return the tree of the shortest words for which an error is proved, and the proof; see `to_fixed_point`."""
+    """Return the tree of the shortest words for which an error is proved, and the proof; see `to_fixed_point`.
+
+    Examples:
+        >>> net = otr.ReluNetwork([[[1.0], [-1.0]], [[1.0, 1.0]]], [[0.0, 0.0], [0.0]], head=otr.ClipBox(0, 1))
+        >>> tree = otr.minimal_tree(net, ([-2], [2]))
+        >>> fixed, proof = otr.shortest_fixed_point(tree, net, ([-2], [2]), max_error=0.01)
+        >>> fixed.bits, proof.share < 0.01
+        (10, True)
+    """
     tree = tree.to_tree() if isinstance(tree, PatternTree) else tree
     require_tree(tree)
     domain = as_domain(box, tree.n_inputs)
@@ -101,7 +109,7 @@ def shortest_fixed_point(
 
 def _widths(fixed: FixedPointTree, tree: ObliqueTree, domain: Domain) -> list[Fraction]:
     """Return what errors are shares of: the actions' ranges, or those of the outputs; of labels the widest alone."""
-    ranges = answer_ranges(fixed)
+    ranges = answer_ranges(fixed.head, fixed.n_outputs)
     if ranges is not None:
         return ranges
     taken = output_range(tree.replace(labels=None, head=Identity()), domain)

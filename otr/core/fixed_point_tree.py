@@ -18,7 +18,7 @@ from otr.core.tanh_table import TanhTable
 from otr.core.tree import ObliqueTree
 from otr.errors import InvalidTreeError
 
-_HEADS = (Identity, ClipBox, TanhBox, Sign, Argmax)
+HEADS_OF_INTEGERS = (Identity, ClipBox, TanhBox, Sign, Argmax)
 _MANTISSA = 53  # bits of a float64
 _CHUNK = 2**16  # states
 _WORDS = (8, 16, 32, 64)
@@ -141,12 +141,9 @@ class FixedPointTree:
         """The integers (o,) that a ClipBox clips to, those nearest to its limits; None under another head."""
         if not isinstance(self.head, ClipBox):
             return None
-        limits = (
-            [round(Fraction(limit) / scale) for limit, scale in zip(side.tolist(), self.output_scales, strict=True)]
-            for side in self.head.limits(self.n_outputs)
-        )
-        low, high = (np.array(side, dtype=np.int64) for side in limits)
-        return low, high
+        pairs = (zip(side.tolist(), self.output_scales, strict=True) for side in self.head.limits(self.n_outputs))
+        low, high = ([round(Fraction(limit) / scale) for limit, scale in side] for side in pairs)
+        return np.array(low), np.array(high)
 
     @property
     def output_offsets(self) -> tuple[Fraction, ...]:
@@ -256,70 +253,66 @@ class FixedPointTree:
         Raises:
             InvalidTreeError: names the row, or the array, and both numbers.
         """
-        if not isinstance(self.head, _HEADS):
+        if not isinstance(self.head, HEADS_OF_INTEGERS):
             raise no_entry(self.head, "a FixedPointTree")
-        self._check_numbers()
-        largest = np.maximum(abs(self.input_low.astype(object)), abs(self.input_high.astype(object)))
-        tests = abs(self.P.astype(object)) @ largest + abs(self.v.astype(object))
-        half = 2 ** self.shifts.astype(object) // 2
-        leaves = abs(self.M.astype(object)) @ largest + abs(self.c.astype(object)) + half
-        for what, sums in (("test", tests), ("leaf, output", leaves)):
-            over = np.argwhere(sums >= 2 ** (self.accumulator_bits - 1))
-            if over.size:
-                at = tuple(over[0].tolist())
-                raise InvalidTreeError(
-                    f"{what} {', '.join(map(str, at))}: sums of its row may reach {sums[at]}, and an accumulator of "
-                    f"{self.accumulator_bits} bits holds {2 ** (self.accumulator_bits - 1) - 1}"
-                )
-        if self.table is not None:
-            self._check_table(self.table)
+        d, o, n_leaves = self.n_inputs, self.n_outputs, self.n_leaves
+        shapes = {"input_high": (d,), "P": (self.n_nodes, d), "M": (n_leaves, o, d), "shifts": (n_leaves, o)}
+        for name, shape in shapes.items():
+            _require(getattr(self, name).shape == shape, f"{name} has shape {getattr(self, name).shape}", shape)
+        scales, sizes = (self.input_scales, self.output_scales), (self.accumulator_bits, self.bits, self.input_bits)
+        _require(tuple(map(len, scales)) == (d, o), f"there are scales {scales}", (d, o))
+        _require(min(map(min, scales)) > 0, f"the scales are {scales}", "numbers above 0")
+        _require(
+            sizes[0] in (32, 64) and 2 <= sizes[1] <= 24,
+            f"accumulator and words have {sizes[:2]} bits",
+            "32 or 64, 2 to 24",
+        )
+        _require(
+            bool((self.input_low <= self.input_high).all()),
+            f"input_low is {self.input_low}",
+            f"at most {self.input_high}",
+        )
+        _require(sizes[2] <= sizes[0], f"inputs have {sizes[2]} bits", f"at most {sizes[0]}")
+        for name in ("P", "M"):
+            largest, limit = int(np.abs(getattr(self, name)).max(initial=0)), 2 ** (self.bits - 1)
+            _require(largest < limit, f"{name} holds {largest}, of {self.bits} bits", f"below {limit}")
+        ends = self.shifts.min(initial=0), self.shifts.max(initial=0)
+        _require(ends[0] >= 0 and ends[1] <= sizes[0] - 2, f"shifts are {ends}", "0 or more")
+        self._check_sums()
         self._exact_tree.check()
 
-    def _check_numbers(self) -> None:
-        if self.accumulator_bits not in (32, 64) or not 2 <= self.bits <= 24:
-            raise InvalidTreeError(
-                f"accumulator_bits is {self.accumulator_bits} and bits {self.bits}, expected 32 or 64, and 2 to 24"
-            )
-        shapes = {
-            "input_high": (self.n_inputs,),
-            "P": (self.n_nodes, self.n_inputs),
-            "M": (self.n_leaves, self.n_outputs, self.n_inputs),
-            "shifts": self.c.shape,
+    def _check_sums(self) -> None:
+        """Raise InvalidTreeError unless every sum, and every number after it, is below what the accumulator holds."""
+        largest = np.maximum(abs(self.input_low.astype(object)), abs(self.input_high.astype(object)))
+        half = 2 ** self.shifts.astype(object) // 2
+        reached = {
+            "test": abs(self.P.astype(object)) @ largest + abs(self.v.astype(object)),
+            "leaf, output": abs(self.M.astype(object)) @ largest + abs(self.c.astype(object)) + half,
+            "limit": np.abs(self.output_limits or [0]).max(axis=0),
         }
-        for name, shape in shapes.items():
-            if getattr(self, name).shape != shape:
-                raise InvalidTreeError(f"{name} has shape {getattr(self, name).shape}, expected {shape}")
-        scales = (*self.input_scales, *self.output_scales)
-        if (len(self.input_scales), len(self.output_scales)) != (self.n_inputs, self.n_outputs) or min(scales) <= 0:
-            raise InvalidTreeError(f"the scales are {scales}, expected one above 0 for each input and output")
-        limit = 2 ** (self.bits - 1)
-        for name in ("P", "M"):
-            largest = int(np.abs(getattr(self, name)).max(initial=0))
-            if largest >= limit:
-                raise InvalidTreeError(
-                    f"{name} holds {largest}, and coefficients of {self.bits} bits are below {limit}"
-                )
-        if self.shifts.min(initial=0) < 0 or self.shifts.max(initial=0) > self.accumulator_bits - 2:
-            raise InvalidTreeError(f"shifts are {self.shifts.min()} to {self.shifts.max()}, expected 0 or more")
-        if (self.input_low > self.input_high).any():
-            raise InvalidTreeError(f"input_low is {self.input_low}, above input_high, {self.input_high}")
-
-    def _check_table(self, table: TanhTable) -> None:
-        values, (n_tables, n_knots) = table.values, table.values.shape
-        largest = int(np.abs(np.diff(values)).max(initial=0)) << table.step_bits
-        if n_tables not in (1, self.n_outputs) or n_knots < 2 or values[:, 0].any() or (np.diff(values) < 0).any():
-            raise InvalidTreeError(f"the table has shape {values.shape}, expected rows that rise from 0")
-        if max(largest + table.last, int(values.max())) >= 2 ** (self.accumulator_bits - 1) or table.step_bits < 0:
-            raise InvalidTreeError(
-                f"interpolation in the table may reach {largest}, and an accumulator of {self.accumulator_bits} bits "
-                f"holds {2 ** (self.accumulator_bits - 1) - 1}"
-            )
+        if self.table is not None:
+            values, (n_tables, n_knots) = self.table.values, self.table.values.shape
+            rises = n_tables in (1, self.n_outputs) and n_knots > 1 and not values[:, 0].any()
+            rises = rises and (np.diff(values) >= 0).all() and self.table.step_bits >= 0
+            _require(bool(rises), f"the table has shape {values.shape}", "rows that rise from 0")
+            steps = np.diff(values).astype(object) * 2**self.table.step_bits
+            reached["table, step"] = np.maximum(steps + self.table.last, values[:, 1:])
+        most = 2 ** (self.accumulator_bits - 1) - 1
+        for what, sums in reached.items():
+            for at in np.argwhere(sums > most)[:1].tolist():
+                what = f"{what} {', '.join(map(str, at))}: sums of its row may reach {sums[tuple(at)]}"
+                _require(False, what, f"at most {most}, which an accumulator of {self.accumulator_bits} bits holds")
 
     def __repr__(self) -> str:
         return (
             f"FixedPointTree(n_leaves={self.n_leaves}, n_inputs={self.n_inputs}, n_outputs={self.n_outputs}, "
             f"bits={self.bits}, accumulator_bits={self.accumulator_bits}, n_bytes={self.n_bytes}, head={self.head!r})"
         )
+
+
+def _require(holds: bool, what: str, expected: object) -> None:
+    if not holds:
+        raise InvalidTreeError(f"{what}, expected {expected}")
 
 
 def _near(number: Fraction, n_bits: int) -> Fraction:

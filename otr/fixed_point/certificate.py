@@ -23,8 +23,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from otr.core.domain import Domain
 from otr.core.fixed_point_tree import FixedPointTree
 from otr.errors import ArtefactError
@@ -124,12 +122,3 @@ def digest_of(fixed: FixedPointTree) -> str:
     table = fixed.table
     held.append(None if table is None else [table.values.tolist(), table.unit_bits, table.step_bits])
     return hashlib.sha256(json.dumps(held, sort_keys=True).encode()).hexdigest()
-
-
-def differences_of(n_outputs: int, *, gives_labels: bool) -> np.ndarray:
-    """Return the differences of outputs (m, o) that are bounded: each output or, for labels, one less another."""
-    eye = np.eye(n_outputs, dtype=np.int64)
-    if not gives_labels or n_outputs == 1:
-        return eye
-    first, second = np.triu_indices(n_outputs, 1)
-    return np.asarray(eye[first] - eye[second])

@@ -11,10 +11,15 @@ from fractions import Fraction
 
 import numpy as np
 
+from otr.core.arrays import FloatArray
 from otr.core.domain import Domain
 from otr.core.fixed_point_tree import FixedPointTree
+from otr.core.head import Head
 from otr.core.heads import TanhBox
+from otr.core.tree import ObliqueTree
 from otr.fixed_point.tanh_table import table_error
+from otr.geometry.rational import Integers, common_integers, integers
+from otr.proof.exact_rows import Bounds
 
 _DIVISION = Fraction(1, 2**51)  # relative, by which x / scale may be off in float64
 
@@ -53,7 +58,7 @@ def head_slopes(fixed: FixedPointTree) -> list[Fraction]:
     """
     if not isinstance(fixed.head, TanhBox):
         return [Fraction(1)] * fixed.n_outputs
-    return [Fraction(half) for half in fixed.head.halves_and_middles(fixed.n_outputs)[0].tolist()]
+    return [width / 2 for width in answer_ranges(fixed.head, fixed.n_outputs) or ()]
 
 
 def output_roundings(fixed: FixedPointTree) -> list[Fraction]:
@@ -83,9 +88,61 @@ def table_errors(fixed: FixedPointTree) -> list[Fraction]:
     return [scale * table_error(fixed.table, k, half / scale) for k, (half, scale) in enumerate(pairs)]
 
 
-def answer_ranges(fixed: FixedPointTree) -> list[Fraction] | None:
+def answer_ranges(head: Head, n_outputs: int) -> list[Fraction] | None:
     """Return the widths of the actions' ranges, (o,); None without limits."""
-    limits = fixed.head.limits(fixed.n_outputs)
+    limits = head.limits(n_outputs)
     if limits is None:
         return None
     return [Fraction(high) - Fraction(low) for low, high in np.transpose(limits).tolist()]
+
+
+def test_margins(fixed: FixedPointTree, tree: ObliqueTree, box: Domain) -> list[Fraction]:
+    """Return the least |P x + v| of each test, (n_nodes,), above which integers and real numbers go the same way.
+
+    A test is the same when multiplied by a positive number: that is the ratio of the sizes of their terms.
+
+    Raises:
+        ValueError: the trees have not the same nodes.
+    """
+    same = (fixed.n_nodes, fixed.n_inputs) == (tree.n_nodes, tree.n_inputs)
+    for name in ("children_left", "children_right", "labels"):
+        same = same and np.array_equal(getattr(fixed, name), getattr(tree, name))
+    if not same:
+        raise ValueError("the tree is not the one that was rounded: they differ in nodes or labels; give that one")
+    steps, margins = np.array(input_roundings(fixed, box), dtype=object), []
+    exact, rounded, power = _integers(tree.test_forms, fixed.to_tree().test_forms)
+    sizes = zip(*(_sizes(each.test_forms, box) for each in (tree, fixed.to_tree())), strict=True)
+    ratios = [ours / theirs if ours and theirs else 1.0 for ours, theirs in sizes]
+    bounds = Bounds(box, power)
+    for ours, theirs, ratio in zip(exact, rounded, ratios, strict=True):
+        over, under = ratio.as_integer_ratio()
+        apart = _largest(bounds, ours * under - theirs * over) / under
+        margins.append(apart + Fraction(ratio) * (abs(theirs[:-1]) @ steps) / 2**power)
+    return margins
+
+
+def leaf_differences(fixed: FixedPointTree, tree: ObliqueTree, box: Domain) -> tuple[list[Fraction], list[Fraction]]:
+    """Return by how much the maps of a leaf differ, and the rounded one changes by the inputs' rounding: (o,) each."""
+    exact, rounded, power = _integers(tree.leaf_forms, fixed.to_tree().leaf_forms)
+    bounds, steps = Bounds(box, power), np.array(input_roundings(fixed, box), dtype=object)
+    apart = [max(_largest(bounds, form) for form in exact[:, k] - rounded[:, k]) for k in range(fixed.n_outputs)]
+    return apart, list((abs(rounded[..., :-1]) @ steps).max(axis=0) / 2**power)
+
+
+def _integers(exact: FloatArray, rounded: FloatArray) -> tuple[Integers, Integers, int]:
+    """Return forms as integers over one power of two, and that power."""
+    parts = integers(exact), integers(rounded)
+    power = max(own for _, own in parts)
+    ours, theirs = common_integers(parts, power)
+    return ours, theirs, power
+
+
+def _largest(bounds: Bounds, form: Integers) -> Fraction:
+    """Return the largest absolute value of a form (d + 1,) over a box."""
+    return max(bounds.highest(form), bounds.highest(-form))
+
+
+def _sizes(forms: FloatArray, box: Domain) -> list[float]:
+    """Return how far forms' values are from those in the middle, or a constant's size: the same on all machines."""
+    terms = np.abs(forms[:, :-1]) * ((box.high - box.low) / 2)
+    return [math.fsum(row) or abs(v) for row, v in zip(terms.tolist(), forms[:, -1].tolist(), strict=True)]

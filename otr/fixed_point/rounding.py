@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
-from functools import singledispatch
 from typing import NamedTuple
 
 import numpy as np
 
 from otr.core.arrays import FloatArray, IntArray
 from otr.core.domain import Box, Domain, as_domain
-from otr.core.fixed_point_tree import FixedPointTree
+from otr.core.fixed_point_tree import HEADS_OF_INTEGERS, FixedPointTree
 from otr.core.head import Head, no_entry
-from otr.core.heads import Argmax, ClipBox, Identity, Sign, TanhBox
+from otr.core.heads import Identity, TanhBox
 from otr.core.pattern_tree import PatternTree
 from otr.core.tanh_table import TanhTable
 from otr.core.tree import ObliqueTree, require_tree
 from otr.errors import InvalidTreeError
+from otr.fixed_point.parts import answer_ranges
 from otr.fixed_point.tanh_table import tanh_table
 from otr.proof.properties import output_range
 
@@ -67,6 +67,8 @@ def round_tree(
     require_tree(tree)
     domain = as_domain(box, tree.n_inputs)
     domain.require_bounded()
+    if not isinstance(tree.head, HEADS_OF_INTEGERS):
+        raise no_entry(tree.head, "to_fixed_point")
     if not 2 <= bits <= 24:
         raise ValueError(f"bits is {bits}, expected 2 to 24")
     if input_scales is None:
@@ -134,7 +136,7 @@ def _leaves(
     W, c = tree.M * steps, tree.c
     units = given if given is not None and not isinstance(tree.head, TanhBox) else None
     if units is None:
-        units = _finest(words, W, c, default_units(tree.head, tree, domain, words.bits), tree.head)
+        units = _finest(words, W, c, _default_units(tree, domain, words.bits), tree.head)
     scale = words.scale(W, c)
     shifts = _shifts(words, W, c, units)
     if shifts.size and shifts.min() < 0:
@@ -149,7 +151,7 @@ def _leaves(
     M, offsets = words.rounded(W, c, powers)
     if not isinstance(tree.head, TanhBox):
         return _Leaves(M, offsets, shifts, tuple(units))
-    halves = [Fraction(half) for half in tree.head.halves_and_middles(o)[0].tolist()]
+    halves = [width / 2 for width in answer_ranges(tree.head, o) or ()]
     scales = given if given is not None else [half / (2 ** (words.bits - 1) - 1) for half in halves]
     amplitudes = tuple(half / scale for half, scale in zip(halves, scales, strict=True))
     if max(amplitudes) >= 2 ** (words.bits - 1) or units[0] > 1:
@@ -194,30 +196,13 @@ def _given(scales: Scales, n: int, name: str) -> list[Fraction]:
     return given
 
 
-@singledispatch
-def default_units(head: Head, tree: ObliqueTree, domain: Domain, bits: int) -> list[Fraction]:
-    """Return what 1 of a leaf's integer is to stand for, (o,), where its head needs no coarser one."""
-    raise no_entry(head, "to_fixed_point")
-
-
-@default_units.register
-def _(head: ClipBox, tree: ObliqueTree, domain: Domain, bits: int) -> list[Fraction]:
-    return [_power_of_two(max(map(abs, limits)), bits) for limits in zip(*head.limits(tree.n_outputs), strict=True)]
-
-
-@default_units.register
-def _(head: TanhBox, tree: ObliqueTree, domain: Domain, bits: int) -> list[Fraction]:
-    return [Fraction(1, 2**bits)] * tree.n_outputs
-
-
-@default_units.register
-def _(head: Identity, tree: ObliqueTree, domain: Domain, bits: int) -> list[Fraction]:
-    reached = output_range(tree.replace(head=Identity()), domain)
-    return [_power_of_two(reach, bits) for reach in np.maximum(abs(reached.low), abs(reached.high)).tolist()]
-
-
-@default_units.register(Argmax)
-@default_units.register(Sign)
-def _(head: Head, tree: ObliqueTree, domain: Domain, bits: int) -> list[Fraction]:
-    of_values: Callable[..., list[Fraction]] = default_units.dispatch(Identity)
-    return [max(of_values(head, tree, domain, bits))] * tree.n_outputs
+def _default_units(tree: ObliqueTree, domain: Domain, bits: int) -> list[Fraction]:
+    """Return what 1 of a leaf's integer is to stand for, (o,), where no row needs a coarser unit."""
+    if isinstance(tree.head, TanhBox):
+        return [Fraction(1, 2**bits)] * tree.n_outputs
+    limits = tree.head.limits(tree.n_outputs)
+    if limits is None:
+        reached = output_range(tree.replace(head=Identity()), domain)
+        limits = reached.low, reached.high
+    units = [_power_of_two(reach, bits) for reach in np.abs(limits).max(axis=0).tolist()]
+    return [max(units)] * len(units) if tree.head.gives_labels else units

@@ -5,20 +5,16 @@ from __future__ import annotations
 from fractions import Fraction
 from typing import Any
 
-import numpy as np
-
 from otr.core.domain import Box, Domain, as_domain
 from otr.core.fixed_point_tree import FixedPointTree
 from otr.core.heads import Identity
-from otr.core.network import ReluNetwork
 from otr.core.pattern_tree import PatternTree
 from otr.core.tree import ObliqueTree, require_tree
 from otr.errors import CertificateError, InvalidTreeError
 from otr.fixed_point.certificate import FixedPointCertificate
-from otr.fixed_point.certify import Policy, allowed_error, certify_fixed_point, checked_policy
+from otr.fixed_point.certify import Policy, certify_fixed_point
 from otr.fixed_point.parts import answer_ranges
 from otr.fixed_point.rounding import Scales, round_tree
-from otr.fixed_point.states import probing_states
 from otr.proof.properties import output_range
 
 _LEAST_BITS, _MOST_BITS = 4, 24
@@ -60,7 +56,7 @@ def to_fixed_point(
 
     Examples:
         >>> tree = otr.parse_program("if x <= 0.5: -x else: 2 x", ["x"])
-        >>> fixed = otr.to_fixed_point(tree, ([-1], [1]), bits=8)
+        >>> fixed = otr.to_fixed_point(tree, ([-1], [1]), bits=8, input_scales=[1 / 64])
         >>> fixed.predict_integers([[-32], [48]]), fixed.predict([-0.5])
         (array([[16],
                [48]]), array([0.5]))
@@ -86,67 +82,36 @@ def shortest_fixed_point(
 ) -> tuple[FixedPointTree, FixedPointCertificate]:
     """Return the tree of the shortest words for which an error is proved, and the proof; see `to_fixed_point`.
 
-    Words that probing states show to be too short are skipped. With each longer one the certificate is asked for the
-    error that is left for the coefficients, so there is one search a word.
+    Examples:
+        >>> net = otr.ReluNetwork([[[1.0], [-1.0]], [[1.0, 1.0]]], [[0.0, 0.0], [0.0]], head=otr.ClipBox(0, 1))
+        >>> tree = otr.minimal_tree(net, ([-2], [2]))
+        >>> fixed, proof = otr.shortest_fixed_point(tree, net, ([-2], [2]), max_error=0.01)
+        >>> fixed.bits, proof.share < 0.01
+        (10, True)
     """
     tree = tree.to_tree() if isinstance(tree, PatternTree) else tree
     require_tree(tree)
     domain = as_domain(box, tree.n_inputs)
-    reason: Exception | None = None
+    reason: object = "rounding alone is more"
     for bits in range(_LEAST_BITS, _MOST_BITS + 1):
         try:
             fixed = round_tree(tree, domain, bits, **settings)
         except InvalidTreeError as error:
-            reason = reason or error
-            continue
-        policy = checked_policy(fixed, tree if network is None else network)
-        budgets = [Fraction(max_error) * width for width in _widths(fixed, tree, domain)]
-        if not fixed.head.gives_labels and _is_seen_beyond(fixed, policy, domain, budgets):
-            continue
-        try:
-            proof = _within(fixed, policy, domain, budgets)
-        except CertificateError as error:
             reason = error
             continue
-        if proof is not None:
+        proof = certify_fixed_point(fixed, tree if network is None else network, domain)
+        widths = _widths(fixed, tree, domain)
+        if all(error <= max_error * width for error, width in zip(proof.max_errors, widths, strict=True)):
             return fixed, proof
-    raise CertificateError(
-        f"no words of {_LEAST_BITS} to {_MOST_BITS} bits are proved to {max_error:g}: "
-        f"{reason or 'rounding of inputs or outputs alone is more'}"
-    )
+        reason = f"with {bits} bits it is {proof}"
+    raise CertificateError(f"no words of {_LEAST_BITS} to {_MOST_BITS} bits are proved to {max_error:g}: {reason}")
 
 
 def _widths(fixed: FixedPointTree, tree: ObliqueTree, domain: Domain) -> list[Fraction]:
     """Return what errors are shares of: the actions' ranges, or those of the outputs; of labels the widest alone."""
-    ranges = answer_ranges(fixed)
+    ranges = answer_ranges(fixed.head, fixed.n_outputs)
     if ranges is not None:
         return ranges
     taken = output_range(tree.replace(labels=None, head=Identity()), domain)
     widths = [Fraction(width) for width in (taken.high - taken.low).tolist()]
     return [max(widths)] if fixed.head.gives_labels else widths
-
-
-def _is_seen_beyond(
-    fixed: FixedPointTree, policy: ReluNetwork | ObliqueTree, domain: Domain, budgets: list[Fraction]
-) -> bool:
-    """Return whether a state shows an error that is beyond the budget; of a tree, which is off at its tests, False."""
-    if isinstance(policy, ObliqueTree):
-        return False
-    states = probing_states(fixed.to_tree(), domain)
-    seen = np.abs(fixed.predict(states) - policy.predict(states)).max(axis=0)
-    return bool((seen > [float(budget) for budget in budgets]).any())
-
-
-def _within(
-    fixed: FixedPointTree, policy: ReluNetwork | ObliqueTree, domain: Domain, budgets: list[Fraction]
-) -> FixedPointCertificate | None:
-    """Return a proof that the errors are within budgets; None where no certificate of the coefficients can give one."""
-    most = None
-    if isinstance(policy, ReluNetwork):
-        allowed = allowed_error(fixed, policy, domain, budgets)
-        if allowed <= 0:
-            return None
-        most = float(allowed) * (1 - 1e-9)
-    proof = certify_fixed_point(fixed, policy, domain, max_error=most)
-    within = all(Fraction(error) <= budget for error, budget in zip(proof.max_errors, budgets, strict=True))
-    return proof if within else None

@@ -198,8 +198,8 @@ def _notes(rows: list[Row]) -> list[str]:
         answer. The box is the one that the environment declares or, where that is open or no 1 % is proved on it, the
         one around the states of 20 episodes. States beyond the box, which are clamped: {clamped or "none"}."""
     machines = f"""Bytes are code and tables with all that is linked for them; cycles (of the Cortex-M0 instructions:
-        QEMU counts no cycles) the mean of a call. In brackets plain float C of the network ({networks or "none"}) or of the
-        same tree, whose tables an AVR holds in its 16 KB of RAM. emlearn was not run."""
+        QEMU counts no cycles) the mean of a call. In brackets plain float C of the network ({networks or "none"}) or of
+        the same tree, whose tables an AVR holds in its 16 KB of RAM. emlearn was not run."""
     notes = [proved, "Returns are means over the same 20 starts.", machines]
     wrapped = [textwrap.fill(" ".join(f"* {note}".split()), 120, subsequent_indent="  ") for note in notes]
     return ["`python -m benchmarks fixed_point` writes this table: the best committed tree of 2 to 99 leaves, with",

@@ -109,7 +109,7 @@ extern struct Port Serial;
 
 
 @pytest.mark.skipif(shutil.which("avr-g++") is None, reason="avr-g++ is not installed (apt-get install gcc-avr)")
-def test_the_arduino_sketch_compiles_and_loops(tmp_path: Path) -> None:
+def test_the_arduino_sketch_compiles(tmp_path: Path) -> None:
     (tmp_path / "Arduino.h").write_text(ARDUINO)
     for name in ("hopper", "labels", "wide_sums"):
         (tmp_path / f"{name}.ino").write_text(arduino_sketch(TREES[name], name=f"{name}_of"))

@@ -119,22 +119,11 @@ def test_labels(name: str, after: list) -> None:
     assert network.head == otr.Argmax() and network.hidden_widths == (6,)
 
 
-def test_a_table_of_labels_is_refused() -> None:
-    nodes = [("Identity", ["x"], "c"), *LAYERS, ("ArgMax", ["u"], "i", {"axis": 1}), ("Sub", ["five", "i"], "y")]
-    with pytest.raises(otr.InvalidNetworkError, match=r"\(ArgMax\) is followed by more than a shape"):
-        otr.from_onnx(model(nodes, label=True))
-
-
 @pytest.mark.parametrize(
     ("nodes", "message"),
     [
-        ([("Mul", ["x", "x"], "q"), ("Add", ["q", "x"], "c")], r"node 'q' \(Mul\) is not affine"),
         ([("Floor", ["x"], "c")], r"node 'c' \(Floor\) is not affine"),
-        ([("Sign", ["x"], "c")], r"node 'c' \(Sign\) is not affine"),
-        (
-            [("Exp", ["x"], "e"), ("Sin", ["x"], "s"), ("Add", ["e", "s"], "c")],
-            r"'e' \(Exp\), node 's' \(Sin\) are not",
-        ),
+        ([("Exp", ["x"], "e"), ("Sin", ["x"], "s"), ("Add", ["e", "s"], "c")], r"\(Exp\), node 's' \(Sin\) are not"),
         ([("Less", ["x", "gain"], "l"), ("Where", ["l", "x", "gain"], "c")], r"node 'l' \(Less\) is not affine"),
         ([("NonZero", ["x"], "k"), ("Cast", ["k"], "c", {"to": 11})], "its answer is not known before"),
     ],

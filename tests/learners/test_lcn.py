@@ -66,24 +66,6 @@ def test_network_and_tree_compute_the_definition(hidden, n_outputs):
     assert not tree.M.any()
 
 
-def test_derivatives_are_torchs_own():
-    """J and c are the derivative and offset of the last activations as a function of x."""
-    network = _random_network(3)
-    x = torch.randn(7, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
-    relu = network._relu_network()
-
-    def last(x):
-        read = torch.zeros(0, dtype=torch.float64)
-        for W, b in zip(relu.weights[:-1], relu.biases[:-1], strict=True):
-            read = torch.cat((read, torch.relu(torch.tensor(W) @ torch.cat((read, x)) + torch.tensor(b))))
-        return read
-
-    J = torch.func.jacrev(last)(x)
-    c = last(x) - J @ x
-    expected = np.tensordot(network.G, J.numpy(), 2) + network.h @ c.numpy() + network.offset
-    np.testing.assert_allclose(network.forward(x.numpy())[0], expected)
-
-
 def test_labels_are_the_heads():
     X = np.random.default_rng(1).normal(size=(200, 7))
     for n_outputs, head in ((1, otr.Sign()), (3, otr.Argmax())):
@@ -91,15 +73,6 @@ def test_labels_are_the_heads():
         tree = network.to_tree()
         np.testing.assert_array_equal(tree.predict(X), head(network.forward(X)))
         assert len(np.unique(tree.predict(X))) > 1
-
-
-def test_scaling_of_inputs_and_outputs():
-    rng = np.random.default_rng(1)
-    X, mean, scale = rng.normal(size=(50, 7)), rng.normal(size=7), rng.uniform(0.5, 2, size=7)
-    for hidden in (0, 6):
-        network = _random_network(0, hidden=hidden)
-        scaled = network.with_input_scaling(mean, scale).with_output_scaling(3.0, 2.0)
-        np.testing.assert_allclose(scaled.forward(X), 3 + 2 * network.forward((X - mean) / scale), atol=1e-9)
 
 
 def test_shapes_are_checked():

@@ -219,13 +219,6 @@ def test_what_is_no_oracle(nodes: list, message: str) -> None:
         read_policy(model(*nodes))
 
 
-def test_a_head_that_is_given_must_be_the_models():
-    made = model(*READ["tanh"])
-    with pytest.raises(otr.InvalidNetworkError, match="the model ends in Tanh"):
-        otr.from_onnx(made, head=otr.ClipBox(-1, 1))
-    assert otr.from_onnx(model(*READ["gemm"]), head=otr.Argmax()).head == otr.Argmax()
-
-
 def test_one_of_several_outputs():
     nodes = [*HIDDEN, LAST, ("Gemm", ["x", "W1", "b1"], "value", {"transB": 1}), ("Exp", ["value"], "exp")]
     made = model(*nodes, outputs=("y", "value", "exp"))

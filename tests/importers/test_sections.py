@@ -95,15 +95,6 @@ def test_shapes_of_states(shape: tuple) -> None:
     assert_read(model([("Reshape", ["x", "flat"], "c"), *LAYERS], shape), shape)
 
 
-def test_residual_networks_have_dense_links() -> None:
-    nodes = [("Identity", ["x"], "c"), *LAYERS[:2], ("Gemm", ["a", "V"], "h"), ("Add", ["h", "a"], "r"),
-             ("Relu", ["r"], "b"), ("Add", ["b", "a"], "s"), ("Gemm", ["s", "W2", "b2"], "o", {"transB": 1}),
-             ("MatMul", ["x", "S"], "skip"), ("Add", ["o", "skip"], "y")]  # fmt: skip
-    network = assert_read(model(nodes, V=RNG.normal(size=(6, 6)), S=RNG.normal(size=(4, 2))))
-    assert network.hidden_widths == (6, 6) and network.dense == "all" and network.negative_slope == 0.0
-    np.testing.assert_array_equal(network.weights[2], np.hstack((W2, W2, network.weights[2][:, 12:])))
-
-
 ENDS = {
     "log sum exp": [("ReduceLogSumExp", ["u"], "l", {"axes": [1]}), ("Sub", ["u", "l"], "v")],
     "softmax": [("Softmax", ["u"], "v", {"axis": -1})],

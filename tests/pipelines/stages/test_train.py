@@ -134,11 +134,6 @@ def assert_is_what_was_trained(network, model):
         compare_with_trained(network.replace(weights=weights), trained, states, units=None)
 
 
-def test_network_that_is_not_the_policy_is_caught(tiny):
-    model = build_model(tiny(), 0)
-    assert_is_what_was_trained(otr.from_sb3(model), model)
-
-
 def test_segments_of_ppo_are_whole_rollouts(tiny):
     assert segment_steps(tiny(algo=PPO, train=TrainConfig(10_000, 1000, 2, 0))) == 1024
     assert segment_steps(tiny(train=TrainConfig(10_000, 1000, 2, 0))) == 1000

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from sklearn.exceptions import NotFittedError
 from sklearn.tree import DecisionTreeClassifier, DecisionTreeRegressor, ExtraTreeRegressor
 
-from otr.learners import from_sklearn_tree
+from otr.learners import CARTClassifier, CARTRegressor, from_sklearn_tree
 
 
 @given(
@@ -64,3 +64,15 @@ def test_other_trees_and_errors():
         from_sklearn_tree(DecisionTreeRegressor())
     with pytest.raises(ValueError, match="has 2 outputs"):
         from_sklearn_tree(DecisionTreeClassifier().fit(X, (y > 0).astype(int)))
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs"), [(CARTClassifier, DecisionTreeClassifier), (CARTRegressor, DecisionTreeRegressor)]
+)
+def test_estimators_are_scikit_learns(ours, theirs):
+    rng = np.random.default_rng(0)
+    X = rng.integers(0, 2, (300, 20)).astype(float)
+    y, weight = rng.integers(0, 3, 300), rng.integers(1, 4, 300)
+    options = {"max_depth": 5, "min_samples_leaf": 2, "ccp_alpha": 1e-3, "random_state": 1}
+    expected = theirs(**options).fit(X, y, weight).predict(X)
+    assert np.array_equal(ours(**options).fit(X, y, weight).predict(X), expected)

@@ -85,6 +85,16 @@ def test_only_runs_side_by_side_share_checkpoints(tiny):
     assert checkpoint_folder(one) == checkpoint_folder(shorter) != checkpoint_folder(linear)
 
 
+def test_seed_decides_the_actor(tiny, tmp_path):
+    actors = []
+    for i, seed in enumerate((0, 0, 1)):
+        out = tmp_path / f"out-{i}"
+        out.mkdir()
+        TRAIN.run({}, tiny(algo=PPO, seed=seed, results_dir=str(tmp_path / f"r{i}")), out)
+        actors.append((out / "actor.safetensors").read_bytes())
+    assert actors[0] == actors[1] != actors[2]
+
+
 def test_best_evaluation_s_actor_is_kept(tiny, tmp_path):
     config = tiny(algo=PPO, seed=5, train=TrainConfig(1500, 300, 2, 0))
     TRAIN.run({}, config, tmp_path)

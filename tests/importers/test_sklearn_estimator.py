@@ -43,7 +43,7 @@ READ = {
         make_pipeline(StandardScaler(with_mean=False), MaxAbsScaler(), RobustScaler(), mlp(max_iter=300)),
         THREE,
     ),
-    "range": (make_pipeline(MinMaxScaler((-1, 3)), "passthrough", mlp(MLPRegressor)), TARGETS[:, 0]),
+    "range": (make_pipeline(None, MinMaxScaler((-1, 3)), "passthrough", mlp(MLPRegressor)), TARGETS[:, 0]),
     "mean alone": (make_pipeline(StandardScaler(with_std=False), LogisticRegression()), TWO),
     "logistic regression": (LogisticRegression(), THREE),
     "ridge": (Ridge(), TARGETS),

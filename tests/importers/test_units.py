@@ -1,6 +1,7 @@
 """Which units are read, whatever the file: a refusal offers to imitate a policy where it can be read for that alone."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -66,3 +67,12 @@ def test_units_of_an_export(tmp_path: Path, name: str) -> None:
         return
     assert "let a tree imitate the model as it is: otr.imitate(" in refusal(otr.from_torch, path)
     np.testing.assert_array_equal(policy.first_layer[:, :3], module[0].weight.detach().numpy())
+
+
+def test_a_leaky_relu_of_another_slope_has_its_remedy(tmp_path: Path) -> None:
+    model = build(PPO, FourActions(), {"vf": [8]}, [6], partial(nn.LeakyReLU, 0.2))
+    model.save(tmp_path / "model.zip")
+    for read in (otr.from_sb3, read_policy):
+        told = refusal(read, tmp_path / "model.zip")
+        assert "for this LeakyReLU, give negative_slope= to otr.from_sb3" in told and REMEDY not in told
+    assert otr.from_sb3(tmp_path / "model.zip", negative_slope=0.2).negative_slope == 0.2

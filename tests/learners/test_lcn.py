@@ -75,6 +75,15 @@ def test_labels_are_the_heads():
         assert len(np.unique(tree.predict(X))) > 1
 
 
+def test_scaling_of_inputs_and_outputs():
+    rng = np.random.default_rng(1)
+    X, mean, scale = rng.normal(size=(50, 7)), rng.normal(size=7), rng.uniform(0.5, 2, size=7)
+    for hidden in (0, 6):
+        network = _random_network(0, hidden=hidden)
+        scaled = network.with_input_scaling(mean, scale).with_output_scaling(3.0, 2.0)
+        np.testing.assert_allclose(scaled.forward(X), 3 + 2 * network.forward((X - mean) / scale), atol=1e-9)
+
+
 def test_shapes_are_checked():
     network = _random_network(0)
     with pytest.raises(otr.InvalidNetworkError, match=r"h has shape \(2, 5\), expected \(1, 5\)"):

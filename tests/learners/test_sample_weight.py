@@ -21,6 +21,7 @@ from otr.learners import (
 )
 from otr.learners.distillation import Teacher
 from otr.learners.growing.eigenvector import dominant_direction
+from otr.learners.growing.splits import best_bit_split, best_split
 
 RNG = np.random.default_rng(0)
 X = RNG.normal(size=(30, 3)) * [1, 5, 0.1] + 2
@@ -75,6 +76,17 @@ def test_rows_of_weight_0_are_left_out(cls):
     np.testing.assert_allclose(model.tree_.v, left_out.tree_.v, atol=1e-6)
     np.testing.assert_array_equal(model.predict(X), left_out.predict(X))
     assert model.classes_.tolist() == [0, 1]  # a class whose rows are all left out is none
+
+
+@pytest.mark.parametrize(("search", "n_values"), [(best_split, 2), (best_bit_split, 2), (best_split, 1000)])
+def test_the_best_split_of_weighted_rows_is_that_of_repeated_ones(search, n_values):
+    rng = np.random.default_rng(0)
+    rows, Y, weights = rng.integers(0, n_values, (20, 4)) / 1.0, rng.normal(size=(20, 2)), rng.integers(1, 4, 20)
+    again, Y_again = np.repeat(rows, weights, axis=0), np.repeat(Y, weights, axis=0)
+    weighted = search(rows, Y, weights=weights * 1.0, random_state=np.random.RandomState(0))
+    repeated = search(again, Y_again, random_state=np.random.RandomState(0))
+    assert weighted.gain == pytest.approx(repeated.gain, rel=1e-9)
+    assert (weighted.column, weighted.threshold) == (repeated.column, repeated.threshold)
 
 
 @pytest.mark.parametrize("d", [3, 200])  # by a Gram matrix, and by Lanczos

@@ -2,8 +2,24 @@ import numpy as np
 import pytest
 
 import otr
+from otr.programs.names import identifiers
 from otr.programs.walk import in_printed_order, walk
 from tests.core.test_tree import random_tree
+
+
+@pytest.mark.parametrize(
+    ("names", "made"),
+    [
+        (["z", "x_velocity", "T2"], ["z", "x_velocity", "T2"]),
+        (["x velocity", "x-velocity"], ["x_velocity", "x_velocity_2"]),
+        (["x velocity", "x_velocity"], ["x_velocity_2", "x_velocity"]),
+        (["Höhe", "2nd", "%", "_a__b_"], ["Hohe", "v_2nd", "v2", "a_b"]),
+        (["if", "a", "a"], ["if_2", "a", "a_2"]),
+        (["a_2", "a", "a"], ["a_2", "a", "a_3"]),
+    ],
+)
+def test_identifiers(names: list[str], made: list[str]) -> None:
+    assert identifiers(names, [f"v{i}" for i in range(len(names))], reserved=["if"]) == made
 
 
 def test_a_tree_without_inputs_is_refused() -> None:

@@ -74,6 +74,14 @@ def test_other_evaluation_reuses_the_training(finished, tmp_path):
     assert json.loads((other / "summary.json").read_text())["n_episodes"] == 3
 
 
+def test_plan_says_skip_and_run(finished):
+    folder, _ = finished
+    done = otr_command("otr-plan", "-m", *SMOKE[:1], "depth=3,5", *SMOKE[2:], cwd=folder)
+    lines = {line.split()[0]: line.split()[1] for line in done.stdout.splitlines() if "runs/" in line}
+    assert lines == {"runs/pendulum/otr/depth-3/smoke/seed-0": "skip", "runs/pendulum/otr/depth-5/smoke/seed-0": "run"}
+    assert "2 jobs: 1 to skip, 1 left" in done.stdout
+
+
 def test_plan_and_jobs_file_miss_a_summary(finished, tmp_path):
     shutil.copytree(finished[0] / "results", tmp_path / "results")
     summary = tmp_path / RUN / "summary.json"

@@ -129,12 +129,6 @@ def test_what_is_packed_without_critics_stays_done_and_tells_who_asks_for_them(s
     assert "imitate" not in done.stdout  # before anything runs
 
 
-def test_a_search_is_asked_for_by_name(shrunk):
-    folder, words, _ = shrunk
-    printed = run(folder, *words, "polishing.by=search", "polishing.n_directions=2", "polishing.n_top=2")
-    assert "24 numbers of the network searched in 1 iteration" in printed
-
-
 def test_an_actor_is_polished_by_its_own_critics_and_a_tree_by_its_oracle_s(shrunk):
     folder, *_ = shrunk
     assert "numbers of the network learnt by critics" in run(folder, *FLEET, "depth=3", "polishing.by=critic")

@@ -121,13 +121,11 @@ def _fetch(file: DataFile) -> bytes:
     for address in file.addresses:
         try:
             content = _receive(address, file.n_bytes or LARGEST_BYTES)
-            if address.endswith(".gz") and not file.path.endswith(".gz"):
-                content = gunzip(content, file.n_bytes or LARGEST_BYTES)
             difference = file.difference(content)
         except urllib.error.HTTPError as error:
             failures.append(f"{address}: {error.code} {error.reason}")
             continue
-        except (OSError, http.client.HTTPException, *BROKEN_GZIP) as error:
+        except (OSError, http.client.HTTPException) as error:
             failures.append(f"{address}: {getattr(error, 'reason', None) or error or type(error).__name__}")
             if isinstance(error, urllib.error.URLError):
                 break  # no way to that server: the other address is on it, too

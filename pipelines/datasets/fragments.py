@@ -2,8 +2,8 @@
 
 A bit of a Morgan fingerprint is set by the surroundings of an atom, up to two bonds away, whose hash falls on it; other
 surroundings may fall on the same bit. `bace_fragments.csv` has, for every bit, the fragment that sets it most often
-among the training molecules, as SMILES without chirality; an atom alone has its hydrogens, ``[CH3]``. RDKit 2024.9.6 and
-2026.9.1 agree on it.
+among the training molecules, as SMILES without chirality; an atom alone has its hydrogens, ``[CH3]``. RDKit 2024.9.6
+and 2026.9.1 agree on it.
 """
 
 import csv

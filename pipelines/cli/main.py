@@ -68,10 +68,6 @@ def _arguments(program: str) -> argparse.Namespace:
         parser.add_argument(
             "--config-dir", type=Path, metavar="DIR", help="look for options in this folder, too, as DIR/env/maze.yaml"
         )
-    if program == "otr-plan":
-        parser.add_argument(
-            "--jobs", type=Path, metavar="FILE", help="also write one command a line, for xargs or sbatch --array"
-        )
     return parser.parse_intermixed_args()
 
 

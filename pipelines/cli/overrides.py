@@ -110,18 +110,6 @@ def combinations(overrides: Iterable[str]) -> list[list[str]]:
     return [list(job) for job in itertools.product(*values.values())]
 
 
-def combined(jobs: Sequence[Sequence[str]]) -> list[str] | None:
-    """Return the overrides of one sweep that makes exactly these jobs; None where there is no such sweep."""
-    keys = [[override.split("=", 1)[0] for override in own] for own in jobs]
-    if any(own != keys[0] for own in keys):
-        return None
-    values = [list(dict.fromkeys(column)) for column in zip(*jobs, strict=True)]
-    if {tuple(own) for own in jobs} != set(itertools.product(*values)):
-        return None
-    listed = [f"{own[0].split('=', 1)[0]}={','.join(override.split('=', 1)[1] for override in own)}" for own in values]
-    return [*(["-m"] if len(jobs) > 1 else []), *listed]
-
-
 def quoted(value: str) -> str:
     """Return a string as the value of a Hydra override."""
     escaped = value.replace("\\", "\\\\").replace("'", "\\'")

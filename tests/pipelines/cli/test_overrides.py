@@ -2,7 +2,7 @@
 
 import pytest
 
-from pipelines.cli.overrides import combinations, combined, parse, path_quoted, quoted, with_path_quoted
+from pipelines.cli.overrides import combinations, parse, path_quoted, quoted, with_path_quoted
 from pipelines.errors import ConfigError
 
 
@@ -22,15 +22,6 @@ def test_a_sweep_makes_all_combinations_the_last_key_fastest():
     ):
         with pytest.raises(ConfigError, match=message):
             read(word)
-
-
-def test_overrides_of_one_sweep_make_just_its_jobs():
-    assert combined([["a=1", "b=2"]]) == ["a=1", "b=2"]
-    assert combined([["a=1", "b=2"], ["a=1", "b=3"]]) == ["-m", "a=1", "b=2,3"]
-    members = [[f"a={i}", f"b={j}"] for i in (1, 2) for j in (3, 4)]
-    assert combined(members) == ["-m", "a=1,2", "b=3,4"]
-    assert combined(members[:3]) is None  # the product would be four
-    assert combined([["a=1"], ["b=1"]]) is None
 
 
 @pytest.mark.parametrize(

@@ -2,24 +2,17 @@
 
 import argparse
 import dataclasses
-import functools
-import json
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from pipelines.cli.compose import Composer, to_object
 from pipelines.cli.overrides import runs_listed
-from pipelines.cli.runs import RUN, load_config, run_config
+from pipelines.cli.runs import load_config
 from pipelines.config.budget import BudgetConfig
 from pipelines.config.setting import Count, Folder, FreeText, check_settings
-from pipelines.engine.digests import differences_suffix, setting_differences
 from pipelines.errors import ConfigError, MissingInputError
 from pipelines.runs.replay import replay
-
-if TYPE_CHECKING:
-    from pipelines.report.figures.figure_4_6 import Planned
 
 
 @dataclass(frozen=True)
@@ -73,7 +66,7 @@ def do(arguments: argparse.Namespace) -> int:
             if report in RUN_FIGURES:
                 written = RUN_FIGURES[report](cfg.run, cfg.out, results_dir)
             else:
-                written = write_report(report, results_dir, budget, _planned, lambda run_dir: load_config(run_dir, 1))
+                written = write_report(report, results_dir, budget, lambda run_dir: load_config(run_dir, 1))
         except MissingInputError as error:
             if "all" not in names:
                 raise
@@ -84,20 +77,3 @@ def do(arguments: argparse.Namespace) -> int:
             if path.suffix in (".md", ".txt"):
                 print(f"\n{path.read_text(encoding='utf-8')}")
     return 1 if different else 0
-
-
-@functools.cache
-def _planned(budget: str) -> list["Planned"]:
-    """Return the runs of the experiment that figures show; its overrides are the parts of their folders' names."""
-    from pipelines.report.figures.figure_4_6 import ENVIRONMENT, EXPERIMENT, Planned
-
-    jobs = RUN.expand([f"+experiment={EXPERIMENT}", f"budget={budget}"], multirun=False)
-    usual = run_config([f"env={ENVIRONMENT}", "method=viper", f"budget={budget}"]).oracle
-    planned = []
-    for overrides in jobs:
-        given = dict(override.split("=", 1) for override in overrides)
-        oracle = json.loads(given["oracle"])
-        seed = f"seed-{given['seed']}{differences_suffix(setting_differences({'oracle': oracle}, {'oracle': usual}))}"
-        run = f"{ENVIRONMENT}/{given['method']}/depth-{given['depth']}/{budget}/{seed}"
-        planned.append(Planned(given["oracle"], given["method"], int(given["depth"]), run))
-    return planned

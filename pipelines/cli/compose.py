@@ -18,7 +18,7 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 
 from pipelines.cli.overrides import is_search, key_of, parse, quoted, searched_folders
 from pipelines.config.conf_dir import CONF_DIR
-from pipelines.config.setting import DERIVED, declared, expected, is_list
+from pipelines.config.setting import DERIVED, declared, expected, is_list, is_text
 from pipelines.engine.job import message_of as message_of_job
 from pipelines.engine.sweep import check_launcher
 from pipelines.errors import ConfigError, did_you_mean
@@ -36,7 +36,7 @@ class Composer:
 
     # Where that file and the command's own groups are, below conf/; what is missing is looked for in conf/ itself.
     folder = ""
-    needs: tuple[str, str] | None = None  # the group of which an option is required, and what such an option is
+    needs: tuple[str, str]  # the group of which an option is required, and what such an option is
     besides = ""  # what else may be named, in words
     short: tuple[str, ...] = ()  # keys of overrides that stand for others (`Workflow.spelt_out`)
     # Beginnings of keys of values that decide what is composed, as the options of a group do.
@@ -80,7 +80,7 @@ class Composer:
         of_name = [f"{group}={override}" for group in self.checked if override in self.options(group)]
         if of_name:
             raise ConfigError(f"{override} is no key=value. Did you mean {' or '.join(of_name)}?")
-        example = f"{self.needs[0]}={self.options(self.needs[0])[0]}" if self.needs else "key=value"
+        example = f"{self.needs[0]}={self.options(self.needs[0])[0]}"
         raise ConfigError(f"{override} is no key=value; settings are given as {example}, and --help lists them")
 
     def implied(self, overrides: Sequence[str]) -> list[str]:
@@ -125,8 +125,7 @@ class Composer:
     def _compose_exactly(self, overrides: Sequence[str]) -> DictConfig:
         """Compose these overrides without what they imply."""
         for override in overrides:
-            if self.parsed(override).is_sweep_override():
-                raise ConfigError(f"{override}: give one value; a list is written in brackets, as [a,b]")
+            one_value(override, self.parsed(override))
             key, _, value = override.lstrip("+").partition("=")
             if override.startswith("+") and not key.startswith(NEW_KEYS):
                 raise ConfigError(f"{override}: new keys cannot be added; leave out the +")
@@ -134,7 +133,7 @@ class Composer:
                 self.check_option(key, value, overrides)
             if key == "launcher":
                 check_launcher(value)
-        if self.needs and self.needs[0] not in map(key_of, overrides):
+        if self.needs[0] not in map(key_of, overrides):
             implied = self.implied(overrides)
             self.check_keys([override for override in overrides if override not in implied])
             group, what = self.needs
@@ -223,6 +222,14 @@ class Composer:
         return _one_line(lines)
 
 
+def one_value(override: str, parsed: Override | None = None) -> Override:
+    """Return an override as Hydra reads it; ConfigError where it has several values."""
+    parsed = parsed or parse(override)
+    if parsed.is_sweep_override():
+        raise ConfigError(f"{override}: give one value; a list is written in brackets, as [a,b]")
+    return parsed
+
+
 def message_of(error: Exception) -> str:
     """Return the message of an error of ours, and any other with the error's type."""
     if isinstance(error, OmegaConfBaseException):
@@ -264,6 +271,33 @@ def to_object(cfg: Any) -> Any:
     if missing:
         raise ConfigError(f"no value for {', '.join(sorted(missing))}")
     return OmegaConf.to_object(cfg)
+
+
+def settings_of(kind: Any, overrides: Sequence[str]) -> Any:
+    """Return the settings of a command that composes nothing, from its overrides.
+
+    Texts are as they are written, other values as Hydra reads them. A list is in brackets, or its key is given several
+    times.
+    """
+    given: dict[str, Any] = {}
+    for override in overrides:
+        key, equals, text = override.partition("=")
+        if not equals:
+            raise ConfigError(f"{override} is no key=value; --help lists the settings")
+        if key not in declared(kind):
+            raise ConfigError(f"there is no key {key!r}.{did_you_mean(key, [*declared(kind)])}")
+        if text == "null":
+            given[key] = None
+        elif is_list(kind, key):
+            texts = text[1:-1].split(",") if text[:1] == "[" else [text]
+            given[key] = [*(given.get(key) or []), *(_unquoted(each.strip()) for each in texts if each.strip())]
+        else:
+            given[key] = _unquoted(text) if is_text(kind, key) else one_value(override).value()
+    return to_object(OmegaConf.merge(schema_of(kind), given))
+
+
+def _unquoted(text: str) -> str:
+    return text[1:-1] if len(text) > 1 and text[0] == text[-1] and text[0] in "\"'" else text
 
 
 def schema_of(kind: type) -> DictConfig:

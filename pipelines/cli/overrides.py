@@ -4,7 +4,7 @@ import argparse
 import functools
 import itertools
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -18,16 +18,6 @@ from pipelines.errors import ConfigError
 FILES = ("program", "model", "oracle", "normalise", "output", "results_dir", "data", "target")  # of otr-run and -fit
 BOXES = ("box", "certification.box")
 SEARCH = "hydra.searchpath="
-PATHS = (
-    "run",
-    "out",
-    "program",
-    "always",
-    "results_dir",
-    "certificate",
-    "tree",
-    "actor",
-)  # keys of otr-export and otr-verify
 
 
 @functools.cache
@@ -78,8 +68,7 @@ def without_environment(arguments: argparse.Namespace) -> tuple[list[str], list[
 
     These are names (`env.feature_names`), arguments (`+env.kwargs.size`) and the folder of its file (`--config-dir`).
     """
-    paths = [path_quoted(override) for override in arguments.overrides]
-    overrides = asked(argparse.Namespace(**{**vars(arguments), "overrides": paths}))
+    overrides = asked(arguments)
     of_env = [each for each in overrides if key_of(each).startswith("env.") or is_search(each)]
     return [each for each in overrides if each not in of_env], of_env
 
@@ -151,22 +140,3 @@ def _sides_in(path: Path, override: str) -> str:
 
 def _number(text: str) -> str:
     return f"{float(text)!r}".removesuffix(".0")
-
-
-def path_quoted(override: str) -> str:
-    """Return an override with its value quoted if that is a path: folders of runs may have a ~ in them."""
-    key, equals, value = override.partition("=")
-    is_path = key in PATHS and value not in ("", "null") and value[0] not in "\"'"
-    return f"{key}={quoted(value)}" if equals and is_path else override
-
-
-def runs_listed(overrides: Sequence[str]) -> list[str]:
-    """Return overrides with paths quoted, and run=A run=B, or run=[A,B], as one of them."""
-    values = [override.partition("=")[2] for override in overrides if override.startswith("run=")]
-    runs = [
-        run.strip().strip("'\"")
-        for value in values
-        for run in (value[1:-1].split(",") if value[:1] == "[" else [value])
-    ]
-    others = [path_quoted(override) for override in overrides if not override.startswith("run=")]
-    return [*others, f"run=[{','.join(quoted(run) for run in runs if run)}]"]

@@ -117,7 +117,6 @@ class Workflow(Composer, ABC):
         for override in (*experiments, *budgets):
             group, _, option = override.lstrip("+").partition("=")
             self.check_option(group, option, overrides)
-        assert self.needs is not None
         own = [f"{self.needs[0]}={self.anything}", *budgets, *experiments]
         settings = self.settings_of_hydra(own)
         name = experiments[-1].split("=", 1)[1]

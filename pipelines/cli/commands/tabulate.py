@@ -5,12 +5,11 @@ import dataclasses
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
-from pipelines.cli.compose import Composer, to_object
-from pipelines.cli.overrides import runs_listed
+from pipelines.cli.compose import settings_of
 from pipelines.cli.runs import load_config
-from pipelines.config.budget import BudgetConfig
-from pipelines.config.setting import Count, Folder, FreeText, check_settings
+from pipelines.config.setting import Count, Folder, FreeText, OneOf, check_settings, results_folder
 from pipelines.errors import ConfigError, MissingInputError
 from pipelines.runs.replay import replay
 
@@ -19,23 +18,18 @@ from pipelines.runs.replay import replay
 class TabulateConfig:
     """What `otr-tabulate` takes."""
 
-    table: FreeText
-    figure: FreeText | None
-    results_dir: Folder
-    evaluate: bool
-    n_workers: Count | None
-    debug: bool
+    table: FreeText = "4.1"
+    figure: FreeText | None = None
     run: list[FreeText] = field(default_factory=list)  # of the figures that show the runs that one names
     out: FreeText | None = None
-    budget: BudgetConfig | None = None
+    budget: Annotated[str | None, OneOf("standard", "thesis", "quick", "smoke")] = None  # of Figures 4.6 and 4.7
+    evaluate: bool = False
+    n_workers: Count | None = None
+    results_dir: Folder = field(default_factory=results_folder)
+    debug: bool = False
 
     def __post_init__(self) -> None:
         check_settings(self)
-
-
-TABULATE = Composer(
-    "tabulate", {(None, "tabulate_schema"): TabulateConfig, (None, "budget_schema"): BudgetConfig}, checked=("budget",)
-)
 
 
 def do(arguments: argparse.Namespace) -> int:
@@ -44,12 +38,11 @@ def do(arguments: argparse.Namespace) -> int:
     from pipelines.report.tabulate import FIGURES_OF_A_BUDGET, reports_of, write_report
 
     names = [argument for argument in arguments.overrides if "=" not in argument]
-    overrides = runs_listed([argument for argument in arguments.overrides if argument not in names])
-    cfg: TabulateConfig = to_object(TABULATE.compose(overrides))
+    cfg: TabulateConfig = settings_of(TabulateConfig, [each for each in arguments.overrides if each not in names])
     asked = names or [f"figure={cfg.figure}" if cfg.figure else f"table={cfg.table}"]
     reports = [report for name in asked for report in reports_of(name)]
     results_dir = Path(cfg.results_dir)
-    for setting, value in (("budget", cfg.budget and cfg.budget.name), ("run", cfg.run), ("out", cfg.out)):
+    for setting, value in (("budget", cfg.budget), ("run", cfg.run), ("out", cfg.out)):
         known = FIGURES_OF_A_BUDGET if setting == "budget" else tuple(RUN_FIGURES)
         if value and not set(known) & set(reports):
             raise ConfigError(f"{setting}={value}: only figure={', figure='.join(known)} take it")
@@ -60,13 +53,12 @@ def do(arguments: argparse.Namespace) -> int:
         for run_dir in sorted(path.parent for path in results_dir.glob("runs/*/*/depth-*/**/summary.json")):
             config = dataclasses.replace(load_config(run_dir, cfg.n_workers), results_dir=cfg.results_dir)
             different += replay(config, run_dir)
-    budget = cfg.budget.name if cfg.budget else None
     for report in reports:
         try:
             if report in RUN_FIGURES:
                 written = RUN_FIGURES[report](cfg.run, cfg.out, results_dir)
             else:
-                written = write_report(report, results_dir, budget, lambda run_dir: load_config(run_dir, 1))
+                written = write_report(report, results_dir, cfg.budget, lambda run_dir: load_config(run_dir, 1))
         except MissingInputError as error:
             if "all" not in names:
                 raise

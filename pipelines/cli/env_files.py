@@ -61,14 +61,13 @@ def _own_name(path: Path) -> str:
 
 
 def settings_of_env_file(path: Path) -> dict[str, str]:
-    """Return what an environment's file sets besides the environment: its algorithm, and settings by their keys.
-
-    Raises:
-        ConfigError: it cannot be the file of an environment.
-    """
-    check_env_file(path)
+    """Return what an environment's file, or one that it builds on, sets besides: its algorithm, and settings by key."""
     content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    said: dict[str, str] = {}
+    for entry in content.get("defaults", []):
+        if isinstance(entry, str) and (base := path.parent / f"{entry}.yaml").is_file():
+            said |= settings_of_env_file(base)
+        elif ALGORITHM in entry:
+            said["algo"] = str(entry[ALGORITHM])
     others = flat({key: value for key, value in content.items() if key not in ("defaults", "env")})
-    said = {key: str(value) for key, value in others.items()}
-    algorithms = [str(entry[ALGORITHM]) for entry in content.get("defaults", []) if ALGORITHM in entry]
-    return said | ({"algo": algorithms[-1]} if algorithms else {})
+    return said | {key: str(value) for key, value in others.items()}

@@ -1,6 +1,7 @@
 """The overrides of `otr-run`, `otr-plan` and the figures: from them to jobs."""
 
 import dataclasses
+import functools
 import re
 import sys
 from collections.abc import Sequence
@@ -65,7 +66,14 @@ SETTINGS_OF = {
 }
 OF_THE_FILE = ("method.model", "method.normalise", "method.output")
 
+
 # For recipes: their settings of small actors do not apply to oracles, nor to the linear policy.
+# For budgets: a task's row of a table, or a number of that row, where the table has the task, else that of `others`.
+def _of_task(table: DictConfig, task: str, *names: str) -> Any:
+    return functools.reduce(lambda found, name: found[name], names, table.get(task, table.get("others")))
+
+
+OmegaConf.register_new_resolver("of_task", _of_task, replace=True)
 OmegaConf.register_new_resolver("dense_if_small", lambda depth: "input" if is_small(depth) else "none", replace=True)
 
 
@@ -143,6 +151,8 @@ class RunWorkflow(Workflow):
         words = remaining(recipe(given), given)
         given |= _by_key(words)
         file = _env_file(given.get("env", ""), overrides)
+        if file:
+            check_env_file(file)
         of_file = settings_of_env_file(file) if file else {}
         return [*words, *always_implied(of_file | given)]
 

@@ -24,14 +24,16 @@ from pipelines.engine.sweep import check_launcher
 from pipelines.errors import ConfigError, did_you_mean
 
 USAGE_ERRORS = (ConfigError, HydraException, OmegaConfBaseException)  # the request itself is wrong
+SCHEMA = "_schema"
 NEW_KEYS = ("experiment", "env.kwargs.", "hydra.")  # what a + may add
 
 
 class Composer:
     """What one command's overrides are composed from.
 
-    `name` is that of the main configuration file, `schemas` are the dataclasses that the files build on, by group and
-    name, and `checked` the groups whose options are checked.
+    `name` is that of the main configuration file, `schemas` are the dataclasses that the files build on, as
+    `<name>_schema`, or that are options themselves, by group and name, and `checked` the groups whose options are
+    checked.
     """
 
     # Where that file and the command's own groups are, below conf/; what is missing is looked for in conf/ itself.
@@ -178,17 +180,24 @@ class Composer:
     def options(self, group: str, overrides: Sequence[str] = ()) -> list[str]:
         """Return the names of a group's options: its files in conf/, and in the folders that the overrides search."""
         own = sorted(path.stem for path in (CONF_DIR / self.folder / group).glob("*.yaml"))
-        shipped = own or sorted(path.stem for path in (CONF_DIR / group).glob("*.yaml"))
+        shipped = own or sorted(path.stem for path in (CONF_DIR / group).glob("*.yaml")) or self._classes(group)
         searched = (path.stem for folder in searched_folders(overrides) for path in (folder / group).glob("*.yaml"))
         return [*shipped, *sorted(set(searched) - set(shipped))]
+
+    def _classes(self, group: str) -> list[str]:
+        """Return the names of a group's options that are classes: their settings have no other values than these."""
+        return sorted(name for of, name in self.schemas if of == group and not name.endswith(SCHEMA))
 
     @contextmanager
     def hydra(self) -> Iterator[None]:
         """Make Hydra ready to compose from conf/."""
         with initialize_config_dir(str((CONF_DIR / self.folder).resolve()), job_name="otr", version_base="1.3"):
             if not self._is_registered:
-                for (group, name), schema in self.schemas.items():
-                    ConfigStore.instance().store(name, schema_of(schema), group=group)
+                for (group, name), kind in self.schemas.items():
+                    schema = schema_of(kind)
+                    if not name.endswith(SCHEMA):
+                        schema.name = name
+                    ConfigStore.instance().store(name, schema, group=group)
                 self._is_registered = True
             yield
 

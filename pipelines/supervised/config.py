@@ -33,7 +33,7 @@ from pipelines.engine.digests import differences_suffix
 from pipelines.errors import ConfigError
 
 STAGES = ("tune", "fit", "teacher", "score")
-TABLE = "table"  # what conf/fit/data calls a table whose file is not named yet
+TABLE = "table"  # the data set's name of a table whose file is not named yet
 BelowOne = Annotated[float, Range(0, 1, open=True)]
 
 

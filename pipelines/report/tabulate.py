@@ -7,6 +7,7 @@ from pathlib import Path
 import pandas as pd
 
 from pipelines.config.run import RunConfig
+from pipelines.engine.store import SUMMARY, exists
 from pipelines.errors import ConfigError
 from pipelines.report.certificates import write_certificates
 from pipelines.report.comparisons import write_comparisons
@@ -91,7 +92,7 @@ TABLES: dict[str, Callable[[Path], list[Path]]] = {
 def _write_frame(results_dir: Path, name: str, frame: pd.DataFrame, *folders: str) -> list[Path]:
     """Write a frame, what its columns are, and which folders have no row."""
     found = sorted(path for pattern in folders for path in results_dir.glob(pattern))
-    left_out = [path for path in found if not (path / "summary.json").is_file()]
+    left_out = [path for path in found if not exists(path / SUMMARY)]
     named = ", ".join(str(path.relative_to(results_dir / "runs")) for path in left_out) or "none"
     markdown = page(f"{name}.md", n_rows=len(frame), n_folders=frame["run"].nunique(), left_out=named)
     return write_tables(results_dir, name, frame, markdown)

@@ -133,13 +133,6 @@ class FirstLayerTreeConfig(ClassifierConfig):
 
 
 @dataclass(frozen=True)
-class ModelTreeConfig(LearnerConfig):
-    """The same with the depth tuned."""
-
-    max_depth: Annotated[int, Range(0)] = 5
-
-
-@dataclass(frozen=True)
 class LcnConfig(ClassifierConfig):
     """`LCNClassifier` and `LCNRegressor`."""
 
@@ -188,7 +181,6 @@ LEARNERS: dict[str, type[LearnerConfig]] = {
     "hhcart": HhcartConfig,
     "tao": TaoConfig,
     "augtree": FirstLayerTreeConfig,
-    "model_tree": ModelTreeConfig,
     "lcn": LcnConfig,
     "otr": OtrConfig,
 }

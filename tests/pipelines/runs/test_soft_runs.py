@@ -20,7 +20,7 @@ SDT = SdtConfig("sdt", 1.0, 20.0, 0.8, 0.05, "constant")
     [
         (("env=lunarlander", "method=sdt", "depth=2"), ["soft", "tree", "pruned_tree", "discretised"]),
         (("env=pendulum", "method=cdt", "depth=[1,2]"), ["soft", "tree", "pruned_tree", "discretised"]),
-        (("env=pendulum", "method=pi_prl", "depth=2", "algo=trpo_tree"), ["soft", "tree", "pruned_tree"]),
+        (("env=pendulum", "method=pi_prl", "depth=2"), ["soft", "tree", "pruned_tree"]),
         (("env=pendulum", "method=pi_prl", "depth=2", "algo=sac"), ["soft", "tree", "pruned_tree"]),
         (("env=pendulum", "method=experts", "depth=3"), ["tree", "pruned_tree"]),
         (("env=pendulum", "method=linear", "depth=0", "algo=ars"), ["network", "tree", "pruned_tree"]),
@@ -70,7 +70,6 @@ def test_cascading_trees_have_two_depths(tmp_path):
     [
         (("env=lunarlander", "method=sdt", "depth=5"), "ppo", 0.999, 1_000_000, 25_000),
         (("env=hopper_v5", "method=pi_prl", "depth=6"), "ppo", 0.99, 500_000, 25_000),
-        (("env=pendulum", "method=pi_prl", "depth=6", "algo=trpo_tree"), "trpo", 0.95, 300_000, 25_000),
         (("env=pendulum", "method=cdt", "depth=[3,3]", "train.steps=7"), "ppo", 0.9, 7, 25_000),
         (("env=pendulum", "method=sdt", "depth=3", "algo=sac", "trainer=fleet"), "sac", 0.99, 30_000, 5_000),
         (("env=pendulum", "method=otr"), "sac", 0.99, 30_000, 5_000),
@@ -84,7 +83,7 @@ def test_soft_trees_bring_their_algorithm_and_steps(words, algo, gamma, steps, i
 
 
 def test_algorithms_that_train_no_soft_trees_are_refused():
-    words = "method=sdt is trained by algo=ppo_tree, algo=trpo_tree or algo=sac, not td3"
+    words = "method=sdt is trained by algo=ppo_tree or algo=sac, not td3"
     with pytest.raises(ConfigError, match=words):
         run_config(["env=pendulum", "method=sdt", "depth=2", "algo=td3"])
 

@@ -16,7 +16,7 @@ from hydra.errors import HydraException
 from omegaconf import AnyNode, DictConfig, OmegaConf
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException, ValidationError
 
-from pipelines.cli.overrides import is_search, key_of, parse, quoted, searched_folders
+from pipelines.cli.overrides import key_of, parse, quoted
 from pipelines.config.conf_dir import CONF_DIR
 from pipelines.config.setting import DERIVED, declared, expected, is_list, is_text
 from pipelines.engine.job import message_of as message_of_job
@@ -132,7 +132,7 @@ class Composer:
             if override.startswith("+") and not key.startswith(NEW_KEYS):
                 raise ConfigError(f"{override}: new keys cannot be added; leave out the +")
             if key in self.checked:
-                self.check_option(key, value, overrides)
+                self.check_option(key, value)
             if key == "launcher":
                 check_launcher(value)
         if self.needs[0] not in map(key_of, overrides):
@@ -171,21 +171,17 @@ class Composer:
             returned: list[Any] = hydra.multirun(self.name, tasks, asked, with_log_configuration=False)
         return returned
 
-    def check_option(self, group: str, value: str, overrides: Sequence[str] = ()) -> None:
-        """Raise ConfigError, with the nearest known names, if a group has no such option under these overrides."""
-        options = self.options(group, overrides)
+    def check_option(self, group: str, value: str) -> None:
+        """Raise ConfigError, with the nearest known names, if a group has no such option."""
+        options = self.options(group)
         if value not in options:
             raise ConfigError(f"{group}={value}: there is no such {group}.{did_you_mean(value, options)}")
 
-    def options(self, group: str, overrides: Sequence[str] = ()) -> list[str]:
-        """Return the names of a group's options: its files in conf/, and in the folders that the overrides search."""
-        own = sorted(path.stem for path in (CONF_DIR / self.folder / group).glob("*.yaml"))
-        shipped = own or sorted(path.stem for path in (CONF_DIR / group).glob("*.yaml")) or self._classes(group)
-        searched = (path.stem for folder in searched_folders(overrides) for path in (folder / group).glob("*.yaml"))
-        return [*shipped, *sorted(set(searched) - set(shipped))]
-
-    def _classes(self, group: str) -> list[str]:
-        """Return the names of a group's options that are classes: their settings have no other values than these."""
+    def options(self, group: str) -> list[str]:
+        """Return the names of a group's options: its files in conf/, else the classes that are options themselves."""
+        for folder in (CONF_DIR / self.folder / group, CONF_DIR / group):
+            if files := sorted(path.stem for path in folder.glob("*.yaml")):
+                return files
         return sorted(name for of, name in self.schemas if of == group and not name.endswith(SCHEMA))
 
     @contextmanager
@@ -223,7 +219,7 @@ class Composer:
             base = [
                 override
                 for override in overrides
-                if (override.split("=")[0] in self.checked and "experiment=" not in override) or is_search(override)
+                if override.split("=")[0] in self.checked and "experiment=" not in override
             ]
             keys = _leaves(OmegaConf.to_container(compose(self.name, [*self._search_path(), *base])))
             known = [*keys, *self.short]

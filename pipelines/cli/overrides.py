@@ -6,7 +6,6 @@ import itertools
 import re
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Glob, Override
@@ -17,7 +16,6 @@ from pipelines.errors import ConfigError
 
 FILES = ("program", "model", "oracle", "normalise", "output", "results_dir", "data", "target")  # of otr-run and -fit
 BOXES = ("box", "certification.box")
-SEARCH = "hydra.searchpath="
 
 
 @functools.cache
@@ -45,43 +43,22 @@ def key_of(override: str) -> str:
 
 def is_of_launching(override: str) -> bool:
     """Return whether an override concerns how a sweep is launched, and no job."""
-    return override.lstrip("+").startswith(("launcher=", "hydra.", "hydra/")) and not is_search(override)
+    return override.lstrip("+").startswith(("launcher=", "hydra.", "hydra/"))
 
 
 def asked(arguments: argparse.Namespace) -> list[str]:
-    """Return the overrides of a command; ``--config-dir DIR`` is one too, which adds a folder to Hydra's search path.
-
-    Raises:
-        ConfigError: there is no such folder.
-    """
-    overrides = [with_path_quoted(box_spelt_out(override)) for override in arguments.overrides]
-    folder = getattr(arguments, "config_dir", None)
-    if folder is None:
-        return overrides
-    if not folder.is_dir():
-        raise ConfigError(f"--config-dir {folder}: there is no such folder")
-    return [*overrides, f"{SEARCH}[{quoted(f'file://{folder.resolve()}')}]"]
+    """Return the overrides of a command, those of boxes and files as Hydra reads them."""
+    return [with_path_quoted(box_spelt_out(override)) for override in arguments.overrides]
 
 
 def without_environment(arguments: argparse.Namespace) -> tuple[list[str], list[str]]:
     """Return the overrides of a command of policies, and apart from them those that say more of its environment.
 
-    These are names (`env.feature_names`), arguments (`+env.kwargs.size`) and the folder of its file (`--config-dir`).
+    These are names (`env.feature_names`) and arguments (`+env.kwargs.size`).
     """
     overrides = asked(arguments)
-    of_env = [each for each in overrides if key_of(each).startswith("env.") or is_search(each)]
+    of_env = [each for each in overrides if key_of(each).startswith("env.")]
     return [each for each in overrides if each not in of_env], of_env
-
-
-def is_search(override: str) -> bool:
-    """Return whether an override adds folders to Hydra's search path."""
-    return override.startswith(SEARCH)
-
-
-def searched_folders(overrides: Iterable[str]) -> list[Path]:
-    """Return the folders of configuration files that overrides add to conf/."""
-    given: list[Any] = [parse(override).value() for override in overrides if is_search(override)]
-    return [Path(str(place).removeprefix("file://")) for places in given for place in places]
 
 
 def combinations(overrides: Iterable[str]) -> list[list[str]]:

@@ -18,7 +18,7 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 
 from pipelines.cli.overrides import key_of, parse, quoted
 from pipelines.config.conf_dir import CONF_DIR
-from pipelines.config.setting import DERIVED, declared, expected, is_list, is_text
+from pipelines.config.setting import DERIVED, declared, expected, is_list
 from pipelines.engine.job import message_of as message_of_job
 from pipelines.engine.sweep import check_launcher
 from pipelines.errors import ConfigError, did_you_mean
@@ -276,33 +276,6 @@ def to_object(cfg: Any) -> Any:
     if missing:
         raise ConfigError(f"no value for {', '.join(sorted(missing))}")
     return OmegaConf.to_object(cfg)
-
-
-def settings_of(kind: Any, overrides: Sequence[str]) -> Any:
-    """Return the settings of a command that composes nothing, from its overrides.
-
-    Texts are as they are written, other values as Hydra reads them. A list is in brackets, or its key is given several
-    times.
-    """
-    given: dict[str, Any] = {}
-    for override in overrides:
-        key, equals, text = override.partition("=")
-        if not equals:
-            raise ConfigError(f"{override} is no key=value; --help lists the settings")
-        if key not in declared(kind):
-            raise ConfigError(f"there is no key {key!r}.{did_you_mean(key, [*declared(kind)])}")
-        if text == "null":
-            given[key] = None
-        elif is_list(kind, key):
-            texts = text[1:-1].split(",") if text[:1] == "[" else [text]
-            given[key] = [*(given.get(key) or []), *(_unquoted(each.strip()) for each in texts if each.strip())]
-        else:
-            given[key] = _unquoted(text) if is_text(kind, key) else one_value(override).value()
-    return to_object(OmegaConf.merge(schema_of(kind), given))
-
-
-def _unquoted(text: str) -> str:
-    return text[1:-1] if len(text) > 1 and text[0] == text[-1] and text[0] in "\"'" else text
 
 
 def schema_of(kind: type) -> DictConfig:

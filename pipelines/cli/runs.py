@@ -66,13 +66,13 @@ SETTINGS_OF = {
 OF_THE_FILE = ("method.model", "method.normalise", "method.output")
 
 
-# For recipes: their settings of small actors do not apply to oracles, nor to the linear policy.
-# For budgets: a task's row of a table, or a number of that row, where the table has the task, else that of `others`.
 def _of_task(table: DictConfig, task: str, *names: str) -> Any:
+    """Return a task's row of a budget's table, or a number of it; that of `others` where the table has no such task."""
     return functools.reduce(lambda found, name: found[name], names, table.get(task, table.get("others")))
 
 
 OmegaConf.register_new_resolver("of_task", _of_task, replace=True)
+# For recipes: their settings of small actors do not apply to oracles, nor to the linear policy.
 OmegaConf.register_new_resolver("dense_if_small", lambda depth: "input" if is_small(depth) else "none", replace=True)
 
 
@@ -93,10 +93,7 @@ def load_config(run_dir: Path, n_workers: int | None) -> RunConfig:
         schema.algo = schema_of(ALGORITHMS[cfg.algo.name])
         schema.method = schema_of(METHODS[cfg.method.name])
         if isinstance(cfg.get("trainer"), DictConfig):  # there used to be a single trainer
-            for name in (
-                "environments",
-                "precision",
-            ):  # of fleets, once; committed ones have what is left: gymnasium, fp32
+            for name in ("environments", "precision"):  # of fleets, once; what is left is gymnasium and fp32
                 cfg.trainer.pop(name, None)
             schema.trainer = schema_of(FleetConfig if "n_envs" in cfg.trainer else TrainerConfig)
         loaded = to_object(OmegaConf.merge(schema, cfg, {"n_workers": n_workers}))

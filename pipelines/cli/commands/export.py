@@ -3,9 +3,9 @@
 import argparse
 import sys
 
-from pipelines.cli.compose import settings_of
 from pipelines.cli.overrides import without_environment
 from pipelines.cli.runs import load_config, written_policy
+from pipelines.cli.settings import settings_of
 from pipelines.runs.export import ExportConfig, check_export, policy_of, program_of, write_program
 from pipelines.runs.finished_run import find_run
 

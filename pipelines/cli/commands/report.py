@@ -5,9 +5,9 @@ import functools
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pipelines.cli.compose import settings_of
 from pipelines.cli.overrides import key_of
 from pipelines.cli.runs import RUN, load_config
+from pipelines.cli.settings import settings_of
 from pipelines.cli.workflow import Workflow
 from pipelines.config.setting import Folder, FreeText, check_settings, results_folder
 from pipelines.errors import ConfigError

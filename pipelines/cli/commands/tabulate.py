@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from pipelines.cli.compose import settings_of
 from pipelines.cli.runs import load_config
+from pipelines.cli.settings import settings_of
 from pipelines.config.setting import Count, Folder, FreeText, OneOf, check_settings, results_folder
 from pipelines.errors import ConfigError, MissingInputError
 from pipelines.runs.replay import replay

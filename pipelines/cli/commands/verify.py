@@ -7,9 +7,9 @@ from typing import Any
 
 import otr
 from otr.clock import time_limit
-from pipelines.cli.compose import settings_of
 from pipelines.cli.overrides import without_environment
 from pipelines.cli.runs import load_config, written_policy
+from pipelines.cli.settings import settings_of
 from pipelines.config.run import RunConfig
 from pipelines.engine.store import exists
 from pipelines.engine.wrapping import columns, fitted

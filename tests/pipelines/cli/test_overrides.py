@@ -4,8 +4,9 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from pipelines.cli.compose import USAGE_ERRORS, message_of, settings_of
+from pipelines.cli.compose import USAGE_ERRORS, message_of
 from pipelines.cli.overrides import combinations, parse, quoted, with_path_quoted
+from pipelines.cli.settings import settings_of
 from pipelines.config.setting import FreeText, Positive
 from pipelines.errors import ConfigError
 

@@ -17,7 +17,7 @@ help:  ## list the targets
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@
 
-# Dask, RDKit and a browser: for the tests of launcher=dask, of data sets made anew and of the page alone. The browser is
+# Dask and a browser: for the tests of launcher=dask and of the page alone. The browser is
 # the machine's Chromium or Chrome, else Playwright's, else the distribution's.
 .venv/.installed-all: .venv/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test-all]'

@@ -9,7 +9,7 @@ from pipelines.config.setting import Count, FreeText
 
 @dataclass(frozen=True)
 class BudgetConfig:
-    """How much is spent. The rest is the same for all tasks."""
+    """How much is spent. Tables are by task, with `others` for those that they do not name; the rest is for all."""
 
     name: FreeText
     steps: dict[str, Count]  # environment steps per task

@@ -1,7 +1,7 @@
 """The policy of a finished run as a program in another language, with the environment's names."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import otr
 from pipelines.config.run import RunConfig
-from pipelines.config.setting import Folder, FreeText, OneOf, Range, check_settings
+from pipelines.config.setting import Folder, FreeText, OneOf, Range, check_settings, results_folder
 from pipelines.errors import ConfigError, PipelineError, check_choice
 from pipelines.play.printed_programs import names_of_env
 from pipelines.runs.finished_run import COMPACT, TREES, check_run, title_of, tree_of, visited_states
@@ -19,17 +19,17 @@ from pipelines.runs.finished_run import COMPACT, TREES, check_run, title_of, tre
 class ExportConfig:
     """What `otr-export` takes; None is the format's own default."""
 
-    run: FreeText
-    program: FreeText | None
-    env: FreeText | None
-    format: FreeText
-    tree: FreeText
-    out: FreeText | None
-    name: FreeText | None
-    dtype: Annotated[str | None, OneOf("double", "float")]
-    precision: Annotated[int | None, Range(0)]
-    results_dir: Folder
-    debug: bool
+    run: FreeText = ""
+    program: FreeText | None = None  # in place of a run
+    env: FreeText | None = None  # whose names the program has
+    format: FreeText = ""
+    tree: FreeText = "pruned"
+    out: FreeText | None = None
+    name: FreeText | None = None
+    dtype: Annotated[str | None, OneOf("double", "float")] = None
+    precision: Annotated[int | None, Range(0)] = None
+    results_dir: Folder = field(default_factory=results_folder)
+    debug: bool = False
 
     def __post_init__(self) -> None:
         check_settings(self)

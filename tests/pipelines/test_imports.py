@@ -18,7 +18,7 @@ import pytest
 def test_heavy_packages_are_not_loaded(modules):
     heavy = ["torch", "stable_baselines3", "sklearn", "matplotlib", "onnx"]
     heavy += [] if "tabulate" in modules else ["pandas"]
-    heavy += ["hydra", "omegaconf", "rdkit"] if "datasets" in modules else []
+    heavy += ["hydra", "omegaconf"] if "datasets" in modules else []
     code = f"import {modules}, sys; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -6,35 +6,26 @@ import socket
 
 import pytest
 
-from pipelines.datasets import catalogue, download, load, load_dataset
+from pipelines.datasets import catalogue, download, load_dataset
 from pipelines.datasets.catalogue import FILES
 from pipelines.datasets.download import locate, read
 from pipelines.errors import ConfigError, MissingInputError, PipelineError
 
-from .conftest import expect
-
 TRAIN = "lcn/bace_split/train.fgp2048.csv"
-SMILES = b"smiles,HIV_active\n" + b"CCO,0\n" * 50
 
 
 def served(root, contents):
     return {f"/{root}/{path.partition('/')[2]}": content for path, content in contents.items()}
 
 
-@pytest.fixture(autouse=True)
-def no_rdkit(monkeypatch):
-    monkeypatch.setattr(load, "can_rebuild", lambda: False)
-
-
 def test_known_hashes_of_git_and_the_addresses():
     assert catalogue.git_blob_hash(b"") == "e69de29bb2d1d6434b8b29ae775ad8c2e48c5391"  # git hash-object /dev/null
-    assert len(FILES) == 18
+    assert len(FILES) == 14
     assert catalogue.PDBBIND.git_blob == "7c67031042f93fed4674108ea496e76efdfd29ae"
     assert catalogue.PDBBIND.addresses == (
         "https://raw.githubusercontent.com/guanghelee/iclr20-lcn/78d2262207ef/data/PDBbind.pkl.gz",
         "https://raw.githubusercontent.com/guanghelee/iclr20-lcn/master/data/PDBbind.pkl.gz",
     )
-    assert FILES["raw/hiv.csv"].addresses[0].endswith("/data/hiv.csv.gz")
 
 
 def test_fetched_once_and_kept_packed(server, tiny_bace, own):
@@ -63,18 +54,11 @@ def test_the_second_address_is_tried_where_the_first_has_nothing(server, tiny_ba
     assert [path.split("/")[1] for path in server.asked] == ["pinned", "master"]
 
 
-def test_a_packed_source_is_unpacked_before_it_is_compared(server, monkeypatch):
-    expect(monkeypatch, "raw/hiv.csv", SMILES)
-    server.answers["/chemprop/hiv.csv.gz"] = gzip.compress(SMILES)
-    assert read(FILES["raw/hiv.csv"]) == SMILES
-
-
 def assert_says_what_to_do(message, own):
     file = FILES[TRAIN]
     for part in (file.addresses[0], file.git_blob, file.sha256, str(own / TRAIN), "OTR_DATA_DIR"):
         assert part in message
     assert "valid.fgp2048.csv" in message and "test.fgp2048.csv" in message  # they are missing, too
-    assert "otr[molecules]" in message
 
 
 def failing_load(own):
@@ -98,13 +82,6 @@ def test_another_content_is_refused(server, tiny_bace, own, answer, told):
     other = {"/pinned/bace_split/train.fgp2048.csv": answer(tiny_bace[TRAIN])}
     server.answers = served("pinned", tiny_bace) | other
     assert re.search(told, failing_load(own))
-
-
-def test_a_truncated_packed_source_is_refused(server, monkeypatch):
-    expect(monkeypatch, "raw/hiv.csv", SMILES)
-    server.answers["/chemprop/hiv.csv.gz"] = gzip.compress(SMILES)[:-9]
-    with pytest.raises(MissingInputError, match=r"chemprop/hiv\.csv\.gz: Compressed file ended"):
-        read(FILES["raw/hiv.csv"])
 
 
 def test_a_server_that_is_not_there(tiny_bace, own, monkeypatch):

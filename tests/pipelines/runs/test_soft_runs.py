@@ -17,7 +17,7 @@ from tests.pipelines.conftest import otr_command, otr_succeeds
     [
         (("env=lunarlander", "method=sdt", "depth=2"), ["soft", "tree", "pruned_tree", "discretised"]),
         (("env=pendulum", "method=cdt", "depth=[1,2]"), ["soft", "tree", "pruned_tree", "discretised"]),
-        (("env=pendulum", "method=pi_prl", "depth=2", "algo=trpo_tree"), ["soft", "tree", "pruned_tree"]),
+        (("env=pendulum", "method=pi_prl", "depth=2"), ["soft", "tree", "pruned_tree"]),
         (("env=pendulum", "method=pi_prl", "depth=2", "algo=sac"), ["soft", "tree", "pruned_tree"]),
         (("env=pendulum", "method=experts", "depth=3"), ["tree", "pruned_tree"]),
         (("env=pendulum", "method=linear", "depth=0", "algo=ars"), ["network", "tree", "pruned_tree"]),
@@ -42,7 +42,6 @@ def test_every_form_is_played(tmp_path, words, forms):
     [
         (("env=lunarlander", "method=sdt", "depth=5"), "ppo", 0.999, 1_000_000, 25_000),
         (("env=hopper_v5", "method=pi_prl", "depth=6"), "ppo", 0.99, 500_000, 25_000),
-        (("env=pendulum", "method=pi_prl", "depth=6", "algo=trpo_tree"), "trpo", 0.95, 300_000, 25_000),
         (("env=pendulum", "method=cdt", "depth=[3,3]", "train.steps=7"), "ppo", 0.9, 7, 25_000),
         (("env=pendulum", "method=sdt", "depth=3", "algo=sac", "trainer=fleet"), "sac", 0.99, 30_000, 5_000),
         (("env=pendulum", "method=otr"), "sac", 0.99, 30_000, 5_000),
@@ -87,7 +86,7 @@ def test_experts_bring_soft_actor_critic_and_the_fleet(budget):
     ("words", "message"),
     [
         (("method=sdt", "depth=0"), "depth=0: method=sdt grows a tree"),
-        (("method=sdt", "depth=2", "algo=td3"), "is trained by algo=ppo_tree, algo=trpo_tree or algo=sac, not td3"),
+        (("method=sdt", "depth=2", "algo=td3"), "is trained by algo=ppo_tree or algo=sac, not td3"),
         (("method=cdt", "depth=3"), r"give both depths, as depth=\[3,3\]"),
         (("method=experts", "depth=1"), "depth=1: of method=experts it is the number of experts; give 2 to 16"),
         (("method=experts", "depth=17"), "depth=17: of method=experts"),

@@ -78,7 +78,7 @@ def test_the_way_of_a_shrunk_policy_is_drawn_by_all_its_steps_and_timed_from_its
     folder, *_ = shrunk
     (made,) = folder.glob("results/runs/pendulum/distilled_otr/depth-4/smoke-fleet/seed-0~*")
     summary = read_json(made / "summary.json")
-    curves = load_curves([made], lambda path: load_config(path, 1))
+    curves = load_curves([made])
     imitated = 300 + summary["imitate"]["n_steps"]
     assert curves["spent"].tolist() == [imitated, imitated + 210, imitated + 220] and set(curves["unit"]) == {STEPS}
     assert curves["chosen"].sum() == 1 and curves["final"].iloc[0] == summary["polish"]["return_mean"]

@@ -66,6 +66,7 @@ if TYPE_CHECKING:
         from_torch as from_torch,
         read_policy as read_policy,
     )
+    from otr.importers.critics import Critics as Critics, read_critics as read_critics
     from otr.importers.input_statistics import ObservationStatistics as ObservationStatistics
     from otr.programs.c.source import to_c as to_c
     from otr.programs.dot import to_dot as to_dot
@@ -119,6 +120,7 @@ _NAMES_OF_MODULES = {
     "fixed_point.shortest": "shortest_fixed_point to_fixed_point",
     "geometry.minimal_tree": "minimal_tree",
     "importers": "from_onnx from_sb3 from_sklearn from_torch read_policy",
+    "importers.critics": "Critics read_critics",
     "importers.input_statistics": "ObservationStatistics",
     "programs.c.source": "to_c",
     "programs.dot": "to_dot",

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
 
-from otr.control.settings import SearchSettings
+from otr.control.settings import ActorValue, SearchSettings
 from otr.setting import CountOrZero, LearningRate
 from pipelines.config.setting import (
     EXECUTION,
@@ -20,7 +20,7 @@ from pipelines.config.setting import (
     Width,
     declared,
 )
-from pipelines.config.stages import ActorConfig, ActorValue
+from pipelines.config.stages import ActorConfig
 from pipelines.errors import ConfigError
 
 MOST_LAYERS, WIDEST_LAYER = 2, 32  # of an actor that is searched

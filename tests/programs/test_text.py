@@ -3,7 +3,6 @@ import pytest
 
 import otr
 from otr.programs.text import text_of_every_leaf
-from otr.programs.walk import affine_expression
 from tests.core.strategies import make_network
 from tests.core.test_tree import small_tree
 
@@ -37,22 +36,6 @@ def test_heads_are_shown() -> None:
     assert last_line(otr.Sign()) == "return 1 if -6.1 > 0 else 0"
 
 
-def test_several_outputs_and_nesting() -> None:
-    tree = small_tree(M=np.zeros((3, 2, 2)), c=np.arange(6.0).reshape(3, 2), head=otr.ClipBox([0.0, 1.0], [2.0, 3.0]))
-    assert otr.to_text(tree, output_names=["left", "right"]) == (
-        "if x0 <= 0 then\n"
-        "    left = clip(0, 0, 2)\n"
-        "    right = clip(1, 1, 3)\n"
-        "else\n"
-        "    if -1 + x1 <= 0 then\n"
-        "        left = clip(2, 0, 2)\n"
-        "        right = clip(3, 1, 3)\n"
-        "    else\n"
-        "        left = clip(4, 0, 2)\n"
-        "        right = clip(5, 1, 3)\n"
-    )
-
-
 def test_labels() -> None:
     tree = otr.map_network(make_network(np.random.default_rng(0), (), n_outputs=2, head="argmax"))
     assert otr.to_text(tree).splitlines()[1::2] == ["    return 0", "    return 1"]
@@ -64,23 +47,6 @@ def test_labels() -> None:
 def test_argmax_without_labels() -> None:
     tree = otr.ObliqueTree([], [], np.zeros((0, 1)), [], [[[1.0], [-2.0]]], [[0.0, 3.0]], head=otr.Argmax())
     assert otr.to_text(tree) == "y0 = x0\ny1 = 3 - 2 x0\nreturn argmax(y0, y1)\n"
-
-
-@pytest.mark.parametrize(
-    ("coefficients", "offset", "text"),
-    [
-        ([0.0, 0.0], 0.0, "0"),
-        ([0.0, 0.0], -1.0, "-1"),
-        ([1.0, -1.0], 0.0, "a - b"),
-        ([-1.0, 0.0], 0.0, "-a"),
-        ([0.00001234567, 1.00001], 2.0, "2 + 1.235e-05 a + b"),
-    ],
-)
-def test_affine_expression(coefficients: list[float], offset: float, text: str) -> None:
-    written = affine_expression(
-        np.array(coefficients), offset, ["a", "b"], lambda size: f"{size:.4g}", times=" ", tie=" ", leaves_out_ones=True
-    )
-    assert written == text
 
 
 def test_bad_arguments_are_refused() -> None:

@@ -210,18 +210,6 @@ def test_failing_job_does_not_stop_a_sweep(tmp_path, launcher, runner):
     assert "Traceback" in failure.read_text() and "program=mountaincar " in failure.read_text()
 
 
-@pytest.mark.slow  # two sweeps on one folder (test_sweep.py) wait for each other's trainings as well
-def test_jobs_that_share_a_training_train_once(tmp_path):
-    words = ("env=pendulum", "depth=3", "budget=smoke", "evaluate.n_episodes=2,3")
-    done = otr_program("otr-run", "-m", *words, "launcher=joblib", "hydra.launcher.n_jobs=2", cwd=tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "2 jobs: 2 done, 0 failed" in done.stdout
-    actors = [path.read_bytes() for path in (tmp_path / "results/runs").rglob("actor.safetensors")]
-    assert len(actors) == 2 and len(set(actors)) == 1
-    assert done.stdout.count("step 300/300") == 1
-    assert "pendulum depth 3 seed 0: train: step 300/300" in done.stdout
-
-
 def running_in_group(group):
     """Return the ids of the processes of a group that are neither gone nor waiting to be reaped (Linux)."""
     found = []
@@ -261,15 +249,6 @@ def test_a_reader_that_has_seen_enough(finished):
     line = f"{program} {' '.join(SMOKE)} | head -0; exit ${{PIPESTATUS[0]}}"
     done = subprocess.run(["bash", "-c", line], cwd=finished[0], capture_output=True, text=True, timeout=120)
     assert (done.returncode, done.stderr) == (141, "")
-
-
-def test_experiment_brings_its_own_sweep(tmp_path):
-    done = otr_command("otr-plan", "+experiment=table_4_1", "column=otr_32", "env=hopper", cwd=tmp_path)
-    assert "10 jobs: 0 to skip, 10 left" in done.stdout, done.stderr
-    assert done.stdout.count("runs/hopper/otr/depth-32/thesis/seed-") == 10
-    done = otr_command("otr-plan", "+experiment=smoke", cwd=tmp_path)
-    assert "runs/hopper/otr/depth-6/smoke/seed-0 " in done.stdout
-    assert "10 jobs: 0 to skip, 10 left" in done.stdout
 
 
 def test_ctrl_c_stops_cleanly_and_goes_on(tmp_path):

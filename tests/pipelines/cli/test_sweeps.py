@@ -34,14 +34,6 @@ def one_by_one(tmp_path_factory):
     return found
 
 
-@pytest.mark.slow  # the test of the sbatch text takes the same way
-def test_slurms_launcher_leaves_the_same_bytes(one_by_one, tmp_path):
-    done = otr_program("otr-run", *THREE, "launcher=submitit_local", cwd=tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "3 jobs: 3 done, 0 failed" in done.stdout
-    assert digests(tmp_path / "results") == one_by_one
-
-
 @LINUX
 @pytest.mark.slow  # test_stage.py has two processes at one stage
 def test_two_sweeps_on_one_folder_do_each_job_once(one_by_one, tmp_path):

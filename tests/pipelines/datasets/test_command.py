@@ -58,13 +58,6 @@ def test_a_wrong_request_is_told_before_anything_is_fetched(server, capsys, word
     assert server.asked == []
 
 
-def test_no_words_name_the_choices(capsys):
-    with pytest.raises(SystemExit) as caught:
-        main([])
-    assert caught.value.code == 2
-    assert "bace hiv sider tox21 pdbbind" in capsys.readouterr().err
-
-
 def test_help_says_where_files_lie(capsys):
     with pytest.raises(SystemExit):
         main(["--help"])

@@ -9,7 +9,7 @@ from pipelines.datasets import fragment_names, fragments, load_dataset
 from pipelines.datasets.catalogue import MOLECULES
 from pipelines.datasets.command import main
 from pipelines.datasets.fragments import Fragment, find_fragments, read_fragments, write_fragments
-from pipelines.errors import ConfigError, MissingInputError
+from pipelines.errors import ConfigError
 
 from .conftest import expect
 
@@ -71,15 +71,6 @@ def test_fragments_are_of_one_set_of_molecules(capsys, tmp_path, words, message)
     assert main([*words, "--fragments", str(tmp_path / "table.csv")]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "table.csv").exists()
-
-
-def test_what_is_missing_is_told(monkeypatch, capsys, tmp_path):
-    def fail(entry):
-        raise MissingInputError("no SMILES")
-
-    monkeypatch.setattr("pipelines.datasets.command.find_fragments", fail)
-    assert main(["bace", "--fragments", str(tmp_path / "table.csv")]) == 1
-    assert capsys.readouterr().err == "otr-data: bace: no SMILES\n"
 
 
 def test_fragments_of_three_molecules(rdkit_at_hand, own, monkeypatch):

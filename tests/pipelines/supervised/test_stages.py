@@ -281,13 +281,8 @@ def test_every_learner_does_a_regression(fit_of, learner):
 @pytest.mark.parametrize("learner", ["linear", "cart", "hhcart", "tao", "augtree", "model_tree", "otr"])
 def test_every_classifier_does_many_classes(fit_of, learner):
     settings = {"epochs": 4} if learner == "otr" else {}
-    settings |= (
-        {"max_depth": 4}
-        if learner in ("cart", "hhcart", "tao", "augtree")
-        else {"max_depth": 1}
-        if learner == "model_tree"
-        else {}
-    )
+    settings |= {"max_depth": 4} if learner in ("cart", "hhcart", "tao", "augtree") else {}
+    settings |= {"max_depth": 1} if learner == "model_tree" else {}
     summary = fit_job(job_of(fit_of(learner, data="digits", **settings)))
     assert summary["metric"] == "accuracy" and summary["test"] > 0.4
 

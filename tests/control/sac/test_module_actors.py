@@ -3,11 +3,11 @@
 import torch
 from torch import Tensor, nn
 
-from pipelines.training.fleet.adam import RunSettings
-from pipelines.training.fleet.module_actors import ModuleActors
-from pipelines.training.fleet.sac import FleetSac, Shapes
-from tests.pipelines.training.fleet.autograd_sac import mlp
-from tests.pipelines.training.fleet.test_sac import N_ACTIONS, N_INPUTS, float64, learn, new_fleet
+from otr.control.sac.actors import ModuleActors
+from otr.control.sac.adam import RunSettings
+from otr.control.sac.sac import FleetSac, Shapes
+from tests.control.sac.autograd_sac import mlp
+from tests.control.sac.test_sac import N_ACTIONS, N_INPUTS, float64, learn, new_fleet
 
 SETTINGS = [RunSettings(1e-3, 0.99), RunSettings(1e-3, 0.97), RunSettings(3e-3, 0.9, 1e-4)]
 

@@ -4,8 +4,7 @@ Both are compared in float64: in float32 fifty updates multiply a rounding error
 processor to another, and no bound would tell that from a mistake.
 """
 
-import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -17,29 +16,14 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from torch import Tensor
 
-from pipelines.training.fleet.adam import RunSettings
-from pipelines.training.fleet.mlp import Layers, StackedMlp, new_layers
-from pipelines.training.fleet.sac import FleetSac, Minibatch, Shapes
-from pipelines.training.fleet.stacked_actors import SoftTraining
-from pipelines.training.fleet.stacked_tensors import multiply, new_stack
-from pipelines.training.sb3.soft_actor import SoftSacPolicy, soft_module
-from pipelines.training.soft_trees import Shape, rate_share, set_phase
-from tests.pipelines.conftest import PI_PRL
-from tests.pipelines.training.fleet.autograd_sac import AutogradSac, linears, mlp
+from otr.control.sac.actors import FleetActors
+from otr.control.sac.adam import RunSettings
+from otr.control.sac.mlp import Layers, StackedMlp, new_layers
+from otr.control.sac.sac import FleetSac, Minibatch, Shapes
+from otr.control.sac.stacked_tensors import multiply, new_stack
+from tests.control.sac.autograd_sac import AutogradSac, linears, mlp
 
 N_INPUTS, N_ACTIONS, BATCH = 11, 3, 100
-# 50 updates, 200 steps after each: two turns of the program, two of the architecture, the structure chosen
-KINDS = {
-    "pi_prl": {"depth": 2, "structure_penalty": 0.25},
-    "pi_prl deeper": {"depth": 4, "structure_penalty": -0.5},
-    "pi_prl without tests": {"depth": 0},
-    "sdt": {"depth": 3, "affine_leaves": False},
-    "sdt with affine leaves": {"depth": 3, "affine_leaves": True},
-    "cdt": {"feature_depth": 2, "n_features": 4, "decision_depth": 2},
-}
-SOFT = {kind: SoftTraining(Shape(kind.split()[0], options), PI_PRL, 10_000) for kind, options in KINDS.items()}
-# The structure is chosen in a turn of the program and not of the architecture.
-SOFT["pi_prl deeper"] = dataclasses.replace(SOFT["pi_prl deeper"], n_steps=6_400)
 
 
 def draw_batch(generator: torch.Generator) -> tuple[Minibatch, Tensor]:
@@ -66,8 +50,10 @@ def learn(fleet: FleetSac, seeds: list[int], n_updates: int, rate_end: float = 1
         fleet.update(*stacked([draw_batch(generator) for generator in generators]))
 
 
-def new_fleet(shapes: Shapes, seeds: list[int], settings: list[RunSettings] | None = None) -> FleetSac:
-    fleet = FleetSac(shapes, settings or [RunSettings(1e-3, 0.99)] * len(seeds))
+def new_fleet(
+    shapes: Shapes, seeds: list[int], settings: list[RunSettings] | None = None, actor: FleetActors | None = None
+) -> FleetSac:
+    fleet = FleetSac(shapes, settings or [RunSettings(1e-3, 0.99)] * len(seeds), actor=actor)
     for run, seed in enumerate(seeds):
         fleet.initialise(run, torch.Generator().manual_seed(seed))
     return fleet
@@ -83,19 +69,19 @@ class Box11x3(gym.Env):
         return np.zeros(N_INPUTS, np.float32), {}
 
 
-def sb3_parameters(model: SAC) -> dict[str, Tensor]:
+def network_parameters(actor: Any) -> dict[str, Tensor]:
+    heads = [actor.mu, actor.log_std]
+    hidden = [layer for layer in actor.latent_pi if isinstance(layer, torch.nn.Linear)]
+    found = {f"actor.weight{i}": layer.weight.T for i, layer in enumerate(hidden)}
+    found |= {f"actor.bias{i}": layer.bias for i, layer in enumerate(hidden)}
+    found[f"actor.weight{len(hidden)}"] = torch.cat([head.weight for head in heads]).T
+    found[f"actor.bias{len(hidden)}"] = torch.cat([head.bias for head in heads])
+    return found
+
+
+def sb3_parameters(model: SAC, of_actor: Callable[[Any], dict[str, Tensor]]) -> dict[str, Tensor]:
     policy = model.policy
-    heads = [policy.actor.mu, policy.actor.log_std]
-    if isinstance(policy, SoftSacPolicy):
-        names = ("mean", "log_std")
-        found = {f"actor.{part}.{name}": tensor for part, head in zip(names, heads, strict=True)
-                 for name, tensor in head.named_parameters()}  # fmt: skip
-    else:
-        hidden = [layer for layer in policy.actor.latent_pi if isinstance(layer, torch.nn.Linear)]
-        found = {f"actor.weight{i}": layer.weight.T for i, layer in enumerate(hidden)}
-        found |= {f"actor.bias{i}": layer.bias for i, layer in enumerate(hidden)}
-        found[f"actor.weight{len(hidden)}"] = torch.cat([head.weight for head in heads]).T
-        found[f"actor.bias{len(hidden)}"] = torch.cat([head.bias for head in heads])
+    found = of_actor(policy.actor)
     for name, critic in (("critics", policy.critic), ("targets", policy.critic_target)):
         nets = [[layer for layer in net if isinstance(layer, torch.nn.Linear)] for net in critic.q_networks]
         for i in range(len(nets[0])):
@@ -105,15 +91,6 @@ def sb3_parameters(model: SAC) -> dict[str, Tensor]:
     return {name: tensor.detach().clone() for name, tensor in found.items()}
 
 
-@pytest.fixture
-def queued_noise(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Tensor]]:
-    """Replace the noise of torch's normal distributions by what is put into this list."""
-    queue: list[Tensor] = []
-    monkeypatch.setattr("torch.distributions.normal._standard_normal", lambda *_, **__: queue.pop(0))
-    yield queue
-    assert not queue, "Stable-Baselines3 drew less noise than it was given"
-
-
 @contextmanager
 def float64() -> Iterator[None]:
     torch.set_default_dtype(torch.float64)
@@ -121,14 +98,6 @@ def float64() -> Iterator[None]:
         yield
     finally:
         torch.set_default_dtype(torch.float32)
-
-
-@pytest.fixture
-def in_float64(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Let the fleet and Stable-Baselines3, which would make its states float32, compute in float64."""
-    monkeypatch.setattr("stable_baselines3.common.policies.preprocess_obs", lambda states, *_, **__: states)
-    with float64():
-        yield
 
 
 @pytest.mark.parametrize("dense", [False, True], ids=["layered", "dense"])
@@ -217,41 +186,52 @@ def assert_equal_numbers(ours: Tensor, theirs: Tensor) -> None:
     assert float((ours - theirs).abs().max()) <= 1e-10 * float(theirs.abs().max())
 
 
-@pytest.mark.usefixtures("in_float64")
-@pytest.mark.parametrize("soft", [None, *SOFT.values()], ids=["network", *SOFT])
-def test_fifty_updates_are_those_of_stable_baselines3(queued_noise: list[Tensor], soft: SoftTraining | None) -> None:
-    actor, slope, decay = () if soft else (8, 8), 0.05, 1e-2
-    own = {"net_arch": {"pi": list(actor), "qf": [64, 64]}, "activation_fn": lambda: torch.nn.LeakyReLU(slope)}
-    own |= {"optimizer_kwargs": {"weight_decay": decay}, **({"actor": soft.shape} if soft else {})}
-    model = SAC(
-        SoftSacPolicy if soft else "MlpPolicy", Box11x3(), learning_rate=1e-3, batch_size=BATCH, gamma=0.98, tau=0.01,
-        buffer_size=10, seed=0, device="cpu", policy_kwargs=own,
-    )  # fmt: skip
-    model.learn(0)  # sets the logger up
-    shapes = Shapes(N_INPUTS, N_ACTIONS, actor, (64, 64), BATCH, negative_slope=slope, tau=0.01, soft=soft)
-    fleet = new_fleet(shapes, [0], [RunSettings(1e-3, 0.98, decay)])
-    for name, tensor in sb3_parameters(model).items():
-        fleet.tensors(0)[name].copy_(tensor)
-    start = sb3_parameters(model)
+def test_fifty_updates_are_those_of_stable_baselines3(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert_fifty_updates_are_theirs(monkeypatch, (8, 8))
 
-    generator = torch.Generator().manual_seed(4)
-    for n_done in range(50):
-        batch, noise = draw_batch(generator)
-        fleet.at_step(200 * n_done)
-        fleet.update(*stacked([(batch, noise)]))
-        if soft:
-            set_phase(soft_module(model), soft.method, 200 * n_done, soft.n_steps)
-            share = rate_share(soft.method, 200 * n_done, soft.n_steps)
-            model.lr_schedule = lambda _, share=share: 1e-3 * share  # type: ignore[misc]
-        samples = ReplayBufferSamples(
-            batch.states, batch.actions, batch.next_states, 1 - batch.continues[:, None], batch.rewards[:, None]
-        )
-        model.replay_buffer.sample = lambda *_, samples=samples, **__: samples  # type: ignore[union-attr,method-assign]
-        queued_noise.extend([noise[:BATCH], noise[BATCH:]])
-        model.train(gradient_steps=1, batch_size=BATCH)
 
+def assert_fifty_updates_are_theirs(
+    monkeypatch: pytest.MonkeyPatch,
+    hidden: tuple[int, ...],
+    policy: Any = "MlpPolicy",
+    of_actor: Callable[[Any], dict[str, Tensor]] = network_parameters,
+    actors: Callable[[Sequence[RunSettings]], FleetActors | None] = lambda runs: None,
+    at_step: Callable[[SAC, int], None] = lambda model, n_steps: None,
+    **own: Any,
+) -> None:
+    """Compare updates in float64, in which both read the same noise and states."""
+    noises: list[Tensor] = []  # of torch's normal distributions
+    monkeypatch.setattr("torch.distributions.normal._standard_normal", lambda *_, **__: noises.pop(0))
+    monkeypatch.setattr("stable_baselines3.common.policies.preprocess_obs", lambda states, *_, **__: states)
+    slope, settings = 0.05, [RunSettings(1e-3, 0.98, 1e-2)]
+    own |= {"net_arch": {"pi": list(hidden), "qf": [64, 64]}, "activation_fn": lambda: torch.nn.LeakyReLU(slope)}
+    own |= {"optimizer_kwargs": {"weight_decay": settings[0].weight_decay}}
+    with float64():
+        model = SAC(
+            policy, Box11x3(), learning_rate=1e-3, batch_size=BATCH, gamma=0.98, tau=0.01, buffer_size=10, seed=0,
+            device="cpu", policy_kwargs=own,
+        )  # fmt: skip
+        model.learn(0)  # sets the logger up
+        shapes = Shapes(N_INPUTS, N_ACTIONS, hidden, (64, 64), BATCH, negative_slope=slope, tau=0.01)
+        fleet = new_fleet(shapes, [0], settings, actors(settings))
+        start = sb3_parameters(model, of_actor)
+        for name, tensor in start.items():
+            fleet.tensors(0)[name].copy_(tensor)
+        generator = torch.Generator().manual_seed(4)
+        for n_done in range(50):
+            batch, noise = draw_batch(generator)
+            fleet.at_step(200 * n_done)
+            fleet.update(*stacked([(batch, noise)]))
+            at_step(model, 200 * n_done)
+            samples = ReplayBufferSamples(
+                batch.states, batch.actions, batch.next_states, 1 - batch.continues[:, None], batch.rewards[:, None]
+            )
+            model.replay_buffer.sample = lambda *_, samples=samples, **__: samples  # type: ignore[union-attr,method-assign]
+            noises.extend([noise[:BATCH], noise[BATCH:]])
+            model.train(gradient_steps=1, batch_size=BATCH)
+    assert not noises, "Stable-Baselines3 drew less noise than it was given"
     ours = fleet.tensors(0)
-    for name, theirs in sb3_parameters(model).items():
+    for name, theirs in sb3_parameters(model, of_actor).items():
         moved = float((theirs - start[name]).norm())
         assert moved > 1e-4 or not theirs.numel(), f"{name} did not learn"
         difference = float((ours[name].reshape(theirs.shape) - theirs).norm())
@@ -262,27 +242,6 @@ def test_fifty_updates_are_those_of_stable_baselines3(queued_noise: list[Tensor]
 def assert_same(alone: FleetSac, fleet: FleetSac, run: int) -> None:
     for name, tensor in alone.tensors(0).items():
         assert torch.equal(tensor, fleet.tensors(run)[name]), name
-
-
-@pytest.mark.parametrize("kind", SOFT)
-def test_a_run_of_soft_trees_is_the_run_alone_and_goes_on_from_what_it_had_learnt(kind: str) -> None:
-    shapes = Shapes(N_INPUTS, N_ACTIONS, (), (64, 64), BATCH, soft=SOFT[kind])
-    together, alone = new_fleet(shapes, [0, 1]), new_fleet(shapes, [1])
-    learn(together, [0, 1], 45)
-    learn(alone, [1], 45)
-    assert_same(alone, together, 1)
-    states, noise = torch.randn(2, 1, N_INPUTS), torch.randn(2, 1, N_ACTIONS)
-    assert torch.equal(alone.act(states[1:], noise[1:])[0], together.act(states, noise)[1])
-    steps = {name: int(tensor) for name, tensor in alone.tensors(0).items() if name.endswith(".step")}
-    assert steps["actor.log_std.weight.step"] == 45
-    if kind == "pi_prl":
-        assert alone.tensors(0)["actor.mean.structure"].min() >= 0
-        assert 0 < steps["actor.mean.architecture.step"] < steps["actor.mean.tests.step"] < 45
-    again = FleetSac(shapes, alone.runs, alone.n_updates)
-    again.load(0, {name: tensor.clone() for name, tensor in alone.tensors(0).items()})
-    for fleet in (alone, again):
-        learn(fleet, [7], 10)
-    assert_same(again, alone, 0)
 
 
 @pytest.mark.parametrize(

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pipelines.training.fleet.adam import RunSettings, adam_groups
-from pipelines.training.fleet.mlp import Layers, StackedMlp, new_layers
-from pipelines.training.fleet.squashed_gaussian import ClippedActions, SquashedActions
-from pipelines.training.fleet.stacked_actors import FleetActors, MlpActors, SoftActors, SoftTraining
-from pipelines.training.fleet.stacked_tensors import ROW_MULTIPLE, new_stack
+from otr.control.sac.actors import FleetActors, MlpActors
+from otr.control.sac.adam import RunSettings, adam_groups
+from otr.control.sac.mlp import Layers, StackedMlp, new_layers
+from otr.control.sac.squashed_gaussian import ClippedActions, SquashedActions
+from otr.control.sac.stacked_tensors import ROW_MULTIPLE, new_stack
 
 N_CRITICS = 2
 
@@ -34,7 +34,6 @@ class Shapes:
     negative_slope: float = 0.0  # of the actor's and critics' activation
     tau: float = 0.005  # share of the online critics that goes into their targets at each update
     dense: bool = False  # whether the actor's layers after the first read the state, too
-    soft: SoftTraining | None = None  # actors that are soft trees, in place of the layers
     clips: bool = False  # whether actions are clipped to [-1, 1], in place of tanh
     layer_norm: bool = False  # whether the critics' hidden layers are normalised (see `mlp`)
     actor_value: str = "min"  # what the actor climbs: the min or the mean of the two critics' values
@@ -63,15 +62,11 @@ class FleetSac:
         n, rows, n_actor_updates = len(runs), shapes.batch_size, n_updates // shapes.actor_delay
         critic_widths = (shapes.n_inputs + shapes.n_actions, *shapes.critic, 1)
 
-        self.actor: FleetActors
-        if actor is not None:
-            self.actor = actor
-        elif shapes.soft is None:
-            widths = (shapes.n_inputs, *shapes.actor, 2 * shapes.n_actions)
-            slope, dense = shapes.negative_slope, shapes.dense
-            self.actor = MlpActors(runs, widths, rows, negative_slope=slope, dense=dense, n_updates=n_actor_updates)
-        else:
-            self.actor = SoftActors(runs, shapes.soft, shapes.n_inputs, shapes.n_actions, rows)
+        widths = (shapes.n_inputs, *shapes.actor, 2 * shapes.n_actions)
+        slope, dense = shapes.negative_slope, shapes.dense
+        self.actor: FleetActors = actor or MlpActors(
+            runs, widths, rows, negative_slope=slope, dense=dense, n_updates=n_actor_updates
+        )
         # Gradients and Adam's two moments have the layout of the parameters.
         self.critics, self.targets, self.critic_gradients, *self.critic_moments = (
             new_layers(N_CRITICS * n, critic_widths) for _ in range(5)

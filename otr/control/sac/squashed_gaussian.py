@@ -9,7 +9,7 @@ import math
 import torch
 from torch import Tensor
 
-from pipelines.training.fleet.stacked_tensors import new_stack
+from otr.control.sac.stacked_tensors import new_stack
 
 LOG_STD_MIN, LOG_STD_MAX = -20.0, 2.0
 SQUASH_EPSILON = 1e-6

@@ -5,36 +5,87 @@ oracle's stochastic play fills a new one in seconds, of which the policy itself 
 """
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-import otr
-from otr.core.black_box import BlackBox
-from otr.core.smooth_network import Oracle
+from otr.control.critic_polish.policy_actor import OraclePlay, PolicyActor, check_critics, is_clipped
+from otr.control.environments import VectorEnv
+from otr.control.sac.actors import ModuleActors
+from otr.control.sac.adam import RunSettings
+from otr.control.sac.autoreset import Autoreset
+from otr.control.sac.mlp import Layers
+from otr.control.sac.random_streams import Streams
+from otr.control.sac.replay_buffer import FleetReplay, RowLayout
+from otr.control.sac.sac import N_CRITICS, FleetSac, Shapes
+from otr.control.search.policy_numbers import Policy, policy_numbers
+from otr.control.search.polish import SETTINGS, Episodes, Evaluate, PolishReport, best_confirmed
+from otr.control.settings import CriticPolishSettings, PolishSettings
+from otr.core.network import ReluNetwork
+from otr.core.smooth_network import Layered, Oracle
+from otr.core.tree import ObliqueTree
 from otr.importers.critics import Critics
 from otr.learners.networks.denormals import denormals_as_zero
-from pipelines.config.env import EnvConfig
-from pipelines.config.stages import PolishingConfig
-from pipelines.engine.seeding import stream_seeds
-from pipelines.play.vector_envs import Autoreset, make_vector_env
-from pipelines.training.critic_polish.policy_actor import OraclePlay, PolicyActor, check_head, is_clipped
-from pipelines.training.fleet.adam import RunSettings
-from pipelines.training.fleet.mlp import Layers
-from pipelines.training.fleet.module_actors import ModuleActors
-from pipelines.training.fleet.random_streams import Streams
-from pipelines.training.fleet.replay_buffer import FleetReplay, RowLayout
-from pipelines.training.fleet.sac import N_CRITICS, FleetSac, Shapes
+from otr.setting import check_settings
 
-STREAM_ELEMENT = 2  # of the stream "polish"; 0 and 1 are those of searches
 TEMPERATURE = 0.05  # at first, of critics that came without one (TD3, DDPG)
+LEARNING = CriticPolishSettings()
 
-Policy = otr.ObliqueTree | otr.ReluNetwork
 Act = Callable[[Tensor, Tensor], Tensor]  # from states (1, 1, d) and normal noise (1, 1, n_actions) to actions
 
-torch.set_num_threads(1)  # two threads make these small networks a hundred times slower
+
+def polish_by_critics(
+    policy: Policy,
+    evaluate: Evaluate,
+    envs: VectorEnv,
+    critics: Critics,
+    oracle: Oracle | None,
+    *,
+    seeds: Sequence[int],
+    settings: CriticPolishSettings = LEARNING,
+    n_selection_episodes: int = SETTINGS.n_selection_episodes,
+    n_candidates: int = SETTINGS.n_candidates,
+    free: bool = SETTINGS.free,
+    tied: bool = False,
+    seed: int = 0,
+    learns_first: bool = False,
+    report: Callable[[PolishReport], None] | None = None,
+    say: Callable[[str], None] = print,
+) -> Policy:
+    """Return a policy of the same shape that earns more, or the policy itself: `otr.polish` by critics, not by search.
+
+    Args:
+        policy: a tree or a network whose actions tanh or a clip leads into their box.
+        envs: of which one is played in to learn.
+        critics: of the actor that the policy was made from.
+        oracle: that actor; None where it is no network: the policy itself then fills the replay buffer.
+        seeds: (3,), of the play that fills the replay buffer, of the learning, and of its environment.
+        settings: of the learning.
+        learns_first: whether candidates play once all have learnt, as where `evaluate` plays in `envs`, too.
+        evaluate, n_selection_episodes, n_candidates, free, tied, seed, report: as in `otr.polish`.
+        say: called where numbers that are not finite end the learning early.
+
+    Raises:
+        TypeError, ValueError: as `check_critics`, or a setting is out of range.
+    """
+    for each in (settings, PolishSettings(n_selection_episodes=n_selection_episodes, n_candidates=n_candidates)):
+        check_settings(each)
+    check_critics(critics, policy)
+    numbers = policy_numbers(policy, np.zeros((1, policy.n_inputs)), free=free, tied=tied)
+    start = PolishReport(numbers.start.size, settings.steps, 0, ())
+    learning = CriticPolish(policy, envs, critics, oracle, settings, seeds, free=free, tied=tied)
+    n_threads = torch.get_num_threads()
+    torch.set_num_threads(1)  # two threads make these small networks a hundred times slower
+    try:
+        found = learning.candidates(n_candidates, say)
+        play, found = Episodes(evaluate, seed), iter(list(found)) if learns_first else found
+        best: Policy = best_confirmed(policy, found, play, start, n_selection_episodes, report)
+        return best
+    finally:
+        torch.set_num_threads(n_threads)
 
 
 class CriticPolish:
@@ -42,51 +93,33 @@ class CriticPolish:
 
     def __init__(
         self,
-        policy: Policy,
-        polishing: PolishingConfig,
-        env: EnvConfig,
-        environments: str,
+        policy: ObliqueTree | ReluNetwork,
+        envs: VectorEnv,
         critics: Critics,
         oracle: Oracle | None,
+        settings: CriticPolishSettings,
+        seeds: Sequence[int],
         *,
+        free: bool,
         tied: bool,
-        seed: int,
     ) -> None:
-        """Keep what is polished.
-
-        Args:
-            policy: a tree or a network whose actions tanh or a clip leads into their box.
-            polishing: the settings.
-            env, environments: the environment, and who computes it.
-            critics: of the actor that the policy was made from.
-            oracle: that actor; None where it is no network: the policy itself then fills the replay buffer.
-            tied: whether tests and leaves that a tree repeats stay alike.
-            seed: of the run.
-        """
-        check_head(policy.head)
-        self._policy, self._critics, self._settings = policy, critics, polishing.critic
-        self._n_candidates, self._free = polishing.n_candidates, polishing.free
-        self._tied = tied
-        self._oracle = None if oracle is None or isinstance(oracle, BlackBox) else OraclePlay(oracle, critics)
-        self._seeds = stream_seeds(3, seed, "polish", STREAM_ELEMENT)
-        self._env = Autoreset(make_vector_env(env, environments))
+        """Keep what is polished, as `polish_by_critics` takes it."""
+        self._policy, self._critics, self._settings = policy, critics, settings
+        self._free, self._tied = free, tied
+        self._oracle = OraclePlay(oracle, critics) if isinstance(oracle, Layered) else None
+        self._seeds, self._env = seeds, Autoreset(envs)
         limits = policy.head.limits(policy.n_outputs)
         assert limits is not None
         self._low, self._high = limits
-        settings = self._settings
         self._layout = RowLayout(policy.n_inputs, len(self._low))
         rows = np.zeros((settings.refill_steps + settings.steps, self._layout.width), dtype=np.float32)
         self._replay = FleetReplay([rows], self._layout, len(rows))
         self._n_rows, self._states = 0, torch.zeros(1, 1, policy.n_inputs)
 
-    def close(self) -> None:
-        """End the environment."""
-        self._env.close()
-
-    def candidates(self) -> Iterator[tuple[int, Policy]]:
-        """Fill the replay buffer and learn; yield steps and policy at regular steps, the last one's among them."""
+    def candidates(self, n: int, say: Callable[[str], None]) -> Iterator[tuple[int, Any]]:
+        """Fill the replay buffer and learn; yield steps and policy at n regular steps, the last one among them."""
         settings, learner = self._settings, self._filled()
-        chosen = np.linspace(0, settings.steps, self._n_candidates + 1).round().astype(int).tolist()
+        chosen = np.linspace(0, settings.steps, n + 1).round().astype(int).tolist()
         streams = Streams(self._seeds[1:2], 1, settings.batch_size, self._layout.n_actions)
         self._restart(self._seeds[2])
         for start, end in itertools.pairwise(chosen):
@@ -100,7 +133,7 @@ class CriticPolish:
                     self._step(learner.act, draws.policy[:, ahead], settings.noise * draws.exploration[:, ahead])
                     learner.update(self._replay.gather(positions[:, ahead]), draws.updates[:, ahead])
             if not all(bool(torch.isfinite(each).all()) for each in learner.tensors(0).values()):
-                print(f"polish: numbers are no longer finite after {end:,} steps, which ends the polish", flush=True)
+                say(f"numbers are no longer finite after {end:,} steps, which ends the polish")
                 return
             if end > start:
                 yield end, self._actor.policy.policy()

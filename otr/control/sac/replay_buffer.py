@@ -1,21 +1,16 @@
-"""Replay buffers of a fleet: one memory-mapped file per run, which is its own checkpoint.
+"""Replay buffers of R runs: `capacity` rows of float32 each, [state, action, next state, reward, continues].
 
-A file holds `capacity` rows of float32, [state, action, next state, reward, continues]; transition i of the run is in
-row i % capacity. The capacity is the buffer's size and a segment more, so that a segment overwrites no row that the
-checkpoint before it could sample: after a kill the run goes on from that checkpoint and writes the same rows again.
+Transition i of a run is in row i % capacity.
 """
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from pipelines.errors import PipelineError
-from pipelines.training.fleet.sac import Minibatch
+from otr.control.sac.sac import Minibatch
 
 
 @dataclass(frozen=True)
@@ -37,29 +32,8 @@ class RowLayout:
         return Minibatch(states, actions, rewards[..., 0], next_states, continues[..., 0])
 
 
-def open_rows(path: Path, capacity: int, layout: RowLayout, n_steps: int, n_written: int = 0) -> np.memmap:
-    """Return a run's rows, (capacity, width) float32; the file takes the disk of all `n_steps` steps at once.
-
-    Raises:
-        OSError: the disk has no room for them. A disk that fills up later would end the process by a signal.
-        PipelineError: the run has transitions (`n_written`), and the file is gone or of another size.
-    """
-    shape = (capacity, layout.width)
-    fits = path.exists() and path.stat().st_size == 4 * capacity * layout.width
-    if n_written and not fits:
-        raise PipelineError(
-            f"{path}: the transitions of {n_written:,} steps are gone; bring the file back, or delete {path.parent} to "
-            "train from the beginning"
-        )
-    with path.open("r+b" if fits else "wb") as file:
-        file.truncate(4 * capacity * layout.width)
-        if hasattr(os, "posix_fallocate"):  # not on macOS
-            os.posix_fallocate(file.fileno(), 0, 4 * min(capacity, n_steps) * layout.width)
-    return np.memmap(path, dtype=np.float32, mode="r+", shape=shape)
-
-
 class FleetReplay:
-    """The replay buffers of R runs, each with its rows from `open_rows`, or in memory, all of one capacity.
+    """The replay buffers of R runs, each with its rows, in memory or of a file, all of one capacity.
 
     The newest `size` transitions, at most the capacity, can be sampled.
     """

@@ -3,22 +3,23 @@
 import dataclasses
 import itertools
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import torch
 
 import otr
+from otr.control.critic_polish.learner import CriticPolish
+from otr.control.critic_polish.policy_actor import OraclePlay, PolicyActor, check_critics
+from otr.control.environments import GymnasiumVectorEnv
+from otr.control.sac.squashed_gaussian import ClippedActions
+from otr.control.settings import CriticPolishSettings
 from otr.core.smooth_network import SmoothNetwork
 from otr.importers.critics import Critics
-from pipelines.config.stages import CriticPolishConfig, PolishingConfig
-from pipelines.errors import ConfigError
-from pipelines.training.critic_polish.learner import CriticPolish
-from pipelines.training.critic_polish.policy_actor import OraclePlay, PolicyActor
-from pipelines.training.fleet.squashed_gaussian import ClippedActions
-from tests.pipelines.conftest import PENDULUM
 
 LOW, HIGH = np.array([-2.0]), np.array([2.0])
-SHORT = PolishingConfig(critic=CriticPolishConfig(60, 100, batch_size=32), n_candidates=3, n_selection_episodes=2)
+SHORT = CriticPolishSettings(60, 100, batch_size=32)
+torch.set_num_threads(1)
 
 
 def network(head, widths=(4,), scale=0.3, seed=0):
@@ -44,18 +45,9 @@ def states(n=200):
     return np.column_stack((np.cos(angle), np.sin(angle), rate))
 
 
-@pytest.fixture
-def learning():
-    made = []
-
-    def make(policy, oracle=None, critics=None, polishing=SHORT):
-        critics = critics or new_critics()
-        made.append(CriticPolish(policy, polishing, PENDULUM, "numpy", critics, oracle, tied=False, seed=0))
-        return made[-1]
-
-    yield make
-    for each in made:
-        each.close()
+def learning(policy, oracle=None, critics=None, settings=SHORT):
+    envs = GymnasiumVectorEnv(lambda: gym.make("Pendulum-v1"))
+    return CriticPolish(policy, envs, critics or new_critics(), oracle, settings, [3, 4, 5], free=False, tied=False)
 
 
 @pytest.mark.parametrize("head", [otr.TanhBox(LOW, HIGH), otr.ClipBox([-1.0], [2.0])])
@@ -70,9 +62,17 @@ def test_the_mean_action_is_the_policy_s_and_deviations_begin_as_the_oracle_s(he
     np.testing.assert_allclose(low + (acted + 1) / 2 * (high - low), policy.predict(X)[:, 0], atol=1e-5)
     np.testing.assert_allclose(found, log_stds[:, 0], atol=1e-5)
     assert np.abs(acted).max() > 0.99 and len(set(np.sign(means))) == 2
+
+
+def test_critics_of_other_policies_are_refused():
     for other in (otr.Argmax(), otr.Identity()):
-        with pytest.raises(ConfigError, match=rf"not {type(other).__name__}; use polishing\.by=search"):
-            PolicyActor(network(other), X, None, free=False)
+        with pytest.raises(TypeError, match=rf"not {type(other).__name__}; use a search"):
+            check_critics(new_critics(), network(other))
+    wider = otr.ReluNetwork([np.ones((1, 5))], [np.zeros(1)], head=otr.TanhBox(LOW, HIGH))
+    with pytest.raises(ValueError, match="the critics read 4 numbers, expected 5 of a state and 1 of an action"):
+        check_critics(new_critics(), wider)
+    with pytest.raises(ValueError, match="of an actor whose last layer reads 8 numbers, not 4"):
+        OraclePlay(network(otr.TanhBox(LOW, HIGH)), new_critics())
 
 
 @pytest.mark.parametrize("smooth", [False, True])
@@ -116,12 +116,12 @@ def test_gradients_of_clipped_actions_are_autograd_s_but_beyond_the_box_inwards_
     torch.testing.assert_close(actions.sample(answers, None), answers[..., :2].clamp(-1, 1))
 
 
-def test_the_buffer_is_filled_by_the_oracle_then_by_the_policy(learning):
+def test_the_buffer_is_filled_by_the_oracle_then_by_the_policy():
     oracle = network(otr.TanhBox(LOW, HIGH), (8,), 1.0)
     constant = otr.ObliqueTree([], [], np.zeros((0, 3)), [], np.zeros((1, 1, 3)), [[1.5]], head=otr.ClipBox(LOW, HIGH))
     critics = new_critics(log_std=np.full((1, 9), -20.0) * (np.arange(9) == 8))  # next to no noise
-    settings = CriticPolishConfig(60, 100, student_share=0.3, refill_noise=0.0, batch_size=32)
-    made = learning(constant, oracle, critics, dataclasses.replace(SHORT, critic=settings))
+    settings = CriticPolishSettings(60, 100, student_share=0.3, refill_noise=0.0, batch_size=32)
+    made = learning(constant, oracle, critics, settings)
     learner = made._filled()
     rows = made._replay.gather(torch.arange(100).unsqueeze(0))
     X, acted = rows.states[0].double().numpy(), rows.actions[0].double().numpy()
@@ -144,13 +144,13 @@ def test_the_buffer_is_filled_by_the_oracle_then_by_the_policy(learning):
 
 @pytest.mark.parametrize("head", [otr.TanhBox(LOW, HIGH), otr.ClipBox(LOW, HIGH)])
 @pytest.mark.parametrize("kind", ["network", "tree", "alone"])
-def test_candidates_keep_head_structure_and_zeros_and_come_again_bit_for_bit(learning, kind, head):
+def test_candidates_keep_head_structure_and_zeros_and_come_again_bit_for_bit(kind, head):
     policy = network(head)
     if kind != "network":
         M = np.array([[[0.5, 0.0, 0.1]], [[0.0, 0.2, 0.0]]])
         policy = otr.ObliqueTree([~0], [~1], [[0.0, 1.0, 0.3]], [0.1], M, [[0.0], [0.4]], head=head)
     oracle = None if kind == "alone" else network(otr.TanhBox(LOW, HIGH), (8,))
-    found = list(learning(policy, oracle).candidates())
+    found = list(learning(policy, oracle).candidates(3, print))
     assert [step for step, _ in found] == [20, 40, 60]
     for _, candidate in found:
         assert type(candidate) is type(policy) and candidate.head == head
@@ -161,25 +161,27 @@ def test_candidates_keep_head_structure_and_zeros_and_come_again_bit_for_bit(lea
     X = states()
     changes = [np.abs(candidate.predict(X) - policy.predict(X)).max() for _, candidate in found]
     assert 0 < changes[0] < changes[-1] < 3
-    again = list(learning(policy, oracle).candidates())
+    again = list(learning(policy, oracle).candidates(3, print))
     for (_, one), (_, other) in zip(found, again, strict=True):
         np.testing.assert_array_equal(one.predict(X), other.predict(X))
 
 
-def test_normalised_critics_and_their_mean_reach_the_learner(learning):
+def test_normalised_critics_and_their_mean_reach_the_learner():
     oracle, policy = network(otr.TanhBox(LOW, HIGH), (8,)), network(otr.TanhBox(LOW, HIGH))
-    mean = dataclasses.replace(SHORT, critic=dataclasses.replace(SHORT.critic, actor_value="mean"))
+    mean = dataclasses.replace(SHORT, actor_value="mean")
     kinds = [(new_critics(), SHORT), (new_critics(layer_norm=True), SHORT), (new_critics(), mean)]
     shapes = [learning(policy, oracle, *kind)._filled().shapes for kind in kinds]
     assert [(each.layer_norm, each.actor_value) for each in shapes] == [(False, "min"), (True, "min"), (False, "mean")]
-    plain, *others = (list(learning(policy, oracle, *kind).candidates())[-1][1].predict(states()) for kind in kinds)
+    plain, *others = (
+        list(learning(policy, oracle, *kind).candidates(3, print))[-1][1].predict(states()) for kind in kinds
+    )
     assert not any(np.array_equal(plain, other) for other in others)
-    assert "actor_value" not in SHORT.settings_by_critic() and mean.settings_by_critic()["actor_value"] == "mean"
 
 
-def test_learning_that_diverges_ends_and_leaves_what_came_before(learning, capsys):
-    settings = CriticPolishConfig(60, 100, batch_size=32, learning_rate=10.0)
+def test_learning_that_diverges_ends_and_leaves_what_came_before():
+    settings = CriticPolishSettings(60, 100, batch_size=32, learning_rate=10.0)
     critics = new_critics(layers=[(np.full((2, 4, 16), 1e20), np.zeros((2, 1, 16))), new_critics().layers[1]])
-    made = learning(network(otr.TanhBox(LOW, HIGH)), None, critics, dataclasses.replace(SHORT, critic=settings))
-    assert list(made.candidates()) == []
-    assert "no longer finite after 20 steps, which ends the polish" in capsys.readouterr().out
+    made = learning(network(otr.TanhBox(LOW, HIGH)), None, critics, settings)
+    said = []
+    assert list(made.candidates(3, said.append)) == []
+    assert said == ["numbers are no longer finite after 20 steps, which ends the polish"]

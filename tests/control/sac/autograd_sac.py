@@ -1,12 +1,12 @@
 """Soft actor-critic of one run in plain torch: the losses of Haarnoja et al. (2018), differentiated by autograd.
 
-The oracle of the hand-written gradients of `pipelines.training.fleet.sac`; it computes in torch's default type.
+The oracle of the hand-written gradients of `otr.control.sac.sac`; it computes in torch's default type.
 """
 
 import torch
 from torch import Tensor, nn
 
-from pipelines.training.fleet.sac import FleetSac, Minibatch
+from otr.control.sac.sac import FleetSac, Minibatch
 
 
 class Dense(nn.Sequential):

@@ -1,120 +1,18 @@
-"""The actors of R runs of the soft actor-critic: stacked networks, or soft trees.
-
-Both give means and log standard deviations, (R, n_rows, 2 n_actions), and learn from the loss's derivative by these.
-"""
+"""Stacked soft trees as the actors of R runs of the soft actor-critic."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import torch
 from torch import Tensor, nn
 
+from otr.control.sac.actors import Learning
+from otr.control.sac.adam import RunSettings
+from otr.control.sac.stacked_tensors import multiply, new_stack
 from pipelines.config.hardened_methods import SoftConfig
-from pipelines.training.fleet.adam import RunSettings, adam_groups
-from pipelines.training.fleet.mlp import Layers, StackedMlp, new_layers
-from pipelines.training.fleet.module_actors import Learning
 from pipelines.training.fleet.stacked_soft_trees import StackedTrees, stacked_trees
-from pipelines.training.fleet.stacked_tensors import multiply, new_stack
 from pipelines.training.soft_trees import Shape, SoftModule, build_module, rate_share, set_phase
-
-
-class FleetActors(Protocol):
-    """The interface of actors for the learner; inputs are stacks of `new_stack`."""
-
-    def at_step(self, n_steps: int) -> float:
-        """Make ready for the updates after so many steps; return the share of the learning rate that they use."""
-        ...
-
-    def forward(self, inputs: Tensor) -> Tensor:
-        """Return the answers to an update's states and, below them, their successors (R, 2 B, d), until the next."""
-        ...
-
-    def backward(self, inputs: Tensor, d_answers: Tensor) -> None:
-        """Take the gradients of the last `forward`, by the derivative (R, B, 2 n_actions) by the states' answers."""
-        ...
-
-    def step(self, rate_share: float) -> None:
-        """Do Adam's step by the last gradients."""
-        ...
-
-    def act(self, states: Tensor) -> Tensor:
-        """Return the answers to the states (R, E, d) of the runs' environments."""
-        ...
-
-    def answers(self, run: int, states: Tensor) -> Tensor:
-        """Return one run's answers, (n, 2 n_actions), to states (n, d)."""
-        ...
-
-    def tensors(self, run: int) -> dict[str, Tensor]:
-        """Return views of everything that a run's actor has learnt, by name; writing into them changes it."""
-        ...
-
-    def initialise(self, run: int, generator: torch.Generator) -> None:
-        """Draw a run's actor."""
-        ...
-
-
-class MlpActors:
-    """(Leaky) ReLU networks: stacked, with gradients by hand."""
-
-    def __init__(
-        self,
-        runs: Sequence[RunSettings],
-        widths: Sequence[int],
-        batch_size: int,
-        *,
-        negative_slope: float,
-        dense: bool,
-        n_updates: int,
-    ) -> None:
-        self._slope, self._dense = negative_slope, dense
-        # Gradients and Adam's two moments have the layout of the parameters.
-        stacks = [new_layers(len(runs), widths, dense=dense) for _ in range(4)]
-        self.layers, self.gradients, *self.moments = stacks
-        self._pass = StackedMlp(self.layers, 2 * batch_size, negative_slope, batch_size, dense)
-        self._acting: tuple[StackedMlp, Tensor] | None = None
-        self._groups = adam_groups(runs, [layers.flat for layers in stacks], n_updates)
-
-    def at_step(self, n_steps: int) -> float:
-        """Return 1: the learning rate stays."""
-        return 1.0
-
-    def forward(self, inputs: Tensor) -> Tensor:
-        return self._pass.forward(self.layers, inputs)
-
-    def backward(self, inputs: Tensor, d_answers: Tensor) -> None:
-        self._pass.backward(self.layers, inputs, d_answers, self.gradients)
-
-    def step(self, rate_share: float) -> None:
-        for group in self._groups:
-            group.step(rate_share)
-
-    def act(self, states: Tensor) -> Tensor:
-        n_runs, n_envs, n_inputs = states.shape
-        if self._acting is None or self._acting[0].n_rows != n_envs:
-            self._acting = self._network(self.layers, n_envs), new_stack(n_runs, n_envs, n_inputs)
-        network, inputs = self._acting
-        return network.forward(self.layers, inputs.copy_(states))
-
-    def answers(self, run: int, states: Tensor) -> Tensor:
-        one = self.layers.only(run)
-        inputs = new_stack(1, *states.shape).copy_(states)
-        return self._network(one, len(states)).forward(one, inputs)[0]
-
-    def tensors(self, run: int) -> dict[str, Tensor]:
-        one = slice(run, run + 1)
-        stacks: dict[str, Layers] = {"actor": self.layers}
-        stacks |= {f"actor.moment{i}": moment for i, moment in enumerate(self.moments, start=1)}
-        return {f"{name}.{key}": view for name, layers in stacks.items() for key, view in layers.named(one).items()}
-
-    def initialise(self, run: int, generator: torch.Generator) -> None:
-        """Draw a network as torch's Linear does."""
-        self.layers.initialise(slice(run, run + 1), generator)
-
-    def _network(self, layers: Layers, n_rows: int) -> StackedMlp:
-        return StackedMlp(layers, n_rows, self._slope, dense=self._dense)
 
 
 @dataclass(frozen=True)

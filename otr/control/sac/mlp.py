@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pipelines.training.fleet.stacked_tensors import multiply, new_flat, new_stack
+from otr.control.sac.stacked_tensors import multiply, new_flat, new_stack
 
 NORM_EPSILON = 1e-5  # added to variances, as torch's LayerNorm does
 

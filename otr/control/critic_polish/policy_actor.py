@@ -6,12 +6,14 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-import otr
 from otr.control.search.state_moments import scale_of
 from otr.control.soft_trees.policy_module import policy_module
+from otr.core.head import Head
+from otr.core.heads import ClipBox, Identity, TanhBox
+from otr.core.network import ReluNetwork
 from otr.core.smooth_network import Layered
+from otr.core.tree import ObliqueTree
 from otr.importers.critics import Critics
-from pipelines.errors import ConfigError
 
 LOG_STD_LIMITS = (-5.0, 2.0)  # of the deviations that a policy begins with
 FIRST_LOG_STD = -1.5  # where no oracle defines how far to explore
@@ -31,7 +33,7 @@ class PolicyActor(nn.Module):
 
     def __init__(
         self,
-        policy: otr.ObliqueTree | otr.ReluNetwork,
+        policy: ObliqueTree | ReluNetwork,
         states: np.ndarray,
         log_stds: np.ndarray | None,
         *,
@@ -48,7 +50,6 @@ class PolicyActor(nn.Module):
             tied: whether a tree's tests that are equal, and its leaves that are, stay equal.
         """
         super().__init__()
-        check_head(policy.head)
         limits = policy.head.limits(policy.n_outputs)
         assert limits is not None
         self.policy = policy_module(policy, states, free=free, tied=tied)
@@ -73,18 +74,20 @@ class PolicyActor(nn.Module):
         return torch.cat((means, self.log_std((states - self._mean) / self._scale)), dim=1)
 
 
-def is_clipped(head: otr.Head) -> bool:
+def is_clipped(head: Head) -> bool:
     """Return whether a head clips its outputs to the box of actions; else tanh leads them there."""
-    return isinstance(head, otr.ClipBox)
+    return isinstance(head, ClipBox)
 
 
-def check_head(head: otr.Head) -> None:
-    """Raise ConfigError for a policy that no critic improves: of labels, of gains, of unlimited actions."""
-    if not isinstance(head, otr.ClipBox | otr.TanhBox):
-        raise ConfigError(
-            f"polishing.by=critic improves policies whose actions tanh or a clip leads into their box, not "
-            f"{type(head).__name__}; use polishing.by=search"
-        )
+def check_critics(critics: Critics, policy: Any) -> None:
+    """Raise TypeError where no critics improve such actions, ValueError where they judge other states or actions."""
+    head, n_read = policy.head, critics.layers[0][0].shape[1]
+    if not isinstance(head, ClipBox | TanhBox):
+        name = type(head).__name__
+        raise TypeError(f"critics improve actions that tanh or a clip leads into their box, not {name}; use a search")
+    if n_read != policy.n_inputs + policy.n_outputs:
+        expected = f"{policy.n_inputs} of a state and {policy.n_outputs} of an action"
+        raise ValueError(f"the critics read {n_read} numbers, expected {expected}; give the imitated policy's critics")
 
 
 class OraclePlay:
@@ -95,9 +98,12 @@ class OraclePlay:
         weights, biases = list(oracle.weights), list(oracle.biases)
         self._n_actions, self._has_deviations = len(biases[-1]), critics.log_std is not None
         if critics.log_std is not None:
+            if critics.log_std.shape[1] - 1 != weights[-1].shape[1]:
+                read = f"reads {critics.log_std.shape[1] - 1} numbers, not {weights[-1].shape[1]}"
+                raise ValueError(f"the critics are of an actor whose last layer {read}; give the imitated policy's")
             weights[-1] = np.concatenate((weights[-1], critics.log_std[:, :-1]))
             biases[-1] = np.concatenate((biases[-1], critics.log_std[:, -1]))
-        self._network: Any = oracle.replace(weights=weights, biases=biases, head=otr.Identity())
+        self._network: Any = oracle.replace(weights=weights, biases=biases, head=Identity())
 
     def log_stds(self, states: np.ndarray) -> np.ndarray | None:
         """Return the log standard deviations in states (n, d), (n, n_actions); None for an oracle without."""

@@ -21,7 +21,7 @@ help:  ## list the targets
 CONTROLLERS := cppcheck gcc-avr avr-libc simavr gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm \
     gcc-riscv64-unknown-elf qemu-system-misc
 
-# Dask, RDKit and a browser: for the tests of launcher=dask, of data sets made anew and of the page alone. The browser is
+# Dask and a browser: for the tests of launcher=dask and of the page alone. The browser is
 # the machine's Chromium or Chrome, else Playwright's, else the distribution's.
 .venv/.installed-all: .venv/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test-all]'

@@ -66,6 +66,7 @@ if TYPE_CHECKING:
         from_torch as from_torch,
         read_policy as read_policy,
     )
+    from otr.importers.critics import Critics as Critics, read_critics as read_critics
     from otr.importers.input_statistics import ObservationStatistics as ObservationStatistics
     from otr.programs.c.float_error import FloatError as FloatError, float_error as float_error
     from otr.programs.c.source import to_c as to_c
@@ -120,6 +121,7 @@ _NAMES_OF_MODULES = {
     "fixed_point.shortest": "shortest_fixed_point to_fixed_point",
     "geometry.minimal_tree": "minimal_tree",
     "importers": "from_onnx from_sb3 from_sklearn from_torch read_policy",
+    "importers.critics": "Critics read_critics",
     "importers.input_statistics": "ObservationStatistics",
     "programs.c.float_error": "FloatError float_error",
     "programs.c.source": "to_c",

@@ -1,7 +1,7 @@
 """The policy of a finished run as a program in another language, with the environment's names."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,7 +13,7 @@ import otr
 from otr.clock import time_limit
 from otr.programs.c.arduino import arduino_sketch
 from pipelines.config.run import RunConfig
-from pipelines.config.setting import Folder, FreeText, OneOf, Range, check_settings
+from pipelines.config.setting import Folder, FreeText, OneOf, Range, check_settings, results_folder
 from pipelines.config.stages import Side
 from pipelines.errors import ConfigError, PipelineError, check_choice
 from pipelines.play.printed_programs import names_of_env
@@ -28,20 +28,20 @@ _BOUND_S = 30.0  # for the bound of what floats change
 class ExportConfig:
     """What `otr-export` takes; None is the format's own default."""
 
-    run: FreeText
-    program: FreeText | None
-    model: FreeText | None
-    env: FreeText | None
-    format: FreeText
-    tree: FreeText
-    out: FreeText | None
-    name: FreeText | None
-    dtype: Annotated[str | None, OneOf("double", "float")]
-    precision: Annotated[int | None, Range(0)]
-    box: list[Side] | None
-    bits: Annotated[int | None, Range(2, 24)]
-    results_dir: Folder
-    debug: bool
+    run: FreeText = ""
+    program: FreeText | None = None  # in place of a run
+    model: FreeText | None = None  # likewise, the file of a policy, as of otr-run
+    env: FreeText | None = None  # whose names that has
+    format: FreeText = ""
+    tree: FreeText = "pruned"
+    out: FreeText | None = None
+    name: FreeText | None = None
+    dtype: Annotated[str | None, OneOf("double", "float")] = None
+    precision: Annotated[int | None, Range(0)] = None
+    box: list[Side] | None = None
+    bits: Annotated[int | None, Range(2, 24)] = None
+    results_dir: Folder = field(default_factory=results_folder)
+    debug: bool = False
 
     def __post_init__(self) -> None:
         check_settings(self)

@@ -1,7 +1,7 @@
 """What is proved of a policy: a run's certificate, checked again without a solver, and a program compared."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 import otr
 from pipelines.config.env import EnvConfig
 from pipelines.config.run import RunConfig
-from pipelines.config.setting import Folder, FreeText, NotNegative, check_settings
+from pipelines.config.setting import Folder, FreeText, NotNegative, check_settings, results_folder
 from pipelines.config.stages import Side
 from pipelines.engine.archive import opened
 from pipelines.engine.store import exists, read_json
@@ -28,19 +28,19 @@ MAX_DIFFERENCE = 1e-6
 class VerifyConfig:
     """What `otr-verify` takes; None is the run's own."""
 
-    run: FreeText
-    program: FreeText | None
-    env: FreeText | None
-    always: FreeText | None
-    range: bool
-    box: list[Side] | None
-    max_difference: NotNegative | None
-    max_seconds: NotNegative | None
-    certificate: FreeText | None
-    tree: FreeText | None
-    actor: FreeText | None
-    results_dir: Folder
-    debug: bool
+    run: FreeText = ""
+    program: FreeText | None = None  # compared with the run's network or with `tree`, or asked about
+    env: FreeText | None = None  # the program's, where no run is named
+    always: FreeText | None = None
+    range: bool = False
+    box: list[Side] | None = None
+    max_difference: NotNegative | None = None
+    max_seconds: NotNegative | None = None
+    certificate: FreeText | None = None
+    tree: FreeText | None = None
+    actor: FreeText | None = None
+    results_dir: Folder = field(default_factory=results_folder)
+    debug: bool = False
 
     def __post_init__(self) -> None:
         check_settings(self)

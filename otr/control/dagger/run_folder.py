@@ -96,19 +96,6 @@ class RunFolder:
         return state
 
 
-def returns_so_far(folder: Path) -> list[tuple[int, float]]:
-    """Return, of each tree of a run under way that has played, its number of rows and the mean of its returns.
-
-    The run is not disturbed; before its first round there are none.
-    """
-    path = folder / "dagger.json"
-    if not path.exists():
-        return []
-    state = json.loads(path.read_text(encoding="utf-8"))
-    played = zip(state["trees"], state["rollouts"][1:], strict=False)  # the oracle's come first
-    return [(tree["n_rows"], float(np.mean(returns))) for tree, returns in played]
-
-
 class GrowingArray:
     """A float64 array (n, width) in a raw file; rows are appended to those that the caller has committed.
 

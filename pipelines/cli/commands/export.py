@@ -4,19 +4,17 @@ import argparse
 import sys
 from typing import Any
 
-from pipelines.cli.compose import Composer, to_object
 from pipelines.cli.overrides import without_environment
 from pipelines.cli.runs import load_config, policy_of_model, written_policy
+from pipelines.cli.settings import settings_of
 from pipelines.runs.export import ExportConfig, check_export, policy_of, program_of, write_program
 from pipelines.runs.finished_run import find_run
-
-EXPORT = Composer("export", {(None, "export_schema"): ExportConfig})
 
 
 def do(arguments: argparse.Namespace) -> int:
     """Print the policy of a run, of a program file or of a model, or write it to a file."""
     overrides, of_env = without_environment(arguments)
-    cfg: ExportConfig = to_object(EXPORT.compose(overrides))
+    cfg: ExportConfig = settings_of(ExportConfig, overrides)
     check_export(cfg, of_env)
     policy: Any
     folder = None

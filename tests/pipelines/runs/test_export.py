@@ -38,19 +38,6 @@ def test_the_command_from_another_folder(tmp_path):
     assert all(name in help_text for name in FORMATS)
 
 
-@pytest.mark.parametrize("run", [HOPPER, str(RESULTS / "runs" / LANDER)])
-def test_python(run, export):
-    done = export(f"run={run}", "format=python", "name=pilot")
-    assert done.returncode == 0, done.stderr
-    scope = {}
-    exec(done.stdout, scope)
-    tree = committed_tree(run)
-    states = np.random.default_rng(0).normal(size=(200, tree.n_inputs))
-    answers = [scope["pilot"](state) for state in states.tolist()]
-    np.testing.assert_allclose(answers, tree.predict(states), rtol=1e-12, atol=1e-12)
-    assert "# state[0]: z\n" in done.stdout or "return 2  # main_engine\n" in done.stdout
-
-
 def test_files_of_every_format(export, tmp_path):
     for name, kind in FORMATS.items():
         done = export(f"run={HOPPER}", f"format={name}", f"out={tmp_path}")

@@ -270,24 +270,19 @@ def test_class_weights_reach_the_learner(fit_of):
         fit_job(job_of(fit_of("cart", data="diabetes", class_weight="balanced")))
 
 
-@pytest.mark.parametrize("learner", ["linear", "cart", "hhcart", "augtree", "model_tree", "lcn", "otr"])
+@pytest.mark.parametrize("learner", ["linear", "cart", "hhcart", "augtree", "lcn", "otr"])
 def test_every_learner_does_a_regression(fit_of, learner):
     settings = {"epochs": 4} if learner in ("lcn", "otr") else {}
-    settings |= {"max_depth": 3} if learner in ("cart", "hhcart", "augtree", "model_tree") else {}
+    settings |= {"max_depth": 3} if learner in ("linear", "cart", "hhcart", "augtree") else {}
     summary = fit_job(job_of(fit_of(learner, data="diabetes", **settings)))
     assert summary["metric"] == "rmse" and 40 < summary["test"] < 75  # the targets' deviation is about 77
 
 
-@pytest.mark.parametrize("learner", ["linear", "cart", "hhcart", "tao", "augtree", "model_tree", "otr"])
+@pytest.mark.parametrize("learner", ["linear", "cart", "hhcart", "tao", "augtree", "otr"])
 def test_every_classifier_does_many_classes(fit_of, learner):
     settings = {"epochs": 4} if learner == "otr" else {}
-    settings |= (
-        {"max_depth": 4}
-        if learner in ("cart", "hhcart", "tao", "augtree")
-        else {"max_depth": 1}
-        if learner == "model_tree"
-        else {}
-    )
+    settings |= {"max_depth": 4} if learner in ("cart", "hhcart", "tao", "augtree") else {}
+    settings |= {"max_depth": 1} if learner == "linear" else {}
     summary = fit_job(job_of(fit_of(learner, data="digits", **settings)))
     assert summary["metric"] == "accuracy" and summary["test"] > 0.4
 

@@ -34,7 +34,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from fractions import Fraction
+from functools import singledispatch
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -49,9 +51,8 @@ from otr.proof.exact_rows import INFINITE, ON_BOUNDARY, Bounds, ExactRow, TreeAn
 _NEGLIGIBLE = Fraction(1, 10**9)  # a difference of outputs that is not worth the sharpest bound
 
 
-def verify(
-    certificate: Certificate, tree: ObliqueTree, network: ReluNetwork, *, max_seconds: float | None = None
-) -> float:
+@singledispatch
+def verify(certificate: Any, tree: Any, network: Any, *, max_seconds: float | None = None) -> float:
     """Check that a certificate proves that `tree` computes the same function as `network`, and return the bound.
 
     Args:

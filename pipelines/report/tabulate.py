@@ -21,7 +21,7 @@ from pipelines.report.text import page, write_tables
 
 FIGURES_OF_A_BUDGET = ("4.6", "4.7")
 FIGURES = (*FIGURES_OF_A_BUDGET, "profile")
-FIGURES_OF_RUNS = ("curves", "leaves")  # `pipelines.report.figures.run_figures` writes them
+FIGURES_OF_RUNS = ("curves", "leaves", "regions")  # `pipelines.report.figures.run_figures` writes them
 ALL = ("4.2", "4.6", "4.7", "certificates", "comparisons", "profile", "4.1")
 
 

@@ -48,11 +48,18 @@ def test_settings_refuse_what_estimators_do(cls):
     ("parameters", "expected"),
     [
         ({"hidden": 8}, "a sequence, each item an int in the range [1, inf). Got 8 instead."),
+        ({"hidden": [8, -1]}, "a sequence, each item an int in the range [1, inf). Got [8, -1] instead."),
         ({"hidden": "88"}, "a sequence, each item an int in the range [1, inf). Got '88' instead."),
         ({"hidden": [8.0]}, "a sequence, each item an int in the range [1, inf). Got [8.0] instead."),
+        ({"epochs": 0}, "an int in the range [1, inf) or None. Got 0 instead."),
+        ({"batch_size": 0}, "an int in the range [1, inf). Got 0 instead."),
         ({"decay_every": 0}, "an int in the range [1, inf) or None. Got 0 instead."),
+        ({"learning_rate": "a"}, "a float in the range (0.0, inf). Got 'a' instead."),
+        ({"learning_rate": np.nan}, "a float in the range (0.0, inf). Got nan instead."),
+        ({"input_dropout": 1.0}, "a float in the range [0.0, 1.0). Got 1.0 instead."),
         ({"standardize": 1}, "a str among {'auto'}. Got 1 instead."),
         ({"teacher": 3}, "None. Got 3 instead."),
+        ({"max_leaves": 2.5}, "an int in the range [1, inf). Got 2.5 instead."),
         ({"dense": "x"}, "Got 'x' instead."),
     ],
 )
@@ -71,7 +78,10 @@ def test_parameters_of_the_same_kind_do_as_well():
     for hidden in ([4], np.array([4]), (4,)):
         model = OTR(hidden, epochs=np.int64(1), learning_rate=np.float32(0.1), shared=np.bool_(False), random_state=0)
         assert model.fit(X, y).network_.hidden_widths == (4,)
-    assert OTR((2, 2), dense=True, epochs=1).fit(X, y).network_.dense == "all"
+    assert (
+        OTR((2, 2), dense=True, epochs=1).fit(X, y).network_.dense
+        == OTR((2, 2), dense="all", epochs=1).fit(X, y).network_.dense
+    )
 
 
 def test_the_schedule_of_the_defaults():

@@ -83,6 +83,12 @@ class OfOldGym(Cart):
         return super().reset()[0]
 
 
+class ReturnsFour(Cart):
+    def step(self, action: Any) -> Any:
+        state, reward, ended, _, info = super().step(action)
+        return state, reward, ended, info
+
+
 class LongerThanItsSpace(Cart):
     def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
         return np.append(super().reset(seed=seed)[0], 0), {}

@@ -16,8 +16,11 @@ NAMES = ["position", "velocity", "left contact"]
 REFUSED = [
     # text, line, column, words
     ("", 1, 1, "the program is empty"),
+    ("# nothing\n\n", 1, 1, "the program is empty"),
     ("return velocty", 1, 8, "unknown name 'velocty'. Did you mean velocity?"),
+    ("return Position", 1, 8, "Did you mean position?"),
     ("return speed", 1, 8, "unknown name 'speed'. Known are: position, velocity, left contact"),
+    ("return u\nu = 1", 1, 8, "unknown name 'u'"),
     ("return sin(velocity)", 1, 8, "unknown function 'sin'. Did you mean min?"),
     ("return position (velocity)", 1, 8, "'position' is no function; write position * (...)"),
     ("return position * velocity", 1, 17, "multiplies two values that depend on the inputs"),
@@ -25,35 +28,46 @@ REFUSED = [
     ("return 1 / velocity", 1, 10, "divides by a value that depends on the inputs"),
     ("return velocity / (1 - 1)", 1, 17, "this divides by zero"),
     ("return velocity ^ 2", 1, 17, "powers are not affine"),
+    ("return velocity**2", 1, 16, "powers are not affine"),
     ("return 1/2 velocity", 1, 12, "Write a / b * velocity or a / (b * velocity)"),
     ("return 1e999", 1, 8, "larger than a float64 can hold"),
     ("return 1e300 * 1e300 * velocity", 1, 14, "grow larger than a float64 can hold"),
     ("return clip(velocity, 1, -1)", 1, 8, "clip's limits are 1 and -1, lower first"),
     ("return clip(velocity, 1)", 1, 8, "clip takes 3 arguments, got 2"),
+    ("return abs(velocity, 1)", 1, 8, "abs takes 1 argument, got 2"),
+    ("return tanh(velocity) + position", 1, 23, "tanh may only be scaled and shifted by constants"),
     ("if tanh(velocity) > 0 then 1 else 0", 1, 4, "tanh may only be scaled"),
     ("if velocity > 0 then tanh(velocity) else 2 tanh(position)", 1, 42, "where one answer goes through tanh all must"),
+    ("if velocity > 0 then tanh(velocity) else 1", 1, 42, "where one answer goes through tanh all must"),
     ("return argmax(velocity, 1)", 1, 8, "labels=True reads labels"),
     ("if velocity <= 0 then return 1", 1, 1, "come to its end without an answer; add an 'else'"),
+    ("if velocity <= 0:\n    u = 1\nelse:\n    return 2\n", 2, 5, "without an answer"),
     ("if velocity <= 0:\n    y0 = 1\n    y1 = 2\nelse:\n    y0 = 3", 5, 5, "give no value to the output 'y1'"),
     ("y1 = 2 position\ny2 = 3 position", 2, 1, "the output 'y2' has a value and 'y0' has none; number the outputs"),
     ("y0 = position\nu = 1\ny2 = 3 u", 3, 1, "the output 'y2' has a value and 'y1' has none; number the outputs"),
+    ("y0 = position\ny01 = 3", 2, 1, "the output 'y01' has a value and 'y1' has none; number the outputs"),
     ("if velocity <= 0:\n    u = 1\nreturn u", 3, 8, "'u' has no value on some ways to here"),
     ("if velocity <= 0 return 1", 1, 18, "expected 'then' or ':' after the condition, found 'return'"),
     ("if velocity <= 0\n    -1\nelse\n    1", 2, 7, "expected 'then' or ':' after the condition, found the end of"),
     ("if velocity then 1 else 2", 1, 4, "this is a number where a condition was expected"),
     ("if velocity = 0 then 1 else 2", 1, 13, "to compare, write '=='"),
+    ("if not velocity then 1 else 2", 1, 8, "this is a number where a condition was expected"),
     ("return velocity <= 0", 1, 17, "this is a condition where a number was expected"),
     ("if (velocity <= 0) -1 else 1", 1, 14, "is 'then' missing"),
     ("return 1 if velocity > 0", 1, 25, "expected 'else' after the condition, for the other value, found the end"),
+    ("return 1 if velocity > 0\nelse 0", 1, 25, "found the end of the line"),
     ("else\n    return 1", 1, 1, "'else' without an 'if'"),
     ("return 1\nreturn 2", 2, 1, "nothing reaches this: line 1 has answered"),
+    ("if velocity > 0: return 1\nelse: return 2\nu = 1", 3, 1, "nothing reaches this"),
     ("return 1 2", 1, 10, "unexpected '2' after a statement"),
     ("return velocity position", 1, 17, "unexpected 'position' after a statement; write * for"),
     ("return 1\n}", 2, 1, "unexpected '}'"),
     ("return (1 + velocity", 1, 21, "expected ')' to close the bracket of line 1, column 8, found the end of the text"),
     ("return 1 +", 1, 11, "expected a number, a name or '(', found the end"),
+    ("return 1 +\nreturn 2", 1, 11, "found the end of the line"),
     ("return @", 1, 8, "the character '@' has no meaning here"),
     ("u = 1\n    w = 2\nreturn u", 2, 5, "this line is indented unlike those around it"),
+    ("if velocity > 0:\n    u = 1\n  w = 2\nreturn 1", 3, 3, "this line is indented unlike"),
     ("if velocity > 0:\n\tu = 1\nelse:\n    u = 2\nreturn u", 4, 1, "tabs and spaces indent"),
     ("if velocity > 0 then\nu = 1\nw = 2", 1, 1, "where does the block of this 'if' end?"),
     ("if velocity > 0 then {\nreturn 1\n", 2, 9, "expected '}' for the brace of line 1"),
@@ -63,7 +77,9 @@ REFUSED = [
     ("y0 = 1\ny0 = velocity", 2, 1, "'y0' has a value from line 1 that nothing has used"),
     ("if velocity > 0 then return 1, 2 else return 3", 1, 46, "this answer has 1 values, expected 2"),
     ("return " + "(" * 200 + "1" + ")" * 200, 1, 108, "more than 100 brackets and operators"),
+    ("return " + "-" * 300 + "1", 1, 109, "more than 100 brackets and operators"),
     ("return " + "if velocity > 0 then " * 350 + "1" + " else 2" * 350, 1, 2122, "more than 100 brackets"),
+    ("return " + "1 if velocity > 0 else " * 350 + "1", 1, 2324, "more than 100 brackets and operators"),
     ("if velocity > 0 then {" * 5000, 1, 110001, "expected '}' for the brace of line 1, found the end of the text"),
     ("if velocity > 0:\n" * 5000 + "1", 4999, 1, "where does the block of this 'if' end?"),
     ("return `velocity", 1, 8, "the character '`' has no meaning here"),
@@ -184,6 +200,20 @@ def test_too_many_paths() -> None:
         otr.parse_program("return max(position, velocity)", NAMES, max_leaves=1)
 
 
+@pytest.mark.parametrize(
+    ("features", "outputs", "words"),
+    [
+        (["x", "x"], None, "feature_names has 'x' twice"),
+        (["x"], ["y", "y"], "output_names has 'y' twice"),
+        (["x"], ["x"], "output_names has 'x', which is an input's name, too"),
+        ("xy", None, "feature_names is the text 'xy', expected a list of names"),
+    ],
+)
+def test_names_that_no_program_could_use(features: list[str], outputs: list[str] | None, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        otr.parse_program("return 1", features, output_names=outputs)
+
+
 def test_a_program_without_an_answer_is_told_the_names_of_the_outputs() -> None:
     with pytest.raises(otr.ProgramError, match="or give a value to force"):
         otr.parse_program("action = 1", ["v"], output_names=["force"])
@@ -191,11 +221,9 @@ def test_a_program_without_an_answer_is_told_the_names_of_the_outputs() -> None:
         otr.parse_program("action = 1", ["v"])
 
 
-def test_what_is_no_text_and_names_that_no_program_could_use_are_told() -> None:
+def test_what_is_no_text_is_told() -> None:
     with pytest.raises(TypeError, match="text is a int, expected the program as a str"):
         otr.parse_program(3, ["v"])  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="feature_names has 'x' twice"):
-        otr.parse_program("return 1", ["x", "x"])
 
 
 def test_a_number_that_may_be_another_label_s_name_is_refused() -> None:

@@ -3,6 +3,7 @@ import pytest
 
 import otr
 from otr.programs.text import text_of_every_leaf
+from otr.programs.walk import affine_expression
 from tests.core.strategies import make_network
 from tests.core.test_tree import small_tree
 
@@ -47,6 +48,23 @@ def test_labels() -> None:
 def test_argmax_without_labels() -> None:
     tree = otr.ObliqueTree([], [], np.zeros((0, 1)), [], [[[1.0], [-2.0]]], [[0.0, 3.0]], head=otr.Argmax())
     assert otr.to_text(tree) == "y0 = x0\ny1 = 3 - 2 x0\nreturn argmax(y0, y1)\n"
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "offset", "text"),
+    [
+        ([0.0, 0.0], 0.0, "0"),
+        ([0.0, 0.0], -1.0, "-1"),
+        ([1.0, -1.0], 0.0, "a - b"),
+        ([-1.0, 0.0], 0.0, "-a"),
+        ([0.00001234567, 1.00001], 2.0, "2 + 1.235e-05 a + b"),
+    ],
+)
+def test_affine_expression(coefficients: list[float], offset: float, text: str) -> None:
+    written = affine_expression(
+        np.array(coefficients), offset, ["a", "b"], lambda size: f"{size:.4g}", times=" ", tie=" ", leaves_out_ones=True
+    )
+    assert written == text
 
 
 def test_bad_arguments_are_refused() -> None:

@@ -73,7 +73,9 @@ class RunFolder:
 
     def tree(self, r: int) -> ObliqueTree | PatternTree:
         """Return round r's tree."""
-        return load(self._tree_path(r))
+        tree = load(self._tree_path(r))
+        assert isinstance(tree, ObliqueTree | PatternTree)
+        return tree
 
     def _tree_path(self, r: int) -> Path:
         return self._folder / f"iterate-{r:03d}.json"

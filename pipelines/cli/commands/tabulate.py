@@ -20,7 +20,10 @@ class TabulateConfig:
 
     table: FreeText = "4.1"
     figure: FreeText | None = None
-    run: list[FreeText] = field(default_factory=list)  # of the figures that show the runs that one names
+    # This and the next three: of the figures that show the runs that one names
+    run: list[FreeText] = field(default_factory=list)
+    tree: FreeText = "pruned"
+    inputs: list[FreeText] = field(default_factory=list)
     out: FreeText | None = None
     budget: Annotated[str | None, OneOf("standard", "thesis", "quick", "smoke")] = None  # of Figures 4.6 and 4.7
     evaluate: bool = False
@@ -34,7 +37,7 @@ class TabulateConfig:
 
 def do(arguments: argparse.Namespace) -> int:
     """Write the reports that are named, print them, and return whether runs that were played again differed."""
-    from pipelines.report.figures.run_figures import RUN_FIGURES  # imports pandas, as the next
+    from pipelines.report.figures.run_figures import RUN_FIGURES, RunFigure  # imports pandas, as the next
     from pipelines.report.tabulate import FIGURES_OF_A_BUDGET, reports_of, write_report
 
     names = [argument for argument in arguments.overrides if "=" not in argument]
@@ -42,10 +45,15 @@ def do(arguments: argparse.Namespace) -> int:
     asked = names or [f"figure={cfg.figure}" if cfg.figure else f"table={cfg.table}"]
     reports = [report for name in asked for report in reports_of(name)]
     results_dir = Path(cfg.results_dir)
-    for setting, value in (("budget", cfg.budget), ("run", cfg.run), ("out", cfg.out)):
-        known = FIGURES_OF_A_BUDGET if setting == "budget" else tuple(RUN_FIGURES)
-        if value and not set(known) & set(reports):
-            raise ConfigError(f"{setting}={value}: only figure={', figure='.join(known)} take it")
+    of_runs = RunFigure(cfg.run, cfg.tree, cfg.inputs, cfg.out)
+    given = {"budget": cfg.budget, **dataclasses.asdict(of_runs)}
+    unset = {"budget": None, **dataclasses.asdict(RunFigure([]))}
+    takers = {"budget": FIGURES_OF_A_BUDGET, "tree": ("regions",), "inputs": ("regions",)}
+    for setting, value in given.items():
+        known = takers.get(setting, tuple(RUN_FIGURES))
+        if value != unset[setting] and not set(known) & set(reports):
+            take = "takes" if len(known) == 1 else "take"
+            raise ConfigError(f"{setting}={value}: only figure={', figure='.join(known)} {take} it")
     if not (results_dir / "runs").is_dir() and not RUN_FIGURES.keys() >= set(reports):
         raise ConfigError(f"results_dir={cfg.results_dir}: there is no folder {results_dir / 'runs'} with runs")
     different = 0
@@ -56,7 +64,7 @@ def do(arguments: argparse.Namespace) -> int:
     for report in reports:
         try:
             if report in RUN_FIGURES:
-                written = RUN_FIGURES[report](cfg.run, cfg.out, results_dir)
+                written = RUN_FIGURES[report](of_runs, results_dir, lambda run_dir: load_config(run_dir, 1))
             else:
                 written = write_report(report, results_dir, cfg.budget, lambda run_dir: load_config(run_dir, 1))
         except MissingInputError as error:

@@ -1,15 +1,18 @@
-"""The front of the page: tables with the thesis's numbers and ours and intervals drawn."""
+"""The front of the page: tables with the thesis's numbers and ours and intervals drawn, and the data of the figures."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
+from pipelines.errors import MissingInputError
 from pipelines.report.cells import METHOD_NAMES, TASK_NAMES
+from pipelines.report.figures.learning_curves import STEPS, load_curves
 
 BAR_WIDTH, BAR_HEIGHT = 96, 14
 
@@ -43,6 +46,49 @@ def plain_table(caption: str, head: Sequence[str], lines: Iterable[Sequence[str]
         f"<figure class=scroll><table><caption class=quiet>{escape(caption)}</caption><thead><tr>{heads}</tr></thead>"
         f"<tbody>{rows}</tbody></table></figure>"
     )
+
+
+def figures_data(run_dirs: Sequence[Path], runs: pd.DataFrame) -> dict[str, Any]:
+    """Return what the page draws: by figure, by environment, the axes' names and the lines' points."""
+    figures: dict[str, Any] = {}
+    try:
+        curves = load_curves(run_dirs)
+        curves = curves[curves["unit"] == STEPS]
+        figures["curves"] = {
+            TASK_NAMES.get(panel, panel): _lines(
+                group, "label", "spent", "mean", STEPS, "return of the policies judged", log=False
+            )
+            for panel, group in curves.groupby("panel", sort=True)
+        }
+    except MissingInputError:
+        pass
+    runs = runs[runs["form"].isin(("tree", "polished"))]
+    runs = runs.assign(label=runs["method"].map(METHOD_NAMES) + ", " + runs["budget"], trained=_seconds(runs))
+    of_trees, of_policies = ("leaves_pruned", "return_pruned"), ("trained", "return_mean")
+    for name, (x, y) in (("leaves", of_trees), ("seconds", of_policies)):
+        known = runs[runs[x] > 0]
+        of_depth = known.groupby(["task", "label", "depth"], sort=False)[[x, y]].mean().reset_index()
+        figures[name] = {
+            TASK_NAMES.get(task, task): _lines(group, "label", x, y, name, "return", log=True)
+            for task, group in of_depth.groupby("task", sort=False)
+        }
+    return {name: figure for name, figure in figures.items() if figure}
+
+
+def _seconds(runs: pd.DataFrame) -> pd.Series:
+    """Return the seconds in which each run's policy was made, polishing included where it is the polished one."""
+    polishing = runs.get("seconds.polish", 0) * (runs["method"].str.endswith("-polished"))
+    stages = [runs[name] for name in ("seconds.train", "seconds.imitate") if name in runs]
+    return pd.concat([*stages, polishing.rename("polish")], axis=1).astype(float).sum(axis=1)
+
+
+def _lines(group: pd.DataFrame, by: str, x: str, y: str, x_name: str, y_name: str, *, log: bool) -> dict[str, Any]:
+    series = []
+    for label, line in group.groupby(by, sort=True):
+        ordered = line.groupby(x)[y].mean().sort_index()
+        thinned = ordered.iloc[:: max(1, len(ordered) // 100)]
+        series.append({"label": label, "points": [[float(f"{a:.6g}"), float(f"{b:.5g}")] for a, b in thinned.items()]})
+    return {"x": x_name, "y": y_name, "log": log, "series": series}
 
 
 def _scale(cells: pd.DataFrame) -> tuple[float, float]:

@@ -28,14 +28,19 @@ from pipelines.report.cells import KEY, SOURCE, TASK_NAMES, oracle_runs, table_r
 from pipelines.report.certificates import certificate_lines
 from pipelines.report.frames import load_fits, load_runs
 from pipelines.report.text import write_file
-from pipelines.report.webpage.front import cell_table, name_of_cell, plain_table
+from pipelines.report.webpage.front import cell_table, figures_data, name_of_cell, plain_table
 from pipelines.report.webpage.policy import policy_data
 
 VENDOR = ("vendor/d3-hierarchy.min.js", "vendor/uPlot.iife.min.js")
 SCRIPTS = (*VENDOR, "tree.js", "nearest.js", "drawing.js", "why.js", "view.js", "page.js")
 STYLES = ("vendor/uPlot.min.css", "page.css")
 FORMS = {"tree": "pruned", "polished": "polished"}  # of a policy in the tables: the tree that the page shows
-PARTS = {"table-4-1": "Control", "table-4-2": "Molecules", "proofs": "What is proved"}
+FIGURES = {
+    "curves": "Learning curves, of the run nearest to each cell's mean",
+    "leaves": "Return of the pruned tree against the number of its leaves, mean over runs",
+    "seconds": "Return against seconds of training, an imitator's oracle apart, mean over runs",
+}
+PARTS = {"table-4-1": "Control", "table-4-2": "Molecules", "proofs": "What is proved", "figures": "Figures"}
 
 
 @dataclass(frozen=True)
@@ -92,11 +97,11 @@ def write_run_page(
     detail = OF_ONE if len(shown) == 1 else OF_MANY
     title = f"{shown[0].group}: {shown[0].name}" if len(shown) == 1 else f"{len(shown)} policies"
     head = "<p>A policy as a decision tree: move the state, play the episode, copy the program. Made by otr.</p>"
-    return _write(out, title, head, "", _policies(shown, detail, out, load_config))
+    return _write(out, title, head, "", _policies(shown, detail, out, load_config), {})
 
 
 def write_results_page(results_dir: Path, out: Path, load_config: Callable[[Path], RunConfig]) -> Path:
-    """Write the page of all finished runs and fits: the tables, what is proved, and a policy a cell.
+    """Write the page of all finished runs and fits: the tables, the figures, what is proved, and a policy a cell.
 
     Where no run and no fit is one of those that tables are made of, it is a page of every run's policy.
     """
@@ -122,14 +127,18 @@ def write_results_page(results_dir: Path, out: Path, load_config: Callable[[Path
             "<code>otr-verify run=...</code> checks it again in rational arithmetic.</p>"
             + plain_table("Certificates", lines[0], lines[1:])
         )
-    front = "\n".join(tables)
+    figures = figures_data([each.folder for each in shown], own)
+    drawn = "".join(
+        f'<h3>{escape(title)}</h3><div id="figure-{name}"></div>' for name, title in FIGURES.items() if name in figures
+    )
+    front = "\n".join([*tables, f'<h2 id="figures">Figures</h2>{drawn}' if drawn else ""])
     links = "".join(f'<a href="#{key}">{name}</a>' for key, name in PARTS.items() if f'id="{key}"' in front)
     head = (
         "<p>Neural policies as oblique decision trees, with the published numbers of the thesis that otr implements "
         "(Orfanos 2023). Every number is read from the runs next to this page; what was not run says so.</p>"
         f'<nav>{links}<a href="#policies">Policies</a></nav>'
     )
-    return _write(out, "otr: policies as programs", head, front, policies)
+    return _write(out, "otr: policies as programs", head, front, policies, figures)
 
 
 def _a_policy_a_cell(cells: pd.DataFrame, runs: pd.DataFrame, results_dir: Path) -> tuple[list[Shown], dict[Any, str]]:
@@ -205,7 +214,7 @@ def _policies(shown: Sequence[Shown], detail: Detail, out: Path, load_config: Ca
         digest = "".join(each.folder.name.partition("~")[1:])  # of the settings in which it is not as the others
         name = f"{each.name} {digest}".strip() if n_so_named[each.group, each.name] > 1 else each.name
         data |= {"about": f"{each.group}, {name}, {each.form} tree", "folder": folder}
-        policies.blocks[f"policy-{i}"] = _stored(f"policy-{i}", data)
+        policies.blocks[f"policy-{i}"] = _stored(f"policy-{i}", data, "policy")
         policies.choices.append((f"policy-{i}", each.group, name))
         progress(i + 1, len(shown))
     if not policies.blocks:
@@ -215,7 +224,8 @@ def _policies(shown: Sequence[Shown], detail: Detail, out: Path, load_config: Ca
     return policies
 
 
-def _write(out: Path, title: str, head: str, front: str, policies: Policies) -> Path:
+def _write(out: Path, title: str, head: str, front: str, policies: Policies, figures: dict[str, Any]) -> Path:
+    blocks = [*policies.blocks.values(), *([_stored("figures-data", figures, "figures")] if figures else [])]
     left_out = ""
     if policies.left_out:
         lines = "".join(f"<li>{escape(line)}</li>" for line in policies.left_out)
@@ -224,7 +234,7 @@ def _write(out: Path, title: str, head: str, front: str, policies: Policies) -> 
     parts = {
         "title": escape(title), "head": head, "front": front, "choice": _choice(policies.choices),
         "left_out": left_out, "foot": f"Written by otr {otr.__version__}.",
-        "style": _assets(STYLES), "script": _assets(SCRIPTS), "data": "\n".join(policies.blocks.values()),
+        "style": _assets(STYLES), "script": _assets(SCRIPTS), "data": "\n".join(blocks),
     }  # fmt: skip
     template = (resources.files("pipelines.report.webpage") / "assets" / "page.html").read_text(encoding="utf-8")
     return write_file(out, Template(template).substitute(parts))
@@ -244,11 +254,11 @@ def _choice(choices: Sequence[tuple[str, str, str]]) -> str:
     return f"<h2>The policies</h2><p><label for=choice>Policy </label><select id=choice>{options}</select></p>"
 
 
-def _stored(key: str, data: Any) -> str:
+def _stored(key: str, data: Any, kind: str) -> str:
     """Return JSON-able data compressed in a script element that no browser runs."""
     text = json.dumps(data, allow_nan=False, separators=(",", ":"))
     packed = base64.b64encode(gzip.compress(text.encode(), 9, mtime=0)).decode("ascii")
-    return f'<script type="text/plain" class="policy" id="{key}">{packed}</script>'
+    return f'<script type="text/plain" class="{kind}" id="{key}">{packed}</script>'
 
 
 def _assets(names: Sequence[str]) -> str:

@@ -32,6 +32,21 @@ def test_kind_follows_the_inputs():
 
 
 @pytest.mark.parametrize("kind", ["sparse", "dense"])
+def test_products_and_their_derivatives(kind):
+    X, rows = _rows(kind)
+    table = torch.randn(G * D, 6, generator=torch.Generator().manual_seed(0), requires_grad=True)
+    X_batch = torch.tensor(X[_chosen()], dtype=torch.float32)
+    expected = torch.bmm(X_batch, table.view(G, D, 6))
+    deltas = torch.randn(expected.shape, generator=torch.Generator().manual_seed(1))
+    (gradient,) = torch.autograd.grad(expected, table, deltas)
+    with torch.no_grad():
+        batch = rows.batch(_chosen())
+        torch.testing.assert_close(batch.times(table), expected.detach())
+        torch.testing.assert_close(batch.transposed_times(deltas), gradient)
+        torch.testing.assert_close(rows.times(table[:D]), torch.tensor(X, dtype=torch.float32) @ table[:D])
+
+
+@pytest.mark.parametrize("kind", ["sparse", "dense"])
 def test_dropped_inputs_are_zero_and_the_others_as_they_were(kind):
     X, rows = _rows(kind)
     identity = torch.eye(D).repeat(G, 1)

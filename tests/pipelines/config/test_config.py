@@ -4,9 +4,11 @@ import dataclasses
 
 import pytest
 
+from pipelines.config.env import EnvConfig
 from pipelines.config.stages import EvaluateConfig
 from pipelines.engine.digests import setting_differences
 from pipelines.errors import ConfigError
+from pipelines.play.spaces import feature_names
 from tests.pipelines.conftest import PPO, SAC
 
 
@@ -35,3 +37,10 @@ def test_depths_that_are_no_networks_are_refused(tiny, depth):
 def test_what_no_range_says_is_refused_by_name(tiny, changes, words):
     with pytest.raises(ConfigError, match=words):
         tiny(**changes)
+
+
+def test_names_of_features_must_fit_the_policy():
+    env = EnvConfig("pendulum", "pendulum", "Pendulum-v1", {}, ["a", "b"], [])
+    with pytest.raises(ConfigError, match="2 names, the policy has 3"):
+        feature_names(env, 3)
+    assert feature_names(dataclasses.replace(env, feature_names=[]), 2) == ["x0", "x1"]

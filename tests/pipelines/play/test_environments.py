@@ -56,6 +56,7 @@ def test_a_state_that_is_declared_constant_has_a_box_as_it_is_declared():
     ("name", "message"),
     [
         ("OfOldGym", r"reset\(seed=0\) fails: TypeError: .*'(seed|options)'.* returns \(observation, info\)"),
+        ("ReturnsFour", r"step\(action\) fails: ValueError: .*expected 5, got 4.* truncated, info\)"),
         ("LongerThanItsSpace", r"reset\(seed=0\) fails: .*shape \(3,\), the observation space \(2,\)"),
         ("NotFinite", r"step\(action\) fails: .*not finite: \[nan"),
         ("NeedsAFile", r"cannot be made: FileNotFoundError: track.csv"),

@@ -36,7 +36,7 @@ def test_every_report_reads_it(results: Path) -> None:
     place = f"results_dir={results}"
     for command, *words in (
         ("otr-tabulate", "all", "runs", "fits", place),
-        ("otr-tabulate", "curves", f"run={RUN}", place),
+        ("otr-tabulate", "curves", "regions", f"run={RUN}", place),
         ("otr-report", place),
         ("otr-plan", "env=mountaincar", "depth=1", "budget=quick", place),
     ):

@@ -72,3 +72,5 @@ def test_the_command_takes_several_runs_and_writes_the_numbers(command, tmp_path
         }  # fmt: skip
     done = command("tabulate", "leaves", f"run={SMALL}", f"run={LARGE}", there)
     assert done.stdout.split() == [f"{tmp_path}/figures/leaves-pendulum-otr.{kind}" for kind in ("png", "csv")]
+    refused = command("tabulate", "regions", f"run={SMALL}", f"run={LARGE}", there)
+    assert refused.returncode == 2 and "figure=regions is of one run" in refused.stderr

@@ -245,6 +245,12 @@ def test_the_page_of_all_results_has_the_tables_and_a_policy_a_cell(tmp_path: Pa
     assert 'id="table-4-1"' in page and "not run" in page and "thesis -138.3" in page
     assert "<td>oracle</td>" in page and " of [256]</td>" in page  # that the lander's tree imitates
     assert 'id="table-4-2"' not in page  # there is no fit
+    (figures,) = stored(page, "figures")
+    assert set(figures) == {"curves", "leaves", "seconds"}
+    (line,) = figures["seconds"]["MountainCar"]["series"]
+    summary = json.loads((CAR / "summary.json").read_text())
+    assert line["points"] == [[pytest.approx(summary["seconds"]["train"], rel=1e-5),
+                               pytest.approx(summary["return_mean"], rel=1e-4)]]  # fmt: skip
 
 
 def test_runs_that_differ_in_other_settings_are_told_apart(tmp_path: Path) -> None:
@@ -268,6 +274,9 @@ def test_a_return_beside_a_pruned_tree_is_its_own(tmp_path: Path) -> None:
     (policy,) = stored(page)
     assert f"seed 0: 12.3 (the whole tree {summary['return_mean']:.1f}), pruned tree" in policy["about"]
     assert policy["export_command"].endswith(f"tree=pruned format=NAME results_dir={tmp_path}/results")
+    (figures,) = stored(page, "figures")
+    (line,) = figures["leaves"]["MountainCar"]["series"]
+    assert line["points"] == [[summary["pruned_leaves"], 12.34]]
 
 
 def test_what_cannot_be_shown_is_named_and_the_rest_is_written(

@@ -255,3 +255,4 @@ def test_tables_sort_and_numbers_open_their_policy(tmp_path: Path, opened: Any) 
     link.click()
     window.evaluate("otr.ready")
     assert window.input_value("#choice") == link.get_attribute("data-policy")
+    assert window.locator("#figure-seconds canvas").count() == 1

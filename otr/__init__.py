@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from otr.control.search.polish import polish as polish
     from otr.control.settings import SearchSettings as SearchSettings
     from otr.core.domain import Domain as Domain
-    from otr.core.fixed_point_tree import FixedPointTree as FixedPointTree
+    from otr.core.fixed_point.tree import FixedPointTree as FixedPointTree
     from otr.core.head import Head as Head
     from otr.core.heads import (
         Argmax as Argmax,

@@ -7,7 +7,7 @@ from functools import singledispatch
 
 import numpy as np
 
-from otr.core.fixed_point_tree import FixedPointTree
+from otr.core.fixed_point.tree import FixedPointTree
 from otr.core.head import Head, no_entry
 from otr.core.heads import Argmax, ClipBox, Identity, Sign, TanhBox
 from otr.programs.names import check_tree, shown_names

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from otr.core.fixed_point_tree import FixedPointTree
+from otr.core.fixed_point.tree import FixedPointTree
 from otr.programs.c.source import to_c
 from otr.programs.names import give_labels
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from otr.core.arrays import IntArray
-from otr.core.fixed_point_tree import FixedPointTree
+from otr.core.fixed_point.tree import FixedPointTree
 from otr.core.head import Head, no_entry
 from otr.core.heads import Argmax, ClipBox, Identity, Sign, TanhBox
 from otr.programs.c.tables import Table, integer_declaration

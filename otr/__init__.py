@@ -103,7 +103,7 @@ _NAMES_OF_MODULES = {
     "control.search.polish": "polish",
     "control.settings": "SearchSettings",
     "core.domain": "Domain",
-    "core.fixed_point_tree": "FixedPointTree",
+    "core.fixed_point.tree": "FixedPointTree",
     "core.head": "Head",
     "core.heads": "Argmax ClipBox Exp Identity PidBox Sign TanhBox head_from_dict",
     "files.artefacts": "load save",

@@ -68,7 +68,7 @@ if TYPE_CHECKING:
     )
     from otr.importers.critics import Critics as Critics, read_critics as read_critics
     from otr.importers.input_statistics import ObservationStatistics as ObservationStatistics
-    from otr.programs.c.float_error import FloatError as FloatError, float_error as float_error
+    from otr.programs.c.float_error import FloatErrorBound as FloatErrorBound, float_error as float_error
     from otr.programs.c.source import to_c as to_c
     from otr.programs.dot import to_dot as to_dot
     from otr.programs.json import to_json as to_json
@@ -123,7 +123,7 @@ _NAMES_OF_MODULES = {
     "importers": "from_onnx from_sb3 from_sklearn from_torch read_policy",
     "importers.critics": "Critics read_critics",
     "importers.input_statistics": "ObservationStatistics",
-    "programs.c.float_error": "FloatError float_error",
+    "programs.c.float_error": "FloatErrorBound float_error",
     "programs.c.source": "to_c",
     "programs.dot": "to_dot",
     "programs.json": "to_json",

@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linprog
 
 from otr.clock import check_time
 from otr.core.arrays import FloatArray
@@ -230,6 +229,8 @@ class _Search:
             return min(free, self._bound(form, node, (), np.zeros(0)))
         forms = np.array([row for row, _ in rows])
         bounds = list(zip(*self.wide, strict=True))
+        from scipy.optimize import linprog  # imported where it is used: a fifth of a second
+
         found = linprog(-form[:d], -forms[:, :d], forms[:, d] + [slack for _, slack in rows], test[None, :d],
                         -test[d:], bounds)  # fmt: skip
         if found.status == 0:

@@ -185,7 +185,7 @@ def _in_fixed_point(
 
 def _bounded_in_floats(
     config: ExportConfig, run: RunConfig, folder: Path | None, policy: Any
-) -> tuple[otr.FloatError | None, str]:
+) -> tuple[otr.FloatErrorBound | None, str]:
     """Return what rounding changes of a tree over a box that is known, and that as text; None where it has no bound."""
     is_known = config.box is not None or wanted_box(run) is not None
     if not isinstance(policy, otr.ObliqueTree) or isinstance(policy.head, otr.PidBox) or not is_known:

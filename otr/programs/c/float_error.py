@@ -29,7 +29,7 @@ _JUMP = 100  # times the rounding of leaves: what the sides of a test may differ
 
 
 @dataclass(frozen=True)
-class FloatError:
+class FloatErrorBound:
     """What the C code of a tree changes of its answers, at every state of a box whose numbers are of the type.
 
     Attributes:
@@ -58,7 +58,7 @@ class FloatError:
         return " ".join([f"by rounding to {self.dtype}, {what}", " and ".join(where)]).strip()
 
 
-def float_error(tree: ObliqueTree, box: Box | Domain, dtype: CType = "float") -> FloatError:
+def float_error(tree: ObliqueTree, box: Box | Domain, dtype: CType = "float") -> FloatErrorBound:
     """Return a bound on what rounding changes of a tree's answers in the code of ``otr.to_c(tree, dtype=dtype)``.
 
     Coefficients are rounded to the type, then every product and every sum. A state near a test may be sent to the other
@@ -95,16 +95,16 @@ def float_error(tree: ObliqueTree, box: Box | Domain, dtype: CType = "float") ->
         within = _OF_TREE * within
     if tree.labels is not None:
         found = jumps(tree, domain, within, 0.0)
-        return FloatError(0.0, np.zeros(0), 0.0, found.distance, found.n_jumps, dtype, domain)
+        return FloatErrorBound(0.0, np.zeros(0), 0.0, found.distance, found.n_jumps, dtype, domain)
     forms = tree.leaf_forms.reshape(-1, tree.n_inputs + 1)
     leaves = rounding.of_rows(forms).reshape(tree.n_leaves, -1)
     found = jumps(tree, domain, within, _JUMP * float(leaves.max()))
     errors = (leaves + paths_sum(tree, found.changes)).max(axis=0) * _UP
     if tree.head.gives_labels:
-        return FloatError(0.0, np.zeros(0), float(2 * errors.max()), found.distance, found.n_jumps, dtype, domain)
+        return FloatErrorBound(0.0, np.zeros(0), float(2 * errors.max()), found.distance, found.n_jumps, dtype, domain)
     largest = highest(tree.leaf_forms, domain.low, domain.high).max(axis=0)
     after = _after_head(tree.head, errors, largest, rounding) * _UP
-    return FloatError(float(after.max()), after, 0.0, found.distance, found.n_jumps, dtype, domain)
+    return FloatErrorBound(float(after.max()), after, 0.0, found.distance, found.n_jumps, dtype, domain)
 
 
 class _Rounding:

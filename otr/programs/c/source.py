@@ -17,7 +17,7 @@ from otr.core.smooth_network import Layered
 from otr.core.tree import ObliqueTree
 from otr.programs.c.answers import Answer, answer_of
 from otr.programs.c.fixed_point import fixed_point_code
-from otr.programs.c.float_error import FloatError
+from otr.programs.c.float_error import FloatErrorBound
 from otr.programs.c.network import functions_of, network_code
 from otr.programs.c.reserved_words import is_function_name
 from otr.programs.c.tables import CType, Table, integer_table, integer_type, row_table
@@ -35,7 +35,7 @@ def to_c(
     dtype: CType = "double",
     feature_names: Sequence[str] | None = None,
     output_names: Sequence[str] | None = None,
-    error: FloatError | None = None,
+    error: FloatErrorBound | None = None,
     test_states: ArrayLike | None = None,
 ) -> str:
     """Return a C99 source file that answers as ``policy.predict`` does.
@@ -118,7 +118,7 @@ def to_c(
     return re.sub("\n{3,}", "\n\n", "\n".join([*lines, "{", *body, *answer.lines, "}"])) + "\n"
 
 
-def _bound(error: FloatError | None, dtype: CType) -> list[str]:
+def _bound(error: FloatErrorBound | None, dtype: CType) -> list[str]:
     """Return the lines of the comment that say what rounding changes over a box."""
     if error is None:
         return []

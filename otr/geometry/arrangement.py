@@ -24,7 +24,7 @@ from otr.core.domain import Domain
 from otr.core.half_spaces import HalfSpaces
 from otr.core.network import ReluNetwork, UnitForm
 from otr.errors import TreeTooLargeError
-from otr.geometry.largest_balls import AnyBases, joined, largest_balls, rounding_at
+from otr.geometry.largest_balls import AnyBases, farthest, joined, largest_balls, rounding_at
 from otr.geometry.rational import independent_rows
 from otr.geometry.vertices import regions_at_vertices
 
@@ -164,6 +164,7 @@ class Walk:
         self.max_regions = max_regions
         self._sizes = UnitForm(np.abs(units.links), np.abs(units.inputs), np.abs(units.offsets), units.layer_starts)
         self.n_bits = network.n_hidden + network.head.n_tests(network.n_outputs)
+        self.thin = np.zeros(self.n_bits)  # value up to which a test's side is left out, though states are in it
         self.n_linear_programs = self.n_tests = self.n_found = 0
         self._n_open = self._n_done = 0  # regions that are not complete, and the tests that the last of them followed
 
@@ -254,7 +255,10 @@ class Walk:
         signs[:, test] = np.where(right, 1, -1)
         balls = largest_balls(rows, block.group[asked], signs, block.bases.take(asked), test)
         self.n_linear_programs += len(asked)
-        found = np.flatnonzero(~balls.is_empty)
+        is_out, thin = balls.is_empty, self.thin[block.outcomes.shape[1]]
+        if thin:
+            is_out = is_out | (farthest(rows, block.group[asked], signs, balls.bases, test) <= thin)
+        found = np.flatnonzero(~is_out)
         n_found = np.bincount(asked[found], minlength=len(near)) + is_clear
         kept = np.flatnonzero(is_clear | (n_found == 0))  # a test that is 0 up to rounding does not split it
         parents = np.concatenate((kept, asked[found]))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from fractions import Fraction
+from itertools import chain
 
 import numpy as np
 
@@ -33,11 +34,12 @@ from otr.proof.exact_cells import (
     refused_at,
 )
 from otr.proof.exact_rows import ExactRow, TreeAndNetwork, is_wide, rounded_up
-from otr.proof.float_cells import cells_of, empty_sum, row_names, start_of_walk
+from otr.proof.float_cells import cells_of, empty_sum, row_names, start_of_walk, with_smallest_bounds
 from otr.proof.label_cells import near_cell
-from otr.proof.verify import Checker
+from otr.proof.verify import NEGLIGIBLE, Checker, bits, rows_of
 
 _MANY_INPUTS = 128  # of which the sides are never rows
+_SHARES = (1.0, 0.1, 0.0)  # of max_error, that a side of a test may cost which is left out, tried in this order
 
 
 def certify(
@@ -115,6 +117,9 @@ class _Certification:
         self.n_programs = 0
         self.errors: dict[int, Fraction] = {}  # by leaf, of the cells that are kept
         self.walk = Walk(pair.network, pair.network.unit_form(), pair.domain, max_regions)
+        self.allowed = np.zeros(self.walk.n_bits)  # value of a test that changes no output by more than max_error
+        if tree.labels is None and max_error:
+            self.allowed[: network.n_hidden] = max_error / np.maximum(network.gains(), np.finfo(np.float64).tiny)
 
     def reached(self) -> str:
         """Return the progress of the search, as text."""
@@ -150,8 +155,12 @@ class _Certification:
             shown = empty_sum(at, balls, rows, names[leaf]) if balls.is_empty[at] else None
             cells += self._cells_of_thin_leaf(leaf, shown)
         start = start_of_walk(leaves, rows, signs, balls)
-        for leaf, found in self._walked(start, names).items():
-            cells += self._proved(leaf, found)
+        for share in _SHARES if self.allowed.any() else _SHARES[-1:]:
+            self.walk.thin = share * self.allowed
+            found = self._walked(start, names)
+            proved = [self._proved(leaf, found[leaf], is_last=not share) for leaf in start.origin.tolist()]
+            cells += chain(*proved)
+            start = start.take(np.array([not each for each in proved], dtype=np.bool_))
         return cells
 
     def _walked(self, start: Block, names: dict[int, list[str]]) -> dict[int, list[Cell]]:
@@ -200,12 +209,16 @@ class _Certification:
             return [Cell(leaf, "", (), empty=as_sum(point))]
         return self._exact_cells(leaf, of_leaf, point)
 
-    def _proved(self, leaf: int, cells: list[Cell]) -> list[Cell]:
-        """Return a leaf's cells with proofs that hold, found again where these do not."""
+    def _proved(self, leaf: int, cells: list[Cell], *, is_last: bool) -> list[Cell]:
+        """Return a leaf's cells with proofs that hold; where these do not, none or, at last, cells found again."""
         proved = []
         for cell in cells:
             check_time()
-            better = cell if self._is_proved(cell) else self._closer(cell)
+            better = self._sharp(cell) or (self._closer(cell) if is_last else None)
+            if better is None and not is_last:
+                self.errors.pop(leaf, None)
+                self.walk.n_found -= len(cells)
+                return []
             if better is None:
                 of_leaf = self.pair.rows_of_leaf(leaf)
                 point = decide_in(self.pair, of_leaf)
@@ -216,30 +229,38 @@ class _Certification:
         check_cover(leaf, proved)
         return proved
 
+    def _sharp(self, cell: Cell) -> Cell | None:
+        """Return a cell, with the smallest bounds unless its own are negligible; None if these do not do."""
+        error = self.checker.error(cell)
+        if error > NEGLIGIBLE and self.pair.tree.labels is None:
+            self.n_programs += 1
+            sharp = with_smallest_bounds(self.pair, cell)
+            of_sharp = self.checker.error(sharp)
+            cell, error = (sharp, of_sharp) if of_sharp < error else (cell, error)
+        return cell if self._keep(cell.leaf, error) else None
+
     def _closer(self, cell: Cell) -> Cell | None:
         """Return a cell as empty, or with bounds of its own on the differences in it; None if these do not do."""
-        pair, n = self.pair, self.pair.network.n_hidden
-        outcomes = tuple(outcome == "1" for outcome in cell.outcomes)
-        forms = pair.forms(outcomes[:n])
-        tests = [*forms[:n], *pair.head_tests(forms, outcomes)]
-        rows = pair.rows_of_leaf(cell.leaf)
-        for split in cell.splits:
-            rows[f"neuron {split}"] = ExactRow(tests[split] if outcomes[split] else -tests[split], outcomes[split])
+        pair, outcomes = self.pair, tuple(bits(cell.outcomes))
+        rows = rows_of(pair, cell, pair.turned(outcomes))
         point = decide_in(pair, rows)
         self.n_programs += 1
         if not isinstance(point, tuple):
             if not cell.splits:
                 return None
             return Cell(cell.leaf, cell.outcomes[: cell.splits[-1] + 1], cell.splits, empty=as_sum(point))
+        forms = pair.forms(outcomes[: pair.network.n_hidden])
         bounded = self._bounded(cell, ExactCell(cell.leaf, outcomes, rows, {}, point, forms))
         return bounded if self._is_proved(bounded) else None
 
     def _is_proved(self, cell: Cell) -> bool:
-        """Return whether the bound on the difference in a cell is small enough, and keep it if so."""
-        error = self.checker.error(cell)
+        return self._keep(cell.leaf, self.checker.error(cell))
+
+    def _keep(self, leaf: int, error: Fraction) -> bool:
+        """Return whether the bound on the difference in a cell of a leaf is small enough, and keep it if so."""
         if error > self.max_error:
             return False
-        self.errors[cell.leaf] = max(self.errors.get(cell.leaf, error), error)
+        self.errors[leaf] = max(self.errors.get(leaf, error), error)
         return True
 
     def _bounded(self, cell: Cell, exact: ExactCell) -> Cell:

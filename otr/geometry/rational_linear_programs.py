@@ -121,7 +121,7 @@ def _proposed(rows: Integers, weights: Sequence[int], cap: Fraction, box: ExactB
     unit = max((size // weight for size, weight in zip(sizes, weights, strict=True) if weight), default=1) or 1
     w = np.array([weight * unit / size for size, weight in zip(sizes, weights, strict=True)])
     bounded, is_wide = np.isfinite(box.low), box.low < box.high
-    farthest = float(np.where(bounded & is_wide, (box.high - box.low) / 2, 1.0).max(initial=0.0)) or 1.0
+    farthest = float(_half_widths(box)[1].max(initial=0.0)) or 1.0
     lengths = abs(slopes).max(axis=1, initial=0.0)
     lengths = np.where(lengths > 0, lengths, 1.0)
     bounds = [(-limit, limit) for limit in np.where(bounded, is_wide, np.inf).tolist()]
@@ -139,16 +139,23 @@ def _in_half_widths(rows: Integers, box: ExactBox) -> tuple[FloatArray, FloatArr
     """
     sizes = [max(map(abs, row)) or 1 for row in rows.tolist()]
     a = np.array([[value / size for value in row] for row, size in zip(rows.tolist(), sizes, strict=True)])
+    a = a.reshape(len(rows), -1)
+    middle, half = _half_widths(box)
+    return a[:, :-1] * half, a[:, -1] + a[:, :-1] @ middle, sizes
+
+
+def _half_widths(box: ExactBox) -> tuple[FloatArray, FloatArray]:
+    """Return the middle (d,) and the half widths of a box, 1 where there is none."""
     low, high = np.where(np.isfinite(box.low), (box.low, box.high), 0.0)
     half = np.where(low < high, (high - low) / 2, 1.0)
-    return a[:, :-1] * half, a[:, -1] + a[:, :-1] @ (low + (high - low) / 2), sizes
+    return low + (high - low) / 2, half
 
 
-def near_largest(rows: Integers, forms: Integers, box: ExactBox) -> list[dict[int, float]] | None:
-    """Return multipliers of rows for forms (k, d + 1), each of which may be off by rounding; None if none were found.
+def near_largest(rows: Integers, forms: Integers, box: ExactBox) -> tuple[FloatArray, list[dict[int, float]]] | None:
+    """Return where forms (k, d + 1) are largest in a box where no row is below 0, and what bounds them, or None.
 
-    Where no row is below 0 a form is at most the largest value over the box of itself and the sum of the rows with its
-    multipliers. They are those for which that is smallest: HiGHS solves all programs as one, in floating point.
+    These are states (k, d) and multipliers of rows, found by HiGHS in floating point, all programs as one: the sum of
+    a form and the rows with its multipliers is nowhere in the box much above the form's largest value.
     """
     from scipy.optimize import linprog
     from scipy.sparse import eye_array, kron
@@ -168,7 +175,8 @@ def near_largest(rows: Integers, forms: Integers, box: ExactBox) -> list[dict[in
     if solved.status != 0:
         return None
     found = np.maximum(-solved.ineqlin.marginals.reshape(k, m), 0.0) * of_objectives[:, None] / lengths
-    return [
+    middle, half = _half_widths(box)
+    return solved.x.reshape(k, -1) * half + middle, [
         {row: value * (size / sizes[row]) for row, value in enumerate(weights) if value > _NEGLIGIBLE * max(weights)}
         for weights, size in zip(found.tolist(), of_forms, strict=True)
     ]

@@ -13,7 +13,7 @@ from itertools import chain
 import numpy as np
 
 from otr.clock import check_time, time_limit
-from otr.core.arrays import IntArray
+from otr.core.arrays import FloatArray, IntArray
 from otr.core.domain import Box, Domain, as_domain
 from otr.core.network import ReluNetwork
 from otr.core.tree import ObliqueTree
@@ -39,7 +39,14 @@ from otr.proof.label_cells import near_cell
 from otr.proof.verify import NEGLIGIBLE, Checker, bits, rows_of
 
 _MANY_INPUTS = 128  # of which the sides are never rows
-_SHARES = (1.0, 0.1, 0.0)  # of max_error, that a side of a test may cost which is left out, tried in this order
+_INWARDS = 1e-3  # of the way from a corner of a cell to its middle
+_SHARES = (
+    1.0,
+    0.5,
+    0.2,
+    0.1,
+    0.0,
+)  # of max_error, that a side of a test may cost which is left out, tried in this order
 
 
 def certify(
@@ -117,8 +124,11 @@ class _Certification:
         self.n_programs = 0
         self.errors: dict[int, Fraction] = {}  # by leaf, of the cells that are kept
         self.walk = Walk(pair.network, pair.network.unit_form(), pair.domain, max_regions)
-        self.allowed = np.zeros(self.walk.n_bits)  # value of a test that changes no output by more than max_error
-        if tree.labels is None and max_error:
+        # Values of tests that change no output by more than max_error; of labels, which let states be so far away.
+        self.allowed, self.allowed_share = np.zeros(self.walk.n_bits), 0.0
+        if tree.labels is not None:
+            self.allowed_share = max_error / 2
+        elif max_error:
             self.allowed[: network.n_hidden] = max_error / np.maximum(network.gains(), np.finfo(np.float64).tiny)
 
     def reached(self) -> str:
@@ -155,8 +165,8 @@ class _Certification:
             shown = empty_sum(at, balls, rows, names[leaf]) if balls.is_empty[at] else None
             cells += self._cells_of_thin_leaf(leaf, shown)
         start = start_of_walk(leaves, rows, signs, balls)
-        for share in _SHARES if self.allowed.any() else _SHARES[-1:]:
-            self.walk.thin = share * self.allowed
+        for share in _SHARES if self.max_error else _SHARES[-1:]:
+            self.walk.thin, self.walk.thin_share = share * self.allowed, share * self.allowed_share
             found = self._walked(start, names)
             proved = [self._proved(leaf, found[leaf], is_last=not share) for leaf in start.origin.tolist()]
             cells += chain(*proved)
@@ -167,7 +177,9 @@ class _Certification:
         """Return the cells, by leaf, that a walk in floating point finds in those that have an inner point."""
         by_leaf: dict[int, list[Cell]] = {}
         for block in self.walk.run(start) if len(start.origin) else ():
-            self._check_answers(block)
+            # Labels are compared in wide regions: those of a sliver may differ where the network's tie.
+            is_wide = block.radii > (0 if self.pair.tree.labels is None else 2 * float(self.max_error))
+            self._check_answers(self.pair.domain.unscaled(block.centres[is_wide]))
             has_labels = self.pair.tree.labels is not None
             found, n_solved = cells_of(block, names, start.rows.n_rows, self.pair.domain, has_labels)
             self.n_programs += n_solved
@@ -175,14 +187,9 @@ class _Certification:
                 by_leaf.setdefault(cell.leaf, []).append(cell)
         return by_leaf
 
-    def _check_answers(self, block: Block) -> None:
-        """Raise CertificateError if tree and network differ at an inner point of a region: a quick check.
-
-        Labels are compared in wide regions: those of a sliver may differ where the network's tie.
-        """
+    def _check_answers(self, X: FloatArray) -> None:
+        """Raise CertificateError if tree and network differ at one of some states (n, d): a quick check."""
         tree, network = self.pair.tree, self.pair.network
-        is_wide = block.radii > (0 if tree.labels is None else 2 * float(self.max_error))
-        X = self.pair.domain.unscaled(block.centres)[is_wide]
         if tree.labels is not None:
             suspect = tree.predict(X) != network.predict(X)
         else:
@@ -231,12 +238,14 @@ class _Certification:
 
     def _sharp(self, cell: Cell) -> Cell | None:
         """Return a cell, with the smallest bounds unless its own are negligible; None if these do not do."""
-        error = self.checker.error(cell)
-        if error > NEGLIGIBLE and self.pair.tree.labels is None:
+        error, has_labels = self.checker.error(cell), self.pair.tree.labels is not None
+        if error > (self.max_error if has_labels else NEGLIGIBLE):
             self.n_programs += 1
-            sharp = with_smallest_bounds(self.pair, cell)
+            sharp, states = with_smallest_bounds(self.pair, cell)
             of_sharp = self.checker.error(sharp)
             cell, error = (sharp, of_sharp) if of_sharp < error else (cell, error)
+            if error > self.max_error and not has_labels:
+                self._check_answers(states + _INWARDS * (states.mean(axis=0, keepdims=True) - states))
         return cell if self._keep(cell.leaf, error) else None
 
     def _closer(self, cell: Cell) -> Cell | None:

@@ -129,22 +129,27 @@ def _multipliers(
     return basis, multipliers
 
 
-def with_smallest_bounds(pair: TreeAndNetwork, cell: Cell) -> Cell:
-    """Return a cell with the sums that bound its tests and differences best; as it was where none were found."""
+def with_smallest_bounds(pair: TreeAndNetwork, cell: Cell) -> tuple[Cell, FloatArray]:
+    """Return a cell with the sums that bound its tests and differences best, and states (n, d) where these are largest.
+
+    Where no sums are found it is the cell as it was, and no states.
+    """
     outcomes = bits(cell.outcomes)
     turned = pair.turned(outcomes)
     implied = set(pair.sides).difference(pair.domain.sides(in_box=True)[1])  # by the limits
     rows = {name: row for name, row in rows_of(pair, cell, turned).items() if name not in implied}
     tests = [-form for test, form in enumerate(turned) if test not in cell.splits]
-    differences = pair.differences(cell.leaf, pair.forms(outcomes[: pair.network.n_hidden]), outcomes)
+    differences = np.empty((0, pair.n_coordinates + 1), dtype=object)
+    if pair.tree.labels is None:
+        differences = pair.differences(cell.leaf, pair.forms(outcomes[: pair.network.n_hidden]), outcomes)
     forms = pair.written_out(np.array([*tests, *differences, *-differences]))[0]
     found = near_largest(pair.stacked(rows), forms, pair.limits)
     if found is None:
-        return cell
-    names, n = list(rows), len(tests)
-    sums = [Sum(tuple(names[row] for row in each), tuple(each.values())) for each in found]
+        return cell, np.empty((0, pair.domain.n_inputs))
+    names, n, (states, multipliers) = list(rows), len(tests), found
+    sums = [Sum(tuple(names[row] for row in each), tuple(each.values())) for each in multipliers]
     both = zip(sums[n : n + len(differences)], sums[n + len(differences) :], strict=True)
-    return replace(cell, proofs=tuple(sums[:n]), bounds=tuple(chain(*both)))
+    return replace(cell, proofs=tuple(sums[:n]), bounds=tuple(chain(*both))), states
 
 
 def _significant(values: FloatArray, digits: int) -> FloatArray:

@@ -166,7 +166,7 @@ class Walk:
         self.n_bits = network.n_hidden + network.head.n_tests(network.n_outputs)
         # Values of tests up to which a side is left out, though states are in it; and as a share of the inner point's.
         self.thin, self.thin_share = np.zeros(self.n_bits), 0.0
-        self.n_linear_programs = self.n_tests = self.n_found = 0
+        self.n_linear_programs = self.n_tests = self.n_found = self.n_thin = 0
         self._n_open = self._n_done = 0  # regions that are not complete, and the tests that the last of them followed
 
     def run(self, start: Block) -> Iterator[Block]:
@@ -260,7 +260,9 @@ class Walk:
         thin = self.thin[block.outcomes.shape[1]] + self.thin_share * np.abs(values) * rows.lengths[of_group, test]
         if thin.any():
             reached = farthest(rows, block.group[asked[found]], signs[found], balls.bases.take(found), test)
-            found = found[reached > thin[asked[found]]]
+            is_thin = reached <= thin[asked[found]]
+            self.n_thin += int(is_thin.sum())
+            found = found[~is_thin]
         n_found = np.bincount(asked[found], minlength=len(near)) + is_clear
         kept = np.flatnonzero(is_clear | (n_found == 0))  # a test that is 0 up to rounding does not split it
         has_both = n_found[asked[found]] == 2

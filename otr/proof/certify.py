@@ -40,13 +40,7 @@ from otr.proof.verify import NEGLIGIBLE, Checker, bits, rows_of
 
 _MANY_INPUTS = 128  # of which the sides are never rows
 _INWARDS = 1e-3  # of the way from a corner of a cell to its middle
-_SHARES = (
-    1.0,
-    0.5,
-    0.2,
-    0.1,
-    0.0,
-)  # of max_error, that a side of a test may cost which is left out, tried in this order
+_SHARES = (1.0, 0.5, 0.2, 0.0)  # of max_error, by which a side of a test may count that is left out, in this order
 
 
 def certify(
@@ -165,10 +159,14 @@ class _Certification:
             shown = empty_sum(at, balls, rows, names[leaf]) if balls.is_empty[at] else None
             cells += self._cells_of_thin_leaf(leaf, shown)
         start = start_of_walk(leaves, rows, signs, balls)
-        for share in _SHARES if self.max_error else _SHARES[-1:]:
+        for share in _SHARES:
+            if not len(start.origin):
+                break
             self.walk.thin, self.walk.thin_share = share * self.allowed, share * self.allowed_share
+            self.walk.n_thin = 0
             found = self._walked(start, names)
-            proved = [self._proved(leaf, found[leaf], is_last=not share) for leaf in start.origin.tolist()]
+            is_last = not self.walk.n_thin  # with a smaller share the cells are the same
+            proved = [self._proved(leaf, found[leaf], is_last=is_last) for leaf in start.origin.tolist()]
             cells += chain(*proved)
             start = start.take(np.array([not each for each in proved], dtype=np.bool_))
         return cells
@@ -176,7 +174,7 @@ class _Certification:
     def _walked(self, start: Block, names: dict[int, list[str]]) -> dict[int, list[Cell]]:
         """Return the cells, by leaf, that a walk in floating point finds in those that have an inner point."""
         by_leaf: dict[int, list[Cell]] = {}
-        for block in self.walk.run(start) if len(start.origin) else ():
+        for block in self.walk.run(start):
             # Labels are compared in wide regions: those of a sliver may differ where the network's tie.
             is_wide = block.radii > (0 if self.pair.tree.labels is None else 2 * float(self.max_error))
             self._check_answers(self.pair.domain.unscaled(block.centres[is_wide]))

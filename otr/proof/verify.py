@@ -34,7 +34,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from fractions import Fraction
-from operator import add
 
 import numpy as np
 
@@ -174,8 +173,8 @@ class Checker:
         differences = pair.differences(cell.leaf, pair.forms(outcomes[:n]), outcomes)
         signed = [form for difference in differences for form in (difference, -difference)]
         errors = self._output_errors([_few_digits(shortfall) for shortfall in shortfalls[:n]])
-        bounds = (self._bound(cell, at, form, rows) for at, form in enumerate(signed))
-        return max(Fraction(0), *map(add, bounds, errors))
+        bounds = [self._bound(cell, at, form, rows) for at, form in enumerate(signed)]
+        return max(Fraction(0), *(bound + error for bound, error in zip(bounds, errors, strict=True)))
 
     def _distance(self, cell: Cell, rows: dict[str, ExactRow], turned: list[Integers]) -> Fraction:
         """Return how far states of a cell are, at most, from the nearest at which the network has the leaf's label.

@@ -3,9 +3,9 @@
 The search is in floating point, and what it finds is checked in exact arithmetic. Where it does not hold, or where a
 leaf is too thin for floating point, the search is repeated in exact arithmetic (`otr.proof.exact_cells`).
 
-Of a tree that equals the network only roughly, as one with rounded coefficients, a side of a test is first left out where
-the states in it change no output by more than `max_error`: their cells would be many slivers. What they do change counts
-in the bound; where that is too large, less is left out.
+Of a tree that equals the network only roughly, as one with rounded coefficients, a side of a test is first left out
+where the states in it change no output by more than `max_error`: their cells would be many slivers. What they do change
+counts in the bound; where that is too large, less is left out.
 """
 
 from __future__ import annotations
